@@ -119,7 +119,7 @@ def _remedy(error: Exception) -> str:
         )
     if "not a valid JAX type" in str(error):
         return (
-            ". Return arrays, and a state as a pytree of them: `@jaxrod.pytree` makes "
+            ". Return arrays, and a state as a pytree of them: `@jaxrod.extend.pytree` makes "
             "one of a class"
         )
     return ""

@@ -31,8 +31,10 @@ def cilium(place, angle, field):
         normal=(1.0, 0.0, 0.0),
     )
     moment = MOMENT * jnp.stack([jnp.sin(angle), 0.0 * angle, jnp.cos(angle)])
-    magnet = jaxrod.magnetisation(rod, moment, field)
-    drag = jaxrod.stokes_drag(*jaxrod.slender_cylinder(0.05, LENGTH, RADIUS))
+    magnet = jaxrod.actuation.magnetisation(rod, moment, field)
+    drag = jaxrod.fluids.stokes_drag(
+        *jaxrod.fluids.slender_cylinder(0.05, LENGTH, RADIUS)
+    )
     return jaxrod.make_scene(rod, jaxrod.clamp(state), magnet, drag), state
 
 
@@ -45,7 +47,9 @@ def build():
     turn = 2 * jnp.pi * times / PERIOD
     size = FIELD * jnp.clip(times / PERIOD, 0, 1)
     field = size[:, None] * jnp.stack([jnp.cos(turn), 0 * turn, jnp.sin(turn)], axis=-1)
-    made = lambda place, angle: cilium(place, angle, jaxrod.table(times, field))
+    made = lambda place, angle: cilium(
+        place, angle, jaxrod.schedules.table(times, field)
+    )
     cilia, states = jax.vmap(made)(places, angles)
     system = jaxrod.make_system({"cilia": cilia})
     return system, {"cilia": states}, 0.9 * float(jaxrod.stable_dt(system).dt)

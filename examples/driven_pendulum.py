@@ -28,7 +28,7 @@ def simulate(frequency, seconds=1.5):
         normal=(0.0, 1.0, 0.0),
     )
     # A cosine: the pivot begins at rest.
-    shake = jaxrod.sine(
+    shake = jaxrod.schedules.sine(
         (0.0, 0.0, AMPLITUDE), 1 / frequency, phase=0.25, mean=(0.0, 0.0, -AMPLITUDE)
     )
     pivot = jaxrod.driven(state, displacement=shake, axes="xz", free_to_turn=True)

@@ -34,11 +34,11 @@ def swimmer(lane, angle):
     )
     stiffness = rod.bend_twist_stiffness[0, 0]
     couple = stiffness * angle * 2 * jnp.pi * WAVES / LENGTH
-    wave = jaxrod.travelling_wave(
+    wave = jaxrod.actuation.travelling_wave(
         rod, couple, period=PERIOD, wavelength=LENGTH / WAVES, ramp_up=PERIOD / 2
     )
-    along, across, turning = jaxrod.slender_cylinder(VISCOSITY, LENGTH, RADIUS)
-    fluid = jaxrod.stokes_drag(along, across, turning)
+    along, across, turning = jaxrod.fluids.slender_cylinder(VISCOSITY, LENGTH, RADIUS)
+    fluid = jaxrod.fluids.stokes_drag(along, across, turning)
     return jaxrod.make_scene(rod, wave, fluid), state
 
 
@@ -53,7 +53,7 @@ def build():
 def endless(angle):
     """Lengths that an endless wave of the same kind swims per period [1]."""
     phase = 2 * jnp.pi * jnp.arange(64) / 64
-    along, across, _ = jaxrod.slender_cylinder(VISCOSITY, LENGTH, RADIUS)
+    along, across, _ = jaxrod.fluids.slender_cylinder(VISCOSITY, LENGTH, RADIUS)
     sines = jnp.mean(jnp.sin(angle * jnp.sin(phase)) ** 2)
     wave = jnp.mean(jnp.cos(angle * jnp.sin(phase))) / WAVES
     return wave * (1 - 1 / (1 + (across / along - 1) * sines))

@@ -44,8 +44,11 @@ def build(n=N, radius=RADIUS, loop=LOOP, pull=1.0, friction=None):
     stiffness = 300.0 * bending / (loop * radius) ** 2
     law = {"damping": 0.1 * jnp.sqrt(stiffness * line), "friction": friction}
     scene, state = jaxrod.make_scene(rod, *pulls, slow), {"rope": state}
-    law |= {"lists": jaxrod.neighbour_lists(skin=1.0, refresh_every=8), "itself": True}
-    touch = jaxrod.rod_contact("rope", stiffness=stiffness, **law)
+    law |= {
+        "lists": jaxrod.systems.neighbour_lists(skin=1.0, refresh_every=8),
+        "itself": True,
+    }
+    touch = jaxrod.systems.rod_contact("rope", stiffness=stiffness, **law)
     system = jaxrod.make_system({"rope": scene}, touch, state=state)
     return system, state, float(jaxrod.stable_dt(system).dt)
 

@@ -31,9 +31,11 @@ def arm(angle):
     )
     # Full force where the arm is thick, on the lower side, within half a second.
     force = 4e3 * jnp.pi * rod.radii**2
-    contraction = jaxrod.ramp(0.0, 0.25, 0.5)
+    contraction = jaxrod.schedules.ramp(0.0, 0.25, 0.5)
     offset = jnp.stack([-0.5 * jnp.mean(rod.radii), jnp.zeros(())])
-    muscle = jaxrod.muscle(rod, force[None], contraction, offsets=offset[None])
+    muscle = jaxrod.actuation.muscle(
+        rod, force[None], contraction, offsets=offset[None]
+    )
     return jaxrod.make_scene(rod, muscle, jaxrod.internal_damping(2e-3)), state
 
 
@@ -41,10 +43,12 @@ def octopus():
     """The animal and its state at rest."""
     angles = 2 * jnp.pi * jnp.arange(N_ARMS) / N_ARMS
     arms, of_arms = jax.vmap(arm)(angles)
-    head, of_head = jaxrod.rigid_body(jaxrod.sphere((0, 0, 0), HEAD), density=1050.0)
+    head, of_head = jaxrod.systems.rigid_body(
+        jaxrod.shapes.sphere((0, 0, 0), HEAD), density=1050.0
+    )
     state = {"arms": of_arms, "head": of_head}
     roots = [("arms", k, "start") for k in range(N_ARMS)]
-    together = jaxrod.attach(roots, ("head",), state)
+    together = jaxrod.systems.attach(roots, ("head",), state)
     return jaxrod.make_system({"arms": arms, "head": head}, together), state
 
 

@@ -3,8 +3,8 @@
 import jax
 import jax.numpy as jnp
 
-from jaxrod import pytree, static
 from jaxrod.envs import Environment, VectorEnvironment
+from jaxrod.extend import pytree, static
 from jaxrod.training import Algorithm, Metrics
 
 

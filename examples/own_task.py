@@ -9,7 +9,7 @@ import jaxrod
 from jaxrod.envs import Snapshot
 
 
-@jaxrod.pytree
+@jaxrod.extend.pytree
 class State:
     rod: jaxrod.RodState
     goal: jax.Array  # height to reach [m]

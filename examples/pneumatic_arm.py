@@ -27,12 +27,12 @@ def build():
         normal=(1.0, 0.0, 0.0),
     )
     wall = jaxrod.clamp(state)
-    pressure = jaxrod.table(
+    pressure = jaxrod.schedules.table(
         (0.0, 1.0, 1.6, 3.0),
         PRESSURE * jnp.asarray([[0.0, 0.0], [1.0, 0.0], [1.0, 0.0], [0.0, 1.0]]),
     )
     offsets = OFFSET * jnp.asarray([[-1.0, 0.0], [1.0, 0.0]])
-    chambers = jaxrod.chamber(rod, pressure, AREA, offsets=offsets, into=wall)
+    chambers = jaxrod.actuation.chamber(rod, pressure, AREA, offsets=offsets, into=wall)
     scene = jaxrod.make_scene(rod, wall, chambers, jaxrod.exponential_damping(12.0))
     return scene, state, 0.9 * float(jaxrod.stable_dt(scene).dt)
 

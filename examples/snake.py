@@ -31,14 +31,14 @@ def build(gait=(2 * jnp.pi, 0.0), couples=COUPLES):
     )
     mass = float(jnp.pi * RADIUS**2 * 1000.0)  # per length [kg/m]
     ground = jaxrod.contact(
-        jaxrod.plane((0.0, 0.0, 0.0), (0.0, 0.0, 1.0)),
+        jaxrod.shapes.plane((0.0, 0.0, 0.0), (0.0, 0.0, 1.0)),
         stiffness=mass * G / (0.05 * RADIUS),
         damping=300.0 * mass,
         friction=LENGTH / (PERIOD**2 * G * FROUDE) * jnp.asarray([1.0, 1.5, 2.0]),
         friction_drag=1000.0 * mass,
     )
     tilted = jnp.asarray(couples) * (1 + gait[1] * jnp.linspace(-1.0, 1.0, 6))
-    wave = jaxrod.muscle_torques(
+    wave = jaxrod.actuation.muscle_torques(
         rod,
         tilted * jnp.sqrt(sum(c * c for c in couples) / jnp.sum(tilted**2)),
         period=PERIOD,

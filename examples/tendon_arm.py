@@ -27,7 +27,7 @@ def tensions():
     four = jnp.clip(jnp.stack([both[0], both[1], -both[0], -both[1]]), 0, None)
     start = jnp.asarray([0.0, 0.7, HELD])
     times = jnp.concatenate([start, 1e-3 + HELD + LOOP * phase / (2 * jnp.pi)])
-    return jaxrod.table(times, four.T)
+    return jaxrod.schedules.table(times, four.T)
 
 
 def build():
@@ -42,7 +42,7 @@ def build():
         normal=(1.0, 0.0, 0.0),
     )
     sides = OFFSET * jnp.asarray([[1.0, 0.0], [0.0, 1.0], [-1.0, 0.0], [0.0, -1.0]])
-    tendons = jaxrod.tendon(rod, sides, tension=tensions())
+    tendons = jaxrod.actuation.tendon(rod, sides, tension=tensions())
     effects = jaxrod.clamp(state), tendons, jaxrod.exponential_damping(12.0)
     scene = jaxrod.make_scene(rod, *effects)
     return scene, state, 0.9 * float(jaxrod.stable_dt(scene).dt)

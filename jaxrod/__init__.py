@@ -8,200 +8,60 @@ A rod is a pytree, a step is a pure function, a thousand arms are `jax.vmap` of 
     dt = jaxrod.stable_dt(scene).dt
     state = jaxrod.advance(scene, state, dt, 1000)
 
-Environments are in `jaxrod.envs`, learners and optimisers in `jaxrod.training`,
-drawing in `jaxrod.viz`.
+Names of one subject are in namespaces: `jaxrod.actuation`, `fluids`, `schedules`,
+`shapes`, `systems`, `topology` and `extend`, for effects, couplings and methods of your
+own. Environments are in `jaxrod.envs`, learners in `jaxrod.training`, trajectory
+optimisation, planning and identification in `jaxrod.control`, drawing in `jaxrod.viz`.
 
 `import jaxrod` loads nothing: every name is imported from its module when it is
 first used. The command line therefore answers at once, and `jaxrod doctor` can report
-on a JAX that jaxrod refuses to run on. Type checkers read `__init__.pyi`.
+on a JAX that jaxrod refuses to run on. The names and their modules are those of
+`__init__.pyi`, which type checkers read.
 """
 
 from __future__ import annotations
 
+import ast
 import importlib
+from pathlib import Path
 from typing import Any
 
 from jaxrod.installation.jax_version import require_sound_jax
 
-__version__ = "0.1.0"
+__version__ = "0.2.0"
 
-_NAMES = {
-    "actuation.active_shape": ("ActiveShape", "active_shape"),
-    "actuation.chambers": ("Chamber", "WoundChamber", "chamber", "wound_chamber"),
-    "actuation.fibre_path": ("helical_offsets",),
-    "actuation.force_length": ("constant_force", "cubic_force", "gaussian_force"),
-    "actuation.magnets": (
-        "LinearField",
-        "MagneticField",
-        "Magnetisation",
-        "linear_field",
-        "magnetisation",
-    ),
-    "actuation.muscles": ("Muscle", "muscle"),
-    "actuation.section_load": ("SectionLoad", "SectionStrains", "SectionStress"),
-    "actuation.tendons": ("Tendon", "tendon"),
-    "actuation.waves": (
-        "TravellingWave",
-        "WorldWave",
-        "muscle_torques",
-        "travelling_wave",
-    ),
-    "analysis.frequency": ("highest_frequency", "natural_frequencies"),
-    "analysis.health": ("Health", "HealthLimits", "freeze", "health"),
-    "analysis.inertia_scaling": (
-        "InertiaScaling",
-        "frequency_changes",
-        "scale_inertia",
-    ),
-    "analysis.reactions": ("reactions",),
-    "analysis.stability": ("StableStep", "stable_dt"),
-    "contacts.bodies": (
-        "Body",
-        "Box",
-        "Capsule",
-        "Cylinder",
-        "Plane",
-        "SignedDistance",
-        "Sphere",
-        "box",
-        "capsule",
-        "cylinder",
-        "plane",
-        "signed_distance",
-        "sphere",
-    ),
-    "contacts.contact": ("Contact",),
-    "contacts.factories": ("contact",),
-    "contacts.near": ("near_contact",),
-    "contacts.points": ("ThinBodyWarning",),
-    "damping.filters": (
-        "LaplacianFilter",
-        "ShortWaveDamping",
-        "laplacian_filter",
-        "short_wave_damping",
-    ),
-    "damping.internal_damping": ("InternalDamping", "internal_damping"),
-    "damping.linear_damper": ("LinearDamper", "linear_damper"),
-    "effects.actuation": ("ElementCouples", "limit_rate", "spline_couples"),
-    "effects.base": ("Effect", "Reaction", "StabilityBound"),
-    "effects.clamps": ("Clamp", "FixedEnd", "clamp", "fixed_end"),
-    "effects.control_splines": ("ControlSpline", "ElementAverages", "control_spline"),
-    "effects.driven": ("Driven", "driven"),
-    "effects.flows": ("FlowField", "UniformFlow", "flow_field"),
-    "effects.fluids": (
-        "QuadraticDrag",
-        "StokesDrag",
-        "quadratic_drag",
-        "slender_cylinder",
-        "stokes_drag",
-    ),
-    "effects.held": ("Held",),
-    "effects.immersion": ("Buoyancy", "buoyancy", "with_added_mass"),
-    "effects.loads": (
-        "EndLoad",
-        "ExponentialDamping",
-        "FollowerEndLoad",
-        "FollowerLoad",
-        "Gravity",
-        "UniformLoad",
-        "end_load",
-        "exponential_damping",
-        "gravity",
-        "uniform_load",
-    ),
-    "effects.schedules": ("Ramp", "Sine", "Table", "ramp", "sine", "table", "time"),
-    "effects.slender_body": ("SlenderBodyDrag", "slender_body_drag"),
-    "effects.supports": ("Hinge", "Pin", "hinge", "pin"),
-    "effects.time": ("Clock", "Schedule"),
-    "effects.unlikely": ("UnlikelyWarning",),
-    "installation.backend": ("configure_cpu",),
-    "lanes.choice": ("LaneChoice", "lane_choices", "use_lanes"),
-    "loaded_rod": ("Method",),
-    "methods.consistent": ("Consistent", "consistent"),
-    "methods.implicit": ("Implicit", "implicit"),
-    "methods.planar": ("Planar", "planar"),
-    "methods.pyelastica": ("PyElastica", "pyelastica"),
-    "methods.torsion_free": ("TorsionFree", "torsion_free"),
-    "rods.drag": ("Drag", "drag_loads"),
-    "rods.elasticity": ("stored_energy", "strains"),
-    "rods.factories": ("rod_along", "straight_rod", "unstressed"),
-    "rods.motion": ("Loads", "Motion"),
-    "rods.rod": (
-        "Rod",
-        "RodState",
-        "angular_velocities",
-        "compensated",
-        "with_angular_velocities",
-    ),
-    "rods.section_shapes": ("Section", "circle", "ellipse", "rectangle", "tube"),
-    "scene": ("Scene", "make_scene"),
-    "statics.equilibrium": ("Equilibrium", "equilibrium"),
-    "stepping.checks": ("UnstableStepWarning",),
-    "stepping.runs": ("advance", "rollout", "rollout_times", "step", "with_memory"),
-    "structure": ("Leaf", "memory", "pytree", "static"),
-    "systems.contact.body_contact": ("BodyContact", "body_contact"),
-    "systems.sites.coupling": ("Coupling",),
-    "systems.contact.crossing_contact": ("CrossingContact", "crossing_contact"),
-    "systems.joints.glue": ("Glue", "glue"),
-    "systems.joints.hinges": ("hinge_joint", "rigid_joint"),
-    "systems.contact.neighbour_lists": (
-        "NeighbourLists",
-        "NeighbourRecord",
-        "neighbour_lists",
-    ),
-    "systems.neighbours": ("Neighbours", "neighbours"),
-    "systems.joints.pose_springs": (
-        "PoseSpring",
-        "pose_spring",
-        "pose_spring_reactions",
-    ),
-    "systems.members.rigid_bodies": ("RigidBodies", "rigid_body", "stacked_bodies"),
-    "systems.members.rigid_stepper": ("BodyState",),
-    "systems.contact.rigid_contact": ("RigidContact", "rigid_contact"),
-    "systems.joints.rings": ("ring",),
-    "systems.contact.rod_contact": ("RodContact", "rod_contact"),
-    "systems.settled": ("Settled", "settled"),
-    "systems.joints.springs": ("ball_joint", "spring"),
-    "systems.system": ("System", "make_system"),
-    "systems.joints.ties": ("tie",),
-    "systems.joints.welds": ("attach", "weld"),
-    "topology.crossings": ("crossed", "crossings"),
-    "topology.winding": ("link", "linking_number", "twist", "writhe"),
-    "tradeoff.tuning": ("Tuned", "tune"),
-}
-_MODULE_OF = {name: module for module, names in _NAMES.items() for name in names}
-_SUBMODULES = {
-    "assemblies": "assemblies",
-    "control": "control",
-    "envs": "envs",
-    "extend": "extend",
-    "geometry": "geometry",
-    "rotations": "geometry.rotations",
-    "tradeoff": "tradeoff",
-    "training": "training",
-    "validation": "validation",
-    "vectors": "geometry.vectors",
-    "viz": "viz",
-}
 
-__all__ = sorted(_MODULE_OF)
+def _module_of_each_name() -> dict[str, str]:
+    """Modules of all names that the stub beside this file imports."""
+    stub = ast.parse(Path(__file__).with_suffix(".pyi").read_text())
+    return {
+        alias.name: node.module or ""
+        for node in stub.body
+        if isinstance(node, ast.ImportFrom)
+        for alias in node.names
+    }
+
+
+_MODULE_OF = _module_of_each_name()
+_NAMESPACES = {name for name, module in _MODULE_OF.items() if module == "jaxrod"}
+
+__all__ = sorted({*_MODULE_OF} - _NAMESPACES)
 
 
 def __getattr__(name: str) -> Any:
-    """Imports a public name, or a submodule, when it is first used."""
-    if name in _MODULE_OF:
-        require_sound_jax()
-        module = importlib.import_module(f"jaxrod.{_MODULE_OF[name]}")
-        globals()[name] = getattr(module, name)
-        return globals()[name]
-    if name in _SUBMODULES:
-        return _submodule(name)
-    raise AttributeError(f"module 'jaxrod' has no attribute {name!r}")
+    """Imports a public name, or a namespace, when it is first used."""
+    if name in _NAMESPACES:
+        return _namespace(name)
+    if name not in _MODULE_OF:
+        raise AttributeError(f"module 'jaxrod' has no attribute {name!r}")
+    require_sound_jax()
+    globals()[name] = getattr(importlib.import_module(_MODULE_OF[name]), name)
+    return globals()[name]
 
 
-def _submodule(name: str) -> Any:
+def _namespace(name: str) -> Any:
     try:
-        return importlib.import_module(f"jaxrod.{_SUBMODULES[name]}")
+        return importlib.import_module(f"jaxrod.{name}")
     except ModuleNotFoundError as error:
         # An optional package is missing. Attribute look-up must raise AttributeError,
         # or help(jaxrod) and hasattr would fail.
@@ -209,4 +69,4 @@ def _submodule(name: str) -> Any:
 
 
 def __dir__() -> list[str]:
-    return sorted({*globals(), *__all__, *_SUBMODULES})
+    return sorted({*globals(), *_MODULE_OF})

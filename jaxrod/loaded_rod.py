@@ -196,7 +196,7 @@ def check_scene(scene: Any) -> None:
             f"scene must be a jaxrod.Scene, got {type(scene).__name__}: this is known "
             "of one rod alone, not of several members together. Those can be stepped "
             "(advance, rollout) and asked for stable_dt, health and their energies; "
-            "jaxrod.settled finds where they come to rest"
+            "jaxrod.systems.settled finds where they come to rest"
         )
     shape = scene.rod.batch_shape
     if shape:

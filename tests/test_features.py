@@ -85,22 +85,22 @@ def close(found, wanted, rtol=1e-9, atol=1e-11):
 ROD, REST = straight()
 MASS = float(jnp.sum(ROD.node_masses))
 ABOUT_D2 = np.array([[0.0] * 3, [1.0] * 3, [0.0] * 3])
-SPLINE = jaxrod.control_spline(3, 1.0, dtype=jnp.float64)
+SPLINE = jaxrod.actuation.control_spline(3, 1.0, dtype=jnp.float64)
 UPPER_SIDE = (0.02, 0.0)
 # As good as constant: a quarter of a period on, longer than all there is.
 STANDING = {"period": 1e9, "wavelength": 1e9, "axis": (0, 1, 0), "phase": 0.25}
 
 
-@jaxrod.pytree
-class Tiring(jaxrod.Effect):
+@jaxrod.extend.pytree
+class Tiring(jaxrod.extend.Effect):
     """A force up on every node, half as strong after each step."""
 
     force: jax.Array
-    left: jax.Array = jaxrod.memory(default=1.0)
+    left: jax.Array = jaxrod.extend.memory(default=1.0)
 
     def loads(self, rod, motion):
         up = jnp.full_like(rod.node_masses, self.force * self.left)
-        return jaxrod.Loads(forces=(0 * up, 0 * up, up))
+        return jaxrod.extend.Loads(forces=(0 * up, 0 * up, up))
 
     def after_step(self, rod, motion, dt):
         return replace(self, left=0.5 * self.left)
@@ -128,19 +128,19 @@ def everything(
     force, period, phase = push
     return jaxrod.make_scene(
         ROD,
-        jaxrod.gravity(jaxrod.ramp(*weight)),
-        jaxrod.end_load(jaxrod.sine(force, period, phase=phase), twist),
-        jaxrod.uniform_load(jaxrod.table(*load), couple),
-        jaxrod.spline_couples(ROD, SPLINE, controls * ABOUT_D2, 1.0),
-        jaxrod.buoyancy(fluid, (0.0, 0.0, -G)),
+        jaxrod.gravity(jaxrod.schedules.ramp(*weight)),
+        jaxrod.end_load(jaxrod.schedules.sine(force, period, phase=phase), twist),
+        jaxrod.uniform_load(jaxrod.schedules.table(*load), couple),
+        jaxrod.actuation.spline_couples(ROD, SPLINE, controls * ABOUT_D2, 1.0),
+        jaxrod.fluids.buoyancy(fluid, (0.0, 0.0, -G)),
         jaxrod.exponential_damping(damping),
-        jaxrod.stokes_drag(drag, 2 * drag),
-        jaxrod.travelling_wave(ROD, wave, **STANDING),
-        jaxrod.muscle(ROD, 10.0, activation, offsets=UPPER_SIDE),
-        jaxrod.tendon(ROD, UPPER_SIDE, tension=tension),
-        jaxrod.chamber(ROD, pressure, 1e-4, offsets=UPPER_SIDE),
-        jaxrod.magnetisation(ROD, (0.0, 0.0, magnet), (0.0, 0.0, 1.0)),
-        jaxrod.active_shape(ROD, curvature=curvature * ABOUT_D2[:, 0]),
+        jaxrod.fluids.stokes_drag(drag, 2 * drag),
+        jaxrod.actuation.travelling_wave(ROD, wave, **STANDING),
+        jaxrod.actuation.muscle(ROD, 10.0, activation, offsets=UPPER_SIDE),
+        jaxrod.actuation.tendon(ROD, UPPER_SIDE, tension=tension),
+        jaxrod.actuation.chamber(ROD, pressure, 1e-4, offsets=UPPER_SIDE),
+        jaxrod.actuation.magnetisation(ROD, (0.0, 0.0, magnet), (0.0, 0.0, 1.0)),
+        jaxrod.actuation.active_shape(ROD, curvature=curvature * ABOUT_D2[:, 0]),
         Tiring(tiring),
     )
 
@@ -305,7 +305,7 @@ def test_an_effect_of_ones_own_acts_and_remembers():
 
 @runs("quadratic_drag")
 def test_drag_with_the_square_of_the_speed_slows_a_rod_by_its_law():
-    scene = jaxrod.make_scene(ROD, jaxrod.quadratic_drag(1000.0, across=1.2))
+    scene = jaxrod.make_scene(ROD, jaxrod.fluids.quadratic_drag(1000.0, across=1.2))
     state = jaxrod.advance(scene, thrown(REST, (0, 0, 2)), 1e-3, 20)
     rate = 0.5 * 1000 * 2 * RADIUS * 1.2 / MASS
     close(state.velocities[2], 2 / (1 + 2 * rate * 0.02))
@@ -355,9 +355,9 @@ def test_a_driven_end_is_where_its_schedule_says_and_takes_power():
         ROD,
         jaxrod.driven(
             REST,
-            displacement=jaxrod.ramp(ZERO, (0.0, 0.0, 0.04), 0.04),
+            displacement=jaxrod.schedules.ramp(ZERO, (0.0, 0.0, 0.04), 0.04),
             axis=(0, 1, 0),
-            angle=jaxrod.ramp(0.0, 0.2, 0.04),
+            angle=jaxrod.schedules.ramp(0.0, 0.2, 0.04),
             holds_element=True,
         ),
     )
@@ -483,7 +483,7 @@ def test_an_arm_rests_where_its_loads_balance():
     close(wall.couple, (0, -weight * centre[0], 0), rtol=1e-4, atol=1e-4)
     # The same arm as a system, followed until it rests.
     system = jaxrod.make_system({"arm": scene})
-    fallen = jaxrod.settled(system, {"arm": state}, max_steps=20000)
+    fallen = jaxrod.systems.settled(system, {"arm": state}, max_steps=20000)
     assert fallen.converged
     tip = rest.state.positions[:, -1]
     bending = 1e8 * math.pi * RADIUS**4 / 4
@@ -517,18 +517,22 @@ def below(point, height):
 
 # Each of a shape whose top is as high as it is told; flat, or a ridge along the rod.
 ROOM = {
-    "sphere": lambda top: jaxrod.sphere((0.5, 0, top - 0.2), 0.2),
-    "capsule": lambda top: jaxrod.capsule((-1, 0, top - 0.2), (2, 0, top - 0.2), 0.2),
-    "cylinder": lambda top: jaxrod.cylinder((-1, 0, top - 0.2), (2, 0, top - 0.2), 0.2),
-    "plane": lambda top: jaxrod.plane((0, 0, top)),
-    "box": lambda top: jaxrod.box((0.5, 0, top - 0.2), (1.0, 0.2, 0.2)),
-    "signed_distance": lambda top: jaxrod.signed_distance(below, top),
+    "sphere": lambda top: jaxrod.shapes.sphere((0.5, 0, top - 0.2), 0.2),
+    "capsule": lambda top: jaxrod.shapes.capsule(
+        (-1, 0, top - 0.2), (2, 0, top - 0.2), 0.2
+    ),
+    "cylinder": lambda top: jaxrod.shapes.cylinder(
+        (-1, 0, top - 0.2), (2, 0, top - 0.2), 0.2
+    ),
+    "plane": lambda top: jaxrod.shapes.plane((0, 0, top)),
+    "box": lambda top: jaxrod.shapes.box((0.5, 0, top - 0.2), (1.0, 0.2, 0.2)),
+    "signed_distance": lambda top: jaxrod.shapes.signed_distance(below, top),
 }
 
 
 def spheres(top):
     places = np.linspace(0.1, 0.9, 5)
-    return [jaxrod.sphere((x, 0, top - 0.1), 0.1) for x in places]
+    return [jaxrod.shapes.sphere((x, 0, top - 0.1), 0.1) for x in places]
 
 
 def laid_on(kind, state=REST, dt=1e-5, steps=5):
@@ -617,21 +621,21 @@ def test_exact_joints_hold_and_keep_momentum():
     rods, of_rods = laid_out(starts, [x, y, -y, -x], youngs_modulus=1e8)
     of_rods = turning_about(of_rods, 1, x, 2.0)
     of_rods = turning_about(of_rods, 2, x, -2.0)
-    head, of_head = jaxrod.rigid_body(
-        jaxrod.box((-0.1, -0.1, 0), (0.1, 0.1, 0.1)),
+    head, of_head = jaxrod.systems.rigid_body(
+        jaxrod.shapes.box((-0.1, -0.1, 0), (0.1, 0.1, 0.1)),
         density=1000.0,
         effects=(jaxrod.exponential_damping(0.0),),
         angular_velocity=(0.0, 0.0, 1.0),
         dtype=jnp.float64,
     )
-    assert isinstance(of_head, jaxrod.BodyState)
+    assert isinstance(of_head, jaxrod.systems.BodyState)
     start = {"rods": of_rods, "head": of_head}
     system = jaxrod.make_system(
         {"rods": rods, "head": head},
-        jaxrod.weld(("rods", 0, "finish"), ("rods", 1, "start"), start),
-        jaxrod.tie(("rods", 0, "finish"), ("rods", 2, "start"), start),
-        jaxrod.attach(("rods", 0, "start"), ("head",), start),
-        jaxrod.attach(("rods", 3, "start"), ("head",), start, turning=True),
+        jaxrod.systems.weld(("rods", 0, "finish"), ("rods", 1, "start"), start),
+        jaxrod.systems.tie(("rods", 0, "finish"), ("rods", 2, "start"), start),
+        jaxrod.systems.attach(("rods", 0, "start"), ("head",), start),
+        jaxrod.systems.attach(("rods", 3, "start"), ("head",), start, turning=True),
         state=start,
     )
     # Once through a step of no length: all ties are kept.
@@ -684,10 +688,12 @@ def test_each_joint_pulls_two_rods_together_by_its_stiffness():
 
     system = jaxrod.make_system(
         {"rods": rods},
-        jaxrod.spring(*ends(0), at_rest, stiffness=100.0),
-        jaxrod.ball_joint(*ends(1), at_rest, stiffness=200.0),
-        jaxrod.rigid_joint(*ends(2), at_rest, stiffness=300.0, turning_stiffness=7.0),
-        jaxrod.hinge_joint(
+        jaxrod.systems.spring(*ends(0), at_rest, stiffness=100.0),
+        jaxrod.systems.ball_joint(*ends(1), at_rest, stiffness=200.0),
+        jaxrod.systems.rigid_joint(
+            *ends(2), at_rest, stiffness=300.0, turning_stiffness=7.0
+        ),
+        jaxrod.systems.hinge_joint(
             *ends(3),
             at_rest,
             axis=(1, 0, 0),
@@ -695,14 +701,14 @@ def test_each_joint_pulls_two_rods_together_by_its_stiffness():
             axis_stiffness=5.0,
             motor=0.3,
         ),
-        jaxrod.glue(
+        jaxrod.systems.glue(
             ("rods", 8),
             ("rods", 9),
             at_rest,
             stiffness=500.0,
             turning_stiffness=3.0,
         ),
-        jaxrod.pose_spring(
+        jaxrod.systems.pose_spring(
             ("rods", 10, "finish"),
             at_rest,
             stiffness=600.0,
@@ -715,7 +721,9 @@ def test_each_joint_pulls_two_rods_together_by_its_stiffness():
     half = jnp.broadcast_to(0.5 * 0.02 * second[:, None], (12, 3))
     turn = jnp.cos(half), jnp.sin(half), 0 * half, 0 * half
     before = tuple(rest.orientations[:, k] for k in range(4))
-    turned = jnp.stack(jaxrod.rotations.multiply_quaternions(turn, before), axis=1)
+    turned = jnp.stack(
+        jaxrod.geometry.rotations.multiply_quaternions(turn, before), axis=1
+    )
     start = replace(rest, positions=rest.positions + shift, orientations=turned)
     time = 5e-5
     state = jaxrod.advance(system, {"rods": start}, time / 5, 5)["rods"]
@@ -730,7 +738,7 @@ def test_each_joint_pulls_two_rods_together_by_its_stiffness():
     sheared = np.array([0, 0, 0, 0, 500 * 0.02 * 0.1**2, 0])
     close(couple[::2], turned_back - sheared, rtol=2e-3, atol=1e-6)
     close(couple[1::2], -turned_back - sheared, rtol=2e-3, atol=1e-6)
-    (pulled,) = jaxrod.pose_spring_reactions(system.at(0.0), {"rods": start})
+    (pulled,) = jaxrod.systems.pose_spring_reactions(system.at(0.0), {"rods": start})
     close(pulled.force, (0.6, 0, 0))
     close(pulled.power, 0)
 
@@ -753,26 +761,28 @@ def touching(stiff, gap, way=(1, 0, 0)):
         3, start=middle - 0.5 * way, direction=way, normal=(0, 0, 1)
     )
     balls = [
-        jaxrod.rigid_body(jaxrod.sphere(place, 0.1), density=1000.0, dtype=jnp.float64)
+        jaxrod.systems.rigid_body(
+            jaxrod.shapes.sphere(place, 0.1), density=1000.0, dtype=jnp.float64
+        )
         for place in (
             (0.5, 0, -0.1 - RADIUS + DEEP),
             (0.5, 0, -0.3 - RADIUS + 2 * DEEP),
         )
     ]
-    balls, of_balls = jaxrod.stacked_bodies(*balls)
+    balls, of_balls = jaxrod.systems.stacked_bodies(*balls)
     state = {"one": of_one, "other": of_other, "balls": of_balls}
     k = dict.fromkeys(TOUCHING, 1e-30) | {stiff: STIFF}
-    ground = jaxrod.plane((0, 0, -0.4 - RADIUS + 3 * DEEP))
+    ground = jaxrod.shapes.plane((0, 0, -0.4 - RADIUS + 3 * DEEP))
     system = jaxrod.make_system(
         {
             "one": jaxrod.make_scene(one),
             "other": jaxrod.make_scene(other),
             "balls": balls,
         },
-        jaxrod.rod_contact("one", "other", stiffness=k["rods"]),
-        jaxrod.crossing_contact("one", "other", stiffness=k["crossing"]),
-        jaxrod.body_contact("one", "balls", stiffness=k["body"]),
-        jaxrod.rigid_contact("balls", fixed=ground, stiffness=k["bodies"]),
+        jaxrod.systems.rod_contact("one", "other", stiffness=k["rods"]),
+        jaxrod.systems.crossing_contact("one", "other", stiffness=k["crossing"]),
+        jaxrod.systems.body_contact("one", "balls", stiffness=k["body"]),
+        jaxrod.systems.rigid_contact("balls", fixed=ground, stiffness=k["bodies"]),
         state=state,
     )
     time = 5e-5
@@ -819,7 +829,9 @@ def test_balls_press_on_each_other_and_on_the_ground():
 @runs("ring")
 def test_a_ring_stays_closed_and_keeps_momentum():
     material = {"radius": RADIUS, "density": 1000.0, "youngs_modulus": 1e6}
-    rod, rest, closure = jaxrod.ring(6, length=1.0, **material, dtype=jnp.float64)
+    rod, rest, closure = jaxrod.systems.ring(
+        6, length=1.0, **material, dtype=jnp.float64
+    )
     system = jaxrod.make_system({"ring": jaxrod.make_scene(rod)}, closure)
     kick = jnp.asarray([1.0, 0, 0, 0, 0, 0, 1.0])
     start = {"ring": replace(rest, velocities=rest.velocities.at[0].add(kick))}
@@ -839,8 +851,8 @@ def test_what_went_through_is_told_from_what_did_not():
     one = REST.positions
     over = jnp.stack([0.5 + 0 * one[0], one[0] - 0.5, 0 * one[0] + 0.1])
     under = over.at[2].add(-0.2)
-    assert jaxrod.crossed(one, one, over, under)
-    assert not jaxrod.crossed(one, one, over, over.at[2].add(-0.05))
+    assert jaxrod.topology.crossed(one, one, over, under)
+    assert not jaxrod.topology.crossed(one, one, over, over.at[2].add(-0.05))
 
 
 # Lists of neighbours: both laws in one system, on rods of their own
@@ -860,11 +872,13 @@ def heaps(listed, skin=0.5):
     state = {"line": state, "crossing": state}
     lists = None
     if listed:
-        lists = jaxrod.neighbour_lists(
+        lists = jaxrod.systems.neighbour_lists(
             refresh_every=4, skin=skin, pairs=30, candidates=60
         )
-    line = jaxrod.rod_contact("line", stiffness=1e4, points_per_element=4, lists=lists)
-    crossing = jaxrod.crossing_contact("crossing", stiffness=1e3, lists=lists)
+    line = jaxrod.systems.rod_contact(
+        "line", stiffness=1e4, points_per_element=4, lists=lists
+    )
+    crossing = jaxrod.systems.crossing_contact("crossing", stiffness=1e3, lists=lists)
     members = dict.fromkeys(state, rods)
     return jaxrod.make_system(members, line, crossing, state=state), state
 
@@ -905,7 +919,7 @@ def test_lists_are_counted_and_say_that_nothing_was_missed(listed):
     system, start, state = listed
     health = jaxrod.health(system, state, STEP)
     assert not health.overflow and not health.stale and not health.flagged
-    for near in jaxrod.neighbours(system, start):
+    for near in jaxrod.systems.neighbours(system, start):
         # Two crossings of three elements by three: the middles, at least.
         assert near.pairs[0] >= 2
         assert near.candidates[0] >= near.pairs[0]

@@ -47,8 +47,8 @@ def pair():
     """Two rods that touch, a spring between them, and a ball that is attached."""
     one, of_one = rod()
     two, of_two = rod(start=(0.0, 0.018, 0.0))
-    ball, still = jaxrod.rigid_body(
-        jaxrod.sphere((0.0, 0.018, 0.31), 0.01), density=1000.0
+    ball, still = jaxrod.systems.rigid_body(
+        jaxrod.shapes.sphere((0.0, 0.018, 0.31), 0.01), density=1000.0
     )
     state = {"one": of_one, "two": of_two, "ball": still}
     system = jaxrod.make_system(
@@ -57,9 +57,13 @@ def pair():
             "two": jaxrod.make_scene(two, jaxrod.gravity()),
             "ball": ball,
         },
-        jaxrod.rod_contact("one", "two", stiffness=100.0, damping=0.1, friction=0.3),
-        jaxrod.spring(("one", "finish"), ("two", "finish"), state, stiffness=10.0),
-        jaxrod.attach(("two", "finish"), ("ball",), state),
+        jaxrod.systems.rod_contact(
+            "one", "two", stiffness=100.0, damping=0.1, friction=0.3
+        ),
+        jaxrod.systems.spring(
+            ("one", "finish"), ("two", "finish"), state, stiffness=10.0
+        ),
+        jaxrod.systems.attach(("two", "finish"), ("ball",), state),
         state=state,
     )
     return system, jaxrod.with_memory(system, state)
@@ -120,13 +124,13 @@ def test_without_jit_it_is_the_same(name):
 
 
 def obstacle():
-    ball = jaxrod.sphere((0.0, 0.02, 0.15), 0.015)
+    ball = jaxrod.shapes.sphere((0.0, 0.02, 0.15), 0.015)
     return jaxrod.contact(ball, stiffness=100.0, damping=0.1, points_per_element=8)
 
 
 MADE_OUTSIDE = {
     "contact": (obstacle, None),
-    "drag": (lambda: jaxrod.stokes_drag(0.1, 0.2, 0.01), None),
+    "drag": (lambda: jaxrod.fluids.stokes_drag(0.1, 0.2, 0.01), None),
     "gravity without twist": (jaxrod.gravity, jaxrod.torsion_free()),
 }
 
@@ -147,7 +151,7 @@ def test_a_scene_of_what_was_made_outside_may_be_made_within_jit(name):
 def test_bad_values_are_seen_within_jit():
     """They are known there: what they are is said as it is outside."""
     made, _ = rod()
-    thin = jaxrod.contact(jaxrod.sphere((0.0, 0.1, 0.0), 0.001), stiffness=1.0)
+    thin = jaxrod.contact(jaxrod.shapes.sphere((0.0, 0.1, 0.0), 0.001), stiffness=1.0)
     with pytest.warns(jaxrod.ThinBodyWarning):
         jax.make_jaxpr(lambda: jaxrod.make_scene(made, thin))()
     bent = replace(made, rest_curvatures=made.rest_curvatures + 1.0)
@@ -171,7 +175,7 @@ def test_a_system_of_what_was_made_outside_may_be_made_within_jit():
     one, of_one = rod()
     two, of_two = rod(start=(0.0, 0.018, 0.0))
     state = {"one": of_one, "two": of_two}
-    touch = jaxrod.rod_contact("one", "two", stiffness=100.0, damping=0.1)
+    touch = jaxrod.systems.rod_contact("one", "two", stiffness=100.0, damping=0.1)
     held = jaxrod.clamp(of_one)
 
     def tips(push):

@@ -19,25 +19,25 @@ import jaxrod
 import jaxrod.envs
 
 
-@jaxrod.pytree
-class TipSpring(jaxrod.Effect):
+@jaxrod.extend.pytree
+class TipSpring(jaxrod.extend.Effect):
     """Pulls the last node to a point."""
 
-    point: jaxrod.Leaf
-    stiffness: jaxrod.Leaf
+    point: jaxrod.extend.Leaf
+    stiffness: jaxrod.extend.Leaf
 
-    def loads(self, rod: jaxrod.Rod, motion: jaxrod.Motion) -> jaxrod.Loads:
+    def loads(self, rod: jaxrod.Rod, motion: jaxrod.extend.Motion) -> jaxrod.extend.Loads:
         forces = [
             jnp.zeros_like(p).at[-1].set(self.stiffness * (self.point[k] - p[-1]))
             for k, p in enumerate(motion.position)
         ]
-        return jaxrod.Loads(forces=tuple(forces))
+        return jaxrod.extend.Loads(forces=tuple(forces))
 
 
 rod, state = jaxrod.straight_rod(
     10, length=1.0, radius=0.02, density=1000.0, youngs_modulus=1e6
 )
-goal = jaxrod.ramp(state.tip, state.tip + 0.1, duration=0.5)
+goal = jaxrod.schedules.ramp(state.tip, state.tip + 0.1, duration=0.5)
 scene = jaxrod.make_scene(rod, jaxrod.clamp(state), TipSpring(goal, 10.0))
 dt = jaxrod.stable_dt(scene).dt
 state = jaxrod.advance(scene, state, dt, 500)
@@ -48,7 +48,7 @@ print(state.tip, task.action_size)
 
 MISTAKES = {
     "a misspelt keyword": ("radius=0.02", "radios=0.02", '"radios"'),
-    "a wrong result": ("-> jaxrod.Loads:", "-> jaxrod.Rod:", 'expected "Rod"'),
+    "a wrong result": ("-> jaxrod.extend.Loads:", "-> jaxrod.Rod:", 'expected "Rod"'),
     "a misspelt attribute": ("state.tip,", "state.top,", '"top"'),
     "a text for a number": ("1.0, radius", '"1", radius', '"length"'),
     "a missing argument": ("TipSpring(goal, 10.0)", "TipSpring(goal)", '"stiffness"'),

@@ -75,8 +75,8 @@ class Algorithm:
     This is all that training, resuming and evaluating know about it. Its train state is
     one pytree of arrays with everything that a run needs: numbers of the configuration,
     weights, optimiser, environments, keys. Anything that is not a number (the
-    environment, say) is static structure, see `jaxrod.static`. Two states made by
-    `init` from configurations that differ only in numbers share one program. `train`
+    environment, say) is static structure, see `jaxrod.extend.static`. Two states made
+    by `init` from configurations that differ only in numbers share one program. `train`
     checks all of this, with clear messages, before it compiles anything.
 
     For `--resume` and `jaxrod evaluate` to find it again, it has to be a variable of a
@@ -86,10 +86,10 @@ class Algorithm:
     name: str
     """Name for display, and in the registry."""
     config_type: type
-    """Class of the configuration: a `jaxrod.pytree` whose instance without arguments
-    holds the defaults. Fields that are not static are numbers. `config.json` must be
-    able to hold every field, as numbers, text, booleans, tuples of these, or functions
-    of a module."""
+    """Class of the configuration: a `jaxrod.extend.pytree` whose instance without
+    arguments holds the defaults. Fields that are not static are numbers. `config.json`
+    must be able to hold every field, as numbers, text, booleans, tuples of these, or
+    functions of a module."""
     steps_per_update: Callable[[Any], int]
     """`config -> int`: control steps of one update, of all environments together."""
     init: Callable[..., Any]

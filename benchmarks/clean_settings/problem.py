@@ -16,7 +16,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from jaxrod import RodState, Scene, consistent, control_spline, spline_couples
+from jaxrod import RodState, Scene, consistent
+from jaxrod.actuation import control_spline, spline_couples
 from jaxrod.envs.arm.clean import CleanArm
 from jaxrod.envs.arm.soft_arm import LENGTH
 from jaxrod.envs.protocol import Drawable

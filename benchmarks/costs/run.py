@@ -50,7 +50,7 @@ def scenes() -> dict[str, tuple[Scene, RodState]]:
         direction=(1.0, 0.0, 0.0),
         normal=(0.0, 0.0, 1.0),
     )
-    couples = jaxrod.ElementCouples(jnp.zeros((3, N_ELEMENTS)).at[0].set(1.0))
+    couples = jaxrod.actuation.ElementCouples(jnp.zeros((3, N_ELEMENTS)).at[0].set(1.0))
     effects = {
         "gravity": jaxrod.gravity((0.0, -9.81, 0.0)),
         "clamp": jaxrod.clamp(state),

@@ -18,6 +18,7 @@ import jax.numpy as jnp
 import numpy as np
 
 import jaxrod
+from jaxrod.effects.loads import ExponentialDamping
 from jaxrod.envs.arm.soft_arm import TORQUE_PER_ELEMENT, VISCOSITY, clean_rod
 from jaxrod.geometry import vectors
 from jaxrod.methods.laws import IN_SPACE
@@ -74,12 +75,12 @@ def episode(index, key, mode, dtype, control_steps):
     transverse = rod.rotary_inertia[0, 0]
     effects = (
         hold(rest),
-        jaxrod.ExponentialDamping(
+        ExponentialDamping(
             jnp.asarray(VISCOSITY, dtype) / rod.linear_density[0],
             jnp.asarray(VISCOSITY, dtype) / transverse,
         ),
     )
-    spline = jaxrod.control_spline(CONTROL_POINTS, 1.0, dtype)
+    spline = jaxrod.actuation.control_spline(CONTROL_POINTS, 1.0, dtype)
     kind = index % len(KINDS)
     change = jnp.where(index // len(KINDS) % 2 == 0, LARGEST_CHANGE, 2.0)
     dt = jnp.asarray(DT, dtype)
@@ -95,11 +96,14 @@ def episode(index, key, mode, dtype, control_steps):
         drawn = jax.random.uniform(draw, (2, 2), dtype, -1.0, 1.0)
         switched = jnp.where(jump, corner(draw), wanted)
         wanted = jnp.where(kind == 0, wanted, jnp.where(kind == 1, switched, drawn))
-        applied = jaxrod.limit_rate(applied, wanted, change)
+        applied = jaxrod.actuation.limit_rate(applied, wanted, change)
         controls = jnp.concatenate([applied, jnp.zeros_like(applied[:1])])
         couples = TORQUE_PER_ELEMENT * spline(controls, rod.arc_length_midpoints)
         scene = jaxrod.make_scene(
-            rod, *effects, jaxrod.ElementCouples(couples), method=IN_SPACE[mode]
+            rod,
+            *effects,
+            jaxrod.actuation.ElementCouples(couples),
+            method=IN_SPACE[mode],
         )
         after = jaxrod.advance(scene, state, dt, SUBSTEPS)
         report = jaxrod.health(scene, after, dt)

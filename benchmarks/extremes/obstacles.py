@@ -78,7 +78,7 @@ def episode(index, key, task, params, control_steps):
         wanted = jnp.where(kind == 0, wanted, jnp.where(kind == 1, switched, drawn))
         values = jnp.reshape(wanted, (task.n_directions, task.n_controls))
         controls = jnp.pad(values, ((0, 3 - task.n_directions), (0, 0)))
-        muscles = jaxrod.limit_rate(muscles, controls, arm.largest_change)
+        muscles = jaxrod.actuation.limit_rate(muscles, controls, arm.largest_change)
         scene = arm.scene(muscles, state)
 
         def step(_, passed):

@@ -87,7 +87,9 @@ class Buckling:
             bend_twist_stiffness=bending * rod.bend_twist_stiffness,
         )
         half = 0.5 * PRESSED
-        wall = jaxrod.sine((0.0, 0.0, half), PERIOD, mean=(0.0, 0.0, -half), phase=0.25)
+        wall = jaxrod.schedules.sine(
+            (0.0, 0.0, half), PERIOD, mean=(0.0, 0.0, -half), phase=0.25
+        )
         effects = (
             jaxrod.clamp(state),
             jaxrod.driven(state, "finish", displacement=wall, axes="zx"),

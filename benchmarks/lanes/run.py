@@ -72,7 +72,7 @@ def arm(n: int, *, dtype: str = "float32", **how: Any) -> tuple[Any, Any, Any]:
     ]
     if "method" not in how:
         couples = jnp.zeros((3, n), state.positions.dtype).at[0].set(0.3)
-        effects.append(jaxrod.ElementCouples(couples))
+        effects.append(jaxrod.actuation.ElementCouples(couples))
     scene = jaxrod.make_scene(rod, *effects, **how)
     return scene, state, 0.5 * jaxrod.stable_dt(scene).dt
 
@@ -115,7 +115,7 @@ def _planar(n: int) -> tuple[Any, Any, Any]:
     scene, state, _ = arm(n)
     effects = (
         *scene.effects[:3],
-        jaxrod.ElementCouples(jnp.zeros((3, n), jnp.float32).at[2].set(0.3)),
+        jaxrod.actuation.ElementCouples(jnp.zeros((3, n), jnp.float32).at[2].set(0.3)),
     )
     flat = jaxrod.make_scene(scene.rod, *effects, method=jaxrod.planar("xy"))
     return flat, state, 0.5 * jaxrod.stable_dt(flat).dt

@@ -98,7 +98,7 @@ def ours(height: float, speed: float) -> tuple[float, float]:
     )
     line, depth = float(body.linear_density[0]), SINKS * scene.RADIUS
     ground = jaxrod.contact(
-        jaxrod.plane((0.0, 0.0, depth), (0.0, 0.0, 1.0)),
+        jaxrod.shapes.plane((0.0, 0.0, depth), (0.0, 0.0, 1.0)),
         stiffness=line * scene.G / depth,
         damping=300.0 * line,
         friction=scene.FRICTION,

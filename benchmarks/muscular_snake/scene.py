@@ -86,14 +86,14 @@ REPULSION = 20.0
 
 
 @pytree
-class Pulse(jaxrod.Schedule):
+class Pulse(jaxrod.schedules.Schedule):
     """Force of a muscle [N]: a delayed sine from zero on, ramped up in a second."""
 
     amplitude: jax.Array
     delay: jax.Array
     side: jax.Array
 
-    def __call__(self, clock: jaxrod.Clock) -> Any:
+    def __call__(self, clock: jaxrod.schedules.Clock) -> Any:
         """The force at a time."""
         late = clock.time - self.delay
         wave = 0.5 + 0.5 * self.side * jnp.sin(2 * jnp.pi * late / PERIOD)
@@ -106,7 +106,7 @@ class Pulse(jaxrod.Schedule):
 
 
 @pytree
-class Belly(jaxrod.SectionLoad):
+class Belly(jaxrod.actuation.SectionLoad):
     """A force along the elements of the belly, on the nodes at both ends of each."""
 
     force: Any
@@ -118,17 +118,17 @@ class Belly(jaxrod.SectionLoad):
         size = jnp.where(pulls, self.force, 0)
         x, y, z = strains.edges
         over = size / jnp.sqrt(x * x + y * y + z * z)
-        return jaxrod.SectionStress(force=(over * x, over * y, over * z))
+        return jaxrod.actuation.SectionStress(force=(over * x, over * y, over * z))
 
     def stability_bound(self, rod: Any) -> Any:
         """Tension makes a string of the belly."""
         half = jnp.abs(self.force) / rod.rest_lengths
         around = jnp.pad(half, (0, 1)) + jnp.pad(half, (1, 0))
-        return jaxrod.StabilityBound(nodes=2 * around)
+        return jaxrod.extend.StabilityBound(nodes=2 * around)
 
 
 @pytree
-class MuscleDamping(jaxrod.Effect):
+class MuscleDamping(jaxrod.extend.Effect):
     """Decay of velocities, and of each element's spin by its mass over its inertia."""
 
     rate: jax.Array
@@ -206,7 +206,7 @@ def body_on_ground(sinks: float, drag: float) -> tuple[Any, Any, Any]:
     line, depth = float(body.linear_density[0]), sinks * RADIUS
     # The plane is so high that the body rests on it where it is.
     ground = jaxrod.contact(
-        jaxrod.plane((0.0, 0.0, depth), (0.0, 0.0, 1.0)),
+        jaxrod.shapes.plane((0.0, 0.0, depth), (0.0, 0.0, 1.0)),
         stiffness=line * G / depth,
         damping=300.0 * line,
         friction=FRICTION,
@@ -252,7 +252,7 @@ def ours(
         stiffness[FIRST:LAST] = BELLY_GLUE
         starts = STARTS[first : first + 4]
         glues.append(
-            jaxrod.glue(
+            jaxrod.systems.glue(
                 ["body"] * 4,
                 [(group, k) for k in range(4)],
                 state,

@@ -46,7 +46,7 @@ def measure(nest: Any, n_rods: int, steps: int) -> float:
     free = jaxrod.make_system(system.members)
     rods = {"rods": state["rods"]}
     bare = timed(lambda: jaxrod.advance(free, rods, dt, steps))[1]
-    (near,) = jaxrod.neighbours(system, state)
+    (near,) = jaxrod.systems.neighbours(system, state)
     flagged = bool(jaxrod.health(system, state, dt).flagged)
     print(
         f"{n_rods:6d} rods {elements:7d} elements: {steps / wall:8.1f} steps/s, "

@@ -88,7 +88,7 @@ def guided(
         jaxrod.uniform_load((0.0, 0.0, -across)),
         jaxrod.exponential_damping(*damping),
     )
-    touch = jaxrod.rod_contact(
+    touch = jaxrod.systems.rod_contact(
         "rod", itself=True, stiffness=stiffness, damping=dashpot, points_per_element=2
     )
     system = jaxrod.make_system({"rod": scene}, touch)
@@ -101,9 +101,9 @@ def topology(state: Any, radii: Any) -> Any:
     nodes, normals = state.positions, state.directors[0]
     far = {"ends": "next_tangent", "extension": FAR}
     return (
-        jaxrod.twist(nodes, normals),
-        jaxrod.writhe(nodes, **far),
-        jaxrod.link(nodes, normals, offset=radii, **far),
+        jaxrod.topology.twist(nodes, normals),
+        jaxrod.topology.writhe(nodes, **far),
+        jaxrod.topology.link(nodes, normals, offset=radii, **far),
     )
 
 

@@ -38,8 +38,8 @@ def pull(force: float = 300.0, turns: float = 13.0, contact: float = 1e7) -> Non
     made = guided(
         N,
         GUIDED,
-        jaxrod.ramp(0.0, 2 * np.pi * turns, turns * A_TURN, start=PULLING),
-        pull=jaxrod.ramp((0.0, 0.0, 0.0), (0.0, force, 0.0), PULLING),
+        jaxrod.schedules.ramp(0.0, 2 * np.pi * turns, turns * A_TURN, start=PULLING),
+        pull=jaxrod.schedules.ramp((0.0, 0.0, 0.0), (0.0, force, 0.0), PULLING),
         stiffness=contact,
         dashpot=2250.0,
         damping=(20.0, 12800.0),
@@ -53,7 +53,7 @@ def pull(force: float = 300.0, turns: float = 13.0, contact: float = 1e7) -> Non
     print(
         f"2 sqrt(B F) at {buckles:.2f} turns; a loop's curvature over 1/r: {tight:.2f}"
     )
-    advance, passed = jax.jit(jaxrod.advance), jax.jit(jaxrod.crossings)
+    advance, passed = jax.jit(jaxrod.advance), jax.jit(jaxrod.topology.crossings)
     each = max(1, int(LOOKED / dt))
     first = int((PULLING + (buckles - 2) * A_TURN) / dt)
     step = jnp.asarray(first)

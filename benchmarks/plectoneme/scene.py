@@ -36,7 +36,7 @@ def time_step(n: int) -> float:
 
 
 @pytree
-class TurnedEnd(jaxrod.Effect):
+class TurnedEnd(jaxrod.extend.Effect):
     """The last element turned about its axis, its node sliding along y until then."""
 
     orientation: jax.Array
@@ -78,7 +78,7 @@ class TurnedEnd(jaxrod.Effect):
 
 
 @pytree
-class Push(jaxrod.Effect):
+class Push(jaxrod.extend.Effect):
     """A force along -z on the middle node while the end is turned."""
 
     time: Any
@@ -88,7 +88,7 @@ class Push(jaxrod.Effect):
         here = np.arange(rod.n_elements + 1) == rod.n_elements // 2
         size = jnp.where(self.time <= TWISTING, -KICK, 0.0)
         none = jnp.zeros_like(motion.position[0])
-        return jaxrod.Loads(forces=(none, none, jnp.where(here, size, none)))
+        return jaxrod.extend.Loads(forces=(none, none, jnp.where(here, size, none)))
 
 
 def _with_last(row: Any, value: Any) -> Any:
@@ -118,8 +118,8 @@ def ours(n: int, count: float | None = 1.0) -> tuple[Any, Any]:
     scene = jaxrod.make_scene(
         rod,
         jaxrod.fixed_end(state),
-        TurnedEnd(state.orientations[:, -1], jaxrod.time()),
-        Push(jaxrod.time()),
+        TurnedEnd(state.orientations[:, -1], jaxrod.schedules.time()),
+        Push(jaxrod.schedules.time()),
         jaxrod.linear_damper(DAMPING),
         method=jaxrod.pyelastica(),
     )
@@ -127,7 +127,7 @@ def ours(n: int, count: float | None = 1.0) -> tuple[Any, Any]:
         theirs = element_contact("rod", stiffness=CONTACT, damping=DASHPOT)
         return jaxrod.make_system({"rod": scene}, theirs), {"rod": state}
     per_length = n / LENGTH
-    touch = jaxrod.rod_contact(
+    touch = jaxrod.systems.rod_contact(
         "rod",
         itself=True,
         stiffness=count * CONTACT * per_length,
@@ -268,8 +268,8 @@ class Shape:
 
 @jax.jit
 def _topology(positions: Any, normals: Any) -> tuple[Any, Any]:
-    writhe = jaxrod.writhe(positions, ends="next_tangent", extension=EXTENSION)
-    return jaxrod.twist(positions, normals), writhe
+    writhe = jaxrod.topology.writhe(positions, ends="next_tangent", extension=EXTENSION)
+    return jaxrod.topology.twist(positions, normals), writhe
 
 
 def shape(positions: Any, normals: Any) -> Shape:

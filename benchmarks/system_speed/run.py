@@ -82,7 +82,7 @@ def snake(n: int = 50, their_dt: float = 1e-4) -> Scene:
     scene = jaxrod.make_scene(
         rod,
         jaxrod.gravity((0.0, 0.0, -gravity)),
-        jaxrod.muscle_torques(
+        jaxrod.actuation.muscle_torques(
             rod,
             sizes,
             period=period,
@@ -91,7 +91,7 @@ def snake(n: int = 50, their_dt: float = 1e-4) -> Scene:
             ramp_up_time=period,
         ),
         jaxrod.contact(
-            jaxrod.plane((0.0, 0.0, 0.0), (0.0, 0.0, 1.0)),
+            jaxrod.shapes.plane((0.0, 0.0, 0.0), (0.0, 0.0, 1.0)),
             stiffness=mass * gravity / (0.05 * radius),
             damping=300.0 * mass,
             friction=unit * np.asarray([1.0, 1.5, 2.0]),
@@ -175,7 +175,7 @@ def joint(n: int = 10, their_dt: float = 1e-5) -> Scene:
                 jaxrod.exponential_damping(4.0),
             ),
         },
-        jaxrod.tie(("one", "finish"), ("two", "start"), state),
+        jaxrod.systems.tie(("one", "finish"), ("two", "start"), state),
         state=state,
     )
     theirs = simulator("Constraints", "Connections", "Forcing", "Damping")
@@ -222,10 +222,10 @@ def plectoneme(n: int = 150) -> Scene:
     length, radius = 1.0, 0.004
     numbers = {"density": 1000.0, "youngs_modulus": 1e6, "shear_modulus": 4e5}
     positions = wound(n, length, radius)
-    lists = jaxrod.neighbour_lists(refresh_every=64)
+    lists = jaxrod.systems.neighbour_lists(refresh_every=64)
     rod, state = jaxrod.rod_along(positions, radius=radius, **numbers)
     state = {"rope": state}
-    touch = jaxrod.rod_contact(
+    touch = jaxrod.systems.rod_contact(
         "rope", stiffness=1e4, damping=1.0, itself=True, lists=lists
     )
     scene = jaxrod.make_scene(rod, jaxrod.exponential_damping(4.0))

@@ -16,14 +16,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
 from jaxrod import (
-    Clamp,
-    Contact,
-    ControlSpline,
-    Effect,
-    ElementAverages,
-    ExponentialDamping,
     HealthLimits,
-    Method,
     Rod,
     RodState,
     Scene,
@@ -32,11 +25,13 @@ from jaxrod import (
     consistent,
     freeze,
     health,
-    limit_rate,
     near_contact,
     planar,
-    spline_couples,
 )
+from jaxrod.actuation import ControlSpline, ElementAverages, limit_rate, spline_couples
+from jaxrod.contacts.contact import Contact
+from jaxrod.effects.clamps import Clamp
+from jaxrod.effects.loads import ExponentialDamping
 from jaxrod.envs.arm.soft_arm import (
     CONTROL_PERIOD,
     LENGTH,
@@ -44,6 +39,7 @@ from jaxrod.envs.arm.soft_arm import (
     VISCOSITY,
     clean_rod,
 )
+from jaxrod.extend import Effect, Method
 from jaxrod.methods.planar_verlet import PlaneName
 from jaxrod.structure import pytree, static
 

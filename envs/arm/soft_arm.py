@@ -6,15 +6,8 @@ from typing import Any
 
 import jax.numpy as jnp
 
-from jaxrod import (
-    Rod,
-    RodState,
-    clamp,
-    control_spline,
-    exponential_damping,
-    make_scene,
-    straight_rod,
-)
+from jaxrod import Rod, RodState, clamp, exponential_damping, make_scene, straight_rod
+from jaxrod.actuation import control_spline
 from jaxrod.control.trajectories.reach import ActuatedArm
 
 CONTROL_PERIOD = 1.4e-3

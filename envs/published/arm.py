@@ -15,29 +15,17 @@ import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Array, Bool, Float
 
-from jaxrod import (
-    ControlSpline,
-    Effect,
-    ElementCouples,
-    FixedEnd,
-    Loads,
-    Motion,
-    Planar,
-    PyElastica,
-    Rod,
-    RodState,
-    Scene,
-    StabilityBound,
-    advance,
-    fixed_end,
-    planar,
-    pyelastica,
-)
+from jaxrod import Rod, RodState, Scene, advance, fixed_end, planar, pyelastica
+from jaxrod.actuation import ControlSpline, ElementCouples
+from jaxrod.effects.clamps import FixedEnd
 from jaxrod.envs.arm.cylinders import Cylinders
 from jaxrod.envs.arm.soft_arm import TORQUE_PER_ELEMENT, VISCOSITY, published_rod
 from jaxrod.envs.published.contact import PublishedContact
+from jaxrod.extend import Effect, Loads, Motion, StabilityBound
 from jaxrod.geometry import vectors
+from jaxrod.methods.planar import Planar
 from jaxrod.methods.planar_verlet import PlaneName
+from jaxrod.methods.pyelastica import PyElastica
 from jaxrod.stepping.loops import integrated
 from jaxrod.structure import pytree
 

@@ -28,8 +28,9 @@ import numpy as np
 from jax import lax
 from jaxtyping import Array, Bool, Float
 
-from jaxrod import Effect, Loads, Motion, Rod
+from jaxrod import Rod
 from jaxrod.envs.arm.cylinders import Cylinders
+from jaxrod.extend import Effect, Loads, Motion
 from jaxrod.geometry import vectors
 from jaxrod.geometry.vectors import Vec3
 from jaxrod.methods.planar_verlet import PLANES, PlaneName

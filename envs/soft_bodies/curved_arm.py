@@ -3,8 +3,8 @@ r"""A soft arm that takes the commanded curvature, segment by segment.
 The arm is the benchmark's (1 m, 5 cm, 10 MPa, 1000 kg/m^3). It stands upright on the
 ground and is subject to gravity. Each of its five equal segments has an angle about
 both transverse axes: the angle by which the segment would bend if it were free. These
-angles set the rest curvature (`jaxrod.ActiveShape`). Within a control step it changes
-linearly in time from its old to its commanded value.
+angles set the rest curvature (`jaxrod.actuation.ActiveShape`). Within a control step it
+changes linearly in time from its old to its commanded value.
 
 Damping is exponential, at 4/s. The lowest mode, at 8.8 rad/s without the weight, has a
 damping ratio of 0.23. This is about the ratio of backward Euler steps of 50 ms at this
@@ -22,15 +22,11 @@ import numpy as np
 from jaxtyping import Array, Bool, Float
 
 from jaxrod import (
-    Clamp,
-    ExponentialDamping,
     Gravity,
     HealthLimits,
-    Ramp,
     Rod,
     RodState,
     Scene,
-    active_shape,
     advance,
     clamp,
     consistent,
@@ -40,7 +36,11 @@ from jaxrod import (
     health,
     scale_inertia,
 )
+from jaxrod.actuation import active_shape
+from jaxrod.effects.clamps import Clamp
+from jaxrod.effects.loads import ExponentialDamping
 from jaxrod.envs.arm.soft_arm import LENGTH, clean_rod
+from jaxrod.schedules import Ramp
 from jaxrod.structure import pytree
 
 N_SEGMENTS = 5

@@ -16,8 +16,11 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
 import jaxrod
-from jaxrod import Chamber, Driven, HealthLimits, Ramp, RodState, Scene
+from jaxrod import HealthLimits, RodState, Scene
+from jaxrod.actuation import Chamber
+from jaxrod.effects.driven import Driven
 from jaxrod.effects.paths import Path
+from jaxrod.schedules import Ramp
 from jaxrod.structure import pytree
 from jaxrod.systems.stepping.assembly import SystemState
 from jaxrod.systems.system import System
@@ -67,7 +70,7 @@ class GripperBody:
     system: System
     """Members "fingers" and "ball"; the first two effects of the fingers are the wrist
     and the chambers."""
-    rest: dict[str, RodState | jaxrod.BodyState]
+    rest: dict[str, RodState | jaxrod.systems.BodyState]
     """Fingers straight down, the ball below them on the table, all at rest."""
     most_pressure: Float[Array, ""]
     """Pressure in a chamber for a control value of one [Pa]."""
@@ -143,7 +146,7 @@ def gripper_body(n_elements: int) -> GripperBody:
         n_elements: Number of elements of every finger.
     """
     angles = 2 * jnp.pi * jnp.arange(N_FINGERS) / N_FINGERS
-    table = jaxrod.plane((0.0, 0.0, 0.0), (0.0, 0.0, 1.0))
+    table = jaxrod.shapes.plane((0.0, 0.0, 0.0), (0.0, 0.0, 1.0))
     weight = jaxrod.gravity((0.0, 0.0, -GRAVITY))
 
     def finger(angle: Array) -> tuple[Scene, RodState]:
@@ -160,7 +163,7 @@ def gripper_body(n_elements: int) -> GripperBody:
         )
         effects = (
             jaxrod.driven(state),
-            jaxrod.chamber(rod, 0.0, AREA, offsets=(OFFSET, 0.0)),
+            jaxrod.actuation.chamber(rod, 0.0, AREA, offsets=(OFFSET, 0.0)),
             weight,
             jaxrod.exponential_damping(RATE),
             jaxrod.contact(
@@ -174,18 +177,18 @@ def gripper_body(n_elements: int) -> GripperBody:
         return jaxrod.make_scene(rod, *effects), state
 
     fingers, of_fingers = jax.vmap(finger)(angles)
-    ball, of_ball = jaxrod.rigid_body(
-        jaxrod.sphere((0.0, 0.0, BALL), BALL),
+    ball, of_ball = jaxrod.systems.rigid_body(
+        jaxrod.shapes.sphere((0.0, 0.0, BALL), BALL),
         density=BALL_DENSITY,
         effects=(weight, jaxrod.exponential_damping(0.2, 1.0)),
     )
-    rest: dict[str, RodState | jaxrod.BodyState] = {
+    rest: dict[str, RodState | jaxrod.systems.BodyState] = {
         "fingers": of_fingers,
         "ball": of_ball,
     }
     system = jaxrod.make_system(
         {"fingers": fingers, "ball": ball},
-        jaxrod.body_contact(
+        jaxrod.systems.body_contact(
             "fingers",
             "ball",
             stiffness=STIFFNESS,
@@ -193,7 +196,7 @@ def gripper_body(n_elements: int) -> GripperBody:
             friction=FRICTION,
             friction_drag=FRICTION_DRAG,
         ),
-        jaxrod.rigid_contact(
+        jaxrod.systems.rigid_contact(
             "ball",
             fixed=table,
             stiffness=TABLE_STIFFNESS,

@@ -3,8 +3,8 @@ r"""An octopus on the sea floor: a rigid head, eight soft arms, water and ground
 The arms are one member of equal rods, attached to the lower side of the head, of soft
 silicone (an elastic modulus of 30 kPa). Arms and head are a tenth denser than the water
 and lie on the floor, with friction. The water drags on the arms. Muscles impose a
-separate curvature on every arm (`jaxrod.ActiveShape`), sideways and upwards, uniform
-along the arm. An arm in free space would take this curvature.
+separate curvature on every arm (`jaxrod.actuation.ActiveShape`), sideways and upwards,
+uniform along the arm. An arm in free space would take this curvature.
 
 Transverse rotary inertia of the arms is scaled up (`jaxrod.scale_inertia`); slow motion
 in water is insensitive to it.
@@ -19,7 +19,9 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
 import jaxrod
-from jaxrod import ActiveShape, HealthLimits, Ramp, RodState, Scene
+from jaxrod import HealthLimits, RodState, Scene
+from jaxrod.actuation import ActiveShape
+from jaxrod.schedules import Ramp
 from jaxrod.structure import pytree
 from jaxrod.systems.stepping.assembly import SystemState
 from jaxrod.systems.system import System
@@ -50,7 +52,7 @@ class OctopusBody:
 
     system: System
     """Members "arms" and "head"; the arms' last effect is their muscles."""
-    rest: dict[str, RodState | jaxrod.BodyState]
+    rest: dict[str, RodState | jaxrod.systems.BodyState]
     """All arms straight, parallel to the floor, and at rest."""
     angles: Float[Array, "8"]
     """Directions of the arms at rest, measured from x towards y [rad]."""
@@ -140,7 +142,7 @@ def octopus_body(n_elements: int, largest_change: float) -> OctopusBody:
             normal=(0.0, 0.0, 1.0),
         )
         floor = jaxrod.contact(
-            jaxrod.plane((0.0, 0.0, 0.0), (0.0, 0.0, 1.0)),
+            jaxrod.shapes.plane((0.0, 0.0, 0.0), (0.0, 0.0, 1.0)),
             stiffness=1500.0,
             damping=8.0,
             friction=FRICTION,
@@ -148,9 +150,9 @@ def octopus_body(n_elements: int, largest_change: float) -> OctopusBody:
         )
         effects = (
             weight,
-            jaxrod.quadratic_drag(WATER, across=1.1, along=0.02),
+            jaxrod.fluids.quadratic_drag(WATER, across=1.1, along=0.02),
             floor,
-            jaxrod.active_shape(rod, curvature=jnp.zeros(3)),
+            jaxrod.actuation.active_shape(rod, curvature=jnp.zeros(3)),
         )
         return jaxrod.make_scene(rod, *effects), state
 
@@ -161,19 +163,19 @@ def octopus_body(n_elements: int, largest_change: float) -> OctopusBody:
     arms = dataclasses.replace(
         arms, rod=dataclasses.replace(arms.rod, rotary_inertia=inertia)
     )
-    head, of_head = jaxrod.rigid_body(
-        jaxrod.sphere((0.0, 0.0, HEAD), HEAD),
+    head, of_head = jaxrod.systems.rigid_body(
+        jaxrod.shapes.sphere((0.0, 0.0, HEAD), HEAD),
         density=DENSITY,
         effects=(weight, jaxrod.exponential_damping(0.5, 0.5)),
     )
-    rest: dict[str, RodState | jaxrod.BodyState] = {
+    rest: dict[str, RodState | jaxrod.systems.BodyState] = {
         "arms": of_arms,
         "head": of_head,
     }
     roots = [("arms", k, "start") for k in range(N_ARMS)]
     system = jaxrod.make_system(
         {"arms": arms, "head": head},
-        jaxrod.attach(roots, ("head",), rest),
+        jaxrod.systems.attach(roots, ("head",), rest),
         state=rest,
     )
     kind = angles.dtype

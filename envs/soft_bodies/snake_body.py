@@ -20,19 +20,12 @@ import numpy as np
 from jaxtyping import Array, Bool, Float
 
 from jaxrod import (
-    Effect,
-    ElementCouples,
-    ExponentialDamping,
     HealthLimits,
-    Loads,
-    Ramp,
     Rod,
     RodState,
     Scene,
-    StabilityBound,
     advance,
     angular_velocities,
-    control_spline,
     freeze,
     health,
     make_scene,
@@ -40,11 +33,15 @@ from jaxrod import (
     scale_inertia,
     straight_rod,
 )
+from jaxrod.actuation import ElementCouples, control_spline
 from jaxrod.contacts.contact_law import directional_friction_force
+from jaxrod.effects.loads import ExponentialDamping
+from jaxrod.extend import Effect, Loads, StabilityBound
 from jaxrod.geometry import vectors
 from jaxrod.geometry.rotations import directors
 from jaxrod.geometry.vectors import Vec3
 from jaxrod.rods.motion import Motion
+from jaxrod.schedules import Ramp
 from jaxrod.structure import pytree
 
 LENGTH = 0.35

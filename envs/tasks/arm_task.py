@@ -17,7 +17,8 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int, Key
 
-from jaxrod import Rod, RodState, control_spline, freeze
+from jaxrod import Rod, RodState, freeze
+from jaxrod.actuation import control_spline
 from jaxrod.envs.arm.clean import clean_arm
 from jaxrod.envs.arm.soft_arm import CONTROL_PERIOD, LENGTH, REFERENCE_ELEMENTS
 from jaxrod.envs.checking import action_of_size, check_variant

@@ -17,7 +17,8 @@ from typing import Any, ClassVar
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Key
 
-from jaxrod import contact, control_spline
+from jaxrod import contact
+from jaxrod.actuation import control_spline
 from jaxrod.contacts.bodies import Body
 from jaxrod.envs.arm.clean import clean_arm
 from jaxrod.envs.arm.cylinders import OBSERVED_POINTS, Cylinders, points_along

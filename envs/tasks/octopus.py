@@ -33,7 +33,7 @@ from typing import Literal
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int, Key
 
-from jaxrod import limit_rate
+from jaxrod.actuation import limit_rate
 from jaxrod.envs.checking import action_of_size, check_variant
 from jaxrod.envs.protocol import Snapshot
 from jaxrod.envs.soft_bodies.octopus_body import (

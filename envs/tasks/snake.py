@@ -39,7 +39,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float, Int, Key
 
-from jaxrod import RodState, angular_velocities, limit_rate
+from jaxrod import RodState, angular_velocities
+from jaxrod.actuation import limit_rate
 from jaxrod.actuation.b_spline import b_spline_basis
 from jaxrod.envs.checking import action_of_size, check_variant
 from jaxrod.envs.protocol import Snapshot

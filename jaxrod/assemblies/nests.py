@@ -62,7 +62,8 @@ def nest(
         damping: Damping of all contacts [kg/(m s)].
         friction: Coefficient of Coulomb friction [1].
         seed: Seed of the random angles and places.
-        points_per_element: Contact points per element, as in `jaxrod.rod_contact`.
+        points_per_element: Contact points per element, as in
+            `jaxrod.systems.rod_contact`.
         partners: Rods that may touch one place at a time, for `stable_dt`.
         effects: Effects on every rod, in addition to contact with the pot.
         **rod: Material, passed to `jaxrod.straight_rod`.

@@ -42,7 +42,7 @@ def braid(
     are pinned to each other where they cross. The braid is then a trellis: its strands
     turn against each other but cannot slide. With `joined="free"` crossing strands pass
     over and under each other, a little more than a diameter apart, so that contact can
-    be added (`jaxrod.rod_contact("left", "right", ...)`).
+    be added (`jaxrod.systems.rod_contact("left", "right", ...)`).
 
     Args:
         strands: Number of strands wound each way, at least 2.

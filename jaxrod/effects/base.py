@@ -175,9 +175,9 @@ class Effect:
     def after_step(self, rod: Rod, motion: Motion, dt: Array) -> Effect:
         """The effect with its memory one step later.
 
-        Only changes of fields declared with `jaxrod.memory()` are kept. Called once a
-        step, at the configuration where loads act, with the rates that follow from
-        them. In implicit steps it is called at the end of the step.
+        Only changes of fields declared with `jaxrod.extend.memory()` are kept. Called
+        once a step, at the configuration where loads act, with the rates that follow
+        from them. In implicit steps it is called at the end of the step.
 
         Args:
             rod: The rod.

@@ -58,7 +58,7 @@ def flow_field(
             velocity of the fluid there `(3,)`, world frame [m/s]. A program is compiled
             for each function, so use the same one again.
         parameters: Traced numbers of the flow: any pytree of numbers and schedules,
-            such as `jaxrod.time()`.
+            such as `jaxrod.schedules.time()`.
 
     Raises:
         ValueError: If the function does not give three numbers at a point, or a

@@ -160,8 +160,8 @@ def stokes_drag(
         turning: Couple per length and angular velocity about the axis [kg m/s]. If it
             is known to be 0 it is left out, as `torsion_free()` requires.
         flow: Velocity of the fluid, world frame `(3,)`, a schedule of it, or a
-            `jaxrod.flow_field` [m/s]; at rest by default. Its vorticity is neglected in
-            the couple.
+            `jaxrod.fluids.flow_field` [m/s]; at rest by default. Its vorticity is
+            neglected in the couple.
 
     Returns:
         An effect to list in a scene; a scene may have one effect with drag.

@@ -1,6 +1,7 @@
 """Loads that depend on the rod only: gravity, end loads, uniform loads, damping.
 
-All except damping may be schedules of time: see `jaxrod.ramp`, `sine` and `table`.
+All except damping may be schedules of time: see `jaxrod.schedules.ramp`, `sine` and
+`table`.
 """
 
 from __future__ import annotations

@@ -39,7 +39,7 @@ def check_own_class(thing: Any, base: type, noun: str) -> None:
         return
     if jax.tree_util.all_leaves([thing]):
         raise TypeError(
-            f"{kind.__name__} is not a pytree: write @jaxrod.pytree above the line "
+            f"{kind.__name__} is not a pytree: write @jaxrod.extend.pytree above the line "
             f"class {kind.__name__}(...), and give it its numbers as fields"
         )
     # A class is hashable, but type checkers do not know that of `type`.
@@ -58,7 +58,7 @@ def check_own_loads(effect: Effect, rod: Rod) -> None:
         rod: The rod.
 
     Raises:
-        TypeError: If it returns something other than `jaxrod.Loads`.
+        TypeError: If it returns something other than `jaxrod.extend.Loads`.
         ValueError: If forces or couples do not fit the rod.
     """
     kind = type(effect)
@@ -80,7 +80,7 @@ def _check_loads(kind: type, found: Any, n_elements: int) -> None:
     name = "loads" if kind.loads is not Effect.loads else "loads_after"  # type: ignore[attr-defined]
     if not isinstance(found, Loads):
         raise TypeError(
-            f"{kind.__name__}.{name} must return jaxrod.Loads(forces=(x, y, z), "
+            f"{kind.__name__}.{name} must return jaxrod.extend.Loads(forces=(x, y, z), "
             f"couples=(x, y, z)), got {_described(found)}"
         )
     for what, count, of in (

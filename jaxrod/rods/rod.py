@@ -196,8 +196,8 @@ class RodState:
     """Accumulated round-off of the positions (Kahan) [m]; `None` unless
     `compensated`."""
     memory: tuple[dict[str, Any], ...] | None = None
-    """Memory of the effects of a scene, see `jaxrod.memory`. `None` if there is none,
-    or while it is the initial memory of the scene."""
+    """Memory of the effects of a scene, see `jaxrod.extend.memory`. `None` if there is
+    none, or while it is the initial memory of the scene."""
 
     def __repr__(self) -> str:
         """One line: elements, tip, largest speed."""

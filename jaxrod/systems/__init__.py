@@ -1,1 +1,61 @@
-"""Systems of rods and rigid bodies, with the couplings between them."""
+"""Systems of rods and rigid bodies: bodies, joints, contact, lists of neighbours."""
+
+from jaxrod.systems.contact.body_contact import BodyContact, body_contact
+from jaxrod.systems.contact.crossing_contact import CrossingContact, crossing_contact
+from jaxrod.systems.contact.neighbour_lists import (
+    NeighbourLists,
+    NeighbourRecord,
+    neighbour_lists,
+)
+from jaxrod.systems.contact.rigid_contact import RigidContact, rigid_contact
+from jaxrod.systems.contact.rod_contact import RodContact, rod_contact
+from jaxrod.systems.joints.glue import Glue, glue
+from jaxrod.systems.joints.hinges import hinge_joint, rigid_joint
+from jaxrod.systems.joints.pose_springs import (
+    PoseSpring,
+    pose_spring,
+    pose_spring_reactions,
+)
+from jaxrod.systems.joints.rings import ring
+from jaxrod.systems.joints.springs import ball_joint, spring
+from jaxrod.systems.joints.ties import tie
+from jaxrod.systems.joints.welds import attach, weld
+from jaxrod.systems.members.rigid_bodies import RigidBodies, rigid_body, stacked_bodies
+from jaxrod.systems.members.rigid_stepper import BodyState
+from jaxrod.systems.neighbours import Neighbours, neighbours
+from jaxrod.systems.settled import Settled, settled
+
+__all__ = [
+    "BodyContact",
+    "BodyState",
+    "CrossingContact",
+    "Glue",
+    "NeighbourLists",
+    "NeighbourRecord",
+    "Neighbours",
+    "PoseSpring",
+    "RigidBodies",
+    "RigidContact",
+    "RodContact",
+    "Settled",
+    "attach",
+    "ball_joint",
+    "body_contact",
+    "crossing_contact",
+    "glue",
+    "hinge_joint",
+    "neighbour_lists",
+    "neighbours",
+    "pose_spring",
+    "pose_spring_reactions",
+    "rigid_body",
+    "rigid_contact",
+    "rigid_joint",
+    "ring",
+    "rod_contact",
+    "settled",
+    "spring",
+    "stacked_bodies",
+    "tie",
+    "weld",
+]

@@ -42,7 +42,7 @@ def test_a_body_that_may_taper_needs_a_fifth_less_effort_for_the_same_reach(reco
     scene = jaxrod.make_scene(
         body, jaxrod.clamp(state), jaxrod.exponential_damping(4.0)
     )
-    spline = jaxrod.control_spline(3, LENGTH)
+    spline = jaxrod.actuation.control_spline(3, LENGTH)
     arm = control.ActuatedArm(scene, state, spline, jnp.asarray(250.0))
     dt = 0.5 * float(jaxrod.stable_dt(replace(scene, rod=rod(MOST_TAPER)[0])).dt)
     problem = control.reach(arm, TARGET, 0.6, dt=dt, control_interval=0.06)

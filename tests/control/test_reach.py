@@ -146,7 +146,7 @@ def arm_of_the_notebook(dtype):
     )
     damping = jaxrod.exponential_damping(4.0, rotational_rate=4000.0)
     scene = jaxrod.make_scene(rod, jaxrod.clamp(state), damping)
-    spline = jaxrod.control_spline(6, 1.0, dtype=dtype)
+    spline = jaxrod.actuation.control_spline(6, 1.0, dtype=dtype)
     return control.ActuatedArm(scene, state, spline, jnp.asarray(1500.0, dtype))
 
 

@@ -88,7 +88,7 @@ class Changing:
         (Branching(), "jnp.where and jax.lax.cond"),
         (WithNumpy(), "jax.numpy has the same functions"),
         (WithFloat(), "keep it an array"),
-        (Undecorated(), "`@jaxrod.pytree`"),
+        (Undecorated(), "`@jaxrod.extend.pytree`"),
         (Swapped(), "observation of reset of trivial must be an array of floats"),
         (FloatFlag(), "truncated of trivial must be an array of bool of shape ()"),
         (Growing(), "state['time'] was int32 of shape (), and becomes float"),

@@ -9,12 +9,12 @@ import numpy as np
 import pytest
 
 import jaxrod
-from jaxrod import Ramp
 from jaxrod.envs import check_environment, make
 from jaxrod.envs.soft_bodies import gripper_body
 from jaxrod.envs.soft_bodies.gripper_body import BALL, MOST_PRESSURE, SUNK
 from jaxrod.envs.tasks import gripper
 from jaxrod.envs.tasks.gripper import SLACK
+from jaxrod.schedules import Ramp
 from playing import KEY, check_vmap_is_a_loop, gradient_error, play, start, stepping
 
 

@@ -5,9 +5,10 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from jaxrod import Loads, Motion, straight_rod
+from jaxrod import straight_rod
 from jaxrod.envs.arm.cylinders import cylinders
 from jaxrod.envs.published.contact import PublishedContact, boxes_overlap
+from jaxrod.extend import Loads, Motion
 from jaxrod.geometry import vectors
 from published_oracle import Obstacle
 from published_oracle import shortest as shortest_vector

@@ -18,7 +18,7 @@ def arm():
 
 def muscles(rod, bound):
     params = MuscleParams(
-        spline=jaxrod.control_spline(4, 1.0),
+        spline=jaxrod.actuation.control_spline(4, 1.0),
         torque=jnp.asarray(0.7),
         largest_change=None if bound is None else jnp.asarray(bound),
     )

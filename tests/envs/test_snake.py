@@ -85,7 +85,7 @@ def test_the_ground_is_that_of_contact_under_the_whole_weight():
     )
     ours = FlatGround(jnp.asarray(weight), friction, jnp.asarray(1000 * line))
     contact = jaxrod.contact(
-        jaxrod.plane((0.0, 0.0, -0.004), (0.0, 0.0, 1.0)),
+        jaxrod.shapes.plane((0.0, 0.0, -0.004), (0.0, 0.0, 1.0)),
         stiffness=weight / depth,
         # The onset is done with long before this depth.
         onset=1e-6,

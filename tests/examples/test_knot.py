@@ -18,4 +18,4 @@ def test_a_small_knot_runs_and_is_kept():
         # Ends are pulled apart, and the rod does not pass through itself.
         ends = [one["rope"].positions[0, jnp.array([0, -1])] for one in (state, after)]
         assert ends[1][1] - ends[1][0] > ends[0][1] - ends[0][0]
-        assert not jaxrod.crossed(state["rope"], after["rope"])
+        assert not jaxrod.topology.crossed(state["rope"], after["rope"])

@@ -96,17 +96,17 @@ def things(dtype: Any) -> dict[str, Any]:
     assert dtype == jnp.result_type(float)
     rod, state = jaxrod.straight_rod(3, length=1.2, **MATERIAL)
     scene = jaxrod.make_scene(rod, jaxrod.clamp(state))
-    balls = [jaxrod.sphere((2.0, 0.0, k), 0.1) for k in (0.0, 1.0)]
+    balls = [jaxrod.shapes.sphere((2.0, 0.0, k), 0.1) for k in (0.0, 1.0)]
     return {
         "rod": rod,
         "state": state,
         "scene": scene,
         "bodies": balls,
         "contact": jaxrod.contact(balls, stiffness=1.0),
-        "spline": jaxrod.control_spline(2, 1.2),
+        "spline": jaxrod.actuation.control_spline(2, 1.2),
         "scaling": jaxrod.scale_inertia(scene),
         "function": beside,
-        "shape": jaxrod.box((-0.1, -0.2, -0.3), (0.1, 0.2, 0.3)),
+        "shape": jaxrod.shapes.box((-0.1, -0.2, -0.3), (0.1, 0.2, 0.3)),
         "pair of states": {"one": state, "two": state},
     }
 

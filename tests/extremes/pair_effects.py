@@ -55,11 +55,13 @@ class Maker:
             return value
         low = 0.5 * value if first is None else first
         if which == 1:
-            return jaxrod.ramp(low, value, period)
+            return jaxrod.schedules.ramp(low, value, period)
         if which == 2:
-            return jaxrod.sine(0.4 * value, period, mean=0.6 * value, phase=0.2)
+            return jaxrod.schedules.sine(
+                0.4 * value, period, mean=0.6 * value, phase=0.2
+            )
         times = period * np.array([0.0, 0.3, 0.5, 1.0])
-        return jaxrod.table(times, np.stack([low, value, 0.7 * value, value]))
+        return jaxrod.schedules.table(times, np.stack([low, value, 0.7 * value, value]))
 
     def support(self) -> list[Any]:
         """Supports of the rod."""
@@ -70,7 +72,9 @@ class Maker:
         node = view.node(int(self.random.integers(0, self.n + 1)), self.n)
         axis = self.random.normal(size=3) * ([0, 0, 1] if self.kind.flat else 1)
         path, angle = view.vector(self.vector(0.02), "m"), self.uniform(-0.3, 0.3)
-        ramp = lambda last: jaxrod.ramp(0 * last, last, view.number(0.03, "s"))
+        ramp = lambda last: jaxrod.schedules.ramp(
+            0 * last, last, view.number(0.03, "s")
+        )
         kinds: dict[str, Callable[[], list[Any]]] = {
             "none": lambda: [],
             "clamp": lambda: [jaxrod.clamp(self.state, end)],
@@ -106,7 +110,7 @@ class Maker:
         if self.kind.flow == "even":
             return self.timed(view.vector(velocity, "m s^-1"))
         turned = view.turn @ gradient @ view.turn.T
-        return jaxrod.flow_field(
+        return jaxrod.fluids.flow_field(
             flow_at,
             (
                 self.timed(view.vector(velocity, "m s^-1")),
@@ -148,9 +152,11 @@ def _contact(self: Maker, many: int = 0) -> Any:
             quaternion *= [1, 0, 0, 1]
         quaternion /= np.linalg.norm(quaternion)
         if many or shape == "sphere":
-            balls.append(jaxrod.sphere(view.place(centre), view.number(r, "m")))
+            balls.append(jaxrod.shapes.sphere(view.place(centre), view.number(r, "m")))
         elif shape in ("capsule", "cylinder"):
-            make = jaxrod.capsule if shape == "capsule" else jaxrod.cylinder
+            make = (
+                jaxrod.shapes.capsule if shape == "capsule" else jaxrod.shapes.cylinder
+            )
             if self.kind.flat:
                 along = np.array([0.0, 0.0, 0.08])
             ends = view.place(centre - along), view.place(centre + along)
@@ -158,10 +164,14 @@ def _contact(self: Maker, many: int = 0) -> Any:
         elif shape == "box":
             sides = view.number((r, 0.8 * r, 0.9 * r), "m")
             balls.append(
-                jaxrod.box(view.place(centre), sides, view.quaternion(quaternion))
+                jaxrod.shapes.box(
+                    view.place(centre), sides, view.quaternion(quaternion)
+                )
             )
         else:
-            balls.append(jaxrod.plane(view.place(centre - r * way), -view.vector(way)))
+            balls.append(
+                jaxrod.shapes.plane(view.place(centre - r * way), -view.vector(way))
+            )
     per_length = self.weight * stiffness
     return jaxrod.contact(
         balls,
@@ -184,9 +194,13 @@ def _muscle(self: Maker, **more: Any) -> Any:
     shares = self.uniform(0.2, 1.0, 2)
     activation = self.timed(shares[0] if more.get("across") else shares)
     pull = view.number(0.1 * self.weight * self.stretch, "N")
-    curves = (jaxrod.cubic_force, jaxrod.gaussian_force, jaxrod.constant_force)
+    curves = (
+        jaxrod.actuation.cubic_force,
+        jaxrod.actuation.gaussian_force,
+        jaxrod.actuation.constant_force,
+    )
     shape = curves[self.random.integers(3)]()
-    return jaxrod.muscle(
+    return jaxrod.actuation.muscle(
         self.rod,
         pull,
         activation,
@@ -198,7 +212,8 @@ def _helical(self: Maker) -> Any:
     radius = self.view.number(0.7 * self.radius, "m")
     turns = self.uniform(-1, 1)
     return _muscle(
-        self, offsets=jaxrod.helical_offsets(self.rod, radius, turns, (0.3, 2.0))
+        self,
+        offsets=jaxrod.actuation.helical_offsets(self.rod, radius, turns, (0.3, 2.0)),
     )
 
 
@@ -207,7 +222,7 @@ def _chamber(self: Maker) -> Any:
     offsets = self.uniform(-0.5, 0.5, (2, 2)) * self.radius
     area = 0.1 * self.radius**2
     pressure = 0.1 * self.stretch / area * self.uniform(-1, 1, 2)
-    return jaxrod.chamber(
+    return jaxrod.actuation.chamber(
         self.rod,
         self.timed(view.number(self.weight * pressure, "Pa")),
         view.number(area, "m^2"),
@@ -219,7 +234,7 @@ def _wound(self: Maker) -> Any:
     view = self.view
     radius = 0.4 * self.radius
     pressure = 0.03 * self.stretch / radius**2 * self.uniform(0.3, 1)
-    return jaxrod.wound_chamber(
+    return jaxrod.actuation.wound_chamber(
         self.rod,
         self.timed(view.number(self.weight * pressure, "Pa")),
         view.number(radius, "m"),
@@ -246,15 +261,15 @@ def _tendon(self: Maker, kind: str = "") -> Any:
         given["onset"] = view.number(0.02 * self.length, "m")
     elif kind == "rubbing":
         given |= {"friction": 0.3, "slip_speed": view.number(0.05, "m s^-1")}
-    return jaxrod.tendon(self.rod, offsets, **given)
+    return jaxrod.actuation.tendon(self.rod, offsets, **given)
 
 
 def _spline(self: Maker) -> Any:
     view = self.view
-    spline = jaxrod.control_spline(3, view.number(self.length, "m"))
+    spline = jaxrod.actuation.control_spline(3, view.number(self.length, "m"))
     controls = self.timed(self.random.normal(size=(3, 3)))
     density = view.number(self.weight * self.bend / self.length**2, "N")
-    return jaxrod.spline_couples(self.rod, spline, controls, density)
+    return jaxrod.actuation.spline_couples(self.rod, spline, controls, density)
 
 
 def _gradient(self: Maker) -> Any:
@@ -265,10 +280,10 @@ def _gradient(self: Maker) -> Any:
     moment = self.weight * self.bend * self.random.normal(size=(3, self.n))
     turned = view.turn @ slope @ view.turn.T
     there = view.vector(field) - turned @ view.shift
-    return jaxrod.magnetisation(
+    return jaxrod.actuation.magnetisation(
         self.rod,
         view.along(view.material(moment, "A m")),
-        jaxrod.linear_field(
+        jaxrod.actuation.linear_field(
             view.number(there, "T"),
             view.number(turned, "T m^-1"),
             extent=view.number(2.0, "m"),
@@ -281,7 +296,7 @@ def _wave(self: Maker) -> Any:
     axis = self.random.normal(size=3)
     # A joint's moment about d1 has the other sign from the other end, as curvature.
     own = -view.material(axis) if view.reversed else axis
-    return jaxrod.travelling_wave(
+    return jaxrod.actuation.travelling_wave(
         self.rod,
         view.number(self.weight * self.bend * self.random.normal(size=5), "N m"),
         period=view.number(self.uniform(0.05, 0.3), "s"),
@@ -294,7 +309,7 @@ def _wave(self: Maker) -> Any:
 
 def _world_wave(self: Maker) -> Any:
     view = self.view
-    return jaxrod.muscle_torques(
+    return jaxrod.actuation.muscle_torques(
         self.rod,
         view.number(self.weight * self.bend * self.random.normal(size=5), "N m"),
         period=view.number(self.uniform(0.05, 0.3), "s"),
@@ -309,7 +324,7 @@ def _stokes(self: Maker) -> Any:
     view = self.view
     sizes = view.along(size * self.uniform(0.5, 1, self.n))
     turning = 0.0 if self.kind.method == "torsion free" else 1e-4 * size
-    return jaxrod.stokes_drag(
+    return jaxrod.fluids.stokes_drag(
         view.number(0.4 * sizes, "N s m^-2"),
         view.number(sizes, "N s m^-2"),
         view.number(turning, "N s"),
@@ -353,13 +368,13 @@ MAKERS: dict[str, Callable[[Maker], Any]] = {
         m.view.number(m.weight * m.uniform(0.5, 5), "s^-1"),
     ),
     "stokes": _stokes,
-    "quadratic": lambda m: jaxrod.quadratic_drag(
+    "quadratic": lambda m: jaxrod.fluids.quadratic_drag(
         m.view.number(10 ** m.uniform(1, 3), "kg m^-3"), along=0.1, flow=m.flow()
     ),
-    "slender body": lambda m: jaxrod.slender_body_drag(
+    "slender body": lambda m: jaxrod.fluids.slender_body_drag(
         m.view.number(m.weight * m.uniform(0.1, 1), "Pa s")
     ),
-    "buoyancy": lambda m: jaxrod.buoyancy(
+    "buoyancy": lambda m: jaxrod.fluids.buoyancy(
         m.view.number(m.weight * m.uniform(100, 1000), "kg m^-3"),
         m.timed(m.view.vector(m.vector(9), "m s^-2")),
     ),
@@ -389,12 +404,12 @@ MAKERS: dict[str, Callable[[Maker], Any]] = {
     "rubbing tendon": lambda m: _tendon(m, "rubbing"),
     "wave": _wave,
     "world wave": _world_wave,
-    "active shape": lambda m: jaxrod.active_shape(
+    "active shape": lambda m: jaxrod.actuation.active_shape(
         m.rod,
         curvature=m.timed(m.view.bent(m.weight * m.random.normal(size=3))),
         strain=m.timed(m.view.bent(m.weight * m.vector(0.03), "1")),
     ),
-    "magnet": lambda m: jaxrod.magnetisation(
+    "magnet": lambda m: jaxrod.actuation.magnetisation(
         m.rod,
         m.view.along(
             m.view.material(m.weight * m.bend * m.random.normal(size=(3, m.n)), "A m")

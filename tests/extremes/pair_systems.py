@@ -120,7 +120,7 @@ class Maker:
                 "none": lambda: [],
                 "damping": lambda: [damping()],
                 "stokes": lambda: [
-                    jaxrod.stokes_drag(
+                    jaxrod.fluids.stokes_drag(
                         view.number(0.3 * size, "N s m^-2"),
                         view.number(size, "N s m^-2"),
                         view.number(1e-4 * size, "N s"),
@@ -151,12 +151,12 @@ class Maker:
             effects.append(damping())
         effects += self._gravity()
         before = random.bit_generator.state
-        _, first = jaxrod.rigid_body(
+        _, first = jaxrod.systems.rigid_body(
             self._shape(View(), kind.members[k], start, way), density=1.0
         )
         random.bit_generator.state = before
         # What is round has its own axes anywhere: they are to be the same ones.
-        self.members[name], self.moving[name] = jaxrod.rigid_body(
+        self.members[name], self.moving[name] = jaxrod.systems.rigid_body(
             self._shape(view, kind.members[k], start, way),
             orientation=view.quaternion(first.orientations[:, 0]),
             density=view.number(10 ** random.uniform(2.5, 3.5), "kg m^-3"),
@@ -180,11 +180,13 @@ class Maker:
         centre = start + 0.8 * SIZE * way
         m = lambda x: view.number(x, "m")
         if kind == "sphere":
-            return jaxrod.sphere(view.place(centre), m(0.8 * SIZE))
+            return jaxrod.shapes.sphere(view.place(centre), m(0.8 * SIZE))
         if kind == "box":
             sides = m(np.array([0.9, 0.7, 0.5]) * SIZE)
-            return jaxrod.box(view.place(centre), sides, view.quaternion(quaternion))
-        make = jaxrod.capsule if kind == "capsule" else jaxrod.cylinder
+            return jaxrod.shapes.box(
+                view.place(centre), sides, view.quaternion(quaternion)
+            )
+        make = jaxrod.shapes.capsule if kind == "capsule" else jaxrod.shapes.cylinder
         ends = [view.place(centre + sign * 0.5 * SIZE * side) for sign in (-1, 1)]
         return make(*ends, m(0.7 * SIZE))
 
@@ -223,7 +225,7 @@ class Maker:
             if isinstance(member, int)
         ]
         rods = self.view.order(rods + ["far"] * self.view.crowded)
-        lists = jaxrod.neighbour_lists(refresh_every=8, skin=1.0)
+        lists = jaxrod.systems.neighbour_lists(refresh_every=8, skin=1.0)
         listed = {"lists": lists if kind.contact.endswith("lists") else None}
 
         def make(share: float) -> Any:
@@ -231,8 +233,8 @@ class Maker:
                 return ()
             if kind.contact.startswith("rods"):
                 more = {**beside(share), "points_per_element": 4, **listed}
-                return jaxrod.rod_contact(*rods, **more)
-            return jaxrod.crossing_contact(*rods, **across(share), **listed)
+                return jaxrod.systems.rod_contact(*rods, **more)
+            return jaxrod.systems.crossing_contact(*rods, **across(share), **listed)
 
         return make, True
 
@@ -241,7 +243,7 @@ class Maker:
 
         def make(share: float) -> Any:
             return [
-                jaxrod.body_contact(
+                jaxrod.systems.body_contact(
                     self.names[relation[1]],
                     self.names[k],
                     points_per_element=4,
@@ -264,13 +266,13 @@ class Maker:
         if self.kind.rigid == "ground" and bodies:
             start, towards, _ = self.lines[bodies[0][0]]
             point = start + 0.8 * SIZE * towards + 0.9 * SIZE * way
-            fixed = (jaxrod.plane(view.place(point), -view.vector(way)),)
+            fixed = (jaxrod.shapes.plane(view.place(point), -view.vector(way)),)
 
         def make(share: float) -> Any:
             if self.kind.rigid == "none" or len(bodies) + len(fixed) < 2:
                 return ()
             names = view.order([name for _, name in bodies])
-            return jaxrod.rigid_contact(*names, fixed=fixed, **touch(share))
+            return jaxrod.systems.rigid_contact(*names, fixed=fixed, **touch(share))
 
         return make, True
 
@@ -287,14 +289,16 @@ class Maker:
         def make(share: float) -> Any:
             if not kind.posed:
                 return ()
-            return jaxrod.pose_spring(
+            return jaxrod.systems.pose_spring(
                 place,
                 self.rest,
                 stiffness=view.number(share * 100, "N m^-1"),
                 damping=view.number(share * 0.1, "N s m^-1"),
                 turning_stiffness=view.number(share * 0.5, "N m"),
                 turning_damping=view.number(share * 1e-5, "N m s"),
-                displacement=jaxrod.ramp(0 * move, move, view.number(0.02, "s")),
+                displacement=jaxrod.schedules.ramp(
+                    0 * move, move, view.number(0.02, "s")
+                ),
                 axis=view.vector(axis),
                 angle=0.1,
             )
@@ -328,13 +332,15 @@ class Maker:
             kinds: dict[str, Callable[[], Any]] = {
                 "beside": lambda: (),
                 "glue": lambda: self._glue(k, share, stiff, turn),
-                "tie": lambda: jaxrod.tie(a, b, rest),
-                "weld": lambda: jaxrod.weld(a, b, rest),
-                "attach": lambda: jaxrod.attach(a, b, rest),
-                "attach turning": lambda: jaxrod.attach(a, b, rest, turning=True),
-                "ball": lambda: jaxrod.ball_joint(a, b, rest, at=at, **spring),
-                "spring": lambda: jaxrod.spring(a, b, rest, at=ends, **spring),
-                "hinge": lambda: jaxrod.hinge_joint(
+                "tie": lambda: jaxrod.systems.tie(a, b, rest),
+                "weld": lambda: jaxrod.systems.weld(a, b, rest),
+                "attach": lambda: jaxrod.systems.attach(a, b, rest),
+                "attach turning": lambda: jaxrod.systems.attach(
+                    a, b, rest, turning=True
+                ),
+                "ball": lambda: jaxrod.systems.ball_joint(a, b, rest, at=at, **spring),
+                "spring": lambda: jaxrod.systems.spring(a, b, rest, at=ends, **spring),
+                "hinge": lambda: jaxrod.systems.hinge_joint(
                     a,
                     b,
                     rest,
@@ -345,7 +351,7 @@ class Maker:
                     at=at,
                     **spring,
                 ),
-                "rigid": lambda: jaxrod.rigid_joint(
+                "rigid": lambda: jaxrod.systems.rigid_joint(
                     a,
                     b,
                     rest,
@@ -367,7 +373,7 @@ class Maker:
         a, b = self.names[parent], self.names[k]
         if view.exchanged:
             a, b, pairs = b, a, pairs[::-1]
-        return jaxrod.glue(
+        return jaxrod.systems.glue(
             a,
             b,
             self.rest,

@@ -57,7 +57,7 @@ def arm(radius: float, method: str, dtype: Any) -> tuple[Any, Any]:
         dtype=dtype,
     )
     # Speed of sound is 32 m/s at every size.
-    ground = jaxrod.plane((0.0, -3 * radius, 0.0), (0.0, 1.0, 0.0))
+    ground = jaxrod.shapes.plane((0.0, -3 * radius, 0.0), (0.0, 1.0, 0.0))
     scene = jaxrod.make_scene(
         rod,
         jaxrod.clamp(state),

@@ -60,11 +60,13 @@ def energy_and_work(scene, state, couples, dt):
 def test_without_damping_the_energy_is_the_work_of_the_couples(record):
     """The published strength, held: the arm curls up in 0.15 s."""
     rod, state = arm(N_ELEMENTS)
-    values = jaxrod.control_spline(CONTROL_POINTS)(
+    values = jaxrod.actuation.control_spline(CONTROL_POINTS)(
         jnp.asarray([[1.0, 1.0], [1.0, -1.0], [0.0, 0.0]]), rod.arc_length_midpoints
     )
     couples = TORQUE_PER_ELEMENT * values
-    scene = jaxrod.make_scene(rod, jaxrod.clamp(state), jaxrod.ElementCouples(couples))
+    scene = jaxrod.make_scene(
+        rod, jaxrod.clamp(state), jaxrod.actuation.ElementCouples(couples)
+    )
     energy, work = energy_and_work(scene, state, couples, DT)
     record(
         "Energy of an undamped arm under strong held couples, beyond their work",

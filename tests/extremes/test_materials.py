@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 import jaxrod
+from jaxrod.effects.loads import ExponentialDamping
 from physics.rods import arm
 
 TOLERANCE = {jnp.dtype("float64"): 1e-10, jnp.dtype("float32"): 1e-5}
@@ -26,7 +27,7 @@ def swing(modulus, dtype_like):
         modulus * jnp.asarray([4e-6, 2e-6, 0], dtype),
         modulus * jnp.asarray([0, 2e-6, 4e-6], dtype),
     )
-    damping = jaxrod.ExponentialDamping(0.003 * rate, 0.01 * rate)
+    damping = ExponentialDamping(0.003 * rate, 0.01 * rate)
     scene = jaxrod.make_scene(rod, jaxrod.clamp(state), load, damping)
     return jaxrod.rollout(scene, state, 1.5 / rate, 800, 80).positions
 

@@ -83,7 +83,7 @@ def pulled_arm(**section):
     rod, state = jaxrod.straight_rod(
         6, length=0.5, density=1e3, youngs_modulus=1e6, dtype=jnp.float64, **section
     )
-    pulled = jaxrod.tendon(
+    pulled = jaxrod.actuation.tendon(
         rod,
         [[0.01, 0.002], [-0.008, 0.01]],
         tension=(3.0, 1.0),

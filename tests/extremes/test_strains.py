@@ -141,7 +141,7 @@ def test_a_joint_wound_up_past_pi_is_flagged_and_frozen_before():
     scene = jaxrod.make_scene(
         rod,
         jaxrod.clamp(state),
-        jaxrod.ElementCouples(couple),
+        jaxrod.actuation.ElementCouples(couple),
         jaxrod.exponential_damping(100.0),
     )
     dt = jaxrod.stable_dt(scene, 0.5).dt

@@ -37,10 +37,10 @@ SHARES = (2.0, 2e-2, 2e-4)
 """Stiffness over what holds a rod that flies in parallel."""
 WAYS = {"parallel": 0.0, "slanted": 0.3, "end first": 0.5 * np.pi}
 FIXED = {
-    "plane": lambda: jaxrod.plane((0.0, 0.0, 0.0), (0.0, 1.0, 0.0)),
-    "sphere": lambda: jaxrod.sphere((0.0, -0.15, 0.0), 0.15),
-    "cylinder": lambda: jaxrod.cylinder((0, -0.05, -1), (0, -0.05, 1), 0.05),
-    "box": lambda: jaxrod.box((0.0, -0.05, 0.0), (0.4, 0.1, 0.4)),
+    "plane": lambda: jaxrod.shapes.plane((0.0, 0.0, 0.0), (0.0, 1.0, 0.0)),
+    "sphere": lambda: jaxrod.shapes.sphere((0.0, -0.15, 0.0), 0.15),
+    "cylinder": lambda: jaxrod.shapes.cylinder((0, -0.05, -1), (0, -0.05, 1), 0.05),
+    "box": lambda: jaxrod.shapes.box((0.0, -0.05, 0.0), (0.4, 0.1, 0.4)),
 }
 RODS = ("rod_contact", "crossing_contact", "crossing_contact, lists")
 MOVING = (*RODS, "body_contact")
@@ -106,10 +106,12 @@ def shot(
         )
         model, depth = jaxrod.make_scene(rod, touch), 0.1
     elif target == "body_contact":
-        body, still = jaxrod.rigid_body(
-            jaxrod.sphere((0.0, -0.15, 0.0), 0.15), density=DENSITY
+        body, still = jaxrod.systems.rigid_body(
+            jaxrod.shapes.sphere((0.0, -0.15, 0.0), 0.15), density=DENSITY
         )
-        touch = jaxrod.body_contact("a", "b", stiffness=stiffness, points_per_element=2)
+        touch = jaxrod.systems.body_contact(
+            "a", "b", stiffness=stiffness, points_per_element=2
+        )
         state = {"a": state, "b": still}
         model, depth = (
             jaxrod.make_system({"a": scene, "b": body}, touch, state=state),
@@ -128,17 +130,17 @@ def shot(
         )
         state, depth = {"a": state, "b": still}, 4 * R
         if target == "rod_contact":
-            touch = jaxrod.rod_contact(
+            touch = jaxrod.systems.rod_contact(
                 "a", "b", stiffness=stiffness, points_per_element=2
             )
         else:
             listed = target.endswith("lists")
-            touch = jaxrod.crossing_contact(
+            touch = jaxrod.systems.crossing_contact(
                 "a",
                 "b",
                 # A crossing is one spring: for the rod's whole mass.
                 stiffness=stiffness * LENGTH,
-                lists=jaxrod.neighbour_lists(refresh_every=1, skin=1.0)
+                lists=jaxrod.systems.neighbour_lists(refresh_every=1, skin=1.0)
                 if listed
                 else None,
             )

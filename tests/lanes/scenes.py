@@ -39,24 +39,28 @@ def random_scene(seed):
         x, y, z = map(float, rng.normal(size=3) * scale)
         return (x, y, 0.0 if flat else z)
 
-    ball = jaxrod.sphere((0.5, -0.1, 0.0), 0.09)
+    ball = jaxrod.shapes.sphere((0.5, -0.1, 0.0), 0.09)
     touch = {"stiffness": 500.0, "damping": 0.5, "friction": 0.3}
     touch["points_per_element"] = 3
     tip = (0.0, 0.0, 0.0)
-    pushed = jaxrod.end_load(jaxrod.ramp(tip, vector(1.0), 0.02), tip)
+    pushed = jaxrod.end_load(jaxrod.schedules.ramp(tip, vector(1.0), 0.02), tip)
     choices = {
         "gravity": lambda: jaxrod.gravity(vector(9.0)),
-        "swinging gravity": lambda: jaxrod.gravity(jaxrod.sine(vector(9.0), 0.01)),
+        "swinging gravity": lambda: jaxrod.gravity(
+            jaxrod.schedules.sine(vector(9.0), 0.01)
+        ),
         "damping": lambda: jaxrod.exponential_damping(float(rng.uniform(0.5, 5))),
         "uniform load": lambda: jaxrod.uniform_load(vector(1.0), tip),
         "pushed": lambda: pushed,
-        "slender body": lambda: jaxrod.slender_body_drag(1.0),
-        "stokes": lambda: jaxrod.stokes_drag(0.5, 1.0, 0.01),
-        "quadratic": lambda: jaxrod.quadratic_drag(1000.0, along=0.1),
+        "slender body": lambda: jaxrod.fluids.slender_body_drag(1.0),
+        "stokes": lambda: jaxrod.fluids.stokes_drag(0.5, 1.0, 0.01),
+        "quadratic": lambda: jaxrod.fluids.quadratic_drag(1000.0, along=0.1),
         "internal": lambda: jaxrod.internal_damping(float(rng.uniform(1e-4, 1e-3))),
         "contact": lambda: jaxrod.contact(ball, **touch),
         "near contact": lambda: jaxrod.near_contact(
-            jaxrod.contact((ball, jaxrod.sphere((0.9, 0.1, 0.0), 0.08)), **touch),
+            jaxrod.contact(
+                (ball, jaxrod.shapes.sphere((0.9, 0.1, 0.0), 0.08)), **touch
+            ),
             rod,
             state,
             1,

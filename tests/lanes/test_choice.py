@@ -39,11 +39,11 @@ def test_never_means_never():
 
 
 def test_what_lanes_do_not_know_is_left_to_xla_in_one_line():
-    @jaxrod.pytree
-    class Sorted(jaxrod.Effect):
+    @jaxrod.extend.pytree
+    class Sorted(jaxrod.extend.Effect):
         def loads(self, rod, motion):
             x, y, z = motion.position
-            return jaxrod.Loads(forces=(jnp.sort(x) * 1e-3, 0 * y, 0 * z))
+            return jaxrod.extend.Loads(forces=(jnp.sort(x) * 1e-3, 0 * y, 0 * z))
 
     scene, state, dt = hanging(4)
     scene = jaxrod.make_scene(scene.rod, *scene.effects, Sorted())

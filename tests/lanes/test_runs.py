@@ -128,7 +128,9 @@ def test_a_system_of_rods_and_bodies_is_the_same():
     states = {"arm": state, "other": apart_state}
     system = jaxrod.make_system(
         {"arm": jaxrod.make_scene(rod), "other": jaxrod.make_scene(other)},
-        jaxrod.ball_joint(("arm", "finish"), ("other", "start"), states, stiffness=1e4),
+        jaxrod.systems.ball_joint(
+            ("arm", "finish"), ("other", "start"), states, stiffness=1e4
+        ),
     )
     pulled = jax.tree.map(lambda x: jnp.broadcast_to(x, (RODS, *x.shape)), states)
     pulled["arm"] = shaken(state, RODS, 3)

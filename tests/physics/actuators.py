@@ -29,10 +29,10 @@ def actuators(rod, rest):
     bend = float(rod.bend_twist_stiffness[0, 0])
     random = np.random.default_rng(1)
     start, finish = jaxrod.clamp(rest), jaxrod.clamp(rest, "finish")
-    winding = jaxrod.helical_offsets(rod, 0.8 * radius, 1.5, (0.3, 2.4))
+    winding = jaxrod.actuation.helical_offsets(rod, 0.8 * radius, 1.5, (0.3, 2.4))
     offsets = random.uniform(-radius, radius, (3, 2))
     return {
-        "wave of bending": jaxrod.travelling_wave(
+        "wave of bending": jaxrod.actuation.travelling_wave(
             rod,
             bend * np.array([0.5, 2.0, 3.0, 1.0]),
             period=1.0,
@@ -41,25 +41,25 @@ def actuators(rod, rest):
             phase=0.3,
             into=start,
         ),
-        "longitudinal muscles": jaxrod.muscle(
+        "longitudinal muscles": jaxrod.actuation.muscle(
             rod,
             pull * random.uniform(0.5, 1.0, (3, n)),
             (0.2, 0.7, 1.0),
             offsets=offsets,
             into=(start, finish),
         ),
-        "helical muscles": jaxrod.muscle(
+        "helical muscles": jaxrod.actuation.muscle(
             rod,
             pull,
             random.uniform(0.0, 1.0, (2, n)),
             offsets=winding,
-            curve=jaxrod.gaussian_force(),
+            curve=jaxrod.actuation.gaussian_force(),
         ),
-        "muscle across": jaxrod.muscle(rod, pull, 0.6, across=True),
-        "chambers": jaxrod.chamber(
+        "muscle across": jaxrod.actuation.muscle(rod, pull, 0.6, across=True),
+        "chambers": jaxrod.actuation.chamber(
             rod, (2.0, -1.0, 0.5), pull, offsets=offsets, into=finish
         ),
-        "wound chambers": jaxrod.wound_chamber(
+        "wound chambers": jaxrod.actuation.wound_chamber(
             rod,
             pull / (np.pi * radius**2),
             0.4 * radius,
@@ -67,26 +67,26 @@ def actuators(rod, rest):
             offsets=offsets[:2],
             into=start,
         ),
-        "tendon pulled with a force": jaxrod.tendon(
+        "tendon pulled with a force": jaxrod.actuation.tendon(
             rod,
             offsets[:2],
             tension=(pull, 0.3 * pull),
             elements=(1, n - 2),
             anchor=(0.1, -0.1, -0.2),
         ),
-        "tendon wound up": jaxrod.tendon(
+        "tendon wound up": jaxrod.actuation.tendon(
             rod, offsets[:2], length=(0.6, 0.61), stiffness=10 * pull, onset=0.05
         ),
-        "active shape": jaxrod.active_shape(
+        "active shape": jaxrod.actuation.active_shape(
             rod, curvature=(1.0, -2.0, 0.5), strain=(0.02, 0.0, 0.1), into=start
         ),
-        "magnet in a uniform field": jaxrod.magnetisation(
+        "magnet in a uniform field": jaxrod.actuation.magnetisation(
             rod, (bend, 0.3 * bend, 2 * bend), (0.3, 1.0, -0.4)
         ),
-        "magnet in a field that differs": jaxrod.magnetisation(
+        "magnet in a field that differs": jaxrod.actuation.magnetisation(
             rod,
             bend * random.normal(size=(3, n)),
-            jaxrod.linear_field(
+            jaxrod.actuation.linear_field(
                 (0.3, 1.0, -0.4),
                 [[1.0, 0.2, 0.0], [0.2, -0.4, 0.3], [0.0, 0.3, -0.6]],
                 extent=1.5,

@@ -12,7 +12,7 @@ from jaxrod.rods.motion import Loads
 from jaxrod.structure import pytree, static
 
 
-class Potential(jaxrod.Effect, ABC):
+class Potential(jaxrod.extend.Effect, ABC):
     """Forces on the nodes that are minus the gradient of an energy."""
 
     @abstractmethod

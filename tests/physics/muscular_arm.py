@@ -204,16 +204,16 @@ def arm(n: int, share: float, damping: float):
     beside = np.stack([np.cos(angles), np.sin(angles)], axis=1) * radius(nodes)
     along = np.stack([radius(nodes), 0 * nodes])[None]
     muscles = (
-        jaxrod.muscle(
+        jaxrod.actuation.muscle(
             rod, force["along"][None], offsets=OFFSET["along"] * along, into=wall
         ),
-        jaxrod.muscle(
+        jaxrod.actuation.muscle(
             rod,
             np.repeat(force["oblique"][None], 4, axis=0),
             offsets=OFFSET["oblique"] * beside,
             into=wall,
         ),
-        jaxrod.muscle(rod, force["across"][None], across=True),
+        jaxrod.actuation.muscle(rod, force["across"][None], across=True),
     )
     damper = jaxrod.exponential_damping(damping)
     return jaxrod.make_scene(rod, wall, *muscles, damper), state

@@ -18,9 +18,11 @@ SCENE = jaxrod.make_scene(ROD, jaxrod.clamp(STATE))
 BENT = ((0.0, 0.1, 0.1, 0.3), (0.0, 0.0, 1.0, 1.2), (0.0, 1.0, 1.1, 2.0))
 FRAMES = np.asarray(jaxrod.rod_along(BENT, **MATERIAL)[1].directors).tolist()
 SIDES = ((1.0, 0.5, 0.2), (0.3, 1.0, 0.1), (0.2, 0.1, 1.0))
-BALL = jaxrod.sphere((0.0, 0.0, 0.0), 0.1)
+BALL = jaxrod.shapes.sphere((0.0, 0.0, 0.0), 0.1)
 
-HEAD, OF_HEAD = jaxrod.rigid_body(jaxrod.sphere((0.0, 0.1, 1.3), 0.1), density=1e3)
+HEAD, OF_HEAD = jaxrod.systems.rigid_body(
+    jaxrod.shapes.sphere((0.0, 0.1, 1.3), 0.1), density=1e3
+)
 TOGETHER = {"rod": STATE, "head": OF_HEAD}
 JOINED = {"a": ("rod", "finish"), "b": ("head",), "state": TOGETHER}
 FELLOW = replace(STATE, positions=STATE.positions + 0.02)
@@ -125,7 +127,7 @@ FACTORIES = {
     "spline_couples": [
         {
             "rod": ROD,
-            "spline": jaxrod.control_spline(2, 1.2),
+            "spline": jaxrod.actuation.control_spline(2, 1.2),
             "controls": ((1.0, 2.0), (3.0, 4.0), (5.0, 6.0)),
             "couple_density": (1.0, 2.0, 3.0),
         }

@@ -12,7 +12,7 @@ from jaxrod.structure import pytree, static
 
 
 @pytree
-class Place(jaxrod.Effect):
+class Place(jaxrod.extend.Effect):
     """Holds a node in place if it is on, and says nothing of its velocity."""
 
     place: jax.Array

@@ -135,7 +135,7 @@ def mixed_load(scene_rod, mode="consistent", state=None):
         jaxrod.gravity((1.0, -2.0, -9.0)),
         jaxrod.end_load((3.0, 5.0, -2.0), (1.0, -2.0, 0.5)),
         jaxrod.uniform_load((2.0, 0.0, 1.0), (0.5, 1.0, -1.0)),
-        jaxrod.ElementCouples(jnp.asarray(wave)),
+        jaxrod.actuation.ElementCouples(jnp.asarray(wave)),
         held(state),
         jaxrod.exponential_damping(0.7, 1.9),
         method=IN_SPACE[mode],

@@ -24,14 +24,14 @@ def egg(point, parameters):
 
 # With volumes around the origin and 0.2 m in size.
 BODIES = {
-    "sphere": lambda: jaxrod.sphere((0.1, -0.02, 0.05), 0.2),
-    "capsule": lambda: jaxrod.capsule((-0.2, 0.1, 0.0), (0.2, 0.0, 0.1), 0.15),
-    "cylinder": lambda: jaxrod.cylinder((-0.2, 0.1, 0.0), (0.2, 0.0, 0.1), 0.15),
-    "plane": lambda: jaxrod.plane((0.0, 0.1, 0.0), (0.3, 2.0, -0.5)),
-    "box": lambda: jaxrod.box(
+    "sphere": lambda: jaxrod.shapes.sphere((0.1, -0.02, 0.05), 0.2),
+    "capsule": lambda: jaxrod.shapes.capsule((-0.2, 0.1, 0.0), (0.2, 0.0, 0.1), 0.15),
+    "cylinder": lambda: jaxrod.shapes.cylinder((-0.2, 0.1, 0.0), (0.2, 0.0, 0.1), 0.15),
+    "plane": lambda: jaxrod.shapes.plane((0.0, 0.1, 0.0), (0.3, 2.0, -0.5)),
+    "box": lambda: jaxrod.shapes.box(
         (0.05, 0.0, -0.05), (0.1, 0.2, 0.3), (0.9, 0.1, -0.3, 0.2)
     ),
-    "signed distance": lambda: jaxrod.signed_distance(
+    "signed distance": lambda: jaxrod.shapes.signed_distance(
         egg, (np.array([0.0, 0.1, 0.0]), 0.2)
     ),
 }
@@ -44,17 +44,17 @@ def turned(body, rotation, shift):
     def place(point):
         return rotated(rotation, point[:, None])[:, 0] + shift
 
-    if isinstance(body, jaxrod.Sphere):
-        return jaxrod.Sphere(place(body.centre), body.radius)
-    if isinstance(body, jaxrod.Plane):
-        return jaxrod.Plane(place(body.point), place(body.normal) - shift)
-    if isinstance(body, jaxrod.Box):
+    if isinstance(body, jaxrod.shapes.Sphere):
+        return jaxrod.shapes.Sphere(place(body.centre), body.radius)
+    if isinstance(body, jaxrod.shapes.Plane):
+        return jaxrod.shapes.Plane(place(body.point), place(body.normal) - shift)
+    if isinstance(body, jaxrod.shapes.Box):
         own = split_quaternion(body.orientation[:, None])
         both = jnp.stack(multiply_quaternions(turn, own))[:, 0]
-        return jaxrod.Box(place(body.centre), body.half_lengths, both)
-    if isinstance(body, jaxrod.SignedDistance):
+        return jaxrod.shapes.Box(place(body.centre), body.half_lengths, both)
+    if isinstance(body, jaxrod.shapes.SignedDistance):
         centre, radius = body.parameters
-        return jaxrod.signed_distance(egg, (place(centre), radius))
+        return jaxrod.shapes.signed_distance(egg, (place(centre), radius))
     return type(body)(place(body.start), place(body.end), body.radius)
 
 

@@ -36,7 +36,9 @@ def fixed_end(home, world):
 
 def ball(home, world):
     """Of 0.3 m, below the middle of the rod; they touch."""
-    sphere = jaxrod.sphere(world.place([0.5, 0.0, -0.349]), 0.3 * world.unit(length=1))
+    sphere = jaxrod.shapes.sphere(
+        world.place([0.5, 0.0, -0.349]), 0.3 * world.unit(length=1)
+    )
     return (jaxrod.contact(sphere, stiffness=1e6 * world.unit(-1, 1, -2)),)
 
 

@@ -16,7 +16,7 @@ from physics.rods import arm
 )
 def test_the_spline_is_the_interpolating_not_a_knot_cubic(controls, record):
     length = 1.3
-    spline = jaxrod.control_spline(controls, length, dtype=jnp.float64)
+    spline = jaxrod.actuation.control_spline(controls, length, dtype=jnp.float64)
     count = spline.n_controls
     inner = controls
     if isinstance(controls, int):
@@ -36,7 +36,7 @@ def test_the_spline_is_the_interpolating_not_a_knot_cubic(controls, record):
 
 
 def test_the_overshoot_of_six_equidistant_points_is_the_documented_one():
-    spline = jaxrod.control_spline(6, dtype=jnp.float64)
+    spline = jaxrod.actuation.control_spline(6, dtype=jnp.float64)
     signs = np.stack(np.meshgrid(*[[-1.0, 1.0]] * 6), axis=-1).reshape(-1, 6)
     highest = jnp.max(jnp.abs(spline(jnp.asarray(signs), jnp.linspace(0.0, 1.0, 1001))))
     assert float(highest) == pytest.approx(1.67, abs=0.005)
@@ -45,12 +45,12 @@ def test_the_overshoot_of_six_equidistant_points_is_the_documented_one():
 @pytest.mark.slow
 def test_the_load_does_not_depend_on_the_number_of_elements(record):
     """Total couple and first moment are the spline's, where elements end at breaks."""
-    spline = jaxrod.control_spline(6, dtype=jnp.float64)
+    spline = jaxrod.actuation.control_spline(6, dtype=jnp.float64)
     controls = jnp.asarray(np.random.default_rng(1).uniform(-1, 1, (3, 6)))
 
     def totals(n):
         rod, _ = arm(n)
-        couples = jaxrod.spline_couples(rod, spline, controls, 5.0).couples
+        couples = jaxrod.actuation.spline_couples(rod, spline, controls, 5.0).couples
         middles = np.asarray(rod.arc_length_midpoints)
         return np.sum(couples, axis=1), couples @ middles
 
@@ -76,17 +76,19 @@ def test_the_load_does_not_depend_on_the_number_of_elements(record):
 
 def test_averages_worked_out_once_give_the_same_couples():
     rod, _ = arm(9)
-    spline = jaxrod.control_spline(4, dtype=jnp.float64)
+    spline = jaxrod.actuation.control_spline(4, dtype=jnp.float64)
     controls = jnp.asarray(np.random.default_rng(2).uniform(-1, 1, (3, 4)))
-    couples = jaxrod.spline_couples(rod, spline, controls, 2.0).couples
-    again = jaxrod.spline_couples(rod, spline.averaged(rod), controls, 2.0).couples
+    couples = jaxrod.actuation.spline_couples(rod, spline, controls, 2.0).couples
+    again = jaxrod.actuation.spline_couples(
+        rod, spline.averaged(rod), controls, 2.0
+    ).couples
     np.testing.assert_array_equal(again, couples)
 
 
 def test_couple_density_may_differ_between_directions():
     rod, _ = arm(10)
-    spline = jaxrod.control_spline(4, dtype=jnp.float64)
-    couples = jaxrod.spline_couples(
+    spline = jaxrod.actuation.control_spline(4, dtype=jnp.float64)
+    couples = jaxrod.actuation.spline_couples(
         rod, spline, jnp.ones((3, 4)), (1.0, 2.0, 0.0)
     ).couples
     np.testing.assert_allclose(couples[1], 2 * couples[0])
@@ -96,7 +98,7 @@ def test_couple_density_may_differ_between_directions():
 def schedules(shape, size):
     """Values that change with time, and the same as a function of it."""
     values = size * np.random.default_rng(size).uniform(-1, 1, (3, *shape))
-    table = jaxrod.table([0.0, 1.0, 3.0], values)
+    table = jaxrod.schedules.table([0.0, 1.0, 3.0], values)
     return table, lambda t: np.apply_along_axis(
         lambda knots: np.interp(t, [0.0, 1.0, 3.0], knots), 0, values
     )
@@ -104,7 +106,7 @@ def schedules(shape, size):
 
 def test_controls_and_density_may_depend_on_time():
     rod, _ = arm(4, dtype=jnp.float64)
-    spline = jaxrod.control_spline(3, float(rod.length), dtype=jnp.float64)
+    spline = jaxrod.actuation.control_spline(3, float(rod.length), dtype=jnp.float64)
     averages = spline.averaged(rod)
     controls, controls_at = schedules((3, 3), 1)
     one, one_at = schedules((), 2)
@@ -115,11 +117,11 @@ def test_controls_and_density_may_depend_on_time():
         ((averages, controls, one), lambda t: (controls_at(t), one_at(t))),
         ((averages, constant, three), lambda t: (constant, three_at(t))),
     ):
-        timed = jaxrod.spline_couples(rod, *given)
+        timed = jaxrod.actuation.spline_couples(rod, *given)
         scene = jaxrod.make_scene(rod, timed)
         bound = np.asarray(scene.at_largest.effects[0].couples)
         for time in (0.0, 0.4, 1.7, 5.0):
-            plain = jaxrod.spline_couples(rod, given[0], *given_at(time))
+            plain = jaxrod.actuation.spline_couples(rod, given[0], *given_at(time))
             found = scene.at(time).effects[0].couples
             np.testing.assert_allclose(found, plain.couples, rtol=0, atol=1e-15)
             assert np.all(np.abs(found) <= bound)
@@ -128,11 +130,13 @@ def test_controls_and_density_may_depend_on_time():
 @pytest.mark.slow
 def test_the_gradient_by_the_density_of_rising_couples_is_that_of_differences():
     rod, state = arm(4, dtype=jnp.float64)
-    averages = jaxrod.control_spline(3, float(rod.length), jnp.float64).averaged(rod)
-    ramp = jaxrod.ramp(np.zeros((3, 3)), schedules((3, 3), 1)[1](0.0), 2e-3)
+    averages = jaxrod.actuation.control_spline(
+        3, float(rod.length), jnp.float64
+    ).averaged(rod)
+    ramp = jaxrod.schedules.ramp(np.zeros((3, 3)), schedules((3, 3), 1)[1](0.0), 2e-3)
 
     def swept(density):
-        couples = jaxrod.spline_couples(rod, averages, ramp, density)
+        couples = jaxrod.actuation.spline_couples(rod, averages, ramp, density)
         scene = jaxrod.make_scene(rod, jaxrod.clamp(state), couples)
         return jaxrod.advance(scene, state, 1e-4, 20).tip[1]
 
@@ -144,21 +148,21 @@ def test_the_gradient_by_the_density_of_rising_couples_is_that_of_differences():
 
 def test_schedules_of_other_shapes_are_refused_in_words():
     rod, _ = arm(4, dtype=jnp.float64)
-    spline = jaxrod.control_spline(3, float(rod.length), dtype=jnp.float64)
-    pair = jaxrod.ramp((0.0, 0.0), (1.0, 1.0), 1.0)
+    spline = jaxrod.actuation.control_spline(3, float(rod.length), dtype=jnp.float64)
+    pair = jaxrod.schedules.ramp((0.0, 0.0), (1.0, 1.0), 1.0)
     with pytest.raises(ValueError, match=r"controls must have values of shape \(3, "):
-        jaxrod.spline_couples(rod, spline, pair, 1.0)
+        jaxrod.actuation.spline_couples(rod, spline, pair, 1.0)
     with pytest.raises(ValueError, match=r"couple_density .* shape \(\) or \(3,\)"):
-        jaxrod.spline_couples(rod, spline, np.ones((3, 3)), pair)
+        jaxrod.actuation.spline_couples(rod, spline, np.ones((3, 3)), pair)
 
 
 def test_applied_values_follow_commands_no_faster_than_allowed():
     applied = jnp.array([0.0, 0.0, 0.5, -0.5])
     commanded = jnp.array([1.0, 0.05, -1.0, -0.45])
-    after = jaxrod.limit_rate(applied, commanded, 0.1)
+    after = jaxrod.actuation.limit_rate(applied, commanded, 0.1)
     np.testing.assert_allclose(after, [0.1, 0.05, 0.4, -0.45])
     for _ in range(20):
-        after = jaxrod.limit_rate(after, commanded, 0.1)
+        after = jaxrod.actuation.limit_rate(after, commanded, 0.1)
     np.testing.assert_allclose(after, commanded)
 
 
@@ -169,7 +173,7 @@ def test_a_couple_turns_its_element_about_the_material_axis(mode):
         rod, state = arm(3, direction=(1.0, 2.0, -0.5))
         couples = jnp.zeros((3, 3)).at[axis, 1].set(2.0)
         scene = jaxrod.make_scene(
-            rod, jaxrod.ElementCouples(couples), method=IN_SPACE[mode]
+            rod, jaxrod.actuation.ElementCouples(couples), method=IN_SPACE[mode]
         )
         after = jaxrod.advance(scene, state, 1e-7, 1)
         expected = 2.0 * 1e-7 * state.directors[axis, :, 1]

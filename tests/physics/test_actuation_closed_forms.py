@@ -54,8 +54,8 @@ def balance(rod, effect, curvature, strain):
 
 def test_one_longitudinal_muscle_bends_and_shortens(bar, record):
     rod, _ = bar
-    muscle = jaxrod.muscle(
-        rod, PULL, offsets=(OFFSET, 0.0), curve=jaxrod.constant_force()
+    muscle = jaxrod.actuation.muscle(
+        rod, PULL, offsets=(OFFSET, 0.0), curve=jaxrod.actuation.constant_force()
     )
     bent = (0.0, PULL * OFFSET / BENDING, 0.0)
     record(
@@ -70,7 +70,7 @@ def test_one_longitudinal_muscle_bends_and_shortens(bar, record):
 @pytest.mark.slow
 def test_antagonists_shorten_a_rod_and_do_not_bend_it(bar, record):
     rod, _ = bar
-    muscles = jaxrod.muscle(rod, PULL, 0.8, offsets=SQUARE)
+    muscles = jaxrod.actuation.muscle(rod, PULL, 0.8, offsets=SQUARE)
     cubic = np.polynomial.Polynomial([-6.44, 18.01, -13.64, 3.06])
     strain = brentq(
         lambda s: YOUNG * AREA * s + 4 * 0.8 * PULL * cubic(1 + s),
@@ -90,7 +90,9 @@ def test_antagonists_shorten_a_rod_and_do_not_bend_it(bar, record):
 @pytest.mark.slow
 def test_a_muscle_across_lengthens_a_rod(bar):
     rod, _ = bar
-    muscle = jaxrod.muscle(rod, PULL, across=True, curve=jaxrod.constant_force())
+    muscle = jaxrod.actuation.muscle(
+        rod, PULL, across=True, curve=jaxrod.actuation.constant_force()
+    )
     strain = brentq(
         lambda s: YOUNG * AREA * s - PULL * (1 + s) ** -1.5, 0, 1, xtol=1e-16
     )
@@ -100,7 +102,7 @@ def test_a_muscle_across_lengthens_a_rod(bar):
 def test_a_chamber_bends_and_lengthens(bar, record):
     rod, _ = bar
     pressure, area = 2e5, 0.1 * AREA
-    chamber = jaxrod.chamber(rod, pressure, area, offsets=(0.0, OFFSET))
+    chamber = jaxrod.actuation.chamber(rod, pressure, area, offsets=(0.0, OFFSET))
     bent = (pressure * area * OFFSET / BENDING, 0.0, 0.0)
     record(
         "A chamber in a free rod: loads at p A x/EI and p A/EA",
@@ -114,7 +116,7 @@ def test_a_chamber_bends_and_lengthens(bar, record):
 def test_a_wound_chamber_pushes_and_unwinds(bar, degrees, record):
     rod, state = bar
     pressure, radius, angle = 1e5, 0.02, np.deg2rad(degrees)
-    chamber = jaxrod.wound_chamber(rod, pressure, radius, angle)
+    chamber = jaxrod.actuation.wound_chamber(rod, pressure, radius, angle)
     strains, _ = chamber._strains(motion_of(state))
     stress = chamber.stress(rod, strains)
     cot = 1 / np.tan(angle)
@@ -136,7 +138,7 @@ def test_a_wound_chamber_counts_twist_from_that_of_the_unstressed_rod(bar):
     """In a rod that is twisted without stress it pushes and unwinds as in another."""
     twist, pressure, radius, angle = 0.8, 1e5, 0.02, 1.0
     rod = replace(bar[0], rest_curvatures=bar[0].rest_curvatures.at[2].set(twist))
-    chamber = jaxrod.wound_chamber(rod, pressure, radius, angle)
+    chamber = jaxrod.actuation.wound_chamber(rod, pressure, radius, angle)
     strains, _ = chamber._strains(motion_of(strained(rod, (0.0, 0.0, twist), 0.0)))
     stress = chamber.stress(rod, strains)
     cot, load = 1 / np.tan(angle), pressure * np.pi * radius**2
@@ -164,7 +166,7 @@ def test_a_tendons_friction_is_by_how_fast_it_slips_at_each_eyelet(anchored):
         state, positions=jnp.asarray(positions), velocities=jnp.asarray(velocities)
     )
     base = (0.1, -0.2, -0.3)
-    cable = jaxrod.tendon(
+    cable = jaxrod.actuation.tendon(
         rod,
         (0.0, 0.0),
         tension=pull,
@@ -198,7 +200,9 @@ def test_the_bound_of_a_tendon_is_above_all_that_its_energy_is_curved_by():
     """On the elements that have its eyelets, the last of them included."""
     n, held = 3, (1, 2)
     rod, state = arm(n)
-    cable = jaxrod.tendon(rod, (0.6 * RADIUS, 0.0), tension=50.0, elements=held)
+    cable = jaxrod.actuation.tendon(
+        rod, (0.6 * RADIUS, 0.0), tension=50.0, elements=held
+    )
     bound = cable.stability_bound(rod)
     np.testing.assert_array_equal(bound.nodes > 0, [False, True, True, True])
     np.testing.assert_array_equal(bound.elements > 0, [False, True, True])
@@ -228,7 +232,7 @@ def above_curvature(rod, state, effect):
 def test_the_bound_of_a_magnet_along_a_uniform_field_is_what_turns_it_back():
     """The couple m B sin(angle) of each element, as steep as it gets."""
     rod, _ = arm(3)
-    magnet = jaxrod.magnetisation(rod, (0.0, 0.0, 2.0), (0.0, 0.0, -5.0))
+    magnet = jaxrod.actuation.magnetisation(rod, (0.0, 0.0, 2.0), (0.0, 0.0, -5.0))
     bound = magnet.stability_bound(rod)
     np.testing.assert_allclose(bound.elements, 2.0 * 5.0 * rod.rest_lengths)
     assert bound.nodes is None
@@ -247,8 +251,8 @@ def test_the_bound_of_a_magnet_is_above_all_that_its_energy_is_curved_by():
     gradient = np.zeros((3, 3))
     gradient[0, 2] = slope
     moment = np.outer([across, 0.0, np.sqrt(1 - across**2)], [1.0, -1.0])
-    field = jaxrod.linear_field((0.0, 0.0, 0.0), gradient, extent=half)
-    magnet = jaxrod.magnetisation(rod, moment, field)
+    field = jaxrod.actuation.linear_field((0.0, 0.0, 0.0), gradient, extent=half)
+    magnet = jaxrod.actuation.magnetisation(rod, moment, field)
     assert min(above_curvature(rod, state, magnet)) > 0
 
 
@@ -258,8 +262,10 @@ def test_helical_muscles_all_around_twist_a_rod(bar, record):
     n, turns = 12, 1.5
     rod, _ = arm(n)
     angles = np.arange(4) * np.pi / 2
-    winding = jaxrod.helical_offsets(rod, OFFSET, turns, angles)
-    muscles = jaxrod.muscle(rod, PULL, offsets=winding, curve=jaxrod.constant_force())
+    winding = jaxrod.actuation.helical_offsets(rod, OFFSET, turns, angles)
+    muscles = jaxrod.actuation.muscle(
+        rod, PULL, offsets=winding, curve=jaxrod.actuation.constant_force()
+    )
     step = 2 * np.pi * turns / n
 
     def residual(unknown):
@@ -291,8 +297,10 @@ def test_helical_muscles_all_around_twist_a_rod(bar, record):
 def test_an_active_curvature_is_taken_as_it_is(bar):
     rod, _ = bar
     bent = (2.0, -1.0, 0.5)
-    shape = jaxrod.active_shape(
-        rod, curvature=jaxrod.ramp((0.0, 0.0, 0.0), bent, 0.1), strain=(0.0, 0.0, 0.1)
+    shape = jaxrod.actuation.active_shape(
+        rod,
+        curvature=jaxrod.schedules.ramp((0.0, 0.0, 0.0), bent, 0.1),
+        strain=(0.0, 0.0, 0.1),
     )
     assert balance(rod, shape, bent, 0.1) < 1e-12
 
@@ -300,7 +308,7 @@ def test_an_active_curvature_is_taken_as_it_is(bar):
 def test_a_still_wave_bends_each_joint_by_its_moment(bar):
     rod, state = bar
     into = jaxrod.clamp(state)
-    wave = jaxrod.travelling_wave(
+    wave = jaxrod.actuation.travelling_wave(
         rod, 0.3 * BENDING, period=0.8, wavelength=1e9, axis=(0, 1, 0), into=into
     )
     bent = (0.0, 0.3, 0.0)  # A quarter of a period has passed.
@@ -331,7 +339,9 @@ def test_a_straight_tendon_bends_a_rod(n, record):
     rod, state = unit_rod(n, 0.02)
     rod = replace(rod, shear_stretch_stiffness=1e9 * rod.shear_stretch_stiffness)
     scene = jaxrod.make_scene(
-        rod, jaxrod.fixed_end(state), jaxrod.tendon(rod, (0.05, 0.0), tension=10.0)
+        rod,
+        jaxrod.fixed_end(state),
+        jaxrod.actuation.tendon(rod, (0.05, 0.0), tension=10.0),
     )
     found = jaxrod.equilibrium(scene, state)
     curvature = jaxrod.strains(rod, found.state)[1]
@@ -359,7 +369,7 @@ def test_a_helical_tendon_follows_the_coupled_ode(record):
     middles = (np.arange(n) + 0.5) / n
     angles = 2 * np.pi * turns * middles
     eyelets = offset * np.stack([np.cos(angles), np.sin(angles)])[None]
-    cable = jaxrod.tendon(rod, eyelets, tension=pull)
+    cable = jaxrod.actuation.tendon(rod, eyelets, tension=pull)
     scene = jaxrod.make_scene(rod, jaxrod.clamp(state), cable)
     found = jaxrod.equilibrium(scene, state)
     assert found.converged
@@ -423,7 +433,9 @@ def test_a_magnet_bends_as_under_a_dead_force_at_its_tip(
     stiff = replace(rod, shear_stretch_stiffness=1e5 * rod.shear_stretch_stiffness)
     found = state, state
     for share in (0.3, 0.6, 1.0):
-        magnet = jaxrod.magnetisation(stiff, (0.0, 0.0, 4.0), share * pull / 4)
+        magnet = jaxrod.actuation.magnetisation(
+            stiff, (0.0, 0.0, 4.0), share * pull / 4
+        )
         force = jaxrod.end_load(share * pull)
         one, other = (
             jaxrod.equilibrium(jaxrod.make_scene(stiff, wall, load), start)
@@ -467,13 +479,19 @@ def test_what_goes_into_the_wall_bends_a_clamped_rod_evenly(name, record):
     into = jaxrod.clamp(state)
     bent = PULL * OFFSET / BENDING
     effect = {
-        "muscle": jaxrod.muscle(
-            rod, PULL, offsets=(OFFSET, 0), curve=jaxrod.constant_force(), into=into
+        "muscle": jaxrod.actuation.muscle(
+            rod,
+            PULL,
+            offsets=(OFFSET, 0),
+            curve=jaxrod.actuation.constant_force(),
+            into=into,
         ),
-        "chamber": jaxrod.chamber(
+        "chamber": jaxrod.actuation.chamber(
             rod, PULL / 1e-3, 1e-3, offsets=(-OFFSET, 0), into=into
         ),
-        "active shape": jaxrod.active_shape(rod, curvature=(0, bent, 0), into=into),
+        "active shape": jaxrod.actuation.active_shape(
+            rod, curvature=(0, bent, 0), into=into
+        ),
     }[name]
     # From nearly its length: pushed by the chamber alone it would buckle at first.
     stretch = PULL / (YOUNG * AREA) if name == "chamber" else 0.0

@@ -94,10 +94,10 @@ def test_actuators_keep_momentum_and_angular_momentum(record):
         if not name.startswith("magnet")
     ]
     inner = [replace(e, anchors=None) if hasattr(e, "anchors") else e for e in inner]
-    friction = jaxrod.tendon(
+    friction = jaxrod.actuation.tendon(
         rod, (0.02, 0.01), tension=10.0, friction=0.3, slip_speed=0.1
     )
-    couples = jaxrod.muscle_torques(
+    couples = jaxrod.actuation.muscle_torques(
         rod, 5.0, period=0.1, wave_number=6.0, direction=(0.0, 1.0, 0.0)
     )
     scene = jaxrod.make_scene(rod, *inner, friction, couples)
@@ -155,7 +155,7 @@ def test_muscles_that_have_shortened_are_stiffer_and_the_bound_knows(record):
     """The curve is steepest at a stretch of 0.6."""
     rod, _ = arm(8)
     pull = 0.1 * YOUNG * AREA
-    muscles = jaxrod.muscle(
+    muscles = jaxrod.actuation.muscle(
         rod, pull, offsets=0.6 * RADIUS * np.array([[1.0, 0.0], [-1.0, 0.0]])
     )
     scene = jaxrod.make_scene(rod, muscles)
@@ -177,11 +177,19 @@ def numbered(drive):
     return state, jaxrod.make_scene(
         rod,
         wall,
-        jaxrod.muscle(rod, pull, drive[0], offsets=(0.6 * RADIUS, 0.0), into=wall),
-        jaxrod.tendon(rod, (0.0, RADIUS), tension=pull * drive[1], friction=0.1),
-        jaxrod.chamber(rod, pull / area * drive[2], area, offsets=(0.0, -0.5 * RADIUS)),
-        jaxrod.magnetisation(rod, (0.0, 0.0, pull), (0.3 * drive[3], 0.0, 0.0)),
-        jaxrod.travelling_wave(
+        jaxrod.actuation.muscle(
+            rod, pull, drive[0], offsets=(0.6 * RADIUS, 0.0), into=wall
+        ),
+        jaxrod.actuation.tendon(
+            rod, (0.0, RADIUS), tension=pull * drive[1], friction=0.1
+        ),
+        jaxrod.actuation.chamber(
+            rod, pull / area * drive[2], area, offsets=(0.0, -0.5 * RADIUS)
+        ),
+        jaxrod.actuation.magnetisation(
+            rod, (0.0, 0.0, pull), (0.3 * drive[3], 0.0, 0.0)
+        ),
+        jaxrod.actuation.travelling_wave(
             rod, 0.1 * pull * drive[0] * np.ones(5), period=0.1, wavelength=0.5
         ),
     )
@@ -235,7 +243,7 @@ def test_a_batch_is_a_loop():
 def test_a_wave_keeps_its_phase_for_millions_of_periods():
     """In single precision, where time itself has lost it."""
     rod, _ = arm(4, jnp.float32)
-    wave = jaxrod.travelling_wave(rod, 1.0, period=1.25e-2, wavelength=0.7)
+    wave = jaxrod.actuation.travelling_wave(rod, 1.0, period=1.25e-2, wavelength=0.7)
     step = 2_000_000_007
     then = wave.moments(Clock(jnp.int32(step), jnp.float32(0.5), jnp.float32(1e-3)))
     turns = (step + 0.5) * float(np.float32(1e-3)) / float(np.float32(1.25e-2))
@@ -250,7 +258,9 @@ def test_friction_holds_tension_back_by_eulers_law():
     state = strained(rod, (0.0, 1.5, 0.0), 0.0)
     # Everything shrinks towards the first element: the cable slips to its base.
     moving = replace(state, velocities=-(state.positions - state.positions[:, :1]))
-    cable = jaxrod.tendon(rod, (0.0, 0.0), tension=10.0, friction=0.4, slip_speed=1e-9)
+    cable = jaxrod.actuation.tendon(
+        rod, (0.0, 0.0), tension=10.0, friction=0.4, slip_speed=1e-9
+    )
     motion = motion_of(moving)
     forces = vectors.join(cable.loads(rod, motion).forces)
     # The last element is pulled by the last piece alone: half of it at each node.
@@ -264,7 +274,7 @@ def test_a_slack_tendon_pulls_nothing():
     rod, state = arm(4)
     motion = motion_of(state)
     for length, pull in ((0.7, 5.0), (0.8, 0.0)):
-        cable = jaxrod.tendon(
+        cable = jaxrod.actuation.tendon(
             rod, (0.01, 0.0), length=length, stiffness=100.0, onset=1e-3
         )
         forces = cable.loads(rod, motion).forces
@@ -275,7 +285,7 @@ def test_a_slack_tendon_pulls_nothing():
 @pytest.mark.slow
 def test_curves_of_muscles_are_smooth_and_integrate_their_slope():
     stretch = jnp.linspace(0.3, 2.2, 4001)
-    for curve in (jaxrod.cubic_force(), jaxrod.gaussian_force(0.2)):
+    for curve in (jaxrod.actuation.cubic_force(), jaxrod.actuation.gaussian_force(0.2)):
         share = jax.vmap(jax.grad(curve.energy))(stretch)
         slope = np.diff(share) / np.diff(stretch)
         assert np.max(np.abs(slope)) <= float(curve.steepest) * (1 + 1e-3)
@@ -286,40 +296,46 @@ def test_curves_of_muscles_are_smooth_and_integrate_their_slope():
         total = np.trapezoid(share, stretch)
         change = curve.energy(stretch[-1]) - curve.energy(stretch[0])
         assert total == pytest.approx(float(change), rel=1e-5)
-    cubic = jax.grad(jaxrod.cubic_force().energy)(0.9)
+    cubic = jax.grad(jaxrod.actuation.cubic_force().energy)(0.9)
     assert float(cubic) == pytest.approx(np.polyval([3.06, -13.64, 18.01, -6.44], 0.9))
 
 
 BAD = {
-    "amplitude must be one number, or 4": lambda r: jaxrod.travelling_wave(
+    "amplitude must be one number, or 4": lambda r: jaxrod.actuation.travelling_wave(
         r, (1.0, 2.0), period=1.0, wavelength=1.0
     ),
-    "period must be positive": lambda r: jaxrod.travelling_wave(
+    "period must be positive": lambda r: jaxrod.actuation.travelling_wave(
         r, 1.0, period=0.0, wavelength=1.0
     ),
-    "axis must not be the zero vector": lambda r: jaxrod.travelling_wave(
+    "axis must not be the zero vector": lambda r: jaxrod.actuation.travelling_wave(
         r, 1.0, period=1.0, wavelength=1.0, axis=(0.0, 0.0, 0.0)
     ),
-    "offsets must have shape": lambda r: jaxrod.muscle(r, 1.0, offsets=np.ones((2, 3))),
-    "force must be non-negative": lambda r: jaxrod.muscle(r, -1.0),
-    "activation must have values of shape": lambda r: jaxrod.muscle(
-        r, 1.0, jaxrod.sine(np.ones(3), 1.0), offsets=np.ones((2, 2))
+    "offsets must have shape": lambda r: jaxrod.actuation.muscle(
+        r, 1.0, offsets=np.ones((2, 3))
     ),
-    "area must be positive": lambda r: jaxrod.chamber(r, 1.0, 0.0),
-    "angle must be at most": lambda r: jaxrod.wound_chamber(r, 1.0, 0.1, 2.0),
-    "size of angle must be positive": lambda r: jaxrod.wound_chamber(r, 1.0, 0.1, 0.0),
-    "a tension in N or a length in m": lambda r: jaxrod.tendon(r, (0.1, 0.0)),
-    "needs its stiffness in N/m": lambda r: jaxrod.tendon(r, (0.1, 0.0), length=1.0),
-    "last element must be at most 3": lambda r: jaxrod.tendon(
+    "force must be non-negative": lambda r: jaxrod.actuation.muscle(r, -1.0),
+    "activation must have values of shape": lambda r: jaxrod.actuation.muscle(
+        r, 1.0, jaxrod.schedules.sine(np.ones(3), 1.0), offsets=np.ones((2, 2))
+    ),
+    "area must be positive": lambda r: jaxrod.actuation.chamber(r, 1.0, 0.0),
+    "angle must be at most": lambda r: jaxrod.actuation.wound_chamber(r, 1.0, 0.1, 2.0),
+    "size of angle must be positive": lambda r: jaxrod.actuation.wound_chamber(
+        r, 1.0, 0.1, 0.0
+    ),
+    "a tension in N or a length in m": lambda r: jaxrod.actuation.tendon(r, (0.1, 0.0)),
+    "needs its stiffness in N/m": lambda r: jaxrod.actuation.tendon(
+        r, (0.1, 0.0), length=1.0
+    ),
+    "last element must be at most 3": lambda r: jaxrod.actuation.tendon(
         r, (0.1, 0.0), tension=1.0, elements=(0, 4)
     ),
-    "needs two eyelets": lambda r: jaxrod.tendon(
+    "needs two eyelets": lambda r: jaxrod.actuation.tendon(
         r, (0.1, 0.0), tension=1.0, elements=(2, 2)
     ),
-    "moment_per_length must have shape": lambda r: jaxrod.magnetisation(
+    "moment_per_length must have shape": lambda r: jaxrod.actuation.magnetisation(
         r, 1.0, (0.0, 0.0, 1.0)
     ),
-    "needs a curvature in 1/m": jaxrod.active_shape,
+    "needs a curvature in 1/m": jaxrod.actuation.active_shape,
 }
 
 
@@ -333,40 +349,40 @@ def test_bad_arguments_are_refused_in_words(words):
 def test_other_things_than_clamps_and_curves_are_refused():
     rod, state = arm(4)
     with pytest.raises(TypeError, match=r"into must be a jaxrod\.Clamp"):
-        jaxrod.muscle(rod, 1.0, into=state)
+        jaxrod.actuation.muscle(rod, 1.0, into=state)
     with pytest.raises(TypeError, match="curve must be one such as"):
-        jaxrod.muscle(rod, 1.0, curve=np.exp)
+        jaxrod.actuation.muscle(rod, 1.0, curve=np.exp)
     with pytest.raises(ValueError, match="into must be clamps at different ends"):
-        jaxrod.muscle(rod, 1.0, into=(jaxrod.clamp(state),) * 2)
+        jaxrod.actuation.muscle(rod, 1.0, into=(jaxrod.clamp(state),) * 2)
     with pytest.raises(TypeError, match=r"rod must be a jaxrod\.Rod"):
-        jaxrod.chamber(state, 1.0, 1.0)
+        jaxrod.actuation.chamber(state, 1.0, 1.0)
 
 
 def test_stress_of_the_section_is_refused_without_twist():
     rod, _ = arm(4)
     free = jaxrod.torsion_free()
-    magnet = jaxrod.magnetisation(rod, (0.0, 0.0, 1.0), (0.3, 0.1, 0.2))
+    magnet = jaxrod.actuation.magnetisation(rod, (0.0, 0.0, 1.0), (0.3, 0.1, 0.2))
     jaxrod.make_scene(rod, magnet, method=free)
     with pytest.raises(ValueError, match="stress in the material frame"):
-        jaxrod.make_scene(rod, jaxrod.muscle(rod, 1.0), method=free)
+        jaxrod.make_scene(rod, jaxrod.actuation.muscle(rod, 1.0), method=free)
 
 
 def test_actuators_are_the_same_on_another_grid():
     """What they do to an even state does not depend on the number of elements."""
     coarse, fine = arm(4)[0], arm(8)[0]
-    winding = jaxrod.helical_offsets(coarse, 0.01, 0.1)
-    muscle = jaxrod.muscle(coarse, np.full((1, 4), 2.0), offsets=winding)
-    wave = jaxrod.travelling_wave(coarse, 1.0, period=1.0, wavelength=0.5)
-    shape = jaxrod.active_shape(coarse, curvature=np.ones((3, 5)))
+    winding = jaxrod.actuation.helical_offsets(coarse, 0.01, 0.1)
+    muscle = jaxrod.actuation.muscle(coarse, np.full((1, 4), 2.0), offsets=winding)
+    wave = jaxrod.actuation.travelling_wave(coarse, 1.0, period=1.0, wavelength=0.5)
+    shape = jaxrod.actuation.active_shape(coarse, curvature=np.ones((3, 5)))
     assert muscle.resampled(coarse, fine).path.offsets.shape == (1, 2, 9)
     assert muscle.resampled(coarse, fine).force.shape == (1, 8)
-    finer = jaxrod.travelling_wave(fine, 1.0, period=1.0, wavelength=0.5)
+    finer = jaxrod.actuation.travelling_wave(fine, 1.0, period=1.0, wavelength=0.5)
     np.testing.assert_allclose(
         wave.resampled(coarse, fine).moments.phases, finer.moments.phases, atol=1e-12
     )
     np.testing.assert_allclose(shape.resampled(coarse, fine).curvature, 1.0)
     with pytest.raises(ValueError, match="eyelets are on certain elements"):
-        jaxrod.tendon(coarse, (0.0, 0.0), tension=1.0).resampled(coarse, fine)
+        jaxrod.actuation.tendon(coarse, (0.0, 0.0), tension=1.0).resampled(coarse, fine)
 
 
 @pytest.mark.slow
@@ -377,9 +393,9 @@ def test_methods_agree_on_actuators_in_a_plane():
     pull = 0.05 * 1e6 * AREA
     effects = (
         wall,
-        jaxrod.muscle(rod, pull, 0.5, offsets=(0.6 * RADIUS, 0.0), into=wall),
-        jaxrod.tendon(rod, (-RADIUS, 0.0), tension=0.3 * pull),
-        jaxrod.travelling_wave(
+        jaxrod.actuation.muscle(rod, pull, 0.5, offsets=(0.6 * RADIUS, 0.0), into=wall),
+        jaxrod.actuation.tendon(rod, (-RADIUS, 0.0), tension=0.3 * pull),
+        jaxrod.actuation.travelling_wave(
             rod, 0.5, period=0.1, wavelength=0.5, axis=(0.0, 1.0, 0.0)
         ),
     )

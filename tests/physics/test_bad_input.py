@@ -23,7 +23,7 @@ ROD, STATE = jaxrod.straight_rod(5, **PROPERTIES)
 _, OTHER = jaxrod.straight_rod(7, **PROPERTIES)
 SCENE = jaxrod.make_scene(ROD)
 SINGLE = jax.tree.map(lambda leaf: leaf.astype(jnp.float32), STATE)
-SPLINE = jaxrod.control_spline(6)
+SPLINE = jaxrod.actuation.control_spline(6)
 
 
 def straight(n=5, **changes):
@@ -108,21 +108,23 @@ CASES = {
     """end must be "start" or "finish", got 'base'""": (
         lambda: jaxrod.fixed_end(STATE, "base")
     ),
-    "controls must be at least 2, got 1": lambda: jaxrod.control_spline(1),
-    "controls must increase strictly inside 0 m to 1 m": lambda: jaxrod.control_spline(
-        [0.5, 0.2]
+    "controls must be at least 2, got 1": lambda: jaxrod.actuation.control_spline(1),
+    "controls must increase strictly inside 0 m to 1 m": lambda: (
+        jaxrod.actuation.control_spline([0.5, 0.2])
     ),
-    "controls must be real numbers in m, got 'six'": lambda: jaxrod.control_spline(
-        "six"
+    "controls must be real numbers in m, got 'six'": lambda: (
+        jaxrod.actuation.control_spline("six")
     ),
-    "length must be positive, got -1 m": lambda: jaxrod.control_spline(6, -1.0),
-    "controls must have shape (3, 6), got (3, 5)": lambda: jaxrod.spline_couples(
-        ROD, SPLINE, jnp.zeros((3, 5)), 1.0
+    "length must be positive, got -1 m": lambda: jaxrod.actuation.control_spline(
+        6, -1.0
     ),
-    "couple_density must be finite, got nan N m/m": lambda: jaxrod.spline_couples(
-        ROD, SPLINE, jnp.zeros((3, 6)), NAN
+    "controls must have shape (3, 6), got (3, 5)": lambda: (
+        jaxrod.actuation.spline_couples(ROD, SPLINE, jnp.zeros((3, 5)), 1.0)
     ),
-    "largest_change must be non-negative, got -1": lambda: jaxrod.limit_rate(
+    "couple_density must be finite, got nan N m/m": lambda: (
+        jaxrod.actuation.spline_couples(ROD, SPLINE, jnp.zeros((3, 6)), NAN)
+    ),
+    "largest_change must be non-negative, got -1": lambda: jaxrod.actuation.limit_rate(
         jnp.zeros(3), jnp.ones(3), -1.0
     ),
     # Scenes and steps.

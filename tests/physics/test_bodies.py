@@ -55,7 +55,7 @@ def test_normals_are_the_gradients_of_distances_and_unit_vectors(body):
     points = nowhere_special()
     _, normals = surface(body, points)
     assert difference(normals, slope(body, points)) < 1e-12
-    if not isinstance(body, jaxrod.SignedDistance):
+    if not isinstance(body, jaxrod.shapes.SignedDistance):
         lengths = jnp.sqrt(jnp.sum(normals**2, axis=0))
         assert difference(lengths, jnp.ones_like(lengths)) < 1e-9
 
@@ -81,7 +81,7 @@ def nearest(body, samples):
 def test_distances_are_those_of_the_nearest_of_many_points_of_the_surface():
     grid = np.linspace(-1, 1, 101)
     first, second = (jnp.asarray(a.ravel()) for a in np.meshgrid(grid, grid))
-    body = jaxrod.box((0.1, 0.0, -0.05), (0.1, 0.2, 0.3))
+    body = jaxrod.shapes.box((0.1, 0.0, -0.05), (0.1, 0.2, 0.3))
     sides = [
         jnp.stack(
             jnp.roll(jnp.stack([sign * jnp.ones_like(first), first, second]), k, 0)
@@ -92,7 +92,7 @@ def test_distances_are_those_of_the_nearest_of_many_points_of_the_surface():
     samples = jnp.concatenate(sides, axis=1) * body.half_lengths[:, None]
     assert nearest(body, samples + body.centre[:, None]) < 2e-3
 
-    body = jaxrod.cylinder((0.0, 0.0, -0.3), (0.0, 0.0, 0.3), 0.15)
+    body = jaxrod.shapes.cylinder((0.0, 0.0, -0.3), (0.0, 0.0, 0.3), 0.15)
     angle, share = jnp.pi * first, 0.5 * (1 + second)
     around = jnp.stack([jnp.cos(angle), jnp.sin(angle)])
     mantle = jnp.concatenate([0.15 * around, 0.3 * second[None]])
@@ -130,12 +130,12 @@ def test_a_body_that_is_moved_is_the_same_body_elsewhere(body):
 def test_many_of_a_kind_are_each_of_them():
     centres = nowhere_special(3).T
     radii = jnp.asarray([0.1, 0.2, 0.3])
-    many = jax.vmap(jaxrod.sphere)(centres, radii)
-    assert many.count == 3 and jaxrod.sphere(centres[0], 0.1).count is None
+    many = jax.vmap(jaxrod.shapes.sphere)(centres, radii)
+    assert many.count == 3 and jaxrod.shapes.sphere(centres[0], 0.1).count is None
     points = nowhere_special(5)
     together, _ = jax.vmap(lambda one: surface(one, points))(many)
     for k in range(3):
-        alone, _ = surface(jaxrod.sphere(centres[k], radii[k]), points)
+        alone, _ = surface(jaxrod.shapes.sphere(centres[k], radii[k]), points)
         assert difference(together[k], alone) < 1e-15
 
 
@@ -148,9 +148,9 @@ def test_many_bodies_of_any_shape_are_made_by_vmap_too():
 
     centres = jnp.asarray(np.random.default_rng(5).normal(0, 1, (3, 3)))
     radii = jnp.asarray([0.1, 0.2, 0.3])
-    one = lambda centre, radius: jaxrod.signed_distance(ball, (centre, radius))
+    one = lambda centre, radius: jaxrod.shapes.signed_distance(ball, (centre, radius))
     assert one(centres[0], 0.1).count is None
-    assert jaxrod.signed_distance(lambda x, _: x[0]).count is None
+    assert jaxrod.shapes.signed_distance(lambda x, _: x[0]).count is None
     many = jax.vmap(one)(centres, radii)
     assert many.count == 3
     assert jaxrod.contact(many, stiffness=1e5).n_bodies == 3
@@ -162,17 +162,44 @@ def test_many_bodies_of_any_shape_are_made_by_vmap_too():
 @pytest.mark.parametrize(
     ("make", "words"),
     [
-        (lambda: jaxrod.sphere((0, 0), 1), r"centre must have shape \(3,\)"),
-        (lambda: jaxrod.sphere((0, 0, 0), -1), "radius must be positive, got -1 m"),
-        (lambda: jaxrod.capsule((0, 0, 1), (0, 0, 1), 1), "start and end must differ"),
-        (lambda: jaxrod.cylinder((0, 0, 1), (0, 0, 1), 1), "start and end must differ"),
-        (lambda: jaxrod.plane(normal=(0, 0, 0)), "normal must have a length"),
-        (lambda: jaxrod.plane(normal=(0, 0, 1e-160)), "normal must have a length"),
-        (lambda: jaxrod.plane(normal=(0, 1e160, 0)), "normal must have a length"),
-        (lambda: jaxrod.capsule((0, 0, 0), (0, 0, 1e-160), 1), "start must have a len"),
-        (lambda: jaxrod.box((0, 0, 0), (1, 0, 1)), "half_lengths must be positive"),
-        (lambda: jaxrod.box((0, 0, 0), (1, 1, 1), (0, 0, 0, 0)), "orientation must"),
-        (lambda: jaxrod.signed_distance(lambda x, _: x), "function must give one"),
+        (lambda: jaxrod.shapes.sphere((0, 0), 1), r"centre must have shape \(3,\)"),
+        (
+            lambda: jaxrod.shapes.sphere((0, 0, 0), -1),
+            "radius must be positive, got -1 m",
+        ),
+        (
+            lambda: jaxrod.shapes.capsule((0, 0, 1), (0, 0, 1), 1),
+            "start and end must differ",
+        ),
+        (
+            lambda: jaxrod.shapes.cylinder((0, 0, 1), (0, 0, 1), 1),
+            "start and end must differ",
+        ),
+        (lambda: jaxrod.shapes.plane(normal=(0, 0, 0)), "normal must have a length"),
+        (
+            lambda: jaxrod.shapes.plane(normal=(0, 0, 1e-160)),
+            "normal must have a length",
+        ),
+        (
+            lambda: jaxrod.shapes.plane(normal=(0, 1e160, 0)),
+            "normal must have a length",
+        ),
+        (
+            lambda: jaxrod.shapes.capsule((0, 0, 0), (0, 0, 1e-160), 1),
+            "start must have a len",
+        ),
+        (
+            lambda: jaxrod.shapes.box((0, 0, 0), (1, 0, 1)),
+            "half_lengths must be positive",
+        ),
+        (
+            lambda: jaxrod.shapes.box((0, 0, 0), (1, 1, 1), (0, 0, 0, 0)),
+            "orientation must",
+        ),
+        (
+            lambda: jaxrod.shapes.signed_distance(lambda x, _: x),
+            "function must give one",
+        ),
     ],
 )
 def test_bad_numbers_are_refused_in_words(make, words):
@@ -182,8 +209,8 @@ def test_bad_numbers_are_refused_in_words(make, words):
 
 def test_structures_of_different_classes_with_the_same_numbers_differ():
     """Or a program compiled for one body might be run for another."""
-    capsule = jaxrod.capsule((0.0, 0.0, 0.0), (1.0, 0.0, 0.0), 0.1)
-    cylinder = jaxrod.cylinder((0.0, 0.0, 0.0), (1.0, 0.0, 0.0), 0.1)
+    capsule = jaxrod.shapes.capsule((0.0, 0.0, 0.0), (1.0, 0.0, 0.0), 0.1)
+    cylinder = jaxrod.shapes.cylinder((0.0, 0.0, 0.0), (1.0, 0.0, 0.0), 0.1)
     assert jax.tree.structure(capsule) != jax.tree.structure(cylinder)
     assert jax.tree.structure(capsule) == jax.tree.structure(
         jax.tree.map(jnp.square, capsule)

@@ -22,7 +22,7 @@ SPEED = 1.0  # [m/s]
 
 
 @pytree
-class Winch(jaxrod.Effect):
+class Winch(jaxrod.extend.Effect):
     """Draws the last node downwards and swallows the waves that reach it."""
 
     speed: jax.Array
@@ -35,10 +35,10 @@ class Winch(jaxrod.Effect):
         pull = self.pull(motion.velocity[1][-1])
         zero = jnp.zeros_like(rod.node_masses)
         down = place(-pull, rod.n_elements + 1, "finish")
-        return jaxrod.Loads(forces=(zero, down, zero))
+        return jaxrod.extend.Loads(forces=(zero, down, zero))
 
     def stability_bound(self, rod):
-        return jaxrod.StabilityBound(
+        return jaxrod.extend.StabilityBound(
             node_drag=place(self.drag, rod.n_elements + 1, "finish")
         )
 
@@ -88,7 +88,7 @@ def half_around(friction, *effects):
 
 def over_a_cylinder(friction):
     """Around one that stands still."""
-    cylinder = jaxrod.cylinder((0, 0, -1), (0, 0, 1), CYLINDER)
+    cylinder = jaxrod.shapes.cylinder((0, 0, -1), (0, 0, 1), CYLINDER)
     return half_around(friction, jaxrod.contact(cylinder, **rope_law(friction)))
 
 

@@ -11,6 +11,7 @@ import pytest
 
 import jaxrod
 from jaxrod.lanes.choice import lane_mode
+from jaxrod.methods.consistent import Consistent
 from jaxrod.methods.laws import IN_SPACE
 from jaxrod.structure import pytree
 from physics.rods import arm, difference
@@ -50,7 +51,7 @@ def whole_scene(seed, dtype=jnp.float64, n=5):
         jaxrod.gravity(random.normal(size=3)),
         jaxrod.end_load(random.normal(size=3), random.normal(size=3)),
         jaxrod.uniform_load(random.normal(size=3), random.normal(size=3)),
-        jaxrod.ElementCouples(jnp.asarray(random.normal(size=(3, n)))),
+        jaxrod.actuation.ElementCouples(jnp.asarray(random.normal(size=(3, n)))),
         jaxrod.clamp(state),
         jaxrod.exponential_damping(number(0, 5), number(0, 5)),
     )
@@ -99,7 +100,7 @@ class Falling:
 
 
 @pytree
-class Fall(jaxrod.Effect):
+class Fall(jaxrod.extend.Effect):
     """Makes scenes of these tests their own kind: programs are kept by kind."""
 
     rate: jax.Array
@@ -139,7 +140,7 @@ def test_a_transformation_by_itself_compiles_once(kind, run, compilations, monke
     """As users write it, without jit around it: the second call runs what is there."""
     run, steps = RUNS[run]
     made = lambda method, scene, state, dt: Falling(dt, scene.effects[0].rate)
-    monkeypatch.setattr(jaxrod.Consistent, "stepper", made)
+    monkeypatch.setattr(Consistent, "stepper", made)
     rod, state = arm(3)
 
     def height(rate):
@@ -245,7 +246,7 @@ def test_memory_of_the_gradient_of_a_thousand_steps(batch, record):
     wall = jaxrod.clamp(state)
 
     def loss(couples):
-        scene = jaxrod.make_scene(rod, wall, jaxrod.ElementCouples(couples))
+        scene = jaxrod.make_scene(rod, wall, jaxrod.actuation.ElementCouples(couples))
         return jnp.sum(jaxrod.rollout(scene, state, 2e-4, 1000, 50).positions ** 2)
 
     gradient = jax.jit(jax.vmap(jax.grad(loss))).lower(jnp.zeros((batch, 3, 20)))
@@ -261,7 +262,7 @@ def test_memory_of_the_gradient_of_a_thousand_steps(batch, record):
 
 
 @pytree
-class Nothing(jaxrod.Effect):
+class Nothing(jaxrod.extend.Effect):
     """An effect that overrides no hook that a step calls."""
 
     def energy(self, rod, state):

@@ -117,15 +117,19 @@ def test_loads_turn_with_rod_and_body(name, record):
 
 
 def turned_orientations(rotation, orientations):
-    quaternion = jaxrod.rotations.rotation_exp(tuple(c[None] for c in rotation))
-    both = jaxrod.rotations.multiply_quaternions(quaternion, tuple(orientations))
+    quaternion = jaxrod.geometry.rotations.rotation_exp(
+        tuple(c[None] for c in rotation)
+    )
+    both = jaxrod.geometry.rotations.multiply_quaternions(
+        quaternion, tuple(orientations)
+    )
     return jnp.stack(both)
 
 
 def test_friction_takes_energy_and_neither_force_nor_moment_from_nowhere():
     """About any point: its couples are those of forces at the surface."""
     rod, state = moving_arm()
-    body = jaxrod.sphere((0.1, -0.02, 0.05), 0.2)
+    body = jaxrod.shapes.sphere((0.1, -0.02, 0.05), 0.2)
     contact = rubbing(body, damping=0.0, friction_drag=10.0)
     forces, couples = contact_loads(contact, rod, state)
     normal, _ = contact_loads(
@@ -142,8 +146,10 @@ def test_friction_takes_energy_and_neither_force_nor_moment_from_nowhere():
     found = jnp.sum(jnp.cross(state.positions.T, rub.T), axis=0) + jnp.sum(couples, 1)
     assert difference(moment, found) < 1e-6 * jnp.max(jnp.abs(found))
     spins = jaxrod.angular_velocities(rod, state)
-    frame = jaxrod.rotations.directors(tuple(state.orientations))
-    spins = vectors.join(jaxrod.rotations.to_world(frame, vectors.split(spins)))
+    frame = jaxrod.geometry.rotations.directors(tuple(state.orientations))
+    spins = vectors.join(
+        jaxrod.geometry.rotations.to_world(frame, vectors.split(spins))
+    )
     power = jnp.sum(rub * state.velocities) + jnp.sum(couples * spins)
     assert power < -1e-3
 
@@ -153,16 +159,16 @@ def test_a_batch_of_bodies_is_a_loop_and_several_bodies_are_their_sum():
     centres = np.random.default_rng(1).normal(scale=0.1, size=(3, 3))
     radii = np.array([0.1, 0.15, 0.2])
     alone = [
-        contact_loads(rubbing(jaxrod.sphere(centre, radius)), rod, state)
+        contact_loads(rubbing(jaxrod.shapes.sphere(centre, radius)), rod, state)
         for centre, radius in zip(centres, radii, strict=True)
     ]
-    spheres = jax.vmap(jaxrod.sphere)(centres, radii)
+    spheres = jax.vmap(jaxrod.shapes.sphere)(centres, radii)
     batch = jax.vmap(
         lambda body: contact_loads(rubbing(body), rod, state), axis_name="bodies"
     )(spheres)
     for one, each in zip(batch, zip(*alone, strict=True), strict=True):
         assert difference(one, jnp.stack(each)) < 1e-12 * jnp.max(jnp.abs(one))
-    listed = [jaxrod.sphere(c, r) for c, r in zip(centres, radii, strict=True)]
+    listed = [jaxrod.shapes.sphere(c, r) for c, r in zip(centres, radii, strict=True)]
     for bodies in (spheres, listed):
         together = contact_loads(rubbing(bodies), rod, state)
         for one, each in zip(together, zip(*alone, strict=True), strict=True):
@@ -182,7 +188,7 @@ def test_a_batch_of_bodies_is_a_loop_and_several_bodies_are_their_sum():
     ],
 )
 def test_bad_numbers_are_refused_in_words(change, words):
-    given = {"bodies": jaxrod.plane(), "stiffness": 1.0} | change
+    given = {"bodies": jaxrod.shapes.plane(), "stiffness": 1.0} | change
     with pytest.raises(ValueError, match=words):
         jaxrod.contact(given.pop("bodies"), **given)
 
@@ -191,7 +197,10 @@ def test_bad_numbers_are_refused_in_words(change, words):
     ("bodies", "words"),
     [
         (["floor"], "bodies must be jaxrod bodies, got str"),
-        ([jaxrod.plane(), jaxrod.sphere((0, 0, 0), 1)], "got Plane and Sphere"),
+        (
+            [jaxrod.shapes.plane(), jaxrod.shapes.sphere((0, 0, 0), 1)],
+            "got Plane and Sphere",
+        ),
     ],
 )
 def test_what_is_no_body_is_refused_in_words(bodies, words):

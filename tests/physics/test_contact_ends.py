@@ -15,15 +15,17 @@ from physics.touching import contact_loads
 RADIUS, LENGTH, STIFFNESS = 0.01, 0.3, 1e4
 _ROOT = 0.5**0.5
 BELOW = {
-    "plane": lambda: jaxrod.plane(),
-    "ball": lambda: jaxrod.sphere((0.0, 0.0, -0.05), 0.05),
-    "edge": lambda: jaxrod.box(
+    "plane": lambda: jaxrod.shapes.plane(),
+    "ball": lambda: jaxrod.shapes.sphere((0.0, 0.0, -0.05), 0.05),
+    "edge": lambda: jaxrod.shapes.box(
         (0.0, 0.0, -0.2 * _ROOT), (0.1, 0.1, 0.1), _about_x(np.pi / 4)
     ),
-    "rim": lambda: jaxrod.cylinder(
+    "rim": lambda: jaxrod.shapes.cylinder(
         (0.0, 0.05 * _ROOT, -0.05 * _ROOT), (0.0, -0.05 * _ROOT, -0.15 * _ROOT), 0.05
     ),
-    "tip of a post": lambda: jaxrod.capsule((0.0, 0, -0.2), (0.0, 0, -0.002), 0.002),
+    "tip of a post": lambda: jaxrod.shapes.capsule(
+        (0.0, 0, -0.2), (0.0, 0, -0.002), 0.002
+    ),
 }
 """Bodies whose highest point is the origin, or a line through it."""
 
@@ -70,12 +72,12 @@ def test_a_standing_rod_is_pushed_alike_on_every_grid(n, points):
 @pytest.mark.parametrize(("n", "points"), GRIDS)
 def test_a_moving_body_is_pushed_as_a_fixed_one(n, points):
     rod, state = standing(n, 1e-3)
-    ball, at = jaxrod.rigid_body(
-        jaxrod.sphere((0.0, 0.0, -0.05), 0.05), density=500.0, dtype=jnp.float64
+    ball, at = jaxrod.systems.rigid_body(
+        jaxrod.shapes.sphere((0.0, 0.0, -0.05), 0.05), density=500.0, dtype=jnp.float64
     )
     system = jaxrod.make_system(
         {"rod": jaxrod.make_scene(rod), "ball": ball},
-        jaxrod.body_contact(
+        jaxrod.systems.body_contact(
             "rod", "ball", stiffness=STIFFNESS, points_per_element=points
         ),
     )
@@ -105,7 +107,7 @@ def test_a_lying_rod_rests_at_the_weight_over_stiffness_and_length(n, points):
         direction=(1.0, 0.0, 0.0),
     )
     ground = jaxrod.contact(
-        jaxrod.plane(), stiffness=STIFFNESS, points_per_element=points
+        jaxrod.shapes.plane(), stiffness=STIFFNESS, points_per_element=points
     )
     forces, _ = contact_loads(ground, rod, state)
     assert float(jnp.sum(forces[2])) == pytest.approx(
@@ -131,7 +133,7 @@ def test_a_leaning_rod_is_pushed_alike_on_every_grid():
             direction=(np.cos(angle), 0.0, rise),
         )
         ground = jaxrod.contact(
-            jaxrod.plane(), stiffness=STIFFNESS, points_per_element=points
+            jaxrod.shapes.plane(), stiffness=STIFFNESS, points_per_element=points
         )
         forces, _ = contact_loads(ground, rod, state)
         assert float(jnp.sum(forces[2])) == pytest.approx(expected, rel=0.02)
@@ -142,7 +144,7 @@ def test_a_leaning_rod_is_pushed_alike_on_every_grid():
 def test_loads_at_an_end_are_minus_the_gradient_of_the_energy(per):
     """At a sphere, aslant, so that the two normals differ; near ones, too."""
     rod, state = standing(8, 2e-3)
-    ball = jaxrod.sphere((0.01, -0.02, -0.05), 0.06)
+    ball = jaxrod.shapes.sphere((0.01, -0.02, -0.05), 0.06)
     contact = jaxrod.contact([ball, ball], stiffness=1e4, points_per_element=per)
 
     @jax.jit
@@ -177,13 +179,13 @@ def test_ends_that_are_tied_have_no_face():
         for start in (foot + np.array([1.0, 0, 1.0]), foot + LENGTH * up)
     ]
     rights, at_rights = jax.tree.map(lambda *leaves: jnp.stack(leaves), *pairs)
-    ground = jaxrod.contact(jaxrod.plane(), stiffness=STIFFNESS)
+    ground = jaxrod.contact(jaxrod.shapes.plane(), stiffness=STIFFNESS)
     system = jaxrod.make_system(
         {
             "left": jaxrod.make_scene(left, ground),
             "rights": jax.vmap(lambda rod: jaxrod.make_scene(rod, ground))(rights),
         },
-        jaxrod.tie(
+        jaxrod.systems.tie(
             ("left", "start"),
             ("rights", 1, "finish"),
             {"left": at_left, "rights": at_rights},
@@ -207,7 +209,7 @@ def test_the_bound_of_the_stiffness_holds_for_ends_at_any_angle(n):
     """On a coarse grid and on one whose elements are thinner than the rod is thick."""
     rod, state = standing(n, 0.0)
     rod = dataclasses.replace(rod, radii=jnp.full(n, 0.1))
-    ground = jaxrod.contact(jaxrod.plane(), stiffness=1.0, onset=1e-3)
+    ground = jaxrod.contact(jaxrod.shapes.plane(), stiffness=1.0, onset=1e-3)
 
     @jax.jit
     def largest(angle, depth):

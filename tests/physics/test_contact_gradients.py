@@ -23,7 +23,7 @@ def struck(n=4, dtype=jnp.float64):
         rod,
         jaxrod.clamp(state),
         jaxrod.contact(
-            jaxrod.sphere((0.01, -0.152, 0.7), 0.1),
+            jaxrod.shapes.sphere((0.01, -0.152, 0.7), 0.1),
             stiffness=1e5,
             damping=100.0,
             friction=0.4,
@@ -79,7 +79,7 @@ def test_an_arm_is_shot_through_bodies_and_all_stays_finite_and_is_compiled_once
     )
     sizes = []
     for radius, stiffness in ((0.1, 2e4), (0.02, 3e4), (1e-4, 1e4)):
-        body = jaxrod.sphere((0.0, 0.0, 0.5), radius)
+        body = jaxrod.shapes.sphere((0.0, 0.0, 0.5), radius)
         soft = replace(scene.effects[1], body=body, stiffness=jnp.asarray(stiffness))
         free = replace(scene, effects=(scene.effects[0], soft))
         at = shot
@@ -101,7 +101,7 @@ def test_loads_have_finite_gradients_at_every_turning_point():
     state = replace(state, positions=jnp.zeros_like(state.positions).at[1].set(heights))
     contact = jax.tree.map(
         lambda leaf: leaf.astype(dtype),
-        rubbing(jaxrod.sphere((0.0, 0.0, 0.0), 0.1), onset=0.01),
+        rubbing(jaxrod.shapes.sphere((0.0, 0.0, 0.0), 0.1), onset=0.01),
     )
 
     @jax.jit

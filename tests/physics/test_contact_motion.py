@@ -101,7 +101,7 @@ def test_an_arm_along_the_slope_sticks_within_the_cone_of_friction(steepness, re
         rod,
         jaxrod.gravity((0.0, -G, 0.0)),
         jaxrod.contact(
-            jaxrod.plane((0.0, 0.0, 0.0), normal),
+            jaxrod.shapes.plane((0.0, 0.0, 0.0), normal),
             stiffness=line * G * np.cos(slope) / depth,
             damping=RATE * line,
             friction=FRICTION,
@@ -199,7 +199,7 @@ def thrown_in_a_plane(plane):
         rod,
         jaxrod.gravity((0.0, -G, 0.0)),
         jaxrod.contact(
-            jaxrod.plane((0.0, -0.06, 0.0), (0.2, 1.0, 0.0)),
+            jaxrod.shapes.plane((0.0, -0.06, 0.0), (0.2, 1.0, 0.0)),
             stiffness=1e5,
             damping=100.0,
             friction=0.4,
@@ -223,7 +223,7 @@ def test_in_a_plane_contact_is_what_it_is_in_space():
 
 def test_a_body_that_pushes_out_of_the_plane_is_refused_in_words():
     scene, state = thrown_in_a_plane("xy")
-    tilted = jaxrod.capsule((0.0, -9.0, -1.0), (0.0, -9.0, 2.0), 0.1)
+    tilted = jaxrod.shapes.capsule((0.0, -9.0, -1.0), (0.0, -9.0, 2.0), 0.1)
     for end, fits in (((0.0, -9.0, 2.0), True), ((0.0, -8.0, 2.0), False)):
         tilted = replace(tilted, end=jnp.asarray(end))
         contact = jaxrod.contact(tilted, stiffness=1e5)

@@ -26,7 +26,7 @@ def pressed(share):
         rod,
         jaxrod.uniform_load(jnp.asarray([0.0, -1.0, 0.0]) * stiffness * depth),
         jaxrod.contact(
-            jaxrod.plane((0.0, depth - 0.02, 0.0), (0.0, 1.0, 0.0)),
+            jaxrod.shapes.plane((0.0, depth - 0.02, 0.0), (0.0, 1.0, 0.0)),
             stiffness=stiffness,
         ),
     )

@@ -30,7 +30,7 @@ def loaded(rest, damping):
         jaxrod.clamp(rest),
         jaxrod.gravity((1.0, 2.0, -9.0)),
         jaxrod.end_load((2.0, 0.0, 1.0), (0.3, 0.2, 0.5)),
-        jaxrod.ElementCouples(jnp.full((3, 6), 0.5)),
+        jaxrod.actuation.ElementCouples(jnp.full((3, 6), 0.5)),
         jaxrod.exponential_damping(damping, 2 * damping),
     )
 

@@ -36,7 +36,7 @@ def fallen(drag, velocity=(0.0, 0.0, 0.0), pull=(0.0, 0.0, 0.0), dt=1e-4, steps=
 
 @pytest.mark.parametrize("dt", [1e-4, 3e-4])
 def test_drag_that_grows_with_speed_is_exact_along_and_across(dt, record):
-    drag = jaxrod.quadratic_drag(WATER, across=1.2, along=0.1)
+    drag = jaxrod.fluids.quadratic_drag(WATER, across=1.2, along=0.1)
     across, along = 1.2 * PER_SPEED, np.pi * 0.1 * PER_SPEED
     for direction, rate in (((0.6, 0.8, 0.0), across), ((0.0, 0.0, -1.0), along)):
         towards, speed = np.array(direction), 40.0
@@ -61,7 +61,7 @@ def test_drag_that_grows_with_speed_is_exact_along_and_across(dt, record):
 @pytest.mark.parametrize("dt", [1e-4, 4e-4])
 def test_sedimentation_is_exact_and_twice_as_fast_along(dt, record):
     wind = np.array([0.3, -0.2, 0.5])
-    drag = jaxrod.stokes_drag(ALONG, ACROSS, flow=wind)
+    drag = jaxrod.fluids.stokes_drag(ALONG, ACROSS, flow=wind)
     speeds = []
     for direction, zeta in (((0.6, 0.8, 0.0), ACROSS), ((0.0, 0.0, 1.0), ALONG)):
         towards = np.array(direction)
@@ -85,7 +85,7 @@ def test_rates_of_drag_and_of_damping_add_up():
     """In still fluid, along a rod and across it."""
     rate, dt, steps = 200.0, 1e-4, 7
     scene = jaxrod.make_scene(
-        ROD, jaxrod.stokes_drag(ALONG, ACROSS), jaxrod.exponential_damping(rate)
+        ROD, jaxrod.fluids.stokes_drag(ALONG, ACROSS), jaxrod.exponential_damping(rate)
     )
     begun = np.array([0.3, -0.2, 0.5])
     found = np.asarray(falling(scene, jnp.asarray(begun), dt, steps))
@@ -97,7 +97,7 @@ def test_rates_of_drag_and_of_damping_add_up():
 @pytest.mark.slow
 def test_drag_and_damping_together():
     """Damping slows the rod itself, drag what it does relative to the flow."""
-    drag = jaxrod.stokes_drag(ALONG, ACROSS, flow=(1.0, 0.0, 0.0))
+    drag = jaxrod.fluids.stokes_drag(ALONG, ACROSS, flow=(1.0, 0.0, 0.0))
     scene = jaxrod.make_scene(
         ROD, jaxrod.gravity((0, 0, 0)), drag, jaxrod.exponential_damping(200.0)
     )
@@ -125,7 +125,7 @@ def test_a_prescribed_swimmer(slope, speed, record):
     rod, state = jaxrod.rod_along(
         curve, radius=0.01, density=1.0, youngs_modulus=1.0, normal=(0, 0, 1)
     )
-    drag = jaxrod.stokes_drag(1.0, 2.0)
+    drag = jaxrod.fluids.stokes_drag(1.0, 2.0)
 
     def force(velocity):
         moving = replace(state, velocities=jnp.asarray(velocity))
@@ -147,7 +147,7 @@ def test_drag_of_a_node_is_no_larger_than_its_bound():
     """And takes energy, however the rod is bent and moves."""
     rod, _ = random_rod(3, 6)
     state = deformed(rod, 1, speed=2.0)
-    drag = jaxrod.stokes_drag(1.0, 3.0, 0.01)
+    drag = jaxrod.fluids.stokes_drag(1.0, 3.0, 0.01)
     found = drag.loads(rod, motion_of(state))
     forces = jnp.stack(found.forces)
     power = jnp.sum(forces * state.velocities, axis=0)
@@ -161,7 +161,7 @@ def test_drag_of_a_node_is_no_larger_than_its_bound():
 
 @pytest.mark.slow
 def test_solved_drag_does_not_limit_the_step_and_explicit_drag_does():
-    drag = jaxrod.stokes_drag(1e5, 1e5)
+    drag = jaxrod.fluids.stokes_drag(1e5, 1e5)
     free = jaxrod.stable_dt(jaxrod.make_scene(ROD)).dt
     assert jaxrod.stable_dt(jaxrod.make_scene(ROD, drag)).dt == free
     loaded = jaxrod.make_scene(ROD, drag, method=jaxrod.pyelastica())
@@ -174,8 +174,10 @@ def test_flows_have_a_place_and_a_time():
     def shear(point, numbers):
         return jnp.stack([numbers["rate"] * point[1], 0 * point[0], numbers["now"]])
 
-    flow = jaxrod.flow_field(shear, {"rate": 3.0, "now": jaxrod.time()})
-    scene = jaxrod.make_scene(ROD, jaxrod.stokes_drag(1.0, 1.0, flow=flow))
+    flow = jaxrod.fluids.flow_field(
+        shear, {"rate": 3.0, "now": jaxrod.schedules.time()}
+    )
+    scene = jaxrod.make_scene(ROD, jaxrod.fluids.stokes_drag(1.0, 1.0, flow=flow))
     assert scene.depends_on_time
     (drag,) = scene.at(0.25).effects
     y = np.array([0.1, -2.0, 0.3, 0.5])
@@ -185,25 +187,33 @@ def test_flows_have_a_place_and_a_time():
 
 
 BAD = {
-    "across must be non-negative, got -1 kg": lambda: jaxrod.stokes_drag(1.0, -1.0),
-    "along must be one number or one per": lambda: jaxrod.stokes_drag(
+    "across must be non-negative, got -1 kg": lambda: jaxrod.fluids.stokes_drag(
+        1.0, -1.0
+    ),
+    "along must be one number or one per": lambda: jaxrod.fluids.stokes_drag(
         np.ones((2, 2)), 1.0
     ),
-    "turning must be non-negative": lambda: jaxrod.stokes_drag(1.0, 1.0, -1.0),
-    "flow must have shape": lambda: jaxrod.stokes_drag(1.0, 1.0, flow=(1.0, 2.0)),
-    "density must be positive": lambda: jaxrod.quadratic_drag(0.0),
-    "length must be at least 10 times radius": lambda: jaxrod.slender_cylinder(
+    "turning must be non-negative": lambda: jaxrod.fluids.stokes_drag(1.0, 1.0, -1.0),
+    "flow must have shape": lambda: jaxrod.fluids.stokes_drag(
+        1.0, 1.0, flow=(1.0, 2.0)
+    ),
+    "density must be positive": lambda: jaxrod.fluids.quadratic_drag(0.0),
+    "length must be at least 10 times radius": lambda: jaxrod.fluids.slender_cylinder(
         1, 0.05, 0.02
     ),
-    "viscosity must be positive": lambda: jaxrod.slender_body_drag(-1.0),
-    "function must give one velocity": lambda: jaxrod.flow_field(lambda x, _: x[0]),
-    "density must be positive, got -1": lambda: jaxrod.buoyancy(-1.0),
-    "coefficient must be non-negative": lambda: jaxrod.with_added_mass(ROD, 1.0, -1.0),
+    "viscosity must be positive": lambda: jaxrod.fluids.slender_body_drag(-1.0),
+    "function must give one velocity": lambda: jaxrod.fluids.flow_field(
+        lambda x, _: x[0]
+    ),
+    "density must be positive, got -1": lambda: jaxrod.fluids.buoyancy(-1.0),
+    "coefficient must be non-negative": lambda: jaxrod.fluids.with_added_mass(
+        ROD, 1.0, -1.0
+    ),
     "one effect with drag at most": lambda: jaxrod.make_scene(
-        ROD, jaxrod.stokes_drag(1.0, 1.0), jaxrod.quadratic_drag(1.0)
+        ROD, jaxrod.fluids.stokes_drag(1.0, 1.0), jaxrod.fluids.quadratic_drag(1.0)
     ),
     "square of the speed has no stable step": lambda: jaxrod.make_scene(
-        ROD, jaxrod.quadratic_drag(1.0), method=jaxrod.pyelastica()
+        ROD, jaxrod.fluids.quadratic_drag(1.0), method=jaxrod.pyelastica()
     ),
 }
 
@@ -216,7 +226,7 @@ def test_bad_input_is_refused_in_words(words):
 
 def test_a_function_that_is_none_is_refused():
     with pytest.raises(TypeError, match="function must be callable"):
-        jaxrod.flow_field(3.0)
+        jaxrod.fluids.flow_field(3.0)
 
 
 def whirl(point, rate):
@@ -234,11 +244,13 @@ def bent(speed):
 
 def dragged(numbers, kind, rod, state):
     """Where a rod is after a few steps in a fluid of given numbers."""
-    flow = jaxrod.flow_field(whirl, numbers[2])
+    flow = jaxrod.fluids.flow_field(whirl, numbers[2])
     if kind == "stokes":
-        drag = jaxrod.stokes_drag(numbers[0], numbers[1], 1e-3 * numbers[0], flow=flow)
+        drag = jaxrod.fluids.stokes_drag(
+            numbers[0], numbers[1], 1e-3 * numbers[0], flow=flow
+        )
     else:
-        drag = jaxrod.quadratic_drag(
+        drag = jaxrod.fluids.quadratic_drag(
             100 * numbers[1], across=1.0, along=numbers[0], flow=flow
         )
     scene = jaxrod.make_scene(rod, drag, jaxrod.gravity((0.0, 0.0, 3.0)))
@@ -285,7 +297,7 @@ def test_a_batch_of_fluids_is_a_loop():
 @pytest.mark.slow
 def test_drag_across_its_drive_is_of_second_order(record):
     """Gravity turns a throw through water: drive and speed point anywhere."""
-    drag = jaxrod.quadratic_drag(WATER, across=1.0)
+    drag = jaxrod.fluids.quadratic_drag(WATER, across=1.0)
     ends = [
         fallen(drag, (30.0, -5.0, 0.0), (10.0, 900.0, 0.0), 4e-3 / k, 5 * k)
         for k in (10, 20, 40, 80)
@@ -305,7 +317,7 @@ def test_a_cantilever_relaxes_in_viscous_fluid(record):
     line, stiffness = float(rod.linear_density[0]), float(rod.joint_stiffness[0, 0])
     first = 1.8751**4 * stiffness / (line * float(rod.length) ** 4)
     rate = 30 * np.sqrt(first)  # of decay: inertia takes a part of 1/900 [1/s]
-    drag = jaxrod.stokes_drag(0.5 * rate * line, rate * line)
+    drag = jaxrod.fluids.stokes_drag(0.5 * rate * line, rate * line)
     wall = jaxrod.clamp(state)
     loaded = jaxrod.make_scene(rod, wall, jaxrod.end_load((1e-3, 0.0, 0.0)))
     bent = jaxrod.equilibrium(loaded, state).state
@@ -340,8 +352,8 @@ def test_a_thin_rod_turns_in_a_shear_flow(record):
         direction=(1.0, 0.0, 1.0),
         dtype=jnp.float64,
     )
-    flow = jaxrod.flow_field(shear, 2.0)
-    scene = jaxrod.make_scene(rod, jaxrod.stokes_drag(300.0, 600.0, flow=flow))
+    flow = jaxrod.fluids.flow_field(shear, 2.0)
+    scene = jaxrod.make_scene(rod, jaxrod.fluids.stokes_drag(300.0, 600.0, flow=flow))
     dt = jaxrod.stable_dt(scene).dt
     turned = []
     for steps in (2000, 2000):
@@ -359,8 +371,8 @@ def test_a_thin_rod_turns_in_a_shear_flow(record):
 
 @pytest.mark.slow
 def test_a_rod_follows_a_flow_that_changes_in_time():
-    flow = jaxrod.ramp((0.0, 0.0, 0.0), (10.0, 0.0, 0.0), 1.0)
-    drag = jaxrod.stokes_drag(ALONG, ACROSS, flow=flow)
+    flow = jaxrod.schedules.ramp((0.0, 0.0, 0.0), (10.0, 0.0, 0.0), 1.0)
+    drag = jaxrod.fluids.stokes_drag(ALONG, ACROSS, flow=flow)
     scene = jaxrod.make_scene(ROD, drag)
     dt, steps, rate = 3e-4, 1000, ACROSS / LINE
     end = jaxrod.advance(scene, STATE, dt, steps)
@@ -370,7 +382,7 @@ def test_a_rod_follows_a_flow_that_changes_in_time():
 
 
 def test_buoyancy_is_minus_the_gradient_of_its_energy():
-    lift = jaxrod.buoyancy(900.0, (1.0, -2.0, -9.0), added_mass=0.3)
+    lift = jaxrod.fluids.buoyancy(900.0, (1.0, -2.0, -9.0), added_mass=0.3)
 
     @jax.jit
     @jax.grad
@@ -381,9 +393,9 @@ def test_buoyancy_is_minus_the_gradient_of_its_energy():
 
 
 def test_a_rod_as_heavy_as_the_fluid_floats_with_added_mass_too():
-    heavy = jaxrod.with_added_mass(ROD, 1000.0, 0.8)
+    heavy = jaxrod.fluids.with_added_mass(ROD, 1000.0, 0.8)
     weight = loads(jaxrod.gravity(), heavy, STATE)
-    lift = loads(jaxrod.buoyancy(1000.0, added_mass=0.8), heavy, STATE)
+    lift = loads(jaxrod.fluids.buoyancy(1000.0, added_mass=0.8), heavy, STATE)
     assert difference(weight, -lift) < 1e-12 * float(jnp.max(jnp.abs(weight)))
 
 
@@ -391,7 +403,7 @@ def test_a_rod_as_heavy_as_the_fluid_floats_with_added_mass_too():
 def test_added_mass_lowers_frequencies(record):
     rod, state = arm(20, radius=0.005)
     frequencies = []
-    for one in (rod, jaxrod.with_added_mass(rod, 1500.0)):
+    for one in (rod, jaxrod.fluids.with_added_mass(rod, 1500.0)):
         scene = jaxrod.make_scene(one, jaxrod.clamp(state))
         frequencies.append(float(jaxrod.natural_frequencies(scene, state)[0]))
     record(

@@ -36,10 +36,15 @@ def test_gradients_through_driven_ends_agree_with_differences(method, dt, turn, 
 
     def after(numbers):
         side, up, angle, period = numbers
-        shake = jaxrod.sine(jnp.stack([0 * side, side, up]), period, mean=(0.0,) * 3)
+        shake = jaxrod.schedules.sine(
+            jnp.stack([0 * side, side, up]), period, mean=(0.0,) * 3
+        )
         wall = {"free_to_turn": True}
         if turn:
-            wall = {"axis": (0.0, 1.0, 1.0), "angle": jaxrod.sine(angle, period)}
+            wall = {
+                "axis": (0.0, 1.0, 1.0),
+                "angle": jaxrod.schedules.sine(angle, period),
+            }
         driven = jaxrod.driven(state, displacement=shake, **wall)
         scene = jaxrod.make_scene(rod, driven, jaxrod.gravity(), method=method)
         end = jaxrod.advance(scene, state, dt, 10)
@@ -70,10 +75,10 @@ def test_gradients_through_driven_ends_agree_with_differences(method, dt, turn, 
 def driven_and_standing(held):
     """A scene with a driven end at a moment, and what stands where it is then."""
     rod, state = along_x()
-    shake = jaxrod.sine((0.03, 0.01, 0.02), 0.4)
+    shake = jaxrod.schedules.sine((0.03, 0.01, 0.02), 0.4)
     others = (jaxrod.uniform_load((0.0, 0.05, -0.3)),)
     if held != "node":
-        turns = {"axis": (0.0, 1.0, 1.0), "angle": jaxrod.sine(0.4, 0.3)}
+        turns = {"axis": (0.0, 1.0, 1.0), "angle": jaxrod.schedules.sine(0.4, 0.3)}
         turns["holds_element"] = held == "element"
         driven = jaxrod.driven(state, displacement=shake, **turns)
     else:
@@ -126,7 +131,10 @@ def test_an_end_that_is_driven_faster_takes_its_mass_times_acceleration():
     rod, state = along_x()
     size, period = np.array([0.03, 0.01, 0.02]), 0.4
     driven = jaxrod.driven(
-        state, displacement=jaxrod.sine(size, period), axes="xz", free_to_turn=True
+        state,
+        displacement=jaxrod.schedules.sine(size, period),
+        axes="xz",
+        free_to_turn=True,
     )
     moment = jaxrod.make_scene(rod, driven).at(MOMENT)
     place = moment.effects[0].place
@@ -144,7 +152,9 @@ def test_an_end_that_is_driven_faster_takes_its_mass_times_acceleration():
 def test_a_wall_turns_more_than_once(turns):
     _, state = along_x()
     wall = jaxrod.driven(
-        state, axis=(1.0, 0.0, 0.0), angle=jaxrod.ramp(0.0, 2 * np.pi * turns, 1.0)
+        state,
+        axis=(1.0, 0.0, 0.0),
+        angle=jaxrod.schedules.ramp(0.0, 2 * np.pi * turns, 1.0),
     )
     angle = 2 * np.pi * turns
     for share in (0.5, 1.0):
@@ -168,11 +178,11 @@ def test_a_wall_winds_a_rod_up():
         state,
         "finish",
         axis=(1.0, 0.0, 0.0),
-        angle=jaxrod.ramp(0.0, 2 * np.pi * 1.5, 1.0),
+        angle=jaxrod.schedules.ramp(0.0, 2 * np.pi * 1.5, 1.0),
     )
     damping = jaxrod.exponential_damping(10.0)
     scene = jaxrod.make_scene(rod, jaxrod.clamp(state), wall, damping)
     dt = 0.8 * float(jaxrod.stable_dt(scene).dt)
     wound = jaxrod.advance(scene, state, dt, int(2.0 / dt))
     # Half an element at either end is the walls'.
-    np.testing.assert_allclose(jaxrod.twist(wound), 1.5 * 3 / 4, rtol=1e-4)
+    np.testing.assert_allclose(jaxrod.topology.twist(wound), 1.5 * 3 / 4, rtol=1e-4)

@@ -20,15 +20,15 @@ ONE = jnp.asarray(1.0)
 
 
 @pytree
-class Springs(jaxrod.Effect):
+class Springs(jaxrod.extend.Effect):
     """Ties every node to its place, and neighbours to each other."""
 
     reach = "neighbours"
     stiffness: jax.Array
 
     def loads(self, rod, motion):
-        edges = jaxrod.vectors.difference(motion.edges)
-        return jaxrod.Loads(
+        edges = jaxrod.geometry.vectors.difference(motion.edges)
+        return jaxrod.extend.Loads(
             tuple(
                 self.stiffness * (edge - place)
                 for edge, place in zip(edges, motion.position, strict=True)
@@ -37,7 +37,7 @@ class Springs(jaxrod.Effect):
 
 
 @pytree
-class Vanes(jaxrod.Effect):
+class Vanes(jaxrod.extend.Effect):
     """Couples that turn with the elements."""
 
     couple: jax.Array
@@ -48,7 +48,7 @@ class Vanes(jaxrod.Effect):
 
     def loads(self, rod, motion):
         couples = to_material(directors(motion.orientation), self.in_world(motion))
-        return jaxrod.Loads(couples=couples)
+        return jaxrod.extend.Loads(couples=couples)
 
     def turning_tangent(self, rod, motion):
         return skew(self.in_world(motion))
@@ -85,20 +85,20 @@ class Backwards(Vanes):
 
 
 @pytree
-class Drag(jaxrod.Effect):
+class Drag(jaxrod.extend.Effect):
     """Says that its loads are constant, but they change with rates."""
 
     drag: jax.Array
 
     def loads(self, rod, motion):
-        return jaxrod.Loads(tuple(-self.drag * c for c in motion.velocity))
+        return jaxrod.extend.Loads(tuple(-self.drag * c for c in motion.velocity))
 
     def turning_tangent(self, rod, motion):
         return None
 
 
 @pytree
-class Rail(jaxrod.Effect):
+class Rail(jaxrod.extend.Effect):
     """Lets the first node slide along an oblique line."""
 
     def constrain_rates(self, rod, motion):
@@ -109,7 +109,7 @@ class Rail(jaxrod.Effect):
 
 
 @pytree
-class Tie(jaxrod.Effect):
+class Tie(jaxrod.extend.Effect):
     """Puts the last node where the first is."""
 
     def constrain(self, rod, motion):
@@ -119,7 +119,7 @@ class Tie(jaxrod.Effect):
 
 
 @pytree
-class Slowed(jaxrod.Effect):
+class Slowed(jaxrod.extend.Effect):
     """Halves a velocity in every step."""
 
     def constrain_rates(self, rod, motion):
@@ -181,7 +181,7 @@ def test_what_a_base_says_of_other_loads_is_forgotten():
 
         def loads(self, rod, motion):
             weight = super().loads(rod, motion).forces
-            return jaxrod.Loads(tuple(w * motion.position[2] for w in weight))
+            return jaxrod.extend.Loads(tuple(w * motion.position[2] for w in weight))
 
     class Looser(Springs):
         def loads(self, rod, motion):
@@ -198,4 +198,4 @@ def test_what_a_base_says_of_other_loads_is_forgotten():
     assert Springs.reach == "neighbours" and Looser.reach == "any"
     assert Mixed.reach == "any"
     with pytest.raises(ValueError, match="reach must be one of neighbours, any"):
-        type("Far", (jaxrod.Effect,), {"reach": "far"})
+        type("Far", (jaxrod.extend.Effect,), {"reach": "far"})

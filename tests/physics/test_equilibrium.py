@@ -137,7 +137,7 @@ def scene_of_every_load(n=4):
         jaxrod.gravity((1.0, -2.0, -9.0)),
         jaxrod.end_load((0.3, 0.2, -0.2), (0.1, -0.2, 0.05), follower=True),
         jaxrod.uniform_load((0.2, 0.0, 0.1), (0.05, 0.1, -0.1)),
-        jaxrod.ElementCouples(jnp.asarray(0.1 * wave)),
+        jaxrod.actuation.ElementCouples(jnp.asarray(0.1 * wave)),
         jaxrod.clamp(state),
     )
     return scene, state

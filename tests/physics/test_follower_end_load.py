@@ -170,7 +170,7 @@ def test_gradients_are_central_differences(way, record):
 @pytest.mark.slow
 @pytest.mark.parametrize("law", [consistent, jaxrod.pyelastica])
 def test_the_planar_method_is_the_one_in_space(law):
-    swing = jaxrod.sine((0.4, 0.0, -2.0), 0.05)
+    swing = jaxrod.schedules.sine((0.4, 0.0, -2.0), 0.05)
     effects = (
         jaxrod.end_load(swing, end="start", follower=True),
         jaxrod.exponential_damping(1.0),
@@ -241,7 +241,7 @@ def test_the_stable_step_falls_with_the_force():
 
 def test_a_schedule_of_time_scales_the_force():
     rod, state = arm(4, radius=0.05)
-    ramp = jaxrod.ramp((0.0, 0.0, 0.0), (0.2, 0.1, 0.3), 1.0)
+    ramp = jaxrod.schedules.ramp((0.0, 0.0, 0.0), (0.2, 0.1, 0.3), 1.0)
     scene = jaxrod.make_scene(rod, jaxrod.end_load(ramp, follower=True))
     (load,) = scene.at(0.5).effects
     still = jaxrod.end_load(load.force, follower=True)

@@ -26,8 +26,8 @@ def rod_and_muscle(**numbers):
         normal=(1.0, 0.0, 0.0),
         dtype=jnp.float64,
     )
-    numbers = {"fastest": FASTEST, "curve": jaxrod.constant_force()} | numbers
-    return rod, state, jaxrod.muscle(rod, FORCE, **numbers)
+    numbers = {"fastest": FASTEST, "curve": jaxrod.actuation.constant_force()} | numbers
+    return rod, state, jaxrod.actuation.muscle(rod, FORCE, **numbers)
 
 
 @jax.jit

@@ -31,7 +31,7 @@ def scene_and_state(mode, moving):
         jaxrod.gravity(size * np.array([1.0, -2.0, -9.0])),
         jaxrod.end_load(size * np.array([3.0, 5.0, -2.0]), (size, -size, size)),
         jaxrod.uniform_load((size, 0.0, size), (0.0, size, -size)),
-        jaxrod.ElementCouples(jnp.asarray(size * wave)),
+        jaxrod.actuation.ElementCouples(jnp.asarray(size * wave)),
         wall,
         jaxrod.exponential_damping(2.0 * size, 5.0 * size),
         method=IN_SPACE[mode],

@@ -44,7 +44,7 @@ def on_ground(
     line = MASS / LENGTH
     depth = 0.02 * RADIUS
     ground = jaxrod.contact(
-        jaxrod.plane(-RADIUS * normal, normal),
+        jaxrod.shapes.plane(-RADIUS * normal, normal),
         stiffness=line * G * np.cos(slope) / depth,
         damping=200.0 * line,
         friction=friction,
@@ -215,7 +215,7 @@ BAD = {
 
 @pytest.mark.parametrize("words", BAD)
 def test_bad_friction_is_refused_in_words(words):
-    body = jaxrod.plane((0.0, 0.0, 0.0), (0.0, 1.0, 0.0))
+    body = jaxrod.shapes.plane((0.0, 0.0, 0.0), (0.0, 1.0, 0.0))
     numbers = {"stiffness": 1.0, "damping": float("needs" not in words)} | BAD[words]
     with pytest.raises(ValueError, match=words):
         jaxrod.contact(body, **numbers)
@@ -229,7 +229,7 @@ def test_gradients_through_directional_friction(speed, record):
 
     def moved(numbers):
         # Some nodes are at the onset, some deep inside, some outside.
-        body = jaxrod.plane(middle, (0.1, 1.0, 0.2))
+        body = jaxrod.shapes.plane(middle, (0.1, 1.0, 0.2))
         touch = rubbing(body, friction=numbers[:3], stick_ratio=numbers[3])
         scene = jaxrod.make_scene(rod, touch, jaxrod.gravity((0.0, -9.0, 1.0)))
         end = jaxrod.advance(scene, state, 1e-5, 6)
@@ -258,6 +258,6 @@ def test_gradients_through_directional_friction(speed, record):
 @pytest.mark.slow
 def test_directional_friction_of_a_bent_rod_on_a_ball_is_finite():
     rod, state = moving_arm()
-    ball = jaxrod.sphere(state.positions[:, 3], 0.1)
+    ball = jaxrod.shapes.sphere(state.positions[:, 3], 0.1)
     forces, couples = contact_loads(rubbing(ball, friction=(0.1, 0.5, 1.0)), rod, state)
     assert np.all(np.isfinite(forces)) and np.any(couples)

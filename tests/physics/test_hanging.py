@@ -114,8 +114,8 @@ def test_where_a_rod_rests_is_no_matter_of_its_damping(record):
         jaxrod.exponential_damping(3.0),
         jaxrod.internal_damping(1e-2),
         jaxrod.short_wave_damping(50.0),
-        jaxrod.stokes_drag(0.3, 0.6),
-        jaxrod.quadratic_drag(1000.0),
+        jaxrod.fluids.stokes_drag(0.3, 0.6),
+        jaxrod.fluids.quadratic_drag(1000.0),
     )
     bare = jaxrod.make_scene(rod, clamp, GRAVITY)
     expected = jaxrod.equilibrium(bare, state)

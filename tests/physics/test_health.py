@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 import jaxrod
+from jaxrod.effects.clamps import Clamp
 from jaxrod.structure import pytree
 from physics.rods import arm, deformed, turn
 
@@ -93,7 +94,7 @@ def test_speed_is_relative_to_the_rods_own_motion_unless_something_holds_it():
     for tie in (
         jaxrod.clamp(state),
         jaxrod.fixed_end(state),
-        jaxrod.contact(jaxrod.sphere((5.0, 0.0, 0.0), 1.0), stiffness=1e5),
+        jaxrod.contact(jaxrod.shapes.sphere((5.0, 0.0, 0.0), 1.0), stiffness=1e5),
     ):
         report = jaxrod.health(jaxrod.make_scene(rod, tie), fast, DT)
         np.testing.assert_allclose(report.largest_speed, np.hypot(500, 3))
@@ -121,7 +122,7 @@ def test_an_end_is_flagged_a_radius_from_where_it_is_held(hold, end):
         report = jaxrod.health(scene, moved, DT)
         np.testing.assert_allclose(report.largest_violation, distance / 0.05)
         assert bool(report.violation) == bool(report.flagged) == wrong
-    bare = jaxrod.make_scene(rod, jaxrod.Clamp(state.orientations[:, 0]))
+    bare = jaxrod.make_scene(rod, Clamp(state.orientations[:, 0]))
     assert not jaxrod.health(bare, moved, DT).flagged
 
 
@@ -143,7 +144,7 @@ def test_a_hinge_is_told_its_way_from_its_place_or_how_far_its_axis_is_turned(en
 def test_a_rod_is_flagged_where_its_centreline_is_in_one_of_several_bodies():
     rod, state = arm(5)
     centres = jnp.asarray([[0.6, 0.0, 0.4], [0.2, 0.0, 2.0]])
-    balls = jax.vmap(lambda centre: jaxrod.sphere(centre, 0.5))(centres)
+    balls = jax.vmap(lambda centre: jaxrod.shapes.sphere(centre, 0.5))(centres)
     touch = jaxrod.contact(balls, stiffness=1e5)
     near = jaxrod.near_contact(touch, rod, state, 1)
     for contact in (touch, near):
@@ -157,7 +158,7 @@ def test_a_rod_is_flagged_where_its_centreline_is_in_one_of_several_bodies():
 
 
 @pytree
-class Fence(jaxrod.Effect):
+class Fence(jaxrod.extend.Effect):
     """A user's own: the tip below a height."""
 
     height: jax.Array
@@ -245,7 +246,7 @@ def test_a_flagged_rod_is_frozen_and_the_others_go_on_to_the_last_bit():
 
         def one(rod_state, load):
             scene = jaxrod.make_scene(
-                rod, jaxrod.clamp(state), jaxrod.ElementCouples(load)
+                rod, jaxrod.clamp(state), jaxrod.actuation.ElementCouples(load)
             )
             after = jaxrod.advance(scene, rod_state, 2e-4, 3)
             return after, jaxrod.health(scene, after, 2e-4).flagged

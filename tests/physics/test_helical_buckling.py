@@ -75,9 +75,11 @@ def buckled():
         jaxrod.driven(
             state,
             end,
-            displacement=jaxrod.ramp((0, 0, 0), (0, 0, way * SLACK / 2), TIME),
+            displacement=jaxrod.schedules.ramp(
+                (0, 0, 0), (0, 0, way * SLACK / 2), TIME
+            ),
             axis=(0, 0, 1),
-            angle=jaxrod.ramp(0.0, way * np.pi * TURNS, TIME),
+            angle=jaxrod.schedules.ramp(0.0, way * np.pi * TURNS, TIME),
         )
         for end, way in (("start", 1), ("finish", -1))
     ]

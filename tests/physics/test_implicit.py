@@ -32,7 +32,7 @@ def loaded(load=1.0, damping=0.0, radius=0.5, n=N, dtype=jnp.float64, **settings
         jaxrod.clamp(rest),
         jaxrod.gravity(load * np.array([1.0, 2.0, -9.0])),
         jaxrod.end_load(load * np.array([2.0, 0.0, 1.0]), (0.3 * load, 0.2 * load, 0)),
-        jaxrod.ElementCouples(jnp.full((3, n), 0.5 * load)),
+        jaxrod.actuation.ElementCouples(jnp.full((3, n), 0.5 * load)),
         jaxrod.exponential_damping(damping, 2 * damping),
         method=jaxrod.implicit(radius, **settings),
     )
@@ -250,7 +250,9 @@ def test_the_tangent_is_the_derivative_of_the_residual(distant, record):
         jaxrod.end_load((3.0, 5.0, -2.0), (1.0, -2.0, 0.5)),
         jaxrod.end_load((0.0, 0.0, 1.0), (1.0, 1.0, 0.5), follower=True),
         jaxrod.uniform_load((2.0, 0.0, 1.0), (0.5, 1.0, -1.0)),
-        jaxrod.ElementCouples(jnp.asarray(np.sin(np.arange(3 * N).reshape(3, N)))),
+        jaxrod.actuation.ElementCouples(
+            jnp.asarray(np.sin(np.arange(3 * N).reshape(3, N)))
+        ),
         jaxrod.clamp(state),
         jaxrod.fixed_end(state, "finish"),
         Spring(jnp.asarray(7.0), jnp.asarray(0.3)),

@@ -21,7 +21,7 @@ GAP = 0.2 * RADIUS  # through which it falls [m]
 def dropped(radius=0.5):
     """An arm above a floor, one end higher than the other: scene, state."""
     rod, state = arm(4, youngs_modulus=1e6)
-    floor = jaxrod.plane((0.0, -RADIUS - GAP, 0.0), (0.0, 1.0, 0.0))
+    floor = jaxrod.shapes.plane((0.0, -RADIUS - GAP, 0.0), (0.0, 1.0, 0.0))
     lift = jnp.linspace(0.0, 0.1 * RADIUS, 5)
     positions = state.positions.at[1].add(lift)
     scene = jaxrod.make_scene(

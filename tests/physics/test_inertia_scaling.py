@@ -89,7 +89,7 @@ def test_it_works_under_transformations():
 
 def test_of_a_schedule_its_largest_size_counts():
     scene, _ = rope()
-    pull = jaxrod.end_load(jaxrod.sine((0.0, 0.0, 5.0), 0.5))
+    pull = jaxrod.end_load(jaxrod.schedules.sine((0.0, 0.0, 5.0), 0.5))
     held = jaxrod.end_load((0.0, 0.0, 5.0))
     moving, still = (
         jaxrod.scale_inertia(replace(scene, effects=(*scene.effects, effect)))

@@ -208,7 +208,7 @@ def test_a_rope_on_two_pins_hangs_as_it_does_when_it_has_come_to_rest(record):
 @pytest.mark.slow
 def test_a_rod_lies_on_a_smooth_floor_on_which_it_may_slide():
     rod, state = beam()
-    floor = jaxrod.plane((0.0, 0.0, -0.02), (0.0, 0.0, 1.0))
+    floor = jaxrod.shapes.plane((0.0, 0.0, -0.02), (0.0, 0.0, 1.0))
     scene = jaxrod.make_scene(
         rod, jaxrod.contact(floor, stiffness=1e4), jaxrod.gravity((0.0, 0.0, -G))
     )

@@ -19,18 +19,18 @@ METHODS = {
 RISE, DT = 0.02, 1e-4
 
 
-@jaxrod.pytree
-class Muscle(jaxrod.Effect):
+@jaxrod.extend.pytree
+class Muscle(jaxrod.extend.Effect):
     """Pulls the tip along x as strongly as it is activated, which takes time."""
 
     command: jax.Array
     strength: jax.Array
-    activation: jax.Array = jaxrod.memory(default=0.0)
+    activation: jax.Array = jaxrod.extend.memory(default=0.0)
 
     def loads(self, rod, motion):
         pull = jnp.zeros_like(motion.position[0])
         pull = pull.at[-1].set(self.strength * self.activation)
-        return jaxrod.Loads(forces=(pull, 0 * pull, 0 * pull))
+        return jaxrod.extend.Loads(forces=(pull, 0 * pull, 0 * pull))
 
     def after_step(self, rod, motion, dt):
         kept = jnp.exp(-dt / RISE)
@@ -123,9 +123,9 @@ def test_memory_that_is_not_of_the_scene_is_refused(rod_and_state):
 def test_energies_and_health_see_what_is_remembered(rod_and_state):
     rod, state = rod_and_state
 
-    @jaxrod.pytree
-    class Charge(jaxrod.Effect):
-        charge: jax.Array = jaxrod.memory(default=1.0)
+    @jaxrod.extend.pytree
+    class Charge(jaxrod.extend.Effect):
+        charge: jax.Array = jaxrod.extend.memory(default=1.0)
 
         def energy(self, rod, state):
             return self.charge
@@ -139,18 +139,18 @@ def test_energies_and_health_see_what_is_remembered(rod_and_state):
     assert float(scene.potential_energy(after)) == pytest.approx(8.0)
 
 
-@jaxrod.pytree
-class Bender(jaxrod.Effect):
+@jaxrod.extend.pytree
+class Bender(jaxrod.extend.Effect):
     """Couples about a material axis that begin at zero."""
 
-    axis: int = jaxrod.static()
-    activation: jax.Array = jaxrod.memory(default=0.0)
+    axis: int = jaxrod.extend.static()
+    activation: jax.Array = jaxrod.extend.memory(default=0.0)
 
     def loads(self, rod, motion):
         along = jnp.full_like(rod.rest_lengths, self.activation)
         couples = [jnp.zeros_like(along)] * 3
         couples[self.axis] = along
-        return jaxrod.Loads(couples=tuple(couples))
+        return jaxrod.extend.Loads(couples=tuple(couples))
 
     def after_step(self, rod, motion, dt):
         return replace(self, activation=self.activation + dt)
@@ -179,9 +179,9 @@ def test_what_is_zero_at_first_is_refused_where_it_may_not_become_something(
     ],
 )
 def test_memory_keeps_its_type_and_shape(rod_and_state, begin, change, words):
-    @jaxrod.pytree
-    class Counter(jaxrod.Effect):
-        value: jax.Array = jaxrod.memory(default=0.0)
+    @jaxrod.extend.pytree
+    class Counter(jaxrod.extend.Effect):
+        value: jax.Array = jaxrod.extend.memory(default=0.0)
 
         def after_step(self, rod, motion, dt):
             return replace(self, value=change(self.value, dt))
@@ -195,9 +195,9 @@ def test_memory_is_not_taken_for_that_of_other_effects(rod_and_state):
     rod, state = rod_and_state
     after = jaxrod.advance(muscled(rod, state), state, DT, 1)
 
-    @jaxrod.pytree
-    class Spring(jaxrod.Effect):
-        rest: jax.Array = jaxrod.memory(default=0.0)
+    @jaxrod.extend.pytree
+    class Spring(jaxrod.extend.Effect):
+        rest: jax.Array = jaxrod.extend.memory(default=0.0)
 
         def after_step(self, rod, motion, dt):
             return self
@@ -220,13 +220,13 @@ def test_a_loop_of_ones_own_begins_with_memory(rod_and_state):
 
 
 def test_a_stiffness_that_has_grown_is_warned_of(rod_and_state):
-    @jaxrod.pytree
-    class Stiffening(jaxrod.Effect):
-        stiffness: jax.Array = jaxrod.memory(default=0.0)
+    @jaxrod.extend.pytree
+    class Stiffening(jaxrod.extend.Effect):
+        stiffness: jax.Array = jaxrod.extend.memory(default=0.0)
 
         def stability_bound(self, rod):
             nodes = jnp.zeros_like(rod.node_masses).at[-1].set(self.stiffness)
-            return jaxrod.StabilityBound(nodes=nodes)
+            return jaxrod.extend.StabilityBound(nodes=nodes)
 
         def after_step(self, rod, motion, dt):
             return replace(self, stiffness=self.stiffness + 1e9)

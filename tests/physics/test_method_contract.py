@@ -42,17 +42,19 @@ ANOTHER = {"pyelastica": 0.05, "planar pyelastica": 0.05, "implicit": 0.05}
 
 
 @pytree
-class Forces(jaxrod.Effect):
+class Forces(jaxrod.extend.Effect):
     """Ties nodes to the origin."""
 
     size: jax.Array
 
     def loads(self, rod, motion):
-        return jaxrod.Loads(forces=vectors.scale(-3e3 * self.size, motion.position))
+        return jaxrod.extend.Loads(
+            forces=vectors.scale(-3e3 * self.size, motion.position)
+        )
 
 
 @pytree
-class Couples(jaxrod.Effect):
+class Couples(jaxrod.extend.Effect):
     """Turns elements towards the z axis."""
 
     size: jax.Array
@@ -60,21 +62,23 @@ class Couples(jaxrod.Effect):
     def loads(self, rod, motion):
         d1, d2, _ = directors(motion.orientation)
         across = vectors.scale(300 * self.size, (-d2[2], d1[2], 0 * d1[2]))
-        return jaxrod.Loads(couples=across)
+        return jaxrod.extend.Loads(couples=across)
 
 
 @pytree
-class Drag(jaxrod.Effect):
+class Drag(jaxrod.extend.Effect):
     """Resists the motion of nodes."""
 
     size: jax.Array
 
     def loads(self, rod, motion):
-        return jaxrod.Loads(forces=vectors.scale(-100 * self.size, motion.velocity))
+        return jaxrod.extend.Loads(
+            forces=vectors.scale(-100 * self.size, motion.velocity)
+        )
 
 
 @pytree
-class Friction(jaxrod.Effect):
+class Friction(jaxrod.extend.Effect):
     """Resists the turning of elements."""
 
     size: jax.Array
@@ -82,22 +86,22 @@ class Friction(jaxrod.Effect):
     def loads(self, rod, motion):
         turning = motion.angular_velocities(rod)
         couples = to_material(directors(motion.orientation), turning)
-        return jaxrod.Loads(couples=vectors.scale(-0.5 * self.size, couples))
+        return jaxrod.extend.Loads(couples=vectors.scale(-0.5 * self.size, couples))
 
 
 @pytree
-class Strings(jaxrod.Effect):
+class Strings(jaxrod.extend.Effect):
     """Tightens edges, which in a compensated state are not those of its positions."""
 
     size: jax.Array
 
     def loads(self, rod, motion):
         pull = vectors.scale(1e4 * self.size, motion.edges)
-        return jaxrod.Loads(forces=vectors.difference(pull))
+        return jaxrod.extend.Loads(forces=vectors.difference(pull))
 
 
 @pytree
-class Place(jaxrod.Effect):
+class Place(jaxrod.extend.Effect):
     """Puts the last node somewhere."""
 
     size: jax.Array
@@ -109,7 +113,7 @@ class Place(jaxrod.Effect):
 
 
 @pytree
-class Frame(jaxrod.Effect):
+class Frame(jaxrod.extend.Effect):
     """Turns the first element somewhere."""
 
     size: jax.Array
@@ -127,7 +131,7 @@ class Frame(jaxrod.Effect):
 
 
 @pytree
-class Pace(jaxrod.Effect):
+class Pace(jaxrod.extend.Effect):
     """Moves a node at a given velocity."""
 
     size: jax.Array
@@ -139,7 +143,7 @@ class Pace(jaxrod.Effect):
 
 
 @pytree
-class Damping(jaxrod.Effect):
+class Damping(jaxrod.extend.Effect):
     """Lets rates decay."""
 
     size: jax.Array
@@ -149,21 +153,21 @@ class Damping(jaxrod.Effect):
 
 
 @pytree
-class Viscous(jaxrod.Effect):
+class Viscous(jaxrod.extend.Effect):
     """Slows nodes along the rod, and faster across it."""
 
     reach = "neighbours"
     size: jax.Array
 
     def drag(self, rod, motion):
-        return jaxrod.Drag(along=50 * self.size, across=200 * self.size)
+        return jaxrod.fluids.Drag(along=50 * self.size, across=200 * self.size)
 
     def loads(self, rod, motion):
-        return jaxrod.drag_loads(rod, motion, self.drag(rod, motion))
+        return jaxrod.fluids.drag_loads(rod, motion, self.drag(rod, motion))
 
 
 @pytree
-class Slowing(jaxrod.Effect):
+class Slowing(jaxrod.extend.Effect):
     """Lets rates decay by itself."""
 
     size: jax.Array
@@ -275,7 +279,7 @@ def test_every_consequence_is_differentiable_and_the_same_in_a_batch(method):
 
 
 @pytree
-class Nothing(jaxrod.Effect):
+class Nothing(jaxrod.extend.Effect):
     """Overrides no hook that a step calls."""
 
     def energy(self, rod, state):
@@ -337,7 +341,7 @@ def test_an_effect_that_overrides_no_hook_is_free_in_every_method(method):
 
 
 @pytree
-class Stored(jaxrod.Effect):
+class Stored(jaxrod.extend.Effect):
     """Has an energy."""
 
     def energy(self, rod, state):
@@ -345,11 +349,13 @@ class Stored(jaxrod.Effect):
 
 
 @pytree
-class Stiff(jaxrod.Effect):
+class Stiff(jaxrod.extend.Effect):
     """Resists being moved and turned."""
 
     def stability_bound(self, rod):
-        return jaxrod.StabilityBound(nodes=jnp.asarray(1e5), elements=jnp.asarray(1e3))
+        return jaxrod.extend.StabilityBound(
+            nodes=jnp.asarray(1e5), elements=jnp.asarray(1e3)
+        )
 
 
 @pytest.mark.parametrize("method", METHODS)

@@ -9,23 +9,23 @@ from jaxrod.structure import pytree
 from physics.rods import arm
 
 
-class Bare(jaxrod.Effect):
+class Bare(jaxrod.extend.Effect):
     """Not a pytree."""
 
     def loads(self, rod, motion):
-        return jaxrod.Loads()
+        return jaxrod.extend.Loads()
 
 
 @pytree
-class Misspelt(jaxrod.Effect):
+class Misspelt(jaxrod.extend.Effect):
     """One letter short."""
 
     def load(self, rod, motion):
-        return jaxrod.Loads()
+        return jaxrod.extend.Loads()
 
 
 @pytree
-class Idle(jaxrod.Effect):
+class Idle(jaxrod.extend.Effect):
     """No hook at all."""
 
     def strength(self):
@@ -33,7 +33,7 @@ class Idle(jaxrod.Effect):
 
 
 @pytree
-class Helped(jaxrod.Effect):
+class Helped(jaxrod.extend.Effect):
     """A hook, and helpers, one of which is called nearly like it."""
 
     size: jax.Array
@@ -43,7 +43,7 @@ class Helped(jaxrod.Effect):
 
     def load(self, motion):
         x, y, z = motion.position
-        return jaxrod.Loads(forces=(self.size * x, 0 * y, 0 * z))
+        return jaxrod.extend.Loads(forces=(self.size * x, 0 * y, 0 * z))
 
     def strength(self):
         return self.size
@@ -59,7 +59,7 @@ class Forgotten(Undecorated):
 
 
 @pytree
-class Returning(jaxrod.Effect):
+class Returning(jaxrod.extend.Effect):
     """Returns what it is given for a rod of five elements."""
 
     what: str = jaxrod.structure.static()
@@ -69,17 +69,19 @@ class Returning(jaxrod.Effect):
         return {
             "array": jnp.ones((3, 6)),
             "tuple": (node, node, node),
-            "few nodes": jaxrod.Loads(forces=(one, one, one)),
-            "two": jaxrod.Loads(forces=(node, node)),
-            "many elements": jaxrod.Loads(couples=(node, node, node)),
-            "fits": jaxrod.Loads(forces=(node, node, node), couples=(one, one, one)),
+            "few nodes": jaxrod.extend.Loads(forces=(one, one, one)),
+            "two": jaxrod.extend.Loads(forces=(node, node)),
+            "many elements": jaxrod.extend.Loads(couples=(node, node, node)),
+            "fits": jaxrod.extend.Loads(
+                forces=(node, node, node), couples=(one, one, one)
+            ),
         }[self.what]
 
 
 @pytest.mark.parametrize(
     ("effect", "words"),
     [
-        (Bare(), "Bare is not a pytree: write @jaxrod.pytree above"),
+        (Bare(), "Bare is not a pytree: write @jaxrod.extend.pytree above"),
         (Forgotten(jnp.ones(())), "Forgotten is not a pytree"),
         (Misspelt(), "Misspelt.load is not a hook .* is loads meant"),
         (Idle(), "Idle defines no hook of an effect"),
@@ -94,8 +96,16 @@ def test_a_slip_in_a_class_is_refused_by_name(effect, words):
 @pytest.mark.parametrize(
     ("what", "error", "words"),
     [
-        ("array", TypeError, r"must return jaxrod.Loads.*array of shape \(3, 6\)"),
-        ("tuple", TypeError, r"must return jaxrod.Loads.*3 of shapes \(6,\), \(6,\)"),
+        (
+            "array",
+            TypeError,
+            r"must return jaxrod.extend.Loads.*array of shape \(3, 6\)",
+        ),
+        (
+            "tuple",
+            TypeError,
+            r"must return jaxrod.extend.Loads.*3 of shapes \(6,\), \(6,\)",
+        ),
         ("few nodes", ValueError, r"forces .*shape \(6,\).* 6 nodes, got 3 .*\(5,\)"),
         ("two", ValueError, r"forces .*shape \(6,\).*got 2 of shapes"),
         ("many elements", ValueError, r"couples .*shape \(5,\).* 5 elements, got 3"),
@@ -113,7 +123,7 @@ def test_helpers_and_loads_that_fit_are_taken():
     jax.jit(lambda rod: jaxrod.make_scene(rod, Returning("fits")))(rod)
 
 
-class BareCoupling(jaxrod.Coupling):
+class BareCoupling(jaxrod.extend.Coupling):
     """Not a pytree."""
 
     def loads(self, seen):
@@ -121,7 +131,7 @@ class BareCoupling(jaxrod.Coupling):
 
 
 @pytree
-class MisspeltCoupling(jaxrod.Coupling):
+class MisspeltCoupling(jaxrod.extend.Coupling):
     """One letter too many."""
 
     def constrains(self, seen):
@@ -129,7 +139,7 @@ class MisspeltCoupling(jaxrod.Coupling):
 
 
 @pytree
-class IdleCoupling(jaxrod.Coupling):
+class IdleCoupling(jaxrod.extend.Coupling):
     """No hook at all."""
 
 

@@ -49,7 +49,7 @@ def swinging(plane, aligned=True, dtype=jnp.float64, n=12, mode="consistent"):
         jaxrod.exponential_damping(0.5, 3.0),
         jaxrod.end_load(axis(b, 3.0), axis(out, 2.0)),
         jaxrod.uniform_load(axis(a, 1.0), axis(out, 5.0)),
-        jaxrod.ElementCouples(jnp.asarray(about)),
+        jaxrod.actuation.ElementCouples(jnp.asarray(about)),
     )
     spin = jnp.zeros((3, n)).at[out].set(1e-3)
     state = replace(state, angular_momenta=spin.astype(dtype))
@@ -280,7 +280,7 @@ def test_what_leaves_the_plane_is_refused(spoil, word):
 def test_small_parts_out_of_the_plane_do_not_hide(dtype):
     """Neither behind large ones, nor where the rod is small, nor seen end-on."""
     rod, state = arm(10, dtype, direction=(1.0, 0.0, 0.0), normal=(0.0, 0.0, 1.0))
-    post = jaxrod.cylinder((1.3, -1.0, -1.0), (1.3, 1.0, 1.0), 0.1)
+    post = jaxrod.shapes.cylinder((1.3, -1.0, -1.0), (1.3, 1.0, 1.0), 0.1)
     ahead = jaxrod.contact(post, stiffness=1e5)
     pulled = jaxrod.end_load((1e5, 0.0, 0.0)), jaxrod.end_load((0.0, 0.0, 1.0))
     for effects, word in [((ahead,), "surfaces of bodies"), (pulled, "forces")]:
@@ -308,7 +308,7 @@ def test_what_rounding_leaves_out_of_the_plane_is_accepted():
     rod, state = arm(10, direction=(1.0, 0.0, 0.0), normal=(0.0, 0.0, 1.0))
     noise = 1e-13 * np.random.default_rng(0).normal(size=(3, 11))
     settled = replace(state, velocities=state.velocities + noise)
-    post = jaxrod.cylinder((0.7, -0.3, -0.1), (0.7, -0.3, 0.1), 0.2)
+    post = jaxrod.shapes.cylinder((0.7, -0.3, -0.1), (0.7, -0.3, 0.1), 0.2)
     contact = jaxrod.contact(post, stiffness=1e5)
     scene = jaxrod.make_scene(
         rod, jaxrod.clamp(state), contact, method=jaxrod.planar("xy")

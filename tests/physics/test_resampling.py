@@ -25,7 +25,10 @@ def curved(n, dtype=jnp.float64):
     middles = (np.arange(n) + 0.5) / n
     couples = jnp.asarray(np.stack([np.sin(2 * middles)] * 3)) / n
     scene = jaxrod.make_scene(
-        rod, jaxrod.clamp(state), jaxrod.gravity(), jaxrod.ElementCouples(couples)
+        rod,
+        jaxrod.clamp(state),
+        jaxrod.gravity(),
+        jaxrod.actuation.ElementCouples(couples),
     )
     return scene, state
 

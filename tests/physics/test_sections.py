@@ -125,8 +125,10 @@ def test_a_free_rod_of_square_section_tumbles(record):
         dtype=jnp.float64,
     )
     times = (0.0, 2.5, 5.0, 10.0)
-    force = jaxrod.table(times, tuple((f, 0.0, 0.0) for f in (0.0, 20.0, 0.0, 0.0)))
-    couple = jaxrod.table(
+    force = jaxrod.schedules.table(
+        times, tuple((f, 0.0, 0.0) for f in (0.0, 20.0, 0.0, 0.0))
+    )
+    couple = jaxrod.schedules.table(
         times, tuple((0.0, -4 * f, -2 * f) for f in (0.0, 20.0, 0.0, 0.0))
     )
     scene = jaxrod.make_scene(rod, jaxrod.end_load(force, couple, end="start"))

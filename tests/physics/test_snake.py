@@ -24,7 +24,7 @@ PYELASTICA = 0.15923  # lengths per period
 
 
 @pytree
-class Wave(jaxrod.Effect):
+class Wave(jaxrod.extend.Effect):
     """Couples about the vertical between neighbours, from the last element on."""
 
     sizes: jax.Array
@@ -38,7 +38,7 @@ class Wave(jaxrod.Effect):
         up = jnp.pad(inner, (1, 0)) - jnp.pad(inner, (0, 1))
         still = jnp.zeros_like(up)
         frame = directors(motion.orientation)
-        return jaxrod.Loads(couples=to_material(frame, (still, up, still)))
+        return jaxrod.extend.Loads(couples=to_material(frame, (still, up, still)))
 
 
 def snake():
@@ -55,7 +55,7 @@ def snake():
     line, depth = float(rod.linear_density[0]), 0.05 * RADIUS
     friction = LENGTH / (PERIOD**2 * G * FROUDE) * np.array([1.0, 1.5, 2.0])
     ground = jaxrod.contact(
-        jaxrod.plane((0.0, -RADIUS, 0.0), (0.0, 1.0, 0.0)),
+        jaxrod.shapes.plane((0.0, -RADIUS, 0.0), (0.0, 1.0, 0.0)),
         stiffness=line * G / depth,
         damping=300.0 * line,
         friction=friction,
@@ -65,7 +65,7 @@ def snake():
     scene = jaxrod.make_scene(
         rod,
         jaxrod.gravity((0.0, -G, 0.0)),
-        Wave(_bspline(GAIT)[0](places), places, jaxrod.time()),
+        Wave(_bspline(GAIT)[0](places), places, jaxrod.schedules.time()),
         ground,
         # PyElastica's damping of 2e-3, which it multiplies by m / J for spins.
         jaxrod.exponential_damping(2e-3, 2e-3 * 4 / RADIUS**2),

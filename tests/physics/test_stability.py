@@ -226,9 +226,11 @@ def test_a_shape_that_changes_in_time_is_checked_near_the_bound():
     """A ramp of curvature is what its larger end is, with a warning above the bound."""
     rod, state = arm(n_elements=4)
     ends = jnp.zeros(3), jnp.asarray([3.0, 0.0, 0.0])
-    ramp = jaxrod.Ramp(*ends, start=jnp.asarray(0.0), duration=jnp.asarray(1.0))
+    ramp = jaxrod.schedules.Ramp(
+        *ends, start=jnp.asarray(0.0), duration=jnp.asarray(1.0)
+    )
     made = [
-        jaxrod.make_scene(rod, jaxrod.active_shape(rod, curvature=c))
+        jaxrod.make_scene(rod, jaxrod.actuation.active_shape(rod, curvature=c))
         for c in (ramp, ends[1])
     ]
     near = 0.98 * jaxrod.stable_dt(made[0], 1.0).dt
@@ -387,7 +389,7 @@ def test_pyelasticas_frequencies_grow_as_one_over_the_stretch(stretch):
 
 
 @pytree
-class Springs(jaxrod.Effect):
+class Springs(jaxrod.extend.Effect):
     """Every node tied to where it was, every element to how it was, with drag."""
 
     origin: jax.Array
@@ -395,7 +397,7 @@ class Springs(jaxrod.Effect):
     drag: jax.Array
 
     def loads(self, rod, motion):
-        return jaxrod.Loads(
+        return jaxrod.extend.Loads(
             forces=tuple(
                 -self.stiffness * (now - then) - self.drag * speed
                 for now, then, speed in zip(
@@ -405,7 +407,7 @@ class Springs(jaxrod.Effect):
         )
 
     def stability_bound(self, rod):
-        return jaxrod.StabilityBound(nodes=self.stiffness, node_drag=self.drag)
+        return jaxrod.extend.StabilityBound(nodes=self.stiffness, node_drag=self.drag)
 
 
 @pytest.mark.slow

@@ -30,7 +30,7 @@ def pressed(n, method=None, dtype=jnp.float64, faces=True):
     bare = jaxrod.make_scene(rod, method=method or jaxrod.consistent())
     frequency = jaxrod.stable_dt(bare, 1.0).angular_frequency
     line, depth = rod.linear_density[0], 0.1 * RADIUS
-    floor = jaxrod.plane((0.0, depth - RADIUS, 0.0), (0.0, 1.0, 0.0))
+    floor = jaxrod.shapes.plane((0.0, depth - RADIUS, 0.0), (0.0, 1.0, 0.0))
     contact = jaxrod.contact(floor, stiffness=1, damping=1, friction=0.5)
     contact = contact if faces else contact.with_free_ends(jnp.zeros(2))
     contact = jax.tree.map(lambda leaf: jnp.asarray(leaf, dtype), contact)
@@ -184,7 +184,7 @@ def hanging_over_a_cylinder(drag, n=100):
     alone = jaxrod.stable_dt(jaxrod.make_scene(rod), 1.0).dt
     stiffness = line * (0.5 / alone) ** 2
     rub = jnp.sqrt(stiffness * line)
-    cylinder = jaxrod.cylinder((0, 0, -1), (0, 0, 1), 0.05)
+    cylinder = jaxrod.shapes.cylinder((0, 0, -1), (0, 0, 1), 0.05)
     return jaxrod.make_scene(
         rod,
         jaxrod.contact(
@@ -226,11 +226,13 @@ def _turned(vectors):
 
 
 FIELDS = {
-    "a ramp": lambda turn: jaxrod.ramp(turn([3.0, 0, 0]), turn([0, 1.0, 2.0]), 1.0),
-    "a sine": lambda turn: jaxrod.sine(
+    "a ramp": lambda turn: jaxrod.schedules.ramp(
+        turn([3.0, 0, 0]), turn([0, 1.0, 2.0]), 1.0
+    ),
+    "a sine": lambda turn: jaxrod.schedules.sine(
         turn([3.0, 0, 1.0]), 1.0, mean=turn([0, 1.0, 2.0])
     ),
-    "a table": lambda turn: jaxrod.table(
+    "a table": lambda turn: jaxrod.schedules.table(
         [0.0, 1.0, 2.0], turn([[3.0, 0, 1.0], [0, -1.0, 2.0], [0, 2.9, 0]])
     ),
 }
@@ -241,7 +243,9 @@ def test_a_step_is_the_same_if_a_scheduled_field_is_turned(name):
     rod, _ = arm(4)
     moment = 1e5 * np.asarray([0.3, 0.0, 1.0])
     made = [
-        jaxrod.make_scene(rod, jaxrod.magnetisation(rod, moment, FIELDS[name](turn)))
+        jaxrod.make_scene(
+            rod, jaxrod.actuation.magnetisation(rod, moment, FIELDS[name](turn))
+        )
         for turn in (np.asarray, _turned)
     ]
     one, other = (float(jaxrod.stable_dt(scene, 1.0).dt) for scene in made)

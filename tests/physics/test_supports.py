@@ -8,6 +8,9 @@ import numpy as np
 import pytest
 
 import jaxrod
+from jaxrod.effects.held import Held
+from jaxrod.effects.supports import Pin
+from jaxrod.methods.planar import Planar
 
 N, LENGTH, RADIUS, DENSITY, MODULUS = 24, 1.0, 0.01, 1000.0, 1e8
 AREA = np.pi * RADIUS**2
@@ -155,13 +158,15 @@ def pendulum(method, turn="joint"):
     rod, state = jaxrod.straight_rod(
         3, length=0.5, radius=0.02, density=1000.0, youngs_modulus=2e5
     )
-    shake = jaxrod.sine((0.01, 0.0, 0.0), 0.3, phase=0.25, mean=(-0.01, 0.0, 0.0))
+    shake = jaxrod.schedules.sine(
+        (0.01, 0.0, 0.0), 0.3, phase=0.25, mean=(-0.01, 0.0, 0.0)
+    )
     wall = {"free_to_turn": True}
     if turn:
-        angle = jaxrod.sine(0.3, 0.2, phase=0.25, mean=-0.3)
+        angle = jaxrod.schedules.sine(0.3, 0.2, phase=0.25, mean=-0.3)
         wall = {"axis": (0.0, 1.0, 0.0), "angle": angle}
         wall["holds_element"] = turn == "element"
-    planar = isinstance(method, jaxrod.Planar)
+    planar = isinstance(method, Planar)
     driven = jaxrod.driven(
         state, displacement=shake, axes="xz" if planar else "xyz", **wall
     )
@@ -226,8 +231,8 @@ def test_a_driven_end_is_where_it_is_driven():
     assert jaxrod.health(scene.at(0.0), after, 5e-4).largest_violation > 0.1
 
 
-@jaxrod.pytree
-class Dashpot(jaxrod.Effect):
+@jaxrod.extend.pytree
+class Dashpot(jaxrod.extend.Effect):
     """Between the first two nodes: nothing in a rod that moves as a whole."""
 
     drag: jax.Array
@@ -236,7 +241,7 @@ class Dashpot(jaxrod.Effect):
         pulls = [self.drag * (v[1] - v[0]) for v in motion.velocity]
         none = jnp.zeros_like(motion.position[0])
         forces = tuple(none.at[0].set(pull).at[1].set(-pull) for pull in pulls)
-        return jaxrod.Loads(forces=forces)
+        return jaxrod.extend.Loads(forces=forces)
 
 
 @pytest.mark.slow
@@ -245,7 +250,7 @@ def test_loads_of_implicit_steps_see_how_fast_an_end_is_driven():
     rod, state = along_x(3, 1e5)
     pace, end = 0.5, 0.1
     moving = replace(state, velocities=state.velocities.at[1].set(pace))
-    path = jaxrod.ramp((0.0, 0.0, 0.0), (0.0, pace, 0.0), 1.0)
+    path = jaxrod.schedules.ramp((0.0, 0.0, 0.0), (0.0, pace, 0.0), 1.0)
     scene = jaxrod.make_scene(
         rod,
         jaxrod.driven(state, displacement=path, free_to_turn=True),
@@ -259,7 +264,7 @@ def test_loads_of_implicit_steps_see_how_fast_an_end_is_driven():
 
 def test_bad_supports_are_refused_in_words():
     rod, state = along_x(4)
-    shake = jaxrod.sine((0.0, 0.0, 0.01), 0.3)
+    shake = jaxrod.schedules.sine((0.0, 0.0, 0.01), 0.3)
     for make, words in (
         (lambda: jaxrod.pin(state, 7), "at must be a node from 0 to 4"),
         (lambda: jaxrod.pin(state, "middle"), 'end must be "start" or "finish"'),
@@ -269,7 +274,9 @@ def test_bad_supports_are_refused_in_words():
             "axis must not be the zero vector",
         ),
         (
-            lambda: jaxrod.driven(state, displacement=jaxrod.ramp(0.0, 1.0, 1.0)),
+            lambda: jaxrod.driven(
+                state, displacement=jaxrod.schedules.ramp(0.0, 1.0, 1.0)
+            ),
             "displacement must have values of shape",
         ),
         (
@@ -277,7 +284,7 @@ def test_bad_supports_are_refused_in_words():
             "free to turn is not held",
         ),
         (
-            lambda: jaxrod.driven(state, angle=jaxrod.ramp(0.0, 1.0, 1.0)),
+            lambda: jaxrod.driven(state, angle=jaxrod.schedules.ramp(0.0, 1.0, 1.0)),
             "axis must say what the wall turns about",
         ),
         (
@@ -301,18 +308,18 @@ def test_bad_supports_are_refused_in_words():
             make()
 
 
-@jaxrod.pytree
-class Glue(jaxrod.Effect):
+@jaxrod.extend.pytree
+class Glue(jaxrod.extend.Effect):
     """Holds the last node and says so, or stops it and says nothing."""
 
-    says: bool = jaxrod.static(default=True)
+    says: bool = jaxrod.extend.static(default=True)
 
     def held(self, rod):
-        return (jaxrod.Held(node=-1),) if self.says else ()
+        return (Held(node=-1),) if self.says else ()
 
 
-@jaxrod.pytree
-class Loose(jaxrod.Pin):
+@jaxrod.extend.pytree
+class Loose(Pin):
     """Replaces what it inherits, and so does not say what a pin says."""
 
     def constrain_rates(self, rod, motion):
@@ -321,7 +328,7 @@ class Loose(jaxrod.Pin):
 
 def test_two_supports_of_one_freedom_are_refused_by_their_names():
     rod, state = along_x(4)
-    shake = jaxrod.sine((0.0, 0.0, 0.01), 0.3)
+    shake = jaxrod.schedules.sine((0.0, 0.0, 0.01), 0.3)
     pin, hinge = jaxrod.pin, jaxrod.hinge(state, (0.0, 1.0, 0.0))
     clamp, fixed = jaxrod.clamp(state), jaxrod.fixed_end(state)
 
@@ -380,7 +387,10 @@ def test_batches_are_refused_with_the_word_vmap():
 def test_supports_that_leave_the_plane_only_later_are_refused():
     rod, state = along_x(4)
     turning = jaxrod.driven(
-        state, axes="xy", axis=(1, 0, 0), angle=jaxrod.ramp(0.0, 2 * np.pi, 1.0)
+        state,
+        axes="xy",
+        axis=(1, 0, 0),
+        angle=jaxrod.schedules.ramp(0.0, 2 * np.pi, 1.0),
     )
     for effect in (turning, jaxrod.hinge(state, (1.0, 0.0, 1.0))):
         scene = jaxrod.make_scene(rod, effect, method=jaxrod.planar("xy"))
@@ -395,7 +405,7 @@ def test_supports_that_leave_the_plane_only_later_are_refused():
 @pytest.mark.slow
 def test_neither_origin_nor_order_matters_to_what_supports_do():
     shift = jnp.asarray([30.0, -20.0, 50.0])
-    shake = jaxrod.sine((0.0, 0.0, 0.01), 0.1, phase=0.25)
+    shake = jaxrod.schedules.sine((0.0, 0.0, 0.01), 0.1, phase=0.25)
     rod, state = along_x(3, 1e6)
 
     def run(state, order):

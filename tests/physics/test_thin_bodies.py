@@ -29,7 +29,7 @@ def across(spacing):
 
 def wire(points_per_element=1):
     """Stiff enough for the whole rod to be stopped within half a radius at a node."""
-    body = jaxrod.capsule((0.0, 0.0, -1.0), (0.0, 0.0, 1.0), WIRE)
+    body = jaxrod.shapes.capsule((0.0, 0.0, -1.0), (0.0, 0.0, 1.0), WIRE)
     return jaxrod.contact(body, stiffness=8e5, points_per_element=points_per_element)
 
 
@@ -67,12 +67,12 @@ def test_the_warning_says_how_many_points_see_the_body():
 def bodies(size):
     """One of every kind, as thin as that."""
     bottom, top = (0.0, 0.0, -1.0), (0.0, 0.0, 1.0)
-    yield jaxrod.sphere(bottom, size)
-    yield jaxrod.capsule(bottom, top, size)
-    yield jaxrod.cylinder(bottom, top, size)
-    yield jaxrod.cylinder((0.0, 0.0, -size), (0.0, 0.0, size), 1.0)
-    yield jaxrod.box(bottom, (1.0, size, 1.0))
-    yield jax.vmap(lambda r: jaxrod.sphere(top, r))(jnp.asarray([0.1, size]))
+    yield jaxrod.shapes.sphere(bottom, size)
+    yield jaxrod.shapes.capsule(bottom, top, size)
+    yield jaxrod.shapes.cylinder(bottom, top, size)
+    yield jaxrod.shapes.cylinder((0.0, 0.0, -size), (0.0, 0.0, size), 1.0)
+    yield jaxrod.shapes.box(bottom, (1.0, size, 1.0))
+    yield jax.vmap(lambda r: jaxrod.shapes.sphere(top, r))(jnp.asarray([0.1, size]))
 
 
 def test_bodies_of_every_kind_are_known_to_be_thin():
@@ -86,13 +86,13 @@ def test_bodies_of_every_kind_are_known_to_be_thin():
 def test_what_cannot_be_seen_through_is_not_warned_of():
     """A plane, a body that is known by its distance alone, and traced numbers."""
     rod, _ = across(0.1)
-    jaxrod.make_scene(rod, jaxrod.contact(jaxrod.plane(), stiffness=1e5))
-    body = jaxrod.signed_distance(lambda x, r: jnp.linalg.norm(x) - r, WIRE)
+    jaxrod.make_scene(rod, jaxrod.contact(jaxrod.shapes.plane(), stiffness=1e5))
+    body = jaxrod.shapes.signed_distance(lambda x, r: jnp.linalg.norm(x) - r, WIRE)
     jaxrod.make_scene(rod, jaxrod.contact(body, stiffness=1e5))
 
     @jax.jit
     def traced(radius):
-        body = jaxrod.sphere((0.0, 0.0, 0.0), radius)
+        body = jaxrod.shapes.sphere((0.0, 0.0, 0.0), radius)
         return jaxrod.make_scene(rod, jaxrod.contact(body, stiffness=1e5))
 
     traced(WIRE)

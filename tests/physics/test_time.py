@@ -32,7 +32,7 @@ def shaken(rod, method=None, amplitude=FORCE, period=PERIOD):
     """A free rod under a force that is a sine of time, along x."""
     size = jnp.asarray([amplitude, 0.0, 0.0])
     return jaxrod.make_scene(
-        rod, jaxrod.uniform_load(jaxrod.sine(size, period)), method=method
+        rod, jaxrod.uniform_load(jaxrod.schedules.sine(size, period)), method=method
     )
 
 
@@ -123,9 +123,9 @@ def test_a_batch_is_a_loop_with_starts_of_their_own(rod_and_state):
 def test_phases_stay_exact_for_a_hundred_million_steps(dtype):
     random = np.random.default_rng(0)
     clock_phase = jax.jit(
-        lambda step, dt, period: jaxrod.Clock(step, jnp.asarray(0.5, dtype), dt).phase(
-            period
-        )
+        lambda step, dt, period: jaxrod.schedules.Clock(
+            step, jnp.asarray(0.5, dtype), dt
+        ).phase(period)
     )
     worst = 0.0
     for _ in range(300):
@@ -142,17 +142,19 @@ def test_phases_stay_exact_for_a_hundred_million_steps(dtype):
 
 
 def test_ramps_and_tables_have_their_values():
-    clock = jaxrod.Clock(jnp.int32(0), jnp.asarray(0.0), jnp.asarray(1.0))
+    clock = jaxrod.schedules.Clock(jnp.int32(0), jnp.asarray(0.0), jnp.asarray(1.0))
     times = np.array([-1.0, 0.0, 0.5, 1.0, 2.0, 5.0])
 
     def values(schedule):
         return [float(schedule(clock.later(t))) for t in times]
 
-    rise = jaxrod.ramp(1.0, 3.0, 2.0)
+    rise = jaxrod.schedules.ramp(1.0, 3.0, 2.0)
     np.testing.assert_allclose(values(rise), np.interp(times, [0, 2], [1, 3]))
     knots = ([0.0, 1.0, 4.0], [2.0, -1.0, 5.0])
-    np.testing.assert_allclose(values(jaxrod.table(*knots)), np.interp(times, *knots))
-    assert float(jaxrod.table(*knots).largest) == 5.0
+    np.testing.assert_allclose(
+        values(jaxrod.schedules.table(*knots)), np.interp(times, *knots)
+    )
+    assert float(jaxrod.schedules.table(*knots).largest) == 5.0
 
 
 def test_a_scene_without_schedules_is_the_same_program_wherever_it_begins(
@@ -168,8 +170,8 @@ def test_a_scene_without_schedules_is_the_same_program_wherever_it_begins(
     assert program(first=77) == program()
 
 
-@jaxrod.pytree
-class Spring(jaxrod.Effect):
+@jaxrod.extend.pytree
+class Spring(jaxrod.extend.Effect):
     """From the last node to the origin, of a stiffness that may be a schedule."""
 
     stiffness: jax.Array
@@ -179,16 +181,16 @@ class Spring(jaxrod.Effect):
             jnp.zeros_like(p).at[-1].set(-self.stiffness * p[-1])
             for p in motion.position
         )
-        return jaxrod.Loads(forces=forces)
+        return jaxrod.extend.Loads(forces=forces)
 
     def stability_bound(self, rod):
         nodes = jnp.zeros_like(rod.node_masses).at[-1].set(self.stiffness)
-        return jaxrod.StabilityBound(nodes=nodes)
+        return jaxrod.extend.StabilityBound(nodes=nodes)
 
 
 def test_ones_own_effect_takes_schedules_and_is_bounded_by_the_largest(rod_and_state):
     rod, _ = rod_and_state
-    schedule = jaxrod.ramp(0.0, 1e6, 1.0)
+    schedule = jaxrod.schedules.ramp(0.0, 1e6, 1.0)
     scene = jaxrod.make_scene(rod, Spring(schedule))
     stiff = jaxrod.make_scene(rod, Spring(jnp.asarray(1e6)))
     assert float(jaxrod.stable_dt(scene).dt) == float(jaxrod.stable_dt(stiff).dt)
@@ -200,7 +202,9 @@ def test_ones_own_effect_takes_schedules_and_is_bounded_by_the_largest(rod_and_s
 def test_what_asks_about_one_moment_wants_to_know_which(rod_and_state):
     rod, state = rod_and_state
     scene = jaxrod.make_scene(
-        rod, jaxrod.clamp(state), jaxrod.gravity(jaxrod.ramp((0.0,) * 3, (1.0,) * 3, 1))
+        rod,
+        jaxrod.clamp(state),
+        jaxrod.gravity(jaxrod.schedules.ramp((0.0,) * 3, (1.0,) * 3, 1)),
     )
     for ask in (
         lambda: scene.total_energy(state),
@@ -219,7 +223,7 @@ def test_what_asks_about_one_moment_wants_to_know_which(rod_and_state):
 
 def test_a_load_that_leaves_the_plane_later_is_refused_now(rod_and_state):
     rod, state = rod_and_state
-    later = jaxrod.ramp((0.0, 0.0, 0.0), (0.0, 1.0, 0.0), 1.0)
+    later = jaxrod.schedules.ramp((0.0, 0.0, 0.0), (0.0, 1.0, 0.0), 1.0)
     scene = jaxrod.make_scene(
         rod, jaxrod.uniform_load(later), method=jaxrod.planar("zx")
     )
@@ -227,8 +231,8 @@ def test_a_load_that_leaves_the_plane_later_is_refused_now(rod_and_state):
         jaxrod.advance(scene, state, 1e-4, 1)
 
 
-@jaxrod.pytree
-class Timeless(jaxrod.Method):
+@jaxrod.extend.pytree
+class Timeless(jaxrod.extend.Method):
     """A method of one's own that is not for what changes."""
 
     def check_evolving(self, scene):
@@ -240,7 +244,7 @@ def test_a_method_is_asked_about_what_evolves_and_about_nothing_else(rod_and_sta
     rod, state = rod_and_state
     still = jaxrod.clamp(state), jaxrod.gravity()
     jaxrod.make_scene(rod, *still, method=Timeless())
-    later = jaxrod.end_load(force=jaxrod.ramp((0.0,) * 3, (1.0,) * 3, 1.0))
+    later = jaxrod.end_load(force=jaxrod.schedules.ramp((0.0,) * 3, (1.0,) * 3, 1.0))
     with pytest.raises(ValueError, match=r"Timeless is not for \['EndLoad'\]"):
         jaxrod.make_scene(rod, *still, later, method=Timeless())
 
@@ -248,13 +252,15 @@ def test_a_method_is_asked_about_what_evolves_and_about_nothing_else(rod_and_sta
 def test_a_wall_that_turns_is_refused_where_twist_is_dropped(rod_and_state):
     rod, state = rod_and_state
     frame = state.orientations[:, 0]
-    turning = replace(jaxrod.clamp(state), orientation=jaxrod.ramp(frame, frame, 1.0))
+    turning = replace(
+        jaxrod.clamp(state), orientation=jaxrod.schedules.ramp(frame, frame, 1.0)
+    )
     with pytest.raises(ValueError, match="walls that stand still, got Clamp"):
         jaxrod.make_scene(rod, turning, method=jaxrod.torsion_free())
 
 
-@jaxrod.pytree
-class Thinning(jaxrod.Effect):
+@jaxrod.extend.pytree
+class Thinning(jaxrod.extend.Effect):
     """Damping of a rate that may be a schedule."""
 
     rate: jax.Array
@@ -266,15 +272,23 @@ class Thinning(jaxrod.Effect):
 def test_bad_schedules_are_refused_in_words(rod_and_state):
     rod, state = rod_and_state
     for make, words in (
-        (lambda: jaxrod.gravity(jaxrod.ramp(0.0, 1.0, 1.0)), r"acceleration must have"),
-        (lambda: jaxrod.ramp(0.0, (1.0, 2.0), 1.0), "first and last must have one"),
-        (lambda: jaxrod.ramp(0.0, 1.0, 0.0), "duration must be positive"),
-        (lambda: jaxrod.sine(1.0, -1.0), "period must be positive"),
-        (lambda: jaxrod.table([0.0], [1.0]), "times must be two or more"),
-        (lambda: jaxrod.table([0.0, 0.0], [1.0, 2.0]), "times must rise"),
-        (lambda: jaxrod.table([0.0, 1.0], [1.0]), "as many as times"),
         (
-            lambda: jaxrod.make_scene(rod, Thinning(jaxrod.ramp(0.0, 1.0, 1.0))),
+            lambda: jaxrod.gravity(jaxrod.schedules.ramp(0.0, 1.0, 1.0)),
+            r"acceleration must have",
+        ),
+        (
+            lambda: jaxrod.schedules.ramp(0.0, (1.0, 2.0), 1.0),
+            "first and last must have one",
+        ),
+        (lambda: jaxrod.schedules.ramp(0.0, 1.0, 0.0), "duration must be positive"),
+        (lambda: jaxrod.schedules.sine(1.0, -1.0), "period must be positive"),
+        (lambda: jaxrod.schedules.table([0.0], [1.0]), "times must be two or more"),
+        (lambda: jaxrod.schedules.table([0.0, 0.0], [1.0, 2.0]), "times must rise"),
+        (lambda: jaxrod.schedules.table([0.0, 1.0], [1.0]), "as many as times"),
+        (
+            lambda: jaxrod.make_scene(
+                rod, Thinning(jaxrod.schedules.ramp(0.0, 1.0, 1.0))
+            ),
             "damping rates are worked out once",
         ),
         (

@@ -10,12 +10,12 @@ import pytest
 import jaxrod
 from physics.rods import arm, turn
 
-writhe = jax.jit(jaxrod.writhe, static_argnames="ends")
-twist = jax.jit(jaxrod.twist, static_argnames="ends")
-link = jax.jit(jaxrod.link, static_argnames="ends")
-linking_number = jax.jit(jaxrod.linking_number, static_argnames="ends")
-crossings = jax.jit(jaxrod.crossings)
-crossed = jax.jit(jaxrod.crossed)
+writhe = jax.jit(jaxrod.topology.writhe, static_argnames="ends")
+twist = jax.jit(jaxrod.topology.twist, static_argnames="ends")
+link = jax.jit(jaxrod.topology.link, static_argnames="ends")
+linking_number = jax.jit(jaxrod.topology.linking_number, static_argnames="ends")
+crossings = jax.jit(jaxrod.topology.crossings)
+crossed = jax.jit(jaxrod.topology.crossed)
 
 POINTS = 100
 ANGLE = np.arange(POINTS) * 2 * np.pi / POINTS
@@ -167,9 +167,11 @@ def test_twist_of_a_state():
 @jax.value_and_grad
 def both(nodes, normals):
     """Link and twist of a ring: one program for everything about gradients."""
-    total = jaxrod.link(nodes, normals, offset=0.01, ends="joined")
-    lengthened = jaxrod.writhe(nodes, ends="net_tangent")
-    return total + lengthened + 0.3 * jaxrod.twist(nodes, normals, ends="joined")
+    total = jaxrod.topology.link(nodes, normals, offset=0.01, ends="joined")
+    lengthened = jaxrod.topology.writhe(nodes, ends="net_tangent")
+    return (
+        total + lengthened + 0.3 * jaxrod.topology.twist(nodes, normals, ends="joined")
+    )
 
 
 @pytest.mark.slow
@@ -278,7 +280,7 @@ def test_frames_of_a_batch_are_those_of_a_loop():
     together = jax.jit(jax.vmap(lambda x: writhe(x, ends="joined")))(frames)
     alone = [writhe(frame, ends="joined") for frame in frames]
     np.testing.assert_allclose(together, jnp.stack(alone), rtol=1e-12)
-    passed = jax.jit(jax.vmap(jaxrod.crossings))(frames[:-1], frames[1:])
+    passed = jax.jit(jax.vmap(jaxrod.topology.crossings))(frames[:-1], frames[1:])
     alone = [crossings(a, b) for a, b in itertools.pairwise(frames)]
     np.testing.assert_allclose(passed, jnp.stack(alone), atol=1e-12)
 
@@ -286,30 +288,39 @@ def test_frames_of_a_batch_are_those_of_a_loop():
 @pytest.mark.parametrize(
     ("call", "words"),
     [
-        (lambda: jaxrod.writhe(np.zeros((2, 5))), "nodes \\(3, n \\+ 1\\)"),
-        (lambda: jaxrod.writhe(np.zeros((4, 3, 5))), "use jax.vmap"),
-        (lambda: jaxrod.writhe(CIRCLE, ends="tied"), "ends must be one of open"),
-        (lambda: jaxrod.writhe(CIRCLE, extension=1.0), "leave out extension"),
+        (lambda: jaxrod.topology.writhe(np.zeros((2, 5))), "nodes \\(3, n \\+ 1\\)"),
+        (lambda: jaxrod.topology.writhe(np.zeros((4, 3, 5))), "use jax.vmap"),
         (
-            lambda: jaxrod.writhe(CIRCLE, ends="end_to_end", extension=-1.0),
+            lambda: jaxrod.topology.writhe(CIRCLE, ends="tied"),
+            "ends must be one of open",
+        ),
+        (lambda: jaxrod.topology.writhe(CIRCLE, extension=1.0), "leave out extension"),
+        (
+            lambda: jaxrod.topology.writhe(CIRCLE, ends="end_to_end", extension=-1.0),
             "extension must be positive, got -1 m",
         ),
-        (lambda: jaxrod.twist(CIRCLE), "normals \\(3, n\\)"),
-        (lambda: jaxrod.twist(CIRCLE, CIRCLE), "normals must have shape"),
+        (lambda: jaxrod.topology.twist(CIRCLE), "normals \\(3, n\\)"),
+        (lambda: jaxrod.topology.twist(CIRCLE, CIRCLE), "normals must have shape"),
         (
-            lambda: jaxrod.twist(CIRCLE, CIRCLE[:, 1:], ends="net_tangent"),
+            lambda: jaxrod.topology.twist(CIRCLE, CIRCLE[:, 1:], ends="net_tangent"),
             "one of open, joined",
         ),
         (
-            lambda: jaxrod.link(CIRCLE, CIRCLE[:, 1:], offset=0.0),
+            lambda: jaxrod.topology.link(CIRCLE, CIRCLE[:, 1:], offset=0.0),
             "offset must be positive",
         ),
         (
-            lambda: jaxrod.linking_number(CIRCLE, CIRCLE, ends="next_tangent"),
+            lambda: jaxrod.topology.linking_number(CIRCLE, CIRCLE, ends="next_tangent"),
             "one of joined, open",
         ),
-        (lambda: jaxrod.crossings(CIRCLE, CIRCLE[:, 1:]), "as many nodes as before"),
-        (lambda: jaxrod.crossed(CIRCLE, CIRCLE, CIRCLE), "must be given together"),
+        (
+            lambda: jaxrod.topology.crossings(CIRCLE, CIRCLE[:, 1:]),
+            "as many nodes as before",
+        ),
+        (
+            lambda: jaxrod.topology.crossed(CIRCLE, CIRCLE, CIRCLE),
+            "must be given together",
+        ),
     ],
 )
 def test_what_is_no_curve_is_refused(call, words):

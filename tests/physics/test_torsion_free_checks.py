@@ -135,13 +135,13 @@ def refused(rod, state):
         "shear stiffness": changed(shear_stretch_stiffness=shear.at[1].mul(2.0)),
         "straight at rest": changed(rest_curvatures=rod.rest_curvatures.at[1].set(0.1)),
         "shear at rest": changed(rest_strains=rod.rest_strains.at[0].set(0.01)),
-        "got ElementCouples": jaxrod.ElementCouples(jnp.zeros((3, 4))),
+        "got ElementCouples": jaxrod.actuation.ElementCouples(jnp.zeros((3, 4))),
         "follower": jaxrod.end_load(couple=couple, follower=True),
         "about d3, got EndLoad": jaxrod.end_load(couple=couple),
         "about d3, got UniformLoad": jaxrod.uniform_load(couple_per_length=couple),
         "one held end": (jaxrod.clamp(state), jaxrod.fixed_end(state, "finish")),
         "got Contact with friction": jaxrod.contact(
-            jaxrod.sphere((0.0, 0.0, 2.0), 0.3),
+            jaxrod.shapes.sphere((0.0, 0.0, 2.0), 0.3),
             stiffness=1e3,
             friction=0.3,
             friction_drag=1.0,
@@ -159,6 +159,8 @@ def test_what_twists_is_refused_in_words():
             else:
                 jaxrod.make_scene(rod, *effects, method=jaxrod.torsion_free())
     scene = jaxrod.make_scene(rod, method=jaxrod.torsion_free())
-    driven = replace(scene, effects=(jaxrod.ElementCouples(jnp.zeros((3, 4))),))
+    driven = replace(
+        scene, effects=(jaxrod.actuation.ElementCouples(jnp.zeros((3, 4))),)
+    )
     with pytest.raises(ValueError, match="ElementCouples"):
         jax.jit(lambda s: jaxrod.advance(driven, s, 1e-4, 5))(state)

@@ -29,7 +29,7 @@ def floor_contact(slope=0.0, friction=FRICTION, **changes):
         "damping": RATE * LINE,
         "friction": friction,
     }
-    body = jaxrod.plane(-RADIUS * normal, normal)
+    body = jaxrod.shapes.plane(-RADIUS * normal, normal)
     return jaxrod.contact(body, **numbers | changes)
 
 
@@ -53,8 +53,8 @@ def contact_loads(contact, rod, state):
     motion = motion_of(state)
     zero = jax.tree.map(jnp.zeros_like, (motion.velocity, motion.spin))
     loads = external_loads(jaxrod.make_scene(rod, contact), motion, *zero)
-    frame = jaxrod.rotations.directors(motion.orientation)
-    couples = jaxrod.rotations.to_world(frame, loads.couples)
+    frame = jaxrod.geometry.rotations.directors(motion.orientation)
+    couples = jaxrod.geometry.rotations.to_world(frame, loads.couples)
     return vectors.join(loads.forces), vectors.join(couples)
 
 

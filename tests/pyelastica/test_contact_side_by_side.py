@@ -46,7 +46,7 @@ def both_forces(depth, velocity, friction, drag):
     state = replace(state, velocities=everywhere)
     ends = ALONG * -0.5, ALONG * (LENGTH + 0.5)
     ours = jaxrod.contact(
-        jaxrod.cylinder(*ends, POST),
+        jaxrod.shapes.cylinder(*ends, POST),
         stiffness=STIFFNESS,
         damping=DAMPING,
         friction=friction,

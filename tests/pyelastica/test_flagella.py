@@ -95,7 +95,7 @@ def flagellum(n):
 
 def their_wave(rod):
     """Couples about a direction of space."""
-    return jaxrod.muscle_torques(
+    return jaxrod.actuation.muscle_torques(
         rod,
         COUPLES,
         period=PERIOD,
@@ -124,7 +124,7 @@ def speed(found):
 
 def in_their_law(*damping):
     rod, state = flagellum(N)
-    drag = jaxrod.slender_body_drag(VISCOSITY)
+    drag = jaxrod.fluids.slender_body_drag(VISCOSITY)
     method = jaxrod.pyelastica()
     return jaxrod.make_scene(rod, their_wave(rod), drag, *damping, method=method), state
 
@@ -167,8 +167,8 @@ def consistent_speed(n, *, nodes):
     rod, state = flagellum(n)
     if nodes:
         across = 4 * np.pi * VISCOSITY / np.log(LENGTH / RADIUS)
-        drag = jaxrod.stokes_drag(across / 2, across)
-        wave = jaxrod.travelling_wave(
+        drag = jaxrod.fluids.stokes_drag(across / 2, across)
+        wave = jaxrod.actuation.travelling_wave(
             rod,
             COUPLES,
             period=PERIOD,
@@ -177,7 +177,7 @@ def consistent_speed(n, *, nodes):
             ramp_up=PERIOD,
         )
     else:
-        drag, wave = jaxrod.slender_body_drag(VISCOSITY), their_wave(rod)
+        drag, wave = jaxrod.fluids.slender_body_drag(VISCOSITY), their_wave(rod)
     damping = jaxrod.exponential_damping(*RATES)
     scene = jaxrod.make_scene(rod, wave, drag, damping)
     return speed(places(scene, state, float(jaxrod.stable_dt(scene, 0.9).dt)))

@@ -120,7 +120,7 @@ def ours(
     normal = np.cos(slope) * UP + np.sin(slope) * DOWNHILL
     line, depth = MASS / LENGTH, 0.02 * RADIUS
     ground = jaxrod.contact(
-        jaxrod.plane(-RADIUS * normal, normal),
+        jaxrod.shapes.plane(-RADIUS * normal, normal),
         stiffness=line * G * np.cos(slope) / depth,
         damping=200.0 * line,
         friction=kinetic,

@@ -140,7 +140,7 @@ def ours(join, *, held="start", pull=PULL, steps=STEPS, dt=DT, twist=0.0, dampin
 
 
 def ball(a, b, state):
-    return jaxrod.ball_joint(a, b, state, stiffness=STIFFNESS)
+    return jaxrod.systems.ball_joint(a, b, state, stiffness=STIFFNESS)
 
 
 def same(name, mine, other, record, at_most=1e-12):
@@ -166,7 +166,7 @@ def test_a_spherical_joint_is_theirs(record):
 @pytest.mark.parametrize("damping", [0.0, 1e-4])
 def test_a_fixed_joint_is_theirs(damping, record):
     def fixed(a, b, state):
-        return jaxrod.rigid_joint(
+        return jaxrod.systems.rigid_joint(
             a,
             b,
             state,
@@ -189,7 +189,9 @@ def test_a_dashpot_of_distances_differs_by_the_gap(record):
         stiffness, steps, dt = STIFFNESS * factor, 400 * factor, DT / factor
 
         def damped(a, b, state, stiffness=stiffness):
-            return jaxrod.ball_joint(a, b, state, stiffness=stiffness, damping=0.5)
+            return jaxrod.systems.ball_joint(
+                a, b, state, stiffness=stiffness, damping=0.5
+            )
 
         numbers = {"k": stiffness, "nu": 0.5, "steps": steps, "dt": dt}
         other = theirs(elastica.FreeJoint, **numbers)
@@ -213,7 +215,7 @@ def hinged(pull, stiffness, factor):
 
     def hinge(a, b, state):
         numbers = {"stiffness": STIFFNESS, "axis_stiffness": stiffness}
-        return jaxrod.hinge_joint(a, b, state, axis=NORMAL, **numbers)
+        return jaxrod.systems.hinge_joint(a, b, state, axis=NORMAL, **numbers)
 
     how = {"held": "finish", "steps": factor * STEPS, "dt": DT / factor, "pull": pull}
     numbers = {"k": STIFFNESS, "nu": 0.0, "kt": stiffness, "normal_direction": NORMAL}
@@ -275,7 +277,7 @@ def test_joints_are_theirs_for_ten_seconds(name, record):
         kind, numbers = elastica.FixedJoint, {"kt": TURNING, "nut": 0.0}
 
         def join(a, b, state):
-            return jaxrod.rigid_joint(
+            return jaxrod.systems.rigid_joint(
                 a, b, state, stiffness=STIFFNESS, turning_stiffness=TURNING
             )
     else:
@@ -284,7 +286,7 @@ def test_joints_are_theirs_for_ten_seconds(name, record):
         numbers = {"kt": TURNING, "normal_direction": NORMAL}
 
         def join(a, b, state):
-            return jaxrod.hinge_joint(
+            return jaxrod.systems.hinge_joint(
                 a,
                 b,
                 state,

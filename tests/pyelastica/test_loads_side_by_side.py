@@ -19,7 +19,7 @@ START, END = np.array([0.3, -0.2, 0.4]), np.array([-0.1, 0.5, 0.2])
 
 
 @pytree
-class Swing(jaxrod.Schedule):
+class Swing(jaxrod.schedules.Schedule):
     """`EndpointForcesSinusoidal` as a schedule: a formula of time, by the user."""
 
     size: jax.Array
@@ -73,8 +73,10 @@ def ours(rod, sizes):
     # Theirs is the total, shared equally by elements; of equal ones that is per length.
     share = END / float(np.sum(rod.rest_lengths))
     return [
-        jaxrod.end_load(jaxrod.ramp((0, 0, 0), ends * START, RAMP), end="start"),
-        jaxrod.end_load(jaxrod.ramp((0, 0, 0), ends * END, RAMP)),
+        jaxrod.end_load(
+            jaxrod.schedules.ramp((0, 0, 0), ends * START, RAMP), end="start"
+        ),
+        jaxrod.end_load(jaxrod.schedules.ramp((0, 0, 0), ends * END, RAMP)),
         jaxrod.end_load(swing(swings), end="start"),
         jaxrod.end_load(swing(-0.7 * swings)),
         jaxrod.uniform_load(force * share, couple * share),

@@ -192,8 +192,8 @@ def test_loads_of_a_rod_that_touches_itself(record):
 def test_bad_input(members, numbers, words):
     rod, _ = our_rod(2, (0.0, 0.0, 0.0), (1.0, 0.0, 0.0))
     scene = jaxrod.make_scene(rod)
-    ball, _ = jaxrod.rigid_body(
-        jaxrod.sphere((0, 0, 1), 0.1), density=1.0, dtype=jnp.float64
+    ball, _ = jaxrod.systems.rigid_body(
+        jaxrod.shapes.sphere((0, 0, 1), 0.1), density=1.0, dtype=jnp.float64
     )
     several = jax.tree.map(lambda leaf: jnp.stack([leaf] * 2), scene)
     with pytest.raises(ValueError, match=words):

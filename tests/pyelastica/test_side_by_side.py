@@ -27,7 +27,7 @@ DRAWN = [
 
 
 @pytree
-class NodeForces(jaxrod.Effect):
+class NodeForces(jaxrod.extend.Effect):
     """Given forces on the nodes, as any user of jaxrod may write an effect."""
 
     forces: jnp.ndarray
@@ -56,7 +56,7 @@ def same_scene(drawn):
         jaxrod.gravity(drawn_loads.gravity),
         jaxrod.end_load(drawn_loads.end_force, drawn_loads.end_couple),
         NodeForces(jnp.asarray(np.outer(drawn_loads.uniform_force, share))),
-        jaxrod.ElementCouples(jnp.asarray(drawn_loads.element_couples)),
+        jaxrod.actuation.ElementCouples(jnp.asarray(drawn_loads.element_couples)),
         jaxrod.exponential_damping(drawn.damping_rate),
     ]
     if drawn.clamped:

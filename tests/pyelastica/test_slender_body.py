@@ -26,7 +26,7 @@ def test_an_arm_thrown_into_viscous_fluid(record):
     s = np.linspace(0.0, 1.0, N + 1)
     throw = np.stack([3 * s**2, np.sin(3 * s), 0.5 * np.cos(2 * s)])
     scene = jaxrod.make_scene(
-        rod, jaxrod.slender_body_drag(VISCOSITY), method=jaxrod.pyelastica()
+        rod, jaxrod.fluids.slender_body_drag(VISCOSITY), method=jaxrod.pyelastica()
     )
     thrown = replace(state, velocities=jnp.asarray(throw))
     end = jaxrod.advance(scene, thrown, DT, STEPS)

@@ -57,11 +57,11 @@ def ours(velocity, of_sphere, drag):
         direction=(1.0, 0.0, 0.0),
         dtype=jnp.float64,
     )
-    ball, of_ball = jaxrod.rigid_body(
-        jaxrod.sphere((0.0, 0.0, 0.0), SPHERE), density=1.0, dtype=jnp.float64
+    ball, of_ball = jaxrod.systems.rigid_body(
+        jaxrod.shapes.sphere((0.0, 0.0, 0.0), SPHERE), density=1.0, dtype=jnp.float64
     )
     state = {"rod": of_rod, "ball": of_ball}
-    contact = jaxrod.body_contact(
+    contact = jaxrod.systems.body_contact(
         "rod",
         "ball",
         stiffness=STIFFNESS,

@@ -97,9 +97,11 @@ def test_ends_that_are_twisted_and_pushed_together(record):
             yield jaxrod.driven(
                 state,
                 end,
-                displacement=jaxrod.ramp((0, 0, 0), (0, 0, way * slack / 2), TWISTING),
+                displacement=jaxrod.schedules.ramp(
+                    (0, 0, 0), (0, 0, way * slack / 2), TWISTING
+                ),
                 axis=(0, 0, 1),
-                angle=jaxrod.ramp(0.0, way * np.pi * turns, TWISTING),
+                angle=jaxrod.schedules.ramp(0.0, way * np.pi * turns, TWISTING),
                 holds_element=True,
             )
 

@@ -26,7 +26,7 @@ def ribbon():
 def test_writhe(ribbon, ends):
     nodes, _, _ = ribbon
     theirs = knot_theory.compute_writhe(nodes[None], LONGER, ends)[0]
-    ours = jaxrod.writhe(nodes, ends=ends, extension=LONGER)
+    ours = jaxrod.topology.writhe(nodes, ends=ends, extension=LONGER)
     np.testing.assert_allclose(ours, theirs, atol=1e-13)
 
 
@@ -38,11 +38,15 @@ def test_link(ribbon, ends):
         nodes[None], normals[None], radii[None], LONGER, ends
     )[0]
     # Theirs is the radius of the element before a node, the first's for the first.
-    ours = jaxrod.link(nodes, normals, offset=radii, ends=ends, extension=LONGER)
+    ours = jaxrod.topology.link(
+        nodes, normals, offset=radii, ends=ends, extension=LONGER
+    )
     np.testing.assert_allclose(ours, theirs, atol=1e-7)
 
 
 def test_twist(ribbon):
     nodes, normals, _ = ribbon
     theirs = knot_theory.compute_twist(nodes[None], normals[None])[0][0]
-    np.testing.assert_allclose(jaxrod.twist(nodes, normals), theirs, atol=1e-11)
+    np.testing.assert_allclose(
+        jaxrod.topology.twist(nodes, normals), theirs, atol=1e-11
+    )

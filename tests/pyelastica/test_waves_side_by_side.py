@@ -35,7 +35,7 @@ def drawn():
 def test_waves_of_couples_are_those_of_pyelastica(drawn, steps, record, monkeypatch):
     scene, state = same_scene(drawn)
     size = float(np.max(scene.rod.bend_twist_stiffness)) / 20
-    wave = jaxrod.muscle_torques(
+    wave = jaxrod.actuation.muscle_torques(
         scene.rod,
         size * COEFFICIENTS,
         period=PERIOD,

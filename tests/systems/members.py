@@ -42,14 +42,14 @@ def free_system():
     one, of_one = rod()
     two, of_two = rod(4, 0.3, (0.5, 0, 0), (0, 0.6, 0.8))
     three, of_three = rod(5, 0.4, (0.5, 0, 0), (0, -1, 0))
-    head, of_head = jaxrod.rigid_body(
-        jaxrod.box((-0.05, 0.01, 0.0), (0.05, 0.03, 0.02)),
+    head, of_head = jaxrod.systems.rigid_body(
+        jaxrod.shapes.box((-0.05, 0.01, 0.0), (0.05, 0.03, 0.02)),
         density=2000.0,
         angular_velocity=(2.0, -1.0, 3.0),
         dtype=jnp.float64,
     )
-    ball, of_ball = jaxrod.rigid_body(
-        jaxrod.sphere((0.5, -0.43, 0.0), 0.03),
+    ball, of_ball = jaxrod.systems.rigid_body(
+        jaxrod.shapes.sphere((0.5, -0.43, 0.0), 0.03),
         density=900.0,
         velocity=(0.1, 0.0, -0.2),
         dtype=jnp.float64,
@@ -61,7 +61,7 @@ def free_system():
         "head": of_head,
         "ball": of_ball,
     }
-    hinged = jaxrod.hinge_joint(
+    hinged = jaxrod.systems.hinge_joint(
         ("three", "finish"),
         ("ball",),
         rest,
@@ -79,9 +79,9 @@ def free_system():
             "head": head,
             "ball": ball,
         },
-        jaxrod.weld(("one", "finish"), ("two", "start"), rest),
-        jaxrod.tie(("two", "start"), ("three", "start"), rest),
-        jaxrod.attach(("one", "start"), ("head",), rest),
+        jaxrod.systems.weld(("one", "finish"), ("two", "start"), rest),
+        jaxrod.systems.tie(("two", "start"), ("three", "start"), rest),
+        jaxrod.systems.attach(("one", "start"), ("head",), rest),
         hinged,
         state=rest,
     )

@@ -111,8 +111,8 @@ def loss_of(kind: str, random: np.random.Generator) -> list[Any]:
     return {
         "none": lambda: [],
         "damping": lambda: [jaxrod.exponential_damping(size)],
-        "stokes": lambda: [jaxrod.stokes_drag(0.3 * size, size, 1e-4 * size)],
-        "quadratic": lambda: [jaxrod.quadratic_drag(100.0 * size)],
+        "stokes": lambda: [jaxrod.fluids.stokes_drag(0.3 * size, size, 1e-4 * size)],
+        "quadratic": lambda: [jaxrod.fluids.quadratic_drag(100.0 * size)],
         "internal": lambda: [jaxrod.internal_damping(1e-3 * size)],
     }[kind]()
 
@@ -165,10 +165,10 @@ def shape_at(kind: str, start: np.ndarray, way: np.ndarray) -> Any:
     """A body of some 5 cm that begins at a point and extends in a direction."""
     centre = start + 0.04 * way
     if kind == "sphere":
-        return jaxrod.sphere(centre, 0.04)
+        return jaxrod.shapes.sphere(centre, 0.04)
     if kind == "box":
-        return jaxrod.box(centre, (0.04, 0.03, 0.02))
-    make = jaxrod.capsule if kind == "capsule" else jaxrod.cylinder
+        return jaxrod.shapes.box(centre, (0.04, 0.03, 0.02))
+    make = jaxrod.shapes.capsule if kind == "capsule" else jaxrod.shapes.cylinder
     return make(start, start + 0.08 * way, 0.025)
 
 
@@ -203,7 +203,7 @@ def build(structure: Structure, random: np.random.Generator) -> tuple[Any, Any]:
             speeds = jnp.asarray(a * np.sin(along) + b * np.cos(along), jnp.float32)
             moving[name] = replace(state, velocities=speeds)
         else:
-            members[name], state = jaxrod.rigid_body(
+            members[name], state = jaxrod.systems.rigid_body(
                 shape_at(kind, starts[k], ways[k]),
                 density=10 ** random.uniform(2.5, 3.5),
                 effects=tuple(effects),
@@ -242,12 +242,12 @@ def joint_of(
     drag = {"damping": 0.3 * stiff**0.5 * 0.1} if structure.dashpots else {}
     turning = {"turning_damping": 1e-3 * turn} if structure.dashpots else {}
     kinds = {
-        "tie": lambda: jaxrod.tie(a, b, state),
-        "weld": lambda: jaxrod.weld(a, b, state),
-        "attach": lambda: jaxrod.attach(a, b, state),
-        "attach turning": lambda: jaxrod.attach(a, b, state, turning=True),
-        "ball": lambda: jaxrod.ball_joint(a, b, state, stiffness=stiff, **drag),
-        "hinge": lambda: jaxrod.hinge_joint(
+        "tie": lambda: jaxrod.systems.tie(a, b, state),
+        "weld": lambda: jaxrod.systems.weld(a, b, state),
+        "attach": lambda: jaxrod.systems.attach(a, b, state),
+        "attach turning": lambda: jaxrod.systems.attach(a, b, state, turning=True),
+        "ball": lambda: jaxrod.systems.ball_joint(a, b, state, stiffness=stiff, **drag),
+        "hinge": lambda: jaxrod.systems.hinge_joint(
             a,
             b,
             state,
@@ -257,10 +257,10 @@ def joint_of(
             at=starts[k + 1],
             **drag,
         ),
-        "rigid": lambda: jaxrod.rigid_joint(
+        "rigid": lambda: jaxrod.systems.rigid_joint(
             a, b, state, stiffness=stiff, turning_stiffness=turn, **drag, **turning
         ),
-        "spring": lambda: jaxrod.spring(
+        "spring": lambda: jaxrod.systems.spring(
             a,
             b,
             state,
@@ -283,13 +283,15 @@ def contacts_of(
         given |= {"damping": 1.0, "friction": random.uniform(0.1, 1.0)}
     rods = [k for k, kind in enumerate(structure.kinds) if isinstance(kind, int)]
     made = [
-        jaxrod.rod_contact(*(names[k] for k in rods), points_per_element=6, **given)
+        jaxrod.systems.rod_contact(
+            *(names[k] for k in rods), points_per_element=6, **given
+        )
     ]
     for k, kind in enumerate(structure.kinds):
         others = [rod for rod in rods if k > 0 and rod != structure.parents[k - 1]]
         if not isinstance(kind, int) and others:
             made.append(
-                jaxrod.body_contact(
+                jaxrod.systems.body_contact(
                     names[others[0]], names[k], points_per_element=6, **given
                 )
             )

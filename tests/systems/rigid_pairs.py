@@ -9,15 +9,15 @@ import jaxrod
 
 G = 9.81
 SHAPES = {
-    "sphere": lambda: jaxrod.sphere((0, 0, 0), 0.1),
-    "capsule": lambda: jaxrod.capsule((0, 0, -0.1), (0, 0, 0.1), 0.07),
-    "cylinder": lambda: jaxrod.cylinder((0, 0, -0.12), (0, 0, 0.12), 0.08),
-    "box": lambda: jaxrod.box((0, 0, 0), (0.1, 0.07, 0.12)),
+    "sphere": lambda: jaxrod.shapes.sphere((0, 0, 0), 0.1),
+    "capsule": lambda: jaxrod.shapes.capsule((0, 0, -0.1), (0, 0, 0.1), 0.07),
+    "cylinder": lambda: jaxrod.shapes.cylinder((0, 0, -0.12), (0, 0, 0.12), 0.08),
+    "box": lambda: jaxrod.shapes.box((0, 0, 0), (0.1, 0.07, 0.12)),
 }
 
 
 def body(shape, **options):
-    return jaxrod.rigid_body(
+    return jaxrod.systems.rigid_body(
         shape, **{"density": 500.0, "dtype": jnp.float64} | options
     )
 
@@ -27,9 +27,9 @@ def alone(shape, fixed=None, slope=0.0, body_options=(), **law):
     down = (G * np.sin(slope), 0.0, -G * np.cos(slope))
     one, state = body(shape, effects=(jaxrod.gravity(down),), **dict(body_options))
     law = {"stiffness": 1e5, "damping": 100.0, "onset": 1e-4} | law
-    ground = jaxrod.plane() if fixed is None else fixed
+    ground = jaxrod.shapes.plane() if fixed is None else fixed
     system = jaxrod.make_system(
-        {"body": one}, jaxrod.rigid_contact("body", fixed=ground, **law)
+        {"body": one}, jaxrod.systems.rigid_contact("body", fixed=ground, **law)
     )
     return system, {"body": state}
 
@@ -49,7 +49,8 @@ def pressed(system, state, slope=0.0, contacts=1):
 def pair(one, two, **law):
     (a, of_a), (b, of_b) = one, two
     system = jaxrod.make_system(
-        {"a": a, "b": b}, jaxrod.rigid_contact("a", "b", **{"stiffness": 2e4} | law)
+        {"a": a, "b": b},
+        jaxrod.systems.rigid_contact("a", "b", **{"stiffness": 2e4} | law),
     )
     return system, {"a": of_a, "b": of_b}
 

@@ -95,12 +95,12 @@ def test_a_pinned_net_is_pulled_to_a_diamond(record):
     far = 0.02
     corners = [("rows", 0, "start"), ("rows", 2, "finish")]
     springs = [
-        jaxrod.pose_spring(
+        jaxrod.systems.pose_spring(
             place,
             state,
             stiffness=20.0,
             damping=0.2,
-            displacement=jaxrod.ramp(
+            displacement=jaxrod.schedules.ramp(
                 (0.0, 0.0, 0.0), (sign * far, sign * far, 0.0), 0.4
             ),
         )
@@ -138,14 +138,14 @@ def test_a_braid_that_is_pressed_grows_wider(record):
         dtype=jnp.float64,
     )
     springs = [
-        jaxrod.pose_spring(
+        jaxrod.systems.pose_spring(
             (plate,),
             state,
             stiffness=50.0,
             damping=2.0,
             turning_stiffness=0.1,
             turning_damping=1e-3,
-            displacement=jaxrod.ramp((0.0, 0.0, 0.0), (0.0, 0.0, way), 0.4),
+            displacement=jaxrod.schedules.ramp((0.0, 0.0, 0.0), (0.0, 0.0, way), 0.4),
         )
         for plate, way in (("bottom", 0.01), ("top", -0.01))
     ]

@@ -17,8 +17,8 @@ def given():
     one, of_one = rod(4, 0.3)
     two, of_two = rod(4, 0.3, (0.3, 0, 0), (0, 1, 0))
     far, of_far = rod(4, 0.3, (0, 0, 5.0))
-    ball, of_ball = jaxrod.rigid_body(
-        jaxrod.sphere((0, 0, 0.1), 0.05), density=100.0, dtype=jnp.float64
+    ball, of_ball = jaxrod.systems.rigid_body(
+        jaxrod.shapes.sphere((0, 0, 0.1), 0.05), density=100.0, dtype=jnp.float64
     )
     members = {
         "one": jaxrod.make_scene(one, jaxrod.clamp(of_one, "finish")),
@@ -33,49 +33,59 @@ def given():
     ("couple", "words"),
     [
         (
-            lambda s: jaxrod.tie(("none", 0), ("two", 0), s),
+            lambda s: jaxrod.systems.tie(("none", 0), ("two", 0), s),
             "no member is called 'none'",
         ),
-        (lambda s: jaxrod.tie(("one", 9), ("two", 0), s), "node of 'one'"),
-        (lambda s: jaxrod.tie(("one", "end"), ("two", 0), s), '"start" or "finish"'),
-        (lambda s: jaxrod.tie(("one", "start"), ("far", 0), s), "5 m apart"),
-        (lambda s: jaxrod.weld(("one", 4), ("two", 2), s), "m apart"),
-        (lambda s: jaxrod.tie([("one", 4), ("one", 0)], [("two", 0)], s), "2 and 1"),
-        (lambda s: jaxrod.attach(("ball",), ("ball",), s), "nodes of rods"),
+        (lambda s: jaxrod.systems.tie(("one", 9), ("two", 0), s), "node of 'one'"),
         (
-            lambda s: jaxrod.attach(("one", "finish"), ("ball",), s),
+            lambda s: jaxrod.systems.tie(("one", "end"), ("two", 0), s),
+            '"start" or "finish"',
+        ),
+        (lambda s: jaxrod.systems.tie(("one", "start"), ("far", 0), s), "5 m apart"),
+        (lambda s: jaxrod.systems.weld(("one", 4), ("two", 2), s), "m apart"),
+        (
+            lambda s: jaxrod.systems.tie([("one", 4), ("one", 0)], [("two", 0)], s),
+            "2 and 1",
+        ),
+        (lambda s: jaxrod.systems.attach(("ball",), ("ball",), s), "nodes of rods"),
+        (
+            lambda s: jaxrod.systems.attach(("one", "finish"), ("ball",), s),
             "held by a support and attached",
         ),
         (
             lambda s: [
-                jaxrod.attach(("two", 1), ("ball",), s),
-                jaxrod.attach(("two", 1), ("ball",), s),
+                jaxrod.systems.attach(("two", 1), ("ball",), s),
+                jaxrod.systems.attach(("two", 1), ("ball",), s),
             ],
             "follow one body only",
         ),
         (
             lambda s: [
-                jaxrod.attach(("two", 0), ("ball",), s),
-                jaxrod.tie(("one", 4), ("two", 0), s),
+                jaxrod.systems.attach(("two", 0), ("ball",), s),
+                jaxrod.systems.tie(("one", 4), ("two", 0), s),
             ],
             "tied and attached",
         ),
         (
-            lambda s: jaxrod.ball_joint(("one", 4), ("ball",), s, stiffness=-1.0),
+            lambda s: jaxrod.systems.ball_joint(
+                ("one", 4), ("ball",), s, stiffness=-1.0
+            ),
             "stiffness must be positive, got -1 N/m",
         ),
         (
-            lambda s: jaxrod.ball_joint(("one", 0), ("far", 4), s, stiffness=1.0),
+            lambda s: jaxrod.systems.ball_joint(
+                ("one", 0), ("far", 4), s, stiffness=1.0
+            ),
             r"\('one', 0\) and \('far', 4\) are 5.* m apart.*0.075 m.*give at",
         ),
         (
-            lambda s: jaxrod.rigid_joint(
+            lambda s: jaxrod.systems.rigid_joint(
                 ("one", 0), ("far", 0), s, stiffness=1.0, turning_stiffness=1.0
             ),
             "are 5 m apart",
         ),
         (
-            lambda s: jaxrod.hinge_joint(
+            lambda s: jaxrod.systems.hinge_joint(
                 ("one", 0),
                 ("far", 0),
                 s,
@@ -86,47 +96,47 @@ def given():
             "are 5 m apart",
         ),
         (
-            lambda s: jaxrod.weld(("one", "start"), ("nobody", 0), s),
+            lambda s: jaxrod.systems.weld(("one", "start"), ("nobody", 0), s),
             "b: no member is called 'nobody'",
         ),
         (
-            lambda s: jaxrod.attach(("two", 0), ("bell",), s),
+            lambda s: jaxrod.systems.attach(("two", 0), ("bell",), s),
             "no member is called 'bell'",
         ),
         (
-            lambda s: jaxrod.spring(("two", 0), ("bell",), s, stiffness=1.0),
+            lambda s: jaxrod.systems.spring(("two", 0), ("bell",), s, stiffness=1.0),
             "b: no member is called 'bell'",
         ),
         (
-            lambda s: jaxrod.pose_spring(("bell",), s, stiffness=1.0),
+            lambda s: jaxrod.systems.pose_spring(("bell",), s, stiffness=1.0),
             "place: no member is called 'bell'",
         ),
         (
-            lambda s: jaxrod.body_contact("two", "bell", stiffness=1.0),
+            lambda s: jaxrod.systems.body_contact("two", "bell", stiffness=1.0),
             "no member is called 'bell'",
         ),
         (
-            lambda s: jaxrod.attach(("two", -6), ("ball",), s),
+            lambda s: jaxrod.systems.attach(("two", -6), ("ball",), s),
             "node of 'two' must be at least 0, got -1",
         ),
         (
-            lambda s: jaxrod.spring(("two", 7), ("ball",), s, stiffness=1.0),
+            lambda s: jaxrod.systems.spring(("two", 7), ("ball",), s, stiffness=1.0),
             "a: node of 'two' must be at most 4, got 7",
         ),
         (
-            lambda s: jaxrod.spring(("two", 3, 0), ("ball",), s, stiffness=1.0),
+            lambda s: jaxrod.systems.spring(("two", 3, 0), ("ball",), s, stiffness=1.0),
             "the number of 'two' must be at most 0, got 3",
         ),
         (
-            lambda s: jaxrod.pose_spring(("ball", 2), s, stiffness=1.0),
+            lambda s: jaxrod.systems.pose_spring(("ball", 2), s, stiffness=1.0),
             "the number of 'ball' must be at most 0, got 2",
         ),
         (
-            lambda s: jaxrod.attach(("two", 0.5), ("ball",), s),
+            lambda s: jaxrod.systems.attach(("two", 0.5), ("ball",), s),
             "node of 'two' must be an integer, got 0.5",
         ),
         (
-            lambda s: jaxrod.hinge_joint(
+            lambda s: jaxrod.systems.hinge_joint(
                 ("one", 4), ("ball",), s, axis=(0, 0, 0), stiffness=1, axis_stiffness=1
             ),
             "axis",
@@ -191,7 +201,7 @@ def test_states_that_do_not_fit(given):
         ({"mass": 0.0, "inertia": (1, 1, 1)}, "mass must be positive, got 0 kg"),
         ({"mass": 1.0, "inertia": (1, 0, 1)}, "inertia must be positive.* kg m"),
         (
-            {"shape": jaxrod.sphere((0, 0, 0), 0.1), "density": 0.0},
+            {"shape": jaxrod.shapes.sphere((0, 0, 0), 0.1), "density": 0.0},
             "density must be positive, got 0 kg/m",
         ),
         ({"mass": 1.0, "inertia": (1, 1, 3)}, "no moment above the sum"),
@@ -200,7 +210,7 @@ def test_states_that_do_not_fit(given):
 )
 def test_bodies_that_are_none(options, words):
     with pytest.raises(ValueError, match=words):
-        jaxrod.rigid_body(**options)
+        jaxrod.systems.rigid_body(**options)
 
 
 def test_rods_without_mass():
@@ -213,7 +223,7 @@ def test_a_batch_of_systems_is_no_system_of_groups(given):
     members, state = given
     system = jaxrod.make_system(
         {"one": members["one"], "two": members["two"]},
-        jaxrod.tie(("one", "finish"), ("two", "start"), state),
+        jaxrod.systems.tie(("one", "finish"), ("two", "start"), state),
     )
     pair = {name: state[name] for name in ("one", "two")}
     systems, states = jax.tree.map(lambda leaf: jnp.stack([leaf, leaf]), (system, pair))
@@ -230,9 +240,9 @@ def test_a_batch_of_systems_is_no_system_of_groups(given):
     [
         (jaxrod.uniform_load((0.0, 0.0, 1.0)), "'ball': UniformLoad.*rest_lengths"),
         (jaxrod.end_load((0.0, 0.0, 1.0)), r"'ball': EndLoad.*shape \(2,\)"),
-        (jaxrod.stokes_drag(0.1, 0.2), "'ball': StokesDrag.*bodies have not"),
+        (jaxrod.fluids.stokes_drag(0.1, 0.2), "'ball': StokesDrag.*bodies have not"),
         (
-            jaxrod.contact(jaxrod.plane(), stiffness=1.0),
+            jaxrod.contact(jaxrod.shapes.plane(), stiffness=1.0),
             "'ball': Contact.*stability_bound",
         ),
         (jaxrod.internal_damping(1e-3), "'ball': InternalDamping"),
@@ -244,8 +254,8 @@ def test_effects_that_do_not_act_on_bodies(given, effect, words):
         jaxrod.make_system({"ball": ball})
 
 
-@jaxrod.pytree
-class Fading(jaxrod.Effect):
+@jaxrod.extend.pytree
+class Fading(jaxrod.extend.Effect):
     """Damping of a rate that may be a schedule."""
 
     rate: jax.Array
@@ -256,7 +266,7 @@ class Fading(jaxrod.Effect):
 
 def test_a_schedule_of_damping_of_bodies_is_refused(given):
     """Rates are worked out once: the first one would be kept in silence."""
-    fading = Fading(jaxrod.ramp(0.5, 0.0, 1.0))
+    fading = Fading(jaxrod.schedules.ramp(0.5, 0.0, 1.0))
     ball = replace(given[0]["ball"], effects=(fading,))
     with pytest.raises(ValueError, match=r"'ball': damping rates are worked out once"):
         jaxrod.make_system({"ball": ball})
@@ -264,8 +274,8 @@ def test_a_schedule_of_damping_of_bodies_is_refused(given):
 
 def test_effects_on_bodies_take_their_type():
     """Of a body in single precision where numbers are double by default."""
-    ball, state = jaxrod.rigid_body(
-        jaxrod.sphere((0, 0, 0), 0.05),
+    ball, state = jaxrod.systems.rigid_body(
+        jaxrod.shapes.sphere((0, 0, 0), 0.05),
         density=100.0,
         effects=(jaxrod.gravity(), jaxrod.exponential_damping(0.5)),
         dtype=jnp.float32,
@@ -288,7 +298,7 @@ def test_effects_on_bodies_take_their_type():
 )
 def test_what_asks_about_one_moment(given, function):
     members, state = given
-    pull = jaxrod.gravity(jaxrod.sine((0.0, 0.0, 1.0), 2.0))
+    pull = jaxrod.gravity(jaxrod.schedules.sine((0.0, 0.0, 1.0), 2.0))
     ball = replace(members["ball"], effects=(pull,))
     system = jaxrod.make_system({"ball": ball})
     with pytest.raises(ValueError, match=r"one moment.*give system\.at\(time\)"):
@@ -300,7 +310,7 @@ def test_what_asks_about_one_moment(given, function):
 def test_a_driven_member_is_checked_against_a_state(group):
     def driven(height):
         one, state = rod(start=jnp.stack([0 * height, 0 * height, height]))
-        path = jaxrod.ramp((0.0, 0.0, 0.0), (0.0, 0.0, 0.1), 1.0)
+        path = jaxrod.schedules.ramp((0.0, 0.0, 0.0), (0.0, 0.0, 0.1), 1.0)
         return jaxrod.make_scene(one, jaxrod.driven(state, displacement=path)), state
 
     made = jax.vmap(driven)(jnp.arange(2.0)) if group else driven(jnp.zeros(()))
@@ -315,7 +325,7 @@ def test_a_driven_member_is_checked_against_a_state(group):
 def test_a_law_of_contact_without_a_hook_is_named(hook):
     """What a law of one's own forgot is said where it is asked for."""
 
-    @jaxrod.pytree
+    @jaxrod.extend.pytree
     class Sticky(TouchingRods):
         """A law without anything."""
 

@@ -15,8 +15,11 @@ RADIUS = 0.02
 
 
 def ball(place, radius=0.05, density=500.0, **moving):
-    return jaxrod.rigid_body(
-        jaxrod.sphere(place, radius), density=density, dtype=jnp.float64, **moving
+    return jaxrod.systems.rigid_body(
+        jaxrod.shapes.sphere(place, radius),
+        density=density,
+        dtype=jnp.float64,
+        **moving,
     )
 
 
@@ -24,7 +27,7 @@ def pair(a, b, **law):
     (one, of_one), (two, of_two) = a, b
     system = jaxrod.make_system(
         {"rod": jaxrod.make_scene(one), "ball": two},
-        jaxrod.body_contact("rod", "ball", **{"stiffness": 1e4} | law),
+        jaxrod.systems.body_contact("rod", "ball", **{"stiffness": 1e4} | law),
     )
     return system, {"rod": of_one, "ball": of_two}
 
@@ -124,9 +127,9 @@ def test_a_ball_rolls_down_a_slope_of_rod(record):
 def test_bad_input(names, words):
     one, _ = rod(4, 0.3)
     round_one, _ = ball((0, 0, 1))
-    point, _ = jaxrod.rigid_body(mass=1.0, inertia=(1, 1, 1), dtype=jnp.float64)
+    point, _ = jaxrod.systems.rigid_body(mass=1.0, inertia=(1, 1, 1), dtype=jnp.float64)
     with pytest.raises(ValueError, match=words):
         jaxrod.make_system(
             {"rod": jaxrod.make_scene(one), "ball": round_one, "point": point},
-            jaxrod.body_contact(*names, stiffness=1.0),
+            jaxrod.systems.body_contact(*names, stiffness=1.0),
         )

@@ -38,7 +38,7 @@ def over_a_rope(friction):
     onset = 0.01 * 2 * (CENTRELINE - CYLINDER) / CENTRELINE
     law = rope_law(friction) | {"onset": onset, "partners": 1}
     return (
-        jaxrod.make_system(members, jaxrod.rod_contact("rope", "post", **law)),
+        jaxrod.make_system(members, jaxrod.systems.rod_contact("rope", "post", **law)),
         {"rope": state, "post": of_post},
     )
 

@@ -24,7 +24,7 @@ def test_two_halves_are_the_whole(record):
             "left": jaxrod.make_scene(left, jaxrod.clamp(of_left), gravity),
             "right": jaxrod.make_scene(right, gravity),
         },
-        jaxrod.weld(("left", "finish"), ("right", "start"), state),
+        jaxrod.systems.weld(("left", "finish"), ("right", "start"), state),
         state=state,
     )
     scene = jaxrod.make_scene(whole, jaxrod.clamp(of_whole), gravity)
@@ -65,7 +65,7 @@ def test_damped_steps_lead_a_system_to_its_equilibrium(record):
             "left": jaxrod.make_scene(left, held, gravity, damping),
             "right": jaxrod.make_scene(right, gravity, damping),
         },
-        jaxrod.weld(("left", "finish"), ("right", "start"), state),
+        jaxrod.systems.weld(("left", "finish"), ("right", "start"), state),
         state=state,
     )
     dt = float(jaxrod.stable_dt(halves).dt)
@@ -88,14 +88,16 @@ def test_equal_rods_in_one_leaf_are_separate_rods():
     alone = {"a": singles[0], "b": singles[1]}
     group = jaxrod.make_system(
         {"rods": scenes},
-        jaxrod.weld(("rods", 0, "finish"), ("rods", 1, "start"), {"rods": states}),
+        jaxrod.systems.weld(
+            ("rods", 0, "finish"), ("rods", 1, "start"), {"rods": states}
+        ),
     )
     pair = jaxrod.make_system(
         {
             name: jax.tree.map(lambda leaf, k=k: leaf[k], scenes)
             for k, name in enumerate("ab")
         },
-        jaxrod.weld(("a", "finish"), ("b", "start"), alone),
+        jaxrod.systems.weld(("a", "finish"), ("b", "start"), alone),
     )
     kicked = jnp.zeros((3, 7)).at[1, 0].set(1.0)
     states = replace(states, velocities=states.velocities.at[0].set(kicked))
@@ -120,7 +122,7 @@ def test_cantilever_with_a_tip_mass(share, root, record):
     n, radius = 20, 0.004
     body, state = rod(n, 1.0, radius=radius, youngs_modulus=1e8)
     mass = float(jnp.sum(body.element_masses))
-    weight, of_weight = jaxrod.rigid_body(
+    weight, of_weight = jaxrod.systems.rigid_body(
         mass=share * mass,
         inertia=(1e-9, 1e-9, 1e-9),
         position=(1.0, 0.0, 0.0),
@@ -129,7 +131,7 @@ def test_cantilever_with_a_tip_mass(share, root, record):
     rest = {"beam": state, "weight": of_weight}
     system = jaxrod.make_system(
         {"beam": jaxrod.make_scene(body, jaxrod.clamp(state)), "weight": weight},
-        jaxrod.attach(("beam", "finish"), ("weight",), rest, turning=True),
+        jaxrod.systems.attach(("beam", "finish"), ("weight",), rest, turning=True),
     )
     bending, density = float(body.bend_twist_stiffness[0, 0]), mass
     expected = root**2 * np.sqrt(bending / density)
@@ -173,11 +175,11 @@ def test_supports_that_move_are_looked_at_where_they_begin():
                 "above": jaxrod.make_scene(above, moved),
                 "below": jaxrod.make_scene(below),
             },
-            jaxrod.weld(("below", "finish"), ("above", "start"), state),
+            jaxrod.systems.weld(("below", "finish"), ("above", "start"), state),
             state=state,
         )
 
-    still, moving = system(zero), system(jaxrod.ramp(zero, zero + 0.1, 1.0))
+    still, moving = system(zero), system(jaxrod.schedules.ramp(zero, zero + 0.1, 1.0))
     assert jaxrod.stable_dt(moving).dt == jaxrod.stable_dt(still).dt
     dt = 0.9 * float(jaxrod.stable_dt(moving).dt)
     end = jaxrod.advance(moving, state, dt, 100)
@@ -187,16 +189,16 @@ def test_supports_that_move_are_looked_at_where_they_begin():
 
 def test_a_hinge_turns_about_its_axis_alone(record):
     """A motor's couple c on a body of inertia J about it: c t^2 / 2 J."""
-    base, of_base = jaxrod.rigid_body(
+    base, of_base = jaxrod.systems.rigid_body(
         mass=1e9, inertia=(1e9, 1e9, 1e9), dtype=jnp.float64
     )
-    arm, of_arm = jaxrod.rigid_body(
+    arm, of_arm = jaxrod.systems.rigid_body(
         mass=1.0, inertia=(0.1, 0.2, 0.3 - 1e-9), dtype=jnp.float64
     )
     rest = {"base": of_base, "arm": of_arm}
     system = jaxrod.make_system(
         {"base": base, "arm": arm},
-        jaxrod.hinge_joint(
+        jaxrod.systems.hinge_joint(
             ("base",),
             ("arm",),
             rest,
@@ -228,7 +230,7 @@ def test_a_joints_dashpot_acts_on_one_and_reacts_on_the_other():
     one, of_one = rod(2)
     two, of_two = rod(3, 0.3, (0.5, 0, 0), (0, 0.6, 0.8))
     rest = {"one": of_one, "two": of_two}
-    joint = jaxrod.rigid_joint(
+    joint = jaxrod.systems.rigid_joint(
         ("one", "finish"),
         ("two", "start"),
         rest,
@@ -264,7 +266,7 @@ def test_a_body_has_the_inertia_of_what_it_carries_about_the_common_centre():
     draws = np.random.default_rng(5)
     mass, own = 2.0, np.array([0.1, 0.2, 0.25])
     masses, places = draws.uniform(0.5, 1.5, 3), draws.normal(size=(3, 3))
-    body, _ = jaxrod.rigid_body(mass=mass, inertia=own, dtype=jnp.float64)
+    body, _ = jaxrod.systems.rigid_body(mass=mass, inertia=own, dtype=jnp.float64)
     outer = np.einsum("n,in,jn->ij", masses, places, places)
     carried = Carried(
         jnp.asarray(masses.sum())[None],
@@ -299,7 +301,7 @@ def test_tie_to_a_held_node_follows_the_support():
     held = jaxrod.make_scene(one, jaxrod.clamp(of_one, "finish"))
     system = jaxrod.make_system(
         {"one": held, "two": jaxrod.make_scene(two, jaxrod.gravity())},
-        jaxrod.tie(("one", "finish"), ("two", "start"), rest),
+        jaxrod.systems.tie(("one", "finish"), ("two", "start"), rest),
     )
     after = jaxrod.advance(system, rest, jaxrod.stable_dt(system).dt, 500)
     np.testing.assert_array_equal(after["two"].positions[:, 0], of_two.positions[:, 0])
@@ -354,7 +356,7 @@ def test_a_batch_of_systems_is_a_loop_over_them():
                 "one": jaxrod.make_scene(one, jaxrod.clamp(of_one), falls),
                 "two": jaxrod.make_scene(two, falls),
             },
-            jaxrod.weld(("one", "finish"), ("two", "start"), rest),
+            jaxrod.systems.weld(("one", "finish"), ("two", "start"), rest),
         )
 
     pulls = jnp.array([-9.81, -3.0, 4.0])
@@ -377,13 +379,13 @@ def test_members_that_depend_on_time():
     left, of_left = rod(6, 0.5)
     right, of_right = rod(6, 0.5, (0.5, 0, 0))
     state = {"left": of_left, "right": of_right}
-    load = jaxrod.uniform_load(jaxrod.sine((0.0, 1.0, 0.0), 0.2))
+    load = jaxrod.uniform_load(jaxrod.schedules.sine((0.0, 1.0, 0.0), 0.2))
     halves = jaxrod.make_system(
         {
             "left": jaxrod.make_scene(left, jaxrod.clamp(of_left), load),
             "right": jaxrod.make_scene(right, load),
         },
-        jaxrod.weld(("left", "finish"), ("right", "start"), state),
+        jaxrod.systems.weld(("left", "finish"), ("right", "start"), state),
     )
     scene = jaxrod.make_scene(whole, jaxrod.clamp(of_whole), load)
     dt = jaxrod.stable_dt(scene).dt
@@ -408,7 +410,7 @@ def ladder():
             name: jax.vmap(lambda r: jaxrod.make_scene(r, jaxrod.gravity()))(rods)
             for name, rods in (("rails", rails), ("rungs", rungs))
         },
-        jaxrod.weld(
+        jaxrod.systems.weld(
             [("rails", r, 2 * k) for k in range(12) for r in (0, 1)],
             [("rungs", k, ends[r]) for k in range(12) for r in (0, 1)],
             state,
@@ -463,7 +465,7 @@ def test_tied_nodes_stay_together_for_long_in_single_precision():
             "one": jaxrod.make_scene(made[0][0], jaxrod.clamp(made[0][1]), falls),
             "two": jaxrod.make_scene(made[1][0], falls),
         },
-        jaxrod.tie(("one", "finish"), ("two", "start"), state),
+        jaxrod.systems.tie(("one", "finish"), ("two", "start"), state),
     )
     dt = jaxrod.stable_dt(system).dt
     after = jaxrod.advance(system, state, dt, 20_000)

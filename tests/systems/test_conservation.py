@@ -50,8 +50,8 @@ def sizes(system, state):
 def test_energy_of_a_rod_on_a_body_is_of_second_order():
     one, of_one = rod()
     spin = np.array((2.0, -1.0, 3.0))
-    body, of_body = jaxrod.rigid_body(
-        jaxrod.box((-0.05, 0.01, 0.0), (0.05, 0.03, 0.02)),
+    body, of_body = jaxrod.systems.rigid_body(
+        jaxrod.shapes.box((-0.05, 0.01, 0.0), (0.05, 0.03, 0.02)),
         density=2000.0,
         angular_velocity=spin,
         dtype=jnp.float64,
@@ -65,7 +65,7 @@ def test_energy_of_a_rod_on_a_body_is_of_second_order():
     state = {"rod": of_one, "body": of_body}
     system = jaxrod.make_system(
         {"rod": jaxrod.make_scene(one), "body": body},
-        jaxrod.attach(("rod", "start"), ("body",), state),
+        jaxrod.systems.attach(("rod", "start"), ("body",), state),
     )
     dt, start = jaxrod.stable_dt(system).dt, system.total_energy(state)
     errors = []
@@ -86,7 +86,7 @@ def body_rates(state, spin):
 def test_asymmetric_body_tumbles_with_the_period_of_the_closed_form(record):
     """Euler's top: periods by elliptic integrals (Landau and Lifshitz, section 37)."""
     i1, i2, i3 = moments = (1.0, 2.0, 2.9)
-    body, state = jaxrod.rigid_body(
+    body, state = jaxrod.systems.rigid_body(
         mass=1.0,
         inertia=moments,
         angular_velocity=(0.1, 2.0, 0.05),
@@ -121,8 +121,8 @@ def test_asymmetric_body_tumbles_with_the_period_of_the_closed_form(record):
 
 
 def test_sphere_and_symmetric_top_turn_exactly():
-    body, state = jaxrod.rigid_body(
-        jaxrod.cylinder((0, 0, 0), (0, 0, 0.3), 0.1),
+    body, state = jaxrod.systems.rigid_body(
+        jaxrod.shapes.cylinder((0, 0, 0), (0, 0, 0.3), 0.1),
         density=1000.0,
         angular_velocity=(1.0, 0.0, 4.0),
         dtype=jnp.float64,

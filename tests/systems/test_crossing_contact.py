@@ -28,7 +28,7 @@ def crossing(a, b, **law):
     (one, of_one), (two, of_two) = a, b
     system = jaxrod.make_system(
         {"one": jaxrod.make_scene(one), "two": jaxrod.make_scene(two)},
-        jaxrod.crossing_contact("one", "two", stiffness=STIFFNESS, **law),
+        jaxrod.systems.crossing_contact("one", "two", stiffness=STIFFNESS, **law),
     )
     return system, {"one": of_one, "two": of_two}
 
@@ -137,8 +137,8 @@ def test_ropes_that_rest_on_each_other_stay_where_they_are(n, record):
     """Held at both ends: in the middle of an element as at a node."""
     found, free = two_elasticae()
     rest = nodes_of(found, n)
-    contact = jaxrod.crossing_contact(
-        *rest, stiffness=OF_ROPES, damping=0.1, lists=jaxrod.neighbour_lists()
+    contact = jaxrod.systems.crossing_contact(
+        *rest, stiffness=OF_ROPES, damping=0.1, lists=jaxrod.systems.neighbour_lists()
     )
     system, state = resting_ropes(n, rest, contact)
     dt = float(jaxrod.stable_dt(system).dt)
@@ -382,13 +382,13 @@ def test_order_of_members_and_couplings_does_not_matter():
     lines = law | {"stiffness": 20 * STIFFNESS, "points_per_element": 3}
     system = jaxrod.make_system(
         {name: jaxrod.make_scene(rods[name][0]) for name in "abc"},
-        jaxrod.crossing_contact("a", "b", **law),
-        jaxrod.rod_contact("a", "c", **lines),
+        jaxrod.systems.crossing_contact("a", "b", **law),
+        jaxrod.systems.rod_contact("a", "c", **lines),
     )
     turned = jaxrod.make_system(
         {name: jaxrod.make_scene(rods[name][0]) for name in "cba"},
-        jaxrod.rod_contact("c", "a", **lines),
-        jaxrod.crossing_contact("b", "a", **law),
+        jaxrod.systems.rod_contact("c", "a", **lines),
+        jaxrod.systems.crossing_contact("b", "a", **law),
     )
     dt = 0.3 * jaxrod.stable_dt(system).dt
     ends = [jaxrod.advance(one, state, dt, 100) for one in (system, turned)]
@@ -408,17 +408,21 @@ def test_order_of_members_and_couplings_does_not_matter():
         (("one", "two"), {"friction": 0.2}, "friction_drag"),
         (("one", "two"), {"stiffness": -1.0}, "stiffness must be positive"),
         (("one", "ball"), {}, "is rigid"),
-        (("one", "two"), {"lists": jaxrod.neighbour_lists()}, "make_system a state"),
+        (
+            ("one", "two"),
+            {"lists": jaxrod.systems.neighbour_lists()},
+            "make_system a state",
+        ),
     ],
 )
 def test_bad_input(members, options, words):
     one, _ = rod(4, 0.3)
-    ball, _ = jaxrod.rigid_body(
-        jaxrod.sphere((0, 0, 1), 0.1), density=1.0, dtype=jnp.float64
+    ball, _ = jaxrod.systems.rigid_body(
+        jaxrod.shapes.sphere((0, 0, 1), 0.1), density=1.0, dtype=jnp.float64
     )
     scene = jaxrod.make_scene(one)
     with pytest.raises(ValueError, match=words):
         jaxrod.make_system(
             {"one": scene, "two": scene, "ball": ball},
-            jaxrod.crossing_contact(*members, **{"stiffness": 1.0} | options),
+            jaxrod.systems.crossing_contact(*members, **{"stiffness": 1.0} | options),
         )

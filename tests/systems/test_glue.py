@@ -26,7 +26,7 @@ def two(n=20, gap=2 * RADIUS, effects=None, **law):
             "low": jaxrod.make_scene(one, *listed(of_one)),
             "high": jaxrod.make_scene(other, *listed(of_other)),
         },
-        jaxrod.glue("low", "high", state, **{"stiffness": 1e5} | law),
+        jaxrod.systems.glue("low", "high", state, **{"stiffness": 1e5} | law),
     )
     return system, state
 
@@ -63,7 +63,7 @@ def test_glue_is_between_the_surfaces(thin):
     state = {"low": of_one, "high": of_other}
     system = jaxrod.make_system(
         {"low": jaxrod.make_scene(one), "high": jaxrod.make_scene(other)},
-        jaxrod.glue("low", "high", state, stiffness=1e5),
+        jaxrod.systems.glue("low", "high", state, stiffness=1e5),
     )
     angle = 0.01
     about = jnp.asarray([angle] * 4)[None, :] * jnp.asarray([[0.0], [0.0], [1.0]])
@@ -267,9 +267,9 @@ def test_one_glue_for_several_rods_with_numbers_of_their_own_is_that_of_each():
     }
     listed = [([0, 1], [0, 1]), ([4, 7], [1, 3])]
     rods = [("high", 0), ("high", 1)]
-    together = jaxrod.glue(["low"] * 2, rods, state, elements=listed, **numbers)
+    together = jaxrod.systems.glue(["low"] * 2, rods, state, elements=listed, **numbers)
     apart = [
-        jaxrod.glue(
+        jaxrod.systems.glue(
             "low",
             rods[k],
             state,
@@ -307,7 +307,7 @@ def test_glue_of_equal_rods_may_be_made_where_its_numbers_are_traced(listed):
     moved = state | {"low": replace(state["low"], positions=lifted)}
 
     def energy(stiffness):
-        made = jaxrod.glue(
+        made = jaxrod.systems.glue(
             "low", ("high", 1), state, stiffness=stiffness, elements=listed
         )
         return jaxrod.make_system(members, made).potential_energy(moved)
@@ -354,7 +354,7 @@ def test_glue_of_equal_rods_may_be_made_where_its_numbers_are_traced(listed):
 def test_bad_input(names, options, words):
     _, state = two(4)
     _, short = rod(3, 0.5)
-    _, ball = jaxrod.rigid_body(mass=1.0, inertia=(1, 1, 1), dtype=jnp.float64)
+    _, ball = jaxrod.systems.rigid_body(mass=1.0, inertia=(1, 1, 1), dtype=jnp.float64)
     state = {**state, "short": short, "ball": ball}
     with pytest.raises(ValueError, match=words):
-        jaxrod.glue(*names, state, **{"stiffness": 1.0} | options)
+        jaxrod.systems.glue(*names, state, **{"stiffness": 1.0} | options)

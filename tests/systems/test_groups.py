@@ -20,7 +20,7 @@ def arm(start, seed):
         jaxrod.clamp(state),
         jaxrod.gravity(),
         jaxrod.exponential_damping(0.5),
-        jaxrod.contact(jaxrod.plane((0, 0, -0.05), (0, 0, 1)), stiffness=1e4),
+        jaxrod.contact(jaxrod.shapes.plane((0, 0, -0.05), (0, 0, 1)), stiffness=1e4),
     )
     return scene, state
 

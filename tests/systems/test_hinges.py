@@ -16,7 +16,7 @@ AXIS_STIFFNESS, STIFFNESS = 50.0, 1e7
 
 
 @pytree
-class Couple(jaxrod.Effect):
+class Couple(jaxrod.extend.Effect):
     """A couple about x, world frame, on a body that has not turned far [N m]."""
 
     size: jnp.ndarray
@@ -31,15 +31,15 @@ class Couple(jaxrod.Effect):
             2 * (x * y - w * z),
             2 * (x * z + w * y),
         )
-        return jaxrod.Loads(couples=tuple(self.size * one + none for one in own))
+        return jaxrod.extend.Loads(couples=tuple(self.size * one + none for one in own))
 
 
 def hinged(effects=(), turning=(0.0, 0.0, 0.0), **numbers):
     """A body on a hinge about z at the origin, on a base that is as good as fixed."""
-    base, of_base = jaxrod.rigid_body(
+    base, of_base = jaxrod.systems.rigid_body(
         mass=1e9, inertia=(1e9,) * 3, position=(0.0, -0.5, 0.2), dtype=jnp.float64
     )
-    body, of_body = jaxrod.rigid_body(
+    body, of_body = jaxrod.systems.rigid_body(
         mass=MASS,
         inertia=INERTIA,
         position=(0.0, ARM, 0.0),
@@ -49,7 +49,7 @@ def hinged(effects=(), turning=(0.0, 0.0, 0.0), **numbers):
         dtype=jnp.float64,
     )
     state = {"base": of_base, "body": of_body}
-    joint = jaxrod.hinge_joint(
+    joint = jaxrod.systems.hinge_joint(
         ("base",),
         ("body",),
         state,

@@ -13,7 +13,7 @@ RADIUS, THICK, YOUNG = 0.5, 0.02, 1e7
 
 def made(n, effects, **options):
     """A ring: its scene, state and what closes it."""
-    rod, state, closure = jaxrod.ring(
+    rod, state, closure = jaxrod.systems.ring(
         n,
         length=2 * np.pi * RADIUS,
         radius=THICK,
@@ -33,7 +33,9 @@ def test_link_is_twist_and_writhe_while_a_twisted_ring_buckles(record):
     scene, state, closure = made(
         24, (jaxrod.exponential_damping(2.0),), turns=turns, straight_at_rest=True
     )
-    contact = jaxrod.crossing_contact("ring", itself=True, stiffness=1e5, damping=10.0)
+    contact = jaxrod.systems.crossing_contact(
+        "ring", itself=True, stiffness=1e5, damping=10.0
+    )
     start = {"ring": stirred(state, speed=0.01)}
     system = jaxrod.make_system({"ring": scene}, closure, contact, state=start)
     dt = float(jaxrod.stable_dt(system).dt)
@@ -42,9 +44,9 @@ def test_link_is_twist_and_writhe_while_a_twisted_ring_buckles(record):
     @jax.jit
     def parts(ring):
         return (
-            jaxrod.link(ring, ends="joined"),
-            jaxrod.twist(ring, ends="joined"),
-            jaxrod.writhe(ring, ends="joined"),
+            jaxrod.topology.link(ring, ends="joined"),
+            jaxrod.topology.twist(ring, ends="joined"),
+            jaxrod.topology.writhe(ring, ends="joined"),
         )
 
     state, found = start, [parts(start["ring"])]
@@ -83,7 +85,7 @@ def test_linked_rings_that_are_pulled_apart_stay_linked(record):
             name=name,
         )
         couplings.append(closure)
-    contact = jaxrod.crossing_contact(*members, stiffness=1e5, damping=10.0)
+    contact = jaxrod.systems.crossing_contact(*members, stiffness=1e5, damping=10.0)
     system = jaxrod.make_system(members, *couplings, contact, state=start)
     dt = float(jaxrod.stable_dt(system).dt)
     step = jax.jit(jaxrod.advance, static_argnums=3)
@@ -91,7 +93,7 @@ def test_linked_rings_that_are_pulled_apart_stay_linked(record):
     for _ in range(20):
         state = step(system, state, dt, int(0.1 / dt))
         left, right = state["left"], state["right"]
-        found.append(float(jaxrod.linking_number(left, right)))
+        found.append(float(jaxrod.topology.linking_number(left, right)))
     assert not jaxrod.health(system, state, dt).flagged
     # They hang in each other: longer than they were, and at rest.
     assert np.ptp(np.asarray(left.positions[0])) > 2.1 * RADIUS

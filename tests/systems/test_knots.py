@@ -65,7 +65,7 @@ def is_tied(records):
 def passages(records):
     """Whether the rod passed through itself between neighbouring records."""
     before, after = records.positions[:-1], records.positions[1:]
-    return jax.jit(jax.vmap(jaxrod.crossed))(before, after)
+    return jax.jit(jax.vmap(jaxrod.topology.crossed))(before, after)
 
 
 def test_knots_are_told_apart():

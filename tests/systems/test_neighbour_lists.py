@@ -13,8 +13,11 @@ from systems.members import rod
 
 RADIUS, ELEMENT = 0.02, 0.08
 LAWS = {
-    "line": (jaxrod.rod_contact, {"stiffness": 2e3, "damping": 1.0}),
-    "crossing": (jaxrod.crossing_contact, {"stiffness": 100.0, "damping": 0.05}),
+    "line": (jaxrod.systems.rod_contact, {"stiffness": 2e3, "damping": 1.0}),
+    "crossing": (
+        jaxrod.systems.crossing_contact,
+        {"stiffness": 100.0, "damping": 0.05},
+    ),
 }
 
 
@@ -70,7 +73,9 @@ def test_runs_are_those_without_lists(law, record):
     without = jaxrod.advance(dense, {"rods": state}, dt, 300)
     assert set(without) == {"rods"}
     for cells in (0, None):
-        lists = jaxrod.neighbour_lists(refresh_every=8, skin=1.0, cell_slots=cells)
+        lists = jaxrod.systems.neighbour_lists(
+            refresh_every=8, skin=1.0, cell_slots=cells
+        )
         listed = system_of(scenes, state, law, lists, friction=0.3)
         if cells is None:
             wide = replace(listed.couplings[0].lists, cell_slots=40)
@@ -119,9 +124,9 @@ def test_loads_of_rods_on_themselves_and_tied_together(law, end):
         "three": jaxrod.make_scene(third),
     }
     factory, numbers = LAWS[law]
-    tie = jaxrod.tie(("one", end), ("two", "start"), state)
+    tie = jaxrod.systems.tie(("one", end), ("two", "start"), state)
     found = []
-    for lists in (None, jaxrod.neighbour_lists()):
+    for lists in (None, jaxrod.systems.neighbour_lists()):
         contact = factory(*members, **numbers, itself=True, lists=lists)
         system = jaxrod.make_system(members, contact, tie, state=state)
         seen, couplings = jax.jit(seen_at_rest)(system, state)
@@ -148,7 +153,7 @@ def test_flags_rise_when_lists_are_too_short_or_too_old(record):
         ({"skin": 1e-3}, "stale"),
     ):
         settings = {"skin": 0.5} | roomy | change
-        lists = jaxrod.neighbour_lists(**settings)
+        lists = jaxrod.systems.neighbour_lists(**settings)
         system = system_of(scenes, state, lists=lists)
         dt = 0.3 * jaxrod.stable_dt(system).dt
         after = jaxrod.advance(system, first, dt, 100)
@@ -172,7 +177,7 @@ def test_flags_rise_when_lists_are_too_short_or_too_old(record):
 def test_a_fast_rod_makes_lists_old():
     """Twice as fast as half the skin in the time between lists."""
     scenes, state = heap(4, speed=0.0)
-    lists = jaxrod.neighbour_lists(refresh_every=10, skin=0.5)
+    lists = jaxrod.systems.neighbour_lists(refresh_every=10, skin=0.5)
     system, dt = system_of(scenes, state, lists=lists), 1e-5
     half = 0.25 * RADIUS
     for factor in (0.8, 1.2):
@@ -197,7 +202,9 @@ def test_nothing_is_missed_by_the_grid(spread):
         first = {"rods": replace(state, positions=far)}
     sets = []
     for cells in (0, 200):
-        lists = jaxrod.neighbour_lists(pairs=3000, candidates=9000, cell_slots=cells)
+        lists = jaxrod.systems.neighbour_lists(
+            pairs=3000, candidates=9000, cell_slots=cells
+        )
         system = system_of(scenes, state, lists=lists)
         _, (contact,) = jax.jit(seen_at_rest)(system, first)
         (found,) = contact.found.lists
@@ -221,7 +228,9 @@ def test_nothing_is_missed_by_the_grid(spread):
 def test_many_systems_at_once_and_branches_stay_branches():
     """Under vmap the search is still a branch that is taken every few steps."""
     scenes, state = heap(5, seed=3)
-    system = system_of(scenes, state, lists=jaxrod.neighbour_lists(refresh_every=5))
+    system = system_of(
+        scenes, state, lists=jaxrod.systems.neighbour_lists(refresh_every=5)
+    )
     dt = 0.2 * jaxrod.stable_dt(system).dt
 
     def run(speed):
@@ -244,7 +253,7 @@ def test_many_systems_at_once_and_branches_stay_branches():
 @pytest.mark.parametrize("law", ["line", "crossing"])
 def test_gradients_are_those_without_lists(law, record):
     scenes, state = heap(5, 3, seed=3)
-    lists = jaxrod.neighbour_lists(refresh_every=7, skin=1.0, cell_slots=30)
+    lists = jaxrod.systems.neighbour_lists(refresh_every=7, skin=1.0, cell_slots=30)
     dense = system_of(scenes, state, law, friction=0.3)
     listed = system_of(scenes, state, law, lists, friction=0.3)
     dt = 0.3 * jaxrod.stable_dt(dense).dt
@@ -272,7 +281,9 @@ def test_gradients_are_those_without_lists(law, record):
 @pytest.mark.slow
 def test_moved_away_from_the_origin_all_is_the_same():
     scenes, state = heap(6, seed=3)
-    system = system_of(scenes, state, lists=jaxrod.neighbour_lists(refresh_every=5))
+    system = system_of(
+        scenes, state, lists=jaxrod.systems.neighbour_lists(refresh_every=5)
+    )
     dt = 0.3 * jaxrod.stable_dt(system).dt
     shift = jnp.array([[[3.0], [-2.0], [5.0]]])
     away = replace(state, positions=state.positions + shift)
@@ -287,9 +298,11 @@ def test_moved_away_from_the_origin_all_is_the_same():
 def test_in_single_precision_and_with_schedules():
     """Types stay as they are; gravity that changes; recorded runs."""
     scenes, state = heap(6, dtype=jnp.float32)
-    rising = jaxrod.gravity(jaxrod.ramp((0.0, 0.0, 0.0), (0.0, 0.0, -9.81), 0.01))
+    rising = jaxrod.gravity(
+        jaxrod.schedules.ramp((0.0, 0.0, 0.0), (0.0, 0.0, -9.81), 0.01)
+    )
     falling = jax.vmap(lambda s: jaxrod.make_scene(s.rod, rising))(scenes)
-    lists = jaxrod.neighbour_lists(refresh_every=3)
+    lists = jaxrod.systems.neighbour_lists(refresh_every=3)
     system = system_of(falling, state, lists=lists)
     dt = 0.3 * jaxrod.stable_dt(system).dt
     path = jaxrod.rollout(system, {"rods": state}, dt, 20, every=5)
@@ -305,8 +318,8 @@ def test_in_single_precision_and_with_schedules():
 @pytest.mark.slow
 def test_counted_neighbours_and_sizes():
     scenes, state = heap(8, seed=3)
-    system = system_of(scenes, state, lists=jaxrod.neighbour_lists())
-    (near,) = jaxrod.neighbours(system, {"rods": state})
+    system = system_of(scenes, state, lists=jaxrod.systems.neighbour_lists())
+    (near,) = jaxrod.systems.neighbours(system, {"rods": state})
     assert near.members == (("rods", "rods"),)
     assert system.couplings[0].lists.pairs[0] >= 1.5 * near.pairs[0] > 0
     assert 0.2 < near.occupancy < 0.7
@@ -325,25 +338,26 @@ def test_counted_neighbours_and_sizes():
 )
 def test_bad_input(options, words):
     with pytest.raises(ValueError, match=words):
-        jaxrod.neighbour_lists(**options)
+        jaxrod.systems.neighbour_lists(**options)
 
 
 def test_reserved_name_and_record_of_another_kind():
     scene, state = jaxrod.make_scene(rod(3, 0.3)[0]), rod(3, 0.3)[1]
-    lists = jaxrod.neighbour_lists(pairs=9, candidates=9, cell_slots=0)
+    lists = jaxrod.systems.neighbour_lists(pairs=9, candidates=9, cell_slots=0)
     contact = {"stiffness": 1.0, "lists": lists}
     with pytest.raises(ValueError, match="no member can be called 'neighbours'"):
         jaxrod.make_system(
             {"a": scene, "neighbours": scene},
-            jaxrod.crossing_contact("a", "neighbours", **contact),
+            jaxrod.systems.crossing_contact("a", "neighbours", **contact),
         )
     system = jaxrod.make_system(
-        {"a": scene, "b": scene}, jaxrod.crossing_contact("a", "b", **contact)
+        {"a": scene, "b": scene}, jaxrod.systems.crossing_contact("a", "b", **contact)
     )
     with pytest.raises(TypeError, match="leave it out to begin anew"):
         jaxrod.advance(system, {"a": state, "b": state, "neighbours": 1.0}, 1e-5, 1)
     without = jaxrod.make_system(
-        {"a": scene, "b": scene}, jaxrod.crossing_contact("a", "b", stiffness=1.0)
+        {"a": scene, "b": scene},
+        jaxrod.systems.crossing_contact("a", "b", stiffness=1.0),
     )
     with pytest.raises(ValueError, match="must have the members"):
         jaxrod.advance(without, {"a": state, "b": state, "neighbours": 1.0}, 1e-5, 1)
@@ -355,19 +369,21 @@ def test_lists_are_counted_where_a_rod_is_driven():
     one, of_one = rod(4, 0.4)
     two, of_two = rod(4, 0.4, (0.1, -0.2, 0.041), (0, 1, 0))
     state = {"one": of_one, "two": of_two}
-    down = jaxrod.ramp((0.0, 0.0, 0.0), (0.0, 0.0, -0.01), 0.1)
+    down = jaxrod.schedules.ramp((0.0, 0.0, 0.0), (0.0, 0.0, -0.01), 0.1)
     scenes = {
         "one": jaxrod.make_scene(one, jaxrod.clamp(of_one)),
         "two": jaxrod.make_scene(two, jaxrod.driven(of_two, displacement=down)),
     }
 
     def after(lists):
-        contact = jaxrod.crossing_contact("one", "two", stiffness=1e3, lists=lists)
+        contact = jaxrod.systems.crossing_contact(
+            "one", "two", stiffness=1e3, lists=lists
+        )
         system = jaxrod.make_system(scenes, contact, state=state)
         dt = jaxrod.stable_dt(system).dt
         return jaxrod.advance(system, state, dt, 100)["one"].positions
 
     dense = after(None)
     assert np.max(np.abs(dense - of_one.positions)) > 1e-6
-    listed = after(jaxrod.neighbour_lists(refresh_every=4, skin=1.0))
+    listed = after(jaxrod.systems.neighbour_lists(refresh_every=4, skin=1.0))
     np.testing.assert_allclose(listed, dense, rtol=0, atol=1e-13)

@@ -39,7 +39,7 @@ def plait(pull, stiffness=2e3):
         )
 
     law = {"stiffness": stiffness, "damping": 0.2, "friction": 0.3}
-    touch = jaxrod.crossing_contact("strands", **law)
+    touch = jaxrod.systems.crossing_contact("strands", **law)
     members, state = {"strands": jax.vmap(one)(rods, states)}, {"strands": states}
     return jaxrod.make_system(members, touch, state=state), state
 
@@ -64,20 +64,22 @@ def links(state):
     """Linking numbers of every two strands."""
     each = [closed(nodes, k) for k, nodes in enumerate(strands(state))]
     pairs = [(a, b) for a in range(len(each)) for b in range(a)]
-    return jnp.stack([jaxrod.linking_number(each[a], each[b]) for a, b in pairs])
+    return jnp.stack(
+        [jaxrod.topology.linking_number(each[a], each[b]) for a, b in pairs]
+    )
 
 
 @jax.jit
 def passages(before, after):
     """How many rods, given by their nodes, passed through others or themselves."""
     rods = range(before.shape[0])
-    itself = jnp.sum(jax.vmap(jaxrod.crossed)(before, after))
+    itself = jnp.sum(jax.vmap(jaxrod.topology.crossed)(before, after))
     pairs = [(a, b) for a in rods for b in rods if b < a]
     if not pairs:
         return itself
     pick = lambda nodes, which: jnp.stack([nodes[pair[which]] for pair in pairs])
     own = pick(before, 0), pick(after, 0), pick(before, 1), pick(after, 1)
-    return itself + jnp.sum(jax.vmap(jaxrod.crossed)(*own))
+    return itself + jnp.sum(jax.vmap(jaxrod.topology.crossed)(*own))
 
 
 def followed(system, state, duration, records, nodes):
@@ -136,7 +138,7 @@ def test_a_plait_that_is_torn_through_itself_is_noticed():
 
 def covered_nest(height):
     """Twelve rods in a pot under a smooth lid at a height [m]."""
-    lid = jaxrod.plane((0.0, 0.0, height), (0.0, 0.0, -1.0))
+    lid = jaxrod.shapes.plane((0.0, 0.0, height), (0.0, 0.0, -1.0))
     return assemblies.nest(
         12,
         6,
@@ -203,11 +205,11 @@ def test_a_rope_comes_to_lie_on_a_floor_and_on_itself(record):
         dtype=jnp.float64,
     )
     law = {"stiffness": 1e4, "damping": 10.0, "friction": 0.4}
-    floor = jaxrod.contact(jaxrod.plane(), points_per_element=2, **law)
+    floor = jaxrod.contact(jaxrod.shapes.plane(), points_per_element=2, **law)
     scene = jaxrod.make_scene(
         rod, jaxrod.gravity((0.0, 0.0, -9.81)), floor, jaxrod.exponential_damping(3.0)
     )
-    touch = jaxrod.rod_contact("rope", itself=True, points_per_element=4, **law)
+    touch = jaxrod.systems.rod_contact("rope", itself=True, points_per_element=4, **law)
     system = jaxrod.make_system({"rope": scene}, touch)
     nodes = lambda own: own["rope"].positions[None]
     states, flags, through = followed(system, {"rope": state}, 1.8, 30, nodes)

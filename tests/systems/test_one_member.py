@@ -11,18 +11,18 @@ import jaxrod
 from systems.members import rod, stirred
 
 
-@jaxrod.pytree
-class Warming(jaxrod.Effect):
+@jaxrod.extend.pytree
+class Warming(jaxrod.extend.Effect):
     """Pushes all nodes along x; remembers how often, and pushes less each time."""
 
-    force: jax.Array | jaxrod.Schedule
-    pushes: jax.Array = jaxrod.memory(default=0.0)
+    force: jax.Array | jaxrod.schedules.Schedule
+    pushes: jax.Array = jaxrod.extend.memory(default=0.0)
 
     def loads(self, rod, motion):
         force = self.force / (1.0 + self.pushes)
         along = jnp.full_like(rod.node_masses, force)
         none = jnp.zeros_like(along)
-        return jaxrod.Loads(forces=(along, none, none))
+        return jaxrod.extend.Loads(forces=(along, none, none))
 
     def after_step(self, rod, motion, dt):
         return replace(self, pushes=self.pushes + 1.0)
@@ -35,10 +35,10 @@ def scenes(kind):
         jaxrod.clamp(state),
         jaxrod.gravity((0.0, 0.0, -9.81)),
         jaxrod.exponential_damping(0.5),
-        jaxrod.contact(jaxrod.plane((0, 0, -0.05), (0, 0, 1)), stiffness=1e4),
+        jaxrod.contact(jaxrod.shapes.plane((0, 0, -0.05), (0, 0, 1)), stiffness=1e4),
     ]
     if kind == "remembers":
-        effects.append(Warming(jaxrod.sine(0.2, period=0.02)))
+        effects.append(Warming(jaxrod.schedules.sine(0.2, period=0.02)))
     if kind == "compensated":
         state = jaxrod.compensated(state)
     method = jaxrod.pyelastica() if kind == "pyelastica" else jaxrod.consistent()

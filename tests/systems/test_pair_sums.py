@@ -115,11 +115,11 @@ def test_a_nest_with_room_to_spare_is_that_with_little(monkeypatch):
     scenes, state = jax.vmap(one)(jnp.linspace(0, 0.2, 8)[:, None] * jnp.ones((1, 3)))
 
     def ended(pairs):
-        lists = jaxrod.neighbour_lists(
+        lists = jaxrod.systems.neighbour_lists(
             refresh_every=4, skin=1.0, pairs=pairs, candidates=600, cell_slots=0
         )
         touch = {"stiffness": 100.0, "damping": 0.05, "friction": 0.3}
-        contact = jaxrod.crossing_contact("rods", **touch, lists=lists)
+        contact = jaxrod.systems.crossing_contact("rods", **touch, lists=lists)
         system = jaxrod.make_system({"rods": scenes}, contact, state={"rods": state})
 
         def deep(speed):

@@ -37,15 +37,15 @@ def wound_up():
     turned = jaxrod.driven(
         state,
         "finish",
-        displacement=jaxrod.ramp((0.0, 0.0, 0.0), (0.0, -COMING, 0.0), TIME),
+        displacement=jaxrod.schedules.ramp((0.0, 0.0, 0.0), (0.0, -COMING, 0.0), TIME),
         axis=(0.0, 1.0, 0.0),
-        angle=jaxrod.ramp(0.0, 2 * np.pi * TURNS, TIME),
+        angle=jaxrod.schedules.ramp(0.0, 2 * np.pi * TURNS, TIME),
         holds_element=True,
     )
     scene = jaxrod.make_scene(
         rod, jaxrod.fixed_end(state), turned, jaxrod.exponential_damping(DAMPING)
     )
-    touch = jaxrod.rod_contact(
+    touch = jaxrod.systems.rod_contact(
         "rod", itself=True, stiffness=1.5e6, damping=300.0, points_per_element=2
     )
     s = np.linspace(0, 1, N + 1)
@@ -59,9 +59,9 @@ def topology(state, radii):
     nodes, normals = state.positions, state.directors[0]
     far = {"ends": "next_tangent", "extension": EXTENSION}
     return (
-        jaxrod.twist(nodes, normals),
-        jaxrod.writhe(nodes, **far),
-        jaxrod.link(nodes, normals, offset=radii, **far),
+        jaxrod.topology.twist(nodes, normals),
+        jaxrod.topology.writhe(nodes, **far),
+        jaxrod.topology.link(nodes, normals, offset=radii, **far),
     )
 
 
@@ -109,7 +109,7 @@ def test_link_of_ten_turns_stays_in_a_rod_that_winds_up(record):
     made = guided(
         N,
         GUIDED,
-        jaxrod.ramp(0.0, 2 * np.pi * TEN, WINDING),
+        jaxrod.schedules.ramp(0.0, 2 * np.pi * TEN, WINDING),
         stiffness=6e6,
         dashpot=4500.0,
         damping=(2.0, 12800.0),

@@ -15,9 +15,11 @@ MASS, INERTIA = 2.0, (0.1, 0.2, 0.25)
 
 def held(**law):
     """A body on a spring."""
-    body, state = jaxrod.rigid_body(mass=MASS, inertia=INERTIA, dtype=jnp.float64)
+    body, state = jaxrod.systems.rigid_body(
+        mass=MASS, inertia=INERTIA, dtype=jnp.float64
+    )
     rest = {"body": state}
-    spring = jaxrod.pose_spring(("body",), rest, **{"stiffness": 50.0} | law)
+    spring = jaxrod.systems.pose_spring(("body",), rest, **{"stiffness": 50.0} | law)
     return jaxrod.make_system({"body": body}, spring), rest
 
 
@@ -50,7 +52,7 @@ def test_a_body_swings_about_a_place_and_an_orientation(record):
 def test_a_spring_that_is_moved_follows_the_driven_oscillator(record):
     """Displacement a sin(w t): the spring's end, and the dashpot's."""
     size, period, drag = 0.1, 1.5, 3.0
-    way = jaxrod.sine((size, 0.0, 0.0), period)
+    way = jaxrod.schedules.sine((size, 0.0, 0.0), period)
     system, rest = held(displacement=way, damping=drag)
     w, time = 2 * np.pi / period, 20.0
     answer = (50 + 1j * w * drag) / (50 - MASS * w**2 + 1j * w * drag)
@@ -76,16 +78,16 @@ def test_work_of_the_drive_is_what_is_gained_and_lost(record):
     body, state = rod(6, 0.5)
     rest = {"rod": state}
     drag, turning_drag = 0.5, 2e-3
-    spring = jaxrod.pose_spring(
+    spring = jaxrod.systems.pose_spring(
         ("rod", "finish"),
         rest,
         stiffness=200.0,
         damping=drag,
         turning_stiffness=0.3,
         turning_damping=turning_drag,
-        displacement=jaxrod.sine((0.05, 0.02, 0.1), 0.7),
+        displacement=jaxrod.schedules.sine((0.05, 0.02, 0.1), 0.7),
         axis=(0.3, 1.0, 0.2),
-        angle=jaxrod.sine(0.6, 0.9),
+        angle=jaxrod.schedules.sine(0.6, 0.9),
         at=(0.5, 0.01, 0.0),
     )
     system = jaxrod.make_system(
@@ -100,10 +102,12 @@ def test_work_of_the_drive_is_what_is_gained_and_lost(record):
     @jax.vmap
     def power(state, time):
         now = system.at(time)
-        (reaction,) = jaxrod.pose_spring_reactions(now, state)
+        (reaction,) = jaxrod.systems.pose_spring_reactions(now, state)
         (own,) = now.couplings
         bare = replace(own, damping=None, turning_damping=None)
-        (spring,) = jaxrod.pose_spring_reactions(replace(now, couplings=(bare,)), state)
+        (spring,) = jaxrod.systems.pose_spring_reactions(
+            replace(now, couplings=(bare,)), state
+        )
         pull = (reaction.force - spring.force) / drag
         turn = (reaction.couple - spring.couple) / turning_drag
         lost = drag * jnp.sum(pull**2) + turning_drag * jnp.sum(turn**2)
@@ -128,9 +132,9 @@ def test_the_power_of_the_drive_is_what_the_spring_of_a_body_that_is_still_gains
     """Whether it is moved or turned."""
     system, rest = held(
         turning_stiffness=0.5,
-        displacement=jaxrod.sine((0.05, 0.02, 0.1), 0.7),
+        displacement=jaxrod.schedules.sine((0.05, 0.02, 0.1), 0.7),
         axis=(0.3, 1.0, 0.2),
-        angle=jaxrod.sine(0.6, 0.9),
+        angle=jaxrod.schedules.sine(0.6, 0.9),
     )
     time, h = 0.2, 1e-4
 
@@ -138,13 +142,15 @@ def test_the_power_of_the_drive_is_what_the_spring_of_a_body_that_is_still_gains
     def energy(time):
         return system.at(time).potential_energy(rest)
 
-    (reaction,) = jaxrod.pose_spring_reactions(system.at(time), rest)
+    (reaction,) = jaxrod.systems.pose_spring_reactions(system.at(time), rest)
     gained = (energy(time + h) - energy(time - h)) / (2 * h)
     assert abs(float(gained)) > 0.1
     assert float(reaction.power) == pytest.approx(float(gained), rel=1e-6)
     # All of it by the angle's change, where the place does not move.
-    turned, _ = held(turning_stiffness=0.5, axis=(0, 0, 1), angle=jaxrod.sine(0.6, 0.9))
-    (reaction,) = jaxrod.pose_spring_reactions(turned.at(time), rest)
+    turned, _ = held(
+        turning_stiffness=0.5, axis=(0, 0, 1), angle=jaxrod.schedules.sine(0.6, 0.9)
+    )
+    (reaction,) = jaxrod.systems.pose_spring_reactions(turned.at(time), rest)
     phase = 2 * np.pi * time / 0.9
     rate = 0.6 * 2 * np.pi / 0.9 * np.cos(phase)
     expected = 0.5 * 0.6 * np.sin(phase) * rate
@@ -224,7 +230,7 @@ def test_the_bound_is_sharp():
             "orientation must not be zero",
         ),
         (
-            {"displacement": jaxrod.sine(1.0, 2.0)},
+            {"displacement": jaxrod.schedules.sine(1.0, 2.0)},
             r"displacement must have values of shape \(3,\)",
         ),
     ],

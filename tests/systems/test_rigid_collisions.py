@@ -45,7 +45,7 @@ def test_a_ball_that_strikes_at_an_angle_is_slowed_by_friction(record):
     """It slips all along: along the wall it loses mu times what it gets across."""
     friction = 0.1
     system, state = alone(
-        jaxrod.sphere((0, 0, 0.101), 0.1),
+        jaxrod.shapes.sphere((0, 0, 0.101), 0.1),
         stiffness=1e6,
         damping=None,
         friction=friction,

@@ -18,7 +18,7 @@ from systems.rigid_pairs import SHAPES, G, alone, body, moved, pressed
 @pytest.mark.parametrize("points", [2, 5])
 def test_a_box_may_lie_on_all_points_of_a_face(points):
     """So many springs the bound on the step counts."""
-    box = jaxrod.box((0.1, 0.2, -0.3), (0.2, 0.3, 0.5))
+    box = jaxrod.shapes.box((0.1, 0.2, -0.3), (0.2, 0.3, 0.5))
     samples = samples_of(box, 1, points)
     top = np.max(np.asarray(samples.offsets[0]))
     assert samples.at_once == np.sum(np.isclose(samples.offsets[0], top))
@@ -30,10 +30,12 @@ def test_the_bound_on_balls_is_that_of_springs_between_all_or_to_the_worst(partn
     """k (1/m_a + 1/m_b) of each, times the mass of the one."""
     stiffness, radii = 1e4, {"a": 0.1, "b": 0.05, "c": 0.2}
     parts = {
-        name: body_parts(body(jaxrod.sphere((0, 0, 0), r))[0])
+        name: body_parts(body(jaxrod.shapes.sphere((0, 0, 0), r))[0])
         for name, r in radii.items()
     }
-    contact = jaxrod.rigid_contact(*radii, stiffness=stiffness, partners=partners)
+    contact = jaxrod.systems.rigid_contact(
+        *radii, stiffness=stiffness, partners=partners
+    )
     bounds = contact.fitted(parts, ()).prepared(parts).stability_bounds(parts)
     mass = {name: 500 * 4 / 3 * np.pi * r**3 for name, r in radii.items()}
     for one in radii:
@@ -47,11 +49,11 @@ def test_the_bound_on_balls_is_that_of_springs_between_all_or_to_the_worst(partn
 def test_a_body_that_touches_several_feels_what_each_would_do_to_it():
     """Three balls that touch each other and the ground: sums of pairs of them."""
     centres = {"a": (0.0, 0.0, 0.09), "b": (0.18, 0.0, 0.095), "c": (0.07, 0.16, 0.09)}
-    made = {name: body(jaxrod.sphere(c, 0.1)) for name, c in centres.items()}
-    ground = jaxrod.plane((0, 0, 0), (0, 0, 1))
+    made = {name: body(jaxrod.shapes.sphere(c, 0.1)) for name, c in centres.items()}
+    ground = jaxrod.shapes.plane((0, 0, 0), (0, 0, 1))
 
     def forces(names, fixed):
-        contact = jaxrod.rigid_contact(*names, stiffness=1e4, fixed=fixed)
+        contact = jaxrod.systems.rigid_contact(*names, stiffness=1e4, fixed=fixed)
         system = jaxrod.make_system({n: made[n][0] for n in names}, contact)
         seen, (own,) = seen_at_rest(system, {n: made[n][1] for n in names})
         loads = own.loads(seen)
@@ -71,7 +73,7 @@ def test_a_body_that_touches_several_feels_what_each_would_do_to_it():
 
 @pytest.mark.slow
 def test_a_ball_at_rest_sinks_in_by_its_weight(record):
-    system, state = alone(jaxrod.sphere((0, 0, 0.1), 0.1), stiffness=2e4)
+    system, state = alone(jaxrod.shapes.sphere((0, 0, 0.1), 0.1), stiffness=2e4)
     dt = jaxrod.stable_dt(system).dt
     after = jaxrod.advance(system, state, dt, 2000)["body"]
     mass = float(system.members["body"].masses[0])
@@ -93,7 +95,7 @@ def test_a_ball_at_rest_sinks_in_by_its_weight(record):
 def test_a_ball_on_a_slope_rolls_or_slips(slope, friction, rolls, record):
     """It slips where the slope's tangent is above 7/2 of the friction: 0.611 rad."""
     system, state = alone(
-        jaxrod.sphere((0, 0, 0.1), 0.1),
+        jaxrod.shapes.sphere((0, 0, 0.1), 0.1),
         slope=slope,
         stiffness=1e6,
         friction=friction,
@@ -175,19 +177,25 @@ def test_boxes_slide_and_cylinders_roll(shape, expected, options, record):
 def test_balls_settle_in_a_corner():
     """Five balls fall into a pit, come to rest, and the pit carries them."""
     rng = np.random.default_rng(0)
-    balls, of_balls = jaxrod.stacked_bodies(
+    balls, of_balls = jaxrod.systems.stacked_bodies(
         *(
             body(
-                jaxrod.sphere((*rng.uniform(0.12, 0.24, 2), 0.12 + 0.21 * k), 0.1),
+                jaxrod.shapes.sphere(
+                    (*rng.uniform(0.12, 0.24, 2), 0.12 + 0.21 * k), 0.1
+                ),
                 effects=(jaxrod.gravity((0, 0, -G)),),
             )
             for k in range(5)
         )
     )
     walls = [
-        jaxrod.plane((0, 0, 0), normal) for normal in ((0, 0, 1), (1, 0, 0), (0, 1, 0))
-    ] + [jaxrod.plane((0.36, 0.36, 0), normal) for normal in ((-1, 0, 0), (0, -1, 0))]
-    contact = jaxrod.rigid_contact(
+        jaxrod.shapes.plane((0, 0, 0), normal)
+        for normal in ((0, 0, 1), (1, 0, 0), (0, 1, 0))
+    ] + [
+        jaxrod.shapes.plane((0.36, 0.36, 0), normal)
+        for normal in ((-1, 0, 0), (0, -1, 0))
+    ]
+    contact = jaxrod.systems.rigid_contact(
         "balls",
         fixed=walls,
         stiffness=2e4,
@@ -258,19 +266,19 @@ def test_bodies_of_any_shape_touch_with_given_points():
     def round_one(point, radius):
         return jnp.sqrt(jnp.sum(point * point) + 1e-12) - radius
 
-    shape = jaxrod.signed_distance(round_one, 0.1)
+    shape = jaxrod.shapes.signed_distance(round_one, 0.1)
     way = np.random.default_rng(0).normal(size=(3, 400))
     way[:, 0] = (0, 0, -1)
     points = 0.1 * way / np.linalg.norm(way, axis=0)
-    rock, of_rock = jaxrod.rigid_body(
+    rock, of_rock = jaxrod.systems.rigid_body(
         shape,
         mass=2.0,
         inertia=(0.008, 0.008, 0.008),
         position=(0, 0, 0.0995),
         dtype=jnp.float64,
     )
-    on_ground = jaxrod.rigid_contact(
-        "rock", fixed=jaxrod.plane(), stiffness=2e4, points={"rock": points}
+    on_ground = jaxrod.systems.rigid_contact(
+        "rock", fixed=jaxrod.shapes.plane(), stiffness=2e4, points={"rock": points}
     )
     system = jaxrod.make_system({"rock": rock}, on_ground)
     seen, (contact,) = seen_at_rest(system, {"rock": of_rock})
@@ -281,7 +289,9 @@ def test_bodies_of_any_shape_touch_with_given_points():
     with pytest.raises(ValueError, match=r"cannot see where 'rock' and fixed\[0\]"):
         jaxrod.make_system(
             {"rock": rock},
-            jaxrod.rigid_contact("rock", fixed=jaxrod.plane(), stiffness=2e4),
+            jaxrod.systems.rigid_contact(
+                "rock", fixed=jaxrod.shapes.plane(), stiffness=2e4
+            ),
         )
 
 
@@ -289,15 +299,15 @@ def test_bodies_of_any_shape_touch_with_given_points():
 def test_gradients_and_batches():
     """Of a ball that strikes a box on the ground, by where it comes from."""
     ball, of_ball = body(
-        jaxrod.sphere((-0.25, 0.01, 0.15), 0.05), velocity=(2.0, 0.0, -0.1)
+        jaxrod.shapes.sphere((-0.25, 0.01, 0.15), 0.05), velocity=(2.0, 0.0, -0.1)
     )
-    crate, of_crate = body(jaxrod.box((0, 0, 0.0995), (0.1, 0.1, 0.1)))
+    crate, of_crate = body(jaxrod.shapes.box((0, 0, 0.0995), (0.1, 0.1, 0.1)))
     system = jaxrod.make_system(
         {"ball": ball, "crate": crate},
-        jaxrod.rigid_contact(
+        jaxrod.systems.rigid_contact(
             "ball",
             "crate",
-            fixed=jaxrod.plane(),
+            fixed=jaxrod.shapes.plane(),
             stiffness=2e4,
             damping=20.0,
             friction=0.4,
@@ -353,10 +363,13 @@ def test_bad_input(names, options, words):
     members = {
         "rod": jaxrod.make_scene(thread),
         "ball": body(SHAPES["sphere"]())[0],
-        "point": jaxrod.rigid_body(mass=1.0, inertia=(1, 1, 1), dtype=jnp.float64)[0],
-        "pole": body(jaxrod.capsule((0, 0, 0), (0, 0, 8), 0.02))[0],
+        "point": jaxrod.systems.rigid_body(
+            mass=1.0, inertia=(1, 1, 1), dtype=jnp.float64
+        )[0],
+        "pole": body(jaxrod.shapes.capsule((0, 0, 0), (0, 0, 8), 0.02))[0],
     }
     with pytest.raises(ValueError, match=words):
         jaxrod.make_system(
-            members, jaxrod.rigid_contact(*names, **{"stiffness": 1.0} | options)
+            members,
+            jaxrod.systems.rigid_contact(*names, **{"stiffness": 1.0} | options),
         )

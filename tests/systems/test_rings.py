@@ -24,7 +24,7 @@ RADIUS, THICK, YOUNG, DENSITY = 0.5, 0.004, 1e7, 1000.0
 
 def made(n, ratio=1.5, thick=THICK, **options):
     """A ring of radius 0.5 m; `ratio` is that of bending to twisting stiffness."""
-    return jaxrod.ring(
+    return jaxrod.systems.ring(
         n,
         length=2 * np.pi * RADIUS,
         radius=thick,
@@ -283,7 +283,7 @@ def test_a_ring_has_the_link_that_was_put_in():
     ribbon = middles + 0.01 * np.asarray(state.directors[0])
     curve = np.concatenate([middles, middles[:, :1]], axis=1)
     edge = np.concatenate([ribbon, ribbon[:, :1]], axis=1)
-    number = jaxrod.linking_number(jnp.asarray(curve), jnp.asarray(edge))
+    number = jaxrod.topology.linking_number(jnp.asarray(curve), jnp.asarray(edge))
     assert abs(float(number)) == pytest.approx(3.0, abs=1e-6)
     # And the joint that closes it is as all others are.
     system, rest = closed(rod, state, closure)
@@ -292,7 +292,7 @@ def test_a_ring_has_the_link_that_was_put_in():
     assert float(joint.energy(seen)) == pytest.approx(stored / 24, rel=1e-9)
 
 
-LISTS = {"lists": jaxrod.neighbour_lists(refresh_every=8)}
+LISTS = {"lists": jaxrod.systems.neighbour_lists(refresh_every=8)}
 
 
 @pytest.mark.slow
@@ -301,8 +301,8 @@ LISTS = {"lists": jaxrod.neighbour_lists(refresh_every=8)}
 def test_contact_counts_the_place_where_a_ring_is_closed_once(law, options):
     """A rod across it presses as across any other node."""
     contact = {
-        "line": functools.partial(jaxrod.rod_contact, points_per_element=9),
-        "crossing": jaxrod.crossing_contact,
+        "line": functools.partial(jaxrod.systems.rod_contact, points_per_element=9),
+        "crossing": jaxrod.systems.crossing_contact,
     }[law]
     n = 12
     ring, of_ring, closure = made(n, thick=0.02)
@@ -345,4 +345,4 @@ def test_bad_input(options, words):
     given = {"length": 1.0, "radius": 0.01, "density": 1e3, "youngs_modulus": 1e6}
     given = given | options
     with pytest.raises(ValueError, match=words):
-        jaxrod.ring(given.pop("n", 10), **given)
+        jaxrod.systems.ring(given.pop("n", 10), **given)

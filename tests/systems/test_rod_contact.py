@@ -21,7 +21,7 @@ def touching(a, b, **law):
     (one, of_one), (two, of_two) = a, b
     system = jaxrod.make_system(
         {"one": jaxrod.make_scene(one), "two": jaxrod.make_scene(two)},
-        jaxrod.rod_contact("one", "two", stiffness=STIFFNESS, **law),
+        jaxrod.systems.rod_contact("one", "two", stiffness=STIFFNESS, **law),
     )
     return system, {"one": of_one, "two": of_two}
 
@@ -35,7 +35,7 @@ def loads_of(system, state):
 def test_the_bounds_of_springs_and_dashpots_are_those_of_as_much_length():
     """Each node's own, for as many partners, and twice for both rods that move."""
     parts = {"one": parts_of(rod(5, 0.5)[0]), "two": parts_of(rod(8, 0.5)[0])}
-    contact = jaxrod.rod_contact(
+    contact = jaxrod.systems.rod_contact(
         "one", "two", stiffness=STIFFNESS, damping=7.0, partners=3
     )
     bounds = contact.fitted(parts, ()).prepared(parts).stability_bounds(parts)
@@ -147,7 +147,7 @@ def test_contact_of_three_rods_is_that_of_every_two():
     def of(*names):
         system = jaxrod.make_system(
             {name: jaxrod.make_scene(made[name][0]) for name in names},
-            jaxrod.rod_contact(*names, stiffness=STIFFNESS, **law),
+            jaxrod.systems.rod_contact(*names, stiffness=STIFFNESS, **law),
         )
         return loads_of(system, {name: state[name] for name in names})
 
@@ -226,7 +226,7 @@ def test_a_loop_pressed_on_itself_does_not_pass_through():
     straight, of_straight = rod(20, 0.5)
     system = jaxrod.make_system(
         {"one": jaxrod.make_scene(straight)},
-        jaxrod.rod_contact("one", stiffness=STIFFNESS, itself=True),
+        jaxrod.systems.rod_contact("one", stiffness=STIFFNESS, itself=True),
     )
     loads, energy = loads_of(system, {"one": of_straight})
     assert float(energy) == 0.0
@@ -243,7 +243,7 @@ def test_a_loop_pressed_on_itself_does_not_pass_through():
     )
     bent = jaxrod.make_system(
         {"one": jaxrod.make_scene(hairpin)},
-        jaxrod.rod_contact("one", stiffness=STIFFNESS, itself=True),
+        jaxrod.systems.rod_contact("one", stiffness=STIFFNESS, itself=True),
     )
     loads, _ = loads_of(bent, {"one": of_hairpin})
     force = np.stack(loads["one"].forces)
@@ -267,12 +267,12 @@ def test_a_loop_pressed_on_itself_does_not_pass_through():
 )
 def test_bad_input(members, options, words):
     one, _ = rod(4, 0.3)
-    ball, _ = jaxrod.rigid_body(
-        jaxrod.sphere((0, 0, 1), 0.1), density=1.0, dtype=jnp.float64
+    ball, _ = jaxrod.systems.rigid_body(
+        jaxrod.shapes.sphere((0, 0, 1), 0.1), density=1.0, dtype=jnp.float64
     )
     scene = jaxrod.make_scene(one)
     with pytest.raises(ValueError, match=words):
         jaxrod.make_system(
             {"one": scene, "two": scene, "ball": ball},
-            jaxrod.rod_contact(*members, **{"stiffness": 1.0} | options),
+            jaxrod.systems.rod_contact(*members, **{"stiffness": 1.0} | options),
         )

@@ -34,7 +34,7 @@ def hanging(n, direction, height, fall):
         direction=direction,
         **MATERIAL,
     )
-    down = jaxrod.ramp((0.0, 0.0, 0.0), (0.0, 0.0, -fall), 0.5)
+    down = jaxrod.schedules.ramp((0.0, 0.0, 0.0), (0.0, 0.0, -fall), 0.5)
     held = [
         jaxrod.driven(state, end, displacement=down, free_to_turn=True)
         for end in ("start", "finish")
@@ -49,7 +49,7 @@ def heights(n):
     start = 2.2 * THICK
     upper, of_upper = hanging(n, (0.0, 1.0, 0.0), start, start - LIFTED)
     state = {"lower": of_lower, "upper": of_upper}
-    contact = jaxrod.crossing_contact(
+    contact = jaxrod.systems.crossing_contact(
         "lower", "upper", stiffness=STIFFNESS, damping=5.0, onset=1e-3
     )
     system = jaxrod.make_system({"lower": lower, "upper": upper}, contact)

@@ -23,7 +23,7 @@ def two_halves(*effects, length=0.4, n=3):
             "left": jaxrod.make_scene(left, jaxrod.clamp(of_left), *effects),
             "right": jaxrod.make_scene(right, *effects),
         },
-        jaxrod.weld(("left", "finish"), ("right", "start"), state),
+        jaxrod.systems.weld(("left", "finish"), ("right", "start"), state),
         state=state,
     )
     scene = jaxrod.make_scene(whole, jaxrod.clamp(of_whole), *effects)
@@ -44,7 +44,7 @@ def test_two_halves_settle_where_the_whole_is_in_equilibrium(record):
         return jaxrod.make_system(others, *model.couplings)
 
     forces = jnp.array([[0.0, 0.03, -0.12], [0.1, 0.0, 0.3]])
-    settle = lambda force: jaxrod.settled(loaded(system, "right", force), state)
+    settle = lambda force: jaxrod.systems.settled(loaded(system, "right", force), state)
     batch = jax.jit(jax.vmap(settle))(forces)
     assert np.all(batch.converged)
     for k, force in enumerate(forces):
@@ -61,15 +61,17 @@ def test_two_halves_settle_where_the_whole_is_in_equilibrium(record):
             at_most=1e-6,
         )
     own = loaded(scene, None, forces[0])
-    single = jaxrod.settled(own, of_whole)
+    single = jaxrod.systems.settled(own, of_whole)
     assert single.converged
     expected = jaxrod.equilibrium(own, of_whole).state.tip
     np.testing.assert_allclose(single.state.tip, expected, atol=4e-7)
     # A looser bound is reached sooner, and what it says is what is left.
-    loose = jaxrod.settled(own, of_whole, force_tolerance=1e-3, couple_tolerance=1e-4)
+    loose = jaxrod.systems.settled(
+        own, of_whole, force_tolerance=1e-3, couple_tolerance=1e-4
+    )
     assert loose.converged and loose.steps < single.steps
     assert single.force_residual < loose.force_residual <= 1e-3
-    few = jaxrod.settled(own, of_whole, max_steps=100)
+    few = jaxrod.systems.settled(own, of_whole, max_steps=100)
     assert not few.converged and few.steps == 112
     assert np.all(few.state.velocities == 0)
 
@@ -86,10 +88,10 @@ def test_a_frame_bends_in_both_its_rods(record):
             "column": jaxrod.make_scene(column, jaxrod.clamp(of_column)),
             "beam": jaxrod.make_scene(beam, jaxrod.end_load((0.0, 0.0, -load))),
         },
-        jaxrod.weld(("column", "finish"), ("beam", "start"), state),
+        jaxrod.systems.weld(("column", "finish"), ("beam", "start"), state),
         state=state,
     )
-    found = jaxrod.settled(system, state)
+    found = jaxrod.systems.settled(system, state)
     assert found.converged
     moved = np.asarray(found.state["beam"].tip - of_beam.tip)
     bending = float(column.bend_twist_stiffness[0, 0])
@@ -109,11 +111,11 @@ def test_a_frame_bends_in_both_its_rods(record):
 def test_a_rod_is_lowered_on_a_cylinder(record):
     """In two halves, both of which may touch it."""
     pull = jaxrod.gravity((0.0, 0.0, -2.5))
-    post = jaxrod.cylinder((0.25, -0.1, -0.06), (0.25, 0.1, -0.06), 0.03)
+    post = jaxrod.shapes.cylinder((0.25, -0.1, -0.06), (0.25, 0.1, -0.06), 0.03)
     touch = jaxrod.contact(post, stiffness=1e4, damping=1.0, points_per_element=2)
     system, state, scene, of_whole = two_halves(pull, touch)
     expected = jaxrod.equilibrium(scene, of_whole)
-    found = jaxrod.settled(system, state)
+    found = jaxrod.systems.settled(system, state)
     assert expected.converged and found.converged
     free = two_halves(pull)
     alone = jaxrod.equilibrium(free[2], free[3]).state.tip
@@ -141,8 +143,8 @@ def test_two_ropes_that_cross_settle(record):
         pins = [jaxrod.pin(state[name], end) for end in ("start", "finish")]
         pull = jaxrod.gravity((0.0, 0.0, -9.81))
         members[name] = jaxrod.make_scene(made, *pins, pull)
-    contact = jaxrod.crossing_contact(*members, stiffness=STIFFNESS, onset=1e-3)
-    found = jaxrod.settled(jaxrod.make_system(members, contact), state)
+    contact = jaxrod.systems.crossing_contact(*members, stiffness=STIFFNESS, onset=1e-3)
+    found = jaxrod.systems.settled(jaxrod.make_system(members, contact), state)
     assert found.converged
     heights = [float(found.state[k].positions[2, n // 2]) for k in members]
     lifted = two_elasticae(made) - two_elasticae(made, touching=False)
@@ -156,14 +158,14 @@ def test_two_ropes_that_cross_settle(record):
 
 
 def ball_on_the_floor():
-    ball, state = jaxrod.rigid_body(
-        jaxrod.sphere((0.0, 0.0, 0.051), 0.05),
+    ball, state = jaxrod.systems.rigid_body(
+        jaxrod.shapes.sphere((0.0, 0.0, 0.051), 0.05),
         density=1000.0,
         effects=(jaxrod.gravity((0.0, 0.0, -9.81)),),
         dtype=jnp.float64,
     )
-    floor = jaxrod.rigid_contact(
-        "ball", fixed=jaxrod.plane(), stiffness=1e4, damping=1.0
+    floor = jaxrod.systems.rigid_contact(
+        "ball", fixed=jaxrod.shapes.plane(), stiffness=1e4, damping=1.0
     )
     return jaxrod.make_system({"ball": ball}, floor), {"ball": state}, ball
 
@@ -173,8 +175,8 @@ def test_a_ball_comes_to_rest_and_what_falls_does_not(record):
     system, state, ball = ball_on_the_floor()
     bounds = {"force_tolerance": 1e-8, "couple_tolerance": 1e-9}
     with pytest.raises(ValueError, match="force_tolerance must be given, in N"):
-        jaxrod.settled(system, state)
-    found = jaxrod.settled(system, state, **bounds)
+        jaxrod.systems.settled(system, state)
+    found = jaxrod.systems.settled(system, state, **bounds)
     assert found.converged
     depth = 0.05 - float(found.state["ball"].positions[2, 0])
     record(
@@ -184,7 +186,7 @@ def test_a_ball_comes_to_rest_and_what_falls_does_not(record):
         at_most=1e-6,
     )
     falling = jaxrod.make_system({"ball": ball})
-    dropped = jaxrod.settled(falling, state, dt=1e-3, max_steps=320, **bounds)
+    dropped = jaxrod.systems.settled(falling, state, dt=1e-3, max_steps=320, **bounds)
     weight = float(ball.masses[0]) * 9.81
     assert not dropped.converged and dropped.steps == 320
     assert float(dropped.force_residual) == pytest.approx(weight, rel=1e-9)
@@ -200,7 +202,7 @@ def test_a_beam_settles_within_a_few_of_its_periods():
     )
     dt = float(jaxrod.stable_dt(scene).dt)
     period = 2 * np.pi / float(jaxrod.natural_frequencies(scene, straight, 1)[0])
-    found = jaxrod.settled(scene, straight, max_steps=round(6 * period / dt))
+    found = jaxrod.systems.settled(scene, straight, max_steps=round(6 * period / dt))
     assert found.converged
 
 
@@ -213,8 +215,8 @@ def test_bad_input():
         ({"dt": 1e-5, "max_steps": 0}, "max_steps must be at least 1, got 0"),
     ):
         with pytest.raises(ValueError, match=words):
-            jaxrod.settled(scene, of_whole, **options)
-    pull = jaxrod.gravity(jaxrod.sine((0.0, 0.0, 1.0), 2.0))
+            jaxrod.systems.settled(scene, of_whole, **options)
+    pull = jaxrod.gravity(jaxrod.schedules.sine((0.0, 0.0, 1.0), 2.0))
     for model, own in (
         (jaxrod.make_scene(scene.rod, pull), of_whole),
         (
@@ -223,21 +225,21 @@ def test_bad_input():
         ),
     ):
         with pytest.raises(ValueError, match=r"one moment.*\.at\(time\)"):
-            jaxrod.settled(model, own)
+            jaxrod.systems.settled(model, own)
     with pytest.raises(ValueError, match="must have the members"):
-        jaxrod.settled(system, {"left": state["left"]})
+        jaxrod.systems.settled(system, {"left": state["left"]})
 
 
-@jaxrod.pytree
-class Slackens(jaxrod.Effect):
+@jaxrod.extend.pytree
+class Slackens(jaxrod.extend.Effect):
     """Pulls the tip up, the less the longer it has pulled."""
 
     rate: jax.Array
-    pull: jax.Array = jaxrod.memory()
+    pull: jax.Array = jaxrod.extend.memory()
 
     def loads(self, rod, motion):
         up = jnp.zeros_like(motion.position[0]).at[-1].set(self.pull)
-        return jaxrod.Loads(forces=(0 * up, 0 * up, up))
+        return jaxrod.extend.Loads(forces=(0 * up, 0 * up, up))
 
     def after_step(self, rod, motion, dt):
         return replace(self, pull=self.pull * jnp.exp(-dt * self.rate))
@@ -254,7 +256,7 @@ def test_equal_rods_that_remember_settle():
 
     scenes, states = jax.vmap(made)(jnp.array([0.1, 0.3]))
     system = jaxrod.make_system({"rods": scenes}, state={"rods": states})
-    found = jaxrod.settled(system, {"rods": states})
+    found = jaxrod.systems.settled(system, {"rods": states})
     assert found.converged and system.remembers
     after = found.state["rods"]
     assert len(after.memory) == 3 and np.max(np.abs(after.memory[2]["pull"])) < 1e-6
@@ -278,7 +280,7 @@ def test_step_and_tolerances_may_be_traced():
     @jax.jit
     def rest(dt, force, couple):
         tolerances = {"force_tolerance": force, "couple_tolerance": couple}
-        return jaxrod.settled(scene, state, dt=dt, **tolerances)
+        return jaxrod.systems.settled(scene, state, dt=dt, **tolerances)
 
     dt = jaxrod.stable_dt(scene).dt
     coarse, fine = (rest(dt, bound, 0.4 * bound) for bound in (1e-2, 1e-7))

@@ -46,7 +46,7 @@ def of_other(shift, law, depths):
 
 @pytest.mark.slow
 def test_force_and_moment_of_parallel_rods_on_shifted_grids(record):
-    law = jaxrod.rod_contact("one", "two", stiffness=STIFFNESS)
+    law = jaxrod.systems.rod_contact("one", "two", stiffness=STIFFNESS)
     found = np.array([of_other(shift, law, (DEPTH, DEPTH)) for shift in SHIFTS])
     force = STIFFNESS * DEPTH * LENGTH
     record(
@@ -66,7 +66,7 @@ def test_force_and_moment_of_parallel_rods_on_shifted_grids(record):
 @pytest.mark.slow
 def test_force_and_moment_of_inclined_rods_on_shifted_grids(record):
     """Deeper at one end than at the other: integrals of the line law."""
-    law = jaxrod.rod_contact("one", "two", stiffness=STIFFNESS)
+    law = jaxrod.systems.rod_contact("one", "two", stiffness=STIFFNESS)
     deep = 1.5 * DEPTH, 0.5 * DEPTH
     found = np.array([of_other(shift, law, deep) for shift in SHIFTS])
     force = STIFFNESS * DEPTH * LENGTH

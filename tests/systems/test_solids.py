@@ -17,9 +17,9 @@ def width(shape, z):
 
 
 SHAPES = {
-    "sphere": (lambda a, b: jaxrod.sphere(0.5 * (a + b), RADIUS), RADIUS),
-    "cylinder": (lambda a, b: jaxrod.cylinder(a, b, RADIUS), HALF),
-    "capsule": (lambda a, b: jaxrod.capsule(a, b, RADIUS), HALF + RADIUS),
+    "sphere": (lambda a, b: jaxrod.shapes.sphere(0.5 * (a + b), RADIUS), RADIUS),
+    "cylinder": (lambda a, b: jaxrod.shapes.cylinder(a, b, RADIUS), HALF),
+    "capsule": (lambda a, b: jaxrod.shapes.capsule(a, b, RADIUS), HALF + RADIUS),
 }
 
 
@@ -48,7 +48,7 @@ def test_solids_of_revolution_are_sums_of_discs(shape):
 
 def test_a_box_is_its_sides():
     centre, sides = np.array([-0.1, 0.2, 0.3]), np.array([0.4, 0.3, 0.8])
-    solid = jaxrod.box(tuple(centre), tuple(sides / 2)).solid()
+    solid = jaxrod.shapes.box(tuple(centre), tuple(sides / 2)).solid()
     a, b, c = sides**2 / 12
     assert float(solid.volume) == pytest.approx(np.prod(sides))
     np.testing.assert_allclose(solid.gyration, [b + c, a + c, a + b], rtol=1e-6)
@@ -59,10 +59,12 @@ def test_a_box_is_its_sides():
 @pytest.mark.parametrize(
     "shape",
     [
-        lambda: jaxrod.sphere((0.1, 0.2, 0.3), 0.4),
-        lambda: jaxrod.capsule((0.1, 0.2, 0.3), (0.4, -0.5, 0.2), 0.1),
-        lambda: jaxrod.cylinder((0.1, 0.2, 0.3), (0.1, 0.2, -0.9), 0.1),
-        lambda: jaxrod.box((0.1, 0.2, 0.3), (0.4, 0.5, 0.6), (0.8, 0.2, -0.4, 0.4)),
+        lambda: jaxrod.shapes.sphere((0.1, 0.2, 0.3), 0.4),
+        lambda: jaxrod.shapes.capsule((0.1, 0.2, 0.3), (0.4, -0.5, 0.2), 0.1),
+        lambda: jaxrod.shapes.cylinder((0.1, 0.2, 0.3), (0.1, 0.2, -0.9), 0.1),
+        lambda: jaxrod.shapes.box(
+            (0.1, 0.2, 0.3), (0.4, 0.5, 0.6), (0.8, 0.2, -0.4, 0.4)
+        ),
     ],
     ids=["sphere", "capsule", "cylinder", "box"],
 )

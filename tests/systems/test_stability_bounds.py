@@ -81,8 +81,8 @@ def stacked(count, law, **numbers):
 def on_body(shape, density, **numbers):
     """A rod that lies on a body."""
     scenes, state = rods((-0.15, 0.0, RADIUS - DEEP))
-    body, of_body = jaxrod.rigid_body(shape, density=density, dtype=jnp.float64)
-    law = jaxrod.body_contact("rod 0", "body", **PRESSED | numbers)
+    body, of_body = jaxrod.systems.rigid_body(shape, density=density, dtype=jnp.float64)
+    law = jaxrod.systems.body_contact("rod 0", "body", **PRESSED | numbers)
     return jaxrod.make_system({**scenes, "body": body}, law), {**state, "body": of_body}
 
 
@@ -91,8 +91,8 @@ def joined(joint, body=None):
     starts = [(0.0, 0.0, 0.0), (0.3, 0.0, 0.0)][: 2 if body is None else 1]
     scenes, state = rods(*starts)
     if body is not None:
-        shape = jaxrod.box((0.35, 0.0, 0.0), (0.05, 0.05, 0.1))
-        scenes["body"], state["body"] = jaxrod.rigid_body(
+        shape = jaxrod.shapes.box((0.35, 0.0, 0.0), (0.05, 0.05, 0.1))
+        scenes["body"], state["body"] = jaxrod.systems.rigid_body(
             shape, density=body, dtype=jnp.float64
         )
     other = ("rod 1", "start") if body is None else ("body",)
@@ -102,24 +102,26 @@ def joined(joint, body=None):
 
 def hinged(a, b, state):
     """A hinge whose axis springs are what is stiff."""
-    return jaxrod.hinge_joint(
+    return jaxrod.systems.hinge_joint(
         a, b, state, axis=(0, 1, 0), stiffness=10.0, axis_stiffness=1e5
     )
 
 
 def turned(a, b, state):
     """A joint whose springs against turning are what is stiff."""
-    return jaxrod.rigid_joint(a, b, state, stiffness=10.0, turning_stiffness=1e5)
+    return jaxrod.systems.rigid_joint(
+        a, b, state, stiffness=10.0, turning_stiffness=1e5
+    )
 
 
 def ball(a, b, state, **numbers):
     """A ball joint."""
-    return jaxrod.ball_joint(a, b, state, **STIFF | numbers)
+    return jaxrod.systems.ball_joint(a, b, state, **STIFF | numbers)
 
 
 def sprung(a, b, state):
     """A spring between nodes that are an element apart."""
-    return jaxrod.spring((a[0], "start"), b, state, **STIFF)
+    return jaxrod.systems.spring((a[0], "start"), b, state, **STIFF)
 
 
 def paired(count, **numbers):
@@ -132,12 +134,15 @@ def paired(count, **numbers):
 def glued(damping):
     """Two rods glued side by side."""
     scenes, state = rods((0.0, 0.0, 0.0), (0.0, 0.0, 2 * RADIUS))
-    law = jaxrod.glue(*scenes, state, damping=damping, **STIFF)
+    law = jaxrod.systems.glue(*scenes, state, damping=damping, **STIFF)
     return jaxrod.make_system(scenes, law), state
 
 
-LINE, CROSSING = jaxrod.rod_contact, jaxrod.crossing_contact
-SLAB, BALL = jaxrod.box((0, 0, -0.2), (0.2,) * 3), jaxrod.sphere((0, 0, -0.3), 0.3)
+LINE, CROSSING = jaxrod.systems.rod_contact, jaxrod.systems.crossing_contact
+SLAB, BALL = (
+    jaxrod.shapes.box((0, 0, -0.2), (0.2,) * 3),
+    jaxrod.shapes.sphere((0, 0, -0.3), 0.3),
+)
 POINT = 0.3 / N / 5
 """Length that one point of a rod stands for [m]."""
 FRICTION = {"stiffness": 1e8, "damping": 1e6, "friction": 0.5}
@@ -240,8 +245,8 @@ def test_bounds_of_couplings_are_safe_and_not_far_off(name, record):
 def test_the_step_of_a_system_with_a_free_body_has_a_gradient():
     """Nothing limits the step of a body on which nothing acts."""
     scenes, _ = rods((0.0, 0.0, 0.0))
-    ball, _ = jaxrod.rigid_body(
-        jaxrod.sphere((0.0, 0.0, 1.0), 0.05), density=100.0, dtype=jnp.float64
+    ball, _ = jaxrod.systems.rigid_body(
+        jaxrod.shapes.sphere((0.0, 0.0, 1.0), 0.05), density=100.0, dtype=jnp.float64
     )
     system = jaxrod.make_system(scenes | {"ball": ball})
 

@@ -81,7 +81,9 @@ def test_two_halves_are_two_springs_in_series(seed):
     members, state, bent, expected = drawn(seed)
     found = []
     for places in (PLACES, PLACES[::-1]):
-        system = jaxrod.make_system(members, jaxrod.weld(*places, state), state=state)
+        system = jaxrod.make_system(
+            members, jaxrod.systems.weld(*places, state), state=state
+        )
         assert abs(system.potential_energy(state)) < 1e-20
         found.append(evaluated()(system, bent))
     energies = [energy for energy, _ in found]
@@ -108,7 +110,9 @@ def test_a_weld_does_not_depend_on_how_sections_are_described():
         )
         state = {"a": of_a, "b": of_b}
         members = {"a": jaxrod.make_scene(a), "b": jaxrod.make_scene(b)}
-        system = jaxrod.make_system(members, jaxrod.weld(*PLACES, state), state=state)
+        system = jaxrod.make_system(
+            members, jaxrod.systems.weld(*PLACES, state), state=state
+        )
         small = Rotation.from_rotvec([0.05, -0.02, 0.03])
         bent = {**state, "b": turned(of_b, small, of_a.tip)}
         energies.append(float(evaluated()(system, bent)[0]))
@@ -130,7 +134,7 @@ def test_the_bound_on_the_step_holds_what_a_turned_strip_is_stiff_in():
         )  # fmt: skip
         state = {"a": of_a, "b": of_b}
         members = {"a": jaxrod.make_scene(a), "b": jaxrod.make_scene(b)}
-        _, joint = jaxrod.weld(*PLACES, state)
+        _, joint = jaxrod.systems.weld(*PLACES, state)
         parts = {name: parts_of(scene.rod) for name, scene in members.items()}
         joint = joint.prepared(parts)
         k = np.diag(joint.stiffness[:, 0])
@@ -163,7 +167,9 @@ def test_a_corner_converges_in_second_order():
             "a": jaxrod.make_scene(a, jaxrod.clamp(of_a), damping),
             "b": jaxrod.make_scene(b, jaxrod.end_load((0.02, 0.0, 0.03)), damping),
         }
-        system = jaxrod.make_system(members, jaxrod.weld(*PLACES, state), state=state)
+        system = jaxrod.make_system(
+            members, jaxrod.systems.weld(*PLACES, state), state=state
+        )
         dt = float(jaxrod.stable_dt(system).dt)
         return np.asarray(jaxrod.advance(system, state, dt, int(6.0 / dt))["b"].tip)
 

@@ -28,9 +28,9 @@ from jaxrod.training import (
 )
 
 
-@jaxrod.pytree
+@jaxrod.extend.pytree
 class Config:
-    num_envs: int = jaxrod.static(default=4)
+    num_envs: int = jaxrod.extend.static(default=4)
     speed: float = 0.5
 
 
@@ -84,9 +84,9 @@ class Unregistered:
     speed: float = 0.5
 
 
-@jaxrod.pytree
+@jaxrod.extend.pytree
 class Wordy:
-    num_envs: int = jaxrod.static(default=4)
+    num_envs: int = jaxrod.extend.static(default=4)
     word: str = "fast"
 
 
@@ -109,8 +109,11 @@ def told_otherwise(**changes):
         ({"name": ""}, "name must be text, got ''"),
         ({"init": None}, "init of plain must be a function"),
         ({"partition": 3}, "partition of plain must be a function or None"),
-        ({"config_type": dict}, "config_type of plain must be .* jaxrod.pytree"),
-        ({"config_type": Unregistered}, "Unregistered, must be made by jaxrod.pytree"),
+        ({"config_type": dict}, "config_type of plain must be .* jaxrod.extend.pytree"),
+        (
+            {"config_type": Unregistered},
+            "Unregistered, must be made by jaxrod.extend.pytree",
+        ),
         ({"config_type": Wordy}, "word of Wordy must be a number, or .* got 'fast'"),
         ({"steps_per_update": lambda config: 2.5}, "steps_per_update .* got 2.5"),
         ({"update": lambda state: state}, r"must return \(state, Metrics\)"),

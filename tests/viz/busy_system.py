@@ -18,9 +18,9 @@ def torus(parameters, point):
 
 def busy_system():
     """Two kinds of rods and five kinds of bodies over a floor and a slope."""
-    floor = jaxrod.plane((0, 0, 0), (0, 0, 1))
-    slope = jaxrod.plane((0, -0.3, 0), (0, 1, 1))
-    post = jaxrod.cylinder((0.3, 0.3, 0), (0.3, 0.3, 0.3), 0.03)
+    floor = jaxrod.shapes.plane((0, 0, 0), (0, 0, 1))
+    slope = jaxrod.shapes.plane((0, -0.3, 0), (0, 1, 1))
+    post = jaxrod.shapes.cylinder((0.3, 0.3, 0), (0.3, 0.3, 0.3), 0.03)
     touch = lambda body: jaxrod.contact(body, stiffness=5e3, damping=5.0)
 
     def hair(y):
@@ -47,20 +47,26 @@ def busy_system():
         direction=(1.0, 0.0, 0.0),
     )
     scene = jaxrod.make_scene(arm, jaxrod.clamp(of_arm), jaxrod.gravity(), touch(post))
-    capsule = jaxrod.capsule((0.0, -0.3, 0.2), (0.1, -0.3, 0.2), 0.03)
-    box = jaxrod.box((0.3, -0.3, 0.2), (0.05, 0.03, 0.02))
-    drum = jaxrod.cylinder((0.5, -0.3, 0.2), (0.5, -0.3, 0.3), 0.04)
-    ball = jaxrod.sphere((0.15, 0.0, 0.05), 0.03)
+    capsule = jaxrod.shapes.capsule((0.0, -0.3, 0.2), (0.1, -0.3, 0.2), 0.03)
+    box = jaxrod.shapes.box((0.3, -0.3, 0.2), (0.05, 0.03, 0.02))
+    drum = jaxrod.shapes.cylinder((0.5, -0.3, 0.2), (0.5, -0.3, 0.3), 0.04)
+    ball = jaxrod.shapes.sphere((0.15, 0.0, 0.05), 0.03)
     numbers = (jnp.asarray(0.05), jnp.asarray(0.02))
-    ring = jaxrod.signed_distance(lambda p, q: torus(q, p), numbers)
+    ring = jaxrod.shapes.signed_distance(lambda p, q: torus(q, p), numbers)
     bodies = {
-        "capsule": jaxrod.rigid_body(
+        "capsule": jaxrod.systems.rigid_body(
             capsule, density=500.0, angular_velocity=(0.0, 8.0, 3.0)
         ),
-        "box": jaxrod.rigid_body(box, density=500.0, angular_velocity=(5.0, 1.0, 9.0)),
-        "drum": jaxrod.rigid_body(drum, density=500.0, velocity=(-0.2, 0.0, 0.1)),
-        "ball": jaxrod.rigid_body(ball, density=500.0, effects=(jaxrod.gravity(),)),
-        "ring": jaxrod.rigid_body(
+        "box": jaxrod.systems.rigid_body(
+            box, density=500.0, angular_velocity=(5.0, 1.0, 9.0)
+        ),
+        "drum": jaxrod.systems.rigid_body(
+            drum, density=500.0, velocity=(-0.2, 0.0, 0.1)
+        ),
+        "ball": jaxrod.systems.rigid_body(
+            ball, density=500.0, effects=(jaxrod.gravity(),)
+        ),
+        "ring": jaxrod.systems.rigid_body(
             ring,
             mass=0.1,
             inertia=(2e-4, 2e-4, 3e-4),
@@ -70,7 +76,7 @@ def busy_system():
     }
     members = {"arm": scene, "hairs": hairs} | {k: b for k, (b, _) in bodies.items()}
     state = {"arm": of_arm, "hairs": of_hairs} | {k: s for k, (_, s) in bodies.items()}
-    contact = jaxrod.body_contact("hairs", "ball", stiffness=5e3, damping=5.0)
+    contact = jaxrod.systems.body_contact("hairs", "ball", stiffness=5e3, damping=5.0)
     return jaxrod.make_system(members, contact), state
 
 

@@ -24,7 +24,7 @@ SMALL = {"width": 120, "height": 90}
 def test_a_leaning_plane_is_its_part_of_a_box_counterclockwise_from_outside():
     """Across the diagonal of a cube: a regular hexagon."""
     normal = np.ones(3) / np.sqrt(3)
-    plane = jaxrod.plane((1.0, 2.0, 3.0), tuple(normal))
+    plane = jaxrod.shapes.plane((1.0, 2.0, 3.0), tuple(normal))
     mesh = leaning_plane(plane, np.array([0.5, 1.5, 2.5]), np.array([1.5, 2.5, 3.5]))
     a, b, c = (mesh.vertices[mesh.faces[:, k]] for k in range(3))
     areas = 0.5 * np.cross(b - a, c - a) @ normal
@@ -32,7 +32,9 @@ def test_a_leaning_plane_is_its_part_of_a_box_counterclockwise_from_outside():
     assert areas.sum() == pytest.approx(3 * np.sqrt(3) / 4, rel=1e-6)
     np.testing.assert_allclose(mesh.vertices @ normal, 6 / np.sqrt(3), rtol=1e-6)
     far = plane.point + jnp.asarray([9.0, 9.0, 9.0])
-    assert leaning_plane(jaxrod.plane(far, normal), np.zeros(3), np.ones(3)) is None
+    assert (
+        leaning_plane(jaxrod.shapes.plane(far, normal), np.zeros(3), np.ones(3)) is None
+    )
 
 
 def test_the_nearest_triangle_is_found_at_every_pixel():

@@ -14,7 +14,7 @@ def swing():
     rod, start = jaxrod.straight_rod(
         4, length=0.4, radius=0.02, density=1e3, youngs_modulus=1e6
     )
-    ball = jaxrod.contact(jaxrod.sphere((0.0, -0.5, 0.2), 0.1), stiffness=1e3)
+    ball = jaxrod.contact(jaxrod.shapes.sphere((0.0, -0.5, 0.2), 0.1), stiffness=1e3)
     fall = jaxrod.gravity((0, -9.81, 0))
     scene = jaxrod.make_scene(rod, jaxrod.clamp(start), fall, ball)
     return scene, jaxrod.rollout(scene, start, 1e-4, 100, 20)

@@ -127,7 +127,7 @@ def test_contact_forces_hold_up_what_lies_on_the_ground():
         direction=(1.0, 0.0, 0.0),
     )
     ground = jaxrod.contact(
-        jaxrod.plane((0, 0, 0), (0, 0, 1)), stiffness=1e4, damping=30.0
+        jaxrod.shapes.plane((0, 0, 0), (0, 0, 1)), stiffness=1e4, damping=30.0
     )
     scene = jaxrod.make_scene(rod, jaxrod.gravity(), ground)
     dt = float(jaxrod.stable_dt(scene).dt)
@@ -149,7 +149,7 @@ def test_forces_between_rods_and_a_body_are_those_that_slow_the_body(run):
             "hairs": _without_ground(system.members["hairs"]),
             "ball": system.members["ball"],
         },
-        jaxrod.body_contact("hairs", "ball", stiffness=5e3, damping=5.0),
+        jaxrod.systems.body_contact("hairs", "ball", stiffness=5e3, damping=5.0),
     )
     only = {k: states[k] for k in ("hairs", "ball")}
     shown = Replay.from_states(alone, only, times, forces=True)
@@ -191,7 +191,9 @@ def test_fields_follow_schedules():
     rod, state = jaxrod.straight_rod(
         4, length=1.0, radius=0.02, density=1000.0, youngs_modulus=1e6
     )
-    load = jaxrod.end_load(jaxrod.ramp((0.0, 0.0, 0.0), (0.0, 0.0, 2.0), duration=1.0))
+    load = jaxrod.end_load(
+        jaxrod.schedules.ramp((0.0, 0.0, 0.0), (0.0, 0.0, 2.0), duration=1.0)
+    )
     scene = jaxrod.make_scene(rod, load)
     states = jax.tree.map(lambda leaf: jnp.stack([leaf] * 3), state)
     replay = Replay.from_states(
@@ -329,8 +331,10 @@ def test_a_browser_draws_the_bodies_and_colours_by_a_field(chromium, replay, tmp
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("law", [jaxrod.rod_contact, jaxrod.crossing_contact])
-@pytest.mark.parametrize("lists", [None, jaxrod.neighbour_lists()])
+@pytest.mark.parametrize(
+    "law", [jaxrod.systems.rod_contact, jaxrod.systems.crossing_contact]
+)
+@pytest.mark.parametrize("lists", [None, jaxrod.systems.neighbour_lists()])
 def test_contact_between_rods_is_shown_with_lists_and_without(law, lists):
     """The record of lists that a run leaves among its states is no member."""
 

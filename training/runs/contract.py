@@ -49,17 +49,19 @@ def resolve(
         raise ValueError(f"partition of {name} must be a function or None")
     kind = algorithm.config_type
     if not isinstance(kind, type) or not dataclasses.is_dataclass(kind):
-        raise ValueError(f"config_type of {name} must be a class made by jaxrod.pytree")
+        raise ValueError(
+            f"config_type of {name} must be a class made by jaxrod.extend.pytree"
+        )
     config = algorithm.checked(config)
     for path, leaf in jax.tree.leaves_with_path(config):
         if leaf is config:
             raise ValueError(
-                f"config_type of {name}, {kind.__name__}, must be made by jaxrod.pytree"
+                f"config_type of {name}, {kind.__name__}, must be made by jaxrod.extend.pytree"
             )
         if not isinstance(leaf, int | float | np.ndarray | np.generic | jax.Array):
             raise ValueError(
                 f"{jax.tree_util.keystr(path)[1:]} of {kind.__name__} must be a "
-                f"number, or declared as jaxrod.static(), got {leaf!r:.80}"
+                f"number, or declared as jaxrod.extend.static(), got {leaf!r:.80}"
             )
     return algorithm, config
 

@@ -123,8 +123,8 @@ def neighbour_lists(
     Lists are made at the beginning of every run and every `refresh_every` steps in it.
     Results are the same as without lists as long as `health` raises neither of two
     flags: `overflow` for too few entries, and `stale` if a node moved by more than half
-    the skin before the lists were made again. `jaxrod.neighbours` counts the entries
-    that a state needs.
+    the skin before the lists were made again. `jaxrod.systems.neighbours` counts the
+    entries that a state needs.
 
     Args:
         refresh_every: Steps between searches: somewhat less than

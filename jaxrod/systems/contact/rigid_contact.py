@@ -108,7 +108,7 @@ class RigidContact(Coupling):
         if not any(True for _ in fitted._pairs(parties)):
             raise ValueError(
                 "one body has nothing to touch: name more members, or give fixed= "
-                "bodies such as jaxrod.plane()"
+                "bodies such as jaxrod.shapes.plane()"
             )
         return fitted
 
@@ -246,7 +246,7 @@ def rigid_contact(
     Args:
         *members: Names of members that are rigid bodies. Every body touches all others,
             including those of its own member.
-        fixed: Bodies that stand still, such as `jaxrod.plane()` for the ground.
+        fixed: Bodies that stand still, such as `jaxrod.shapes.plane()` for the ground.
         stiffness: Force per penetration of every ball or corner that touches [N/m].
         damping: Force per normal speed [kg/s].
         friction: Coefficient of Coulomb friction [1].
@@ -255,7 +255,8 @@ def rigid_contact(
         onset: Width of the smooth onset of contact over the size of the smaller body
             (the radius of a sphere) [1].
         points: Points on the surfaces of members by name, tested for contact, in their
-            own frames `(3, k)` [m]. Bodies from `jaxrod.signed_distance` need them.
+            own frames `(3, k)` [m]. Bodies from `jaxrod.shapes.signed_distance` need
+            them.
         points_per_edge: Points on every edge of a box, corners included.
         balls_per_axis: Balls along the axis of capsules and cylinders; by default so
             many that they are at most a radius apart.

@@ -55,7 +55,7 @@ def ring(
     The rod alone is open, with both ends at one place. As a member of a system, under
     the `name` given here and with the couplings, it is a ring:
 
-        rod, state, closure = jaxrod.ring(40, length=1.0, radius=0.01, ...)
+        rod, state, closure = jaxrod.systems.ring(40, length=1.0, radius=0.01, ...)
         system = jaxrod.make_system({"ring": jaxrod.make_scene(rod)}, closure)
 
     Args:

@@ -53,7 +53,7 @@ class Tie(Coupling):
             if not parts[points.member].is_rod:
                 raise ValueError(
                     f"a tie joins nodes of rods, and {points.member!r} is rigid: use "
-                    "jaxrod.attach"
+                    "jaxrod.systems.attach"
                 )
 
     def constrain(self, seen: AllSeen) -> dict[str, Motion]:

@@ -215,8 +215,8 @@ def rigid_body(
     Its pose is that of the shape, unless `position` and `orientation` are given.
 
     Args:
-        shape: A `jaxrod.sphere`, `capsule`, `cylinder` or `box`; or another body with
-            `mass`, `inertia` and its centre of mass at the origin; or `None`.
+        shape: A `jaxrod.shapes.sphere`, `capsule`, `cylinder` or `box`; or another body
+            with `mass`, `inertia` and its centre of mass at the origin; or `None`.
         density: Mass density of the shape [kg/m^3].
         mass: Mass [kg], in place of a density.
         inertia: Principal moments of inertia `(3,)` [kg m^2]; by default those of the
