@@ -9,13 +9,10 @@ from pathlib import Path
 import jaxrod
 
 TITLES = {
-    "actuation": "Actuation",
     "analysis": "Questions to ask: stability, frequencies, health",
-    "assemblies": "Assemblies of rods",
     "contacts": "Contact with bodies",
     "damping": "Damping",
     "effects": "Effects",
-    "geometry": "Geometry",
     "installation": "Installation",
     "lanes": "Lanes",
     "loaded_rod": "Methods",
@@ -24,15 +21,20 @@ TITLES = {
     "scene": "Scenes",
     "statics": "Equilibria",
     "stepping": "Stepping",
-    "structure": "Structure",
     "systems": "Systems of rods and bodies",
-    "topology": "Twist, writhe, link",
     "tradeoff": "Speed for accuracy",
 }
 PACKAGES = {
+    "jaxrod.actuation": "Actuation",
+    "jaxrod.assemblies": "Assemblies of rods",
     "jaxrod.control": "Control",
     "jaxrod.envs": "Environments",
     "jaxrod.extend": "Effects, couplings, methods and members of your own",
+    "jaxrod.fluids": "Fluids",
+    "jaxrod.schedules": "Schedules",
+    "jaxrod.shapes": "Shapes",
+    "jaxrod.systems": "Systems of rods and bodies",
+    "jaxrod.topology": "Twist, writhe, link",
     "jaxrod.training": "Learners",
     "jaxrod.viz": "Drawing",
 }
@@ -42,12 +44,12 @@ def write_reference(folder: Path) -> None:
     """Writes a page for each room and each package, and their list."""
     folder.mkdir(exist_ok=True)
     rooms: dict[str, list[tuple[str, str]]] = {}
-    for name, module in sorted(jaxrod._MODULE_OF.items()):
-        room = TITLES.get(module.split(".")[0], module.split(".")[0].title())
-        rooms.setdefault(room, []).append(("jaxrod", name))
+    for name in jaxrod.__all__:
+        room = getattr(jaxrod, name).__module__.split(".")[1]
+        rooms.setdefault(TITLES[room], []).append(("jaxrod", name))
     for package, title in PACKAGES.items():
         names = importlib.import_module(package).__all__
-        rooms[title] = [(package, name) for name in sorted(names)]
+        rooms.setdefault(title, []).extend((package, name) for name in sorted(names))
     pages: list[str] = []
     seen: set[int] = set()
     for title, names in sorted(rooms.items()):

@@ -119,8 +119,8 @@ def _remedy(error: Exception) -> str:
         )
     if "not a valid JAX type" in str(error):
         return (
-            ". Return arrays, and a state as a pytree of them: `@jaxrod.extend.pytree` makes "
-            "one of a class"
+            ". Return arrays, and a state as a pytree of them: `@jaxrod.extend.pytree` "
+            "makes one of a class"
         )
     return ""
 

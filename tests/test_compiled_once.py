@@ -55,7 +55,8 @@ rod, start = jaxrod.straight_rod(
 scene = jaxrod.make_scene(rod, jaxrod.clamp(start), jaxrod.gravity())
 other = jaxrod.make_scene(rod, jaxrod.gravity())
 states = {"a": start, "b": start}
-joint = jaxrod.systems.ball_joint(("a", 4), ("b", 4), states, stiffness=1e3, damping=1.0)
+ends = ("a", 4), ("b", 4)
+joint = jaxrod.systems.ball_joint(*ends, states, stiffness=1e3, damping=1.0)
 system = jaxrod.make_system({"a": scene, "b": other}, joint, state=states)
 many = jax.tree.map(lambda leaf: jnp.stack([leaf] * 8), start)
 numbers = [jnp.float32(1e-5 * k) for k in (1, 2, 3)]

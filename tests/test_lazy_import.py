@@ -1,9 +1,10 @@
 """`import jaxrod` is instant, and every name it promises is there when asked for."""
 
-import ast
+import collections
 import importlib
 import inspect
 import pkgutil
+import re
 import subprocess
 import sys
 from pathlib import Path
@@ -11,8 +12,9 @@ from pathlib import Path
 import pytest
 
 import jaxrod
+from public_names import NAMESPACES
 
-STUB = Path(jaxrod.__file__).with_suffix(".pyi")
+ROOT = Path(__file__).parents[1]
 
 # Stands in for an environment with a release of jax that is refused.
 REFUSED_JAX = """
@@ -31,43 +33,41 @@ def python(program, *words):
     )
 
 
-def names_in_stub():
-    """Every name of the stub, and the module it comes from."""
-    return {
-        name.asname: node.module
-        for node in ast.parse(STUB.read_text()).body
-        if isinstance(node, ast.ImportFrom)
-        for name in node.names
-    }
-
-
-def test_the_stub_promises_the_same_names_from_the_same_modules():
-    table = {name: f"jaxrod.{module}" for name, module in jaxrod._MODULE_OF.items()}
-    submodules = {
-        name: f"jaxrod.{module}".rpartition(".")[0]
-        for name, module in jaxrod._SUBMODULES.items()
-    }
-    assert names_in_stub() == table | submodules
-
-
 @pytest.mark.parametrize("name", jaxrod.__all__)
 def test_every_name_resolves_to_what_its_module_defines(name):
-    module = importlib.import_module(f"jaxrod.{jaxrod._MODULE_OF[name]}")
+    module = importlib.import_module(jaxrod._MODULE_OF[name])
     assert getattr(jaxrod, name) is getattr(module, name)
     assert getattr(jaxrod, name).__module__ == module.__name__
     assert name in dir(jaxrod)
 
 
-@pytest.mark.parametrize("name", jaxrod._SUBMODULES)
-def test_submodules_are_attributes_of_a_plain_import(name):
+@pytest.mark.parametrize("name", sorted(jaxrod._NAMESPACES))
+def test_namespaces_are_attributes_of_a_plain_import(name):
     done = python(f"import jaxrod; print(jaxrod.{name}.__name__)")
-    assert done.stdout.strip() == f"jaxrod.{jaxrod._SUBMODULES[name]}", done.stderr
+    assert done.stdout.strip() == f"jaxrod.{name}", done.stderr
+
+
+def test_no_name_is_in_two_namespaces():
+    """`jaxrod.extend` may repeat: it lists what a subclass needs in one place."""
+    places = collections.Counter(name for space in NAMESPACES for name in space.__all__)
+    assert {name for name, count in places.items() if count > 1} == set()
+
+
+def test_the_names_of_the_root_are_few_and_each_is_shown_to_users():
+    """In a page or an example; the reference lists all names anyway."""
+    assert len(jaxrod.__all__) <= 100
+    shown = [*ROOT.glob("docs/*.md"), *ROOT.glob("examples/*.py"), ROOT / "README.md"]
+    text = "\n".join(file.read_text() for file in shown)
+    words = set(re.findall(r"\w+", text))
+    assert set(jaxrod.__all__) - words == set()
 
 
 def test_no_name_is_also_a_module():
     """Importing such a module would put it in the place of what was promised."""
-    modules = {module.name for module in pkgutil.iter_modules(jaxrod.__path__)}
-    assert not modules & set(jaxrod.__all__)
+    for space in NAMESPACES:
+        paths = getattr(space, "__path__", [])
+        modules = {module.name for module in pkgutil.iter_modules(paths)}
+        assert not modules & set(space.__all__), space.__name__
 
 
 def test_star_import_and_help_see_every_name():

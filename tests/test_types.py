@@ -17,21 +17,22 @@ import dataclasses
 import jax.numpy as jnp
 import jaxrod
 import jaxrod.envs
+from jaxrod import extend
 
 
-@jaxrod.extend.pytree
-class TipSpring(jaxrod.extend.Effect):
+@extend.pytree
+class TipSpring(extend.Effect):
     """Pulls the last node to a point."""
 
-    point: jaxrod.extend.Leaf
-    stiffness: jaxrod.extend.Leaf
+    point: extend.Leaf
+    stiffness: extend.Leaf
 
-    def loads(self, rod: jaxrod.Rod, motion: jaxrod.extend.Motion) -> jaxrod.extend.Loads:
+    def loads(self, rod: jaxrod.Rod, motion: extend.Motion) -> extend.Loads:
         forces = [
             jnp.zeros_like(p).at[-1].set(self.stiffness * (self.point[k] - p[-1]))
             for k, p in enumerate(motion.position)
         ]
-        return jaxrod.extend.Loads(forces=tuple(forces))
+        return extend.Loads(forces=tuple(forces))
 
 
 rod, state = jaxrod.straight_rod(
@@ -48,7 +49,7 @@ print(state.tip, task.action_size)
 
 MISTAKES = {
     "a misspelt keyword": ("radius=0.02", "radios=0.02", '"radios"'),
-    "a wrong result": ("-> jaxrod.extend.Loads:", "-> jaxrod.Rod:", 'expected "Rod"'),
+    "a wrong result": ("-> extend.Loads:", "-> jaxrod.Rod:", 'expected "Rod"'),
     "a misspelt attribute": ("state.tip,", "state.top,", '"top"'),
     "a text for a number": ("1.0, radius", '"1", radius', '"length"'),
     "a missing argument": ("TipSpring(goal, 10.0)", "TipSpring(goal)", '"stiffness"'),

@@ -1,6 +1,6 @@
 """Actuation: muscles, tendons, chambers, magnets, waves, and couples from splines."""
 
-from jaxrod.actuation.active_shape import ActiveShape, active_shape
+from jaxrod.actuation.active_shapes import ActiveShape, active_shape
 from jaxrod.actuation.chambers import Chamber, WoundChamber, chamber, wound_chamber
 from jaxrod.actuation.fibre_path import helical_offsets
 from jaxrod.actuation.force_length import constant_force, cubic_force, gaussian_force

@@ -39,8 +39,8 @@ def check_own_class(thing: Any, base: type, noun: str) -> None:
         return
     if jax.tree_util.all_leaves([thing]):
         raise TypeError(
-            f"{kind.__name__} is not a pytree: write @jaxrod.extend.pytree above the line "
-            f"class {kind.__name__}(...), and give it its numbers as fields"
+            f"{kind.__name__} is not a pytree: write @jaxrod.extend.pytree above "
+            f"the line class {kind.__name__}(...), and give it its numbers as fields"
         )
     # A class is hashable, but type checkers do not know that of `type`.
     words = _slip(kind, base, noun)  # type: ignore[arg-type]

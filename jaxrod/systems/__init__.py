@@ -22,8 +22,8 @@ from jaxrod.systems.joints.ties import tie
 from jaxrod.systems.joints.welds import attach, weld
 from jaxrod.systems.members.rigid_bodies import RigidBodies, rigid_body, stacked_bodies
 from jaxrod.systems.members.rigid_stepper import BodyState
-from jaxrod.systems.neighbours import Neighbours, neighbours
-from jaxrod.systems.settled import Settled, settled
+from jaxrod.systems.neighbour_counts import Neighbours, neighbours
+from jaxrod.systems.settling import Settled, settled
 
 __all__ = [
     "BodyContact",

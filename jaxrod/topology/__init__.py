@@ -1,6 +1,6 @@
 """Topology of curves and ribbons: twist, writhe, link, and passages through curves."""
 
-from jaxrod.topology.crossings import crossed, crossings
+from jaxrod.topology.passages import crossed, crossings
 from jaxrod.topology.winding import link, linking_number, twist, writhe
 
 __all__ = [

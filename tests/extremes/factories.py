@@ -36,6 +36,7 @@ from extremes.arguments import (
     things,
 )
 from extremes.values import COUNTS, DTYPES, KINDS, SCALARS, WHOLE, WORDS, WRONG
+from public_names import PUBLIC
 
 
 @dataclass(frozen=True)
@@ -172,7 +173,7 @@ def call(case: Case) -> Any:
     elif isinstance(value, str) and value == "generator":
         value = (float(k) for k in range(3))
     given[case.argument] = value
-    function = getattr(jaxrod, case.function)
+    function = PUBLIC[case.function]
     if case.function == "make_scene":
         return function(given.pop("rod"), **given)
     if case.function == "rod_contact":

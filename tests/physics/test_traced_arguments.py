@@ -10,6 +10,7 @@ import pytest
 import jaxrod
 from jaxrod.tradeoff.workload import resampled
 from physics.numeric_arguments import BALL, FACTORIES, MATERIAL, SCENE, STATE
+from public_names import PUBLIC
 
 ELSEWHERE = {
     # Runs: their step is traced in test_compilation and test_gradients.
@@ -27,7 +28,7 @@ ELSEWHERE = {
 
 def numeric_arguments(name):
     """The arguments of a public function that are numbers or arrays of them."""
-    parameters = inspect.signature(getattr(jaxrod, name)).parameters.values()
+    parameters = inspect.signature(PUBLIC[name]).parameters.values()
     kinds = ("Numbers", "ArrayLike", "Float[", "Timed")
     return [
         p.name
@@ -47,7 +48,7 @@ CASES = [
 
 
 def test_every_numeric_argument_is_among_the_cases():
-    functions = [n for n in jaxrod.__all__ if inspect.isfunction(getattr(jaxrod, n))]
+    functions = [n for n, thing in PUBLIC.items() if inspect.isfunction(thing)]
     wanted = {(n, a) for n in functions for a in numeric_arguments(n)}
     wanted = {pair for pair in wanted if pair[0] not in ELSEWHERE}
     assert wanted == {tuple(case.values[::2]) for case in CASES}
@@ -61,7 +62,7 @@ def built(name, case, argument, change):
     given = case | changed
     # What a function takes by position alone.
     members = given.pop("members", ())
-    made = jax.tree.leaves(getattr(jaxrod, name)(*members, **given))
+    made = jax.tree.leaves(PUBLIC[name](*members, **given))
     return [leaf for leaf in made if jnp.issubdtype(leaf.dtype, jnp.floating)]
 
 
@@ -142,7 +143,7 @@ def test_traced_structure_is_refused_by_name(name, arguments):
     for argument, value in arguments.items():
         if not isinstance(value, int):
             continue
-        call = lambda n, k=argument: getattr(jaxrod, name)(**arguments | {k: n})
+        call = lambda n, k=argument: PUBLIC[name](**arguments | {k: n})
         with pytest.raises(ValueError, match=argument):
             jax.jit(call)(value)
 

@@ -56,7 +56,8 @@ def resolve(
     for path, leaf in jax.tree.leaves_with_path(config):
         if leaf is config:
             raise ValueError(
-                f"config_type of {name}, {kind.__name__}, must be made by jaxrod.extend.pytree"
+                f"config_type of {name}, {kind.__name__}, must be made by "
+                "jaxrod.extend.pytree"
             )
         if not isinstance(leaf, int | float | np.ndarray | np.generic | jax.Array):
             raise ValueError(

@@ -1,0 +1,14 @@
+"""Public functions and classes of the core by name, whichever namespace they are in."""
+
+import jaxrod
+
+NAMESPACES = (
+    jaxrod,
+    jaxrod.actuation,
+    jaxrod.fluids,
+    jaxrod.schedules,
+    jaxrod.shapes,
+    jaxrod.systems,
+    jaxrod.topology,
+)
+PUBLIC = {name: getattr(space, name) for space in NAMESPACES for name in space.__all__}
