@@ -10,6 +10,7 @@ import jax
 import jax.numpy as jnp
 
 import jaxrod
+from jaxrod import actuation, fluids, schedules
 
 N, LENGTH, RADIUS, YOUNG = 8, 6e-3, 2.5e-4, 2e5  # [1], [m], [m], [Pa]
 COLUMNS, ROWS, GAP, PERIOD = 9, 4, 4e-3, 0.5  # [1], [1], [m], [s]
@@ -31,10 +32,8 @@ def cilium(place, angle, field):
         normal=(1.0, 0.0, 0.0),
     )
     moment = MOMENT * jnp.stack([jnp.sin(angle), 0.0 * angle, jnp.cos(angle)])
-    magnet = jaxrod.actuation.magnetisation(rod, moment, field)
-    drag = jaxrod.fluids.stokes_drag(
-        *jaxrod.fluids.slender_cylinder(0.05, LENGTH, RADIUS)
-    )
+    magnet = actuation.magnetisation(rod, moment, field)
+    drag = fluids.stokes_drag(*fluids.slender_cylinder(0.05, LENGTH, RADIUS))
     return jaxrod.make_scene(rod, jaxrod.clamp(state), magnet, drag), state
 
 
@@ -47,9 +46,7 @@ def build():
     turn = 2 * jnp.pi * times / PERIOD
     size = FIELD * jnp.clip(times / PERIOD, 0, 1)
     field = size[:, None] * jnp.stack([jnp.cos(turn), 0 * turn, jnp.sin(turn)], axis=-1)
-    made = lambda place, angle: cilium(
-        place, angle, jaxrod.schedules.table(times, field)
-    )
+    made = lambda place, angle: cilium(place, angle, schedules.table(times, field))
     cilia, states = jax.vmap(made)(places, angles)
     system = jaxrod.make_system({"cilia": cilia})
     return system, {"cilia": states}, 0.9 * float(jaxrod.stable_dt(system).dt)

@@ -11,6 +11,7 @@ import jax
 import jax.numpy as jnp
 
 import jaxrod
+from jaxrod import schedules
 
 LENGTH, AMPLITUDE, TILT = 0.3, 0.01, 0.1  # [m], [m], [rad]
 CRITICAL = math.sqrt(2 * 9.81 * LENGTH * 2 / 3) / (2 * math.pi * AMPLITUDE)  # [Hz]
@@ -28,7 +29,7 @@ def simulate(frequency, seconds=1.5):
         normal=(0.0, 1.0, 0.0),
     )
     # A cosine: the pivot begins at rest.
-    shake = jaxrod.schedules.sine(
+    shake = schedules.sine(
         (0.0, 0.0, AMPLITUDE), 1 / frequency, phase=0.25, mean=(0.0, 0.0, -AMPLITUDE)
     )
     pivot = jaxrod.driven(state, displacement=shake, axes="xz", free_to_turn=True)

@@ -10,6 +10,7 @@ import jax
 import jax.numpy as jnp
 
 import jaxrod
+from jaxrod import actuation, fluids
 
 jax.config.update("jax_enable_x64", True)  # steps are a billionth of the length
 
@@ -34,11 +35,11 @@ def swimmer(lane, angle):
     )
     stiffness = rod.bend_twist_stiffness[0, 0]
     couple = stiffness * angle * 2 * jnp.pi * WAVES / LENGTH
-    wave = jaxrod.actuation.travelling_wave(
+    wave = actuation.travelling_wave(
         rod, couple, period=PERIOD, wavelength=LENGTH / WAVES, ramp_up=PERIOD / 2
     )
-    along, across, turning = jaxrod.fluids.slender_cylinder(VISCOSITY, LENGTH, RADIUS)
-    fluid = jaxrod.fluids.stokes_drag(along, across, turning)
+    along, across, turning = fluids.slender_cylinder(VISCOSITY, LENGTH, RADIUS)
+    fluid = fluids.stokes_drag(along, across, turning)
     return jaxrod.make_scene(rod, wave, fluid), state
 
 
@@ -53,7 +54,7 @@ def build():
 def endless(angle):
     """Lengths that an endless wave of the same kind swims per period [1]."""
     phase = 2 * jnp.pi * jnp.arange(64) / 64
-    along, across, _ = jaxrod.fluids.slender_cylinder(VISCOSITY, LENGTH, RADIUS)
+    along, across, _ = fluids.slender_cylinder(VISCOSITY, LENGTH, RADIUS)
     sines = jnp.mean(jnp.sin(angle * jnp.sin(phase)) ** 2)
     wave = jnp.mean(jnp.cos(angle * jnp.sin(phase))) / WAVES
     return wave * (1 - 1 / (1 + (across / along - 1) * sines))
@@ -65,10 +66,8 @@ def run(share=1.0):
     every = int(PERIOD / dt / 40)
     n = int(120 * share) * every
     states = jaxrod.rollout(system, state, dt, n, every)
-    times, fields = (
-        jaxrod.rollout_times(dt, n, every),
-        {"speed [m/s]": jaxrod.viz.speed},
-    )
+    times = jaxrod.rollout_times(dt, n, every)
+    fields = {"speed [m/s]": jaxrod.viz.speed}
     show = jaxrod.viz.Replay.from_states
     replay = show(system, states, times, fields=fields, title="Flagella")
     middle = jnp.mean(states["flagella"].positions[:, -1, 0], axis=-1)

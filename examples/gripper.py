@@ -10,6 +10,7 @@ import jax
 import jax.numpy as jnp
 
 import jaxrod
+from jaxrod import actuation, schedules, shapes, systems
 
 N, LENGTH, RADIUS, BALL = 10, 0.1, 0.008, 0.03  # [1], [m], [m], [m]
 CLOSED, HELD, LIFTED, END = 0.6, 1.6, 2.6, 3.2  # [s]
@@ -32,17 +33,15 @@ def finger(angle):
         direction=(0.0, 0.0, -1.0),
         normal=outwards,
     )
-    lift = jaxrod.schedules.ramp(
-        (0.0,) * 3, (0.0, 0.0, LIFT), LIFTED - HELD, start=HELD
-    )
-    pressure = jaxrod.schedules.ramp(0.0, PRESSURE, CLOSED)
+    lift = schedules.ramp((0.0,) * 3, (0.0, 0.0, LIFT), LIFTED - HELD, start=HELD)
+    pressure = schedules.ramp(0.0, PRESSURE, CLOSED)
     scene = jaxrod.make_scene(
         rod,
         jaxrod.driven(state, displacement=lift),
-        jaxrod.actuation.chamber(rod, pressure, 4e-5, offsets=(5e-3, 0.0)),
+        actuation.chamber(rod, pressure, 4e-5, offsets=(5e-3, 0.0)),
         jaxrod.gravity(),
         jaxrod.exponential_damping(15.0),
-        jaxrod.contact(jaxrod.shapes.plane(), stiffness=5e3, **LAW),
+        jaxrod.contact(shapes.plane(), stiffness=5e3, **LAW),
     )
     return scene, state
 
@@ -51,15 +50,13 @@ def build():
     """Fingers and ball, their states and the time step."""
     fingers, of_fingers = jax.vmap(finger)(2 * jnp.pi * jnp.arange(3) / 3)
     effects = jaxrod.gravity(), jaxrod.exponential_damping(0.2, 1.0)
-    shape = jaxrod.shapes.sphere((0.0, 0.0, BALL), BALL)
-    ball, of_ball = jaxrod.systems.rigid_body(shape, density=200.0, effects=effects)
+    shape = shapes.sphere((0.0, 0.0, BALL), BALL)
+    ball, of_ball = systems.rigid_body(shape, density=200.0, effects=effects)
     state = {"fingers": of_fingers, "ball": of_ball}
     system = jaxrod.make_system(
         {"fingers": fingers, "ball": ball},
-        jaxrod.systems.body_contact("fingers", "ball", stiffness=5e3, **LAW),
-        jaxrod.systems.rigid_contact(
-            "ball", fixed=jaxrod.shapes.plane(), stiffness=5e2, damping=1.0
-        ),
+        systems.body_contact("fingers", "ball", stiffness=5e3, **LAW),
+        systems.rigid_contact("ball", fixed=shapes.plane(), stiffness=5e2, damping=1.0),
         state=state,
     )
     return system, state, 0.95 * float(jaxrod.stable_dt(system).dt)

@@ -6,6 +6,7 @@ import jax.numpy as jnp
 import numpy as np
 
 import jaxrod
+from jaxrod import systems
 
 N, RADIUS, LOOP = 160, 0.005, 0.1  # [1], [m], [m]
 NUMBER = "B kappa^2 / 2 + tension at the top of the loop in N, and the pull"
@@ -19,7 +20,7 @@ def overhand(n, radius, loop, tail=4.0):
     turn = np.clip(s / loop, 0, 2 * np.pi)
     x = loop * np.sin(turn) + np.minimum(s, 0) + np.maximum(s - around, 0)
     y, z = loop * (1 - np.cos(turn)), 0 * s
-    half = 2.0 * np.sqrt(gap * loop)  # Of where they are wound, one and a half turns.
+    half = 2.0 * np.sqrt(gap * loop)  # Length of the winding, one and a half turns.
     for u, side in ((s, 1), (around - s, -1)):
         angle = np.pi * (2.5 + 1.5 * np.tanh(u / half))
         size = gap * np.exp(-0.5 * np.maximum(np.abs(u) / half - 1, 0) ** 2)
@@ -44,11 +45,8 @@ def build(n=N, radius=RADIUS, loop=LOOP, pull=1.0, friction=None):
     stiffness = 300.0 * bending / (loop * radius) ** 2
     law = {"damping": 0.1 * jnp.sqrt(stiffness * line), "friction": friction}
     scene, state = jaxrod.make_scene(rod, *pulls, slow), {"rope": state}
-    law |= {
-        "lists": jaxrod.systems.neighbour_lists(skin=1.0, refresh_every=8),
-        "itself": True,
-    }
-    touch = jaxrod.systems.rod_contact("rope", stiffness=stiffness, **law)
+    law |= {"lists": systems.neighbour_lists(skin=1.0, refresh_every=8)}
+    touch = systems.rod_contact("rope", stiffness=stiffness, itself=True, **law)
     system = jaxrod.make_system({"rope": scene}, touch, state=state)
     return system, state, float(jaxrod.stable_dt(system).dt)
 

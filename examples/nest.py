@@ -9,6 +9,7 @@ import jax
 import jax.numpy as jnp
 
 import jaxrod
+from jaxrod import shapes, systems
 
 N_ELEMENTS, LENGTH, RADIUS, WALL, PER_LAYER = 8, 0.1, 0.002, 0.08, 10
 DENSITY, END = 1e3, 2.0  # [kg/m^3], [s]
@@ -35,7 +36,7 @@ def rod_in_layer(number):
 def scene(rod):
     """A rod under gravity between floor and wall, in some air."""
     touch = {"stiffness": 2e4, "damping": 1.0, "friction": 0.3}
-    sides = jaxrod.shapes.signed_distance(into_wall, WALL), jaxrod.shapes.plane()
+    sides = shapes.signed_distance(into_wall, WALL), shapes.plane()
     effects = [jaxrod.contact(side, **touch) for side in sides]
     effects += [jaxrod.gravity(), jaxrod.exponential_damping(10.0)]
     return jaxrod.make_scene(rod, *effects)
@@ -46,9 +47,9 @@ def nest(n_rods=200):
     rods, state = jax.vmap(rod_in_layer)(jnp.arange(n_rods))
     # For the nest that it becomes, which is denser than what is laid in.
     room = {"pairs": 80 * n_rods, "candidates": 320 * n_rods}
-    lists = jaxrod.systems.neighbour_lists(skin=1.0, refresh_every=10, **room)
+    lists = systems.neighbour_lists(skin=1.0, refresh_every=10, **room)
     touch = {"stiffness": 1e3, "damping": 0.02, "friction": 0.3, "partners": 4}
-    contact = jaxrod.systems.crossing_contact("rods", **touch, lists=lists)
+    contact = systems.crossing_contact("rods", **touch, lists=lists)
     scenes, state = {"rods": jax.vmap(scene)(rods)}, {"rods": state}
     system = jaxrod.make_system(scenes, contact, state=state)
     return system, state, jaxrod.stable_dt(system).dt

@@ -1,8 +1,7 @@
 """An octopus: eight soft arms on a rigid head, curled by muscles along them.
 
 All arms are one member, equal rods in one leaf, and part of the head exactly. Muscles
-on the lower side of each contract; nothing holds the animal, so its momentum stays
-zero. Run it with `python examples/octopus.py`.
+on the lower side of each contract; nothing holds the animal: its momentum stays zero.
 """
 
 import gallery
@@ -10,6 +9,7 @@ import jax
 import jax.numpy as jnp
 
 import jaxrod
+from jaxrod import actuation, schedules, shapes, systems
 
 N_ARMS, N_ELEMENTS, LENGTH, HEAD = 8, 12, 0.2, 0.03  # [1], [1], [m], [m]
 NUMBER = "lengths it drifts in a second with nothing to push against, and none"
@@ -31,11 +31,9 @@ def arm(angle):
     )
     # Full force where the arm is thick, on the lower side, within half a second.
     force = 4e3 * jnp.pi * rod.radii**2
-    contraction = jaxrod.schedules.ramp(0.0, 0.25, 0.5)
+    contraction = schedules.ramp(0.0, 0.25, 0.5)
     offset = jnp.stack([-0.5 * jnp.mean(rod.radii), jnp.zeros(())])
-    muscle = jaxrod.actuation.muscle(
-        rod, force[None], contraction, offsets=offset[None]
-    )
+    muscle = actuation.muscle(rod, force[None], contraction, offsets=offset[None])
     return jaxrod.make_scene(rod, muscle, jaxrod.internal_damping(2e-3)), state
 
 
@@ -43,12 +41,10 @@ def octopus():
     """The animal and its state at rest."""
     angles = 2 * jnp.pi * jnp.arange(N_ARMS) / N_ARMS
     arms, of_arms = jax.vmap(arm)(angles)
-    head, of_head = jaxrod.systems.rigid_body(
-        jaxrod.shapes.sphere((0, 0, 0), HEAD), density=1050.0
-    )
+    head, of_head = systems.rigid_body(shapes.sphere((0, 0, 0), HEAD), density=1050.0)
     state = {"arms": of_arms, "head": of_head}
     roots = [("arms", k, "start") for k in range(N_ARMS)]
-    together = jaxrod.systems.attach(roots, ("head",), state)
+    together = systems.attach(roots, ("head",), state)
     return jaxrod.make_system({"arms": arms, "head": head}, together), state
 
 

@@ -6,7 +6,7 @@ A ball is tied to the tip of an arm and dropped: it falls, is caught, and bounce
 import jax.numpy as jnp
 
 import jaxrod
-from jaxrod import extend
+from jaxrod import extend, shapes, systems
 from jaxrod.extend import vectors
 
 
@@ -48,8 +48,8 @@ def dropped(slack=0.1):
     """A system, and its state: an arm, and a ball that is tied to its tip."""
     x, material = (1.0, 0.0, 0.0), {"density": 1000.0, "youngs_modulus": 1e7}
     rod, arm = jaxrod.straight_rod(10, length=0.5, radius=0.01, direction=x, **material)
-    fall, shape = (jaxrod.gravity(),), jaxrod.shapes.sphere((0.5, 0.0, -0.05), 0.02)
-    ball, still = jaxrod.systems.rigid_body(shape, density=500.0, effects=fall)
+    fall, shape = (jaxrod.gravity(),), shapes.sphere((0.5, 0.0, -0.05), 0.02)
+    ball, still = systems.rigid_body(shape, density=500.0, effects=fall)
     state = {"arm": arm, "ball": still}
     ends = [extend.anchors([place], state) for place in (("arm", "finish"), ("ball",))]
     tether = Tether(*ends, length=0.05 + slack, stiffness=200.0)

@@ -10,26 +10,25 @@ import jax
 import jax.numpy as jnp
 
 import jaxrod
+from jaxrod import extend, schedules
 
 
-@jaxrod.extend.pytree
-class TiringMuscle(jaxrod.extend.Effect):
+@extend.pytree
+class TiringMuscle(extend.Effect):
     """Equal couples about d1 on all elements: strength x freshness x activation."""
 
-    command: (
-        jax.Array | jaxrod.schedules.Schedule
-    )  # wanted activation [1]; may be a schedule
+    command: jax.Array | schedules.Schedule  # wanted activation [1]; may be a schedule
     strength: jax.Array  # couple on every element [N m]
     rise_time: jax.Array  # of the activation [s]
-    activation: jax.Array = jaxrod.extend.memory(default=0.0)  # [1]
-    freshness: jax.Array = jaxrod.extend.memory(default=1.0)  # [1]
+    activation: jax.Array = extend.memory(default=0.0)  # [1]
+    freshness: jax.Array = extend.memory(default=1.0)  # [1]
 
     def loads(self, rod, motion):
         """Couples in the material frame: they turn with the elements."""
         couple = self.strength * self.freshness * self.activation
         along = jnp.full_like(rod.rest_lengths, couple)
         none = jnp.zeros_like(along)
-        return jaxrod.extend.Loads(couples=(along, none, none))
+        return extend.Loads(couples=(along, none, none))
 
     def after_step(self, rod, motion, dt):
         """Activation follows the command; work takes freshness away."""
@@ -44,9 +43,7 @@ def simulate(strength=0.05, seconds=1.0):
     rod, state = jaxrod.straight_rod(
         12, length=0.3, radius=0.01, density=1000.0, youngs_modulus=1e6
     )
-    muscle = TiringMuscle(
-        jaxrod.schedules.sine(1.0, period=0.4), strength, rise_time=0.05
-    )
+    muscle = TiringMuscle(schedules.sine(1.0, period=0.4), strength, rise_time=0.05)
     scene = jaxrod.make_scene(
         rod, jaxrod.clamp(state), jaxrod.exponential_damping(5.0), muscle
     )

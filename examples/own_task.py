@@ -6,10 +6,11 @@ import jax
 import jax.numpy as jnp
 
 import jaxrod
+from jaxrod import extend
 from jaxrod.envs import Snapshot
 
 
-@jaxrod.extend.pytree
+@extend.pytree
 class State:
     rod: jaxrod.RodState
     goal: jax.Array  # height to reach [m]

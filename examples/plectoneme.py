@@ -9,6 +9,7 @@ import jax
 import jax.numpy as jnp
 
 import jaxrod
+from jaxrod import schedules, systems, topology
 
 N, LENGTH, RADIUS, TURNS = 48, 1.0, 0.011, 5.0  # [1], [m], [m], [1]
 TWISTING, SHORTENING, REST = 3.0, 4.0, 1.0  # [s]
@@ -28,8 +29,8 @@ def build():
         normal=(0.0, 0.0, 1.0),
     )
     ahead = jnp.asarray([1.0, 0.0, 0.0])
-    nearer = jaxrod.schedules.ramp(0 * ahead, -0.45 * ahead, SHORTENING, start=TWISTING)
-    turn = jaxrod.schedules.ramp(0.0, 2 * jnp.pi * TURNS, TWISTING)
+    nearer = schedules.ramp(0 * ahead, -0.45 * ahead, SHORTENING, start=TWISTING)
+    turn = schedules.ramp(0.0, 2 * jnp.pi * TURNS, TWISTING)
     moved = jaxrod.driven(state, "finish", displacement=nearer, axis=ahead, angle=turn)
     scene = jaxrod.make_scene(
         rod,
@@ -38,7 +39,7 @@ def build():
         jaxrod.gravity((0.0, 0.0, -0.2)),  # chooses where it buckles to
         jaxrod.exponential_damping(4.0),
     )
-    touch = jaxrod.systems.rod_contact("rope", stiffness=6e5, damping=40.0, itself=True)
+    touch = systems.rod_contact("rope", stiffness=6e5, damping=40.0, itself=True)
     system = jaxrod.make_system({"rope": scene}, touch)
     return system, {"rope": state}, 0.9 * float(jaxrod.stable_dt(system).dt)
 
@@ -51,9 +52,8 @@ def link(positions, directors, turned):
     wall = jnp.asarray([0.0, 0.0, 1.0])
     far = jnp.stack([0 * turned, -jnp.sin(turned), jnp.cos(turned)])
     normals = jnp.concatenate([wall[:, None], directors[0], far[:, None]], axis=1)
-    return jaxrod.topology.twist(curve, normals), jaxrod.topology.writhe(
-        curve, ends="next_tangent", extension=50.0
-    )
+    writhe = topology.writhe(curve, ends="next_tangent", extension=50.0)
+    return topology.twist(curve, normals), writhe
 
 
 def run(share=1.0):

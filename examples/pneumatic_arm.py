@@ -8,6 +8,7 @@ import gallery
 import jax.numpy as jnp
 
 import jaxrod
+from jaxrod import actuation, schedules
 
 N, LENGTH, RADIUS, YOUNG = 30, 0.3, 0.012, 1e6  # [1], [m], [m], [Pa]
 PRESSURE, AREA, OFFSET = 4e5, 5e-5, 0.007  # [Pa], [m^2], [m]
@@ -27,12 +28,12 @@ def build():
         normal=(1.0, 0.0, 0.0),
     )
     wall = jaxrod.clamp(state)
-    pressure = jaxrod.schedules.table(
+    pressure = schedules.table(
         (0.0, 1.0, 1.6, 3.0),
         PRESSURE * jnp.asarray([[0.0, 0.0], [1.0, 0.0], [1.0, 0.0], [0.0, 1.0]]),
     )
     offsets = OFFSET * jnp.asarray([[-1.0, 0.0], [1.0, 0.0]])
-    chambers = jaxrod.actuation.chamber(rod, pressure, AREA, offsets=offsets, into=wall)
+    chambers = actuation.chamber(rod, pressure, AREA, offsets=offsets, into=wall)
     scene = jaxrod.make_scene(rod, wall, chambers, jaxrod.exponential_damping(12.0))
     return scene, state, 0.9 * float(jaxrod.stable_dt(scene).dt)
 

@@ -1,7 +1,6 @@
 """A snake on the ground whose gait is improved by the gradient of its way.
 
-PyElastica's snake: a wave of couples, friction larger backwards and sideways (Gazzola
-et al., R. Soc. Open Sci. 5, 2018). Run it with `python examples/snake.py`.
+PyElastica's snake (Gazzola et al., R. Soc. Open Sci. 5, 2018).
 """
 
 import gallery
@@ -9,6 +8,7 @@ import jax
 import jax.numpy as jnp
 
 import jaxrod
+from jaxrod import actuation, shapes
 
 N, LENGTH, PERIOD, G, FROUDE = 30, 0.35, 2.0, 9.80665, 0.1  # [1], [m], [s], [m/s^2]
 RADIUS = 0.011 * LENGTH
@@ -31,14 +31,14 @@ def build(gait=(2 * jnp.pi, 0.0), couples=COUPLES):
     )
     mass = float(jnp.pi * RADIUS**2 * 1000.0)  # per length [kg/m]
     ground = jaxrod.contact(
-        jaxrod.shapes.plane((0.0, 0.0, 0.0), (0.0, 0.0, 1.0)),
+        shapes.plane((0.0, 0.0, 0.0), (0.0, 0.0, 1.0)),
         stiffness=mass * G / (0.05 * RADIUS),
         damping=300.0 * mass,
         friction=LENGTH / (PERIOD**2 * G * FROUDE) * jnp.asarray([1.0, 1.5, 2.0]),
         friction_drag=1000.0 * mass,
     )
     tilted = jnp.asarray(couples) * (1 + gait[1] * jnp.linspace(-1.0, 1.0, 6))
-    wave = jaxrod.actuation.muscle_torques(
+    wave = actuation.muscle_torques(
         rod,
         tilted * jnp.sqrt(sum(c * c for c in couples) / jnp.sum(tilted**2)),
         period=PERIOD,

@@ -1,8 +1,7 @@
 """An arm that four tendons lead along a figure eight.
 
 One tendon of tension T at the offset a bends an arm everywhere by T a / EI, and by 3 %
-more where it is straight between 20 eyelets; the four share it out by direction. Run it
-with `python examples/tendon_arm.py`.
+more where it is straight between 20 eyelets. The four share it by direction.
 """
 
 import math
@@ -11,6 +10,7 @@ import gallery
 import jax.numpy as jnp
 
 import jaxrod
+from jaxrod import actuation, schedules
 
 N, LENGTH, RADIUS, YOUNG = 20, 0.25, 0.008, 1e6  # [1], [m], [m], [Pa]
 OFFSET, PULL, HELD, LOOP = 0.007, 2.5, 1.5, 4.0  # [m], [N], [s], [s]
@@ -19,7 +19,7 @@ LOOK = {"frame": (60, 75, 90, 105), "azimuth": -55, "elevation": 20}
 
 
 def tensions():
-    """Of the four tendons over time: one is pulled and held, then the loop."""
+    """Tensions of the four tendons over time: one is pulled and held, then the loop."""
     phase = jnp.linspace(0.0, 2 * jnp.pi, 121)
     way = PULL * jnp.stack([jnp.cos(phase), jnp.sin(2 * phase)])
     first = jnp.asarray([[0.0, PULL, PULL], [0.0, 0.0, 0.0]])
@@ -27,7 +27,7 @@ def tensions():
     four = jnp.clip(jnp.stack([both[0], both[1], -both[0], -both[1]]), 0, None)
     start = jnp.asarray([0.0, 0.7, HELD])
     times = jnp.concatenate([start, 1e-3 + HELD + LOOP * phase / (2 * jnp.pi)])
-    return jaxrod.schedules.table(times, four.T)
+    return schedules.table(times, four.T)
 
 
 def build():
@@ -42,7 +42,7 @@ def build():
         normal=(1.0, 0.0, 0.0),
     )
     sides = OFFSET * jnp.asarray([[1.0, 0.0], [0.0, 1.0], [-1.0, 0.0], [0.0, -1.0]])
-    tendons = jaxrod.actuation.tendon(rod, sides, tension=tensions())
+    tendons = actuation.tendon(rod, sides, tension=tensions())
     effects = jaxrod.clamp(state), tendons, jaxrod.exponential_damping(12.0)
     scene = jaxrod.make_scene(rod, *effects)
     return scene, state, 0.9 * float(jaxrod.stable_dt(scene).dt)

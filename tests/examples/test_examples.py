@@ -9,13 +9,17 @@ import pytest
 
 import jaxrod
 from examples.loading import FOLDER
+from public_names import NAMESPACES
 
 PUBLIC = {
-    "jaxrod": jaxrod,
-    "jaxrod.envs": jaxrod.envs,
-    "jaxrod.extend": jaxrod.extend,
-    "jaxrod.training": jaxrod.training,
-    "jaxrod.viz": jaxrod.viz,
+    space.__name__: space
+    for space in (
+        *NAMESPACES,
+        jaxrod.envs,
+        jaxrod.extend,
+        jaxrod.training,
+        jaxrod.viz,
+    )
 }
 
 
