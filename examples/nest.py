@@ -1,7 +1,6 @@
 """A nest: rods laid into a cylinder, layer upon layer, fall and settle on each other.
 
-Nothing passes through anything. `python -m benchmarks nest_speed` measures how fast
-nests of any size run.
+Nothing passes through anything. `python -m benchmarks nest_speed` measures the speed.
 """
 
 import gallery
