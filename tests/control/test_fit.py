@@ -125,7 +125,7 @@ def test_observations_that_were_not_made_are_left_out():
     )
     for name in TRUTH:
         assert float(fit.values[name]) == pytest.approx(float(cut.values[name]))
-    assert int(fit.freedoms) == int(cut.freedoms) == 23
+    assert int(fit.degrees_of_freedom) == int(cut.degrees_of_freedom) == 23
 
 
 @pytest.mark.slow

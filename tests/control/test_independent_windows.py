@@ -72,7 +72,11 @@ def test_it_is_what_a_fit_finds_with_all_starts_among_the_parameters():
     )
     fit = fitted(observed, begin, tolerance=1e-13)
     assert bool(fit.converged)
-    assert int(fit.freedoms) == int(together.freedoms) == WINDOWS * (EVERY - 2) - 2
+    assert (
+        int(fit.degrees_of_freedom)
+        == int(together.degrees_of_freedom)
+        == WINDOWS * (EVERY - 2) - 2
+    )
     assert float(fit.misfit) == pytest.approx(float(together.misfit), rel=1e-6)
     for name in START:
         expected = float(together.values[name])
@@ -115,7 +119,7 @@ def test_kinds_and_what_was_not_seen():
     )
     for name, value in TRUTH.items():
         assert float(fit.values[name]) == pytest.approx(value, rel=1e-4)
-    assert int(fit.freedoms) == 2 * WINDOWS * EVERY - 1 - 2 * WINDOWS - 2
+    assert int(fit.degrees_of_freedom) == 2 * WINDOWS * EVERY - 1 - 2 * WINDOWS - 2
     # Rows of kinds are kept apart.
     assert fit.residual_sd["x"].shape == fit.residual_sd["twice"].shape == ()
 

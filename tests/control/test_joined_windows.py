@@ -85,7 +85,7 @@ def test_it_is_what_a_fit_finds_with_one_long_run():
     fit = fitted(observed, firsts(guessed(observed)), tolerance=1e-13)
     assert bool(together.converged)
     assert bool(fit.converged)
-    assert int(fit.freedoms) == int(together.freedoms)
+    assert int(fit.degrees_of_freedom) == int(together.degrees_of_freedom)
     assert float(fit.misfit) == pytest.approx(float(together.misfit), rel=1e-6)
     for name in TRUTH:
         expected = float(together.values[name])
@@ -165,7 +165,9 @@ def test_kinds_and_what_was_not_seen():
         # Both kinds together weigh as one.
         noise={"x": np.sqrt(2) * SD, "twice": np.sqrt(8) * SD},
     )
-    assert int(fit.freedoms) == 2 * FILMS * WINDOWS * EVERY - 1 - 2 * FILMS - 3
+    assert (
+        int(fit.degrees_of_freedom) == 2 * FILMS * WINDOWS * EVERY - 1 - 2 * FILMS - 3
+    )
     assert fit.residual_sd["twice"] == pytest.approx(
         2 * float(fit.residual_sd["x"]), rel=0.05
     )

@@ -177,7 +177,7 @@ def _fit_windows(
     spread = jnp.ones_like(found.gap)
     if not problem.noise_is_given:
         squares = jnp.sum(found.residuals**2)
-        spread = jnp.sqrt(squares / jnp.maximum(result.freedoms, 1))
+        spread = jnp.sqrt(squares / jnp.maximum(result.degrees_of_freedom, 1))
     # Independent windows have no gaps to close.
     closed = found.gap < CLOSED * spread if windows.joined else True
     return replace(
@@ -257,9 +257,9 @@ def fit_of(problem: FitProblem, found: Any, others: int = 0) -> Fit:
     parameters, seen, noise = problem.parameters, problem.seen, problem.noise
     given, bounds = problem.noise_is_given, (problem.low, problem.high)
     point = found.solution
-    freedoms = problem.observations - point.size - others
+    degrees_of_freedom = problem.observations - point.size - others
     squares = jnp.sum(found.residuals**2)
-    misfit = squares / jnp.maximum(freedoms, 1)
+    misfit = squares / jnp.maximum(degrees_of_freedom, 1)
     unit = jnp.ones_like(misfit) if given else jnp.sqrt(misfit)
     safe = jnp.where(unit > 0, unit, 1)
     # If the start was not finite, the Jacobian is not, and the SVD would not end.
@@ -293,7 +293,7 @@ def fit_of(problem: FitProblem, found: Any, others: int = 0) -> Fit:
         converged=remaining < NEAR,
         iterations=found.iterations,
         at_bound=at_bound,
-        freedoms=freedoms,
+        degrees_of_freedom=degrees_of_freedom,
     )
 
 

@@ -82,7 +82,7 @@ class Fit:
     at_bound: Bool[Array, " p"]
     """Whether each parameter is at a bound; its standard deviation then means
     little."""
-    freedoms: Int[Array, ""]
+    degrees_of_freedom: Int[Array, ""]
     """Degrees of freedom: number of observations less number of unknowns."""
     unknowns: Any = None
     """Unknowns of initial states, with multiple shooting."""
@@ -232,15 +232,15 @@ def _remarks(fit: Fit) -> list[str]:
         name = jax.tree_util.keystr(path, simple=True, separator=".") or "observations"
         lines.append(f"residual sd of {name}: {float(rms):.3g}")
     lines.append(
-        f"misfit {float(fit.misfit):.3g} over {int(fit.freedoms)} degrees of freedom; "
-        f"{int(fit.iterations)} iterations"
+        f"misfit {float(fit.misfit):.3g} over {int(fit.degrees_of_freedom)} degrees of "
+        f"freedom; {int(fit.iterations)} iterations"
         + (
             ""
             if bool(fit.converged)
             else f", NOT CONVERGED: {float(fit.remaining):.2g} standard deviations left"
         )
     )
-    if float(fit.misfit) > 1 + 5 * np.sqrt(2 / max(int(fit.freedoms), 1)):
+    if float(fit.misfit) > 1 + 5 * np.sqrt(2 / max(int(fit.degrees_of_freedom), 1)):
         lines.append(
             "the misfit is more than noise: the model is wrong somewhere, the search "
             "has stopped short, or noise is too small; the standard deviations are too "
