@@ -1,14 +1,16 @@
-"""`examples/own_coupling.py` and `examples/own_method.py` do what they say."""
+"""The examples of a coupling, a method and a shape of one's own do what they say."""
 
 from dataclasses import replace
 
 import jax.numpy as jnp
 import numpy as np
+import pytest
 
 import jaxrod
 from examples.loading import load
 
 own_coupling, own_method = load("own_coupling"), load("own_method")
+own_shape = load("own_shape")
 
 
 def test_a_tether_lets_fall_catches_and_keeps_energy_and_momentum():
@@ -48,3 +50,18 @@ def test_symplectic_euler_is_of_first_order():
         float(jnp.linalg.norm(own_method.swing(euler, n) - exact)) for n in (400, 800)
     ]
     assert 1.8 < errors[0] / errors[1] < 2.3
+
+
+def test_a_rod_lies_on_a_torus_and_is_shown_with_it():
+    scene, states, times = own_shape.laid()
+    crossing = jnp.argmin(jnp.abs(states.positions[-1, 0] - 0.15))
+    height = float(states.positions[-1, 2, crossing])
+    assert height == pytest.approx(0.02 + 0.008, abs=0.003)
+    assert float(jnp.max(jnp.abs(states.velocities[-1, 2]))) < 0.05
+    replay = jaxrod.viz.Replay.from_states(scene, states, times)
+    (mesh,) = replay.meshes
+    distance, _ = own_shape.Torus(0.15, 0.02).surface(tuple(mesh.vertices.T))
+    np.testing.assert_allclose(distance, 0, atol=1e-6)
+    a, b, c = (mesh.vertices[mesh.faces[:, k]] for k in range(3))
+    volume = np.sum(a * np.cross(b, c)) / 6
+    assert volume == pytest.approx(2 * np.pi**2 * 0.15 * 0.02**2, rel=0.03)
