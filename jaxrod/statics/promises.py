@@ -43,7 +43,7 @@ def check_promises(scene: LoadedRod) -> None:
         ValueError: If loads do not change as an effect's `turning_tangent` or `reach`
             declares, or if it holds parts of components, or couples some to others.
     """
-    if is_traced(scene) or scene.rod.rest_lengths.ndim > 1:
+    if is_traced(scene) or scene.rod.batch_shape:
         return
     doubtful = tuple(e for e in scene.effects if _says(e) or _holds(e))
     if not doubtful:
