@@ -73,7 +73,7 @@ from jaxrod.scene import Scene as Scene
 from jaxrod.scene import make_scene as make_scene
 from jaxrod.statics.equilibrium import Equilibrium as Equilibrium
 from jaxrod.statics.equilibrium import equilibrium as equilibrium
-from jaxrod.stepping.checks import UnstableStepWarning as UnstableStepWarning
+from jaxrod.stepping.runs import UnstableStepWarning as UnstableStepWarning
 from jaxrod.stepping.runs import advance as advance
 from jaxrod.stepping.runs import rollout as rollout
 from jaxrod.stepping.runs import rollout_times as rollout_times

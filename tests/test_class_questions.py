@@ -7,19 +7,27 @@ from class_questions import counted, questions
 
 ROOT = Path(__file__).resolve().parents[1]
 MOST = {
-    "class": 105,
+    "class": 53,
     "compared classes": 3,
     "compared laws": 0,
     "hasattr": 14,
-    "leading axes": 12,
+    "leading axes": 1,
 }
 """Numbers of questions in the folder jaxrod. When `class` was first counted it was
 142."""
+MOST_IN_SYSTEMS = 4
+"""Questions of classes in jaxrod/systems: checks of input, and one equality."""
 
 
 def test_no_more_questions_are_asked():
     found = counted(ROOT)["all of jaxrod"]
     assert {kind: n for kind, n in found.items() if n > MOST[kind]} == {}
+
+
+def test_systems_ask_members_and_couplings_and_not_their_classes():
+    found = counted(ROOT)["jaxrod/systems"]
+    assert found["class"] <= MOST_IN_SYSTEMS
+    assert found["leading axes"] == 0
 
 
 def test_questions_are_counted():

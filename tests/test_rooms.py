@@ -3,6 +3,8 @@
 import ast
 from pathlib import Path
 
+from walk_of_a_scene import files_entered
+
 ROOT = Path(__file__).parents[1]
 MOST_ARROWS = 287
 """Between rooms; there were 541 between 123 when most files were rooms of their own."""
@@ -85,3 +87,8 @@ def test_scenes_are_composed_without_knowing_methods_but_the_default():
 def test_no_module_name_begins_with_an_underscore():
     names = {name for module in modules() for name in module.split(".")}
     assert {name for name in names if name.startswith("_")} == {"__main__"}
+
+
+def test_a_scene_enters_few_files_on_its_way_to_a_step():
+    """`python tests/walk_of_a_scene.py` prints them."""
+    assert len(files_entered()) <= 8

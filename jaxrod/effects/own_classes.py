@@ -63,7 +63,7 @@ def check_own_loads(effect: Effect, rod: Rod) -> None:
     """
     kind = type(effect)
     gives = kind.loads is not Effect.loads or kind.loads_after is not Effect.loads_after
-    if _is_of_jaxrod(kind) or not gives or rod.rest_lengths.ndim != 1:
+    if _is_of_jaxrod(kind) or not gives or rod.batch_shape:
         return
 
     def look(effect: Effect, rod: Rod) -> None:

@@ -42,7 +42,7 @@ def warn_of_weight(rod: Rod, acceleration: Array) -> None:
     """
     masses, stretching = rod.element_masses, rod.shear_stretch_stiffness
     known = not is_traced(masses, stretching, acceleration)
-    if not known or rod.rest_lengths.ndim != 1:
+    if not known or rod.batch_shape:
         return
     g = np.asarray(acceleration, np.float64)
     weight = float(np.sum(np.asarray(masses))) * float(np.sqrt(np.sum(g * g)))

@@ -80,7 +80,7 @@ def _holds_elements(effect: Effect, rod: Rod) -> bool:
 
     For batches of rods it is not known: each rod is checked when it steps.
     """
-    if rod.rest_lengths.ndim > 1:
+    if rod.batch_shape:
         return False
     touched = []
 
@@ -113,7 +113,7 @@ def check_torsion_free(scene: LoadedRod) -> None:
     rod = scene.rod
     if not rod.is_round:
         _refuse("round sections", "rotary inertia about d1, d2 and d3")
-    if is_traced(scene) or rod.rest_lengths.ndim > 1:
+    if is_traced(scene) or rod.batch_shape:
         return
     tolerance = float(np.sqrt(np.finfo(np.asarray(rod.radii).dtype).eps))
     bend = np.asarray(rod.bend_twist_stiffness, np.float64)

@@ -47,7 +47,7 @@ def check_declared_properties(scene: LoadedRod) -> None:
         ValueError: If loads do not change as an effect's `turning_tangent` or `reach`
             declares, or if it holds parts of components, or couples some to others.
     """
-    if is_traced(scene) or scene.rod.rest_lengths.ndim > 1:
+    if is_traced(scene) or scene.rod.batch_shape:
         return
     # Those of the library have tests.
     others = [e for e in scene.effects if not type(e).__module__.startswith("jaxrod.")]

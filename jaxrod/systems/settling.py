@@ -31,8 +31,7 @@ from jaxrod.analysis.stability import stable_dt
 from jaxrod.effects.loads import ExponentialDamping
 from jaxrod.model import Model
 from jaxrod.rods.rod import Rod
-from jaxrod.stepping.checks import check_first
-from jaxrod.stepping.runs import advance, step
+from jaxrod.stepping.runs import advance, check_first, step
 from jaxrod.structure import pytree
 from jaxrod.validation import as_array, check_count
 

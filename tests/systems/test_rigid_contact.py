@@ -11,7 +11,6 @@ import pytest
 import jaxrod
 from jaxrod.systems.contact.samples import samples_of
 from jaxrod.systems.energies import seen_at_rest
-from jaxrod.systems.members.rigid_stepper import body_parts
 from systems.rigid_pairs import SHAPES, G, alone, body, moved, pressed
 
 
@@ -30,7 +29,7 @@ def test_the_bound_on_balls_is_that_of_springs_between_all_or_to_the_worst(partn
     """k (1/m_a + 1/m_b) of each, times the mass of the one."""
     stiffness, radii = 1e4, {"a": 0.1, "b": 0.05, "c": 0.2}
     parts = {
-        name: body_parts(body(jaxrod.shapes.sphere((0, 0, 0), r))[0])
+        name: body(jaxrod.shapes.sphere((0, 0, 0), r))[0].parts()
         for name, r in radii.items()
     }
     contact = jaxrod.systems.rigid_contact(

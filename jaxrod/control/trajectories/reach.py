@@ -24,8 +24,7 @@ from jaxrod.effects.control_splines import ControlSpline, ElementAverages
 from jaxrod.geometry import vectors
 from jaxrod.rods.rod import RodState
 from jaxrod.scene import Scene
-from jaxrod.stepping.checks import check_step
-from jaxrod.stepping.runs import advance, with_memory
+from jaxrod.stepping.runs import advance, check_step, with_memory
 from jaxrod.structure import pytree, static
 from jaxrod.validation import Numbers, check_array
 

@@ -72,9 +72,9 @@ class RigidContact(Coupling):
                     f"no member is called {name!r}; there are "
                     + ", ".join(map(repr, parts))
                 )
-            if not parts[name].is_rigid:
+            if parts[name].is_rod:
                 raise ValueError(
-                    f"rigid_contact is between rigid bodies, and {name!r} is none: "
+                    f"rigid_contact is between rigid bodies, and {name!r} is a rod: "
                     "use body_contact"
                 )
             if parts[name].shape is None:

@@ -78,25 +78,25 @@ class Member(ABC):
     def check_state(self, name: str, state: Any, dtype: Any) -> None:
         """Raises a TypeError or a ValueError if a state is not of this member."""
 
-    # Changed copies, of what the system holds.
+    # Copies of its entry in `System.members`: a scene, bodies, or the member itself.
 
     def each(self, function: Callable[..., Any], *given: Any) -> Any:
-        """Result of a function of what the system holds, and of other arguments.
+        """Result of a function of its entry and of other arguments.
 
         For equal rods it is called for each of them, with its part of the arguments.
         """
         return function(self, *given)
 
     def with_effect(self, effect: Effect) -> Any:
-        """What the system holds, with one more effect: `settled` damps all members."""
+        """Copy of its entry with one more effect: `settled` damps all members."""
         raise NotImplementedError(f"{type(self).__name__} takes no effects")
 
     def in_own_type(self) -> Any:
-        """What the system holds, with the numbers of its effects in its own type."""
+        """Copy of its entry with the numbers of its effects in its own type."""
         return self
 
     def with_free_ends(self, free: Array) -> Any:
-        """What the system holds, after its effects were told which ends are free.
+        """Copy of its entry whose effects know which ends of its rods are free.
 
         Args:
             free: One for each free end of its rods, zero for others, `(rods, 2)`.
@@ -111,7 +111,7 @@ class Member(ABC):
         return False
 
     def recalling(self, state: Any) -> Any:
-        """What the system holds, with the memory of its effects in a state."""
+        """Copy of its entry with the memory of its effects in a state."""
         return self
 
     def with_memory(self, state: Any) -> Any:

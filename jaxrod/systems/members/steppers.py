@@ -63,7 +63,7 @@ class MemberStepper(ABC):
         """The stepper with the member as it is at a time.
 
         Args:
-            model: What the system holds, with its schedules.
+            model: Entry of the member in the system, with its schedules.
             memory: Memory of its effects.
             clock: The time.
         """
