@@ -12,7 +12,7 @@ from jaxrod.extend import pytree
 
 
 @pytree
-class Torus(jaxrod.Body):
+class Torus(jaxrod.shapes.Body):
     """A ring of circular section around the z axis."""
 
     radius: jax.Array  # of the circle at the middle of the section [m]

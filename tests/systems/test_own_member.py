@@ -218,9 +218,13 @@ def test_what_needs_a_rod_or_a_body_refuses_a_point():
     members = {"rod": jaxrod.make_scene(rod), "point": point}
     state = {"rod": arm, "point": start}
     with pytest.raises(ValueError, match="rigid"):
-        jaxrod.make_system(members, jaxrod.attach(("rod", "start"), ("point",), state))
+        jaxrod.make_system(
+            members, jaxrod.systems.attach(("rod", "start"), ("point",), state)
+        )
     with pytest.raises(ValueError, match="rigid"):
-        jaxrod.make_system(members, jaxrod.body_contact("rod", "point", stiffness=1e3))
+        jaxrod.make_system(
+            members, jaxrod.systems.body_contact("rod", "point", stiffness=1e3)
+        )
     with pytest.raises(TypeError, match="must be a scene"):
         jaxrod.make_system({"point": start})
 
