@@ -2,13 +2,6 @@
 
 from __future__ import annotations
 
-from typing import Any
-
-import jax
-import jax.numpy as jnp
-import numpy as np
-from jaxtyping import Array
-
 from jaxrod.effects.base import Effect
 from jaxrod.effects.held import check_held_once
 from jaxrod.effects.memory import memory_fields
@@ -19,7 +12,7 @@ from jaxrod.methods.consistent import Consistent
 from jaxrod.methods.drag_kick import check_drag
 from jaxrod.rods.rod import Rod
 from jaxrod.scene import Method, Scene
-from jaxrod.validation import check_held, check_kind, is_traced, knows_constants
+from jaxrod.validation import check_kind, in_type, knows_constants
 
 
 @knows_constants
@@ -52,7 +45,7 @@ def make_scene(rod: Rod, *effects: Effect, method: Method | None = None) -> Scen
             )
         check_own_class(effect, Effect, "an effect")
     dtype = rod.rest_lengths.dtype
-    listed = _in_type(dtype, "effects", effects)
+    listed = in_type(dtype, "effects", effects)
     # Only now: a number that the dtype cannot hold must raise before any warning.
     warn_of_thickness(rod)
     held = []
@@ -68,7 +61,7 @@ def make_scene(rod: Rod, *effects: Effect, method: Method | None = None) -> Scen
             "method must be one such as jaxrod.consistent() or jaxrod.planar('xy'), "
             f"got {method!r}"
         )
-    method = _in_type(dtype, "method", method)
+    method = in_type(dtype, "method", method)
     scene = Scene(rod, listed, method)
     for effect in scene.at(0.0).effects:
         check_own_loads(effect, rod)
@@ -97,18 +90,3 @@ def _check_evolution(scene: Scene) -> None:
             )
     if scene.evolves:
         scene.method.check_evolving(scene)
-
-
-def _in_type(dtype: Any, name: str, tree: Any) -> Any:
-    """Effects or a method with their real numbers in the rod's dtype."""
-
-    def cast(path: Any, leaf: Any) -> Array:
-        array = jnp.asarray(leaf)
-        if not jnp.issubdtype(array.dtype, jnp.floating):
-            return array
-        if not is_traced(array) and array.dtype != dtype:
-            where = f"{name}{jax.tree_util.keystr(path)}"
-            check_held(where, np.asarray(array, np.float64), "", dtype)
-        return array.astype(dtype)
-
-    return jax.tree_util.tree_map_with_path(cast, tree)

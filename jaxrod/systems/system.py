@@ -6,7 +6,6 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
-import jax
 import jax.numpy as jnp
 from jaxtyping import Array, ArrayLike, Float
 
@@ -29,7 +28,7 @@ from jaxrod.systems.energies import (
 from jaxrod.systems.health import SystemHealth, system_health
 from jaxrod.systems.joints.attachments import Attachment
 from jaxrod.systems.joints.ties import Tie, merged
-from jaxrod.systems.members.body_effects import check_body_effects, in_type
+from jaxrod.systems.members.body_effects import check_body_effects
 from jaxrod.systems.members.rigid_bodies import RigidBodies
 from jaxrod.systems.sites.coupling import AllParts, Coupling
 from jaxrod.systems.stability import StableSystemStep, stable_system_dt
@@ -48,7 +47,7 @@ from jaxrod.systems.stepping.runs import (
     system_with_memory,
     unstable_step,
 )
-from jaxrod.validation import knows_constants
+from jaxrod.validation import in_type, knows_constants
 
 
 @pytree
@@ -151,7 +150,7 @@ def make_system(
     others = [c for c in listed if not isinstance(c, Tie)]
     # Ties come last: they have the final word on velocities.
     ordered = (*others, ties) if ties is not None else tuple(others)
-    kept = {name: _with_own_types(member) for name, member in members.items()}
+    kept = {name: _with_own_types(name, member) for name, member in members.items()}
     system = System(kept, ordered)
     types = {name: System({name: member}).dtype for name, member in members.items()}
     if len(set(types.values())) > 1:
@@ -173,11 +172,9 @@ def make_system(
     )
     if any(coupling.refresh_every is not None for coupling in fitted):
         fitted = _sized(system, fitted, state)
-    couplings_in_type = jax.tree.map(in_type(system.dtype), fitted)
+    typed = tuple(in_type(system.dtype, type(c).__name__, c) for c in fitted)
     _check_followers(ordered)
-    return replace(
-        system, couplings=couplings_in_type, shapes=member_shapes(system.members)
-    )
+    return replace(system, couplings=typed, shapes=member_shapes(system.members))
 
 
 def _flat(couplings: Any) -> Any:
@@ -197,6 +194,7 @@ def _check_member(name: Any, member: Any) -> None:
     if not isinstance(name, str):
         raise TypeError(f"names of members must be strings, got {name!r}")
     if isinstance(member, RigidBodies):
+        _check_axes(name, "masses", member.masses, ("bodies",))
         check_body_effects(name, member)
         return
     if not isinstance(member, Scene):
@@ -204,6 +202,8 @@ def _check_member(name: Any, member: Any) -> None:
             f"member {name!r} must be a scene from make_scene or a rigid body, got "
             f"{type(member).__name__}"
         )
+    lengths = member.rod.rest_lengths
+    _check_axes(name, "rest lengths", lengths, ("elements",), ("rods", "elements"))
     if not isinstance(member.method, Consistent | PyElastica):
         raise ValueError(
             f"member {name!r} steps with {type(member.method).__name__}, which has no "
@@ -211,12 +211,23 @@ def _check_member(name: Any, member: Any) -> None:
         )
 
 
-def _with_own_types(member: Model) -> Model:
+def _check_axes(name: str, what: str, given: Array, *allowed: tuple[str, ...]) -> None:
+    if given.ndim in map(len, allowed):
+        return
+    wanted = " or ".join(f"({', '.join(axes)})" for axes in allowed)
+    raise ValueError(
+        f"member {name!r}: its {what} must have the shape {wanted}, got {given.shape}: "
+        "use jax.vmap for a batch of systems"
+    )
+
+
+def _with_own_types(name: str, member: Model) -> Model:
     """The member, with the numbers of a body's effects in the type of the body."""
     if not isinstance(member, RigidBodies):
         return member
-    cast = in_type(member.masses.dtype)
-    return replace(member, effects=jax.tree.map(cast, member.effects))
+    where = f"effects of {name!r}"
+    typed = in_type(member.masses.dtype, where, member.effects)
+    return replace(member, effects=typed)
 
 
 def _free_ends(

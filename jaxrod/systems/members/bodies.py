@@ -10,7 +10,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, ArrayLike, Bool, Float
 
 from jaxrod.analysis.health import HealthLimits
-from jaxrod.effects.base import StabilityBound
+from jaxrod.effects.base import StabilityBound, added_bounds
 from jaxrod.geometry import vectors
 from jaxrod.geometry.rotations import split_quaternion
 from jaxrod.geometry.vectors import Vec3
@@ -159,6 +159,10 @@ class Bodies(Member):
 
     def stable_step(self, bound: StabilityBound, safety: ArrayLike) -> tuple[Any, Any]:
         """The step at which explicit springs and dashpots on bodies are stable [s]."""
+        bodies: Any = self.model
+        for effect in self.model.effects:
+            own = effect.stability_bound(bodies)
+            bound = bound if own is None else added_bounds(bound, own)
         least = jnp.min(self.model.principal_inertias, axis=0)
         one = jnp.ones((), self.dtype)
         nodes, elements = bound.drags(one, one)

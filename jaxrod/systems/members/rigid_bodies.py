@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import Any
 
-import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
@@ -27,7 +26,9 @@ from jaxrod.validation import (
     as_array,
     check_array,
     check_dtype,
+    check_held,
     check_kind,
+    in_type,
     is_traced,
 )
 
@@ -142,7 +143,7 @@ def rigid_body(
     body = RigidBodies(
         masses=total[None],
         principal_inertias=moments[:, None],
-        shape=None if solid is None else _in_type(solid.shape, dtype),
+        shape=None if solid is None else in_type(dtype, "shape", solid.shape),
         effects=tuple(effects),
     )
     state = BodyState(
@@ -154,11 +155,6 @@ def rigid_body(
         )[:, None],
     )
     return body, state
-
-
-def _in_type(shape: Body, dtype: Any) -> Body:
-    """A shape with its numbers converted to a type."""
-    return jax.tree.map(lambda leaf: jnp.asarray(leaf, dtype), shape)
 
 
 def _inertia(
@@ -192,8 +188,18 @@ def _inertia(
                 "cylinder or box"
             )
         assert solid is not None and solid.gyration is not None
-        return total.astype(dtype), (total * solid.gyration).astype(dtype)
-    checked = check_array("inertia", inertia, [(3,)], "kg m^2", positive=True)
+        moments = total * solid.gyration
+        for name, value, unit in (
+            ("mass", total, "kg"),
+            ("inertia", moments, "kg m^2"),
+        ):
+            if not is_traced(value):
+                known = np.asarray(value, np.float64)
+                check_held(f"{name} of the shape", known, unit, dtype, each=True)
+        return total.astype(dtype), moments.astype(dtype)
+    checked = check_array(
+        "inertia", inertia, [(3,)], "kg m^2", positive=True, dtype=dtype
+    )
     if not is_traced(checked):
         largest = float(np.max(checked))
         if largest > (1 + 1e-6) * (float(np.sum(checked)) - largest):

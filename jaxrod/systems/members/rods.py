@@ -23,6 +23,7 @@ from jaxrod.rods.rod import Rod, RodState
 from jaxrod.scene import (
     Scene,
     angular_momentum,
+    check_memory,
     kinetic_energy,
     momentum,
     potential_energy,
@@ -95,6 +96,7 @@ class OneRod(Member):
             )
         *batch, n = self.shape
         check_fields(name, state, (*batch, 3, n + 1), dtype, "angular_momenta")
+        check_memory(self.model, state, f"state of {name!r}: state")
 
     def parts(self) -> Parts:
         """Constants, as couplings see them."""

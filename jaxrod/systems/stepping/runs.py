@@ -12,7 +12,12 @@ from jaxrod.composite import Stepper
 from jaxrod.effects.time import Clock
 from jaxrod.systems.contact.neighbour_lists import RECORD, NeighbourRecord, no_record
 from jaxrod.systems.stability import stable_system_dt
-from jaxrod.systems.stepping.assembly import Assembly, SystemState, member_shapes
+from jaxrod.systems.stepping.assembly import (
+    Assembly,
+    SystemState,
+    held_parts,
+    member_shapes,
+)
 from jaxrod.systems.stepping.evolving import EvolvingSystem
 from jaxrod.systems.stepping.listing import (
     ListingSystem,
@@ -89,7 +94,7 @@ def _own_stepper(
         return system.stepper(state, dt)
     start = system.at(Clock(first, jnp.zeros_like(dt), dt))
     stepper = start.stepper(state, dt)
-    parts = system.parts()
+    parts = held_parts(system, state)
     prepared = tuple(coupling.prepared(parts) for coupling in system.couplings)
     return EvolvingSystem(stepper, system, prepared, first)
 
