@@ -219,14 +219,14 @@ def scene_of(scene: AnyScene, state: RodState) -> AnyScene:
     return scene.recalling(state)
 
 
-def check_memory(scene: LoadedRod, state: RodState) -> None:
+def check_memory(scene: LoadedRod, state: RodState, name: str = "state") -> None:
     """Raises a `ValueError` if a state's memory is not that of the scene's effects."""
     if state.memory is None:
         return
     given, own = map(_described, (state.memory, memory_of(scene.effects)))
     if not scene.remembers or given != own:
         raise ValueError(
-            "state.memory must be of the effects of this scene: "
+            f"{name}.memory must be of the effects of this scene: "
             "dataclasses.replace(state, memory=None) begins anew"
         )
 

@@ -6,9 +6,7 @@ from collections.abc import Mapping
 from dataclasses import replace
 from typing import Any
 
-import jax
 import jax.numpy as jnp
-import numpy as np
 from jaxtyping import Array, ArrayLike, Float
 
 from jaxrod.analysis.health import Health, HealthLimits, scene_health
@@ -42,8 +40,8 @@ from jaxrod.systems.members.member import Member
 from jaxrod.systems.members.rods import member_of_rod
 from jaxrod.validation import (
     as_array,
-    check_held,
     check_kind,
+    in_type,
     is_traced,
     knows_constants,
 )
@@ -209,7 +207,7 @@ def make_scene(rod: Rod, *effects: Effect, method: Method | None = None) -> Scen
             )
         check_own_class(effect, Effect, "an effect")
     dtype = rod.rest_lengths.dtype
-    listed = _in_type(dtype, "effects", effects)
+    listed = in_type(dtype, "effects", effects)
     # Only now: a number that the dtype cannot hold must raise before any warning.
     warn_of_thickness(rod)
     held = []
@@ -225,7 +223,7 @@ def make_scene(rod: Rod, *effects: Effect, method: Method | None = None) -> Scen
             "method must be one such as jaxrod.consistent() or jaxrod.planar('xy'), "
             f"got {method!r}"
         )
-    method = _in_type(dtype, "method", method)
+    method = in_type(dtype, "method", method)
     scene = Scene(rod, listed, method)
     for effect in scene.at(0.0).effects:
         check_own_loads(effect, rod)
@@ -254,18 +252,3 @@ def _check_evolution(scene: Scene) -> None:
             )
     if scene.evolves:
         scene.method.check_evolving(scene)
-
-
-def _in_type(dtype: Any, name: str, tree: Any) -> Any:
-    """Effects or a method with their real numbers in the rod's dtype."""
-
-    def cast(path: Any, leaf: Any) -> Array:
-        array = jnp.asarray(leaf)
-        if not jnp.issubdtype(array.dtype, jnp.floating):
-            return array
-        if not is_traced(array) and array.dtype != dtype:
-            where = f"{name}{jax.tree_util.keystr(path)}"
-            check_held(where, np.asarray(array, np.float64), "", dtype)
-        return array.astype(dtype)
-
-    return jax.tree_util.tree_map_with_path(cast, tree)

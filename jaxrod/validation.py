@@ -256,6 +256,30 @@ def check_held(
     )
 
 
+def in_type(dtype: Any, name: str, tree: Any) -> Any:
+    """A pytree with its floating-point numbers converted to a dtype.
+
+    Args:
+        dtype: The floating-point dtype.
+        name: Name of the pytree, for the message.
+        tree: The pytree; leaves of other kinds stay as they are.
+
+    Raises:
+        ValueError: If the dtype cannot hold a number; the message names its place.
+    """
+
+    def cast(path: Any, leaf: Any) -> Array:
+        array = jnp.asarray(leaf)
+        if not jnp.issubdtype(array.dtype, jnp.floating):
+            return array
+        if not is_traced(array) and array.dtype != dtype:
+            where = f"{name}{jax.tree_util.keystr(path)}"
+            check_held(where, np.asarray(array, np.float64), "", dtype)
+        return array.astype(dtype)
+
+    return jax.tree_util.tree_map_with_path(cast, tree)
+
+
 def numeric(name: str, value: Any, unit: str = "") -> Any:
     """Converts numbers and arrays, also in lists and tuples, to one array.
 

@@ -8,6 +8,10 @@ continuous at $v_n = 0$:
 $$F_n = k\,\langle p\rangle - c\,s\,v_n \ (v_n < 0), \qquad
   F_n = \frac{(k\langle p\rangle)^2}{k\langle p\rangle + c\,s\,v_n} \ (v_n > 0),$$
 
+The dashpot never resists by more than $c\,|v_n|$, and that is its part of the bounds on
+the step. While it sets in, its force grows with the depth by $c\,|v_n|/w$; but a point
+of that speed is there for $w/|v_n|$ only, and no smaller step is needed.
+
 The onset is smooth over a width $w$: $\langle p\rangle$ rises from zero at $p = -w/2$
 as $(p + w/2)^2/2w$ and meets $p$ at $p = w/2$; $s = d\langle p\rangle/dp$ goes from 0
 to 1. Friction along the surface is, if it is isotropic,

@@ -65,6 +65,30 @@ class StabilityBound:
         return nodes, elements
 
 
+def added_bounds(a: StabilityBound | None, b: StabilityBound) -> StabilityBound:
+    """Sum of two bounds; either may lack some parts."""
+    if a is None:
+        return b
+
+    def one(x: Array | None, y: Array | None) -> Array | None:
+        if x is None or y is None:
+            return y if x is None else x
+        return x + y
+
+    # Slip of one may be along what the other drags: they are added.
+    even = jnp.asarray(1.0)
+    drags = [
+        one(*sides)
+        for sides in zip(a.drags(even, even), b.drags(even, even), strict=True)
+    ]
+    return StabilityBound(
+        nodes=one(a.nodes, b.nodes),
+        elements=one(a.elements, b.elements),
+        node_drag=drags[0],
+        element_drag=drags[1],
+    )
+
+
 @pytree
 class Reaction:
     """Force, couple and power of a support on a rod."""

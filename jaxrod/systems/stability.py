@@ -7,9 +7,8 @@ import jax.numpy as jnp
 from jaxtyping import Array, ArrayLike, Float
 
 from jaxrod.analysis.stability import StableStep
-from jaxrod.effects.base import StabilityBound
+from jaxrod.effects.base import StabilityBound, added_bounds
 from jaxrod.structure import pytree, static
-from jaxrod.systems.joints.elastic_joints import added_bounds
 from jaxrod.systems.stepping.assembly import Assembly
 
 
@@ -33,7 +32,7 @@ class StableSystemStep:
         which = min(range(len(self.names)), key=lambda k: float(self.members[k]))
         name, step = self.names[which], self.steps[which]
         if step is None:
-            return f"the couplings of {name!r}"
+            return f"what acts on {name!r}"
         if step.dt.ndim == 0:
             return f"{step.limiting_mode} of {name!r}"
         rod = int(jnp.argmin(step.dt))

@@ -6,7 +6,6 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
-import jax
 import jax.numpy as jnp
 from jaxtyping import Array, ArrayLike, Float
 
@@ -25,7 +24,6 @@ from jaxrod.systems.energies import (
     system_potential_energy,
 )
 from jaxrod.systems.health import SystemHealth, system_health
-from jaxrod.systems.members.body_effects import in_type
 from jaxrod.systems.members.member import Member
 from jaxrod.systems.sites.coupling import AllParts, Coupling
 from jaxrod.systems.stability import StableSystemStep, stable_system_dt
@@ -42,7 +40,7 @@ from jaxrod.systems.stepping.runs import (
     system_with_memory,
     unstable_step,
 )
-from jaxrod.validation import as_array, knows_constants
+from jaxrod.validation import as_array, in_type, knows_constants
 
 
 @pytree
@@ -186,7 +184,7 @@ def make_system(
     others = [coupling for coupling in listed if not coupling.tied_pairs]
     # Ties come last: they have the final word on velocities.
     ordered = (*others, ties[0].merged(ties[1:])) if ties else tuple(others)
-    kept = {name: member.in_own_type() for name, member in asked.items()}
+    kept = {name: member.in_own_type(name) for name, member in asked.items()}
     system = System(kept, ordered)
     types = {name: member.dtype for name, member in asked.items()}
     if len(set(types.values())) > 1:
@@ -212,11 +210,9 @@ def make_system(
     )
     if any(coupling.refresh_every is not None for coupling in fitted):
         fitted = _sized(system, fitted, state)
-    couplings_in_type = jax.tree.map(in_type(system.dtype), fitted)
+    typed = tuple(in_type(system.dtype, type(c).__name__, c) for c in fitted)
     _check_followers(ordered)
-    return replace(
-        system, couplings=couplings_in_type, shapes=member_shapes(system.members)
-    )
+    return replace(system, couplings=typed, shapes=member_shapes(system.members))
 
 
 def _flat(couplings: Any) -> Any:

@@ -10,7 +10,7 @@ import numpy as np
 
 import jaxrod
 from extremes.pair_kinds import DISSIPATING, DRAGS, Kind
-from extremes.views import View
+from extremes.views import Draws, View
 
 
 def flow_at(point: Any, parameters: Any) -> Any:
@@ -20,10 +20,14 @@ def flow_at(point: Any, parameters: Any) -> Any:
 
 
 class Maker:
-    """Makes the effects of a scene in a view, of the same numbers in every view."""
+    """Makes the effects of a scene in a view, of the same numbers in every view.
 
-    def __init__(self, random: Any, view: View, kind: Kind, rod: Any, state: Any):
-        self.random, self.view, self.kind = random, view, kind
+    `choices` draws what is static in the scene, `random` its numbers.
+    """
+
+    def __init__(self, draws: Draws, view: View, kind: Kind, rod: Any, state: Any):
+        self.choices, self.random = draws
+        self.view, self.kind = view, kind
         self.rod, self.state, self.n = rod, state, rod.n_elements
         self.weight = 1.0
         # In SI units whatever the view, so that strengths fit the rod.
@@ -49,7 +53,7 @@ class Maker:
 
     def timed(self, value: Any, first: Any = None) -> Any:
         """A number of the view or, where there are schedules, one of several."""
-        which, period = self.random.integers(4), self.uniform(0.01, 0.1)
+        which, period = self.choices.integers(4), self.uniform(0.01, 0.1)
         period = self.view.number(period, "s")
         if not self.kind.schedules or which == 0:
             return value
@@ -67,9 +71,9 @@ class Maker:
         """Supports of the rod."""
         view, end = (
             self.view,
-            self.view.end(str(self.random.choice(("start", "finish")))),
+            self.view.end(str(self.choices.choice(("start", "finish")))),
         )
-        node = view.node(int(self.random.integers(0, self.n + 1)), self.n)
+        node = view.node(int(self.choices.integers(0, self.n + 1)), self.n)
         axis = self.random.normal(size=3) * ([0, 0, 1] if self.kind.flat else 1)
         path, angle = view.vector(self.vector(0.02), "m"), self.uniform(-0.3, 0.3)
         ramp = lambda last: jaxrod.schedules.ramp(
@@ -123,11 +127,13 @@ class Maker:
         """Effects, those that can be halved in halves."""
         made = []
         for name in self.kind.effects:
-            before = self.random.bit_generator.state
+            draws = self.choices.bit_generator, self.random.bit_generator
+            before = [generator.state for generator in draws]
             halves = 2 if self.view.halved and name in HALVED else 1
             own = []
             for _ in range(halves):
-                self.random.bit_generator.state = before
+                for generator, state in zip(draws, before, strict=True):
+                    generator.state = state
                 self.weight = 1 / halves
                 own.append(MAKERS[name](self))
             made += own
@@ -139,7 +145,7 @@ def _contact(self: Maker, many: int = 0) -> Any:
     nodes = np.asarray(self.state.positions) / view._size("m") - view.shift[:, None]
     nodes = view.turn.T @ view.along(nodes)
     balls = []
-    shape = str(self.random.choice(("sphere", "capsule", "cylinder", "box", "plane")))
+    shape = str(self.choices.choice(("sphere", "capsule", "cylinder", "box", "plane")))
     stiffness = self.uniform(0.5, 2) * 3e4
     for _ in range(many or 1):
         node = nodes[:, self.random.integers(self.n + 1)]
@@ -199,7 +205,7 @@ def _muscle(self: Maker, **more: Any) -> Any:
         jaxrod.actuation.gaussian_force,
         jaxrod.actuation.constant_force,
     )
-    shape = curves[self.random.integers(3)]()
+    shape = curves[self.choices.integers(3)]()
     return jaxrod.actuation.muscle(
         self.rod,
         pull,
@@ -340,7 +346,7 @@ def _end_load(self: Maker, *, follower: bool = False) -> Any:
     return jaxrod.end_load(
         self.timed(turned(force, "N")),
         self.timed(turned(couple, "N m")),
-        end=view.end(str(self.random.choice(("start", "finish")))),
+        end=view.end(str(self.choices.choice(("start", "finish")))),
         follower=follower,
     )
 

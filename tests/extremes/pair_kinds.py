@@ -95,7 +95,6 @@ class Kind:
     section: str
     flow: str
     schedules: bool
-    has_lists = False
 
     @property
     def flat(self) -> bool:

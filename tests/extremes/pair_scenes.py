@@ -12,7 +12,7 @@ import numpy as np
 import jaxrod
 from extremes.pair_effects import Maker
 from extremes.pair_kinds import Kind
-from extremes.views import HALF_TURN, View
+from extremes.views import HALF_TURN, Draws, View, draws_of
 
 
 def curve(random: np.random.Generator, n: int, *, straight: bool, flat: bool) -> Any:
@@ -32,8 +32,9 @@ def curve(random: np.random.Generator, n: int, *, straight: bool, flat: bool) ->
     return nodes, normal
 
 
-def material(random: np.random.Generator, view: View, section: str, n: int) -> Any:
+def material(draws: Draws, view: View, section: str, n: int) -> Any:
     """Section and material, as `rod_along` takes them."""
+    choices, random = draws
     r = random.uniform(0.008, 0.02)
     m = lambda x: view.number(x, "m")
     taper = r * np.linspace(1.0, random.uniform(0.6, 0.9), n)
@@ -49,7 +50,7 @@ def material(random: np.random.Generator, view: View, section: str, n: int) -> A
         "density": view.number(10 ** random.uniform(2.7, 3.3), "kg m^-3"),
         "youngs_modulus": view.number(10 ** random.uniform(5, 6.5), "Pa"),
         "poisson_ratio": random.uniform(0.2, 0.5),
-        "joint_mean": str(random.choice(("arithmetic", "series"))),
+        "joint_mean": str(choices.choice(("arithmetic", "series"))),
     }
 
 
@@ -96,19 +97,26 @@ def moving(
     return replace(state, velocities=jnp.asarray(view.along(velocities)))
 
 
-def scene_in(view: View, kind: Kind, seed: int) -> Any:
+def scene_in(view: View, kind: Kind, seed: int, draw: int = 0) -> Any:
     """A scene of a kind in a view, and its state.
+
+    Args:
+        view: The view.
+        kind: All that is chosen by name.
+        seed: Of all else that is static.
+        draw: Which of its sets of numbers.
 
     Raises:
         ValueError: If its effects do not go together.
     """
-    random = np.random.default_rng(seed)
+    draws = draws_of(seed, draw)
+    random = draws[1]
     nodes, normal = curve(
         random, kind.n_elements, straight=kind.straight, flat=kind.flat
     )
-    given = material(random, view, kind.section, kind.n_elements)
+    given = material(draws, view, kind.section, kind.n_elements)
     rod, state = rod_in(view, nodes, normal, kind.straight, given)
-    maker = Maker(random, view, kind, rod, state)
+    maker = Maker(draws, view, kind, rod, state)
     held = maker.support()
     effects = view.order(held + maker.effects())
     scene = jaxrod.make_scene(rod, *effects, **method_of(kind))

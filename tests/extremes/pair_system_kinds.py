@@ -49,11 +49,6 @@ class Kind:
         )
 
     @property
-    def has_lists(self) -> bool:
-        """Whether it has lists of neighbours."""
-        return self.contact.endswith("lists")
-
-    @property
     def exact_parts(self) -> bool:
         """Whether two runs one after the other are one to rounding."""
         attached = any(how.startswith("attach") for how, *_ in self.relations)

@@ -12,10 +12,12 @@ import numpy as np
 import jaxrod
 from extremes.pair_scenes import material, rod_in
 from extremes.pair_system_kinds import Kind
-from extremes.views import View
+from extremes.views import Draws, View, draws_of
 
 SIZE = 0.03
 """Sizes of bodies [m]."""
+ROOM = {"pairs": 400, "candidates": 400, "cell_slots": 0}
+"""Room of lists of neighbours for all there may be: the same program in every view."""
 
 
 def unit(random: np.random.Generator) -> np.ndarray:
@@ -27,10 +29,10 @@ def unit(random: np.random.Generator) -> np.ndarray:
 class Maker:
     """Makes a system in a view, drawing the same numbers in every view."""
 
-    def __init__(self, view: View, kind: Kind, seed: int):
-        self.view, self.kind = view, kind
+    def __init__(self, view: View, kind: Kind, draws: Draws):
+        self.view, self.kind, self.draws = view, kind, draws
         self.plain = replace(view, reversed=False)
-        self.random = np.random.default_rng(seed)
+        self.choices, self.random = draws
         count = len(kind.members)
         ranks = view.order(list(range(count)))
         self.names = [
@@ -103,7 +105,7 @@ class Maker:
             turned = random.normal(size=3)
             rod_number = sum(isinstance(m, int) for m in kind.members[:k])
             section = kind.sections[rod_number]
-            given = material(random, view, section, n)
+            given = material(self.draws, view, section, n)
             if section == "round":
                 given["radius"] = view.number(self.radii[k], "m")
             nodes = start[:, None] + length * way[:, None] * np.linspace(0, 1, n + 1)
@@ -224,8 +226,10 @@ class Maker:
             for name, member in zip(self.names, kind.members, strict=True)
             if isinstance(member, int)
         ]
-        rods = self.view.order(rods + ["far"] * self.view.crowded)
-        lists = jaxrod.systems.neighbour_lists(refresh_every=8, skin=1.0)
+        # Programs grow with the pairs of members: with many, contact stays as it is.
+        few = len(rods) == 2
+        rods = self.view.order(rods + ["far"] * (self.view.crowded and few))
+        lists = jaxrod.systems.neighbour_lists(refresh_every=8, skin=1.0, **ROOM)
         listed = {"lists": lists if kind.contact.endswith("lists") else None}
 
         def make(share: float) -> Any:
@@ -236,7 +240,7 @@ class Maker:
                 return jaxrod.systems.rod_contact(*rods, **more)
             return jaxrod.systems.crossing_contact(*rods, **across(share), **listed)
 
-        return make, True
+        return make, few
 
     def _bodies(self) -> tuple[Callable[[float], Any], bool]:
         touch = self._touch(0.5, 5e4, "N m^-2")
@@ -278,7 +282,7 @@ class Maker:
 
     def _pose(self) -> tuple[Callable[[float], Any], bool]:
         view, random, kind = self.view, self.random, self.kind
-        k = int(random.integers(len(kind.members)))
+        k = int(self.choices.integers(len(kind.members)))
         axis, path = unit(random), 0.02 * unit(random)
         seen, member = self.view_of(k), kind.members[k]
         place = (self.names[k],)
@@ -385,9 +389,9 @@ class Maker:
         )
 
 
-def system_in(view: View, kind: Kind, seed: int) -> Any:
+def system_in(view: View, kind: Kind, seed: int, draw: int = 0) -> Any:
     """A system of a kind in a view, its state, and the names of its members."""
-    maker = Maker(view, kind, seed)
+    maker = Maker(view, kind, draws_of(seed, draw))
     members, rest, moving = maker.members, maker.rest, maker.moving
     couplings = maker.couplings()
     if view.crowded:

@@ -17,6 +17,8 @@ import jaxrod
 UNITS = {"m": (1, 0, 0), "kg": (0, 1, 0), "s": (0, 0, 1), "N": (1, 1, -2)}
 UNITS |= {"Pa": (-1, 1, -2), "T": (0, 1, -2), "A": (0, 0, 0), "1": (0, 0, 0)}
 """Exponents of length, mass and time; electric current keeps its unit."""
+Draws = tuple[np.random.Generator, np.random.Generator]
+"""What draws all that is static, and what draws numbers."""
 HALF_TURN = np.array([1.0, -1.0, -1.0])
 """A half turn about d1: what the frame of an element is from the rod's other end."""
 
@@ -104,6 +106,11 @@ class View:
             return things
         random = np.random.default_rng([self.shuffled, len(things)])
         return [things[k] for k in random.permutation(len(things))]
+
+
+def draws_of(seed: int, draw: int) -> Draws:
+    """What draws a structure of a seed, and one of its sets of numbers."""
+    return np.random.default_rng([seed, 2]), np.random.default_rng([seed, 3, draw])
 
 
 def of_matrix(matrix: Any) -> np.ndarray:

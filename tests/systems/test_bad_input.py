@@ -243,7 +243,7 @@ def test_a_batch_of_systems_is_no_system_of_groups(given):
         (jaxrod.fluids.stokes_drag(0.1, 0.2), "'ball': StokesDrag.*bodies have not"),
         (
             jaxrod.contact(jaxrod.shapes.plane(), stiffness=1.0),
-            "'ball': Contact.*stability_bound",
+            "'ball': Contact",
         ),
         (jaxrod.internal_damping(1e-3), "'ball': InternalDamping"),
     ],
@@ -344,3 +344,87 @@ def test_what_is_known_of_one_rod_alone_says_so(given, function):
     system = jaxrod.make_system(members)
     with pytest.raises(TypeError, match="got System: this is known of one rod alone"):
         function(system, state)
+
+
+@jaxrod.extend.pytree
+class Wearing(jaxrod.extend.Effect):
+    """An effect with memory."""
+
+    worn: jax.Array = jaxrod.extend.memory()
+
+    def loads(self, rod, motion):
+        return jaxrod.extend.Loads()
+
+    def after_step(self, rod, motion, dt):
+        return replace(self, worn=self.worn + dt)
+
+
+@pytest.mark.parametrize("group", [False, True])
+def test_a_memory_of_other_effects_is_refused(group):
+    """As in a scene, in its words."""
+    own, state = rod(2, 0.3)
+
+    def made(own):
+        return jaxrod.make_scene(own, Wearing(jnp.zeros(2)))
+
+    scene, mistaken = made(own), replace(state, memory=((jnp.zeros(3),),))
+    words = r"memory must be of the effects of this scene"
+    if not group:
+        with pytest.raises(ValueError, match=words):
+            jaxrod.advance(scene, mistaken, 1e-4, 1)
+    else:
+        own, mistaken = jax.tree.map(lambda leaf: leaf[None], (own, mistaken))
+        scene = jax.vmap(made)(own)
+    system = jaxrod.make_system({"one": scene})
+    with pytest.raises(ValueError, match=rf"'one'.*{words}"):
+        jaxrod.advance(system, {"one": mistaken}, 1e-4, 1)
+
+
+@pytest.mark.parametrize(("stiffness", "words"), [(1e-50, "1e-50"), (1e50, "1e\\+50")])
+def test_numbers_that_the_type_cannot_hold_are_refused(stiffness, words):
+    """They were zero or infinite in silence."""
+    given = {"length": 0.3, "radius": 0.02, "density": 1e3, "youngs_modulus": 1e6}
+    one, of_one = jaxrod.straight_rod(2, **given, dtype=jnp.float32)
+    two, of_two = jaxrod.straight_rod(2, **given, dtype=jnp.float32)
+    rest = {"one": of_one, "two": of_two}
+    members = {"one": jaxrod.make_scene(one), "two": jaxrod.make_scene(two)}
+    for couple in (
+        lambda: jaxrod.systems.spring(
+            ("one", 0), ("two", 2), rest, stiffness=stiffness
+        ),
+        lambda: jaxrod.systems.ball_joint(
+            ("one", 0), ("two", 0), rest, stiffness=stiffness
+        ),
+        lambda: jaxrod.systems.rod_contact("one", "two", stiffness=stiffness),
+    ):
+        with pytest.raises(ValueError, match=rf"stiffness.*in float32.*{words}"):
+            jaxrod.make_system(members, couple(), state=rest)
+
+
+def test_bodies_that_the_type_cannot_hold_are_refused():
+    ball, _ = jaxrod.systems.rigid_body(
+        jaxrod.shapes.sphere((0, 0, 0), 0.1),
+        density=1e3,
+        effects=(jaxrod.exponential_damping(1e-50),),
+        dtype=jnp.float32,
+    )
+    with pytest.raises(ValueError, match=r"effects of 'ball'.*in size in float32"):
+        jaxrod.make_system({"ball": ball})
+    for radius in (1e-9, 1e-50):
+        with pytest.raises(ValueError, match=r"in size in float32"):
+            jaxrod.systems.rigid_body(
+                jaxrod.shapes.sphere((0, 0, 0), radius), density=1e3, dtype=jnp.float32
+            )
+    with pytest.raises(ValueError, match=r"inertia.*in size in float32"):
+        jaxrod.systems.rigid_body(mass=1.0, inertia=(1e-50,) * 3, dtype=jnp.float32)
+
+
+def test_members_with_two_leading_axes_are_named(given):
+    """Both shapes are told: the given one and the expected one."""
+    scene = given[0]["two"]
+    twice = jax.tree.map(lambda leaf: jnp.stack([jnp.stack([leaf] * 3)] * 2), scene)
+    with pytest.raises(ValueError, match=r"'two'.*\(rods, elements\).*\(2, 3, 4\)"):
+        jaxrod.make_system({"two": twice})
+    balls = jax.tree.map(lambda leaf: jnp.stack([leaf] * 2), given[0]["ball"])
+    with pytest.raises(ValueError, match=r"'ball'.*\(bodies\).*\(2, 1\)"):
+        jaxrod.make_system({"ball": balls})

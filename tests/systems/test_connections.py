@@ -473,3 +473,36 @@ def test_tied_nodes_stay_together_for_long_in_single_precision():
     np.testing.assert_array_equal(
         after["one"].positions[:, -1], after["two"].positions[:, 0]
     )
+
+
+@jaxrod.extend.pytree
+class Push(jaxrod.extend.Coupling):
+    """Pushes all nodes along z that no support held when the run began."""
+
+    free: jax.Array | None = None
+
+    def prepared(self, parts):
+        held = parts["one"].held
+        free = jnp.ones_like(parts["one"].node_masses) if held is None else 1 - held[2]
+        return replace(self, free=free)
+
+    def loads(self, seen):
+        nodes = jnp.zeros_like(self.free)
+        couples = jnp.zeros(nodes.shape[0] - 1)
+        force = self.free / jnp.sum(self.free)
+        return {"one": jaxrod.extend.Loads((nodes, nodes, force), (couples,) * 3)}
+
+
+def test_couplings_know_what_is_held_in_systems_that_depend_on_time():
+    """A schedule of a load that vanishes changes nothing."""
+    one, state = rod(2, 0.3)
+    ends = []
+    for more in (
+        (),
+        (jaxrod.gravity(jaxrod.schedules.ramp((0, 0, 0), (0, 0, 0), 1.0)),),
+    ):
+        scene = jaxrod.make_scene(one, jaxrod.pin(state, 0), *more)
+        system = jaxrod.make_system({"one": scene}, Push())
+        ends.append(jaxrod.advance(system, {"one": state}, 1e-4, 5)["one"].positions)
+    np.testing.assert_allclose(ends[0], ends[1], rtol=0, atol=1e-15)
+    assert float(jnp.max(jnp.abs(ends[0][2]))) > 0

@@ -11,8 +11,7 @@ import pytest
 import jaxrod
 import jaxrod.extend
 from benchmarks.plectoneme.element_contact import element_contact
-from jaxrod.effects.base import StabilityBound
-from jaxrod.systems.joints.elastic_joints import added_bounds
+from jaxrod.effects.base import StabilityBound, added_bounds
 from systems.members import SOFT, rod
 
 RADIUS, N = SOFT["radius"], 3
@@ -291,3 +290,62 @@ def test_slip_counts_in_the_sum_of_bounds():
     assert added_bounds(slip, dragged).drags(even, even)[0] >= 8.0
     alone = StabilityBound(slip_drag=jnp.float64(2.0))
     assert alone.drags(even, even)[0] >= 4.0
+
+
+@jaxrod.extend.pytree
+class Anchor(jaxrod.extend.Effect):
+    """A spring from the centre of a body to the origin."""
+
+    stiffness: jax.Array
+
+    def loads(self, bodies, motion):
+        return jaxrod.extend.Loads(tuple(-self.stiffness * x for x in motion.position))
+
+    def stability_bound(self, bodies):
+        return jaxrod.extend.StabilityBound(nodes=self.stiffness)
+
+
+def test_effects_on_bodies_have_bounds():
+    """A body on springs, one of them a schedule: the step is that of an oscillator."""
+    body, _ = jaxrod.systems.rigid_body(
+        mass=2.0,
+        inertia=(1.0, 1.0, 1.0),
+        effects=(
+            Anchor(jnp.float64(300.0)),
+            Anchor(jaxrod.schedules.ramp(0.0, jnp.float64(500.0), 1.0)),
+        ),
+        dtype=jnp.float64,
+    )
+    found = jaxrod.stable_dt(jaxrod.make_system({"body": body}), 1.0)
+    assert float(found.dt) == pytest.approx(2 * (2.0 / 800.0) ** 0.5, rel=1e-12)
+    assert found.limiting_mode == "what acts on body 'body'"
+
+
+@pytest.mark.parametrize("speed", [0.005, 0.05, 0.5])
+def test_a_dashpot_that_sets_in_needs_no_smaller_step(speed, record):
+    """Within the onset its force grows with the depth, but never beyond the dashpot's.
+
+    A ball comes to the ground at the bound of the step. It is within the onset for a
+    hundred steps, for ten, for one. The slope of the dashpot's force by the depth is
+    50, 500 and 5000 times the spring's there.
+    """
+    ball, state = jaxrod.systems.rigid_body(
+        jaxrod.shapes.sphere((0, 0, 0.106), 0.1),
+        mass=1.0,
+        velocity=(0.0, 0.0, -speed),
+        dtype=jnp.float64,
+    )
+    ground = jaxrod.systems.rigid_contact(
+        "ball", fixed=jaxrod.shapes.plane(), stiffness=1.0, damping=100.0, onset=0.1
+    )
+    system = jaxrod.make_system({"ball": ball}, ground)
+    dt = jaxrod.stable_dt(system, 1.0).dt
+    states = jaxrod.rollout(system, {"ball": state}, dt, 200)
+    speeds = jnp.linalg.norm(states["ball"].velocities[:, :, 0], axis=1)
+    record(
+        f"A ball that hits the ground with {speed:g} m/s, at the bound: largest speed "
+        "over the first",
+        "none is gained",
+        float(jnp.max(speeds)) / speed,
+        at_most=1 + 1e-9,
+    )

@@ -15,14 +15,13 @@ from typing import Any
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from jaxrod.effects.base import StabilityBound
+from jaxrod.effects.base import StabilityBound, added_bounds
 from jaxrod.geometry import vectors
 from jaxrod.geometry.rotations import directors, to_material, to_world
 from jaxrod.geometry.vectors import Vec3
 from jaxrod.rods.motion import Loads
 from jaxrod.structure import pytree
 from jaxrod.systems.joints.elastic_joints import (
-    added_bounds,
     least_inertia,
     orientation_at,
     spin_at,

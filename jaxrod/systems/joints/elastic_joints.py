@@ -20,7 +20,7 @@ from dataclasses import replace
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from jaxrod.effects.base import StabilityBound
+from jaxrod.effects.base import StabilityBound, added_bounds
 from jaxrod.geometry import vectors
 from jaxrod.geometry.matrices import Matrix, transpose, turned_diagonal
 from jaxrod.geometry.rotations import (
@@ -254,27 +254,3 @@ def turning_bounds(
         bound = StabilityBound(elements=elements, element_drag=drag)
         total[points.member] = added_bounds(total.get(points.member), bound)
     return total
-
-
-def added_bounds(a: StabilityBound | None, b: StabilityBound) -> StabilityBound:
-    """Sum of two bounds; either may lack some parts."""
-    if a is None:
-        return b
-
-    def one(x: Array | None, y: Array | None) -> Array | None:
-        if x is None or y is None:
-            return y if x is None else x
-        return x + y
-
-    # Slip of one may be along what the other drags: they are added.
-    even = jnp.asarray(1.0)
-    drags = [
-        one(*sides)
-        for sides in zip(a.drags(even, even), b.drags(even, even), strict=True)
-    ]
-    return StabilityBound(
-        nodes=one(a.nodes, b.nodes),
-        elements=one(a.elements, b.elements),
-        node_drag=drags[0],
-        element_drag=drags[1],
-    )

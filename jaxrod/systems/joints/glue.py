@@ -19,7 +19,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from jaxrod.effects.base import StabilityBound
+from jaxrod.effects.base import StabilityBound, added_bounds
 from jaxrod.geometry import vectors
 from jaxrod.geometry.rotations import (
     directors,
@@ -33,7 +33,6 @@ from jaxrod.rods.rod import Layout, RodState
 from jaxrod.structure import pytree, static
 from jaxrod.systems.joints.elastic_joints import (
     ElasticJoint,
-    added_bounds,
     least_inertia,
     orientation_at,
     spin_at,

@@ -1,8 +1,9 @@
 """Effects on rigid bodies: a check, before the first step, of which ones are possible.
 
-A body is one node and one element. Bodies support three hooks of an effect, `loads`,
-`energy` and `damping_rates`, and only have masses. An effect that asks for more, such
-as lengths or radii, or returns loads for the nodes of a rod, does not act on them.
+A body is one node and one element. Bodies support four hooks of an effect, `loads`,
+`energy`, `damping_rates` and `stability_bound`, and only have masses. An effect that
+asks for more, such as lengths or radii, or returns loads for the nodes of a rod, does
+not act on them.
 """
 
 from __future__ import annotations
@@ -11,7 +12,6 @@ from typing import Any
 
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array
 
 from jaxrod.effects.base import Effect
 from jaxrod.effects.memory import remembers
@@ -30,7 +30,6 @@ _OF_RODS = (
     "dissipate",
     "after_step",
     "drag",
-    "stability_bound",
 )
 """Hooks that act on a rod but would do nothing to a body."""
 
@@ -65,7 +64,7 @@ def check_body_effects(name: str, bodies: Any) -> None:
 
 
 def _try(name: str, effect: Effect, bodies: Any) -> None:
-    """Asks an effect for its loads, energy and rates, without computing them."""
+    """Asks an effect for loads, energy, rates and bounds, without computing them."""
     count, dtype = bodies.n_elements, bodies.masses.dtype
 
     def asked(bodies: Any) -> Any:
@@ -79,10 +78,11 @@ def _try(name: str, effect: Effect, bodies: Any) -> None:
             own.loads(bodies, motion),
             own.energy(bodies, state),
             own.damping_rates(bodies),
+            own.stability_bound(bodies),
         )
 
     try:
-        loads, energy, rates = jax.eval_shape(asked, bodies)
+        loads, energy, rates, bound = jax.eval_shape(asked, bodies)
     except Exception as error:
         # Any exception: an effect may ask for anything that a rod has.
         raise _unfit(name, effect, f"{type(error).__name__}: {error}") from error
@@ -99,6 +99,9 @@ def _try(name: str, effect: Effect, bodies: Any) -> None:
     for rate in rates or ():
         if jnp.shape(rate) not in ((), (count,)):
             raise _unfit(name, effect, f"its rates are of shape {jnp.shape(rate)}")
+    for part in jax.tree.leaves(bound):
+        if jnp.shape(part) not in ((), (count,)):
+            raise _unfit(name, effect, f"its bounds are of shape {jnp.shape(part)}")
 
 
 def _unfit(name: str, effect: Effect, why: str) -> ValueError:
@@ -106,14 +109,3 @@ def _unfit(name: str, effect: Effect, why: str) -> ValueError:
         f"member {name!r}: {type(effect).__name__} does not act on rigid bodies "
         f"({why}); gravity and exponential_damping do"
     )
-
-
-def in_type(dtype: Any) -> Any:
-    """Function that converts floating-point numbers to a type and leaves others."""
-
-    def cast(leaf: Any) -> Array:
-        array = jnp.asarray(leaf)
-        inexact = jnp.issubdtype(array.dtype, jnp.floating)
-        return array.astype(dtype) if inexact else array
-
-    return cast

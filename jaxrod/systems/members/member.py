@@ -91,8 +91,15 @@ class Member(ABC):
         """Copy of its entry with one more effect: `settled` damps all members."""
         raise NotImplementedError(f"{type(self).__name__} takes no effects")
 
-    def in_own_type(self) -> Any:
-        """Copy of its entry with the numbers of its effects in its own type."""
+    def in_own_type(self, name: str) -> Any:
+        """Copy of its entry with the numbers of its effects in its own type.
+
+        Args:
+            name: Name of the member, for messages.
+
+        Raises:
+            ValueError: If the type cannot hold a number.
+        """
         return self
 
     def with_free_ends(self, free: Array) -> Any:
@@ -213,3 +220,16 @@ def check_fields(
             raise ValueError(
                 f"{field} of {name!r} must be {dtype}, as the system is, got {own}"
             )
+
+
+def check_axes(
+    name: str, what: str, shape: tuple[int, ...], *allowed: tuple[str, ...]
+) -> None:
+    """Raises a ValueError if an array of a member has other axes than those allowed."""
+    if len(shape) in map(len, allowed):
+        return
+    wanted = " or ".join(f"({', '.join(axes)})" for axes in allowed)
+    raise ValueError(
+        f"member {name!r}: its {what} must have the shape {wanted}, got {shape}: use "
+        "jax.vmap for a batch of systems"
+    )

@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import Any
 
-import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, ArrayLike, Bool, Float
@@ -13,7 +12,7 @@ from jaxtyping import Array, ArrayLike, Bool, Float
 from jaxrod.analysis.health import HealthLimits
 from jaxrod.contacts.bodies import Body
 from jaxrod.contacts.solids import Solid
-from jaxrod.effects.base import Effect, StabilityBound
+from jaxrod.effects.base import Effect, StabilityBound, added_bounds
 from jaxrod.geometry import vectors
 from jaxrod.geometry.rotations import (
     directors,
@@ -23,8 +22,8 @@ from jaxrod.geometry.rotations import (
 )
 from jaxrod.rods.motion import Motion
 from jaxrod.structure import pytree
-from jaxrod.systems.members.body_effects import check_body_effects, in_type
-from jaxrod.systems.members.member import Member, check_fields
+from jaxrod.systems.members.body_effects import check_body_effects
+from jaxrod.systems.members.member import Member, check_axes, check_fields
 from jaxrod.systems.members.parts import Parts
 from jaxrod.systems.members.rigid_stepper import BodyState, Carried, RigidStepper
 from jaxrod.systems.members.steppers import BodiesStepper, MemberStepper
@@ -33,7 +32,9 @@ from jaxrod.validation import (
     as_array,
     check_array,
     check_dtype,
+    check_held,
     check_kind,
+    in_type,
     is_traced,
 )
 
@@ -99,17 +100,18 @@ class RigidBodies(Member):
         return jnp.shape(self.masses)
 
     def check(self, name: str) -> None:
-        """Raises a ValueError or TypeError if an effect does not act on bodies."""
+        """Raises a ValueError or TypeError for a batch, or an effect of rods alone."""
+        check_axes(name, "masses", self.array_shape, ("bodies",))
         check_body_effects(name, self)
 
     def with_effect(self, effect: Effect) -> RigidBodies:
         """The bodies with one more effect."""
         return replace(self, effects=(*self.effects, effect))
 
-    def in_own_type(self) -> RigidBodies:
+    def in_own_type(self, name: str) -> RigidBodies:
         """The bodies, with the numbers of their effects in their type."""
-        cast = in_type(self.masses.dtype)
-        return replace(self, effects=jax.tree.map(cast, self.effects))
+        where = f"effects of {name!r}"
+        return replace(self, effects=in_type(self.dtype, where, self.effects))
 
     def check_state(self, name: str, state: Any, dtype: Any) -> None:
         """Raises a TypeError or a ValueError if a state is not of these bodies."""
@@ -188,6 +190,10 @@ class RigidBodies(Member):
 
     def stable_step(self, bound: StabilityBound, safety: ArrayLike) -> tuple[Any, Any]:
         """The step at which explicit springs and dashpots on bodies are stable [s]."""
+        bodies: Any = self
+        for effect in self.effects:
+            own = effect.stability_bound(bodies)
+            bound = bound if own is None else added_bounds(bound, own)
         least = jnp.min(self.principal_inertias, axis=0)
         one = jnp.ones((), self.dtype)
         nodes, elements = bound.drags(one, one)
@@ -249,7 +255,7 @@ def rigid_body(
     body = RigidBodies(
         masses=total[None],
         principal_inertias=moments[:, None],
-        shape=None if solid is None else _in_type(solid.shape, dtype),
+        shape=None if solid is None else in_type(dtype, "shape", solid.shape),
         effects=tuple(effects),
     )
     state = BodyState(
@@ -261,11 +267,6 @@ def rigid_body(
         )[:, None],
     )
     return body, state
-
-
-def _in_type(shape: Body, dtype: Any) -> Body:
-    """A shape with its numbers converted to a type."""
-    return jax.tree.map(lambda leaf: jnp.asarray(leaf, dtype), shape)
 
 
 def _inertia(
@@ -299,8 +300,18 @@ def _inertia(
                 "cylinder or box"
             )
         assert solid is not None and solid.gyration is not None
-        return total.astype(dtype), (total * solid.gyration).astype(dtype)
-    checked = check_array("inertia", inertia, [(3,)], "kg m^2", positive=True)
+        moments = total * solid.gyration
+        for name, value, unit in (
+            ("mass", total, "kg"),
+            ("inertia", moments, "kg m^2"),
+        ):
+            if not is_traced(value):
+                known = np.asarray(value, np.float64)
+                check_held(f"{name} of the shape", known, unit, dtype, each=True)
+        return total.astype(dtype), moments.astype(dtype)
+    checked = check_array(
+        "inertia", inertia, [(3,)], "kg m^2", positive=True, dtype=dtype
+    )
     if not is_traced(checked):
         largest = float(np.max(checked))
         if largest > (1 + 1e-6) * (float(np.sum(checked)) - largest):

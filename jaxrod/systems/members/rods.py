@@ -15,13 +15,13 @@ from jaxrod.analysis.stability import scene_stable_step
 from jaxrod.effects.base import Effect, StabilityBound
 from jaxrod.effects.memory import memory_of
 from jaxrod.geometry.vectors import Vec3
-from jaxrod.loaded_rod import LoadedRod
+from jaxrod.loaded_rod import LoadedRod, check_memory
 from jaxrod.methods.now import memory_in
 from jaxrod.rods.motion import Motion, motion_of
 from jaxrod.rods.rod import Rod, RodState
 from jaxrod.statics.degrees_of_freedom import free_velocity_mask
 from jaxrod.structure import pytree
-from jaxrod.systems.members.member import Member, check_fields
+from jaxrod.systems.members.member import Member, check_axes, check_fields
 from jaxrod.systems.members.parts import Parts, flatten_rods, parts_of, unflatten_rods
 from jaxrod.systems.members.rigid_stepper import Carried
 from jaxrod.systems.members.steppers import MemberStepper, RodsStepper, RodStepper
@@ -52,7 +52,9 @@ class OneRod(Member):
         return effects
 
     def check(self, name: str) -> None:
-        """Raises a ValueError if its method has no steps in a system."""
+        """Raises a ValueError for a batch, or a method without steps in a system."""
+        shape, axes = self.array_shape, (("elements",), ("rods", "elements"))
+        check_axes(name, "rest lengths", shape, *axes)
         if not self.model.method.steps_in_systems:
             raise ValueError(
                 f"member {name!r} steps with {type(self.model.method).__name__}, which "
@@ -63,7 +65,7 @@ class OneRod(Member):
         """The scene with one more effect, the same for equal rods."""
         return self.each(lambda scene: scene.with_effect(effect))
 
-    def in_own_type(self) -> Any:
+    def in_own_type(self, name: str) -> Any:
         """The scene: `make_scene` has converted its effects."""
         return self.model
 
@@ -116,6 +118,7 @@ class OneRod(Member):
         check_kind(f"state of {name!r}", state, RodState)
         *batch, n = self.array_shape
         check_fields(name, state, (*batch, 3, n + 1), dtype, "angular_momenta")
+        check_memory(self.model, state, f"state of {name!r}: state")
 
     def parts(self) -> Parts:
         """Constants, as couplings see them."""

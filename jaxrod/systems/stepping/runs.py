@@ -12,7 +12,12 @@ from jaxrod.effects.time import Clock
 from jaxrod.model import Stepper
 from jaxrod.systems.contact.neighbour_lists import RECORD, NeighbourRecord, no_record
 from jaxrod.systems.stability import stable_system_dt
-from jaxrod.systems.stepping.assembly import Assembly, SystemState, member_shapes
+from jaxrod.systems.stepping.assembly import (
+    Assembly,
+    SystemState,
+    held_parts,
+    member_shapes,
+)
 from jaxrod.systems.stepping.evolving import EvolvingSystem
 from jaxrod.systems.stepping.listing import (
     ListingSystem,
@@ -82,7 +87,7 @@ def _own_stepper(
         return system.stepper(state, dt)
     start = system.at(Clock(first, jnp.zeros_like(dt), dt))
     stepper = start.stepper(state, dt)
-    parts = system.parts()
+    parts = held_parts(system, state)
     prepared = tuple(coupling.prepared(parts) for coupling in system.couplings)
     return EvolvingSystem(stepper, system, prepared, first)
 
