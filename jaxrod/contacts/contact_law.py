@@ -39,6 +39,7 @@ from jaxtyping import Array, Float
 
 from jaxrod.geometry import vectors
 from jaxrod.geometry.vectors import Vec3
+from jaxrod.structure import pytree
 
 STRIBECK = 3.0
 """Slip speed at which sticking friction fades, over the onset speed u_s [1]."""
@@ -102,6 +103,67 @@ def friction_force(push: Array, slip: Vec3, friction: Array, drag: Array) -> Vec
     excess = vectors.scale(drag / jnp.where(rubs, limit, 1), slip)
     drag = drag * jax.lax.rsqrt(1 + vectors.dot(excess, excess))
     return vectors.scale(jnp.where(rubs, -drag, 0), slip)
+
+
+@pytree
+class PenaltyLaw:
+    """Numbers of the law with isotropic friction, per length or per contact."""
+
+    stiffness: Array
+    """Force per penetration [N/m^2] or [N/m]."""
+    damping: Array | None
+    """Force per normal speed [kg/(m s)] or [kg/s]."""
+    friction: Array | None
+    """Coefficient of friction [1]."""
+    friction_drag: Array | None
+    """Largest friction per slip speed [kg/(m s)] or [kg/s]."""
+
+    @property
+    def has_rates(self) -> bool:
+        """Whether forces depend on velocities."""
+        return self.damping is not None or self.friction is not None
+
+    @property
+    def largest_drag(self) -> Array | None:
+        """Largest force per speed: across surfaces by dashpots, along by friction."""
+        if self.damping is None or self.friction_drag is None:
+            return self.friction_drag if self.damping is None else self.damping
+        return jnp.maximum(self.damping, self.friction_drag)
+
+    def energy(self, depth: Array, width: Array) -> Array:
+        """Energy of the spring: `energy_density`."""
+        return energy_density(depth, width, self.stiffness)
+
+    def spring(self, depth: Array, width: Array) -> Array:
+        """Force of the spring alone."""
+        return normal_force(depth, jnp.zeros_like(depth), width, self.stiffness)
+
+    def forces(
+        self,
+        depth: Array,
+        width: Array,
+        normal: Vec3,
+        rate: Vec3 | None,
+        turning: Vec3 | None = None,
+    ) -> tuple[Array, Vec3 | None]:
+        """Size of the normal force, and friction, `None` without.
+
+        Args:
+            depth: Penetration [m].
+            width: Width of the onset [m].
+            normal: Unit vector along which the normal force pushes.
+            rate: Relative velocity [m/s]; `None` if `has_rates` is false.
+            turning: Further slip velocity, along the surface [m/s].
+        """
+        leaving = jnp.zeros_like(depth) if rate is None else vectors.dot(rate, normal)
+        push = normal_force(depth, leaving, width, self.stiffness, self.damping)
+        if self.friction is None:
+            return push, None
+        assert rate is not None and self.friction_drag is not None
+        slip = vectors.subtract(rate, vectors.scale(leaving, normal))
+        if turning is not None:
+            slip = vectors.add(slip, turning)
+        return push, friction_force(push, slip, self.friction, self.friction_drag)
 
 
 def directional_friction_force(

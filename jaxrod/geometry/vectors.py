@@ -57,6 +57,13 @@ def add(a: Vec3, b: Vec3) -> Vec3:
     return a[0] + b[0], a[1] + b[1], a[2] + b[2]
 
 
+def add_optional(a: Vec3 | None, b: Vec3 | None) -> Vec3 | None:
+    """Sum of two vector fields that may be `None`."""
+    if a is None or b is None:
+        return b if a is None else a
+    return add(a, b)
+
+
 def subtract(a: Vec3, b: Vec3) -> Vec3:
     """Difference."""
     return a[0] - b[0], a[1] - b[1], a[2] - b[2]

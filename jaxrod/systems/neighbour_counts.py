@@ -63,7 +63,7 @@ def _counted(coupling: Any, seen: Any) -> Neighbours:
     bare = replace(given, pairs=None, candidates=None, cell_slots=cells)
     empty = replace(coupling, lists=bare)
     need: Any = empty.needed(seen, lambda count: max(1, int(count)))
-    views = coupling.views()
+    views = coupling.member_pairs()
     share = math.inf
     if given.is_sized:
         share = max(

@@ -1,10 +1,16 @@
 """Shares that count near ties and along one rod."""
 
+from types import SimpleNamespace
+
 import numpy as np
 
-from jaxrod.systems.contact.along_rods import from_node, share_of_gap, tied_share
-from jaxrod.systems.contact.line_rows import _away
-from jaxrod.systems.contact.strands import strands
+from jaxrod.systems.contact.rod_segments import rod_segments
+from jaxrod.systems.contact.touching_rods import (
+    from_node,
+    rod_and_place,
+    share_near_tie,
+    share_of_gap,
+)
 from jaxrod.systems.members.parts import parts_of
 from systems.members import rod
 
@@ -21,26 +27,45 @@ def test_the_share_near_a_tie_rises_beyond_pi_times_the_mean_radius():
     """Both ways from the tie count together, and only where both rods are tied."""
     both = np.pi * (THICK + THIN) / 2 + LENGTH * np.array([-0.5, 0.0, 0.25, 1.0, 2.0])
     for share in (0.0, 0.3, 1.0):
-        along = share * both, (1 - share) * both
-        found = tied_share(along, np.array(True), (THICK, THIN), LENGTH)
+        own, other = (
+            SimpleNamespace(radii=radius, rods=0, starts=1 + along, ends=1 + along)
+            for radius, along in ((THICK, share * both), (THIN, (share - 1) * both))
+        )
+        found = share_near_tie(own, other, ((0, 1.0), (0, 1.0)), LENGTH)
         np.testing.assert_allclose(found, [0, 0, 0.25, 1, 1], atol=1e-6)
-        free = tied_share(along, np.array(False), (THICK, THIN), LENGTH)
+        free = share_near_tie(own, other, ((0, 1.0), (1, 1.0)), LENGTH)
         np.testing.assert_array_equal(free, 1)
 
 
 def test_the_way_from_a_place_to_a_stretch_is_none_within_it():
-    starts, ends = np.array([0.0, 0.2, 0.4]), np.array([0.2, 0.4, 0.6])
-    np.testing.assert_allclose(from_node(starts, ends, 0.25), [0.05, 0, 0.15])
+    stretch = SimpleNamespace(
+        starts=np.array([0.0, 0.2, 0.4]), ends=np.array([0.2, 0.4, 0.6])
+    )
+    np.testing.assert_allclose(from_node(stretch, 0.25), [0.05, 0, 0.15])
 
 
 def test_points_and_segments_count_by_their_ways_from_a_tie():
     """From a point, and from the nearer end of a segment that has not got the node."""
     one, two = (
-        strands(parts_of(rod(n, 0.5, radius=radius)[0]), per)
+        rod_segments(parts_of(rod(n, 0.5, radius=radius)[0]), per)
         for n, radius, per in ((5, THICK, 2), (8, THIN, 1))
     )
     node, other = 2, 3
-    found = np.asarray(_away(one, node, two, other))
+    points = SimpleNamespace(
+        radii=one.point_radii[None],
+        rods=one.point_rods[None],
+        starts=one.places[None],
+        ends=one.places[None],
+    )
+    segments = SimpleNamespace(
+        radii=two.radii[:, None],
+        rods=two.segment_rods[:, None],
+        starts=two.starts[:, None],
+        ends=(two.starts + two.rest_lengths)[:, None],
+    )
+    nodes = rod_and_place(one, node), rod_and_place(two, other)
+    length = two.rest_lengths[:, None]
+    found = np.asarray(share_near_tie(points, segments, nodes, length))
     place, mark, length = 0.2, 3 * 0.5 / 8, 0.5 / 8
     for i, point in enumerate(np.linspace(0, 0.5, 11)):
         for k in range(8):

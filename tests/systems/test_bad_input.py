@@ -320,9 +320,18 @@ def test_a_driven_member_is_checked_against_a_state(group):
 
 
 @pytest.mark.parametrize(
-    "hook", ["views", "allowed", "bounding_radii", "touches", "pair_loads"]
+    ("hook", "arguments"),
+    [
+        ("allowed", 4),
+        ("bounding_radii", 1),
+        ("weights", 4),
+        ("scales", 2),
+        ("contact_pairs", 3),
+        ("pair_loads", 3),
+        ("bound", 2),
+    ],
 )
-def test_a_law_of_contact_without_a_hook_is_named(hook):
+def test_a_law_of_contact_without_a_hook_is_named(hook, arguments):
     """What a law of one's own forgot is said where it is asked for."""
 
     @jaxrod.extend.pytree
@@ -330,9 +339,8 @@ def test_a_law_of_contact_without_a_hook_is_named(hook):
         """A law without anything."""
 
     law = Sticky(jnp.ones(()), jnp.ones(()))
-    given = {"allowed": 4, "bounding_radii": 1, "touches": 3, "pair_loads": 3}
     with pytest.raises(NotImplementedError, match=f"Sticky has no {hook}: a law of"):
-        getattr(law, hook)(*range(given.get(hook, 0)))
+        getattr(law, hook)(*range(arguments))
 
 
 @pytest.mark.parametrize(

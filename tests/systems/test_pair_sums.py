@@ -10,8 +10,13 @@ import pytest
 import jaxrod
 from jaxrod.geometry import vectors
 from jaxrod.systems.contact import pair_sums
-from jaxrod.systems.contact.element_pairs import Elements, IndexList, Pairs
-from jaxrod.systems.contact.pair_sums import LEAST, sums_over_pairs
+from jaxrod.systems.contact.element_pairs import (
+    Elements,
+    NeighbourList,
+    gather,
+    scatter_add,
+)
+from jaxrod.systems.contact.pair_sums import LEAST, sums_over_list
 
 ENTRIES, SIZES = 3 * LEAST + 100, (40, 30)
 
@@ -26,25 +31,29 @@ def some_list(taken):
     """A list whose first entries are taken, and others name elements all the same."""
     random = np.random.default_rng(taken)
     own, other = (jnp.asarray(random.integers(0, n, ENTRIES), jnp.int32) for n in SIZES)
-    return IndexList(own, other, jnp.arange(ENTRIES) < taken)
+    return NeighbourList(own, other, jnp.arange(ENTRIES) < taken)
 
 
-def work(pairs):
+def work(own, other, there):
     """Something of both that vanishes for entries that are not taken."""
-    way = vectors.subtract(pairs.own.first, pairs.other.first)
-    near = jnp.exp(-vectors.dot(way, way)) * pairs.other.radii
-    force = vectors.scale(jnp.where(pairs.listed.there, near, 0), pairs.own.edge)
+    way = vectors.subtract(own.first, other.first)
+    near = jnp.exp(-vectors.dot(way, way)) * other.radii
+    force = vectors.scale(jnp.where(there, near, 0), own.edge)
     return (force, None), vectors.cross(force, way)
 
 
 def at_once(own, other, listed):
-    pairs = Pairs.of(own, other, listed)
-    on_own, on_other = work(pairs)
-    return pairs.on_own(on_own, SIZES[0]), pairs.on_other(on_other, SIZES[1])
+    on_own, on_other = work(
+        gather(own, listed.own), gather(other, listed.other), listed.there
+    )
+    return (
+        scatter_add(on_own, listed.own, SIZES[0]),
+        scatter_add(on_other, listed.other, SIZES[1]),
+    )
 
 
 def by_blocks(own, other, listed):
-    return sums_over_pairs(work, own, other, listed)
+    return sums_over_list(work, own, other, listed)
 
 
 def same(a, b):

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import jaxrod
-from jaxrod.systems.contact.samples import samples_of
+from jaxrod.systems.contact.sphere_cloud import spheres_of
 from jaxrod.systems.energies import seen_at_rest
 from systems.rigid_pairs import SHAPES, G, alone, body, moved, pressed
 
@@ -18,10 +18,10 @@ from systems.rigid_pairs import SHAPES, G, alone, body, moved, pressed
 def test_a_box_may_lie_on_all_points_of_a_face(points):
     """So many springs the bound on the step counts."""
     box = jaxrod.shapes.box((0.1, 0.2, -0.3), (0.2, 0.3, 0.5))
-    samples = samples_of(box, 1, points)
-    top = np.max(np.asarray(samples.offsets[0]))
-    assert samples.at_once == np.sum(np.isclose(samples.offsets[0], top))
-    assert samples.count == 12 * (points - 2) + 8
+    cloud = spheres_of(box, 1, points)
+    top = np.max(np.asarray(cloud.offsets[0]))
+    assert cloud.at_once == np.sum(np.isclose(cloud.offsets[0], top))
+    assert cloud.count == 12 * (points - 2) + 8
 
 
 @pytest.mark.parametrize("partners", [None, 1])

@@ -16,12 +16,7 @@ from dataclasses import replace
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from jaxrod.contacts.contact_law import (
-    depth_from_onset,
-    energy_density,
-    friction_force,
-    normal_force,
-)
+from jaxrod.contacts.contact_law import depth_from_onset
 from jaxrod.contacts.ends import Ends
 from jaxrod.effects.base import StabilityBound
 from jaxrod.geometry import vectors
@@ -29,21 +24,21 @@ from jaxrod.geometry.rotations import directors, to_material
 from jaxrod.geometry.vectors import Vec3
 from jaxrod.rods.motion import Loads
 from jaxrod.structure import pytree, static
-from jaxrod.systems.contact.posed import Posed, posed
-from jaxrod.systems.contact.strands import (
+from jaxrod.systems.contact.collision_bodies import Posed, posed
+from jaxrod.systems.contact.penalty_contact import PenaltyContact, law_numbers
+from jaxrod.systems.contact.rod_segments import (
     ContactPoints,
-    StrandLoads,
-    Strands,
+    RodSegments,
+    SegmentLoads,
     loads_on_member,
     points_at,
     points_needed,
-    strands_and_ends,
+    segments_and_ends,
 )
 from jaxrod.systems.members.parts import Parts, mapped
 from jaxrod.systems.sites.coupling import (
     AllParts,
     AllSeen,
-    Coupling,
     TiedPair,
     check_named,
 )
@@ -51,24 +46,14 @@ from jaxrod.validation import Numbers, as_array, check_count
 
 
 @pytree
-class BodyContact(Coupling):
+class BodyContact(PenaltyContact):
     """Contact of the rods of one member with the bodies of another."""
 
-    stiffness: Float[Array, ""]
-    """Force per length of rod and penetration [N/m^2]."""
-    onset: Float[Array, ""]
-    """Width of the smooth onset over the rod's radius [1]."""
-    damping: Float[Array, ""] | None = None
-    """Force per length and speed along the normal [kg/(m s)]."""
-    friction: Float[Array, ""] | None = None
-    """Coefficient of Coulomb friction [1]."""
-    friction_drag: Float[Array, ""] | None = None
-    """Largest friction per length and slip speed [kg/(m s)]."""
     touching: Float[Array, ""] | None = None
     """Length of rod that touches a body at a time, for the stability bound [m]."""
     free_ends: Float[Array, "rods 2"] | None = None
     """One for each free end of the rods, zero for an end that is tied or attached."""
-    strand: Strands | None = None
+    segments: RodSegments | None = None
     """Points of the rods, once prepared; their lengths are zero at ends."""
     ends: Ends | None = None
     """Ends of the rods, once prepared."""
@@ -114,13 +99,13 @@ class BodyContact(Coupling):
         """The coupling with lengths and radii of the points."""
         per, free = self.points_per_element, self.free_ends
         assert per is not None and free is not None
-        made, ends = strands_and_ends(parts[self.rod], per, free)
-        return replace(self, strand=made, ends=ends)
+        made, ends = segments_and_ends(parts[self.rod], per, free)
+        return replace(self, segments=made, ends=ends)
 
     def loads(self, seen: AllSeen) -> dict[str, Loads]:
         """Forces and couples on rods and bodies."""
-        strand, own = self._strand(), seen[self.rod]
-        points = points_at(strand, own, spins=self.friction is not None)
+        segments, own = self._segments(), seen[self.rod]
+        points = points_at(segments, own, spins=self.friction is not None)
         total = vectors.scale(0.0, points.position)
         turning: Vec3 | None = None if self.friction is None else total
         reactions = []
@@ -144,17 +129,8 @@ class BodyContact(Coupling):
                 )
             )
         total = vectors.add(total, mapped(self._ends().from_beside, pulled))
-        none = vectors.scale(0.0, mapped(strand.firsts, own.motion.position))
         on_rod = loads_on_member(
-            strand,
-            own,
-            StrandLoads(
-                on_points=total,
-                on_firsts=none,
-                on_nexts=none,
-                turning_points=turning,
-                turning_segments=None if turning is None else none,
-            ),
+            segments, own, SegmentLoads(on_points=total, turning_points=turning)
         )
         return {self.rod: on_rod, self.body: self._on_bodies(seen, reactions)}
 
@@ -180,32 +156,30 @@ class BodyContact(Coupling):
             Forces on the points, couples on their sections, the places where the forces
             act, and forces at the places beside the ends.
         """
-        strand, ends = self._strand(), self._ends()
+        segments, ends = self._segments(), self._ends()
         distance, normal = body.surface(points.position)
-        radii = strand.point_radii
+        radii = segments.point_radii
         arm = vectors.scale(-radii, normal)
         place = vectors.add(points.position, arm)
+        assert points.velocity is not None
         rate = vectors.subtract(points.velocity, body.velocity_at(place))
-        leaving = vectors.dot(rate, normal)
-        push = normal_force(
-            radii - distance, leaving, self.onset * radii, self.stiffness, self.damping
+        turning = None
+        if points.spin is not None:
+            turning = vectors.cross(points.spin, arm)
+        push, rub = self.law.forces(
+            radii - distance, self.onset * radii, normal, rate, turning
         )
         beside, outward = body.surface(ends.beside(points.position))
         own, own_radii = ends.of_points(distance), ends.of_points(radii)
         lengths, at_ends, pulls = ends.counted_and_changes(
             own, beside, self._depth(own_radii), self._density(own_radii, own)
         )
-        counted = strand.lengths + ends.to_points(lengths)
+        counted = segments.lengths + ends.to_points(lengths)
         pressed = counted * push + ends.to_points(at_ends)
         force = vectors.scale(pressed, normal)
         pull = vectors.scale(pulls, outward)
-        if self.friction is None:
+        if rub is None:
             return force, None, place, pull
-        assert self.friction_drag is not None and points.spin is not None
-        slip = vectors.add(rate, vectors.cross(points.spin, arm))
-        along = vectors.dot(slip, normal)
-        slip = vectors.subtract(slip, vectors.scale(along, normal))
-        rub = friction_force(push, slip, self.friction, self.friction_drag)
         rub = vectors.scale(counted, rub)
         return vectors.add(force, rub), vectors.cross(arm, rub), place, pull
 
@@ -215,31 +189,31 @@ class BodyContact(Coupling):
 
     def _density(self, radii: Array, distance: Array) -> Array:
         """Energy per length of the springs [J/m]."""
-        return energy_density(radii - distance, self.onset * radii, self.stiffness)
+        return self.law.energy(radii - distance, self.onset * radii)
 
     def energy(self, seen: AllSeen) -> Array:
         """Energy of all contacts [J]."""
-        strand, ends = self._strand(), self._ends()
-        points = points_at(strand, seen[self.rod], spins=False)
+        segments, ends = self._segments(), self._ends()
+        points = points_at(segments, seen[self.rod], spins=False)
         total = jnp.zeros((), self.stiffness.dtype)
         for body in self._bodies(seen):
             distance, _ = body.surface(points.position)
             beside, _ = body.surface(ends.beside(points.position))
-            density = self._density(strand.point_radii, distance)
-            own, radii = ends.of_points(distance), ends.of_points(strand.point_radii)
+            density = self._density(segments.point_radii, distance)
+            own, radii = ends.of_points(distance), ends.of_points(segments.point_radii)
             counted = ends.counted(own, beside, self._depth(radii))
             at_ends = counted * ends.of_points(density)
-            total = total + jnp.sum(strand.lengths * density) + jnp.sum(at_ends)
+            total = total + jnp.sum(segments.lengths * density) + jnp.sum(at_ends)
         return total
 
     def violation(self, seen: AllSeen) -> Array:
         """Deepest penetration of a point over the radius."""
-        strand = self._strand()
-        points = points_at(strand, seen[self.rod], spins=False)
+        segments = self._segments()
+        points = points_at(segments, seen[self.rod], spins=False)
         worst = jnp.zeros((), self.stiffness.dtype)
         for body in self._bodies(seen):
             distance, _ = body.surface(points.position)
-            worst = jnp.maximum(worst, jnp.max(1 - distance / strand.point_radii))
+            worst = jnp.maximum(worst, jnp.max(1 - distance / segments.point_radii))
         return worst
 
     def stability_bounds(self, parts: AllParts) -> dict[str, StabilityBound]:
@@ -254,10 +228,8 @@ class BodyContact(Coupling):
         """
         rods, bodies = parts[self.rod], parts[self.body]
         assert rods.linear_density is not None and rods.radii is not None
-        assert rods.rest_lengths is not None
-        strand, ends = self._strand(), self._ends()
-        none = jnp.zeros_like(rods.rest_lengths)
-        lengths = strand.to_nodes(strand.lengths + ends.bound(), none, none)
+        segments, ends = self._segments(), self._ends()
+        lengths = segments.from_points(segments.lengths + ends.bound())
         touching = jnp.sum(lengths)
         if self.touching is not None:
             touching = jnp.minimum(touching, self.touching)
@@ -271,18 +243,13 @@ class BodyContact(Coupling):
 
         lever = _lever(bodies)
         rate = self.stiffness * (nodes + jnp.max(moving + turning(lever)))
-        drag, sections = self.damping, jnp.zeros_like(rate)
+        drag, sections = self.law.largest_drag, jnp.zeros_like(rate)
         if self.friction_drag is not None:
             # Friction also turns the section, and a ball about its centre.
-            drag = (
-                self.friction_drag
-                if drag is None
-                else jnp.maximum(drag, self.friction_drag)
-            )
             lever = _size(bodies)
             own = jnp.min(rods.inertias, axis=0)
-            longest = strand.lengths + ends.longest()
-            on_segments = strand.to_segments(longest * strand.point_radii**2)
+            longest = segments.lengths + ends.longest()
+            on_segments = segments.to_segments(longest * segments.point_radii**2)
             sections = bodies.count * jnp.max(on_segments / own)
         slow: Array | None = None
         if drag is not None:
@@ -292,9 +259,9 @@ class BodyContact(Coupling):
             self.body: _bound(bodies, rate, slow, True, True),
         }
 
-    def _strand(self) -> Strands:
-        assert self.strand is not None
-        return self.strand
+    def _segments(self) -> RodSegments:
+        assert self.segments is not None
+        return self.segments
 
     def _ends(self) -> Ends:
         assert self.ends is not None
@@ -377,27 +344,17 @@ def body_contact(
     Raises:
         ValueError: If a number is out of range, or friction has no drag.
     """
-    drag = damping if friction_drag is None else friction_drag
-    if friction is not None and drag is None:
-        raise ValueError(
-            "friction needs friction_drag > 0 kg/(m s), what it resists per length "
-            "and speed at the onset of slip (by default the damping), got none"
-        )
-
-    def number(name: str, value: Numbers | None, unit: str) -> Array | None:
-        return None if value is None else as_array(name, value, unit, positive=True)
-
     if points_per_element is not None:
         check_count("points_per_element", points_per_element, 1, 1000)
     return BodyContact(
-        stiffness=as_array("stiffness", stiffness, "N/m^2", positive=True),
-        onset=as_array("onset", onset, "", positive=True),
-        damping=number("damping", damping, "kg/(m s)"),
-        friction=number("friction", friction, ""),
-        friction_drag=(
-            None if friction is None else number("friction_drag", drag, "kg/(m s)")
+        **law_numbers(
+            stiffness, damping, friction, friction_drag, onset, per_length=True
         ),
-        touching=number("touching", touching, "m"),
+        touching=(
+            None
+            if touching is None
+            else as_array("touching", touching, "m", positive=True)
+        ),
         rod=rod,
         body=body,
         points_per_element=points_per_element,

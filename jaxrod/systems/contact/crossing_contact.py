@@ -22,63 +22,54 @@ would be at another place, which moves differently, and would feed in energy.
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Iterator
 from dataclasses import replace
-from typing import Any, ClassVar
+from typing import Any, ClassVar, TypeVar
 
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array
 
-from jaxrod.contacts.contact_law import energy_density, normal_force
 from jaxrod.effects.base import StabilityBound
 from jaxrod.geometry import vectors
 from jaxrod.geometry.vectors import Vec3
 from jaxrod.structure import pytree
-from jaxrod.systems.contact.along_rods import (
-    from_node,
-    rod_and_place,
-    share_of_gap,
-    tied_share,
+from jaxrod.systems.contact.contact_pairs import (
+    ContactPair,
+    contact_pair,
+    pair_forces,
 )
-from jaxrod.systems.contact.contact_numbers import contact_numbers
 from jaxrod.systems.contact.continued import closed_rods, last_but_continued
-from jaxrod.systems.contact.curve_distance import (
-    apart,
-    nearest_on_curves,
-    nearest_to_node,
-)
-from jaxrod.systems.contact.element_pairs import Elements, Pairs
+from jaxrod.systems.contact.element_pairs import Elements, bulge_shares
 from jaxrod.systems.contact.neighbour_lists import NeighbourLists
-from jaxrod.systems.contact.neighbour_search import Stretches
+from jaxrod.systems.contact.neighbour_search import Bounds
+from jaxrod.systems.contact.rod_segments import SegmentLoads, rod_segments
 from jaxrod.systems.contact.segment_distance import (
     Products,
+    apart,
     crossedness,
     from_products,
     middles,
+    nearest_on_curves,
     nearest_places,
+    nearest_to_node,
     products,
 )
 from jaxrod.systems.contact.smooth_axes import stiffest
-from jaxrod.systems.contact.strands import strands
-from jaxrod.systems.contact.touches import (
-    PairLoads,
-    Touch,
-    elastic_push,
-    loads_of,
-    touch_at,
-)
-from jaxrod.systems.contact.touching_rods import TouchingRods, same_rod
+from jaxrod.systems.contact.touching_rods import TouchingRods, rod_law
 from jaxrod.systems.members.parts import Parts
 from jaxrod.systems.sites.coupling import AllParts, TiedPair
 from jaxrod.validation import Numbers
+
+Tree = TypeVar("Tree")
 
 
 @pytree
 class CrossingContact(TouchingRods):
     """Contact between all rods of some members; see `crossing_contact`."""
 
-    once: ClassVar[bool] = True
+    symmetric: ClassVar[bool] = True
     smooth: ClassVar[bool] = True
 
     def fitted(self, parts: AllParts, tied: tuple[TiedPair, ...]) -> CrossingContact:
@@ -89,7 +80,7 @@ class CrossingContact(TouchingRods):
     def prepared(self, parts: AllParts) -> CrossingContact:
         """The coupling with radii and lengths of segments."""
         made = tuple(
-            strands(
+            rod_segments(
                 parts[name],
                 1,
                 last_but_continued(name, parts, self.tied),
@@ -97,91 +88,40 @@ class CrossingContact(TouchingRods):
             )
             for name in self.members
         )
-        return replace(self, strands=made)
-
-    def views(self) -> list[tuple[int, int]]:
-        """Numbers of pairs of members whose elements meet, each pair once."""
-        count = len(self.members)
-        return [
-            (a, b)
-            for a in range(count)
-            for b in range(a, count)
-            if a != b or self.itself or self.strands[a].count > 1
-        ]
+        return replace(self, segments=made)
 
     def bounding_radii(self, a: int) -> Array:
         """Radii of the elements [m]."""
-        return self.strands[a].radii
+        return self.segments[a].radii
 
-    def allowed(self, a: int, b: int, own: Stretches, other: Stretches) -> Any:
+    def allowed(self, a: int, b: int, own: Bounds, other: Bounds) -> Any:
         """Whether pairs may touch: those of two rods, or far apart along one rod."""
-        share = self._share(a, b, own.elements, other.elements)
+        share = self.share(a, b, own.elements, other.elements)
         return None if share is None else share > 0
 
-    def _share(self, a: int, b: int, own: Elements, other: Elements) -> Array | None:
-        """Share with which pairs of elements count [1]; `None` for one."""
-        share: Array | None = None
-        if a == b:
-            same = same_rod(own, other)
-            near = jnp.zeros_like(own.radii + other.radii)
-            if self.itself:
-                assert own.starts is not None and other.starts is not None
-                assert own.rest_lengths is not None
-                assert other.rest_lengths is not None
-                gap = jnp.maximum(own.starts - other.ends, other.starts - own.ends)
-                length = 0.5 * (own.rest_lengths + other.rest_lengths)
-                near = share_of_gap(gap, 0.5 * (own.radii + other.radii), length)
-            share = jnp.where(same, near, 1)
-        for one, i, two, j in self.tied:
-            if (one, two) == (self.members[a], self.members[b]):
-                tied = self._tied(a, b, (i, j), own, other)
-                share = tied if share is None else share * tied
-        return share
-
-    def _tied(
-        self, a: int, b: int, nodes: tuple[int, int], own: Elements, other: Elements
-    ) -> Array:
-        assert own.starts is not None and other.starts is not None
+    def scales(self, own: Elements, other: Elements) -> tuple[Array, Array]:
+        """Means of radii and of rest lengths [m]."""
         assert own.rest_lengths is not None and other.rest_lengths is not None
-        rod, place = rod_and_place(self.strands[a], nodes[0])
-        fellow, mark = rod_and_place(self.strands[b], nodes[1])
-        assert own.rods is not None and other.rods is not None
-        return tied_share(
-            (
-                from_node(own.starts, own.ends, place),
-                from_node(other.starts, other.ends, mark),
-            ),
-            jnp.equal(own.rods, rod) & jnp.equal(other.rods, fellow),
-            (own.radii, other.radii),
+        return (
+            0.5 * (own.radii + other.radii),
             0.5 * (own.rest_lengths + other.rest_lengths),
         )
 
-    def _weights(self, a: int, b: int, pairs: Pairs) -> Array:
-        """Weights of pairs [1]."""
-        own, other = pairs.own, pairs.other
-        share = self._share(a, b, own, other)
-        if pairs.listed is not None:
-            # Lists hold every pair of elements once.
-            there = pairs.listed.there.astype(own.radii.dtype)
-            return there if share is None else jnp.where(pairs.listed.there, share, 0)
-        ones = jnp.ones_like(own.radii + other.radii)
-        share = ones if share is None else share
-        if a != b:
-            return share
-        size = self.strands[a].radii.shape[0]
-        before = jnp.arange(size)[:, None] < jnp.arange(size)[None, :]
-        return jnp.where(before, share, 0)
+    def weights(self, a: int, b: int, own: Elements, other: Elements) -> Array:
+        """Share with which pairs count [1]."""
+        share = self.share(a, b, own, other)
+        return jnp.ones_like(own.radii + other.radii) if share is None else share
 
-    def touches(self, a: int, b: int, pairs: Pairs) -> Iterator[Touch]:
-        """Touches of two segments, of a node and a segment (both ways), of two nodes.
+    def contact_pairs(
+        self, own: Elements, other: Elements, weights: Array
+    ) -> Iterator[ContactPair]:
+        """Two segments, less a node and a segment (both ways), plus two nodes.
 
-        Two segments touch at their closest points and, as far as they are parallel, at
-        their middles.
+        This is the inclusion-exclusion. Two segments touch at their closest points and,
+        as far as they are parallel, at their middles.
         """
-        own, other = pairs.own, pairs.other
         way = vectors.subtract(own.first, other.first)
         lines = way, own.edge, other.edge
-        weight = self._weights(a, b, pairs)
         have = products(*lines)
         share = crossedness(have)
         s, t = nearest_on_curves(way, own, other, nearest_places(*lines)[:2])
@@ -190,43 +130,46 @@ class CrossingContact(TouchingRods):
         on_own = nearest_to_node(back, other, own, have.on_own(1.0))
         one = jnp.ones_like(s)
         radii = own.radii + 0 * s, other.radii + 0 * s
-        for places, counts in (
-            ((s, t), share * weight),
-            (middles(have), (1 - share) * weight),
-            ((one, on_other), -own.follows * weight),
-            ((on_own, one), -other.follows * weight),
-            ((one, one), own.follows * other.follows * weight),
+        for places, weight in (
+            ((s, t), share * weights),
+            (middles(have), (1 - share) * weights),
+            ((one, on_other), -own.follows * weights),
+            ((on_own, one), -other.follows * weights),
+            ((one, one), own.follows * other.follows * weights),
         ):
             between = apart(way, own, other, places)
-            yield touch_at(between, places, counts, radii, self.onset)
+            yield contact_pair(between, places, weight, radii, self.onset)
 
-    def pair_loads(self, a: int, b: int, pairs: Pairs) -> PairLoads:
-        """Loads of all touches."""
-        own, other = pairs.own, pairs.other
-        nearest, middle, *nodes = self.touches(a, b, pairs)
+    def pair_loads(
+        self, own: Elements, other: Elements, weights: Array
+    ) -> tuple[SegmentLoads, SegmentLoads]:
+        """Loads of all pairs of places."""
+        nearest, middle, *nodes = self.contact_pairs(own, other, weights)
         law = self.law
-        spring = replace(law, damping=None, friction=None, friction_drag=None)
         pushes = [
-            touch.weight * elastic_push(touch, law)
-            for touch in (nearest, middle, *nodes)
+            pair.weight * law.spring(pair.depth, pair.width)
+            for pair in (nearest, middle, *nodes)
         ]
         all_of_it, left = pushes[0] + pushes[1], sum(pushes)
         pushed = all_of_it > 0
         share = jnp.clip(left / jnp.where(pushed, all_of_it, 1), 0, 1)
-        total = loads_of(nearest, own, other, law, share)
-        total = total.added(loads_of(middle, own, other, law, share))
-        for touch in nodes:
-            total = total.added(loads_of(touch, own, other, spring))
-        way, own_edge, other_edge = self._shifting(nearest, middle, pairs)
-        return replace(
-            total,
-            way=vectors.add(total.way, way),
-            own_edge=vectors.add(total.own_edge, own_edge),
-            other_edge=vectors.add(total.other_edge, other_edge),
+        both = [pair_forces(pair, own, other, law, share) for pair in (nearest, middle)]
+        spring = replace(law, damping=None, friction=None, friction_drag=None)
+        subtracted = [pair_forces(pair, own, other, spring)[0] for pair in nodes]
+        forces = [force for force, _ in both] + subtracted
+        at_places = map(_conjugate, (nearest, middle, *nodes), forces)
+        conjugate, bulges = functools.reduce(_summed, at_places)
+        shifting = self._shifting(nearest, middle, own, other)
+        force, own_edge, other_edge = _summed(conjugate, shifting)
+        own_turn, other_turn = _summed(both[0][1], both[1][1]) or (None, None)
+        back = vectors.scale(-1.0, force)
+        return (
+            _on_elements(force, own_edge, own_turn, bulges[0]),
+            _on_elements(back, other_edge, other_turn, bulges[1]),
         )
 
     def _shifting(
-        self, nearest: Touch, middle: Touch, pairs: Pairs
+        self, nearest: ContactPair, middle: ContactPair, own: Elements, other: Elements
     ) -> tuple[Vec3, Vec3, Vec3]:
         """Additional forces of the energy of segments that are nearly parallel.
 
@@ -234,16 +177,12 @@ class CrossingContact(TouchingRods):
         along the segments does not contribute. The shift of the middles does, and so
         does the change of the shares of both touches.
         """
-        own, other = pairs.own, pairs.other
         lines = vectors.subtract(own.first, other.first), own.edge, other.edge
         weight = nearest.weight + middle.weight
         first, second = (
-            energy_density(touch.depth, touch.width, self.stiffness)
-            for touch in (nearest, middle)
+            self.law.energy(pair.depth, pair.width) for pair in (nearest, middle)
         )
-        push = middle.weight * normal_force(
-            middle.depth, jnp.zeros_like(middle.depth), middle.width, self.stiffness
-        )
+        push = middle.weight * self.law.spring(middle.depth, middle.width)
         # Broadcast to one shape: derivatives are then those of each pair, not sums over
         # all pairs of an edge.
         shape = jnp.shape(weight)
@@ -255,10 +194,9 @@ class CrossingContact(TouchingRods):
             return crossedness(have), middles(have)
 
         _, pulled = jax.vjp(changing, have)
-        tangents = (
-            own.tangent(middle.own_fraction),
-            other.tangent(middle.other_fraction),
-        )
+        s, t = middle.places
+        assert s is not None
+        tangents = own.tangent(s), other.tangent(t)
         along = (
             push * vectors.dot(middle.normal, tangents[0]),
             -push * vectors.dot(middle.normal, tangents[1]),
@@ -266,30 +204,63 @@ class CrossingContact(TouchingRods):
         (slopes,) = pulled((weight * (second - first), along))
         return from_products(slopes, *lines)
 
-    def stability_bounds(self, parts: AllParts) -> dict[str, StabilityBound]:
+    def bound(self, own: Parts, every: list[Parts]) -> StabilityBound:
         """Stiffness and drag as if all partners crossed every element at its worst.
 
         A spring's change of length is the sum of the contributions of two rods. Its
         square is at most twice the sum of their squares. Slip has four contributions,
         so there the factor is four.
         """
-        return {name: self._bound(parts[name]) for name in self.members}
-
-    def _bound(self, own: Parts) -> StabilityBound:
         assert own.radii is not None
         # Each spring acts on six nodes.
         per_rod = jnp.asarray(stiffest(own.n_elements), self.stiffness.dtype)
         crossings = self.partners * jnp.tile(per_rod, own.count)
-        drag, sides, turning = self.damping, 2, None
-        if self.friction_drag is not None:
-            rub = self.friction_drag
-            drag, sides = rub if drag is None else jnp.maximum(drag, rub), 4
+        drag, turning = self.law.largest_drag, None
+        sides = 2 if self.friction_drag is None else 4
+        if self.friction_drag is not None and drag is not None:
             turning = 4 * self.partners * drag * own.radii**2
         return StabilityBound(
             nodes=2 * self.stiffness * crossings,
             node_drag=None if drag is None else sides * drag * crossings,
             element_drag=turning,
         )
+
+
+Bulges = tuple[Vec3, Vec3]
+"""Forces on both bulges of elements [N]."""
+
+
+def _conjugate(
+    pair: ContactPair, force: Vec3
+) -> tuple[tuple[Vec3, Vec3, Vec3], tuple[Bulges, Bulges]]:
+    """A force at a pair of places, and its opposite, as forces on what they depend on.
+
+    Returns:
+        Forces on the way between the first nodes and on both edges, and forces on the
+        bulges of both elements.
+    """
+    s, t = pair.places
+    assert s is not None
+    back = vectors.scale(-1.0, force)
+    edges = force, vectors.scale(s, force), vectors.scale(t, back)
+    return edges, (_on_bulges(s, force), _on_bulges(t, back))
+
+
+def _on_bulges(fraction: Array, force: Vec3) -> Bulges:
+    first, second = bulge_shares(fraction)
+    return vectors.scale(first, force), vectors.scale(second, force)
+
+
+def _on_elements(
+    force: Vec3, edge: Vec3, turning: Vec3 | None, bulges: Bulges
+) -> SegmentLoads:
+    """Loads on segments; edges are no variables beside the tangents, but nodes are."""
+    nexts = vectors.subtract(edge, vectors.add(*bulges))
+    return SegmentLoads(forces=force, nexts=nexts, turning=turning, tangents=bulges)
+
+
+def _summed(a: Tree, b: Tree) -> Tree:
+    return jax.tree.map(jnp.add, a, b)
 
 
 def crossing_contact(
@@ -330,13 +301,16 @@ def crossing_contact(
         ValueError: If a number is out of range, or friction has no drag.
         TypeError: If a name is not a string.
     """
-    given = contact_numbers(
+    law = rod_law(
         members,
         stiffness,
-        (damping, friction, friction_drag),
+        damping,
+        friction,
+        friction_drag,
         onset,
-        partners,
-        lists,
-        units=("N/m", "kg/s"),
+        itself=itself,
+        partners=partners,
+        lists=lists,
+        per_length=False,
     )
-    return CrossingContact(**given, itself=bool(itself))
+    return CrossingContact(**law)

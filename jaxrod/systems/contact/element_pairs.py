@@ -1,10 +1,10 @@
-"""Pairs of elements of rods that may touch: gather of elements, scatter of loads.
+"""Elements of rods that may touch: gather of elements, scatter of loads.
 
-All pairs of two members are `(others, own)`; the pairs of a list are in one row. Gather
-reads from one table with a row for each element, and scatter adds to such a table. The
-reason is XLA's CPU compiler (0.10.1, with the fusion that `configure_cpu` asks for): it
-aborts the process if each number is gathered separately and the program is transposed.
-It compiles a table of rows, forward and in reverse, in loops and under `vmap`.
+Gather reads from one table with a row for each element, and scatter adds to such a
+table. The reason is XLA's CPU compiler (0.10.1, with the fusion that `configure_cpu`
+asks for): it aborts the process if each number is gathered separately and the program
+is transposed. It compiles a table of rows, forward and in reverse, in loops and under
+`vmap`.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from jaxtyping import Array, Bool, Int
 from jaxrod.geometry import vectors
 from jaxrod.geometry.vectors import Vec3
 from jaxrod.structure import pytree
-from jaxrod.systems.contact.strands import Strands
+from jaxrod.systems.contact.rod_segments import RodSegments
 from jaxrod.systems.members.parts import Seen, mapped
 
 Tree = TypeVar("Tree")
@@ -70,10 +70,11 @@ class Elements:
         """Vector from the first node to a place on the axis [m]."""
         return _on_cubic(self.edge, self.bulges, fraction)
 
-    def change_on_axis(self, fraction: Array) -> Vec3:
-        """Velocity of a place on the axis minus that of the first node [m/s]."""
-        assert self.velocity_change is not None
-        return _on_cubic(self.velocity_change, self.velocity_bulges, fraction)
+    def velocity_at(self, place: Array) -> Vec3:
+        """Velocity of a place on the axis [m/s]."""
+        assert self.first_velocity is not None and self.velocity_change is not None
+        change = _on_cubic(self.velocity_change, self.velocity_bulges, place)
+        return vectors.add(self.first_velocity, change)
 
     def tangent(self, fraction: Array) -> Vec3:
         """Derivative of the place on the axis by the fraction [m]."""
@@ -119,111 +120,106 @@ def _combined(vector: Vec3, *terms: tuple[Array, Vec3]) -> Vec3:
 
 
 def elements_at(
-    strand: Strands,
+    segments: RodSegments,
     seen: Seen,
     *,
     moves: bool = False,
     spins: bool = False,
     placed: bool = False,
-    dotted: bool = False,
+    has_contact_points: bool = False,
     smooth: bool = False,
 ) -> Elements:
     """Elements of a member.
 
     Args:
-        strand: Segments and points of the member.
+        segments: Segments and points of the member.
         seen: The member at one moment.
         moves: Whether velocities are needed.
         spins: Whether angular velocities are needed.
         placed: Whether places along the rod are needed.
-        dotted: Whether contact points, and so places, are needed.
+        has_contact_points: Whether contact points, and so places, are needed.
         smooth: Whether elements are pieces of a smooth axis.
     """
-    first, edge, bulges = _pieces(strand, seen.motion.position, smooth=smooth)
+    first, edge, bulges = _pieces(segments, seen.motion.position, smooth=smooth)
     velocity = change = velocity_bulges = None
     if moves:
         velocity, change, velocity_bulges = _pieces(
-            strand, seen.motion.velocity, smooth=smooth
+            segments, seen.motion.velocity, smooth=smooth
         )
-    dtype, placed = strand.radii.dtype, placed or dotted
+    dtype, placed = segments.radii.dtype, placed or has_contact_points
     return Elements(
         first=first,
         edge=edge,
-        radii=strand.radii,
-        follows=jnp.asarray(~strand.is_end, dtype),
+        radii=segments.radii,
+        follows=jnp.asarray(~segments.is_end, dtype),
         first_velocity=velocity,
         velocity_change=change,
         spin=seen.angular_velocities if spins else None,
-        rods=jnp.asarray(strand.segment_rods, dtype) if placed else None,
-        starts=strand.starts if placed else None,
-        rest_lengths=strand.rest_lengths if placed else None,
-        first_radii=strand.first_radii if dotted else None,
-        first_lengths=strand.first_lengths if dotted else None,
-        last=jnp.asarray(strand.is_last, dtype) if dotted else None,
+        rods=jnp.asarray(segments.segment_rods, dtype) if placed else None,
+        starts=segments.starts if placed else None,
+        rest_lengths=segments.rest_lengths if placed else None,
+        first_radii=segments.first_radii if has_contact_points else None,
+        first_lengths=segments.first_lengths if has_contact_points else None,
+        last=jnp.asarray(segments.is_last, dtype) if has_contact_points else None,
         bulges=bulges,
         velocity_bulges=velocity_bulges,
     )
 
 
 def _pieces(
-    strand: Strands, nodes: Vec3, *, smooth: bool
+    segments: RodSegments, nodes: Vec3, *, smooth: bool
 ) -> tuple[Vec3, Vec3, tuple[Vec3, Vec3] | None]:
     """A field at first nodes, its change to the next nodes, and its bulges."""
     tangents: Vec3 | None = None
     if smooth:
-        (x, p), (y, q), (z, r) = (strand.smooth(component) for component in nodes)
+        (x, p), (y, q), (z, r) = (segments.smooth(component) for component in nodes)
         nodes, tangents = (x, y, z), (p, q, r)
-    first = mapped(strand.firsts, nodes)
-    edge = vectors.subtract(mapped(strand.nexts, nodes), first)
+    first = mapped(segments.firsts, nodes)
+    edge = vectors.subtract(mapped(segments.nexts, nodes), first)
     if tangents is None:
         return first, edge, None
     bulges = (
-        vectors.subtract(mapped(strand.firsts, tangents), edge),
-        vectors.subtract(mapped(strand.nexts, tangents), edge),
+        vectors.subtract(mapped(segments.firsts, tangents), edge),
+        vectors.subtract(mapped(segments.nexts, tangents), edge),
     )
     return first, edge, bulges
 
 
-def beside(tree: Tree) -> Tree:
-    """Fields of elements along the last axis, to pair with others."""
+def row_vector(tree: Tree) -> Tree:
+    """Fields along the last of two axes."""
     return jax.tree.map(lambda leaf: leaf[None, :], tree)
 
 
-def upright(tree: Tree) -> Tree:
-    """Fields of elements along the first of two axes."""
+def column_vector(tree: Tree) -> Tree:
+    """Fields along the first of two axes."""
     return jax.tree.map(lambda leaf: leaf[:, None], tree)
 
 
-def lifted(tree: Tree) -> Tree:
-    """Fields of pairs with a leading axis for points on elements."""
-    return jax.tree.map(lambda leaf: leaf[None], tree)
+def gather(tree: Tree, index: Int[Array, "..."]) -> Tree:
+    """Fields of elements at some indices."""
+    return unpack(pack(tree)[index], tree)
 
 
-def looked_up(tree: Tree, index: Int[Array, "..."]) -> Tree:
-    """Fields of elements, gathered at some indices."""
-    return of_table(table_of(tree)[index], tree)
-
-
-def table_of(tree: Any) -> Array:
+def pack(tree: Any) -> Array:
     """Fields as one table with a row for each element."""
     return jnp.stack(jax.tree.leaves(tree), axis=-1)
 
 
-def of_table(rows: Array, like: Tree) -> Tree:
+def unpack(rows: Array, like: Tree) -> Tree:
     """Tree of fields with the structure of another, from rows of a table."""
     leaves, structure = jax.tree.flatten(like)
     return jax.tree.unflatten(structure, [rows[..., k] for k in range(len(leaves))])
 
 
-def given_back(tree: Tree, index: Int[Array, "..."], size: int) -> Tree:
-    """Fields of pairs, scattered and summed on the elements at some indices."""
-    rows = table_of(tree)
+def scatter_add(tree: Tree, index: Int[Array, "..."], size: int) -> Tree:
+    """Fields of pairs, summed on the elements at some indices."""
+    rows = pack(tree)
     total = jnp.zeros((size, rows.shape[-1]), rows.dtype).at[index].add(rows)
-    return of_table(total, tree)
+    return unpack(total, tree)
 
 
 @pytree
-class IndexList:
+class NeighbourList:
     """List of pairs of elements of two members."""
 
     own: Int[Array, " pairs"]
@@ -232,34 +228,3 @@ class IndexList:
     """Numbers of the second elements."""
     there: Bool[Array, " pairs"]
     """Mask of the entries in use."""
-
-
-@pytree
-class Pairs:
-    """Pairs of elements of two members that may touch."""
-
-    own: Elements
-    """First elements, `(1, own)`, or `(pairs,)` from a list."""
-    other: Elements
-    """Second elements, `(others, 1)`, or `(pairs,)` from a list."""
-    listed: IndexList | None = None
-    """The list; `None` for all pairs."""
-
-    @classmethod
-    def of(cls, own: Elements, other: Elements, listed: IndexList | None) -> Pairs:
-        """All pairs of two rows of elements, or those on a list."""
-        if listed is None:
-            return cls(beside(own), upright(other))
-        return cls(looked_up(own, listed.own), looked_up(other, listed.other), listed)
-
-    def on_own(self, tree: Tree, size: int) -> Tree:
-        """Sums over pairs for each first element, of which there are `size`."""
-        if self.listed is None:
-            return jax.tree.map(lambda leaf: jnp.sum(leaf, axis=0), tree)
-        return given_back(tree, self.listed.own, size)
-
-    def on_other(self, tree: Tree, size: int) -> Tree:
-        """Sums over pairs for each second element, of which there are `size`."""
-        if self.listed is None:
-            return jax.tree.map(lambda leaf: jnp.sum(leaf, axis=1), tree)
-        return given_back(tree, self.listed.other, size)

@@ -17,7 +17,7 @@ from jaxtyping import Array, Bool, Float
 
 from jaxrod.geometry.vectors import Vec3
 from jaxrod.structure import pytree, static
-from jaxrod.systems.contact.element_pairs import IndexList
+from jaxrod.systems.contact.element_pairs import NeighbourList
 from jaxrod.validation import Numbers, as_array, check_count
 
 SPARE = 1.5
@@ -52,10 +52,10 @@ class NeighbourLists:
 
 
 @pytree
-class Found:
+class FoundNeighbours:
     """Lists of all pairs of members of a coupling, and where they were made."""
 
-    lists: tuple[IndexList, ...]
+    lists: tuple[NeighbourList, ...]
     """Lists, one for each pair of members."""
     places: tuple[Vec3, ...]
     """Positions of the members' nodes at the search [m]."""
@@ -64,7 +64,7 @@ class Found:
     used: Float[Array, " lists"]
     """Entries that each list needs [1]."""
     candidates: Float[Array, " lists"]
-    """Candidates of each list [1]."""
+    """Number of candidates of each list [1]."""
     in_cells: Float[Array, ""]
     """Largest number of elements in three neighbouring cells [1]."""
 

@@ -27,8 +27,8 @@ from jaxtyping import Array, Float, Int
 from jaxrod.geometry import vectors
 from jaxrod.geometry.vectors import Vec3
 from jaxrod.structure import pytree, static
-from jaxrod.systems.contact.element_pairs import Elements, IndexList, looked_up
-from jaxrod.systems.contact.neighbour_lists import Found, NeighbourLists
+from jaxrod.systems.contact.element_pairs import Elements, NeighbourList, gather
+from jaxrod.systems.contact.neighbour_lists import FoundNeighbours, NeighbourLists
 from jaxrod.systems.contact.segment_distance import nearest_places
 
 CELLS = 1024
@@ -41,7 +41,7 @@ non-adjacent cell."""
 
 
 @pytree
-class Stretches:
+class Bounds:
     """Straight elements whose neighbours are searched."""
 
     elements: Elements
@@ -58,7 +58,7 @@ class Stretches:
         return vectors.add(self.elements.first, vectors.scale(0.5, self.elements.edge))
 
 
-Allowed = Callable[[Stretches, Stretches], Array | None]
+Allowed = Callable[[Bounds, Bounds], Array | None]
 """Function from pairs of elements to a mask of those that may touch; `None` for all."""
 
 
@@ -99,7 +99,7 @@ class Rows:
         return jnp.minimum(place, most), slot < self.held[stretch, own]
 
 
-def near_each_other(own: Stretches, other: Stretches, allowed: Allowed) -> Array:
+def near_each_other(own: Bounds, other: Bounds, allowed: Allowed) -> Array:
     """Whether pairs of elements may touch and are within reach."""
     way = vectors.subtract(own.elements.first, other.elements.first)
     square = nearest_places(way, own.elements.edge, other.elements.edge)[2]
@@ -110,13 +110,13 @@ def near_each_other(own: Stretches, other: Stretches, allowed: Allowed) -> Array
 
 def found_by(
     how: NeighbourLists,
-    every: Sequence[Stretches],
+    every: Sequence[Bounds],
     views: Sequence[tuple[int, int]],
-    allowed: Callable[[int, int, Stretches, Stretches], Array | None],
+    allowed: Callable[[int, int, Bounds, Bounds], Array | None],
     places: tuple[Vec3, ...],
     *,
     once: bool,
-) -> Found:
+) -> FoundNeighbours:
     """Lists of all pairs of members.
 
     Args:
@@ -128,7 +128,7 @@ def found_by(
         once: Whether two elements of one member are one pair, not two.
     """
     assert how.cell_slots is not None
-    lists: list[IndexList] = []
+    lists: list[NeighbourList] = []
     used, looked_at = [], []
     lacked, most = jnp.zeros((), jnp.int32), jnp.zeros((), jnp.int32)
     for number, (a, b) in enumerate(views):
@@ -140,7 +140,7 @@ def found_by(
         may = lambda one, two, a=a, b=b: allowed(a, b, one, two)
         many, few = _room(how.candidates, number), _room(how.pairs, number)
         some = candidates(own, other, rows, many, once=once and a == b)
-        near, taken = near_ones(own, other, some, may, few)
+        near, taken = pairs_within(own, other, some, may, few)
         count = some.count
         lists.append(near)
         looked_at.append(count)
@@ -149,7 +149,7 @@ def found_by(
     if how.cell_slots:
         lacked = jnp.maximum(lacked, most - how.cell_slots)
     dtype = every[0].reach.dtype
-    return Found(
+    return FoundNeighbours(
         tuple(lists),
         places,
         lacked.astype(dtype),
@@ -165,7 +165,7 @@ def _room(given: int | tuple[int, ...] | None, number: int) -> int:
     return given[number] if isinstance(given, tuple) else given
 
 
-def all_rows(own: Stretches, other: Stretches) -> Rows:
+def all_rows(own: Bounds, other: Bounds) -> Rows:
     """Rows of all second elements, for each first element."""
     count, size = other.reach.shape[0], own.reach.shape[0]
     return Rows(
@@ -178,7 +178,7 @@ def all_rows(own: Stretches, other: Stretches) -> Rows:
 
 
 def rows_of_cells(
-    own: Stretches, other: Stretches, slots: int, *, once: bool
+    own: Bounds, other: Bounds, slots: int, *, once: bool
 ) -> tuple[Rows, Array]:
     """Rows of second elements in the cells around each first element.
 
@@ -213,7 +213,7 @@ def rows_of_cells(
 
 
 @pytree
-class Candidates:
+class CandidateList:
     """Pairs whose middles are near, as running counts."""
 
     rows: Rows
@@ -232,7 +232,7 @@ class Candidates:
         """Number of candidates."""
         return self.until[-1]
 
-    def named(self, number: Array) -> IndexList:
+    def named(self, number: Array) -> NeighbourList:
         """List of the candidates with some numbers."""
         until, rows = self.until, self.rows
         column = jnp.searchsorted(until, number, side="right").astype(jnp.int32)
@@ -244,12 +244,12 @@ class Candidates:
         there = number < jnp.minimum(until[-1], self.size)
         if self.once:
             column, found = jnp.minimum(column, found), jnp.maximum(column, found)
-        return IndexList(column, found, there)
+        return NeighbourList(column, found, there)
 
 
 def candidates(
-    own: Stretches, other: Stretches, rows: Rows, size: int, *, once: bool
-) -> Candidates:
+    own: Bounds, other: Bounds, rows: Rows, size: int, *, once: bool
+) -> CandidateList:
     """Pairs whose middles are near.
 
     Args:
@@ -263,12 +263,12 @@ def candidates(
     x, y, z = own.middle
     reach = _half_length(own) + own.reach
     fields = (other.middle, _half_length(other) + other.reach, other.numbers)
-    there = looked_up(fields, rows.order)
+    there = gather(fields, rows.order)
 
     def counted(row: Array, carry: tuple[Array, Array]) -> tuple[Array, Array]:
         before, running = carry
         place, exists = rows.places(row, slice(None))
-        (u, v, w), farther, fellow = looked_up(there, place)
+        (u, v, w), farther, fellow = gather(there, place)
         square = (x - u) ** 2 + (y - v) ** 2 + (z - w) ** 2
         near = exists & (square <= (reach + farther) ** 2)
         if once:
@@ -279,12 +279,12 @@ def candidates(
     none = jnp.zeros(x.shape, jnp.int32)
     running = jnp.zeros((rows.room, *x.shape), jnp.int32)
     total, running = lax.fori_loop(0, rows.count, counted, (none, running))
-    return Candidates(rows, running, jnp.cumsum(total), size, once)
+    return CandidateList(rows, running, jnp.cumsum(total), size, once)
 
 
-def near_ones(
-    own: Stretches, other: Stretches, some: Candidates, allowed: Allowed, size: int
-) -> tuple[IndexList, Array]:
+def pairs_within(
+    own: Bounds, other: Bounds, some: CandidateList, allowed: Allowed, size: int
+) -> tuple[NeighbourList, Array]:
     """List of the candidates that are within reach, and their number.
 
     Args:
@@ -304,7 +304,7 @@ def near_ones(
         begin, taken, kept = carry
         listed = some.named(begin + within)
         near = listed.there & near_each_other(
-            looked_up(own, listed.own), looked_up(other, listed.other), allowed
+            gather(own, listed.own), gather(other, listed.other), allowed
         )
         running = jnp.cumsum(near.astype(jnp.int32))
         place = jnp.searchsorted(running, within, side="right").astype(jnp.int32)
@@ -323,7 +323,7 @@ def near_ones(
     _, taken, kept = lax.while_loop(more, worked, (none, none, room))
     there = jnp.arange(size, dtype=jnp.int32) < taken
     kept = jnp.where(there[:, None], kept[:size], 0)
-    return IndexList(kept[:, 0], kept[:, 1], there), taken
+    return NeighbourList(kept[:, 0], kept[:, 1], there), taken
 
 
 def _reached(
@@ -346,22 +346,22 @@ def _reached(
     return jnp.minimum(place, size - 1)
 
 
-def _half_length(stretches: Stretches) -> Array:
-    edge = stretches.elements.edge
+def _half_length(bounds: Bounds) -> Array:
+    edge = bounds.elements.edge
     return 0.5 * jnp.sqrt(vectors.dot(edge, edge))
 
 
-def _cell_edge(own: Stretches, other: Stretches) -> Array:
+def _cell_edge(own: Bounds, other: Bounds) -> Array:
     """Largest distance between middles of a pair within reach, plus a margin [m]."""
 
-    def half(stretches: Stretches) -> Array:
-        return jnp.max(_half_length(stretches)) + jnp.max(stretches.reach)
+    def half(bounds: Bounds) -> Array:
+        return jnp.max(_half_length(bounds)) + jnp.max(bounds.reach)
 
     return (1 + _ROUNDING) * (half(own) + half(other))
 
 
 def _cells(
-    stretches: Stretches, centre: tuple[Array, ...], edge: Array
+    bounds: Bounds, centre: tuple[Array, ...], edge: Array
 ) -> tuple[Array, Array, Array]:
     """Cell numbers of the middles along each axis."""
 
@@ -369,7 +369,7 @@ def _cells(
         cell = jnp.floor((component - middle) / edge) + CELLS // 2
         return jnp.clip(cell, 0, CELLS - 1).astype(jnp.int32)
 
-    x, y, z = (along(c, m) for c, m in zip(stretches.middle, centre, strict=True))
+    x, y, z = (along(c, m) for c, m in zip(bounds.middle, centre, strict=True))
     return x, y, z
 
 

@@ -1,4 +1,8 @@
-"""Sums over pairs of elements, scattered to the elements of both members.
+"""Sums over pairs of elements of two members: over all pairs, or over those on a list.
+
+All pairs are a matrix, `(others, own)`, whose sums along rows and columns need neither
+gather nor scatter. A list gathers elements and scatters loads, and pays where most
+pairs are far apart. Laws compute both kinds of pairs with the same functions.
 
 A list has more room than entries, and its entries come first. It is processed block by
 block, and blocks without entries are skipped, so a step costs as much as there are
@@ -18,10 +22,10 @@ from jaxtyping import Array
 
 from jaxrod.systems.contact.element_pairs import (
     Elements,
-    IndexList,
-    Pairs,
-    of_table,
-    table_of,
+    NeighbourList,
+    pack,
+    scatter_add,
+    unpack,
 )
 
 LEAST = 1024
@@ -29,61 +33,70 @@ LEAST = 1024
 BLOCKS = 32
 """Largest number of blocks of a list."""
 
-OfPairs = Callable[[Pairs], tuple[Any, Any]]
-"""Function from pairs to numbers for their first elements and for their second."""
 
-
-def sums_over_pairs(
-    work: OfPairs, own: Elements, other: Elements, listed: IndexList | None
-) -> tuple[Any, Any]:
-    """Sums over pairs, on each element of the first member and of the second.
+def sums_over_all(on_own: Any, on_other: Any) -> tuple[Any, Any]:
+    """Sums over all pairs, on each element of the first member and of the second.
 
     Args:
-        work: Function that is summed over pairs.
+        on_own: Numbers of pairs for their first elements `(others, own)`.
+        on_other: Numbers of pairs for their second elements `(others, own)`.
+    """
+    return (
+        jax.tree.map(lambda field: jnp.sum(field, axis=0), on_own),
+        jax.tree.map(lambda field: jnp.sum(field, axis=1), on_other),
+    )
+
+
+def sums_over_list(
+    work: Callable[[Elements, Elements, Array], tuple[Any, Any]],
+    own: Elements,
+    other: Elements,
+    listed: NeighbourList,
+) -> tuple[Any, Any]:
+    """Sums over listed pairs, on each element of the first member and of the second.
+
+    Args:
+        work: Function from first elements, second elements and the mask of entries in
+            use to numbers for the first elements and for the second.
         own: All elements of the first member.
         other: All elements of the second member.
-        listed: The pairs; `None` for all.
+        listed: The list.
     """
-    if listed is None or listed.there.shape[0] <= LEAST:
-        pairs = Pairs.of(own, other, listed)
-        on_own, on_other = work(pairs)
-        return (
-            pairs.on_own(on_own, own.radii.shape[0]),
-            pairs.on_other(on_other, other.radii.shape[0]),
-        )
-    return _by_blocks(work, own, other, listed)
-
-
-def _by_blocks(
-    work: OfPairs, own: Elements, other: Elements, listed: IndexList
-) -> tuple[Any, Any]:
     entries = listed.there.shape[0]
     block = max(LEAST, -(-entries // BLOCKS))
-    tables = table_of(own), table_of(other)
+    tables = pack(own), pack(other)
+    sizes = own.radii.shape[0], other.radii.shape[0]
 
-    def cut(number: Array) -> IndexList:
+    def worked(some: NeighbourList) -> tuple[Any, Any]:
+        one = unpack(tables[0][some.own], own)
+        two = unpack(tables[1][some.other], other)
+        return work(one, two, some.there)
+
+    if entries <= LEAST:
+        on_own, on_other = worked(listed)
+        return (
+            scatter_add(on_own, listed.own, sizes[0]),
+            scatter_add(on_other, listed.other, sizes[1]),
+        )
+
+    def cut(number: Array) -> NeighbourList:
         # The last block begins early, so that it ends with the list. Entries that the
         # block before it had are left out.
         due = number * block
         begin = jnp.minimum(due, entries - block)
-        some: IndexList = jax.tree.map(
+        some: NeighbourList = jax.tree.map(
             lambda leaf: jax.lax.dynamic_slice(leaf, (begin,), (block,)), listed
         )
         fresh = begin + jnp.arange(block, dtype=begin.dtype) >= due
-        return IndexList(some.own, some.other, some.there & fresh)
-
-    def worked(some: IndexList) -> tuple[Any, Any]:
-        one = of_table(tables[0][some.own], own)
-        two = of_table(tables[1][some.other], other)
-        return work(Pairs(one, two, some))
+        return NeighbourList(some.own, some.other, some.there & fresh)
 
     def step(total: tuple[Array, Array], number: Array) -> tuple[Any, None]:
         def more(total: tuple[Array, Array]) -> tuple[Array, Array]:
             some = cut(number)
             on_own, on_other = worked(some)
             return (
-                _added(total[0], some.own, table_of(on_own)),
-                _added(total[1], some.other, table_of(on_other)),
+                _with_rows(total[0], some.own, pack(on_own)),
+                _with_rows(total[1], some.other, pack(on_other)),
             )
 
         holds = jnp.any(cut(number).there)
@@ -91,18 +104,17 @@ def _by_blocks(
 
     number = jnp.zeros((), jnp.int32)
     like = jax.eval_shape(lambda number: worked(cut(number)), number)
-    sizes = own.radii.shape[0], other.radii.shape[0]
     none = [
         jnp.zeros((size, len(jax.tree.leaves(tree))), own.radii.dtype)
         for size, tree in zip(sizes, like, strict=True)
     ]
     numbers = jnp.arange(-(-entries // block), dtype=jnp.int32)
     on_own, on_other = jax.lax.scan(step, (none[0], none[1]), numbers)[0]
-    return of_table(on_own, like[0]), of_table(on_other, like[1])
+    return unpack(on_own, like[0]), unpack(on_other, like[1])
 
 
 @jax.custom_jvp
-def _added(total: Array, index: Array, rows: Array) -> Array:
+def _with_rows(total: Array, index: Array, rows: Array) -> Array:
     """A table with rows added at some indices.
 
     Its derivative uses indices of its own: XLA's CPU compiler (0.10.1, with the fusion
@@ -112,9 +124,9 @@ def _added(total: Array, index: Array, rows: Array) -> Array:
     return total.at[index].add(rows)
 
 
-@_added.defjvp
-def _added_jvp(primals: Any, tangents: Any) -> tuple[Array, Array]:
+@_with_rows.defjvp
+def _with_rows_jvp(primals: Any, tangents: Any) -> tuple[Array, Array]:
     total, index, rows = primals
     change, _, changes = tangents
     again = jnp.clip(index, 0, total.shape[0] - 1)
-    return _added(total, index, rows), change.at[again].add(changes)
+    return _with_rows(total, index, rows), change.at[again].add(changes)

@@ -1,6 +1,6 @@
 r"""Contact of rigid bodies with one another and with bodies that stand still.
 
-Balls on one body (`jaxrod.systems.contact.samples`) are tested against the signed
+Balls on one body (`jaxrod.systems.contact.sphere_cloud`) are tested against the signed
 distance of the other's surface. Every ball has the law of
 `jaxrod.contacts.contact_law`, with a stiffness in N/m. If one of the two bodies is
 round, its balls are enough. If both have edges, the corners of each are tested against
@@ -18,40 +18,38 @@ from dataclasses import replace
 from typing import Any
 
 import jax.numpy as jnp
-from jaxtyping import Array, Float
+from jaxtyping import Array
 
 from jaxrod.contacts.bodies import Body
-from jaxrod.contacts.contact_law import energy_density, friction_force, normal_force
 from jaxrod.effects.base import StabilityBound
 from jaxrod.geometry import vectors
 from jaxrod.geometry.vectors import Vec3
 from jaxrod.rods.motion import Loads
 from jaxrod.structure import pytree, static
-from jaxrod.systems.contact.parties import Meeting, Party, parties_of
-from jaxrod.systems.contact.samples import balls_needed
-from jaxrod.systems.sites.coupling import AllParts, AllSeen, Coupling, TiedPair
+from jaxrod.systems.contact.collision_bodies import (
+    CollisionBodies,
+    CollisionPair,
+    collision_bodies,
+)
+from jaxrod.systems.contact.penalty_contact import (
+    PenaltyContact,
+    check_members,
+    law_numbers,
+)
+from jaxrod.systems.contact.sphere_cloud import spheres_needed
+from jaxrod.systems.sites.coupling import AllParts, AllSeen, TiedPair
 from jaxrod.validation import Numbers, as_array, check_count, check_kind, numeric
 
 
 @pytree
-class RigidContact(Coupling):
+class RigidContact(PenaltyContact):
     """Contact among rigid bodies of some members and with fixed bodies."""
 
-    stiffness: Float[Array, ""]
-    """Force per penetration of a ball [N/m]."""
-    onset: Float[Array, ""]
-    """Width of the smooth onset over the size of the smaller body [1]."""
-    damping: Float[Array, ""] | None = None
-    """Force per speed along the normal [kg/s]."""
-    friction: Float[Array, ""] | None = None
-    """Coefficient of Coulomb friction [1]."""
-    friction_drag: Float[Array, ""] | None = None
-    """Largest friction per slip speed [kg/s]."""
     fixed: tuple[Body, ...] = ()
     """Bodies that stand still."""
     points: dict[str, Array] | None = None
     """Points on the surfaces of members by name, own frames `(3, points)` [m]."""
-    parties: tuple[Party, ...] = ()
+    groups: tuple[CollisionBodies, ...] = ()
     """Members, then fixed bodies, with their balls, once prepared."""
     members: tuple[str, ...] = static(default=())
     """Names of the members."""
@@ -94,18 +92,18 @@ class RigidContact(Coupling):
         balls = []
         for name, shape in named:
             assert shape is not None
-            needed = 0 if given is not None else balls_needed(name, shape)
+            needed = 0 if given is not None else spheres_needed(name, shape)
             balls.append(needed if given is None else given)
         fitted = replace(self, balls=tuple(balls))
-        parties = fitted.prepared(parts).parties
-        for a, b in fitted._pairs(parties):
-            if not Meeting.between(parties[a], parties[b], same=a == b):
+        groups = fitted.prepared(parts).groups
+        for a, b in fitted._pairs(groups):
+            if not CollisionPair.between(groups[a], groups[b], same=a == b):
                 raise ValueError(
                     f"rigid_contact cannot see where {named[a][0]} and {named[b][0]} "
                     "touch: neither has corners or round ends that it knows; give "
                     "points on the surface of one, points={name: (3, k) [m]}"
                 )
-        if not any(True for _ in fitted._pairs(parties)):
+        if not any(True for _ in fitted._pairs(groups)):
             raise ValueError(
                 "one body has nothing to touch: name more members, or give fixed= "
                 "bodies such as jaxrod.shapes.plane()"
@@ -116,7 +114,7 @@ class RigidContact(Coupling):
         """The coupling with the balls of all bodies."""
         return replace(
             self,
-            parties=parties_of(
+            groups=collision_bodies(
                 {name: parts[name] for name in self.members},
                 self.fixed,
                 self.balls,
@@ -125,26 +123,26 @@ class RigidContact(Coupling):
             ),
         )
 
-    def _pairs(self, parties: Sequence[Party]) -> Iterator[tuple[int, int]]:
-        """Numbers of the pairs of parties that may meet."""
+    def _pairs(self, groups: Sequence[CollisionBodies]) -> Iterator[tuple[int, int]]:
+        """Numbers of the pairs of groups that may meet."""
         moving = len(self.members)
         for a in range(moving):
-            for b in range(a, len(parties)):
-                if a != b or parties[a].count > 1:
+            for b in range(a, len(groups)):
+                if a != b or groups[a].count > 1:
                     yield a, b
 
-    def _meetings(self, seen: AllSeen) -> Iterator[tuple[int, int, Meeting]]:
-        """Meetings of all balls with all surfaces, with the numbers of both parties."""
-        for a, b in self._pairs(self.parties):
-            one, two = self.parties[a], self.parties[b]
-            for first, _, share in Meeting.between(one, two, same=a == b):
+    def _collisions(self, seen: AllSeen) -> Iterator[tuple[int, int, CollisionPair]]:
+        """Balls against surfaces, with the numbers of both groups."""
+        for a, b in self._pairs(self.groups):
+            one, two = self.groups[a], self.groups[b]
+            for first, _, share in CollisionPair.between(one, two, same=a == b):
                 from_, to = (a, b) if first else (b, a)
                 yield (
                     from_,
                     to,
-                    Meeting.of(
-                        self.parties[from_].at(seen),
-                        self.parties[to].at(seen),
+                    CollisionPair.of(
+                        self.groups[from_].at(seen),
+                        self.groups[to].at(seen),
                         share,
                         self.onset,
                         same=a == b,
@@ -154,10 +152,8 @@ class RigidContact(Coupling):
     def loads(self, seen: AllSeen) -> dict[str, Loads]:
         """Forces and couples on all bodies."""
         total: dict[int, tuple[Vec3, Vec3]] = {}
-        for a, b, meeting in self._meetings(seen):
-            for number, own in zip(
-                (a, b), meeting.loads(self._force(meeting)), strict=True
-            ):
+        for a, b, pair in self._collisions(seen):
+            for number, own in zip((a, b), pair.loads(self._force(pair)), strict=True):
                 if number in total:
                     own = (
                         vectors.add(total[number][0], own[0]),
@@ -165,62 +161,69 @@ class RigidContact(Coupling):
                     )
                 total[number] = own
         return {
-            name: self.parties[k].loads(seen, *total[k])
+            name: self.groups[k].loads(seen, *total[k])
             for k, name in enumerate(self.members)
             if k in total
         }
 
-    def _force(self, meeting: Meeting) -> Vec3:
+    def _force(self, pair: CollisionPair) -> Vec3:
         """Forces on the balls."""
-        leaving = vectors.dot(meeting.rate, meeting.normal)
-        push = normal_force(
-            meeting.depth, leaving, meeting.width, self.stiffness, self.damping
-        )
-        force = vectors.scale(push, meeting.normal)
-        if self.friction is not None:
-            assert self.friction_drag is not None
-            slip = vectors.subtract(
-                meeting.rate, vectors.scale(leaving, meeting.normal)
-            )
-            rub = friction_force(push, slip, self.friction, self.friction_drag)
+        push, rub = self.law.forces(pair.depth, pair.width, pair.normal, pair.rate)
+        force = vectors.scale(push, pair.normal)
+        if rub is not None:
             force = vectors.add(force, rub)
-        return vectors.scale(meeting.share, force)
+        return vectors.scale(pair.share, force)
 
     def energy(self, seen: AllSeen) -> Array:
         """Energy of all contacts [J]."""
         total = jnp.zeros((), self.stiffness.dtype)
-        for _, _, meeting in self._meetings(seen):
-            density = energy_density(meeting.depth, meeting.width, self.stiffness)
-            total = total + jnp.sum(meeting.share * density)
+        for _, _, pair in self._collisions(seen):
+            density = self.law.energy(pair.depth, pair.width)
+            total = total + jnp.sum(pair.share * density)
         return total
 
     def violation(self, seen: AllSeen) -> Array:
         """Deepest penetration over the size of the smaller body."""
         worst = jnp.zeros((), self.stiffness.dtype)
-        for _, _, meeting in self._meetings(seen):
-            depth = jnp.where(meeting.share > 0, meeting.depth, 0)
-            worst = jnp.maximum(worst, jnp.max(self.onset * depth / meeting.width))
+        for _, _, pair in self._collisions(seen):
+            depth = jnp.where(pair.share > 0, pair.depth, 0)
+            worst = jnp.maximum(worst, jnp.max(self.onset * depth / pair.width))
         return worst
 
     def stability_bounds(self, parts: AllParts) -> dict[str, StabilityBound]:
         """Stiffness and drag as if all bodies touched with all their balls."""
-        pairs = [
-            (a, b, Meeting.contacts(self.parties[a], self.parties[b], same=a == b))
-            for a, b in self._pairs(self.parties)
-        ]
-        drags = [c for c in (self.damping, self.friction_drag) if c is not None]
-        drag = None
-        for one in drags:
-            drag = one if drag is None else jnp.maximum(drag, one)
-        return contact_bounds(
-            self.parties[: len(self.members)],
-            self.parties,
-            pairs,
-            self.stiffness,
-            drag,
-            rubs=self.friction is not None,
-            partners=self.partners,
-        )
+        moving, rubs = self.groups[: len(self.members)], self.friction is not None
+        drag = self.law.largest_drag
+        springs: list[list[Array]] = [[] for _ in moving]
+        dashpots: list[list[Array]] = [[] for _ in moving]
+        for a, b in self._pairs(self.groups):
+            one, two = self.groups[a], self.groups[b]
+            contacts = CollisionPair.contacts(one, two, same=a == b)
+            for columns, turning in ((springs, False), (dashpots, rubs)):
+                ease = contacts * (
+                    _ease(one, turning)[:, None] + _ease(two, turning)[None, :]
+                )
+                if a == b:
+                    ease = jnp.where(jnp.eye(one.count, dtype=bool), 0, ease)
+                columns[a].append(ease)
+                if b != a and b < len(moving):
+                    columns[b].append(ease.T)
+        bounds = {}
+        for group, spring, dashpot in zip(moving, springs, dashpots, strict=True):
+            if not spring:
+                continue
+            rate = self.stiffness * _worst(spring, self.partners)
+            slow = None if drag is None else drag * _worst(dashpot, self.partners)
+            turns, drags = _turns(group, False), _turns(group, rubs)
+            bounds[group.member] = StabilityBound(
+                nodes=rate * group.masses,
+                elements=rate * group.inertias if turns else None,
+                node_drag=None if slow is None else slow * group.masses,
+                element_drag=(
+                    None if slow is None or not drags else slow * group.inertias
+                ),
+            )
+        return bounds
 
 
 def rigid_contact(
@@ -270,30 +273,17 @@ def rigid_contact(
         ValueError: If a number is out of range, or friction has no drag.
         TypeError: If a name is not a string, or a fixed body is not a body.
     """
-    for name in members:
-        if not isinstance(name, str):
-            raise TypeError(f"members are named by strings, got {name!r}")
-    if not members or len(set(members)) < len(members):
-        raise ValueError(f"members must be named once each, got {list(members)}")
+    check_members(members)
     obstacles = (fixed,) if isinstance(fixed, Body) else tuple(fixed)
     for body in obstacles:
         check_kind("fixed", body, Body)
         if body.count is not None:
             raise ValueError("fixed must be single bodies, in a list for several")
-    drag = damping if friction_drag is None else friction_drag
-    if friction is not None and drag is None:
-        raise ValueError(
-            "friction needs friction_drag > 0 kg/s, what it resists per speed at the "
-            "onset of slip (by default the damping), got none"
-        )
     unknown = set(points or {}) - set(members)
     if unknown:
         raise ValueError(
             f"points are given of {sorted(unknown)}, not among the members"
         )
-
-    def number(name: str, value: Numbers | None, unit: str) -> Array | None:
-        return None if value is None else as_array(name, value, unit, positive=True)
 
     def listed(name: str, value: Any) -> Array:
         shape = numeric("points", value, "m").shape
@@ -302,12 +292,8 @@ def rigid_contact(
         return as_array(f"points of {name!r}", value, "m", [shape])
 
     return RigidContact(
-        stiffness=as_array("stiffness", stiffness, "N/m", positive=True),
-        onset=as_array("onset", onset, "", positive=True),
-        damping=number("damping", damping, "kg/s"),
-        friction=number("friction", friction, ""),
-        friction_drag=(
-            None if friction is None else number("friction_drag", drag, "kg/s")
+        **law_numbers(
+            stiffness, damping, friction, friction_drag, onset, per_length=False
         ),
         fixed=obstacles,
         points=None
@@ -326,67 +312,17 @@ def rigid_contact(
     )
 
 
-def contact_bounds(
-    moving: Sequence[Party],
-    parties: Sequence[Party],
-    pairs: Sequence[tuple[int, int, float]],
-    stiffness: Array,
-    drag: Array | None,
-    *,
-    rubs: bool,
-    partners: int | None,
-) -> dict[str, StabilityBound]:
-    """Bounds on all bodies, as if the bodies of all pairs touched.
-
-    Args:
-        moving: Parties that are members, the first of all parties.
-        parties: All parties.
-        pairs: Numbers of two parties, and the most balls by which two bodies touch.
-        stiffness: Stiffness of a ball [N/m].
-        drag: Drag of a ball along the normal or along the surface [kg/s].
-        rubs: Whether there is friction: it turns balls too.
-        partners: Bodies that may touch one body at a time; `None` for all.
-    """
-    springs: list[list[Array]] = [[] for _ in moving]
-    dashpots: list[list[Array]] = [[] for _ in moving]
-    for a, b, contacts in pairs:
-        one, two = parties[a], parties[b]
-        for columns, turning in ((springs, False), (dashpots, rubs)):
-            ease = contacts * (
-                _ease(one, turning)[:, None] + _ease(two, turning)[None, :]
-            )
-            if a == b:
-                ease = jnp.where(jnp.eye(one.count, dtype=bool), 0, ease)
-            columns[a].append(ease)
-            if b != a and b < len(moving):
-                columns[b].append(ease.T)
-    bounds = {}
-    for party, spring, dashpot in zip(moving, springs, dashpots, strict=True):
-        if not spring:
-            continue
-        rate = stiffness * _worst(spring, partners)
-        slow = None if drag is None else drag * _worst(dashpot, partners)
-        turns, drags = _turns(party, False), _turns(party, rubs)
-        bounds[party.member] = StabilityBound(
-            nodes=rate * party.masses,
-            elements=rate * party.inertias if turns else None,
-            node_drag=None if slow is None else slow * party.masses,
-            element_drag=None if slow is None or not drags else slow * party.inertias,
-        )
-    return bounds
-
-
-def _turns(party: Party, rubs: bool) -> bool:
+def _turns(group: CollisionBodies, rubs: bool) -> bool:
     """Whether contact turns a body: only friction turns a ball."""
-    return rubs or not party.is_ball
+    return rubs or not group.is_ball
 
 
-def _ease(party: Party, rubs: bool) -> Array:
+def _ease(group: CollisionBodies, rubs: bool) -> Array:
     """Largest velocity at a place of contact per impulse there [1/kg]."""
-    moving = 1 / party.masses
-    if not _turns(party, rubs):
+    moving = 1 / group.masses
+    if not _turns(group, rubs):
         return moving
-    return moving + party.reach * party.reach / party.inertias
+    return moving + group.reach * group.reach / group.inertias
 
 
 def _worst(columns: list[Array], partners: int | None) -> Array:

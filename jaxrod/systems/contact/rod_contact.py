@@ -27,30 +27,26 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
 
-from jaxrod.contacts.contact_law import energy_density
 from jaxrod.effects.base import StabilityBound
 from jaxrod.geometry import vectors
-from jaxrod.rods.motion import Loads
 from jaxrod.structure import pytree, static
-from jaxrod.systems.contact.along_rods import (
-    from_node,
-    rod_and_place,
-    share_of_gap,
-    tied_share,
+from jaxrod.systems.contact.contact_pairs import (
+    ContactPair,
+    contact_pair,
+    pair_forces,
 )
-from jaxrod.systems.contact.contact_numbers import contact_numbers
 from jaxrod.systems.contact.continued import last_but_continued
-from jaxrod.systems.contact.element_pairs import Elements, Pairs, lifted
-from jaxrod.systems.contact.line_rows import row_loads, row_nearnesses
+from jaxrod.systems.contact.element_pairs import Elements, row_vector
 from jaxrod.systems.contact.neighbour_lists import NeighbourLists
-from jaxrod.systems.contact.neighbour_search import Stretches
-from jaxrod.systems.contact.segment_distance import between, products
-from jaxrod.systems.contact.strands import (
+from jaxrod.systems.contact.neighbour_search import Bounds
+from jaxrod.systems.contact.rod_segments import (
+    ContactPoints,
+    SegmentLoads,
+    points_at,
     points_needed,
-    strands,
+    rod_segments,
 )
-from jaxrod.systems.contact.touches import PairLoads, Touch, loads_of, touch_at
-from jaxrod.systems.contact.touching_rods import TouchingRods, same_rod
+from jaxrod.systems.contact.touching_rods import TouchingRods, rod_law, same_rod
 from jaxrod.systems.members.parts import Parts
 from jaxrod.systems.sites.coupling import AllParts, AllSeen, TiedPair
 from jaxrod.validation import Numbers, check_count
@@ -79,30 +75,18 @@ class RodContact(TouchingRods):
     def prepared(self, parts: AllParts) -> RodContact:
         """The coupling with radii and lengths of points and segments."""
         made = tuple(
-            strands(parts[name], per, last_but_continued(name, parts, self.tied))
+            rod_segments(parts[name], per, last_but_continued(name, parts, self.tied))
             for name, per in zip(self.members, self.points_per_element, strict=True)
         )
-        return replace(self, strands=made)
+        return replace(self, segments=made)
 
-    dotted: ClassVar[bool] = True
-
-    # With lists of neighbours: pairs of elements.
-
-    def views(self) -> list[tuple[int, int]]:
-        """Pairs of members; points of the first meet segments of the second."""
-        count = len(self.members)
-        return [
-            (a, b)
-            for a in range(count)
-            for b in range(count)
-            if a != b or self.itself or self.strands[a].count > 1
-        ]
+    has_contact_points: ClassVar[bool] = True
 
     def bounding_radii(self, a: int) -> Array:
         """Largest of an element's own radius and those of its points [m]."""
-        return jnp.maximum(self.strands[a].first_radii, self.strands[a].radii)
+        return jnp.maximum(self.segments[a].first_radii, self.segments[a].radii)
 
-    def allowed(self, a: int, b: int, own: Stretches, other: Stretches) -> Any:
+    def allowed(self, a: int, b: int, own: Bounds, other: Bounds) -> Any:
         """Whether pairs may touch: those of two rods, or far apart along one rod."""
         if a != b:
             return None
@@ -110,117 +94,100 @@ class RodContact(TouchingRods):
         may = ~same_rod(one, two)
         if self.itself:
             assert one.starts is not None and two.starts is not None
+            # The farthest point of an element is at its start or at its end.
             apart = jnp.maximum(two.starts - one.starts, one.ends - two.ends)
             may = may | (apart > math.pi * two.radii)
         return may
 
-    def touches(self, a: int, b: int, pairs: Pairs) -> Iterator[Touch]:
-        """Touches of points with closest points on segments, and with their next nodes.
+    def in_rows(self, a: int, own: Elements, seen: AllSeen) -> ContactPoints:
+        """Contact points of a member."""
+        rubs = self.friction is not None
+        return points_at(self.segments[a], seen[self.members[a]], spins=rubs)
 
-        The latter count negative, and only where another segment follows.
-        """
-        own, other = lifted(pairs.own), lifted(pairs.other)
-        points = points_on(lifted(pairs.own), self.strands[a].per_element)
-        way = vectors.subtract(own.first, other.first)
-        have = products(way, own.edge, other.edge)
-        weights = self._weights(a, b, pairs, points)
-        nearest = have.on_other(points.fractions)
-        on_own = jnp.broadcast_to(points.fractions, nearest.shape)
-        radii = points.radii + 0 * nearest, other.radii + 0 * nearest
-        for fraction, weight in (
-            (nearest, weights),
-            (jnp.ones_like(nearest), -other.follows * weights),
-        ):
-            apart = between(way, own.edge, other.edge, (on_own, fraction))
-            yield touch_at(apart, (on_own, fraction), weight, radii, self.onset)
+    def on_list(
+        self, a: int, own: Elements, other: Elements, there: Array
+    ) -> tuple[ContactPoints, Elements, Array]:
+        """Contact points of listed elements, along a leading axis, and segments."""
+        own, other, there = (row_vector(tree) for tree in (own, other, there))
+        return points_on(own, self.segments[a].per_element), other, there
 
-    def pair_loads(self, a: int, b: int, pairs: Pairs) -> PairLoads:
-        """Loads of all points of each pair."""
-        own, other = lifted(pairs.own), lifted(pairs.other)
-        first, second = (
-            loads_of(touch, own, other, self.law) for touch in self.touches(a, b, pairs)
-        )
-        return jax.tree.map(lambda leaf: jnp.sum(leaf, axis=0), first.added(second))
-
-    def _weights(self, a: int, b: int, pairs: Pairs, points: ElementPoints) -> Array:
+    def weights(self, a: int, b: int, own: ContactPoints, other: Elements) -> Array:
         """Rest length for which points count: half, since both ways are summed [m]."""
-        own, other = lifted(pairs.own), lifted(pairs.other)
-        assert pairs.listed is not None
-        half = jnp.where(pairs.listed.there[None], 0.5 * points.lengths, 0)
-        if a == b and self.itself:
-            assert other.starts is not None and other.rest_lengths is not None
-            gap = jnp.maximum(other.starts - points.places, points.places - other.ends)
-            share = share_of_gap(gap, other.radii, other.rest_lengths)
-            half = half * jnp.where(same_rod(own, other), share, 1)
-        for one, i, two, j in self.tied:
-            if (one, two) != (self.members[a], self.members[b]):
-                continue
-            assert other.starts is not None and other.rest_lengths is not None
-            assert own.rods is not None and other.rods is not None
-            rod, place = rod_and_place(self.strands[a], i)
-            fellow, mark = rod_and_place(self.strands[b], j)
-            half = half * tied_share(
-                (
-                    jnp.abs(points.places - place),
-                    from_node(other.starts, other.ends, mark),
-                ),
-                jnp.equal(own.rods, rod) & jnp.equal(other.rods, fellow),
-                (points.radii, other.radii),
-                other.rest_lengths,
-            )
-        return half
+        half = 0.5 * own.lengths
+        share = self.share(a, b, own, other)
+        return half if share is None else half * share
 
-    # Without lists: rows of all points and all segments.
+    def scales(self, own: ContactPoints, other: Elements) -> tuple[Array, Array]:
+        """Radius and rest length of the segments [m]."""
+        assert other.rest_lengths is not None
+        return other.radii, other.rest_lengths
 
-    def loads(self, seen: AllSeen) -> dict[str, Loads]:
-        """Forces and couples on all members."""
-        if self.found is not None:
-            return super().loads(seen)
-        return row_loads(self, seen)
+    def contact_pairs(
+        self, own: ContactPoints, other: Elements, weights: Array
+    ) -> Iterator[ContactPair]:
+        """Points with their closest points on segments, less those with next nodes.
 
-    def energy(self, seen: AllSeen) -> Array:
-        """Energy of all contacts [J]; NaN if lists have missed some."""
-        if self.found is not None:
-            return super().energy(seen)
-        total = jnp.zeros((), self.stiffness.dtype)
-        for near in row_nearnesses(self, seen):
-            density = energy_density(near.depth, near.width, self.stiffness)
-            total = total + jnp.sum(near.weight * density)
-        return total
+        The latter make up the inclusion-exclusion: they count negative, and only where
+        another segment follows.
+        """
+        apart = vectors.subtract(own.position, other.first)
+        square = vectors.dot(other.edge, other.edge)
+        closest = jnp.clip(vectors.dot(apart, other.edge) / square, 0, 1)
+        radii = own.radii, other.radii
+        for fraction, weight in (
+            (closest, weights),
+            (jnp.ones_like(closest), -other.follows * weights),
+        ):
+            way = vectors.subtract(apart, vectors.scale(fraction, other.edge))
+            yield contact_pair(way, (None, fraction), weight, radii, self.onset)
 
-    def violation(self, seen: AllSeen) -> Array:
-        """Deepest penetration over half the sum of the radii."""
-        if self.found is not None:
-            return super().violation(seen)
-        worst = jnp.zeros((), self.stiffness.dtype)
-        for near in row_nearnesses(self, seen):
-            depth = jnp.where(near.weight > 0, near.depth, 0)
-            worst = jnp.maximum(worst, jnp.max(depth / near.half_sum))
-        return worst
+    def pair_loads(
+        self, own: ContactPoints, other: Elements, weights: Array
+    ) -> tuple[SegmentLoads, SegmentLoads]:
+        """Loads on points and on segments."""
+        closest, node = self.contact_pairs(own, other, weights)
+        force, turns = pair_forces(closest, own, other, self.law)
+        subtracted, others = pair_forces(node, own, other, self.law)
+        nexts = vectors.add(vectors.scale(closest.places[1], force), subtracted)
+        force = vectors.add(force, subtracted)
+        own_turn = other_turn = None
+        if turns is not None and others is not None:
+            own_turn, other_turn = map(vectors.add, turns, others)
+        return (
+            SegmentLoads(on_points=force, turning_points=own_turn),
+            SegmentLoads(
+                forces=vectors.scale(-1.0, force),
+                nexts=vectors.scale(-1.0, nexts),
+                turning=other_turn,
+            ),
+        )
 
-    def stability_bounds(self, parts: AllParts) -> dict[str, StabilityBound]:
+    def collected(
+        self, own: ContactPoints, on_own: SegmentLoads, on_other: SegmentLoads
+    ) -> tuple[SegmentLoads, SegmentLoads]:
+        """Loads on listed elements, from those on their points."""
+        force, turns = on_own.on_points, on_own.turning_points
+        assert force is not None and own.fractions is not None
+        nexts = vectors.scale(own.fractions, force)
+        both = SegmentLoads(forces=force, nexts=nexts, turning=turns), on_other
+        one, two = jax.tree.map(lambda leaf: jnp.sum(leaf, axis=0), both)
+        return one, two
+
+    def bound(self, own: Parts, every: list[Parts]) -> StabilityBound:
         """Stiffness and drag as if all of every rod touched its partners.
 
         A spring's change of length is the sum of the contributions of two rods. Its
         square is at most twice the sum of their squares. Slip has four contributions,
         from the velocities and spins of both rods, shared in proportion to inertia.
         """
-        easiest = None
-        if self.friction_drag is not None:
-            eases = [_ease(parts[name]) for name in self.members]
-            easiest = jnp.max(jnp.stack(eases))
-        return {name: self._bound(parts[name], easiest) for name in self.members}
-
-    def _bound(self, own: Parts, easiest: Array | None) -> StabilityBound:
-        """Bounds on one member; `easiest` is the largest ease of all with friction."""
         assert own.linear_density is not None
         # Length for which a node stands, from its mass.
         lengths = self.partners * own.node_masses / jnp.min(own.linear_density)
         stiffness = 2 * self.stiffness * lengths
         drag = None if self.damping is None else 2 * self.damping * lengths
-        if easiest is None:
+        if self.friction_drag is None:
             return StabilityBound(nodes=stiffness, node_drag=drag)
-        assert self.friction_drag is not None
+        easiest = jnp.max(jnp.stack([_ease(parts) for parts in every]))
         rate = self.partners * self.friction_drag * (_ease(own) + easiest)
         # Dashpots act across the surfaces, friction along them: the larger one counts.
         rub = rate * own.node_masses
@@ -280,49 +247,40 @@ def rod_contact(
     """
     if points_per_element is not None:
         check_count("points_per_element", points_per_element, 1, 1000)
-    given = contact_numbers(
+    law = rod_law(
         members,
         stiffness,
-        (damping, friction, friction_drag),
+        damping,
+        friction,
+        friction_drag,
         onset,
-        partners,
-        lists,
-        units=("N/m^2", "kg/(m s)"),
+        itself=itself,
+        partners=partners,
+        lists=lists,
+        per_length=True,
     )
-    return RodContact(
-        **given,
-        itself=bool(itself),
-        points_per_element=() if points_per_element is None else (points_per_element,),
-    )
+    per = () if points_per_element is None else (points_per_element,)
+    return RodContact(**law, points_per_element=per)
 
 
-@pytree
-class ElementPoints:
-    """Contact points of the elements of pairs."""
-
-    fractions: Array
-    """Places of the points on their element, over its length [1]."""
-    lengths: Array
-    """Rest length that each point stands for [m]."""
-    radii: Array
-    """Radius at each point [m]."""
-    places: Array
-    """Rest arc length of each point along its rod [m]."""
-
-
-def points_on(own: Elements, per_element: int) -> ElementPoints:
-    """Contact points of elements that have a leading axis of length one for points."""
+def points_on(own: Elements, per_element: int) -> ContactPoints:
+    """Contact points of elements, along their leading axis of length one."""
     assert own.first_radii is not None and own.first_lengths is not None
     assert own.starts is not None and own.rest_lengths is not None
-    assert own.last is not None
-    counts = np.arange(per_element + 1).reshape(-1, *[1] * (own.radii.ndim - 1))
+    assert own.last is not None and own.rods is not None
+    counts = np.arange(per_element + 1)[:, None]
     fractions = jnp.asarray(counts / per_element, own.radii.dtype)
     spacing = own.rest_lengths / per_element
     at_end = 0.5 * own.last * spacing
     within = jnp.where(counts == per_element, at_end, spacing)
-    return ElementPoints(
-        fractions=fractions,
-        lengths=jnp.where(counts == 0, own.first_lengths, within),
+    moves = own.first_velocity is not None
+    return ContactPoints(
+        position=vectors.add(own.first, own.on_axis(fractions)),
+        velocity=own.velocity_at(fractions) if moves else None,
+        spin=own.spin,
         radii=jnp.where(counts == 0, own.first_radii, own.radii),
+        lengths=jnp.where(counts == 0, own.first_lengths, within),
+        rods=own.rods,
         places=own.starts + fractions * own.rest_lengths,
+        fractions=fractions,
     )

@@ -1,4 +1,4 @@
-r"""Closest points of two segments, and middles of parallel ones.
+r"""Closest points of two segments or smooth axes, and middles of parallel segments.
 
 The squared distance of the segments $x_1 + s e_1$ and $x_2 + t e_2$ is a quadratic form
 with the determinant $D = |e_1|^2 |e_2|^2 \sin^2\theta$. Its minimum in the unit square
@@ -13,16 +13,24 @@ way, linearly in $\sin^2\theta$, to contact at the middles of the overlap of the
 segments; below $10^{-6}$ there is only the latter. The transition is no earlier,
 because segments that touch only at their closest points would not touch at their
 middles.
+
+Two pieces of smooth axes take Newton's method in the unit square, started from the
+closest points of the chords. In each step the squared distance is replaced by its
+second-order expansion, again a quadratic form. This form is not clearly convex for
+pieces that bend towards each other and are nearly parallel. There the terms of the
+curvature are left out.
 """
 
 from __future__ import annotations
 
+import jax
 import jax.numpy as jnp
 from jaxtyping import Array
 
 from jaxrod.geometry import vectors
 from jaxrod.geometry.vectors import Vec3
 from jaxrod.structure import pytree
+from jaxrod.systems.contact.element_pairs import Elements
 
 PARALLEL = 1e-6
 """Squared sine of the angle below which segments count as parallel [1]."""
@@ -30,6 +38,12 @@ CROSSED = 1e-5
 """Squared sine of the angle above which segments count as crossed [1]."""
 _FLOOR = 1e-6
 """Lower bound of the determinant in divisions, over its largest value [1]."""
+STEPS = 3
+"""Number of Newton steps. With three, forces match the energy to round-off; with two,
+to 3e-8."""
+_CONVEX = 0.5
+"""Smallest fraction of the second derivatives of straight pieces that counts as convex
+[1]."""
 
 
 @pytree
@@ -163,3 +177,86 @@ def middles(have: Products) -> tuple[Array, Array]:
 
 def _square(vector: Vec3) -> Array:
     return vectors.dot(vector, vector)
+
+
+def apart(way: Vec3, own: Elements, other: Elements, at: tuple[Array, Array]) -> Vec3:
+    """Vector from a place on the second axis to a place on the first [m].
+
+    Args:
+        way: Vector from the start of the second element to the start of the first [m].
+        own: First elements.
+        other: Second elements.
+        at: Places on the first and second axis, over the lengths of their elements [1].
+    """
+    return vectors.add(way, vectors.subtract(own.on_axis(at[0]), other.on_axis(at[1])))
+
+
+def nearest_on_curves(
+    way: Vec3, own: Elements, other: Elements, start: tuple[Array, Array]
+) -> tuple[Array, Array]:
+    """Closest points of both pieces [1].
+
+    Only the last Newton step is differentiated, which gives the derivatives of the
+    closest points.
+
+    Args:
+        way: Vector from the start of the second element to the start of the first [m].
+        own: First elements.
+        other: Second elements.
+        start: Starting points, such as the closest points of the chords [1].
+    """
+    s, t = start
+    for _ in range(STEPS):
+        s, t = jax.lax.stop_gradient((s, t))
+        r = apart(way, own, other, (s, t))
+        u, v = own.tangent(s), other.tangent(t)
+        straight = vectors.dot(u, u), vectors.dot(v, v)
+        mixed = vectors.dot(u, v)
+        bent = (
+            straight[0] + vectors.dot(r, own.bend(s)),
+            straight[1] - vectors.dot(r, other.bend(t)),
+        )
+        square = mixed * mixed
+        convex = (
+            (bent[0] > _CONVEX * straight[0])
+            & (bent[1] > _CONVEX * straight[1])
+            & (
+                bent[0] * bent[1] - square
+                > _CONVEX * (straight[0] * straight[1] - square)
+            )
+        )
+        a, b = (
+            jnp.where(convex, full, flat)
+            for full, flat in zip(bent, straight, strict=True)
+        )
+        form = Products(
+            own=a,
+            other=b,
+            mixed=mixed,
+            own_way=vectors.dot(r, u) - a * s + mixed * t,
+            other_way=vectors.dot(r, v) + b * t - mixed * s,
+        )
+        s, t = first_guess(form)
+    return s, t
+
+
+def nearest_to_node(way: Vec3, own: Elements, other: Elements, start: Array) -> Array:
+    """Point of the second piece closest to the next node of the first [1].
+
+    Args:
+        way: Vector from the start of the second element to the start of the first [m].
+        own: First elements.
+        other: Second elements.
+        start: Starting point [1].
+    """
+    t = start
+    node = vectors.add(way, own.edge)
+    for _ in range(STEPS):
+        t = jax.lax.stop_gradient(t)
+        r = vectors.subtract(node, other.on_axis(t))
+        v = other.tangent(t)
+        straight = vectors.dot(v, v)
+        bent = straight - vectors.dot(r, other.bend(t))
+        slope = jnp.where(bent > _CONVEX * straight, bent, straight)
+        t = jnp.clip(t + vectors.dot(r, v) / slope, 0, 1)
+    return t

@@ -1,67 +1,82 @@
 """Common part of laws of contact between rods: pairs of elements, and sums over them.
 
-A law defines the touches of a pair of elements. Pairs are all pairs of two members, or
-those on lists of neighbours (`jaxrod.systems.contact.neighbour_lists`).
+A law says which pairs of places of two elements count, and with which weights. Pairs
+are all pairs of two members, or those on lists of neighbours
+(`jaxrod.systems.contact.neighbour_lists`).
+
+Places that are near to each other along a rod do not touch: a rod bent to a curvature
+of one over its radius just touches itself half a turn away. So contact begins pi times
+the radius away along the rod. From there the share of contact rises, and is one an
+element's length farther on. The same holds near nodes that are tied together, with the
+distance measured along both rods.
 """
 
 from __future__ import annotations
 
+import math
+import operator
 from collections.abc import Callable, Iterator
 from dataclasses import replace
-from typing import Any, ClassVar
+from typing import Any, ClassVar, Protocol
 
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Array
 
+from jaxrod.effects.base import StabilityBound
 from jaxrod.geometry import vectors
 from jaxrod.rods.motion import Loads
 from jaxrod.structure import pytree, static
+from jaxrod.systems.contact.contact_pairs import ContactPair
 from jaxrod.systems.contact.element_pairs import (
     Elements,
-    Pairs,
+    column_vector,
     elements_at,
     farthest_from_chord,
+    gather,
+    row_vector,
 )
-from jaxrod.systems.contact.neighbour_lists import Found, NeighbourLists, with_spare
-from jaxrod.systems.contact.neighbour_search import Stretches, found_by
-from jaxrod.systems.contact.pair_sums import sums_over_pairs
+from jaxrod.systems.contact.neighbour_lists import (
+    FoundNeighbours,
+    NeighbourLists,
+    with_spare,
+)
+from jaxrod.systems.contact.neighbour_search import Bounds, found_by
+from jaxrod.systems.contact.pair_sums import sums_over_all, sums_over_list
+from jaxrod.systems.contact.penalty_contact import (
+    PenaltyContact,
+    check_members,
+    law_numbers,
+)
+from jaxrod.systems.contact.rod_segments import (
+    RodSegments,
+    SegmentLoads,
+    loads_on_member,
+)
 from jaxrod.systems.contact.smooth_axes import FARTHEST
-from jaxrod.systems.contact.strands import StrandLoads, Strands, loads_on_member
-from jaxrod.systems.contact.touches import Law, PairLoads, Touch
+from jaxrod.systems.members.parts import Parts
 from jaxrod.systems.sites.coupling import (
     AllParts,
     AllSeen,
-    Coupling,
     TiedPair,
     check_named,
 )
-from jaxrod.validation import is_traced
+from jaxrod.validation import check_count, check_kind, is_traced
 
 FEW_PAIRS = 40_000
 """Largest number of pairs of elements for which a search tests all by default."""
 
 
 @pytree
-class TouchingRods(Coupling):
+class TouchingRods(PenaltyContact):
     """Contact between all rods of some members, whatever the law."""
 
-    stiffness: Float[Array, ""]
-    """Force per penetration: [N/m^2] per length of contact, or [N/m]."""
-    onset: Float[Array, ""]
-    """Width of the smooth onset over the mean of the radii [1]."""
-    damping: Float[Array, ""] | None = None
-    """Force per speed along the normal: [kg/(m s)] per length, or [kg/s]."""
-    friction: Float[Array, ""] | None = None
-    """Coefficient of Coulomb friction [1]."""
-    friction_drag: Float[Array, ""] | None = None
-    """Largest friction per slip speed: [kg/(m s)] per length, or [kg/s]."""
-    strands: tuple[Strands, ...] = ()
+    segments: tuple[RodSegments, ...] = ()
     """Points and segments of each member, once prepared."""
     lists: NeighbourLists | None = None
     """Settings of lists of neighbours; `None` to test all pairs in every step."""
-    found: Found | None = None
+    found: FoundNeighbours | None = None
     """The lists, once made."""
     members: tuple[str, ...] = static(default=())
     """Names of the members."""
@@ -72,22 +87,19 @@ class TouchingRods(Coupling):
     partners: int = static(default=2)
     """Rods that may touch one place at a time, for the stability bound."""
 
-    dotted: ClassVar[bool] = False
-    """Whether the law has contact points on elements."""
+    has_contact_points: ClassVar[bool] = False
+    """Whether the first of two elements meets the second with its contact points."""
 
-    once: ClassVar[bool] = False
+    symmetric: ClassVar[bool] = False
     """Whether the law counts two elements of one member as one pair, not two."""
 
     smooth: ClassVar[bool] = False
     """Whether the law has smooth axes, not polylines."""
 
-    # Hooks of a law.
+    # Hooks of a law. A member's elements meet others themselves, or with what the last
+    # three hooks make of them.
 
-    def views(self) -> list[tuple[int, int]]:
-        """Numbers of pairs of members whose elements meet."""
-        raise _without(self, "views")
-
-    def allowed(self, a: int, b: int, own: Stretches, other: Stretches) -> Any:
+    def allowed(self, a: int, b: int, own: Bounds, other: Bounds) -> Any:
         """Mask of the pairs of elements that may touch; `None` for all."""
         raise _without(self, "allowed")
 
@@ -95,20 +107,47 @@ class TouchingRods(Coupling):
         """Largest radius of each element of a member under the law [m]."""
         raise _without(self, "bounding_radii")
 
-    def touches(self, a: int, b: int, pairs: Pairs) -> Iterator[Touch]:
-        """All touches of pairs of elements."""
-        raise _without(self, "touches")
+    def weights(self, a: int, b: int, own: Any, other: Elements) -> Array:
+        """Weights of pairs of elements of two members."""
+        raise _without(self, "weights")
 
-    def pair_loads(self, a: int, b: int, pairs: Pairs) -> PairLoads:
-        """Loads of all touches of pairs of elements."""
+    def scales(self, own: Any, other: Elements) -> tuple[Array, Array]:
+        """Radius of a rod that touches itself, and length where its share rises [m]."""
+        raise _without(self, "scales")
+
+    def contact_pairs(
+        self, own: Any, other: Elements, weights: Array
+    ) -> Iterator[ContactPair]:
+        """Pairs of places of pairs of elements, with their weights."""
+        raise _without(self, "contact_pairs")
+
+    def pair_loads(
+        self, own: Any, other: Elements, weights: Array
+    ) -> tuple[SegmentLoads, SegmentLoads]:
+        """Loads of pairs of elements, on the first and on the second."""
         raise _without(self, "pair_loads")
 
-    # Methods that use these hooks.
+    def bound(self, own: Parts, every: list[Parts]) -> StabilityBound:
+        """Stiffness and drag on one of all members, as if it touched its partners."""
+        raise _without(self, "bound")
 
-    @property
-    def law(self) -> Law:
-        """Numbers of the law."""
-        return Law(self.stiffness, self.damping, self.friction, self.friction_drag)
+    def in_rows(self, a: int, own: Elements, seen: AllSeen) -> Any:
+        """All that meets others of a member."""
+        return own
+
+    def on_list(
+        self, a: int, own: Elements, other: Elements, there: Array
+    ) -> tuple[Any, Elements, Array]:
+        """All that meets of listed elements, and the mask of entries in use."""
+        return own, other, there
+
+    def collected(
+        self, own: Any, on_own: SegmentLoads, on_other: SegmentLoads
+    ) -> tuple[SegmentLoads, SegmentLoads]:
+        """Loads on listed elements, from loads on what they meet others with."""
+        return on_own, on_other
+
+    # Methods that use these hooks.
 
     @property
     def is_contact(self) -> bool:
@@ -128,7 +167,7 @@ class TouchingRods(Coupling):
     @property
     def places_matter(self) -> bool:
         """Whether it depends on rods and places along them which pairs touch."""
-        return self.itself or bool(self.tied) or any(s.count > 1 for s in self.strands)
+        return self.itself or bool(self.tied) or any(s.count > 1 for s in self.segments)
 
     def check(self, parts: AllParts) -> None:
         """Raises ValueError if a member is missing or is not a rod."""
@@ -158,60 +197,148 @@ class TouchingRods(Coupling):
                 lists = replace(lists, cell_slots=0)
         return replace(self, tied=near, lists=lists)
 
-    def all_pairs(
-        self, seen: AllSeen, *, moves: bool
-    ) -> Iterator[tuple[int, int, Pairs]]:
-        """Pairs of elements of all members that meet, from lists if there are any."""
-        rows = self._rows(seen, moves=moves)
-        for number, (a, b) in enumerate(self.views()):
-            listed = None if self.found is None else self.found.lists[number]
-            yield a, b, Pairs.of(rows[a], rows[b], listed)
+    def member_pairs(self) -> list[tuple[int, int]]:
+        """Numbers of pairs of members whose elements meet."""
+        count = len(self.members)
+        return [
+            (a, b)
+            for a in range(count)
+            for b in range(a if self.symmetric else 0, count)
+            if a != b or self.itself or self.segments[a].count > 1
+        ]
 
-    def _rows(self, seen: AllSeen, *, moves: bool) -> list[Elements]:
+    def share(self, a: int, b: int, own: Any, other: Elements) -> Array | None:
+        """Share with which pairs count along rods and near ties [1]; `None` for one."""
+        share: Array | None = None
+        if a == b:
+            near: Array | float = 0.0
+            if self.itself:
+                gap = jnp.maximum(own.starts - other.ends, other.starts - own.ends)
+                near = share_of_gap(gap, *self.scales(own, other))
+            share = jnp.where(same_rod(own, other), near, 1)
+        for one, i, two, j in self.tied:
+            if (one, two) == (self.members[a], self.members[b]):
+                nodes = (
+                    rod_and_place(self.segments[a], i),
+                    rod_and_place(self.segments[b], j),
+                )
+                length = self.scales(own, other)[1]
+                tied = share_near_tie(own, other, nodes, length)
+                share = tied if share is None else share * tied
+        return share
+
+    def _elements(self, seen: AllSeen, *, moves: bool) -> list[Elements]:
         """Elements of all members."""
-        moves = moves and (self.damping is not None or self.friction is not None)
-        spins = moves and self.friction is not None
+        moves = moves and self.law.has_rates
+        listed = self.found is not None
         return [
             elements_at(
-                strand,
+                segments,
                 seen[name],
                 moves=moves,
-                spins=spins,
+                spins=moves and self.friction is not None,
                 placed=self.places_matter,
-                dotted=self.dotted,
+                has_contact_points=self.has_contact_points and listed,
                 smooth=self.smooth,
             )
-            for strand, name in zip(self.strands, self.members, strict=True)
+            for segments, name in zip(self.segments, self.members, strict=True)
         ]
+
+    def _rows(
+        self, elements: list[Elements], seen: AllSeen
+    ) -> Iterator[tuple[int, list[int], Any, Elements, Array]]:
+        """All pairs of elements: matrices `(others, own)`, one for each first member.
+
+        All other members share one row, so that the program has one part for each
+        member, not for each pair of members.
+
+        Returns:
+            Number of the first member and numbers of the others, what of the former
+            meets elements of the latter, and weights.
+        """
+        met: dict[int, list[int]] = {}
+        for a, b in self.member_pairs():
+            met.setdefault(a, []).append(b)
+        for a, others in met.items():
+            own = row_vector(self.in_rows(a, elements[a], seen))
+            weights = []
+            for b in others:
+                each = self.weights(a, b, own, column_vector(elements[b]))
+                shape = elements[b].radii.shape[0], own.radii.shape[1]
+                each = jnp.broadcast_to(each, shape)
+                if self.symmetric and a == b:
+                    each = jnp.where(np.triu(np.ones(shape, bool), 1), each, 0)
+                weights.append(each)
+            row = jax.tree.map(
+                lambda *fields: jnp.concatenate(fields), *[elements[b] for b in others]
+            )
+            yield a, others, own, column_vector(row), jnp.concatenate(weights)
+
+    def _listed(
+        self, a: int, b: int, own: Elements, other: Elements, there: Array
+    ) -> tuple[Any, Elements, Array]:
+        """All that meets of listed elements, and weights."""
+        met, other, there = self.on_list(a, own, other, there)
+        return met, other, jnp.where(there, self.weights(a, b, met, other), 0)
 
     def loads(self, seen: AllSeen) -> dict[str, Loads]:
         """Forces and couples on all members."""
-        total: dict[int, StrandLoads] = {}
-        rows = self._rows(seen, moves=True)
-        for number, (a, b) in enumerate(self.views()):
-            listed = None if self.found is None else self.found.lists[number]
+        total: dict[int, SegmentLoads] = {}
 
-            def pushed(pairs: Pairs, a: int = a, b: int = b) -> tuple[Any, Any]:
-                loads = self.pair_loads(a, b, pairs)
-                return loads.on_own, loads.on_other
+        def add(k: int, loads: SegmentLoads) -> None:
+            total[k] = total.get(k, SegmentLoads()).added(loads)
 
-            on_own, on_other = sums_over_pairs(pushed, rows[a], rows[b], listed)
-            on_a, on_b = (StrandLoads.on_segments(*on) for on in (on_own, on_other))
-            total[a] = total.get(a, StrandLoads()).added(on_a)
-            total[b] = total.get(b, StrandLoads()).added(on_b)
+        elements = self._elements(seen, moves=True)
+        if self.found is None:
+            for a, others, *pairs in self._rows(elements, seen):
+                on_own, on_others = sums_over_all(*self.pair_loads(*pairs))
+                add(a, on_own)
+                start = 0
+                for b in others:
+                    here = slice(start, start + elements[b].radii.shape[0])
+                    add(b, jax.tree.map(operator.itemgetter(here), on_others))
+                    start = here.stop
+        else:
+            for (a, b), listed in zip(
+                self.member_pairs(), self.found.lists, strict=True
+            ):
+
+                def work(
+                    own: Elements, other: Elements, there: Array, a: int = a, b: int = b
+                ) -> tuple[SegmentLoads, SegmentLoads]:
+                    pairs = self._listed(a, b, own, other, there)
+                    return self.collected(pairs[0], *self.pair_loads(*pairs))
+
+                on_own, on_other = sums_over_list(
+                    work, elements[a], elements[b], listed
+                )
+                add(a, on_own)
+                add(b, on_other)
         return {
             self.members[k]: loads_on_member(
-                self.strands[k], seen[self.members[k]], loads
+                self.segments[k], seen[self.members[k]], loads
             )
             for k, loads in total.items()
         }
 
+    def _all_contact_pairs(self, seen: AllSeen) -> Iterator[ContactPair]:
+        """Pairs of places of all members that meet, from lists if there are any."""
+        elements = self._elements(seen, moves=False)
+        if self.found is None:
+            for _, _, *pairs in self._rows(elements, seen):
+                yield from self.contact_pairs(*pairs)
+            return
+        for (a, b), listed in zip(self.member_pairs(), self.found.lists, strict=True):
+            own = gather(elements[a], listed.own)
+            other = gather(elements[b], listed.other)
+            yield from self.contact_pairs(*self._listed(a, b, own, other, listed.there))
+
     def energy(self, seen: AllSeen) -> Array:
         """Energy of all contacts [J]; NaN if lists have missed some."""
         total = jnp.zeros((), self.stiffness.dtype)
-        for a, b, pairs in self.all_pairs(seen, moves=False):
-            for touch in self.touches(a, b, pairs):
-                total = total + jnp.sum(self.law.energy(touch))
+        for pair in self._all_contact_pairs(seen):
+            density = self.law.energy(pair.depth, pair.width)
+            total = total + jnp.sum(pair.weight * density)
         if self.found is None:
             return total
         return jnp.where(self.found.missed > 0, jnp.nan, total)
@@ -219,23 +346,32 @@ class TouchingRods(Coupling):
     def violation(self, seen: AllSeen) -> Array:
         """Deepest penetration over half the sum of the radii."""
         worst = jnp.zeros((), self.stiffness.dtype)
-        for a, b, pairs in self.all_pairs(seen, moves=False):
-            for touch in self.touches(a, b, pairs):
-                half = 0.5 * (touch.own_radius + touch.other_radius)
-                depth = jnp.where(touch.weight > 0, touch.depth, 0) / half
-                worst = jnp.maximum(worst, jnp.max(depth))
+        for pair in self._all_contact_pairs(seen):
+            half = 0.5 * (pair.radii[0] + pair.radii[1])
+            depth = jnp.where(pair.weight > 0, pair.depth, 0) / half
+            worst = jnp.maximum(worst, jnp.max(depth))
         return worst
+
+    def stability_bounds(self, parts: AllParts) -> dict[str, StabilityBound]:
+        """Stiffness and drag as if all rods touched their partners at their worst."""
+        every = [parts[name] for name in self.members]
+        return {name: self.bound(parts[name], every) for name in self.members}
 
     # Lists.
 
-    def search(self, seen: AllSeen) -> Found:
+    def search(self, seen: AllSeen) -> FoundNeighbours:
         """Neighbours of all elements in the given state; never differentiated."""
         assert self.lists is not None
         seen = jax.lax.stop_gradient(seen)
-        every = [self._stretches(a, seen) for a in range(len(self.members))]
+        every = [self._bounds(a, seen) for a in range(len(self.members))]
         places = tuple(seen[name].motion.position for name in self.members)
         return found_by(
-            self.lists, every, self.views(), self.allowed, places, once=self.once
+            self.lists,
+            every,
+            self.member_pairs(),
+            self.allowed,
+            places,
+            once=self.symmetric,
         )
 
     def moved(self, seen: AllSeen) -> Array:
@@ -298,40 +434,137 @@ class TouchingRods(Coupling):
                 break
         return lists
 
-    def _stretches(self, a: int, seen: AllSeen) -> Stretches:
-        strand, dtype = self.strands[a], self.stiffness.dtype
+    def _bounds(self, a: int, seen: AllSeen) -> Bounds:
+        segments, dtype = self.segments[a], self.stiffness.dtype
         placed = self.places_matter
         elements = elements_at(
-            strand, seen[self.members[a]], placed=placed, smooth=self.smooth
+            segments, seen[self.members[a]], placed=placed, smooth=self.smooth
         )
         # Forces begin half an onset width before surfaces touch.
         radii = (1 + 0.25 * self.onset) * self.bounding_radii(a)
         if elements.bulges is not None:
             radii = radii + farthest_from_chord(elements.bulges)
             elements = replace(elements, bulges=None)
-        numbers = jnp.asarray(np.arange(strand.radii.shape[0]), dtype)
-        return Stretches(elements, radii + 0.5 * self._skin(), numbers)
+        numbers = jnp.asarray(np.arange(segments.radii.shape[0]), dtype)
+        return Bounds(elements, radii + 0.5 * self._skin(), numbers)
 
     def _skin(self) -> Array:
         """Gap between surfaces up to which elements are listed [m]."""
         assert self.lists is not None
-        largest = [jnp.max(strand.radii) for strand in self.strands]
+        largest = [jnp.max(segments.radii) for segments in self.segments]
         return self.lists.skin * jnp.max(jnp.stack(largest))
 
 
 def _without(law: TouchingRods, hook: str) -> NotImplementedError:
     return NotImplementedError(
-        f"{type(law).__name__} has no {hook}: a law of contact between rods has views, "
-        "allowed, bounding_radii, touches and pair_loads, as crossing_contact's has"
+        f"{type(law).__name__} has no {hook}: a law of contact between rods has "
+        "allowed, bounding_radii, weights, scales, contact_pairs, "
+        "pair_loads and bound, as crossing_contact's has"
     )
 
 
-def same_rod(own: Elements, other: Elements) -> Array:
-    """Whether two elements of one member belong to the same rod."""
-    assert own.rods is not None and other.rods is not None
-    return own.rods == other.rods
+def rod_law(
+    members: tuple[str, ...],
+    *numbers: Any,
+    itself: bool,
+    partners: int,
+    lists: NeighbourLists | None,
+    per_length: bool,
+) -> dict[str, Any]:
+    """Checked fields that laws between rods have in common.
+
+    Args:
+        members: Names of the members.
+        *numbers: Numbers of the law, as for `law_numbers`.
+        itself: Whether rods touch themselves.
+        partners: Rods that may touch one place at a time.
+        lists: Settings of lists of neighbours.
+        per_length: Whether the law is per length of contact.
+
+    Raises:
+        ValueError: If a number is out of range, or friction has no drag.
+        TypeError: If a name is not a string.
+    """
+    check_members(members)
+    if lists is not None:
+        check_kind("lists", lists, NeighbourLists)
+    return {
+        **law_numbers(*numbers, per_length=per_length),
+        "members": members,
+        "itself": bool(itself),
+        "partners": check_count("partners", partners, 1, 1000),
+        "lists": lists,
+    }
+
+
+class Along(Protocol):
+    """Places on rods: elements, from their starts to their ends, or contact points."""
+
+    @property
+    def radii(self) -> Array:
+        """Radii [m]."""
+
+    @property
+    def rods(self) -> Any:
+        """Number of the rod of each place."""
+
+    @property
+    def starts(self) -> Any:
+        """Rest arc lengths where the places start [m]."""
+
+    @property
+    def ends(self) -> Any:
+        """Rest arc lengths where the places end [m]."""
+
+
+def same_rod(own: Along, other: Along) -> Array:
+    """Whether two places on one member are on the same rod."""
+    return jnp.equal(own.rods, other.rods)
+
+
+def share_of_gap(gap: Array, radius: Array, length: Array) -> Array:
+    """Share of contact of places on one rod with a gap between them [1].
+
+    Args:
+        gap: Rest arc length between the places; negative where they overlap [m].
+        radius: Radius of the rod [m].
+        length: Length over which the share rises [m].
+    """
+    return jnp.clip((gap - math.pi * radius) / length, 0, 1)
+
+
+def rod_and_place(segments: RodSegments, node: int) -> tuple[int, Array]:
+    """Number of the rod of a node, and the node's rest arc length along it [m]."""
+    return node // (segments.n_elements + 1), segments.node_places[node]
+
+
+def from_node(where: Along, place: Array) -> Array:
+    """Rest arc length from a node at some place along a rod; zero inside [m]."""
+    return jnp.maximum(jnp.maximum(where.starts - place, place - where.ends), 0)
+
+
+def share_near_tie(
+    own: Along,
+    other: Along,
+    nodes: tuple[tuple[int, Array], tuple[int, Array]],
+    length: Array,
+) -> Array:
+    """Share of contact near two nodes that are tied together [1].
+
+    Args:
+        own: Places on the first member.
+        other: Places on the second member.
+        nodes: Rods of both nodes, and their rest arc lengths along them [m].
+        length: Length over which the share rises [m].
+    """
+    (rod, place), (fellow, mark) = nodes
+    reach = 0.5 * math.pi * (own.radii + other.radii)
+    along = from_node(own, place) + from_node(other, mark)
+    share = jnp.clip((along - reach) / length, 0, 1)
+    concerned = jnp.equal(own.rods, rod) & jnp.equal(other.rods, fellow)
+    return jnp.where(concerned, share, 1)
 
 
 @jax.jit
-def _searched(contact: TouchingRods, seen: AllSeen) -> Found:
+def _searched(contact: TouchingRods, seen: AllSeen) -> FoundNeighbours:
     return contact.search(seen)

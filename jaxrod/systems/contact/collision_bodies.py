@@ -1,4 +1,4 @@
-"""Parties to contact: the rigid bodies of a member, or one fixed body."""
+"""Bodies that touch: surfaces at their poses, and balls tested against others."""
 
 from __future__ import annotations
 
@@ -21,19 +21,67 @@ from jaxrod.geometry.rotations import (
 from jaxrod.geometry.vectors import Vec3
 from jaxrod.rods.motion import Loads
 from jaxrod.structure import pytree, static
-from jaxrod.systems.contact.posed import Posed
-from jaxrod.systems.contact.samples import Samples, given_samples, samples_of
-from jaxrod.systems.members.parts import Parts, mapped
+from jaxrod.systems.contact.sphere_cloud import SphereCloud, given_points, spheres_of
+from jaxrod.systems.members.parts import Parts, Seen, mapped
 from jaxrod.systems.sites.coupling import AllSeen
 
 
 @pytree
-class Party:
+class Posed:
+    """One rigid body at one moment; every number has an axis of length one."""
+
+    shape: Body
+    """Surface of the body in its own frame."""
+    position: Vec3
+    """Origin of the body [m]."""
+    frame: tuple[Vec3, Vec3, Vec3]
+    """Axes of the body, world frame."""
+    velocity: Vec3
+    """Velocity of the origin [m/s]."""
+    spin: Vec3
+    """Angular velocity [rad/s]."""
+
+    def surface(self, points: Vec3) -> tuple[Array, Vec3]:
+        """Signed distance [m] and outward normal at points in the world frame."""
+        own = to_material(self.frame, vectors.subtract(points, self.position))
+        distance, normal = self.shape.surface(own)
+        return distance, to_world(self.frame, normal)
+
+    def velocity_at(self, points: Vec3) -> Vec3:
+        """Velocity of the body's material at points in the world frame [m/s]."""
+        arm = vectors.subtract(points, self.position)
+        return vectors.add(self.velocity, vectors.cross(self.spin, arm))
+
+
+def posed(seen: Seen, number: int) -> Posed:
+    """One of the bodies of a member."""
+    assert seen.parts.shape is not None
+    motion = seen.motion
+
+    def one(field: Vec3) -> Vec3:
+        return (
+            field[0][number : number + 1],
+            field[1][number : number + 1],
+            field[2][number : number + 1],
+        )
+
+    d1, d2, d3 = map(one, directors(motion.orientation))
+    return Posed(
+        shape=seen.parts.shape,
+        position=one(motion.position),
+        frame=(d1, d2, d3),
+        velocity=one(motion.velocity),
+        spin=one(seen.angular_velocities),
+    )
+
+
+@pytree
+class CollisionBodies:
     """Bodies of one shape, with the balls that are tested for contact."""
 
     shape: Body
     """Surface in the bodies' own frame."""
-    samples: Samples | None
+    cloud: SphereCloud | None
     """Balls in the bodies' own frame; `None` if only the surface is known."""
     sizes: Array
     """Half the smallest thickness of each, roughly; infinite for a fixed body [m]."""
@@ -56,15 +104,15 @@ class Party:
     @property
     def is_round(self) -> bool:
         """Whether the balls are the whole body."""
-        return self.samples is not None and self.samples.is_round
+        return self.cloud is not None and self.cloud.is_round
 
     @property
     def is_ball(self) -> bool:
         """Whether the body is a single ball."""
-        return self.samples is not None and self.is_round and self.samples.count == 1
+        return self.cloud is not None and self.is_round and self.cloud.count == 1
 
-    def at(self, seen: AllSeen) -> Party:
-        """The party with its pose at one moment."""
+    def at(self, seen: AllSeen) -> CollisionBodies:
+        """The group with its pose at one moment."""
         if not self.member:
             return self
         own = seen[self.member]
@@ -84,13 +132,13 @@ class Party:
         return Loads(forces, to_material(frame, couples))
 
 
-def parties_of(
+def collision_bodies(
     members: Mapping[str, Parts],
     fixed: Sequence[Body],
     balls: Sequence[int],
     points_per_edge: int,
     points: Mapping[str, Array],
-) -> tuple[Party, ...]:
+) -> tuple[CollisionBodies, ...]:
     """Members and fixed bodies with their balls.
 
     Args:
@@ -100,21 +148,21 @@ def parties_of(
         points_per_edge: Points on every edge of a box.
         points: Points on members, by name.
     """
-    parties = []
+    groups = []
     for (name, own), along in zip(members.items(), balls, strict=False):
         assert own.shape is not None
-        samples = samples_of(own.shape, along, points_per_edge)
+        cloud = spheres_of(own.shape, along, points_per_edge)
         if name in points:
-            samples = given_samples(points[name])
+            cloud = given_points(points[name])
         # At uniform density; exact for a sphere.
         least, most = jnp.min(own.inertias, axis=0), jnp.max(own.inertias, axis=0)
         reach = jnp.max(jnp.sqrt(5 * most / own.node_masses))
-        if samples is not None:
-            reach = samples.reach + jnp.max(samples.radii)
-        parties.append(
-            Party(
+        if cloud is not None:
+            reach = cloud.reach + jnp.max(cloud.radii)
+        groups.append(
+            CollisionBodies(
                 shape=own.shape,
-                samples=samples,
+                cloud=cloud,
                 sizes=jnp.sqrt(2.5 * least / own.node_masses),
                 reach=reach,
                 masses=own.node_masses,
@@ -123,12 +171,12 @@ def parties_of(
             )
         )
     for body, along in zip(fixed, balls[len(members) :], strict=True):
-        parties.append(_standing(body, along, points_per_edge))
-    return tuple(parties)
+        groups.append(_standing(body, along, points_per_edge))
+    return tuple(groups)
 
 
-def _standing(body: Body, balls: int, points_per_edge: int) -> Party:
-    """Party of a fixed body, in the frame of its axes."""
+def _standing(body: Body, balls: int, points_per_edge: int) -> CollisionBodies:
+    """CollisionBodies of a fixed body, in the frame of its axes."""
     shape, centre = body, jnp.zeros(3)
     frame = directors(split_quaternion(jnp.asarray((1.0, 0.0, 0.0, 0.0))))
     if not body.is_half_space:
@@ -143,9 +191,9 @@ def _standing(body: Body, balls: int, points_per_edge: int) -> Party:
 
     zero = one(vectors.split(jnp.zeros(3, dtype)))
     d1, d2, d3 = map(one, frame)
-    return Party(
+    return CollisionBodies(
         shape=shape,
-        samples=samples_of(shape, balls, points_per_edge),
+        cloud=spheres_of(shape, balls, points_per_edge),
         sizes=endless,
         reach=jnp.zeros((), dtype),
         masses=endless,
@@ -155,13 +203,13 @@ def _standing(body: Body, balls: int, points_per_edge: int) -> Party:
 
 
 Way = tuple[bool, bool, float]
-"""Whether balls of the first party are tested against the second, whether the reverse,
+"""Whether balls of the first group are tested against the second, whether the reverse,
 and the weight of each ball."""
 
 
 @pytree
-class Meeting:
-    """The balls of one party against the surfaces of another, `(bodies, balls)`."""
+class CollisionPair:
+    """The balls of one group against the surfaces of another, `(bodies, balls)`."""
 
     depth: Array
     """Penetration [m]."""
@@ -181,17 +229,19 @@ class Meeting:
     """Number of balls of each body."""
 
     @staticmethod
-    def between(a: Party, b: Party, *, same: bool) -> tuple[Way, ...]:
-        """Ways in which two parties are tested against each other.
+    def between(
+        a: CollisionBodies, b: CollisionBodies, *, same: bool
+    ) -> tuple[Way, ...]:
+        """Ways in which two groups are tested against each other.
 
         Args:
-            a: The first party.
-            b: The second party, or the same.
+            a: The first group.
+            b: The second group, or the same.
             same: Whether both are the same: then one way covers both.
         """
         first, second = (True, False), (False, True)
         if same:
-            if a.samples is None:
+            if a.cloud is None:
                 return ()
             return ((*first, 0.5 if a.is_round else 1.0),)
         if a.is_ball:
@@ -202,37 +252,44 @@ class Meeting:
             return ((*first, 0.5), (*second, 0.5))
         if a.is_round or b.is_round:
             return ((*(first if a.is_round else second), 1.0),)
-        one = () if a.samples is None else ((*first, 1.0),)
-        two = () if b.samples is None else ((*second, 1.0),)
+        one = () if a.cloud is None else ((*first, 1.0),)
+        two = () if b.cloud is None else ((*second, 1.0),)
         return (*one, *two)
 
     @staticmethod
-    def contacts(a: Party, b: Party, *, same: bool) -> float:
+    def contacts(a: CollisionBodies, b: CollisionBodies, *, same: bool) -> float:
         """Largest number of balls, weighted, by which two of their bodies touch."""
         total = 0.0
-        for first, _, share in Meeting.between(a, b, same=same):
+        for first, _, share in CollisionPair.between(a, b, same=same):
             looks, surface = (a, b) if first else (b, a)
-            assert looks.samples is not None
-            most: int | None = looks.samples.at_once
+            assert looks.cloud is not None
+            most: int | None = looks.cloud.at_once
             if most is None or not surface.shape.is_convex:
-                most = looks.samples.count
+                most = looks.cloud.count
             total += (2 if same else 1) * share * most
         return total
 
     @staticmethod
-    def of(a: Party, b: Party, share: float, onset: Array, *, same: bool) -> Meeting:
-        """Meeting of the balls of one party with the surfaces of another.
+    def of(
+        a: CollisionBodies,
+        b: CollisionBodies,
+        share: float,
+        onset: Array,
+        *,
+        same: bool,
+    ) -> CollisionPair:
+        """CollisionPair of the balls of one group with the surfaces of another.
 
         Args:
-            a: Party with the balls, at one moment.
-            b: Party with the surfaces, at one moment.
+            a: CollisionBodies with the balls, at one moment.
+            b: CollisionBodies with the surfaces, at one moment.
             share: Weight of each ball [1].
             onset: Width of the onset over the smaller size [1].
             same: Whether both are the same: a body is not tested against itself.
         """
-        samples, pose, other = a.samples, a.pose, b.pose
-        assert samples is not None and pose is not None and other is not None
-        count = samples.count
+        cloud, pose, other = a.cloud, a.pose, b.pose
+        assert cloud is not None and pose is not None and other is not None
+        count = cloud.count
 
         def each(field: Array) -> Array:
             return jnp.repeat(field, count)
@@ -248,9 +305,9 @@ class Meeting:
         # All balls of all bodies in one row.
         row = jax.tree.map(
             lambda leaf: jnp.tile(leaf, (1,) * (leaf.ndim - 1) + (a.count,)),
-            replace(samples, axis=None),
+            replace(cloud, axis=None),
         )
-        row = replace(row, axis=samples.axis, angles=samples.angles * a.count)
+        row = replace(row, axis=cloud.axis, angles=cloud.angles * a.count)
         sizes = each(a.sizes)
 
         def against(
@@ -270,7 +327,7 @@ class Meeting:
         if same:
             numbers = np.repeat(np.arange(a.count), count)
             counts[np.arange(a.count)[:, None] == numbers[None, :]] = 0
-        return Meeting(
+        return CollisionPair(
             depth=depth,
             width=width,
             normal=normal,
@@ -281,7 +338,7 @@ class Meeting:
         )
 
     def loads(self, force: Vec3) -> tuple[tuple[Vec3, Vec3], tuple[Vec3, Vec3]]:
-        """Forces and couples on all bodies of both parties, from forces on balls."""
+        """Forces and couples on all bodies of both groups, from forces on balls."""
         couples = vectors.cross(self.arms[0], force)
         back = vectors.cross(force, self.arms[1])
 
@@ -302,22 +359,22 @@ class Meeting:
 
 
 def _touch(
-    samples: Samples, balls: Posed, body: Posed, width: Array
+    cloud: SphereCloud, balls: Posed, body: Posed, width: Array
 ) -> tuple[Array, Array, Vec3, Vec3, tuple[Vec3, Vec3]]:
     """Depth, width, normal, rate and arms of balls against one surface."""
 
     def world(own: Vec3) -> Vec3:
         return vectors.add(balls.position, to_world(balls.frame, own))
 
-    towards: Vec3 = vectors.split(samples.offsets)
-    if samples.rim_radii is not None:
+    towards: Vec3 = vectors.split(cloud.offsets)
+    if cloud.rim_radii is not None:
         _, outwards = body.surface(world(towards))
         towards = vectors.scale(-1.0, to_material(balls.frame, outwards))
-    centre = world(samples.places(towards))
+    centre = world(cloud.places(towards))
     distance, normal = body.surface(centre)
-    depth = samples.radii - distance
+    depth = cloud.radii - distance
     # Midway between the two surfaces.
-    place = vectors.add(centre, vectors.scale(0.5 * depth - samples.radii, normal))
+    place = vectors.add(centre, vectors.scale(0.5 * depth - cloud.radii, normal))
     rate = vectors.subtract(balls.velocity_at(place), body.velocity_at(place))
     arms = (
         vectors.subtract(place, balls.position),

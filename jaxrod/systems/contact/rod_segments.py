@@ -1,4 +1,4 @@
-"""Strands: one row of all segments of a member's rods, one of all contact points.
+"""Segments of a member's rods in one row, and their contact points in another.
 
 A segment is an element, from its first node to its next. Every segment has equally
 many contact points, the first of them at its first node; the last node of a rod is one
@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -28,7 +29,7 @@ from jaxrod.validation import is_traced
 
 
 @pytree
-class Strands:
+class RodSegments:
     """Constants of the segments and points of a member."""
 
     lengths: Array
@@ -133,16 +134,15 @@ class Strands:
         within = jnp.repeat(rods, self.per_element, axis=1)
         return jnp.concatenate([within, rods[:, -1:]], axis=1).reshape(-1)
 
-    def to_nodes(self, points: Array, firsts: Array, nexts: Array) -> Array:
-        """Forces at points and at both nodes of segments, summed on the nodes."""
+    def from_points(self, points: Array) -> Array:
+        """Forces at points, summed on the nodes."""
         rods = self._rods(points)
         within = rods[:, :-1].reshape(self.count, -1, self.per_element)
         later = jnp.sum(self._fractions(points) * within, axis=2)
-        first = jnp.sum(within, axis=2) - later + self._rods(firsts)
-        following = later + self._rods(nexts)
+        first = jnp.sum(within, axis=2) - later
         none = jnp.zeros_like(rods[:, :1])
         nodes = jnp.concatenate([first, rods[:, -1:]], axis=1)
-        return (nodes + jnp.concatenate([none, following], axis=1)).reshape(-1)
+        return (nodes + jnp.concatenate([none, later], axis=1)).reshape(-1)
 
     def from_segments(self, firsts: Array, nexts: Array) -> Array:
         """Forces at both nodes of segments, summed on the nodes."""
@@ -163,13 +163,13 @@ class Strands:
         return jnp.asarray(fractions, like.dtype)[None, None, :]
 
 
-def strands(
+def rod_segments(
     parts: Parts,
     per_element: int,
     continued: tuple[int, ...] = (),
     closed: tuple[int, ...] = (),
-) -> Strands:
-    """Strands of a member.
+) -> RodSegments:
+    """Segments and points of a member.
 
     Args:
         parts: Constants of a member that consists of rods.
@@ -195,7 +195,7 @@ def strands(
     within = jnp.repeat(radii[:, :, None], per_element - 1, axis=2)
     of_element = jnp.concatenate([at_first[:, :, None], within], axis=2)
     at_points = jnp.concatenate([of_element.reshape(count, -1), radii[:, -1:]], axis=1)
-    return Strands(
+    return RodSegments(
         lengths=spacing.reshape(-1),
         point_radii=at_points.reshape(-1),
         places=places.reshape(-1),
@@ -209,17 +209,17 @@ def strands(
     )
 
 
-def strands_and_ends(
+def segments_and_ends(
     parts: Parts, per_element: int, free: Float[Array, "rods 2"]
-) -> tuple[Strands, Ends]:
-    """Strands of a member, whose lengths are zero at ends, and the ends of its rods.
+) -> tuple[RodSegments, Ends]:
+    """Segments of a member, whose lengths are zero at ends, and the ends of its rods.
 
     Args:
         parts: Constants of a member that consists of rods.
         per_element: Contact points per element.
         free: One for each end that is free, zero where the rod continues in another.
     """
-    made = strands(parts, per_element)
+    made = rod_segments(parts, per_element)
     count, n = made.count, made.n_elements
 
     def ends(lengths: Array, radii: Array, free: Array) -> Ends:
@@ -239,154 +239,110 @@ def strands_and_ends(
 
 
 @pytree
-class Segments:
-    """Segments at one moment."""
-
-    first: Vec3
-    """Positions of the first nodes [m]."""
-    edge: Vec3
-    """Vectors from the first nodes to the next [m]."""
-    first_velocity: Vec3
-    """Velocities of the first nodes [m/s]."""
-    velocity_change: Vec3
-    """Velocities of the next nodes minus those of the first [m/s]."""
-    spin: Vec3 | None
-    """Angular velocities, world frame [rad/s]."""
-
-
-@pytree
 class ContactPoints:
     """Contact points at one moment."""
 
     position: Vec3
     """Positions on the centreline [m]."""
-    velocity: Vec3
-    """Velocities of the centreline [m/s]."""
+    velocity: Vec3 | None
+    """Velocities of the centreline [m/s]; `None` if they are not needed."""
     spin: Vec3 | None
     """Angular velocities of the points' segments, world frame [rad/s]."""
+    radii: Array
+    """Radii [m]."""
+    lengths: Array
+    """Rest length that each point stands for [m]."""
+    rods: Array
+    """Number of each point's rod."""
+    places: Array
+    """Rest arc length of each point along its rod [m]."""
+    fractions: Array | None = None
+    """Places on listed elements, over their lengths [1]; `None` for all points."""
+
+    @property
+    def starts(self) -> Array:
+        """The places: points have no extent."""
+        return self.places
+
+    @property
+    def ends(self) -> Array:
+        """The places: points have no extent."""
+        return self.places
+
+    def velocity_at(self, place: Any) -> Vec3:
+        """Velocities of the points [m/s]."""
+        assert self.velocity is not None
+        return self.velocity
 
 
-def segments_at(strand: Strands, seen: Seen, *, spins: bool) -> Segments:
-    """Segments of a member."""
-    first = mapped(strand.firsts, seen.motion.position)
-    slow = mapped(strand.firsts, seen.motion.velocity)
-    following = mapped(strand.nexts, seen.motion.position)
-    fast = mapped(strand.nexts, seen.motion.velocity)
-    return Segments(
-        first=first,
-        edge=vectors.subtract(following, first),
-        first_velocity=slow,
-        velocity_change=vectors.subtract(fast, slow),
-        spin=seen.angular_velocities if spins else None,
-    )
-
-
-def points_at(strand: Strands, seen: Seen, *, spins: bool) -> ContactPoints:
+def points_at(segments: RodSegments, seen: Seen, *, spins: bool) -> ContactPoints:
     """Contact points of a member."""
+    turning = seen.angular_velocities if spins else None
     return ContactPoints(
-        position=mapped(strand.at_points, seen.motion.position),
-        velocity=mapped(strand.at_points, seen.motion.velocity),
-        spin=mapped(strand.of_points, seen.angular_velocities) if spins else None,
+        position=mapped(segments.at_points, seen.motion.position),
+        velocity=mapped(segments.at_points, seen.motion.velocity),
+        spin=None if turning is None else mapped(segments.of_points, turning),
+        radii=segments.point_radii,
+        lengths=segments.lengths,
+        rods=jnp.asarray(segments.point_rods, segments.radii.dtype),
+        places=segments.places,
     )
 
 
 @pytree
-class StrandLoads:
-    """Forces and couples on points and segments, world frame."""
+class SegmentLoads:
+    """Forces and couples on contact points and on segments, world frame."""
 
     on_points: Vec3 | None = None
     """Forces at the points [N]."""
-    on_firsts: Vec3 | None = None
-    """Forces on the first nodes of segments [N]."""
-    on_nexts: Vec3 | None = None
-    """Forces on the next nodes of segments [N]."""
     turning_points: Vec3 | None = None
     """Couples at the points [N m]."""
-    turning_segments: Vec3 | None = None
+    forces: Vec3 | None = None
+    """Forces on segments [N]."""
+    nexts: Vec3 | None = None
+    """Parts of these forces that act at the next nodes [N]."""
+    turning: Vec3 | None = None
     """Couples on segments [N m]."""
-    first_tangents: Vec3 | None = None
-    """Forces on the tangents at first nodes, for smooth axes [N]."""
-    next_tangents: Vec3 | None = None
-    """Forces on the tangents at next nodes, for smooth axes [N]."""
+    tangents: tuple[Vec3, Vec3] | None = None
+    """Forces on the tangents at first and at next nodes, for smooth axes [N]."""
 
-    @classmethod
-    def on_segments(
-        cls,
-        firsts: Vec3,
-        nexts: Vec3,
-        turns: Vec3 | None,
-        tangents: tuple[Vec3, Vec3] | None = None,
-    ) -> StrandLoads:
-        """Loads on segments alone: forces at nodes, couples, and forces on tangents."""
-        first, following = (None, None) if tangents is None else tangents
-        return cls(
-            on_firsts=firsts,
-            on_nexts=nexts,
-            turning_segments=turns,
-            first_tangents=first,
-            next_tangents=following,
-        )
-
-    def added(self, more: StrandLoads) -> StrandLoads:
+    def added(self, more: SegmentLoads) -> SegmentLoads:
         """Sum of both loads; either may lack some parts."""
-        return StrandLoads(
-            _added(self.on_points, more.on_points),
-            _added(self.on_firsts, more.on_firsts),
-            _added(self.on_nexts, more.on_nexts),
-            _added(self.turning_points, more.turning_points),
-            _added(self.turning_segments, more.turning_segments),
-            _added(self.first_tangents, more.first_tangents),
-            _added(self.next_tangents, more.next_tangents),
+        tangents = more.tangents if self.tangents is None else self.tangents
+        if self.tangents is not None and more.tangents is not None:
+            tangents = jax.tree.map(jnp.add, self.tangents, more.tangents)
+        return SegmentLoads(
+            vectors.add_optional(self.on_points, more.on_points),
+            vectors.add_optional(self.turning_points, more.turning_points),
+            vectors.add_optional(self.forces, more.forces),
+            vectors.add_optional(self.nexts, more.nexts),
+            vectors.add_optional(self.turning, more.turning),
+            tangents,
         )
 
 
-def _added(a: Vec3 | None, b: Vec3 | None) -> Vec3 | None:
-    if a is None or b is None:
-        return b if a is None else a
-    return vectors.add(a, b)
-
-
-def loads_on_member(strand: Strands, seen: Seen, loads: StrandLoads) -> Loads:
+def loads_on_member(segments: RodSegments, seen: Seen, loads: SegmentLoads) -> Loads:
     """Loads transferred to nodes and elements."""
-    assert loads.on_firsts is not None and loads.on_nexts is not None
-    if loads.on_points is None:
-        return _of_segments(strand, seen, loads)
-    x, y, z = (
-        strand.to_nodes(at, first, following)
-        for at, first, following in zip(
-            loads.on_points, loads.on_firsts, loads.on_nexts, strict=True
-        )
-    )
-    if loads.turning_points is None or loads.turning_segments is None:
-        return Loads((x, y, z))
-    couples = vectors.add(
-        mapped(strand.to_segments, loads.turning_points), loads.turning_segments
-    )
+    nodes: Vec3 | None = None
+    couples = loads.turning
+    if loads.on_points is not None:
+        nodes = mapped(segments.from_points, loads.on_points)
+    if loads.turning_points is not None:
+        on_segments = mapped(segments.to_segments, loads.turning_points)
+        couples = vectors.add_optional(on_segments, couples)
+    if loads.forces is not None and loads.nexts is not None:
+        firsts = vectors.subtract(loads.forces, loads.nexts)
+        x, y, z = map(segments.from_segments, firsts, loads.nexts)
+        nodes = vectors.add_optional(nodes, (x, y, z))
+    if loads.tangents is not None:
+        assert nodes is not None
+        tangents = map(segments.from_segments, *loads.tangents)
+        x, y, z = map(segments.from_smooth, nodes, tangents)
+        nodes = x, y, z
+    if couples is None:
+        return Loads(nodes)
     frame = directors(seen.motion.orientation)
-    return Loads((x, y, z), to_material(frame, couples))
-
-
-def _of_segments(strand: Strands, seen: Seen, loads: StrandLoads) -> Loads:
-    """Loads transferred to nodes and elements, if there are none on points."""
-    assert loads.on_firsts is not None and loads.on_nexts is not None
-    x, y, z = _gathered(strand, loads.on_firsts, loads.on_nexts)
-    if loads.first_tangents is not None:
-        assert loads.next_tangents is not None
-        tangents = _gathered(strand, loads.first_tangents, loads.next_tangents)
-        x, y, z = (
-            strand.from_smooth(place, tangent)
-            for place, tangent in zip((x, y, z), tangents, strict=True)
-        )
-    if loads.turning_segments is None:
-        return Loads((x, y, z))
-    frame = directors(seen.motion.orientation)
-    return Loads((x, y, z), to_material(frame, loads.turning_segments))
-
-
-def _gathered(strand: Strands, firsts: Vec3, nexts: Vec3) -> Vec3:
-    """Forces on nodes, from forces on both nodes of segments."""
-    x, y, z = map(strand.from_segments, firsts, nexts)
-    return x, y, z
+    return Loads(nodes, to_material(frame, couples))
 
 
 def points_needed(coupling: str, name: str, own: Parts, spacing: float) -> int:

@@ -1,4 +1,4 @@
-r"""Samples: balls on a rigid body, tested for contact with the surface of another.
+r"""Sphere clouds: balls on a rigid body, tested for contact with another.
 
 A ball is a place in the body's own frame and a radius. A sphere is a single ball at its
 centre, and needs no more. A capsule has several balls along its axis. A box has balls
@@ -36,7 +36,7 @@ MOST_BALLS = 100
 
 
 @pytree
-class Samples:
+class SphereCloud:
     """Balls on one body, in its own frame."""
 
     offsets: Float[Array, "3 balls"]
@@ -110,31 +110,31 @@ def _beside(axis: Vec3) -> Vec3:
 
 
 @singledispatch
-def samples_of(shape: Body, balls: int, points_per_edge: int) -> Samples | None:
+def spheres_of(shape: Body, balls: int, points_per_edge: int) -> SphereCloud | None:
     """Balls of a shape in its own frame; `None` if only its surface is known.
 
     Args:
         shape: The shape.
         balls: Number of balls along the axis of a capsule or cylinder, from
-            `balls_needed`.
+            `spheres_needed`.
         points_per_edge: Points on every edge of a box, corners included.
     """
     return None
 
 
-@samples_of.register
-def _(shape: Sphere, balls: int, points_per_edge: int) -> Samples:
-    return Samples(shape.centre[:, None], shape.radius[None], is_round=True)
+@spheres_of.register
+def _(shape: Sphere, balls: int, points_per_edge: int) -> SphereCloud:
+    return SphereCloud(shape.centre[:, None], shape.radius[None], is_round=True)
 
 
-@samples_of.register
-def _(shape: Capsule, balls: int, points_per_edge: int) -> Samples:
+@spheres_of.register
+def _(shape: Capsule, balls: int, points_per_edge: int) -> SphereCloud:
     offsets = _line(shape.start, shape.end, balls)
-    return Samples(offsets, jnp.broadcast_to(shape.radius, (balls,)), is_round=True)
+    return SphereCloud(offsets, jnp.broadcast_to(shape.radius, (balls,)), is_round=True)
 
 
-@samples_of.register
-def _(shape: Cylinder, balls: int, points_per_edge: int) -> Samples:
+@spheres_of.register
+def _(shape: Cylinder, balls: int, points_per_edge: int) -> SphereCloud:
     angles = tuple(2 * math.pi * k / RIM_POINTS for k in range(RIM_POINTS))
     rims = [
         jnp.repeat(p[:, None], RIM_POINTS, axis=1) for p in (shape.start, shape.end)
@@ -143,7 +143,7 @@ def _(shape: Cylinder, balls: int, points_per_edge: int) -> Samples:
     inner = [_line(first, last, balls)] if balls else []
     dtype = shape.radius.dtype
     none, some = jnp.zeros(2 * RIM_POINTS, dtype), jnp.ones(balls, dtype)
-    return Samples(
+    return SphereCloud(
         offsets=jnp.concatenate([*rims, *inner], axis=1),
         radii=jnp.concatenate([none, shape.radius * some]),
         rim_radii=jnp.concatenate([shape.radius * (1 + none), 0 * some]),
@@ -154,8 +154,8 @@ def _(shape: Cylinder, balls: int, points_per_edge: int) -> Samples:
     )
 
 
-@samples_of.register
-def _(shape: Box, balls: int, points_per_edge: int) -> Samples:
+@spheres_of.register
+def _(shape: Box, balls: int, points_per_edge: int) -> SphereCloud:
     inner = np.linspace(-1, 1, points_per_edge)[1:-1]
     signs = (-1.0, 1.0)
     places = [(a, b, c) for a in signs for b in signs for c in signs]
@@ -169,7 +169,7 @@ def _(shape: Box, balls: int, points_per_edge: int) -> Samples:
     units = jnp.asarray(np.array(places).T, shape.half_lengths.dtype)
     own = vectors.split(shape.half_lengths[:, None] * units)
     frame = directors(normalise(split_quaternion(shape.orientation)))
-    return Samples(
+    return SphereCloud(
         shape.centre[:, None] + vectors.join(to_world(frame, own)),
         jnp.zeros(len(places), shape.half_lengths.dtype),
         # The points on the edges of one face.
@@ -177,12 +177,12 @@ def _(shape: Box, balls: int, points_per_edge: int) -> Samples:
     )
 
 
-def given_samples(points: Array) -> Samples:
-    """Samples at given points on the surface of a body, own frame [m]."""
-    return Samples(points, jnp.zeros_like(points[0]))
+def given_points(points: Array) -> SphereCloud:
+    """Points at given points on the surface of a body, own frame [m]."""
+    return SphereCloud(points, jnp.zeros_like(points[0]))
 
 
-def balls_needed(name: str, shape: Body) -> int:
+def spheres_needed(name: str, shape: Body) -> int:
     """Number of balls along the axis of a shape, at most a radius apart.
 
     Args:
