@@ -245,6 +245,11 @@ class EnvironmentWrapper:
     """The environment within."""
 
     @property
+    def unwrapped(self) -> Environment:
+        """The environment within all wrappers."""
+        return getattr(self.env, "unwrapped", self.env)
+
+    @property
     def name(self) -> str:
         """Name of the task."""
         return self.env.name

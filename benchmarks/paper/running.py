@@ -99,10 +99,10 @@ def run_grid(
                 interruption,
                 ["--checkpoint-seconds", str(CHECKPOINT_SECONDS), "--no-replay"],
             ):
-                stopped = interruption.asked
+                stopped = interruption.requested
                 if not _ended(cell, folders[cell.name], ended, records, view, stopped):
                     broken.append(cell)
-        if interruption.asked:
+        if interruption.requested:
             view.say("stopped; the same command goes on")
             return 130
     return 1 if broken else 0

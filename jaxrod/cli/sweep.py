@@ -265,7 +265,7 @@ def _train(runs: Sequence[SweepRun], out: Path, place: Any, more: list[str]) -> 
                 if folder.finished:
                     results.update(run)
                     view.done(run, folder.summary(), quiet=False)
-                elif interruption.asked:
+                elif interruption.requested:
                     results.update(run)
                     reached = last_row(folder)
                     view.stopped(run, int(reached["env_steps"]) if reached else 0)
@@ -273,7 +273,7 @@ def _train(runs: Sequence[SweepRun], out: Path, place: Any, more: list[str]) -> 
                     failed += 1
                     results.update(run, ended.said or f"exit code {ended.code}")
                     view.failed(run, f"{ended.said} (see {log_of(folder)})")
-    if interruption.asked:
+    if interruption.requested:
         view.say("stopped; the same command goes on")
         return 130
     return 1 if failed else 0

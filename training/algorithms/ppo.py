@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import dataclasses
 import functools
-import math
 from typing import Any
 
 import jax
@@ -23,7 +22,6 @@ from jaxrod.training.algorithm import (
     mean_over_devices,
     steps_per_update,
 )
-from jaxrod.training.algorithms.advantages import standardised
 from jaxrod.training.algorithms.on_policy import (
     Experience,
     OnPolicyConfig,
@@ -31,14 +29,16 @@ from jaxrod.training.algorithms.on_policy import (
     check_on_policy,
     deterministic_policy,
     gather_experience,
+    gaussian_entropy,
     log_density,
     partition,
     policy_network,
     predicted_value,
+    standardised,
     start,
     value_network,
 )
-from jaxrod.training.algorithms.schedule import along_the_run
+from jaxrod.training.algorithms.preparation import along_the_run
 from jaxrod.training.settings import (
     Scalar,
     check_counts,
@@ -197,7 +197,7 @@ def _loss(
     network = value_network(config, dtype)
     value = predicted_value(network, weights["value"], batch.observation)
     value_loss = 0.5 * jnp.mean((value - batch.value_target) ** 2)
-    entropy = jnp.sum(log_std) + 0.5 * env.action_size * math.log(2 * math.pi * math.e)
+    entropy = gaussian_entropy(log_std)
     loss = -gain + config.value_weight * value_loss - config.entropy_weight * entropy
     report = {
         "policy_gain": gain,

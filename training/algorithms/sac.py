@@ -19,7 +19,7 @@ from jaxrod.training.algorithm import Algorithm, Metrics, steps_per_update
 from jaxrod.training.algorithms.actor_critic import (
     Learner,
     apply_gradient,
-    critic_loss,
+    critic_step,
     critic_values,
     initial_critics,
     initial_policy,
@@ -182,15 +182,9 @@ def update(
         learner: Learner, batches: list[Batch]
     ) -> tuple[Learner, dict[str, Array]]:
         (batch,) = batches
-        gradient, report = jax.grad(critic_loss, has_aux=True)(
-            learner.weights["critics"],
-            config,
-            batch.transition,
-            next_value(learner.weights, batch),
-            config.discount,
-        )
-        learner = apply_gradient(
-            learner, "critics", gradient, config.critic_learning_rate, axis_name
+        value = next_value(learner.weights, batch)
+        learner, report = critic_step(
+            learner, config, batch.transition, value, axis_name
         )
         gradient, about_policy = jax.grad(policy_loss, has_aux=True)(
             learner.weights["policy"], learner.weights, batch

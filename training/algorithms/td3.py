@@ -11,6 +11,7 @@ methods", 2018.
 
 from __future__ import annotations
 
+import dataclasses
 from typing import Any
 
 import jax
@@ -23,7 +24,7 @@ from jaxrod.training.algorithm import Algorithm, Metrics, steps_per_update
 from jaxrod.training.algorithms.actor_critic import (
     Learner,
     apply_gradient,
-    critic_loss,
+    critic_step,
     critic_values,
     initial_critics,
     initial_policy,
@@ -42,7 +43,7 @@ from jaxrod.training.algorithms.off_policy import (
     partition,
     start,
 )
-from jaxrod.training.algorithms.schedule import along_the_run
+from jaxrod.training.algorithms.preparation import along_the_run
 from jaxrod.training.settings import (
     Scalar,
     check_counts,
@@ -184,15 +185,9 @@ def update(
         learner: Learner, batches: list[Batch]
     ) -> tuple[Learner, dict[str, Array]]:
         for batch in batches:
-            gradient, report = jax.grad(critic_loss, has_aux=True)(
-                learner.weights["critics"],
-                config,
-                batch.transition,
-                next_value(learner.weights, batch),
-                config.discount,
-            )
-            learner = apply_gradient(
-                learner, "critics", gradient, config.critic_learning_rate, axis_name
+            value = next_value(learner.weights, batch)
+            learner, report = critic_step(
+                learner, config, batch.transition, value, axis_name
             )
         gradient = jax.grad(policy_loss)(
             learner.weights["policy"], learner.weights["critics"], batches[-1]
@@ -226,3 +221,21 @@ TD3 = Algorithm(
     policy=deterministic_policy,
 )
 """TD3 for the shared loop."""
+
+
+@pytree
+class DDPGConfig(TD3Config):
+    """Settings of DDPG: those of TD3 with one critic, no delay and no target smoothing.
+
+    `jaxrod.training.TD3Config` describes the settings. Source: Lillicrap et al.,
+    "Continuous control with deep reinforcement learning", 2016.
+    """
+
+    policy_delay: int = static(default=1)
+    critics: int = static(default=1)
+    policy_learning_rate: Scalar = 3e-4
+    target_noise: Scalar = 0.0
+
+
+DDPG = dataclasses.replace(TD3, name="ddpg", config_type=DDPGConfig)
+"""DDPG for the shared loop."""

@@ -58,11 +58,11 @@ class DamagedCheckpointWarning(UserWarning):
 
 
 def facts_of(
-    folder: RunFolder, asked: dict[str, Any], updates: int, wall_s: float
+    folder: RunFolder, requested: dict[str, Any], updates: int, wall_s: float
 ) -> dict[str, Any]:
     """Facts of a checkpoint, once the rows they count are on the disk."""
     return {
-        "config": asked,
+        "config": requested,
         "updates": updates,
         "wall_s": wall_s,
         "progress": folder.progress.mark(),
@@ -76,14 +76,17 @@ def stored(state: Any, env_params: Any) -> Stored:
 
 
 def restore(
-    folder: RunFolder, checkpoints: Checkpoints, asked: dict[str, Any], template: Stored
+    folder: RunFolder,
+    checkpoints: Checkpoints,
+    requested: dict[str, Any],
+    template: Stored,
 ) -> tuple[Stored, dict[str, Any]] | None:
     """Restores the newest readable checkpoint and cuts the tables back to it.
 
     Args:
         folder: Folder of the run.
         checkpoints: Checkpoints of the run.
-        asked: Configuration of the run.
+        requested: Configuration of the run.
         template: Content of a checkpoint, of the same structure and shapes.
 
     Returns:
@@ -100,7 +103,7 @@ def restore(
     found, damaged = None, []
     for step in checkpoints.steps():
         file = checkpoints.path(step)
-        check = partial(_check_facts, file, step, asked)
+        check = partial(_check_facts, file, step, requested)
         try:
             found = checkpoints.restore(template, step, check)
             break
@@ -129,7 +132,7 @@ def restore(
 
 
 def _check_facts(
-    file: Path, step: int, asked: dict[str, Any], facts: dict[str, Any]
+    file: Path, step: int, requested: dict[str, Any], facts: dict[str, Any]
 ) -> None:
     """Raises ValueError unless a checkpoint belongs to this run."""
     with reading(file):
@@ -138,7 +141,7 @@ def _check_facts(
             raise ValueError(f"it is of update {facts['updates']}")
         for name in ("progress", "episodes"):
             check_mark(facts[name])
-    changed = differences(renamed(facts["config"]), plain(asked))
+    changed = differences(renamed(facts["config"]), plain(requested))
     if changed:
         raise ValueError(
             f"{file} is of a run of another {CONFIG}: {', '.join(changed)}"

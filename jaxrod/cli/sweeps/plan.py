@@ -15,7 +15,7 @@ from jaxrod.cli.devices import devices_that_fit
 from jaxrod.cli.settings import word_of
 from jaxrod.cli.train import short_name
 from jaxrod.envs import Environment, check_environment, names
-from jaxrod.envs.importing import spelt_out
+from jaxrod.envs.importing import canonical_path
 from jaxrod.training.runs.contract import resolve, updates_of
 from jaxrod.training.runs.loop import request
 from jaxrod.training.runs.recorded_settings import recorded
@@ -115,7 +115,7 @@ def plan(
     if variant is not None:
         made["variant"] = variant
         words += ["--variant", variant]
-    envs = {spelt_out(task): _env(task, made) for task in tasks}
+    envs = {canonical_path(task): _env(task, made) for task in tasks}
     learners = {
         name: _configurations(name, _meant(name, sets, algorithms), steps, cores)
         for name in dict.fromkeys(algorithms)

@@ -88,13 +88,13 @@ def train_all(
     waiting, told = list(runs), False
     running: list[_Running[PlannedT, WorkT]] = []
     try:
-        while running or (waiting and not interruption.asked):
-            while waiting and place.room and not interruption.asked:
+        while running or (waiting and not interruption.requested):
+            while waiting and place.room and not interruption.requested:
                 run = waiting.pop(0)
                 folder = folder_of(run)
                 work = place.start([*run.command(folder.path), *more], folder)
                 running.append(_Running(run, folder, work))
-            if interruption.asked and not told:
+            if interruption.requested and not told:
                 told = True
                 for one in running:
                     one.work.stop()
