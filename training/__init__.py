@@ -30,7 +30,7 @@ try:
     from jaxrod.training.policy_files import load_policy, save_policy
     from jaxrod.training.runs.folder import RunFolder
     from jaxrod.training.runs.loop import train, train_seeds
-    from jaxrod.training.runs.restored_policy import restore_policy, untrained_policy
+    from jaxrod.training.runs.resuming import restore_policy, untrained_policy
     from jaxrod.training.runs.run import Result
     from jaxrod.training.settings import LearnerConfig
 except ModuleNotFoundError as missing:

@@ -126,20 +126,23 @@ def start(
     key: Key[Array, ""],
     env: Environment,
     config: OffPolicyConfig,
-    env_params: Any,
-    total_updates: int | Int[Array, ""],
-    make_learner: Callable[[Key[Array, ""], Any, Any], Learner],
+    env_params: Any = None,
+    total_steps: int | Int[Array, ""] = 10_000_000,
+    *,
+    make_learner: Callable[[Key[Array, ""], Environment, Any, Any], Learner],
 ) -> OffPolicyState:
-    """The train state before the first update.
+    """The train state before the first update; pure, so it can be vmapped over keys.
 
     Args:
         key: Typed random key; all randomness of the run comes from it.
         env: The environment.
-        config: Configuration of the learner.
+        config: Settings; their numbers can be vmapped, too.
         env_params: Parameters of the environment, None for its defaults.
-        total_updates: Number of updates of the whole run.
-        make_learner: `(key, config, dtype) -> Learner`.
+        total_steps: Control steps of the run, over which schedules go from their first
+            to their last value.
+        make_learner: `(key, env, config, dtype) -> Learner`.
     """
+    updates = -(-total_steps // steps_per_update(config))
     env = repeating(env, config.action_repeat)
     config, env_params, dtype = canonicalise(key, env, config, env_params)
     keys = jax.random.split(key, 4)
@@ -148,7 +151,7 @@ def start(
         env=env,
         config=config,
         env_params=env_params,
-        learner=make_learner(keys[0], config, dtype),
+        learner=make_learner(keys[0], env, config, dtype),
         moments=no_moments(env.observation_size, dtype),
         environments=started(keys[1], env, config, env_params, dtype),
         replay=empty_replay(
@@ -164,7 +167,7 @@ def start(
         )(action_keys),
         replay_keys=jax.random.split(keys[3], config.num_envs),
         updates=jnp.zeros((), jnp.int32),
-        total_updates=jnp.asarray(total_updates, jnp.int32),
+        total_updates=jnp.asarray(updates, jnp.int32),
     )
 
 

@@ -21,7 +21,7 @@ from jaxtyping import Array, Bool, DTypeLike, Float, Int, Key
 from jaxrod.envs import Environment, EpisodeRecord, VectorEnvironment, VectorState
 from jaxrod.envs.wrappers import repeating
 from jaxrod.structure import pytree, static
-from jaxrod.training.algorithm import mean_over_devices
+from jaxrod.training.algorithm import mean_over_devices, steps_per_update
 from jaxrod.training.algorithms.preparation import (
     SPREAD,
     canonicalise,
@@ -158,20 +158,24 @@ def start(
     key: Key[Array, ""],
     env: Environment,
     config: Any,
-    env_params: Any,
-    total_updates: int | Int[Array, ""],
-    optimiser: Any,
+    env_params: Any = None,
+    total_steps: int | Int[Array, ""] = 10_000_000,
+    *,
+    make_optimiser: Callable[[Any], optax.GradientTransformation],
 ) -> OnPolicyState:
-    """The train state before the first update.
+    """The train state before the first update; pure, so it can be vmapped over keys.
 
     Args:
         key: Typed random key; all randomness of the run comes from it.
         env: The environment.
-        config: An `OnPolicyConfig`.
+        config: Settings, an `OnPolicyConfig`; their numbers can be vmapped, too.
         env_params: Parameters of the environment, None for its defaults.
-        total_updates: Length of the schedules, in updates.
-        optimiser: Optax transformation that makes the optimiser's state.
+        total_steps: Control steps of the run, over which schedules go from their first
+            to their last value.
+        make_optimiser: `config -> transformation` that makes the optimiser's state.
     """
+    optimiser = make_optimiser(config)
+    updates = -(-total_steps // steps_per_update(config))
     env = repeating(env, config.action_repeat)
     config, env_params, dtype = canonicalise(key, env, config, env_params)
     keys = jax.random.split(key, 5)
@@ -195,7 +199,7 @@ def start(
         action_keys=jax.random.split(keys[3], config.num_envs),
         shuffle_key=keys[4],
         updates=jnp.zeros((), jnp.int32),
-        total_updates=jnp.asarray(total_updates, jnp.int32),
+        total_updates=jnp.asarray(updates, jnp.int32),
     )
 
 

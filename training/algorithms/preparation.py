@@ -131,13 +131,15 @@ def spread_over_devices(state: Any, **specs: Any) -> Any:
             for all leaves below.
     """
     names = [f.name for f in dataclasses.fields(state) if f.name != "env"]
-    repeated: dict[str, Any] = dict.fromkeys(names, PartitionSpec())
+    repeated: dict[str, Any] = dict.fromkeys(names, _REPEATED)
     return dataclasses.replace(state, **(repeated | specs))
 
 
+_REPEATED: Any = PartitionSpec()
+_ALONG_STEPS: Any = PartitionSpec(None, DEVICE_AXIS)
 SPREAD: Any = PartitionSpec(DEVICE_AXIS)
 """Partition of arrays whose first axis is that of the environments."""
-SPREAD_MEMORY: Any = ReplayBuffer(PartitionSpec(None, DEVICE_AXIS), PartitionSpec())
+SPREAD_MEMORY: Any = ReplayBuffer(_ALONG_STEPS, _REPEATED)
 """Partition of a replay buffer."""
 
 

@@ -263,11 +263,10 @@ def init(
     Raises:
         ValueError: The objective is the cost, but the environment has none.
     """
-    updates = -(-total_steps // steps_per_update(config))
     adam = _optimiser(config)
     if config.objective == "cost":
         env = WithCost(env)
-    state = start(key, env, config, env_params, updates, adam)
+    state = start(key, env, config, env_params, total_steps, make_optimiser=_optimiser)
     return dataclasses.replace(
         state,
         weights=state.weights | {"target": state.weights["value"]},

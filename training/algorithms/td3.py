@@ -12,11 +12,12 @@ methods", 2018.
 from __future__ import annotations
 
 import dataclasses
+import functools
 from typing import Any
 
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Float, Int, Key
+from jaxtyping import Array, Float, Key
 
 from jaxrod.envs import Environment
 from jaxrod.structure import pytree, static
@@ -89,35 +90,22 @@ def validate(config: TD3Config, num_devices: int = 1) -> None:
     check_fractions(config, "exploration_decay")
 
 
-def init(
-    key: Key[Array, ""],
-    env: Environment,
-    config: TD3Config,
-    env_params: Any = None,
-    total_steps: int | Int[Array, ""] = 10_000_000,
-) -> OffPolicyState:
-    """The train state before the first update; pure, so it can be vmapped over keys.
+def learner(
+    key: Key[Array, ""], env: Environment, config: TD3Config, dtype: Any
+) -> Learner:
+    """Initial weights and optimisers."""
+    keys = jax.random.split(key)
+    weights: dict[str, Any] = {
+        "policy": initial_policy(keys[0], env, config, env.action_size, dtype),
+        "critics": initial_critics(keys[1], env, config, config.critics, dtype),
+    }
+    memory = {name: optimiser().init(part) for name, part in weights.items()}
+    targets = {f"target_{name}": part for name, part in weights.items()}
+    return Learner(weights | targets, memory)
 
-    Args:
-        key: Typed random key; all randomness of the run comes from it.
-        env: The environment.
-        config: Settings; their numbers can be vmapped, too.
-        env_params: Parameters of the environment, None for its defaults.
-        total_steps: Control steps over which the exploration noise falls.
-    """
 
-    def learner(key: Key[Array, ""], config: TD3Config, dtype: Any) -> Learner:
-        keys = jax.random.split(key)
-        weights: dict[str, Any] = {
-            "policy": initial_policy(keys[0], env, config, env.action_size, dtype),
-            "critics": initial_critics(keys[1], env, config, config.critics, dtype),
-        }
-        memory = {name: optimiser().init(part) for name, part in weights.items()}
-        targets = {f"target_{name}": part for name, part in weights.items()}
-        return Learner(weights | targets, memory)
-
-    updates = -(-total_steps // steps_per_update(config))
-    return start(key, env, config, env_params, updates, learner)
+init = functools.partial(start, make_learner=learner)
+"""The train state before the first update, see `off_policy.start`."""
 
 
 def smoothed_target_action(

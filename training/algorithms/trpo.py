@@ -6,15 +6,15 @@ Source: Schulman et al., "Trust region policy optimization", 2015.
 from __future__ import annotations
 
 import dataclasses
+import functools
 from typing import Any
 
 import jax
 import jax.numpy as jnp
 import optax
 from jax.flatten_util import ravel_pytree
-from jaxtyping import Array, Float, Int, Key
+from jaxtyping import Array, Float
 
-from jaxrod.envs import Environment
 from jaxrod.structure import pytree, static
 from jaxrod.training.algorithm import (
     Algorithm,
@@ -109,25 +109,17 @@ def validate(config: TRPOConfig, num_devices: int = 1) -> None:
     check_not_negative(config, "damping")
 
 
-def init(
-    key: Key[Array, ""],
-    env: Environment,
-    config: TRPOConfig,
-    env_params: Any = None,
-    total_steps: int | Int[Array, ""] = 10_000_000,
-) -> OnPolicyState:
-    """The train state before the first update; pure, so it can be vmapped over keys.
+def _value_optimiser(config: TRPOConfig) -> optax.GradientTransformation:
+    """Adam's direction for the value network only; the step size is applied later."""
+    del config
+    adam = optax.scale_by_adam()
+    return optax.GradientTransformation(
+        lambda weights: adam.init(weights["value"]), adam.update
+    )
 
-    Args:
-        key: Typed random key; all randomness of the run comes from it.
-        env: The environment.
-        config: Settings; their numbers can be vmapped, too.
-        env_params: Parameters of the environment, None for its defaults.
-        total_steps: Control steps over which the bound on the change goes from its
-            first to its last value.
-    """
-    updates = -(-total_steps // steps_per_update(config))
-    return start(key, env, config, env_params, updates, _value_optimiser())
+
+init = functools.partial(start, make_optimiser=_value_optimiser)
+"""The train state before the first update, see `on_policy.start`."""
 
 
 def update(
@@ -241,7 +233,7 @@ def _fit_value(
     weights, memory, error = fit_value(
         value_network(config, experience.observation.dtype),
         (state.weights["value"], state.optimiser),
-        _value_optimiser(),
+        _value_optimiser(config),
         (experience.observation, experience.value_target),
         own,
         (config.value_epochs, config.value_minibatches),
@@ -256,14 +248,6 @@ def _fit_value(
         shuffle_key=shuffle_key,
     )
     return state, error
-
-
-def _value_optimiser() -> optax.GradientTransformation:
-    """Adam's direction for the value network only; the step size is applied later."""
-    adam = optax.scale_by_adam()
-    return optax.GradientTransformation(
-        lambda weights: adam.init(weights["value"]), adam.update
-    )
 
 
 TRPO = Algorithm(
