@@ -38,6 +38,7 @@ from jaxrod.training.algorithm import (
 from jaxrod.training.algorithms.preparation import (
     SPREAD,
     SPREAD_MEMORY,
+    LearnerState,
     along_the_run,
     canonicalise,
     check_memory,
@@ -59,7 +60,6 @@ from jaxrod.training.networks import (
     make_network,
 )
 from jaxrod.training.normalisation import (
-    RunningMoments,
     batch_moments,
     merge_moments,
     no_moments,
@@ -123,31 +123,17 @@ class Advice:
 
 
 @pytree
-class DAggerState:
+class DAggerState(LearnerState):
     """Complete state of a run: a run restored from it continues bit by bit."""
 
-    env: Environment = static()
-    """The environment."""
-    config: Any
-    """Numbers and sizes of the learner."""
-    env_params: Any
-    """Parameters of the environment."""
     weights: Any
     """Weights of the policy network."""
     optimiser: Any
     """State of the optimiser."""
-    moments: RunningMoments
-    """Moments of all observations acted on."""
-    environments: VectorState
-    """State of the batch of environments."""
     advice: ReplayBuffer
     """Actions of the planner so far; the oldest are overwritten first."""
     keys: Key[Array, " num_envs"]
     """One key per environment, for the choice of who acts and for the samples."""
-    updates: Int[Array, ""]
-    """Number of updates so far."""
-    total_updates: Int[Array, ""]
-    """Number of updates of the whole run."""
 
 
 def validate(config: DAggerConfig, num_devices: int = 1) -> None:

@@ -28,6 +28,7 @@ from jaxrod.training.algorithms.actor_critic import ACTIVATION, Learner
 from jaxrod.training.algorithms.preparation import (
     SPREAD,
     SPREAD_MEMORY,
+    LearnerState,
     canonicalise,
     check_memory,
     network_policy,
@@ -45,7 +46,6 @@ from jaxrod.training.algorithms.replay import (
     sample_indices,
 )
 from jaxrod.training.normalisation import (
-    RunningMoments,
     batch_moments,
     merge_moments,
     no_moments,
@@ -93,33 +93,19 @@ class OffPolicyConfig(LearnerConfig):
 
 
 @pytree
-class OffPolicyState:
+class OffPolicyState(LearnerState):
     """Complete state of an off-policy run: restored, it continues bit by bit."""
 
-    env: Environment = static()
-    """The environment."""
-    config: Any
-    """Numbers and sizes of the learner."""
-    env_params: Any
-    """Parameters of the environment."""
     learner: Learner
     """Weights and optimisers."""
-    moments: RunningMoments
-    """Moments of all observations acted on."""
-    environments: VectorState
-    """State of the batch of environments."""
     replay: ReplayBuffer
-    """ReplayBuffer buffer."""
+    """Replay buffer."""
     action_keys: Key[Array, " num_envs"]
     """One key per environment, for the noise of its actions."""
     action_noise: Float[Array, "num_envs action"]
     """Noise of the last decision, standard normal."""
     replay_keys: Key[Array, " num_envs"]
     """One key per environment, for the samples drawn from its ring."""
-    updates: Int[Array, ""]
-    """Number of updates so far."""
-    total_updates: Int[Array, ""]
-    """Number of updates of the whole run."""
 
 
 def start(

@@ -20,10 +20,11 @@ from jaxtyping import Array, Bool, DTypeLike, Float, Int, Key
 
 from jaxrod.envs import Environment, EpisodeRecord, VectorEnvironment, VectorState
 from jaxrod.envs.wrappers import repeating
-from jaxrod.structure import pytree, static
+from jaxrod.structure import pytree
 from jaxrod.training.algorithm import mean_over_devices, steps_per_update
 from jaxrod.training.algorithms.preparation import (
     SPREAD,
+    LearnerState,
     canonicalise,
     network_policy,
     restart_phase,
@@ -37,7 +38,6 @@ from jaxrod.training.networks import (
     make_network,
 )
 from jaxrod.training.normalisation import (
-    RunningMoments,
     batch_moments,
     merge_moments,
     no_moments,
@@ -70,31 +70,17 @@ class OnPolicyConfig(LearnerConfig):
 
 
 @pytree
-class OnPolicyState:
+class OnPolicyState(LearnerState):
     """Complete state of an on-policy run: restored, it continues bit by bit."""
 
-    env: Environment = static()
-    """The environment."""
-    config: Any
-    """Numbers and sizes of the learner."""
-    env_params: Any
-    """Parameters of the environment."""
     weights: dict[str, Any]
     """Weights of the networks, under "policy" and "value"."""
     optimiser: Any
     """State of the optimiser."""
-    moments: RunningMoments
-    """Moments of the observations before the current update."""
-    environments: VectorState
-    """State of the batch of environments."""
     action_keys: Key[Array, " num_envs"]
     """One key per environment, for the noise of its actions."""
     shuffle_key: Key[Array, ""]
     """Key for the order of the minibatches."""
-    updates: Int[Array, ""]
-    """Number of updates so far."""
-    total_updates: Int[Array, ""]
-    """Number of updates after which schedules are constant."""
 
 
 @pytree

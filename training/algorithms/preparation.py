@@ -9,7 +9,7 @@ that are cut short are truncated, not terminated, and do not count for the score
 from __future__ import annotations
 
 import dataclasses
-from typing import Any, Protocol
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -17,9 +17,11 @@ from jax.sharding import PartitionSpec
 from jaxtyping import Array, DTypeLike, Float, Int, Key
 
 from jaxrod.envs import Environment, VectorEnvironment, VectorState
+from jaxrod.structure import pytree, static
 from jaxrod.training.algorithm import DEVICE_AXIS, steps_per_update
 from jaxrod.training.algorithms.replay import ReplayBuffer
 from jaxrod.training.networks import NetworkPolicy, layers
+from jaxrod.training.normalisation import RunningMoments
 from jaxrod.training.policy import MLPPolicy, Policy
 from jaxrod.training.settings import Scalar
 
@@ -62,20 +64,28 @@ def strip_weak_types(tree: Any, dtype: DTypeLike) -> Any:
     return jax.tree.map(one, tree)
 
 
-class HasProgress(Protocol):
-    """A train state that counts its updates."""
+@pytree
+class LearnerState:
+    """Parts that the train states of all learners have."""
 
-    @property
-    def updates(self) -> Int[Array, ""]:
-        """Number of updates so far."""
-
-    @property
-    def total_updates(self) -> Int[Array, ""]:
-        """Number of updates of the whole run."""
+    env: Environment = static()
+    """The environment."""
+    config: Any
+    """Numbers and sizes of the learner."""
+    env_params: Any
+    """Parameters of the environment."""
+    moments: RunningMoments
+    """Moments of all observations acted on before the current update."""
+    environments: VectorState
+    """State of the batch of environments."""
+    updates: Int[Array, ""]
+    """Number of updates so far."""
+    total_updates: Int[Array, ""]
+    """Number of updates of the whole run, after which schedules are constant."""
 
 
 def along_the_run(
-    state: HasProgress, first: Scalar, last: Scalar, dtype: DTypeLike
+    state: LearnerState, first: Scalar, last: Scalar, dtype: DTypeLike
 ) -> Float[Array, ""]:
     """Linear interpolation from `first` to `last` over the run."""
     remaining = 1 - state.updates / jnp.maximum(state.total_updates, 1)
@@ -165,7 +175,7 @@ def slots(config: Any) -> int:
 
 
 def network_policy(
-    state: Any,
+    state: LearnerState,
     weights: Any,
     activation: str,
     output: str = "clip",
@@ -174,7 +184,7 @@ def network_policy(
     """The policy network's first outputs, one for each action, bounded to [-1, 1].
 
     Args:
-        state: A train state with `config`, `env` and `moments`.
+        state: The train state.
         weights: Weights of the network.
         activation: Activation function of a perceptron.
         output: Bound of the actions, "clip" or "tanh".
