@@ -26,7 +26,9 @@ class _NotThereError(ValueError):
     """There is no such module or file."""
 
 
-def callable_at(where: str, trust: Collection[str] | None = None) -> Callable[..., Any]:
+def import_callable(
+    where: str, trust: Collection[str] | None = None
+) -> Callable[..., Any]:
     """Imports the callable at an import path.
 
     Args:
@@ -148,7 +150,7 @@ def check_home(
         )
 
 
-def spelt_out(where: str) -> str:
+def canonical_path(where: str) -> str:
     """The same import path, with absolute file names: valid in every folder."""
     place, _, name = where.rpartition(":")
     return f"{Path(place).resolve()}:{name}" if _is_file(place) else where

@@ -13,7 +13,7 @@ learned policy ignores the state, a planner starts from it. Both kinds may have 
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any, Protocol, runtime_checkable
+from typing import Any, Protocol, TypeGuard, runtime_checkable
 
 import jax
 import jax.numpy as jnp
@@ -63,9 +63,14 @@ class WithoutMemory:
         return self.policy(observation), None
 
 
+def has_memory(policy: Any) -> TypeGuard[MemoryPolicy]:
+    """Whether a policy has a memory, rather than being a function."""
+    return isinstance(policy, MemoryPolicy)
+
+
 def remembering(policy: Callable[[Array], Array] | MemoryPolicy) -> MemoryPolicy:
     """Returns a policy of either kind as a policy with memory."""
-    return policy if isinstance(policy, MemoryPolicy) else WithoutMemory(policy)
+    return policy if has_memory(policy) else WithoutMemory(policy)
 
 
 @pytree
@@ -77,7 +82,7 @@ class OneEpisode:
 
     def init(self, observation: Float[Array, " observation"], state: Any) -> Any:
         """Initial memory of an episode."""
-        if not isinstance(self.policy, MemoryPolicy):
+        if not has_memory(self.policy):
             return None
         return self.policy.init(*_in_front((observation, state)))
 
@@ -85,7 +90,7 @@ class OneEpisode:
         self, memory: Any, observation: Float[Array, " observation"], state: Any
     ) -> tuple[Float[Array, " action"], Any]:
         """The action in [-1, 1], and the updated memory."""
-        if not isinstance(self.policy, MemoryPolicy):
+        if not has_memory(self.policy):
             return jnp.clip(self.policy(observation), -1, 1), None
         action, memory = self.policy.act(memory, *_in_front((observation, state)))
         return jnp.clip(action[0], -1, 1), memory

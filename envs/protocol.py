@@ -28,6 +28,16 @@ State = Any
 Info = dict[str, Array]
 """Scalars about one step, always under the same keys."""
 
+Step = tuple[
+    Float[Array, " observation"],
+    State,
+    Float[Array, ""],
+    Bool[Array, ""],
+    Bool[Array, ""],
+    Info,
+]
+"""Results of a step: observation, state, reward, terminated, truncated, info."""
+
 
 class Environment(Protocol):
     """One arm with a task; see the module docstring.
@@ -74,14 +84,7 @@ class Environment(Protocol):
         state: State,
         action: Float[Array, " action"],
         params: Params,
-    ) -> tuple[
-        Float[Array, " observation"],
-        State,
-        Float[Array, ""],
-        Bool[Array, ""],
-        Bool[Array, ""],
-        Info,
-    ]:
+    ) -> Step:
         """Advances one control step; never resets.
 
         Args:

@@ -9,7 +9,7 @@ from collections.abc import Callable, Mapping
 from typing import Any
 
 from jaxrod.envs.checking import check_facts
-from jaxrod.envs.importing import callable_at, spelt_out
+from jaxrod.envs.importing import canonical_path, import_callable
 from jaxrod.envs.protocol import Environment
 
 _FACTORIES = {
@@ -26,7 +26,7 @@ _FACTORIES = {
 
 
 @dataclasses.dataclass(frozen=True)
-class Made:
+class Origin:
     """Recipe of an environment: `make(task, **options)` makes it again."""
 
     task: str
@@ -60,20 +60,20 @@ def make(task: str, /, **options: Any) -> Environment:
             f"task must be one of {', '.join(names())}, or say where your own is made, "
             f"such as mypackage.mymodule:make_task; got {task!r}"
         )
-    build = callable_at(_FACTORIES.get(task, task))
+    build = import_callable(_FACTORIES.get(task, task))
     chosen = _chosen(task, build, options)
     env = build(**options) if task in _FACTORIES else _made_by(task, build, options)
-    _remember(env, Made(task if task in _FACTORIES else spelt_out(task), chosen))
+    _remember(env, Origin(task if task in _FACTORIES else canonical_path(task), chosen))
     return env
 
 
-def made(env: Environment) -> Made | None:
+def origin_of(env: Environment) -> Origin | None:
     """Recipe of an environment from `make`; None for any other environment."""
     remembered, how = _MADE.get(id(env), (lambda: None, None))
     return how if remembered() is env else None
 
 
-_MADE: dict[int, tuple[Callable[[], Any], Made]] = {}
+_MADE: dict[int, tuple[Callable[[], Any], Origin]] = {}
 """Weak reference to an environment and its recipe, by the environment's identity.
 
 By identity, because an equal environment may have been made by other options, or not by
@@ -95,7 +95,7 @@ def _made_by(
     return env
 
 
-def _remember(env: Environment, how: Made) -> None:
+def _remember(env: Environment, how: Origin) -> None:
     key = id(env)
     try:
         reference: Callable[[], Any] = weakref.ref(env, lambda _: _MADE.pop(key, None))

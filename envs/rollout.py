@@ -17,7 +17,7 @@ import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Array, Bool, Float, Key
 
-from jaxrod.envs.memory_policy import MemoryPolicy, OneEpisode, held_for
+from jaxrod.envs.memory_policy import MemoryPolicy, OneEpisode, has_memory, held_for
 from jaxrod.envs.protocol import Environment
 from jaxrod.structure import pytree
 from jaxrod.validation import check_count
@@ -73,7 +73,7 @@ def rollout(
     Raises:
         ValueError: `steps` is missing, below 1, or not the number of the actions.
     """
-    given = None if callable(act) or isinstance(act, MemoryPolicy) else jnp.asarray(act)
+    given = None if callable(act) or has_memory(act) else jnp.asarray(act)
     if given is not None:
         if given.ndim != 2 or given.shape[1] != env.action_size:
             raise ValueError(

@@ -11,9 +11,10 @@ import dataclasses
 
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Bool, Float, Int, Key
+from jaxtyping import Array, Float, Int, Key
 
 from jaxrod.envs.checking import action_of_size
+from jaxrod.envs.protocol import Step
 from jaxrod.structure import pytree
 
 
@@ -78,14 +79,7 @@ class Trivial:
         state: TrivialState,
         action: Float[Array, " action"],
         params: TrivialParams,
-    ) -> tuple[
-        Float[Array, " observation"],
-        TrivialState,
-        Float[Array, ""],
-        Bool[Array, ""],
-        Bool[Array, ""],
-        dict[str, Array],
-    ]:
+    ) -> Step:
         """Moves the point; see the class docstring."""
         action = action_of_size(action, self.action_size)
         position = state.position + params.stride * action[0]

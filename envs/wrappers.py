@@ -15,7 +15,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int, Key, UInt
 
 from jaxrod.envs.checking import check_action_shape
-from jaxrod.envs.protocol import Environment
+from jaxrod.envs.protocol import Environment, Step
 from jaxrod.structure import pytree
 
 
@@ -245,6 +245,11 @@ class EnvironmentWrapper:
     """The environment within."""
 
     @property
+    def unwrapped(self) -> Environment:
+        """The environment within all wrappers."""
+        return getattr(self.env, "unwrapped", self.env)
+
+    @property
     def name(self) -> str:
         """Name of the task."""
         return self.env.name
@@ -306,14 +311,7 @@ class ActionRepeat(EnvironmentWrapper):
         state: Any,
         action: Float[Array, " action"],
         params: Any,
-    ) -> tuple[
-        Float[Array, " observation"],
-        Any,
-        Float[Array, ""],
-        Bool[Array, ""],
-        Bool[Array, ""],
-        dict[str, Array],
-    ]:
+    ) -> Step:
         """Advances by `times` control steps; step k draws from `fold_in(key, k)`."""
 
         def step(state: Any, number: Array | int) -> Any:

@@ -15,25 +15,23 @@ try:
         mean_over_devices,
         steps_per_update,
     )
-    from jaxrod.training.algorithms.beginning import beginning_with
     from jaxrod.training.algorithms.dagger import DAGGER, DAggerConfig
-    from jaxrod.training.algorithms.ddpg import DDPG, DDPGConfig
     from jaxrod.training.algorithms.off_policy import OffPolicyConfig
     from jaxrod.training.algorithms.on_policy import OnPolicyConfig
     from jaxrod.training.algorithms.ppo import PPO, PPOConfig
     from jaxrod.training.algorithms.sac import SAC, SACConfig
     from jaxrod.training.algorithms.shac import SHAC, SHACConfig
-    from jaxrod.training.algorithms.td3 import TD3, TD3Config
+    from jaxrod.training.algorithms.td3 import DDPG, TD3, DDPGConfig, TD3Config
     from jaxrod.training.algorithms.trpo import TRPO, TRPOConfig
+    from jaxrod.training.algorithms.warm_start import warm_start
     from jaxrod.training.evaluation import Evaluation, evaluate
     from jaxrod.training.networks import NetworkPolicy
     from jaxrod.training.policy import MLPPolicy, Policy
     from jaxrod.training.policy_files import load_policy, save_policy
     from jaxrod.training.runs.folder import RunFolder
-    from jaxrod.training.runs.loop import train
-    from jaxrod.training.runs.restored_policy import restore_policy, untrained_policy
+    from jaxrod.training.runs.loop import train, train_seeds
+    from jaxrod.training.runs.resuming import restore_policy, untrained_policy
     from jaxrod.training.runs.run import Result
-    from jaxrod.training.runs.seeds import train_seeds
     from jaxrod.training.settings import LearnerConfig
 except ModuleNotFoundError as missing:
     package = (missing.name or "").partition(".")[0]
@@ -72,7 +70,6 @@ __all__ = [
     "TD3Config",
     "TRPOConfig",
     "algorithm_names",
-    "beginning_with",
     "evaluate",
     "find_algorithm",
     "load_policy",
@@ -83,4 +80,5 @@ __all__ = [
     "train",
     "train_seeds",
     "untrained_policy",
+    "warm_start",
 ]

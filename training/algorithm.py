@@ -129,7 +129,7 @@ class Algorithm:
 
 _ALGORITHMS = {
     "dagger": "jaxrod.training.algorithms.dagger:DAGGER",
-    "ddpg": "jaxrod.training.algorithms.ddpg:DDPG",
+    "ddpg": "jaxrod.training.algorithms.td3:DDPG",
     "ppo": "jaxrod.training.algorithms.ppo:PPO",
     "sac": "jaxrod.training.algorithms.sac:SAC",
     "shac": "jaxrod.training.algorithms.shac:SHAC",

@@ -21,6 +21,7 @@ from jaxrod.envs import (
     held_for,
     remembering,
 )
+from jaxrod.envs.memory_policy import has_memory
 from jaxrod.envs.wrappers import repeating
 from jaxrod.validation import check_seed
 
@@ -80,7 +81,7 @@ def evaluate(
     check_seed(seed)
     params = env.default_params() if env_params is None else env_params
     env = repeating(env, held_for(policy))
-    plain = not isinstance(policy, MemoryPolicy)
+    plain = not has_memory(policy)
     if plain and (not jax.tree.leaves(policy) or callable(jax.tree.leaves(policy)[0])):
         # A plain function is part of the program. A `Policy` is an argument of it.
         policy = jax.tree_util.Partial(policy)

@@ -53,8 +53,8 @@ class LearnerConfig:
     observation_limit: Scalar = 10.0
     """Bound to which normalised observations are clipped."""
     short_steps: Scalar = 0.0
-    """Control steps from the start of the run during which episodes are cut short, see
-    `jaxrod.training.short_episodes`."""
+    """Control steps from the start of the run during which episodes are cut short: more
+    episodes begin. They are truncated, and do not count for the score."""
     short_length: Scalar = 500.0
     """Control steps of an episode that is cut short."""
 

@@ -99,7 +99,7 @@ it ends; with `critic=false` it is the analytic policy gradient (APG). It earns 
 the task's smooth cost, or with `objective=reward` the reward, whose bonuses have no
 slope. Updates whose gradient is not finite are skipped: `skipped` in `progress.csv`.
 
-One learner after the other: `jaxrod.training.beginning_with(PPO, policy)` is PPO whose
+One learner after the other: `jaxrod.training.warm_start(PPO, policy)` is PPO whose
 first policy is one that was learned before, by `dagger` say, instead of chance. Its
 configuration needs the policy's `hidden_sizes` and a small `initial_log_std`.
 `python -m benchmarks best_learners TASK` trains so in `tracking` and `reaching`:

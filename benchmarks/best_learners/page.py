@@ -15,7 +15,7 @@ SECTION = """
 
 `python -m benchmarks best_learners` trains the learners that are known to bring a task
 furthest, one after the other where there are two: the second begins with the policy of
-the first (`jaxrod.training.beginning_with`). What is left acts {episodes} episodes
+the first (`jaxrod.training.warm_start`). What is left acts {episodes} episodes
 without noise in `tracking` and `reaching` (seed {seed} of `evaluate`), and a few in
 `structured` and `unstructured`, where nothing is random and all episodes are the same.
 Settings were chosen by runs of seed 100 and other episodes (seed 1), but for those that

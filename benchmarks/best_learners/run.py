@@ -25,7 +25,7 @@ from benchmarks.shared.clocks import Clocks
 from benchmarks.shared.files import write_record
 from jaxrod.envs import make
 from jaxrod.installation.machine import processor_and_versions
-from jaxrod.training import beginning_with, evaluate, find_algorithm
+from jaxrod.training import evaluate, find_algorithm, warm_start
 
 SEEDS = {
     "tracking": (5, 6, 7, 8, 9),
@@ -88,7 +88,7 @@ def trained(task: str, seed: int, programs: dict[int, tuple[Any, float]]) -> Any
     for number, (name, steps, settings) in enumerate(RECIPES[task]):
         learner = find_algorithm(name)
         if policy is not None:
-            learner = beginning_with(learner, policy)
+            learner = warm_start(learner, policy)
         config = dataclasses.replace(learner.config_type(), **settings)
         learner.validate(config, 1)
         per_update = learner.steps_per_update(config)

@@ -92,7 +92,7 @@ def run_grid(
                 _show(view, cell, folder.summary())
 
         def ended(cell: Cell, how: Ended) -> None:
-            stopped = interruption.asked
+            stopped = interruption.requested
             if not _ended(cell, folders[cell.name], how, records, view, stopped):
                 broken.append(cell)
 
@@ -106,7 +106,7 @@ def run_grid(
                 ended,
                 ["--checkpoint-seconds", str(CHECKPOINT_SECONDS), "--no-replay"],
             )
-        if interruption.asked:
+        if interruption.requested:
             view.say("stopped; the same command goes on")
             return 130
     return 1 if broken else 0

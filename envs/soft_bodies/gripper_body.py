@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -17,9 +18,6 @@ from jaxtyping import Array, Bool, Float
 
 import jaxrod
 from jaxrod import HealthLimits, RodState, Scene
-from jaxrod.actuation import Chamber
-from jaxrod.effects.driven import Driven
-from jaxrod.effects.paths import Path
 from jaxrod.schedules import Ramp
 from jaxrod.structure import pytree
 from jaxrod.systems.stepping.assembly import SystemState
@@ -80,8 +78,7 @@ class GripperBody:
     @property
     def fingers(self) -> Scene:
         """The fingers, with a leading axis."""
-        fingers = self.system.members["fingers"]
-        assert isinstance(fingers, Scene)
+        fingers: Any = self.system.members["fingers"]
         return fingers
 
     def advance(
@@ -123,10 +120,9 @@ class GripperBody:
 
     def _acting(self, wrist: Ramp, pressure: Ramp) -> System:
         """The system with the commanded wrist and chamber pressures."""
+        driven: Any
+        chamber: Any
         driven, chamber, *others = self.fingers.effects
-        assert isinstance(driven, Driven)
-        assert isinstance(driven.place, Path)
-        assert isinstance(chamber, Chamber)
         effects = (
             dataclasses.replace(
                 driven, place=dataclasses.replace(driven.place, displacement=wrist)

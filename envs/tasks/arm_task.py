@@ -22,7 +22,7 @@ from jaxrod.actuation import control_spline
 from jaxrod.envs.arm.clean import clean_arm
 from jaxrod.envs.arm.soft_arm import CONTROL_PERIOD, LENGTH, REFERENCE_ELEMENTS
 from jaxrod.envs.checking import action_of_size, check_variant
-from jaxrod.envs.protocol import Snapshot
+from jaxrod.envs.protocol import Snapshot, Step
 from jaxrod.envs.published.arm import published_arm
 from jaxrod.methods.planar_verlet import PlaneName
 from jaxrod.structure import pytree
@@ -97,14 +97,7 @@ class ArmTask(ABC):
         state: Any,
         action: Float[Array, " action"],
         params: Any,
-    ) -> tuple[
-        Float[Array, " observation"],
-        Any,
-        Float[Array, ""],
-        Bool[Array, ""],
-        Bool[Array, ""],
-        dict[str, Array],
-    ]:
+    ) -> Step:
         """Advances one control step: the arm follows the action, the target moves."""
         before = state
         state, crashed = self.moved(key, state, action, params)

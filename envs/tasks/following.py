@@ -98,15 +98,11 @@ class Following(ArmTask):
 
     control_period = CONTROL_PERIOD
 
-    @property
-    def observation_size(self) -> int:
-        """Five points of the arm and their velocities, angles, target: 49 numbers."""
-        return 6 * N_SEGMENTS + 2 * N_SEGMENTS + 9
+    observation_size = 6 * N_SEGMENTS + 2 * N_SEGMENTS + 9
+    """Five points of the arm and their velocities, angles, target: 49 numbers."""
 
-    @property
-    def action_size(self) -> int:
-        """Changes of five angles about d1, then of five about d2."""
-        return 2 * N_SEGMENTS
+    action_size = 2 * N_SEGMENTS
+    """Changes of five angles about d1, then of five about d2."""
 
     def default_params(self) -> FollowingParams:
         """Numbers of the task, in JAX's default precision."""

@@ -46,11 +46,11 @@ from typing import Literal
 
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Bool, Float, Int, Key
+from jaxtyping import Array, Float, Int, Key
 
 from jaxrod.actuation import limit_rate
 from jaxrod.envs.checking import action_of_size, check_variant
-from jaxrod.envs.protocol import Snapshot
+from jaxrod.envs.protocol import Snapshot, Step
 from jaxrod.envs.soft_bodies.gripper_body import (
     BALL,
     HIGHEST,
@@ -134,20 +134,14 @@ class Gripper:
     variant: Variant = "clean"
     name: str = "gripper"
 
-    @property
-    def observation_size(self) -> int:
-        """Ball, control values, tips and middles of the fingers: 29 numbers."""
-        return 3 + 3 + 1 + 4 + 6 * N_FINGERS
+    observation_size = 3 + 3 + 1 + 4 + 6 * N_FINGERS
+    """Ball, control values, tips and middles of the fingers: 29 numbers."""
 
-    @property
-    def action_size(self) -> int:
-        """Pressure, and position of the wrist along three axes: 4 numbers."""
-        return 4
+    action_size = 4
+    """Pressure, and position of the wrist along three axes: 4 numbers."""
 
-    @property
-    def control_period(self) -> float:
-        """Time between actions [s]."""
-        return CONTROL_PERIOD
+    control_period = CONTROL_PERIOD
+    """Time between actions [s]."""
 
     def default_params(self) -> GripperParams:
         """Numbers of the task, in JAX's default precision."""
@@ -191,14 +185,7 @@ class Gripper:
         state: GripperState,
         action: Float[Array, " action"],
         params: GripperParams,
-    ) -> tuple[
-        Float[Array, " observation"],
-        GripperState,
-        Float[Array, ""],
-        Bool[Array, ""],
-        Bool[Array, ""],
-        dict[str, Array],
-    ]:
+    ) -> Step:
         """Advances one control step; control values follow the action, rate-limited."""
         action = action_of_size(action, self.action_size)
         period = self.substeps * params.dt

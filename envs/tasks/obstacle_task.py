@@ -95,6 +95,8 @@ class ObstacleTask(BenchmarkTask):
     axis = "z"
     largest_rate = 100.0
     crash_reward = -100.0
+    name: ClassVar[str]
+    """Name of the task, as in the registry."""
     n_obstacles: ClassVar[int]
     """Number of cylinders."""
     target_position: ClassVar[tuple[float, float, float]]
@@ -104,11 +106,6 @@ class ObstacleTask(BenchmarkTask):
     nearest_obstacles: ClassVar[int | None]
     """Number of nearest obstacles that each contact point considers in a control step
     ("clean"); `None` for all."""
-
-    @property
-    @abstractmethod
-    def name(self) -> str:
-        """Name of the task, as in the registry."""
 
     @abstractmethod
     def obstacles(self) -> Cylinders:

@@ -31,11 +31,11 @@ import dataclasses
 from typing import Literal
 
 import jax.numpy as jnp
-from jaxtyping import Array, Bool, Float, Int, Key
+from jaxtyping import Array, Float, Int, Key
 
 from jaxrod.actuation import limit_rate
 from jaxrod.envs.checking import action_of_size, check_variant
-from jaxrod.envs.protocol import Snapshot
+from jaxrod.envs.protocol import Snapshot, Step
 from jaxrod.envs.soft_bodies.octopus_body import (
     HEAD,
     LENGTH,
@@ -104,20 +104,14 @@ class Octopus:
     variant: Variant = "clean"
     name: str = "octopus"
 
-    @property
-    def observation_size(self) -> int:
-        """Motion and orientation of the head, tips, control values: 51 numbers."""
-        return 3 + 3 + 4 + 1 + 3 * N_ARMS + 2 * N_ARMS
+    observation_size = 3 + 3 + 4 + 1 + 3 * N_ARMS + 2 * N_ARMS
+    """Motion and orientation of the head, tips, control values: 51 numbers."""
 
-    @property
-    def action_size(self) -> int:
-        """Curvature sideways and upwards of every arm: 16 numbers."""
-        return 2 * N_ARMS
+    action_size = 2 * N_ARMS
+    """Curvature sideways and upwards of every arm: 16 numbers."""
 
-    @property
-    def control_period(self) -> float:
-        """Time between actions [s]."""
-        return CONTROL_PERIOD
+    control_period = CONTROL_PERIOD
+    """Time between actions [s]."""
 
     def default_params(self) -> OctopusParams:
         """Numbers of the task, in JAX's default precision."""
@@ -148,14 +142,7 @@ class Octopus:
         state: OctopusState,
         action: Float[Array, " action"],
         params: OctopusParams,
-    ) -> tuple[
-        Float[Array, " observation"],
-        OctopusState,
-        Float[Array, ""],
-        Bool[Array, ""],
-        Bool[Array, ""],
-        dict[str, Array],
-    ]:
+    ) -> Step:
         """Advances one control step: muscles approach the action, rate-limited."""
         action = action_of_size(action, self.action_size)
         wanted = jnp.reshape(jnp.clip(action, -1, 1), (N_ARMS, 2))

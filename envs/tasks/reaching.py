@@ -105,10 +105,8 @@ class Reaching(BenchmarkTask):
     n_controls = 6
     crash_reward = -10_000.0
 
-    @property
-    def observation_size(self) -> int:
-        """Eleven points, velocity and frame of the tip, and of the goal: 52 numbers."""
-        return 3 * OBSERVED_NODES + 4 + 4 + 7 + 4
+    observation_size = 3 * OBSERVED_NODES + 4 + 4 + 7 + 4
+    """Eleven points, velocity and frame of the tip, and of the goal: 52 numbers."""
 
     def default_params(self) -> ReachingParams:
         """Numbers of the task, in JAX's default precision."""

@@ -43,7 +43,7 @@ from jaxrod import RodState, angular_velocities
 from jaxrod.actuation import limit_rate
 from jaxrod.actuation.b_spline import b_spline_basis
 from jaxrod.envs.checking import action_of_size, check_variant
-from jaxrod.envs.protocol import Snapshot
+from jaxrod.envs.protocol import Snapshot, Step
 from jaxrod.envs.soft_bodies.snake_body import LENGTH, PERIOD, SnakeBody, snake_body
 from jaxrod.envs.tasks.headings import along_heading, check_turn, drawn_heading
 from jaxrod.structure import pytree
@@ -135,20 +135,14 @@ class Snake:
     variant: Variant = "clean"
     name: str = "snake"
 
-    @property
-    def observation_size(self) -> int:
-        """Motion, curvature and control values: 23 numbers."""
-        return 2 + 2 + 1 + 3 * N_CONTROLS
+    observation_size = 2 + 2 + 1 + 3 * N_CONTROLS
+    """Motion, curvature and control values: 23 numbers."""
 
-    @property
-    def action_size(self) -> int:
-        """A control value at each control point, from tail to head."""
-        return N_CONTROLS
+    action_size = N_CONTROLS
+    """A control value at each control point, from tail to head."""
 
-    @property
-    def control_period(self) -> float:
-        """Time between actions [s]."""
-        return CONTROL_PERIOD
+    control_period = CONTROL_PERIOD
+    """Time between actions [s]."""
 
     def default_params(self) -> SnakeParams:
         """Numbers of the task, in JAX's default precision."""
@@ -179,14 +173,7 @@ class Snake:
         state: SnakeState,
         action: Float[Array, " action"],
         params: SnakeParams,
-    ) -> tuple[
-        Float[Array, " observation"],
-        SnakeState,
-        Float[Array, ""],
-        Bool[Array, ""],
-        Bool[Array, ""],
-        dict[str, Array],
-    ]:
+    ) -> Step:
         """Advances one control step: muscles approach the action, rate-limited."""
         action = action_of_size(action, self.action_size)
         snake = params.body

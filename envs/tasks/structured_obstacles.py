@@ -56,6 +56,7 @@ class StructuredObstacles(ObstacleTask):
     """Number of equidistant control points; `None` for the two that the paper placed by
     hand."""
 
+    name = "structured"
     n_directions = 1
     n_obstacles = len(AXES)
     target_position = (-0.8, 0.5, 0.15)
@@ -65,11 +66,6 @@ class StructuredObstacles(ObstacleTask):
     """Number of nearest obstacles kept per point of the arm. No point is nearer than 10
     cm to a fourth cylinder, so one comes within reach of the arm's radius only if the
     point moves 5 cm in a control step."""
-
-    @property
-    def name(self) -> str:
-        """Name of the task, as in the registry."""
-        return "structured"
 
     @property
     def n_controls(self) -> int:

@@ -61,10 +61,8 @@ class Tracking(BenchmarkTask):
     n_controls = 6
     crash_reward = -1000.0
 
-    @property
-    def observation_size(self) -> int:
-        """Eleven points of the arm, the tip's velocity, the target: 44 numbers."""
-        return 3 * OBSERVED_NODES + 4 + 7
+    observation_size = 3 * OBSERVED_NODES + 4 + 7
+    """Eleven points of the arm, the tip's velocity, the target: 44 numbers."""
 
     def default_params(self) -> ArmParams:
         """Numbers of the task, in JAX's default precision."""

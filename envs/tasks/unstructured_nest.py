@@ -91,7 +91,9 @@ class UnstructuredNest(ObstacleTask):
     nest: int | None = None
     """Seed of the nest; `None` for the published nest."""
 
+    name = "unstructured"
     n_directions = 2
+    n_controls = len(PLACED)
     n_obstacles = COUNT
     target_position = (-0.8, 0.5, TARGET_HEIGHT)
     plane = None
@@ -103,16 +105,6 @@ class UnstructuredNest(ObstacleTask):
     start of a control step. Few places in the nest have a fifth cylinder within the
     arm's radius. There, or if the arm moves several centimetres in a control step,
     contact may be noticed one control step late."""
-
-    @property
-    def name(self) -> str:
-        """Name of the task, as in the registry."""
-        return "unstructured"
-
-    @property
-    def n_controls(self) -> int:
-        """Number of control points per direction."""
-        return len(PLACED)
 
     def control_points(self) -> Numbers:
         """Arc lengths of the control points [m]."""

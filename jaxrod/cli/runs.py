@@ -185,7 +185,7 @@ def make_task(
         UntrustedError: A file names it, and it is not trusted.
     """
     from jaxrod import envs
-    from jaxrod.envs.importing import callable_at, check_trusted
+    from jaxrod.envs.importing import check_trusted, import_callable
 
     here, own = os.getcwd(), ":" in task
     if own and trust is not None:
@@ -194,7 +194,7 @@ def make_task(
     if own and here not in sys.path:
         sys.path.insert(0, here)
     if own and trust is not None:
-        callable_at(task, trust)
+        import_callable(task, trust)
     return envs.make(task, **{name: _fixed(value) for name, value in options.items()})
 
 

@@ -259,7 +259,7 @@ def _train(runs: Sequence[SweepRun], out: Path, place: Place, more: list[str]) -
             if folder.finished:
                 results.update(run)
                 view.done(run, folder.summary(), quiet=False)
-            elif interruption.asked:
+            elif interruption.requested:
                 results.update(run)
                 view.stopped(run, last_row(folder))
             else:
@@ -277,7 +277,7 @@ def _train(runs: Sequence[SweepRun], out: Path, place: Place, more: list[str]) -
                 ended,
                 more,
             )
-    if interruption.asked:
+    if interruption.requested:
         view.say("stopped; the same command goes on")
         return 130
     return 1 if failed else 0

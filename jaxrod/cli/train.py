@@ -186,7 +186,7 @@ def run(args: argparse.Namespace) -> int:
         program_cache.silence_false_alarms()
     import jaxrod
     from jaxrod.envs import check_environment, names
-    from jaxrod.envs.importing import spelt_out
+    from jaxrod.envs.importing import canonical_path
     from jaxrod.installation.backend import devices_that_fit, first_of_each
     from jaxrod.installation.processes import JOINED_WITHIN, join_processes
     from jaxrod.training import RunFolder, train
@@ -201,7 +201,7 @@ def run(args: argparse.Namespace) -> int:
     source = args.like or (_folder(args, None) if args.resume else None)
     if source:
         stored = runs.read_config(source)
-        if stored["task"] != spelt_out(args.task):
+        if stored["task"] != canonical_path(args.task):
             raise ValueError(
                 f"{source} holds a run of {stored['task']}, not of {args.task}"
             )
@@ -340,9 +340,9 @@ def _trust(args: argparse.Namespace, said: Any = None) -> tuple[str, ...]:
             user gives.
         said: Settings as the user has given them.
     """
-    from jaxrod.envs.importing import spelt_out
+    from jaxrod.envs.importing import canonical_path
 
-    typed = (args.task, spelt_out(args.task), args.algorithm or "")
+    typed = (args.task, canonical_path(args.task), args.algorithm or "")
     # The name of a built-in does not vouch for a module of the same name.
     paths = [word for word in typed if ":" in word]
     return (*args.trust, *paths, *_functions(said))

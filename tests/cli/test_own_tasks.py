@@ -14,7 +14,7 @@ from jaxrod import cli
 from jaxrod.cli import settings, train
 from jaxrod.envs import make
 from jaxrod.envs.gym import GymnasiumEnv
-from jaxrod.envs.registry import made
+from jaxrod.envs.registry import origin_of
 from jaxrod.training.progress import ProgressBar
 
 MODULE = """
@@ -224,8 +224,8 @@ def test_how_an_environment_was_made_is_known_whatever_it_is(mine, monkeypatch):
     options = {"make_task": {"name": "x"}, "any_name": {"a": 1}, "Kept": {"name": "x"}}
     for name, given in options.items():  # No weak reference to the last.
         env = make(f"package_of_mine.tasks:{name}", **given)
-        assert made(env).task == f"package_of_mine.tasks:{name}"
-        assert made(env).options == given
+        assert origin_of(env).task == f"package_of_mine.tasks:{name}"
+        assert origin_of(env).options == given
 
 
 @pytest.mark.parametrize(

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from jaxrod.training.algorithms.advantages import generalised_advantages
+from jaxrod.training.algorithms.on_policy import generalised_advantages
 
 
 def by_definition(reward, value, last, final, terminated, done, gamma, decay):

@@ -12,7 +12,7 @@ import pytest
 from jaxrod.envs import make
 from jaxrod.envs.trivial import Trivial
 from jaxrod.training import DAggerConfig, evaluate, train
-from jaxrod.training.algorithms.held_plan import better_actions, model_of
+from jaxrod.training.algorithms.dagger import better_actions, model_of
 
 CONFIG = DAggerConfig(
     num_envs=16,

@@ -7,7 +7,7 @@ import pytest
 
 from jaxrod.envs.trivial import Trivial
 from jaxrod.training import find_algorithm, train
-from jaxrod.training.short_episodes import restart_phase
+from jaxrod.training.algorithms.preparation import restart_phase
 
 
 @pytest.mark.slow

@@ -115,6 +115,21 @@ def critic_loss(
     return 0.5 * jnp.sum(error), report
 
 
+def critic_step(
+    learner: Learner,
+    config: Any,
+    transition: Transition,
+    next_value: Float[Array, " batch"],
+    axis_name: str | None,
+) -> tuple[Learner, dict[str, Array]]:
+    """One step of Adam on the critics, and the terms of `critic_loss`."""
+    gradient, report = jax.grad(critic_loss, has_aux=True)(
+        learner.weights["critics"], config, transition, next_value, config.discount
+    )
+    rate = config.critic_learning_rate
+    return apply_gradient(learner, "critics", gradient, rate, axis_name), report
+
+
 def apply_gradient(
     learner: Learner,
     name: str,

@@ -2,8 +2,8 @@ r"""DAgger: a network learns to act like a planner, in the states that it visits
 
 The policy acts; at first the planner acts instead in a share of the decisions. In every
 visited state the planner computes its own action, starting from the policy's action
-(`jaxrod.training.algorithms.held_plan`). The network is fitted by least squares to all
-of the planner's actions so far. The planner sees the whole state and differentiates the
+(`better_actions`). The network is fitted by least squares to all of the planner's
+actions so far. The planner sees the whole state and differentiates the
 simulation; the policy is a function of the observation. So the fit averages over
 everything that the planner uses but that is not observed.
 
@@ -22,38 +22,50 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import optax
-from jax.sharding import PartitionSpec
 from jaxtyping import Array, Float, Int, Key
 
+from jaxrod.control.planning.plans import PlanCost, by_gauss_newton
+from jaxrod.control.planning.plans import check_model
 from jaxrod.envs import Environment, EpisodeRecord, VectorEnvironment, VectorState
 from jaxrod.envs.wrappers import repeating
 from jaxrod.structure import pytree, static
 from jaxrod.training.algorithm import (
-    DEVICE_AXIS,
     Algorithm,
     Metrics,
     mean_over_devices,
     steps_per_update,
 )
-from jaxrod.training.algorithms.held_plan import PASSES, better_actions, model_of
-from jaxrod.training.algorithms.preparation import canonicalise, strip_weak_types
-from jaxrod.training.algorithms.replay import Replay, append, sample, sample_indices
-from jaxrod.training.algorithms.schedule import along_the_run
+from jaxrod.training.algorithms.preparation import (
+    SPREAD,
+    SPREAD_MEMORY,
+    LearnerState,
+    along_the_run,
+    canonicalise,
+    check_memory,
+    network_policy,
+    restart_phase,
+    slots,
+    spread_over_devices,
+    started,
+)
+from jaxrod.training.algorithms.replay import (
+    ReplayBuffer,
+    append,
+    sample,
+    sample_indices,
+)
 from jaxrod.training.networks import (
-    NetworkPolicy,
     check_outputs,
     initial_weights,
-    layers,
     make_network,
 )
 from jaxrod.training.normalisation import (
-    RunningMoments,
     batch_moments,
     merge_moments,
     no_moments,
     normalise,
 )
-from jaxrod.training.policy import MLPPolicy, Policy
+from jaxrod.training.policy import Policy
 from jaxrod.training.settings import (
     LearnerConfig,
     Scalar,
@@ -62,7 +74,6 @@ from jaxrod.training.settings import (
     check_not_negative,
     check_positive,
 )
-from jaxrod.training.short_episodes import restart_phase
 
 ACTIVATION = "tanh"
 """Activation function of all hidden layers."""
@@ -112,31 +123,17 @@ class Advice:
 
 
 @pytree
-class DAggerState:
+class DAggerState(LearnerState):
     """Complete state of a run: a run restored from it continues bit by bit."""
 
-    env: Environment = static()
-    """The environment."""
-    config: Any
-    """Numbers and sizes of the learner."""
-    env_params: Any
-    """Parameters of the environment."""
     weights: Any
     """Weights of the policy network."""
     optimiser: Any
     """State of the optimiser."""
-    moments: RunningMoments
-    """Moments of all observations acted on."""
-    environments: VectorState
-    """State of the batch of environments."""
-    advice: Replay
+    advice: ReplayBuffer
     """Actions of the planner so far; the oldest are overwritten first."""
     keys: Key[Array, " num_envs"]
     """One key per environment, for the choice of who acts and for the samples."""
-    updates: Int[Array, ""]
-    """Number of updates so far."""
-    total_updates: Int[Array, ""]
-    """Number of updates of the whole run."""
 
 
 def validate(config: DAggerConfig, num_devices: int = 1) -> None:
@@ -161,17 +158,7 @@ def validate(config: DAggerConfig, num_devices: int = 1) -> None:
                 f"{name} has no effect in dagger, which learns from no reward: leave "
                 f"it at {usual}, got {given}"
             )
-    if config.batch_size % config.num_envs:
-        raise ValueError(
-            f"batch_size must be a multiple of num_envs, {config.num_envs}, "
-            f"got {config.batch_size}"
-        )
-    decisions = config.num_envs * config.rollout_steps
-    if config.buffer_size < decisions:
-        raise ValueError(
-            f"buffer_size must be at least the decisions of one update, {decisions}, "
-            f"got {config.buffer_size}"
-        )
+    check_memory(config)
     check_positive(config, "effort", "learning_rate", "final_learning_rate")
     check_not_negative(config, "planner_steps")
 
@@ -204,16 +191,7 @@ def init(
     network = policy_network(env, config, dtype)
     weights = initial_weights(network, keys[0], dummy)
     check_outputs(network, weights, dummy, env.action_size)
-    environments = VectorEnvironment(env).reset(
-        keys[1],
-        config.num_envs,
-        env_params,
-        spread_phases=config.spread_phases,
-        phase=restart_phase(env, config, 0),
-    )
-    # Whole rollouts, so that a block never crosses the end of the ring.
-    rollouts = config.buffer_size // (config.num_envs * config.rollout_steps)
-    shape = (rollouts * config.rollout_steps, config.num_envs)
+    shape = (slots(config), config.num_envs)
     advice = Advice(
         jnp.zeros((*shape, env.observation_size), dtype),
         jnp.zeros((*shape, env.action_size), dtype),
@@ -225,8 +203,8 @@ def init(
         weights=weights,
         optimiser=optax.scale_by_adam().init(weights),
         moments=no_moments(env.observation_size, dtype),
-        environments=strip_weak_types(environments, dtype),
-        advice=Replay(advice, jnp.zeros((), jnp.int32)),
+        environments=started(keys[1], env, config, env_params, dtype),
+        advice=ReplayBuffer(advice, jnp.zeros((), jnp.int32)),
         keys=jax.random.split(keys[2], config.num_envs),
         updates=jnp.zeros((), jnp.int32),
         total_updates=jnp.asarray(updates, jnp.int32),
@@ -239,47 +217,16 @@ def policy_network(env: Environment, config: DAggerConfig, dtype: Any) -> Any:
     return make_network(config, "policy", size, activation=ACTIVATION, dtype=dtype)
 
 
-def network_policy(state: DAggerState) -> Policy:
+def deterministic_policy(state: DAggerState) -> Policy:
     """The network on normalised observations, clipped to [-1, 1]."""
-    config, moments = state.config, state.moments
-    if config.network is None:
-        return MLPPolicy(
-            moments=moments,
-            limit=config.observation_limit,
-            layers=layers(state.weights),
-            activation=ACTIVATION,
-            output="clip",
-            action_repeat=config.action_repeat,
-        )
-    return NetworkPolicy(
-        moments=moments,
-        limit=config.observation_limit,
-        weights=state.weights,
-        network=config.network,
-        output_size=state.env.action_size,
-        action_size=state.env.action_size,
-        output="clip",
-        action_repeat=config.action_repeat,
-    )
+    return network_policy(state, state.weights, ACTIVATION)
 
 
 def partition(state: DAggerState) -> DAggerState:
     """Environments and the planner's actions are split over the devices."""
-    # Tree prefixes: each stands for all leaves below, though their types differ.
-    repeated: Any = PartitionSpec()
-    spread: Any = PartitionSpec(DEVICE_AXIS)
-    memory: Any = PartitionSpec(None, DEVICE_AXIS)
-    specs: dict[str, Any] = {
-        field.name: repeated
-        for field in dataclasses.fields(state)
-        if field.name != "env"
-    }
-    specs |= {
-        "environments": spread,
-        "advice": Replay(memory, repeated),
-        "keys": spread,
-    }
-    return dataclasses.replace(state, **specs)
+    return spread_over_devices(
+        state, environments=SPREAD, advice=SPREAD_MEMORY, keys=SPREAD
+    )
 
 
 def update(
@@ -311,7 +258,7 @@ def _act(
     """Acts, asks the planner in every decision, and stores its actions."""
     config: DAggerConfig = state.config
     environment, model = VectorEnvironment(state.env), model_of(state.env)
-    policy = network_policy(state)
+    policy = deterministic_policy(state)
     phase = restart_phase(state.env, config, state.updates)
     share = _planner_share(state)
     chance = jax.vmap(
@@ -417,6 +364,75 @@ DAGGER = Algorithm(
     init=init,
     update=update,
     partition=partition,
-    policy=network_policy,
+    policy=deterministic_policy,
 )
 """DAgger for the shared loop."""
+
+
+PASSES = 4
+"""Forward runs of the model per iteration: one at the action, three at others."""
+
+
+def model_of(env: Environment) -> Any:
+    """The environment as its own model.
+
+    Raises:
+        ValueError: The environment is not plannable.
+    """
+    model = getattr(env, "unwrapped", env)
+    check_model(model, ("predict", "residuals"))
+    return model
+
+
+def better_actions(
+    model: Any,
+    params: Any,
+    states: Any,
+    actions: Float[Array, "batch action"],
+    lookahead: int,
+    effort: Array,
+    iterations: int,
+) -> tuple[Float[Array, "batch action"], Float[Array, " batch"]]:
+    r"""Actions that a planner would take instead, and their costs.
+
+    The plan is one action $u$ in [-1, 1], held for some control steps, from the state
+    $x$ on:
+
+    $$\min_u |r(x_h(u))|^2 + e |u|^2$$
+
+    with the environment's residuals $r$ at the end, and a small effort $e$, which
+    selects one of the many actions that reach the goal. It is a plan of
+    `jaxrod.control.mpc` with one step, as a function of its starting point, improved by
+    Gauss-Newton steps. Such a short plan is cheap: one backward pass for each of the
+    few residuals. It is nearly a function of the state, so a network can learn it. If
+    it is recomputed before it has run out, it earns nearly as much as actions that are
+    linear between several knots (docs/optimum.md).
+
+    An action is left unchanged if a step brings no improvement or the model breaks.
+
+    Args:
+        model: An environment with `predict` and `residuals`.
+        params: Its parameters.
+        states: States of the environment; every leaf has a leading batch axis.
+        actions: Initial actions, in [-1, 1].
+        lookahead: Control steps for which an action is held.
+        effort: Cost of the mean squared action.
+        iterations: Number of Gauss-Newton steps.
+    """
+    cost = PlanCost(
+        params=params,
+        effort=effort,
+        smoothness=jnp.zeros_like(effort),
+        env=model,
+        knots=1,
+        spacing=lookahead,
+        hold=lookahead,
+        shape="steps",
+    )
+    count = jnp.asarray(iterations, jnp.int32)
+
+    def one(action: Array, state: Any) -> tuple[Array, Array]:
+        found, reached = by_gauss_newton(cost, action, action[None], state, count)
+        return found[0], reached
+
+    return jax.vmap(one)(actions, states)

@@ -14,37 +14,44 @@ from typing import Any
 
 import jax
 import jax.numpy as jnp
-from jax.sharding import PartitionSpec
 from jaxtyping import Array, Float, Int, Key
 
 from jaxrod.envs import Environment, EpisodeRecord, VectorEnvironment, VectorState
 from jaxrod.envs.wrappers import repeating
 from jaxrod.structure import pytree, static
 from jaxrod.training.algorithm import (
-    DEVICE_AXIS,
     Metrics,
     mean_over_devices,
     steps_per_update,
 )
 from jaxrod.training.algorithms.actor_critic import ACTIVATION, Learner
-from jaxrod.training.algorithms.preparation import canonicalise, strip_weak_types
+from jaxrod.training.algorithms.preparation import (
+    SPREAD,
+    SPREAD_MEMORY,
+    LearnerState,
+    canonicalise,
+    check_memory,
+    network_policy,
+    restart_phase,
+    slots,
+    spread_over_devices,
+    started,
+)
 from jaxrod.training.algorithms.replay import (
-    Replay,
+    ReplayBuffer,
     Transition,
     append,
     empty_replay,
     sample,
     sample_indices,
 )
-from jaxrod.training.networks import NetworkPolicy, layers
 from jaxrod.training.normalisation import (
-    RunningMoments,
     batch_moments,
     merge_moments,
     no_moments,
     normalise,
 )
-from jaxrod.training.policy import MLPPolicy, Policy
+from jaxrod.training.policy import Policy
 from jaxrod.training.settings import (
     LearnerConfig,
     Scalar,
@@ -54,7 +61,6 @@ from jaxrod.training.settings import (
     check_not_negative,
     check_positive,
 )
-from jaxrod.training.short_episodes import restart_phase
 
 
 @pytree
@@ -87,22 +93,12 @@ class OffPolicyConfig(LearnerConfig):
 
 
 @pytree
-class OffPolicyState:
+class OffPolicyState(LearnerState):
     """Complete state of an off-policy run: restored, it continues bit by bit."""
 
-    env: Environment = static()
-    """The environment."""
-    config: Any
-    """Numbers and sizes of the learner."""
-    env_params: Any
-    """Parameters of the environment."""
     learner: Learner
     """Weights and optimisers."""
-    moments: RunningMoments
-    """Moments of all observations acted on."""
-    environments: VectorState
-    """State of the batch of environments."""
-    replay: Replay
+    replay: ReplayBuffer
     """Replay buffer."""
     action_keys: Key[Array, " num_envs"]
     """One key per environment, for the noise of its actions."""
@@ -110,50 +106,42 @@ class OffPolicyState:
     """Noise of the last decision, standard normal."""
     replay_keys: Key[Array, " num_envs"]
     """One key per environment, for the samples drawn from its ring."""
-    updates: Int[Array, ""]
-    """Number of updates so far."""
-    total_updates: Int[Array, ""]
-    """Number of updates of the whole run."""
 
 
 def start(
     key: Key[Array, ""],
     env: Environment,
     config: OffPolicyConfig,
-    env_params: Any,
-    total_updates: int | Int[Array, ""],
-    make_learner: Callable[[Key[Array, ""], Any, Any], Learner],
+    env_params: Any = None,
+    total_steps: int | Int[Array, ""] = 10_000_000,
+    *,
+    make_learner: Callable[[Key[Array, ""], Environment, Any, Any], Learner],
 ) -> OffPolicyState:
-    """The train state before the first update.
+    """The train state before the first update; pure, so it can be vmapped over keys.
 
     Args:
         key: Typed random key; all randomness of the run comes from it.
         env: The environment.
-        config: Configuration of the learner.
+        config: Settings; their numbers can be vmapped, too.
         env_params: Parameters of the environment, None for its defaults.
-        total_updates: Number of updates of the whole run.
-        make_learner: `(key, config, dtype) -> Learner`.
+        total_steps: Control steps of the run, over which schedules go from their first
+            to their last value.
+        make_learner: `(key, env, config, dtype) -> Learner`.
     """
+    updates = -(-total_steps // steps_per_update(config))
     env = repeating(env, config.action_repeat)
     config, env_params, dtype = canonicalise(key, env, config, env_params)
     keys = jax.random.split(key, 4)
-    environments = VectorEnvironment(env).reset(
-        keys[1],
-        config.num_envs,
-        env_params,
-        spread_phases=config.spread_phases,
-        phase=restart_phase(env, config, 0),
-    )
     action_keys = jax.random.split(keys[2], config.num_envs)
     return OffPolicyState(
         env=env,
         config=config,
         env_params=env_params,
-        learner=make_learner(keys[0], config, dtype),
+        learner=make_learner(keys[0], env, config, dtype),
         moments=no_moments(env.observation_size, dtype),
-        environments=strip_weak_types(environments, dtype),
+        environments=started(keys[1], env, config, env_params, dtype),
         replay=empty_replay(
-            _slots(config),
+            slots(config),
             config.num_envs,
             env.observation_size,
             env.action_size,
@@ -165,84 +153,38 @@ def start(
         )(action_keys),
         replay_keys=jax.random.split(keys[3], config.num_envs),
         updates=jnp.zeros((), jnp.int32),
-        total_updates=jnp.asarray(total_updates, jnp.int32),
+        total_updates=jnp.asarray(updates, jnp.int32),
     )
 
 
 def partition(state: OffPolicyState) -> OffPolicyState:
     """Environments and their memories are split over the devices."""
-    # Tree prefixes: each stands for all leaves below, though their types differ.
-    repeated: Any = PartitionSpec()
-    spread: Any = PartitionSpec(DEVICE_AXIS)
-    memory: Any = PartitionSpec(None, DEVICE_AXIS)
-    specs: dict[str, Any] = {
-        field.name: repeated
-        for field in dataclasses.fields(state)
-        if field.name != "env"
-    }
-    specs |= {
-        "environments": spread,
-        "replay": Replay(memory, repeated),
-        "action_keys": spread,
-        "action_noise": spread,
-        "replay_keys": spread,
-    }
-    return dataclasses.replace(state, **specs)
+    return spread_over_devices(
+        state,
+        environments=SPREAD,
+        replay=SPREAD_MEMORY,
+        action_keys=SPREAD,
+        action_noise=SPREAD,
+        replay_keys=SPREAD,
+    )
 
 
 def deterministic_policy(state: OffPolicyState, outputs_per_action: int = 1) -> Policy:
     """The tanh of the policy network's first outputs, one for each action."""
-    config, moments = state.config, state.moments
     weights = state.learner.weights["policy"]
-    size = state.env.action_size
-    if config.network is None:
-        *hidden, (kernel, bias) = layers(weights)
-        return MLPPolicy(
-            moments=moments,
-            limit=config.observation_limit,
-            layers=(*hidden, (kernel[:, :size], bias[:size])),
-            activation=ACTIVATION,
-            output="tanh",
-            action_repeat=config.action_repeat,
-        )
-    return NetworkPolicy(
-        moments=moments,
-        limit=config.observation_limit,
-        weights=weights,
-        network=config.network,
-        output_size=outputs_per_action * size,
-        action_size=size,
-        output="tanh",
-        action_repeat=config.action_repeat,
-    )
+    return network_policy(state, weights, ACTIVATION, "tanh", outputs_per_action)
 
 
 def check_off_policy(config: OffPolicyConfig, num_devices: int) -> None:
     """Raises ValueError if a size or number is invalid."""
     check_learner(config, num_devices)
     check_counts(config, "gradient_steps", "batch_size")
-    if config.batch_size % config.num_envs:
-        raise ValueError(
-            f"batch_size must be a multiple of num_envs, {config.num_envs}, "
-            f"got {config.batch_size}"
-        )
-    decisions = config.num_envs * config.rollout_steps
-    if config.buffer_size < decisions:
-        raise ValueError(
-            f"buffer_size must be at least the decisions of one update, {decisions}, "
-            f"got {config.buffer_size}"
-        )
+    check_memory(config)
     check_fractions(config, "target_rate", "noise_correlation")
     if config.noise_correlation == 1:
         raise ValueError("noise_correlation must be less than 1, got 1.0: frozen noise")
     check_positive(config, "policy_learning_rate", "critic_learning_rate")
     check_not_negative(config, "learning_starts")
-
-
-def _slots(config: OffPolicyConfig) -> int:
-    """Length of the ring: whole rollouts, at most `buffer_size` transitions."""
-    rollouts = config.buffer_size // (config.num_envs * config.rollout_steps)
-    return rollouts * config.rollout_steps
 
 
 @pytree

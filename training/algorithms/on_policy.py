@@ -8,37 +8,42 @@ that were used while acting.
 from __future__ import annotations
 
 import dataclasses
+import math
+from collections.abc import Callable
 from typing import Any
 
 import flax.linen as nn
 import jax
 import jax.numpy as jnp
-from jax.sharding import PartitionSpec
-from jaxtyping import Array, DTypeLike, Float, Int, Key
+import optax
+from jaxtyping import Array, Bool, DTypeLike, Float, Int, Key
 
 from jaxrod.envs import Environment, EpisodeRecord, VectorEnvironment, VectorState
 from jaxrod.envs.wrappers import repeating
-from jaxrod.structure import pytree, static
-from jaxrod.training.algorithm import DEVICE_AXIS
-from jaxrod.training.algorithms.advantages import generalised_advantages
-from jaxrod.training.algorithms.preparation import canonicalise, strip_weak_types
-from jaxrod.training.algorithms.rollout import collect
+from jaxrod.structure import pytree
+from jaxrod.training.algorithm import mean_over_devices, steps_per_update
+from jaxrod.training.algorithms.preparation import (
+    SPREAD,
+    LearnerState,
+    canonicalise,
+    network_policy,
+    restart_phase,
+    spread_over_devices,
+    started,
+)
 from jaxrod.training.networks import (
     GaussianPolicy,
-    NetworkPolicy,
     check_outputs,
     initial_weights,
-    layers,
     make_network,
 )
 from jaxrod.training.normalisation import (
-    RunningMoments,
     batch_moments,
     merge_moments,
     no_moments,
     normalise,
 )
-from jaxrod.training.policy import MLPPolicy, Policy
+from jaxrod.training.policy import Policy
 from jaxrod.training.settings import (
     LearnerConfig,
     Scalar,
@@ -47,7 +52,6 @@ from jaxrod.training.settings import (
     check_learner,
     check_not_negative,
 )
-from jaxrod.training.short_episodes import restart_phase
 
 ACTIVATION = "tanh"
 """Activation function of all hidden layers, as in the reference implementation."""
@@ -66,31 +70,17 @@ class OnPolicyConfig(LearnerConfig):
 
 
 @pytree
-class OnPolicyState:
+class OnPolicyState(LearnerState):
     """Complete state of an on-policy run: restored, it continues bit by bit."""
 
-    env: Environment = static()
-    """The environment."""
-    config: Any
-    """Numbers and sizes of the learner."""
-    env_params: Any
-    """Parameters of the environment."""
     weights: dict[str, Any]
     """Weights of the networks, under "policy" and "value"."""
     optimiser: Any
     """State of the optimiser."""
-    moments: RunningMoments
-    """Moments of the observations before the current update."""
-    environments: VectorState
-    """State of the batch of environments."""
     action_keys: Key[Array, " num_envs"]
     """One key per environment, for the noise of its actions."""
     shuffle_key: Key[Array, ""]
     """Key for the order of the minibatches."""
-    updates: Int[Array, ""]
-    """Number of updates so far."""
-    total_updates: Int[Array, ""]
-    """Number of updates after which schedules are constant."""
 
 
 @pytree
@@ -144,24 +134,34 @@ def log_density(
     return -jnp.sum(terms.astype(standardised.dtype), axis=-1)
 
 
+def gaussian_entropy(log_std: Float[Array, " action"]) -> Float[Array, ""]:
+    """Entropy of a normal distribution: sum(log std) + n/2 log(2 pi e)."""
+    constant = 0.5 * log_std.shape[0] * math.log(2 * math.pi * math.e)
+    return jnp.sum(log_std) + constant
+
+
 def start(
     key: Key[Array, ""],
     env: Environment,
     config: Any,
-    env_params: Any,
-    total_updates: int | Int[Array, ""],
-    optimiser: Any,
+    env_params: Any = None,
+    total_steps: int | Int[Array, ""] = 10_000_000,
+    *,
+    make_optimiser: Callable[[Any], optax.GradientTransformation],
 ) -> OnPolicyState:
-    """The train state before the first update.
+    """The train state before the first update; pure, so it can be vmapped over keys.
 
     Args:
         key: Typed random key; all randomness of the run comes from it.
         env: The environment.
-        config: An `OnPolicyConfig`.
+        config: Settings, an `OnPolicyConfig`; their numbers can be vmapped, too.
         env_params: Parameters of the environment, None for its defaults.
-        total_updates: Length of the schedules, in updates.
-        optimiser: Optax transformation that makes the optimiser's state.
+        total_steps: Control steps of the run, over which schedules go from their first
+            to their last value.
+        make_optimiser: `config -> transformation` that makes the optimiser's state.
     """
+    optimiser = make_optimiser(config)
+    updates = -(-total_steps // steps_per_update(config))
     env = repeating(env, config.action_repeat)
     config, env_params, dtype = canonicalise(key, env, config, env_params)
     keys = jax.random.split(key, 5)
@@ -174,13 +174,6 @@ def start(
     mean_weights = weights["policy"].get("mean", {})
     check_outputs(policy.mean, mean_weights, dummy, env.action_size)
     check_outputs(value, weights["value"], dummy, 1)
-    environments = VectorEnvironment(env).reset(
-        keys[2],
-        config.num_envs,
-        env_params,
-        spread_phases=config.spread_phases,
-        phase=restart_phase(env, config, 0),
-    )
     return OnPolicyState(
         env=env,
         config=config,
@@ -188,11 +181,11 @@ def start(
         weights=weights,
         optimiser=optimiser.init(weights),
         moments=no_moments(env.observation_size, dtype),
-        environments=strip_weak_types(environments, dtype),
+        environments=started(keys[2], env, config, env_params, dtype),
         action_keys=jax.random.split(keys[3], config.num_envs),
         shuffle_key=keys[4],
         updates=jnp.zeros((), jnp.int32),
-        total_updates=jnp.asarray(total_updates, jnp.int32),
+        total_updates=jnp.asarray(updates, jnp.int32),
     )
 
 
@@ -263,41 +256,67 @@ def gather_experience(
     return state, experience, rollout.episodes
 
 
+def fit_value(
+    network: nn.Module,
+    learned: tuple[Any, Any],
+    optimiser: optax.GradientTransformation,
+    samples: tuple[Float[Array, "steps num_envs observation"], Array],
+    key: Key[Array, ""],
+    passes: tuple[int, int],
+    *,
+    rate: Scalar,
+    weight: float,
+    axis_name: str | None,
+) -> tuple[Any, Any, Float[Array, ""]]:
+    """Fits a value network to targets; a minibatch is a random set of time steps.
+
+    Args:
+        network: The network.
+        learned: Its weights, and the state of the optimiser.
+        optimiser: Direction of the steps.
+        samples: Normalised observations, and their target values.
+        key: Key for the order of the minibatches.
+        passes: Number of passes over the samples, and of gradient steps in one.
+        rate: Step size.
+        weight: Factor of the mean squared error.
+        axis_name: Mapped axis over which the environments are spread, if any.
+
+    Returns:
+        Weights, state of the optimiser, and the mean of the weighted errors.
+    """
+    observation, target = samples
+    epochs, minibatches = passes
+
+    def loss(weights: Any, rows: Int[Array, " rows"]) -> Array:
+        value = predicted_value(network, weights, observation[rows])
+        return weight * jnp.mean((value - target[rows]) ** 2)
+
+    def step(
+        carry: tuple[Any, Any], rows: Int[Array, " rows"]
+    ) -> tuple[tuple[Any, Any], Array]:
+        weights, memory = carry
+        error, gradient = jax.value_and_grad(loss)(weights, rows)
+        gradient = mean_over_devices(gradient, axis_name)
+        direction, memory = optimiser.update(gradient, memory)
+        return (optax.tree.add_scale(weights, -rate, direction), memory), error
+
+    orders = jax.vmap(lambda key: jax.random.permutation(key, target.shape[0]))(
+        jax.random.split(key, epochs)
+    )
+    rows = orders.reshape(epochs * minibatches, -1)
+    (weights, memory), errors = jax.lax.scan(step, learned, rows)
+    return weights, memory, jnp.mean(errors)
+
+
 def partition(state: OnPolicyState) -> OnPolicyState:
     """The environments are split over the devices; everything else is replicated."""
-    repeated, spread = PartitionSpec(), PartitionSpec(DEVICE_AXIS)
-    specs: dict[str, Any] = {
-        field.name: repeated
-        for field in dataclasses.fields(state)
-        if field.name != "env"
-    }
-    specs |= {"environments": spread, "action_keys": spread}
-    return dataclasses.replace(state, **specs)
+    return spread_over_devices(state, environments=SPREAD, action_keys=SPREAD)
 
 
-def deterministic_policy(state: OnPolicyState) -> Policy:
-    """The mean of the action distribution, clipped to [-1, 1]."""
-    config, moments = state.config, state.moments
+def deterministic_policy(state: OnPolicyState, output: str = "clip") -> Policy:
+    """The mean of the action distribution, bounded to [-1, 1]."""
     weights = state.weights["policy"].get("mean", {})
-    if config.network is None:
-        return MLPPolicy(
-            moments=moments,
-            limit=config.observation_limit,
-            layers=layers(weights),
-            activation=ACTIVATION,
-            output="clip",
-            action_repeat=config.action_repeat,
-        )
-    return NetworkPolicy(
-        moments=moments,
-        limit=config.observation_limit,
-        weights=weights,
-        network=config.network,
-        output_size=state.env.action_size,
-        action_size=state.env.action_size,
-        output="clip",
-        action_repeat=config.action_repeat,
-    )
+    return network_policy(state, weights, ACTIVATION, output)
 
 
 def check_on_policy(config: OnPolicyConfig, num_devices: int) -> None:
@@ -318,3 +337,142 @@ def action_noise(state: OnPolicyState) -> Float[Array, "steps num_envs action"]:
         )
     )(state.action_keys)
     return jnp.swapaxes(noise, 0, 1)
+
+
+@pytree
+class Trajectories:
+    """Experience of `steps` steps of `num_envs` environments."""
+
+    observation: Float[Array, "steps num_envs observation"]
+    """Observation to which the action responds."""
+    action: Float[Array, "steps num_envs action"]
+    """Action drawn by the policy, before clipping to [-1, 1]."""
+    reward: Float[Array, "steps num_envs"]
+    """Reward, not scaled."""
+    terminated: Bool[Array, "steps num_envs"]
+    """Whether the task ended in this step."""
+    done: Bool[Array, "steps num_envs"]
+    """Whether the episode ended in this step, for whatever reason."""
+    final_value: Float[Array, "steps num_envs"]
+    """Value of the final observation where an episode was cut short, else 0."""
+    episodes: EpisodeRecord
+    """The complete episodes that ended in each step."""
+
+
+def collect(
+    environment: VectorEnvironment,
+    state: VectorState,
+    env_params: Any,
+    act: Callable[[Array, Array], Array],
+    value: Callable[[Array], Array],
+    noise: Float[Array, "steps num_envs action"],
+    restart_phase: Int[Array, ""] | int = 0,
+) -> tuple[VectorState, Trajectories]:
+    """Acts for `steps` steps.
+
+    Args:
+        environment: The batch.
+        state: Its state.
+        env_params: Parameters of the environment.
+        act: Function (observation, noise) -> action, on a batch.
+        value: Function observation -> value, on a batch. Called only in steps in which
+            an episode is cut short.
+        noise: Standard normal noise of the actions.
+        restart_phase: Initial step count of new episodes, as in
+            `jaxrod.envs.VectorEnvironment.step`.
+    """
+
+    def step(
+        state: VectorState, noise: Float[Array, "num_envs action"]
+    ) -> tuple[VectorState, Trajectories]:
+        action = act(state.observation, noise)
+        following, outcome = environment.step(
+            state,
+            jnp.clip(action, -1, 1),
+            env_params,
+            restart_phase=restart_phase,
+        )
+        cut_short = outcome.truncated & ~outcome.terminated
+        final_value = jax.lax.cond(
+            jnp.any(cut_short),
+            lambda observation: jnp.where(cut_short, value(observation), 0),
+            lambda observation: jnp.zeros_like(observation[:, 0]),
+            outcome.final_observation,
+        )
+        return following, Trajectories(
+            observation=state.observation,
+            action=action,
+            reward=outcome.reward,
+            terminated=outcome.terminated,
+            done=outcome.terminated | outcome.truncated,
+            final_value=final_value,
+            episodes=outcome.episodes,
+        )
+
+    return jax.lax.scan(step, state, noise)
+
+
+def generalised_advantages(
+    reward: Float[Array, "steps *batch"],
+    value: Float[Array, "steps *batch"],
+    last_value: Float[Array, "*batch"],
+    final_value: Float[Array, "steps *batch"],
+    terminated: Bool[Array, "steps *batch"],
+    done: Bool[Array, "steps *batch"],
+    discount: float | Float[Array, ""],
+    trace_decay: float | Float[Array, ""],
+) -> Float[Array, "steps *batch"]:
+    """Advantages A_t = sum_k (gamma lambda)^k delta_(t+k) within each episode.
+
+    delta_t = r_t + gamma V'_t - V_t. V'_t is the value of the state after step t. It is
+    0 if the task ended there (`terminated`), the value of the final observation if the
+    episode was only cut short (`done` but not terminated), and V_(t+1) otherwise. The
+    sum stops where `done`.
+
+    Args:
+        reward: Reward of each step.
+        value: Value of the observation that each step acted on.
+        last_value: Value of the observation after the last step.
+        final_value: Value of the observation at the end of each step, before any
+            restart; used only where an episode was cut short.
+        terminated: Whether the task ended in this step.
+        done: Whether the episode ended in this step, for whatever reason.
+        discount: Discount factor gamma in [0, 1].
+        trace_decay: Trace decay lambda in [0, 1].
+
+    Source: Schulman et al., "High-dimensional continuous control using
+    generalized advantage estimation", 2016; Pardo et al., "Time limits in
+    reinforcement learning", 2018.
+    """
+    following = jnp.concatenate([value[1:], last_value[None]])
+    following = jnp.where(done, jnp.where(terminated, 0, final_value), following)
+    delta = reward + discount * following - value
+    decay = jnp.where(done, 0, discount * trace_decay).astype(delta.dtype)
+
+    def backwards(
+        later: Float[Array, "*batch"], step: tuple[Array, Array]
+    ) -> tuple[Float[Array, "*batch"], Float[Array, "*batch"]]:
+        delta_t, decay_t = step
+        advantage = delta_t + decay_t * later
+        return advantage, advantage
+
+    start = jnp.zeros_like(last_value)
+    return jax.lax.scan(backwards, start, (delta, decay), reverse=True, unroll=8)[1]
+
+
+def standardised(
+    advantage: Float[Array, "*shape"], axes: tuple[int, ...], axis_name: str | None
+) -> Float[Array, "*shape"]:
+    """Shifts and scales advantages to mean 0 and variance 1.
+
+    Args:
+        advantage: Advantages of any shape.
+        axes: Axes over which mean and variance are taken.
+        axis_name: Mapped axis over which the environments are spread, if any.
+    """
+
+    def mean(x: Array) -> Array:
+        return mean_over_devices(jnp.mean(x, axis=axes, keepdims=True), axis_name)
+
+    centred = advantage - mean(advantage)
+    return centred / (jnp.sqrt(mean(centred**2)) + 1e-8)

@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import dataclasses
 import functools
-import math
 from typing import Any
 
 import jax
@@ -23,7 +22,6 @@ from jaxrod.training.algorithm import (
     mean_over_devices,
     steps_per_update,
 )
-from jaxrod.training.algorithms.advantages import standardised
 from jaxrod.training.algorithms.on_policy import (
     Experience,
     OnPolicyConfig,
@@ -31,14 +29,16 @@ from jaxrod.training.algorithms.on_policy import (
     check_on_policy,
     deterministic_policy,
     gather_experience,
+    gaussian_entropy,
     log_density,
     partition,
     policy_network,
     predicted_value,
+    standardised,
     start,
     value_network,
 )
-from jaxrod.training.algorithms.schedule import along_the_run
+from jaxrod.training.algorithms.preparation import along_the_run
 from jaxrod.training.settings import (
     Scalar,
     check_counts,
@@ -87,25 +87,16 @@ def validate(config: PPOConfig, num_devices: int = 1) -> None:
     check_not_negative(config, "value_weight")
 
 
-def init(
-    key: Key[Array, ""],
-    env: Environment,
-    config: PPOConfig,
-    env_params: Any = None,
-    total_steps: int | Int[Array, ""] = 10_000_000,
-) -> OnPolicyState:
-    """The train state before the first update; pure, so it can be vmapped over keys.
+def _optimiser(config: PPOConfig) -> optax.GradientTransformation:
+    """Adam's direction for a clipped gradient; the step size is applied later."""
+    return optax.chain(
+        optax.clip_by_global_norm(config.gradient_norm),
+        optax.scale_by_adam(eps=1e-5),
+    )
 
-    Args:
-        key: Typed random key; all randomness of the run comes from it.
-        env: The environment.
-        config: Settings; their numbers can be vmapped, too.
-        env_params: Parameters of the environment, None for its defaults.
-        total_steps: Control steps over which the learning rate falls.
-    """
-    updates = -(-total_steps // steps_per_update(config))
-    optimiser = _optimiser(config.gradient_norm)
-    return start(key, env, config, env_params, updates, optimiser)
+
+init = functools.partial(start, make_optimiser=_optimiser)
+"""The train state before the first update, see `on_policy.start`."""
 
 
 def update(
@@ -123,7 +114,7 @@ def update(
     """
     config: PPOConfig = state.config
     state, experience, episodes = gather_experience(state, axis_name)
-    optimiser = _optimiser(config.gradient_norm)
+    optimiser = _optimiser(config)
     learning_rate = along_the_run(
         state,
         config.learning_rate,
@@ -197,7 +188,7 @@ def _loss(
     network = value_network(config, dtype)
     value = predicted_value(network, weights["value"], batch.observation)
     value_loss = 0.5 * jnp.mean((value - batch.value_target) ** 2)
-    entropy = jnp.sum(log_std) + 0.5 * env.action_size * math.log(2 * math.pi * math.e)
+    entropy = gaussian_entropy(log_std)
     loss = -gain + config.value_weight * value_loss - config.entropy_weight * entropy
     report = {
         "policy_gain": gain,
@@ -208,14 +199,6 @@ def _loss(
         "clipped": jnp.mean((jnp.abs(ratio - 1) > config.clip).astype(loss.dtype)),
     }
     return loss, report
-
-
-def _optimiser(gradient_norm: Scalar) -> optax.GradientTransformation:
-    """Adam's direction for a clipped gradient; the step size is applied later."""
-    return optax.chain(
-        optax.clip_by_global_norm(gradient_norm),
-        optax.scale_by_adam(eps=1e-5),
-    )
 
 
 PPO = Algorithm(

@@ -35,7 +35,7 @@ class Transition:
 
 
 @pytree
-class Replay:
+class ReplayBuffer:
     """The last transitions of every environment, or other records of time steps."""
 
     transitions: Any
@@ -56,10 +56,10 @@ class Replay:
 
 def empty_replay(
     slots: int, num_envs: int, observation_size: int, action_size: int, dtype: DTypeLike
-) -> Replay:
+) -> ReplayBuffer:
     """An empty ring for `slots` time steps of `num_envs` environments."""
     shape = (slots, num_envs)
-    return Replay(
+    return ReplayBuffer(
         Transition(
             observation=jnp.zeros((*shape, observation_size), dtype),
             action=jnp.zeros((*shape, action_size), dtype),
@@ -71,7 +71,7 @@ def empty_replay(
     )
 
 
-def append(replay: Replay, steps: Any) -> Replay:
+def append(replay: ReplayBuffer, steps: Any) -> ReplayBuffer:
     """Writes a block of time steps over the oldest ones.
 
     Args:
@@ -94,11 +94,11 @@ def append(replay: Replay, steps: Any) -> Replay:
         replay.transitions,
         steps,
     )
-    return Replay(transitions, replay.written + block)
+    return ReplayBuffer(transitions, replay.written + block)
 
 
 def sample_indices(
-    replay: Replay, keys: Key[Array, " num_envs"], batches: int, per_env: int
+    replay: ReplayBuffer, keys: Key[Array, " num_envs"], batches: int, per_env: int
 ) -> Int[Array, "batches per_env num_envs"]:
     """Slots to sample, uniform over the filled ones, with replacement.
 
@@ -116,7 +116,7 @@ def sample_indices(
     return jnp.moveaxis(times, 0, 2)
 
 
-def sample(replay: Replay, times: Int[Array, "per_env num_envs"]) -> Any:
+def sample(replay: ReplayBuffer, times: Int[Array, "per_env num_envs"]) -> Any:
     """Reads one batch, of shape (per_env * num_envs, ...)."""
     envs = jnp.broadcast_to(jnp.arange(times.shape[1])[None], times.shape)
     return jax.tree.map(

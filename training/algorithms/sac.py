@@ -11,7 +11,7 @@ from typing import Any
 
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Float, Int, Key
+from jaxtyping import Array, Float, Key
 
 from jaxrod.envs import Environment
 from jaxrod.structure import pytree
@@ -19,7 +19,7 @@ from jaxrod.training.algorithm import Algorithm, Metrics, steps_per_update
 from jaxrod.training.algorithms.actor_critic import (
     Learner,
     apply_gradient,
-    critic_loss,
+    critic_step,
     critic_values,
     initial_critics,
     initial_policy,
@@ -111,37 +111,24 @@ def validate(config: SACConfig, num_devices: int = 1) -> None:
         )
 
 
-def init(
-    key: Key[Array, ""],
-    env: Environment,
-    config: SACConfig,
-    env_params: Any = None,
-    total_steps: int | Int[Array, ""] = 10_000_000,
-) -> OffPolicyState:
-    """The train state before the first update; pure, so it can be vmapped over keys.
+def learner(
+    key: Key[Array, ""], env: Environment, config: SACConfig, dtype: Any
+) -> Learner:
+    """Initial weights and optimisers."""
+    keys = jax.random.split(key)
+    outputs = OUTPUTS_PER_ACTION * env.action_size
+    critics = initial_critics(keys[1], env, config, 2, dtype)
+    weights = {
+        "policy": initial_policy(keys[0], env, config, outputs, dtype),
+        "critics": critics,
+        "log_temperature": jnp.log(jnp.asarray(config.initial_temperature, dtype)),
+    }
+    memory = {name: optimiser().init(part) for name, part in weights.items()}
+    return Learner(weights | {"target_critics": critics}, memory)
 
-    Args:
-        key: Typed random key; all randomness of the run comes from it.
-        env: The environment.
-        config: Settings; their numbers can be vmapped, too.
-        env_params: Parameters of the environment, None for its defaults.
-        total_steps: No effect: there are no schedules.
-    """
 
-    def learner(key: Key[Array, ""], config: SACConfig, dtype: Any) -> Learner:
-        keys = jax.random.split(key)
-        outputs = OUTPUTS_PER_ACTION * env.action_size
-        critics = initial_critics(keys[1], env, config, 2, dtype)
-        weights = {
-            "policy": initial_policy(keys[0], env, config, outputs, dtype),
-            "critics": critics,
-            "log_temperature": jnp.log(jnp.asarray(config.initial_temperature, dtype)),
-        }
-        memory = {name: optimiser().init(part) for name, part in weights.items()}
-        return Learner(weights | {"target_critics": critics}, memory)
-
-    updates = -(-total_steps // steps_per_update(config))
-    return start(key, env, config, env_params, updates, learner)
+init = functools.partial(start, make_learner=learner)
+"""The train state before the first update, see `off_policy.start`."""
 
 
 def update(
@@ -182,15 +169,9 @@ def update(
         learner: Learner, batches: list[Batch]
     ) -> tuple[Learner, dict[str, Array]]:
         (batch,) = batches
-        gradient, report = jax.grad(critic_loss, has_aux=True)(
-            learner.weights["critics"],
-            config,
-            batch.transition,
-            next_value(learner.weights, batch),
-            config.discount,
-        )
-        learner = apply_gradient(
-            learner, "critics", gradient, config.critic_learning_rate, axis_name
+        value = next_value(learner.weights, batch)
+        learner, report = critic_step(
+            learner, config, batch.transition, value, axis_name
         )
         gradient, about_policy = jax.grad(policy_loss, has_aux=True)(
             learner.weights["policy"], learner.weights, batch

@@ -19,7 +19,7 @@ simulation", 2022.
 from __future__ import annotations
 
 import dataclasses
-import math
+import functools
 from typing import Any
 
 import jax
@@ -28,6 +28,7 @@ import optax
 from jaxtyping import Array, Bool, Float, Int, Key
 
 from jaxrod.envs import Environment, EpisodeRecord, VectorEnvironment, VectorState
+from jaxrod.envs.wrappers import EnvironmentWrapper
 from jaxrod.structure import pytree, static
 from jaxrod.training.algorithm import (
     Algorithm,
@@ -35,29 +36,29 @@ from jaxrod.training.algorithm import (
     mean_over_devices,
     steps_per_update,
 )
-from jaxrod.training.algorithms.advantages import generalised_advantages
 from jaxrod.training.algorithms.on_policy import (
     OnPolicyConfig,
     OnPolicyState,
     action_noise,
     check_on_policy,
     deterministic_policy,
+    fit_value,
+    gaussian_entropy,
+    generalised_advantages,
     partition,
     policy_network,
     predicted_value,
     start,
     value_network,
 )
-from jaxrod.training.algorithms.schedule import along_the_run
+from jaxrod.training.algorithms.preparation import along_the_run, restart_phase
 from jaxrod.training.normalisation import batch_moments, merge_moments, normalise
-from jaxrod.training.policy import Policy
 from jaxrod.training.settings import (
     Scalar,
     check_counts,
     check_fractions,
     check_positive,
 )
-from jaxrod.training.short_episodes import restart_phase
 
 
 @pytree
@@ -151,7 +152,7 @@ def target_value(
 
 
 @dataclasses.dataclass(frozen=True)
-class WithCost:
+class WithCost(EnvironmentWrapper):
     """The environment with its cost in `info`, for the state before any restart.
 
     Raises:
@@ -168,34 +169,6 @@ class WithCost:
                 f"{type(self.env).__name__} has no cost (jaxrod.envs.Plannable): "
                 "let the objective be the reward"
             )
-
-    @property
-    def name(self) -> str:
-        """Name of the task."""
-        return self.env.name
-
-    @property
-    def observation_size(self) -> int:
-        """Length of the observation vector."""
-        return self.env.observation_size
-
-    @property
-    def action_size(self) -> int:
-        """Length of the action vector."""
-        return self.env.action_size
-
-    @property
-    def episode_length(self) -> int:
-        """Control steps after which an episode is truncated."""
-        return self.env.episode_length
-
-    def default_params(self) -> Any:
-        """Parameters of the environment."""
-        return self.env.default_params()
-
-    def reset(self, key: Key[Array, ""], params: Any) -> tuple[Array, Any]:
-        """Starts an episode."""
-        return self.env.reset(key, params)
 
     def step(
         self,
@@ -290,11 +263,10 @@ def init(
     Raises:
         ValueError: The objective is the cost, but the environment has none.
     """
-    updates = -(-total_steps // steps_per_update(config))
     adam = _optimiser(config)
     if config.objective == "cost":
         env = WithCost(env)
-    state = start(key, env, config, env_params, updates, adam)
+    state = start(key, env, config, env_params, total_steps, make_optimiser=_optimiser)
     return dataclasses.replace(
         state,
         weights=state.weights | {"target": state.weights["value"]},
@@ -322,10 +294,7 @@ def update(
         environments, window = acted(state, policy, noise)
         following = target_value(state, window.final_observation)
         gain = objective(window, following, config.discount)
-        size = state.env.action_size
-        entropy = jnp.sum(policy["log_std"]) + 0.5 * size * math.log(
-            2 * math.pi * math.e
-        )
+        entropy = gaussian_entropy(policy["log_std"])
         total = -gain - config.entropy_weight * entropy
         return total, (environments, window, following)
 
@@ -405,31 +374,17 @@ def _fitted(
         trace_decay=config.trace_decay,
     )
 
-    def loss(weights: Any, rows: Int[Array, " rows"]) -> Array:
-        predicted = predicted_value(network, weights, window.observation[rows])
-        return jnp.mean((predicted - aim[rows]) ** 2)
-
-    def step(
-        carry: tuple[Any, Any], rows: Int[Array, " rows"]
-    ) -> tuple[tuple[Any, Any], Array]:
-        weights, memory = carry
-        error, gradient = jax.value_and_grad(loss)(weights, rows)
-        gradient = mean_over_devices(gradient, axis_name)
-        direction, memory = adam.update(gradient, memory)
-        rate = config.critic_learning_rate
-        return (optax.tree.add_scale(weights, -rate, direction), memory), error
-
-    keys = jax.random.split(key, config.epochs)
-    rows = jax.vmap(lambda key: jax.random.permutation(key, config.rollout_steps))(keys)
-    rows = rows.reshape(config.epochs * config.minibatches, -1)
-    (weights, memory), errors = jax.lax.scan(step, (weights, memory), rows)
-    return weights, memory, jnp.mean(errors)
-
-
-def _policy(state: OnPolicyState) -> Policy:
-    """The policy whose action is the tanh of the mean."""
-    policy: Any = deterministic_policy(state)
-    return dataclasses.replace(policy, output="tanh")
+    return fit_value(
+        network,
+        (weights, memory),
+        adam,
+        (window.observation, aim),
+        key,
+        (config.epochs, config.minibatches),
+        rate=config.critic_learning_rate,
+        weight=1.0,
+        axis_name=axis_name,
+    )
 
 
 def _optimiser(config: SHACConfig) -> optax.GradientTransformation:
@@ -448,6 +403,6 @@ SHAC = Algorithm(
     init=init,
     update=update,
     partition=partition,
-    policy=_policy,
+    policy=functools.partial(deterministic_policy, output="tanh"),
 )
 """SHAC for the shared loop."""

@@ -11,11 +11,13 @@ methods", 2018.
 
 from __future__ import annotations
 
+import dataclasses
+import functools
 from typing import Any
 
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Float, Int, Key
+from jaxtyping import Array, Float, Key
 
 from jaxrod.envs import Environment
 from jaxrod.structure import pytree, static
@@ -23,7 +25,7 @@ from jaxrod.training.algorithm import Algorithm, Metrics, steps_per_update
 from jaxrod.training.algorithms.actor_critic import (
     Learner,
     apply_gradient,
-    critic_loss,
+    critic_step,
     critic_values,
     initial_critics,
     initial_policy,
@@ -42,7 +44,7 @@ from jaxrod.training.algorithms.off_policy import (
     partition,
     start,
 )
-from jaxrod.training.algorithms.schedule import along_the_run
+from jaxrod.training.algorithms.preparation import along_the_run
 from jaxrod.training.settings import (
     Scalar,
     check_counts,
@@ -88,35 +90,22 @@ def validate(config: TD3Config, num_devices: int = 1) -> None:
     check_fractions(config, "exploration_decay")
 
 
-def init(
-    key: Key[Array, ""],
-    env: Environment,
-    config: TD3Config,
-    env_params: Any = None,
-    total_steps: int | Int[Array, ""] = 10_000_000,
-) -> OffPolicyState:
-    """The train state before the first update; pure, so it can be vmapped over keys.
+def learner(
+    key: Key[Array, ""], env: Environment, config: TD3Config, dtype: Any
+) -> Learner:
+    """Initial weights and optimisers."""
+    keys = jax.random.split(key)
+    weights: dict[str, Any] = {
+        "policy": initial_policy(keys[0], env, config, env.action_size, dtype),
+        "critics": initial_critics(keys[1], env, config, config.critics, dtype),
+    }
+    memory = {name: optimiser().init(part) for name, part in weights.items()}
+    targets = {f"target_{name}": part for name, part in weights.items()}
+    return Learner(weights | targets, memory)
 
-    Args:
-        key: Typed random key; all randomness of the run comes from it.
-        env: The environment.
-        config: Settings; their numbers can be vmapped, too.
-        env_params: Parameters of the environment, None for its defaults.
-        total_steps: Control steps over which the exploration noise falls.
-    """
 
-    def learner(key: Key[Array, ""], config: TD3Config, dtype: Any) -> Learner:
-        keys = jax.random.split(key)
-        weights: dict[str, Any] = {
-            "policy": initial_policy(keys[0], env, config, env.action_size, dtype),
-            "critics": initial_critics(keys[1], env, config, config.critics, dtype),
-        }
-        memory = {name: optimiser().init(part) for name, part in weights.items()}
-        targets = {f"target_{name}": part for name, part in weights.items()}
-        return Learner(weights | targets, memory)
-
-    updates = -(-total_steps // steps_per_update(config))
-    return start(key, env, config, env_params, updates, learner)
+init = functools.partial(start, make_learner=learner)
+"""The train state before the first update, see `off_policy.start`."""
 
 
 def smoothed_target_action(
@@ -184,15 +173,9 @@ def update(
         learner: Learner, batches: list[Batch]
     ) -> tuple[Learner, dict[str, Array]]:
         for batch in batches:
-            gradient, report = jax.grad(critic_loss, has_aux=True)(
-                learner.weights["critics"],
-                config,
-                batch.transition,
-                next_value(learner.weights, batch),
-                config.discount,
-            )
-            learner = apply_gradient(
-                learner, "critics", gradient, config.critic_learning_rate, axis_name
+            value = next_value(learner.weights, batch)
+            learner, report = critic_step(
+                learner, config, batch.transition, value, axis_name
             )
         gradient = jax.grad(policy_loss)(
             learner.weights["policy"], learner.weights["critics"], batches[-1]
@@ -226,3 +209,21 @@ TD3 = Algorithm(
     policy=deterministic_policy,
 )
 """TD3 for the shared loop."""
+
+
+@pytree
+class DDPGConfig(TD3Config):
+    """Settings of DDPG: those of TD3 with one critic, no delay and no target smoothing.
+
+    `jaxrod.training.TD3Config` describes the settings. Source: Lillicrap et al.,
+    "Continuous control with deep reinforcement learning", 2016.
+    """
+
+    policy_delay: int = static(default=1)
+    critics: int = static(default=1)
+    policy_learning_rate: Scalar = 3e-4
+    target_noise: Scalar = 0.0
+
+
+DDPG = dataclasses.replace(TD3, name="ddpg", config_type=DDPGConfig)
+"""DDPG for the shared loop."""

@@ -6,16 +6,15 @@ Source: Schulman et al., "Trust region policy optimization", 2015.
 from __future__ import annotations
 
 import dataclasses
-import math
+import functools
 from typing import Any
 
 import jax
 import jax.numpy as jnp
 import optax
 from jax.flatten_util import ravel_pytree
-from jaxtyping import Array, Float, Int, Key
+from jaxtyping import Array, Float
 
-from jaxrod.envs import Environment
 from jaxrod.structure import pytree, static
 from jaxrod.training.algorithm import (
     Algorithm,
@@ -23,22 +22,23 @@ from jaxrod.training.algorithm import (
     mean_over_devices,
     steps_per_update,
 )
-from jaxrod.training.algorithms.advantages import standardised
 from jaxrod.training.algorithms.on_policy import (
     Experience,
     OnPolicyConfig,
     OnPolicyState,
     check_on_policy,
     deterministic_policy,
+    fit_value,
     gather_experience,
+    gaussian_entropy,
     log_density,
     partition,
     policy_network,
-    predicted_value,
+    standardised,
     start,
     value_network,
 )
-from jaxrod.training.algorithms.schedule import along_the_run
+from jaxrod.training.algorithms.preparation import along_the_run
 from jaxrod.training.algorithms.trust_region import (
     backtrack,
     conjugate_gradient,
@@ -109,25 +109,17 @@ def validate(config: TRPOConfig, num_devices: int = 1) -> None:
     check_not_negative(config, "damping")
 
 
-def init(
-    key: Key[Array, ""],
-    env: Environment,
-    config: TRPOConfig,
-    env_params: Any = None,
-    total_steps: int | Int[Array, ""] = 10_000_000,
-) -> OnPolicyState:
-    """The train state before the first update; pure, so it can be vmapped over keys.
+def _value_optimiser(config: TRPOConfig) -> optax.GradientTransformation:
+    """Adam's direction for the value network only; the step size is applied later."""
+    del config
+    adam = optax.scale_by_adam()
+    return optax.GradientTransformation(
+        lambda weights: adam.init(weights["value"]), adam.update
+    )
 
-    Args:
-        key: Typed random key; all randomness of the run comes from it.
-        env: The environment.
-        config: Settings; their numbers can be vmapped, too.
-        env_params: Parameters of the environment, None for its defaults.
-        total_steps: Control steps over which the bound on the change goes from its
-            first to its last value.
-    """
-    updates = -(-total_steps // steps_per_update(config))
-    return start(key, env, config, env_params, updates, _value_optimiser())
+
+init = functools.partial(start, make_optimiser=_value_optimiser)
+"""The train state before the first update, see `on_policy.start`."""
 
 
 def update(
@@ -178,7 +170,7 @@ def _improve_policy(
         noise = (batch.action - mean) * jnp.exp(-log_std)[None]
         ratio = jnp.exp(log_density(noise, log_std) - batch.log_prob)
         gain = jnp.mean(ratio * batch.advantage)
-        entropy = _entropy(log_std)
+        entropy = gaussian_entropy(log_std)
         kl = mean_divergence(old_mean, old_log_std, mean, log_std)
         return gain + config.entropy_weight * entropy, kl
 
@@ -207,7 +199,7 @@ def _improve_policy(
     return weights, {
         "policy_gain": after - before,
         "kl": kl,
-        "entropy": _entropy(weights["log_std"]),
+        "entropy": gaussian_entropy(weights["log_std"]),
         "gradient_norm": jnp.sqrt(jnp.vdot(gradient, gradient)),
         "accepted": search.accepted.astype(after.dtype),
         "backtracks": search.backtracks.astype(after.dtype),
@@ -237,32 +229,17 @@ def _fit_value(
 ) -> tuple[OnPolicyState, Float[Array, ""]]:
     """Fits the value network to the returns; minibatches are as in PPO."""
     config: TRPOConfig = state.config
-    network = value_network(config, experience.observation.dtype)
-    optimiser = _value_optimiser()
-
-    def loss(weights: Any, observation: Array, target: Array) -> Array:
-        value = predicted_value(network, weights, observation)
-        return 0.5 * jnp.mean((value - target) ** 2)
-
-    def minibatch_step(
-        carry: tuple[Any, Any], rows: Int[Array, " rows"]
-    ) -> tuple[tuple[Any, Any], Array]:
-        weights, memory = carry
-        error, gradient = jax.value_and_grad(loss)(
-            weights, experience.observation[rows], experience.value_target[rows]
-        )
-        gradient = mean_over_devices(gradient, axis_name)
-        direction, memory = optimiser.update(gradient, memory)
-        weights = optax.tree.add_scale(weights, -config.value_learning_rate, direction)
-        return (weights, memory), error
-
-    shuffle_key, epochs_key = jax.random.split(state.shuffle_key)
-    orders = jax.vmap(lambda key: jax.random.permutation(key, config.rollout_steps))(
-        jax.random.split(epochs_key, config.value_epochs)
-    )
-    rows = orders.reshape(config.value_epochs * config.value_minibatches, -1)
-    (weights, memory), errors = jax.lax.scan(
-        minibatch_step, (state.weights["value"], state.optimiser), rows
+    shuffle_key, own = jax.random.split(state.shuffle_key)
+    weights, memory, error = fit_value(
+        value_network(config, experience.observation.dtype),
+        (state.weights["value"], state.optimiser),
+        _value_optimiser(config),
+        (experience.observation, experience.value_target),
+        own,
+        (config.value_epochs, config.value_minibatches),
+        rate=config.value_learning_rate,
+        weight=0.5,
+        axis_name=axis_name,
     )
     state = dataclasses.replace(
         state,
@@ -270,20 +247,7 @@ def _fit_value(
         optimiser=memory,
         shuffle_key=shuffle_key,
     )
-    return state, jnp.mean(errors)
-
-
-def _entropy(log_std: Float[Array, " action"]) -> Float[Array, ""]:
-    constant = 0.5 * log_std.shape[0] * math.log(2 * math.pi * math.e)
-    return jnp.sum(log_std) + constant
-
-
-def _value_optimiser() -> optax.GradientTransformation:
-    """Adam's direction for the value network only; the step size is applied later."""
-    adam = optax.scale_by_adam()
-    return optax.GradientTransformation(
-        lambda weights: adam.init(weights["value"]), adam.update
-    )
+    return state, error
 
 
 TRPO = Algorithm(

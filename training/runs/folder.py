@@ -71,6 +71,10 @@ _SUMMARY_MAY_LACK = {
 }
 
 
+_MOVED = "jaxrod.envs.action_repeat: ", "jaxrod.envs.wrappers: "
+"""Module of a class in older runs, and in today's."""
+
+
 class RunFolder(OwnedFolder):
     """The files of one run."""
 
@@ -137,8 +141,16 @@ class RunFolder(OwnedFolder):
 
 
 def renamed(config: Mapping[str, Any]) -> dict[str, Any]:
-    """A configuration with the task as `task`; older runs called it `case`."""
-    return {"task" if name == "case" else name: config[name] for name in config}
+    """A configuration in today's words.
+
+    Older runs called the task `case`, and described an environment that `make` had not
+    made by the module that then held its class.
+    """
+    today = {"task" if name == "case" else name: config[name] for name in config}
+    words = today.get("environment")
+    if isinstance(words, str):
+        today["environment"] = words.replace(*_MOVED, 1)
+    return today
 
 
 def differences(

@@ -72,7 +72,7 @@ class Hosts:
             except (ValueError, OSError) as error:
                 said, refusal = _REFUSED + str(error).encode(), error
         with self.losing_none(0):
-            said = _told(said)
+            said = _broadcast(said)
         if refusal:
             raise refusal
         if said.startswith(_REFUSED):
@@ -149,11 +149,11 @@ def unpacked(content: bytes) -> tuple[dict[str, np.ndarray], Any]:
     return arrays, json.loads(arrays.pop("").tobytes())
 
 
-def _told(content: bytes) -> bytes:
+def _broadcast(content: bytes) -> bytes:
     """The first process's bytes, broadcast to all processes."""
-    tell = multihost_utils.broadcast_one_to_all
-    length = int(tell(np.array(len(content), np.int32)))
+    broadcast = multihost_utils.broadcast_one_to_all
+    length = int(broadcast(np.array(len(content), np.int32)))
     buffer = np.zeros(length, np.uint8)
     if jax.process_index() == 0:
         buffer[:] = np.frombuffer(content, np.uint8)
-    return np.asarray(tell(buffer), np.uint8).tobytes()
+    return np.asarray(broadcast(buffer), np.uint8).tobytes()

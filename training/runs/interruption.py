@@ -12,18 +12,18 @@ from typing import Any
 class Interruption:
     """Turns SIGINT and SIGTERM into a request to stop, while the context lasts.
 
-    The first signal sets `asked`; a second one raises KeyboardInterrupt. Outside the
-    main thread, where Python allows no handlers, nothing changes.
+    The first signal sets `requested`; a second one raises KeyboardInterrupt. Outside
+    the main thread, where Python allows no handlers, nothing changes.
     """
 
-    def __init__(self, say: Callable[[str], None]) -> None:
+    def __init__(self, log: Callable[[str], None]) -> None:
         """Prepares the handlers, which only act within the context.
 
         Args:
-            say: Function called with a sentence at the first signal.
+            log: Function called with a sentence at the first signal.
         """
-        self.asked = False
-        self._say = say
+        self.requested = False
+        self._log = log
         self._previous: dict[int, Any] = {}
 
     def __enter__(self) -> Interruption:
@@ -44,7 +44,7 @@ class Interruption:
             signal.signal(number, handler)
 
     def _handle(self, number: int, frame: FrameType | None) -> None:
-        if self.asked:
+        if self.requested:
             raise KeyboardInterrupt
-        self.asked = True
-        self._say("finishing this chunk and saving; once more to stop at once")
+        self.requested = True
+        self._log("finishing this chunk and saving; once more to stop at once")

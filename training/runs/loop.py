@@ -1,4 +1,4 @@
-"""The entry point of training: checks the request and starts the run."""
+"""The entry points of training: one run with its records, or many runs at once."""
 
 from __future__ import annotations
 
@@ -11,9 +11,11 @@ from pathlib import Path
 from typing import Any
 
 import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Int, Key
 
 from jaxrod.envs import Environment
-from jaxrod.envs.registry import made
+from jaxrod.envs.registry import origin_of
 from jaxrod.training.algorithm import Algorithm, recorded_name
 from jaxrod.training.runs.checkpoint import Checkpoints
 from jaxrod.training.runs.contract import resolve, updates_of
@@ -101,7 +103,7 @@ def train(
         chunk_steps=chunk_steps,
     )
     settings = {} if out is None else recorded(config)
-    asked = request(env, name, settings, steps, seed, score_window)
+    requested = request(env, name, settings, steps, seed, score_window)
     if log == TENSORBOARD:
         if out is None:
             raise ValueError("log='tensorboard' needs a folder, got out=None")
@@ -117,9 +119,9 @@ def train(
         def take(folder: RunFolder) -> bytes:
             # Checked first so that a refusal leaves no trace, and again once nobody
             # else can change the folder.
-            _check_folder(folder, asked, resume, overwrite)
+            _check_folder(folder, requested, resume, overwrite)
             stack.enter_context(folder.only_process())
-            _check_folder(folder, asked, resume, overwrite)
+            _check_folder(folder, requested, resume, overwrite)
             return b""
 
         if folder:
@@ -129,7 +131,7 @@ def train(
             learner=learner,
             config=config,
             env_params=env_params,
-            asked=asked,
+            requested=requested,
             folder=folder,
             resume=resume,
             checkpoint_seconds=checkpoint_seconds,
@@ -203,7 +205,7 @@ def _origin(env: Environment) -> dict[str, Any]:
     An environment that `make` did not make cannot be made again. Its description is
     then stored as text, for people, and to tell it from others.
     """
-    how = made(env)
+    how = origin_of(env)
     if how is None:
         words = re.sub(r" at 0x[0-9a-fA-F]+", "", f"{type(env).__module__}: {env!r}")
         variant = getattr(env, "variant", None)
@@ -222,7 +224,7 @@ def _origin(env: Environment) -> dict[str, Any]:
 
 
 def _check_folder(
-    folder: RunFolder, asked: dict[str, Any], resume: bool, overwrite: bool
+    folder: RunFolder, requested: dict[str, Any], resume: bool, overwrite: bool
 ) -> None:
     """Raises ValueError with the reason if the folder cannot be used."""
     name = str(folder.path)
@@ -234,7 +236,7 @@ def _check_folder(
                 "pass resume=True to continue it or overwrite=True to replace it"
             )
         return
-    changed = differences(folder.config(), asked)
+    changed = differences(folder.config(), requested)
     if changed:
         raise ValueError(
             f"resume needs what {CONFIG} in {name!r} says that the run was started "
@@ -247,7 +249,7 @@ def _check_folder(
         others = [
             name
             for name, was in folder.summary().items()
-            if name in asked and was != asked[name]
+            if name in requested and was != requested[name]
         ]
         if others:
             raise ValueError(
@@ -262,3 +264,67 @@ def _check_folder(
             f"{name!r} is {'finished' if folder.finished else 'under way'} and its "
             "checkpoints are gone; pass overwrite=True to train anew"
         )
+
+
+def train_seeds(
+    env: Environment,
+    algorithm: str | Algorithm = "ppo",
+    *,
+    steps: int,
+    seeds: Sequence[int] = (0, 1, 2),
+    config: Any = None,
+    env_params: Any = None,
+) -> tuple[Any, dict[str, Array]]:
+    """Trains one run per seed, all in one program and without touching the host.
+
+    Suitable for small tasks and studies; for a long run use `jaxrod.training.train`.
+    Under vectorisation both branches of a condition are computed, so restarts add a
+    small cost to every step.
+
+    Args:
+        env: The environment.
+        algorithm: A name, an import path `module:NAME`, or an `Algorithm`.
+        steps: Number of control steps of each run, rounded up to whole updates.
+        seeds: The seeds.
+        config: Settings of the algorithm, None for its defaults.
+        env_params: Parameters of the environment, None for its defaults.
+
+    Returns:
+        The train states, with a leading axis of seeds, and metrics of shape (seeds,
+        updates): those of the algorithm, `episodes` (number of complete episodes that
+        ended in the update) and `episode_return_mean` (mean over these; NaN if there
+        are none).
+
+    Raises:
+        ValueError: An argument or a setting is invalid.
+    """
+    learner, config = resolve(algorithm, config)
+    learner.validate(config, 1)
+    steps = check_count("steps", steps, 1)
+    if not isinstance(seeds, Sequence):
+        raise ValueError(f"seeds must be a sequence of integers, got {seeds!r}")
+    if not seeds:
+        raise ValueError("seeds must hold at least one seed, got none")
+    seeds = [check_seed(seed, "seeds") for seed in seeds]
+    per_update = updates_of(learner, config)
+    updates = check_steps(steps, per_update)
+    params = env.default_params() if env_params is None else env_params
+
+    def update(state: Any, _: None) -> tuple[Any, dict[str, Array]]:
+        state, metrics = learner.update(state)
+        episodes = metrics.episodes
+        count: Int[Array, ""] = jnp.sum(episodes.finished)
+        earned = jnp.sum(jnp.where(episodes.finished, episodes.episode_return, 0))
+        mean = jnp.where(count > 0, earned / jnp.maximum(count, 1), jnp.nan)
+        return state, {
+            **metrics.scalars,
+            "episodes": count,
+            "episode_return_mean": mean,
+        }
+
+    def run(key: Key[Array, ""]) -> tuple[Any, dict[str, Array]]:
+        state = learner.init(key, env, config, params, updates * per_update)
+        return jax.lax.scan(update, state, length=updates)
+
+    keys = jax.vmap(jax.random.key)(jnp.asarray(seeds, jnp.uint32))
+    return jax.jit(jax.vmap(run))(keys)

@@ -1,8 +1,12 @@
-"""Restoring the last sound checkpoint of a run, and cutting its tables to match."""
+"""Reading what a run has stored: its last sound checkpoint, and its policy.
+
+The tables of a run are cut to match the checkpoint.
+"""
 
 from __future__ import annotations
 
 import warnings
+from collections.abc import Collection
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -11,6 +15,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from jaxrod.envs import Environment
 from jaxrod.files import (
     OBJECT,
     POSITIVE,
@@ -20,8 +25,12 @@ from jaxrod.files import (
     whole,
 )
 from jaxrod.structure import pytree
+from jaxrod.training.algorithm import Algorithm
 from jaxrod.training.leaves import is_key
+from jaxrod.training.policy import Policy
+from jaxrod.training.policy_files import load_policy, needs_structure
 from jaxrod.training.runs.checkpoint import Checkpoints
+from jaxrod.training.runs.contract import resolve, updates_of
 from jaxrod.training.runs.folder import (
     LEARNING_CURVE,
     REPLAY,
@@ -30,7 +39,7 @@ from jaxrod.training.runs.folder import (
     renamed,
 )
 from jaxrod.training.runs.owned_folder import CONFIG
-from jaxrod.training.runs.recorded_settings import plain
+from jaxrod.training.runs.recorded_settings import plain, restored
 from jaxrod.training.runs.table import check_mark
 
 _FACTS = {
@@ -58,11 +67,11 @@ class DamagedCheckpointWarning(UserWarning):
 
 
 def facts_of(
-    folder: RunFolder, asked: dict[str, Any], updates: int, wall_s: float
+    folder: RunFolder, requested: dict[str, Any], updates: int, wall_s: float
 ) -> dict[str, Any]:
     """Facts of a checkpoint, once the rows they count are on the disk."""
     return {
-        "config": asked,
+        "config": requested,
         "updates": updates,
         "wall_s": wall_s,
         "progress": folder.progress.mark(),
@@ -76,14 +85,17 @@ def stored(state: Any, env_params: Any) -> Stored:
 
 
 def restore(
-    folder: RunFolder, checkpoints: Checkpoints, asked: dict[str, Any], template: Stored
+    folder: RunFolder,
+    checkpoints: Checkpoints,
+    requested: dict[str, Any],
+    template: Stored,
 ) -> tuple[Stored, dict[str, Any]] | None:
     """Restores the newest readable checkpoint and cuts the tables back to it.
 
     Args:
         folder: Folder of the run.
         checkpoints: Checkpoints of the run.
-        asked: Configuration of the run.
+        requested: Configuration of the run.
         template: Content of a checkpoint, of the same structure and shapes.
 
     Returns:
@@ -100,7 +112,7 @@ def restore(
     found, damaged = None, []
     for step in checkpoints.steps():
         file = checkpoints.path(step)
-        check = partial(_check_facts, file, step, asked)
+        check = partial(_check_facts, file, step, requested)
         try:
             found = checkpoints.restore(template, step, check)
             break
@@ -129,7 +141,7 @@ def restore(
 
 
 def _check_facts(
-    file: Path, step: int, asked: dict[str, Any], facts: dict[str, Any]
+    file: Path, step: int, requested: dict[str, Any], facts: dict[str, Any]
 ) -> None:
     """Raises ValueError unless a checkpoint belongs to this run."""
     with reading(file):
@@ -138,7 +150,7 @@ def _check_facts(
             raise ValueError(f"it is of update {facts['updates']}")
         for name in ("progress", "episodes"):
             check_mark(facts[name])
-    changed = differences(renamed(facts["config"]), plain(asked))
+    changed = differences(renamed(facts["config"]), plain(requested))
     if changed:
         raise ValueError(
             f"{file} is of a run of another {CONFIG}: {', '.join(changed)}"
@@ -158,3 +170,66 @@ def _check_same_task(stored: Any, given: Any) -> None:
                 "resume needs the env_params that the run was started with; "
                 f"{jax.tree_util.keystr(path)} is another"
             )
+
+
+def restore_policy(
+    run: str | Path,
+    env: Environment,
+    *,
+    env_params: Any = None,
+    trust: Collection[str] = (),
+) -> Policy:
+    """Reads the policy of a run.
+
+    Args:
+        run: Folder of the run.
+        env: The environment it was trained on.
+        env_params: Parameters of the environment, None for its defaults.
+        trust: Modules that may be imported because the run names them, such as
+            `("my_learners",)`: those of an algorithm or a network of your own. The
+            policies of built-in algorithms and networks need none.
+
+    Raises:
+        ValueError: There is no run, it has no policy yet, or a file is damaged; the
+            message names it.
+        UntrustedError: The run names an algorithm or a network that is not trusted.
+        ImportError: The algorithm or the network of the run is not found.
+    """
+    folder = RunFolder(run)
+    stored = folder.config()
+    if not needs_structure(folder.policy):
+        return load_policy(folder.policy)
+    with reading(folder.path / CONFIG):
+        algorithm, config = resolve(stored["algorithm"], None, trust)
+        config = restored(config, stored["settings"], trust)
+    like = untrained_policy(env, algorithm, config, env_params=env_params)
+    return load_policy(folder.policy, like)
+
+
+def untrained_policy(
+    env: Environment,
+    algorithm: str | Algorithm = "ppo",
+    config: Any = None,
+    *,
+    env_params: Any = None,
+) -> Any:
+    """Structure of the policy that training would make, without computing anything.
+
+    Args:
+        env: The environment.
+        algorithm: A name, an import path or an `Algorithm`.
+        config: Settings of the algorithm, None for its defaults.
+        env_params: Parameters of the environment, None for its defaults.
+
+    Returns:
+        The policy, with shapes and dtypes (`jax.ShapeDtypeStruct`) in place of numbers.
+    """
+    algorithm, config = resolve(algorithm, config)
+    algorithm.validate(config, 1)
+    params = env.default_params() if env_params is None else env_params
+    steps = updates_of(algorithm, config)
+
+    def make(key: jax.Array) -> Any:
+        return algorithm.policy(algorithm.init(key, env, config, params, steps))
+
+    return jax.eval_shape(make, jax.random.key(0))

@@ -17,7 +17,7 @@ from typing import Any, Literal
 import jax
 import numpy as np
 
-from jaxrod.envs import Environment
+from jaxrod.envs import Environment, EpisodeRecord
 from jaxrod.files import make_folder
 from jaxrod.training.algorithm import Algorithm, Metrics
 from jaxrod.training.evaluation import Evaluation, evaluate
@@ -38,7 +38,6 @@ from jaxrod.training.runs.folder import RunFolder
 from jaxrod.training.runs.hosts import Hosts, packed, unpacked
 from jaxrod.training.runs.interruption import Interruption
 from jaxrod.training.runs.resuming import Stored, facts_of, restore, stored
-from jaxrod.training.score import EpisodeLog
 from jaxrod.training.settings import check_steps
 
 _STORED = "stored"
@@ -80,7 +79,7 @@ class Run:
         learner: Algorithm,
         config: Any,
         env_params: Any,
-        asked: dict[str, Any],
+        requested: dict[str, Any],
         folder: RunFolder | None,
         resume: bool,
         checkpoint_seconds: float,
@@ -94,13 +93,13 @@ class Run:
         self.began = time.monotonic()
         env_params = env.default_params() if env_params is None else env_params
         self.env, self.learner, self.env_params = env, learner, env_params
-        self.asked, self.devices, self.hosts = asked, devices, hosts
+        self.requested, self.devices, self.hosts = requested, devices, hosts
         self.folder = folder if hosts.writes else None
         self.saves = folder is not None
         self.checkpoint_seconds = checkpoint_seconds
         self.show = show and hosts.writes
         self.per_update = updates_of(learner, config)
-        self.total = check_steps(asked["steps"], self.per_update)
+        self.total = check_steps(requested["steps"], self.per_update)
         self.capacity = min(self.total, math.ceil(chunk_steps / self.per_update))
         self.done = 0
         self.wall_s = self.wall_before = 0.0
@@ -113,14 +112,14 @@ class Run:
         self.mesh = device_mesh(devices)
         # Static, because 32 bits cannot hold the control steps of a very long run.
         start = jax.jit(learner.init, static_argnums=(1, 4))
-        key = jax.random.key(asked["seed"])
+        key = jax.random.key(requested["seed"])
         state = start(key, env, config, env_params, self.total * self.per_update)
         check_state(learner, state, env)
         if folder and resume:
             state = self._restore(state)
         elif folder:
             # Only after the state could be made: a failure before costs nothing.
-            hosts.from_writer(partial(_begin, folder, asked))
+            hosts.from_writer(partial(_begin, folder, requested))
         self.state = place(state, partition_of(learner, state), self.mesh)
         self.log = log if hosts.writes and log != TENSORBOARD else None
         self.events: EventFile | None = None
@@ -194,7 +193,7 @@ class Run:
                 self._record(metrics, count, bar)
                 due = time.monotonic() - saved > self.checkpoint_seconds
                 with hosts.losing_none(self.env_steps):
-                    stop, due = hosts.agree(interruption.asked, due)
+                    stop, due = hosts.agree(interruption.requested, due)
                 if due:
                     self._save()
                     saved = time.monotonic()
@@ -216,7 +215,7 @@ class Run:
         wall = self._clock()
         self.done += count
         new = self.episodes.take(metrics.episodes, count, self.env_steps)
-        recent = self.episodes.recent(self.asked["score_window"])
+        recent = self.episodes.recent(self.requested["score_window"])
         row = {
             "env_steps": self.env_steps,
             "wall_s": round(wall, 3),
@@ -260,7 +259,7 @@ class Run:
         with self.hosts.losing_none(self.env_steps):
             state = self.hosts.fetched(self.state, self.mesh, at_all=False)
         if self.folder and self.checkpoints:
-            facts = facts_of(self.folder, self.asked, self.done, self._clock())
+            facts = facts_of(self.folder, self.requested, self.done, self._clock())
             kept = stored(state, self.env_params)
             self.checkpoints.save(self.done, kept, facts)
             # So that a run can be evaluated and drawn while it is running.
@@ -275,7 +274,7 @@ class Run:
         """Writes the policy into the folder, if there is one."""
         if self.folder:
             names = ("task", "variant", "algorithm", "seed")
-            about = {name: self.asked[name] for name in names}
+            about = {name: self.requested[name] for name in names}
             make_folder(self.folder.policy)
             save_policy(policy, self.folder.policy, about)
 
@@ -299,14 +298,14 @@ class Run:
     def _read(self, template: Stored) -> _Found | None:
         """Reads the checkpoint and the episodes in the folder."""
         assert self.checkpoints and self.folder
-        found = restore(self.folder, self.checkpoints, self.asked, template)
+        found = restore(self.folder, self.checkpoints, self.requested, template)
         return None if found is None else (*found, self.folder.episodes.read())
 
     def _evaluate(
         self, policy: Policy, episodes: int
     ) -> tuple[Evaluation, dict[str, Any]]:
         began = time.monotonic()
-        seed = self.asked["seed"]
+        seed = self.requested["seed"]
         evaluation = evaluate(
             self.env, policy, episodes=episodes, seed=seed, env_params=self.env_params
         )
@@ -320,8 +319,8 @@ class Run:
 
     def _summary(self) -> dict[str, Any]:
         names = ("task", "variant", "algorithm", "seed", "score_window")
-        return {name: self.asked[name] for name in names} | {
-            "final_score": self.episodes.recent(self.asked["score_window"]),
+        return {name: self.requested[name] for name in names} | {
+            "final_score": self.episodes.recent(self.requested["score_window"]),
             "env_steps": self.env_steps,
             "wall_s": self.wall_s,
             "steps_per_s": self.env_steps / self.wall_s,
@@ -336,8 +335,8 @@ _Found = tuple[Stored, dict[str, Any], list[dict[str, str]]]
 """Restored data of a run: a checkpoint's state and facts, rows of the episodes."""
 
 
-def _begin(folder: RunFolder, asked: dict[str, Any]) -> bytes:
-    folder.begin(asked)
+def _begin(folder: RunFolder, requested: dict[str, Any]) -> bytes:
+    folder.begin(requested)
     return b""
 
 
@@ -358,3 +357,73 @@ def _from_bytes(content: bytes, template: Stored) -> _Found | None:
     leaves = named_leaves(template, _STORED)
     found = {name: from_array(arrays[name], leaf) for name, leaf in leaves.items()}
     return with_leaves(template, _STORED, found), facts, episodes
+
+
+class EpisodeLog:
+    """Every complete training episode of a run.
+
+    Attributes:
+        returns: Sums of the rewards.
+        lengths: Numbers of control steps.
+        flagged: Whether a numerical health flag ended the episode.
+    """
+
+    def __init__(self) -> None:
+        """Starts with no episodes."""
+        self.returns: list[float] = []
+        self.lengths: list[int] = []
+        self.flagged: list[bool] = []
+
+    def __len__(self) -> int:
+        """Number of episodes."""
+        return len(self.returns)
+
+    def take(
+        self, records: EpisodeRecord, updates: int, env_steps: int
+    ) -> list[dict[str, Any]]:
+        """Adds the episodes of a chunk.
+
+        Args:
+            records: On the host, shape (capacity, steps, num_envs).
+            updates: Number of completed updates of the chunk.
+            env_steps: Control steps of the run when the chunk ended.
+
+        Returns:
+            The new episodes, as rows of a table.
+        """
+        # The indices are sorted by update, then step, then environment.
+        where = np.nonzero(records.finished[:updates])
+        returns = [float(x) for x in records.episode_return[where]]
+        lengths = [int(x) for x in records.length[where]]
+        flagged = [bool(x) for x in records.flagged[where]]
+        self.returns += returns
+        self.lengths += lengths
+        self.flagged += flagged
+        return [
+            {
+                "env_steps": env_steps,
+                "episode_return": earned,
+                "length": length,
+                "flagged": int(flag),
+            }
+            for earned, length, flag in zip(returns, lengths, flagged, strict=True)
+        ]
+
+    def restore(self, rows: list[dict[str, str]]) -> None:
+        """Restores the episodes from a table that was written earlier."""
+        self.returns = [float(row["episode_return"]) for row in rows]
+        self.lengths = [int(row["length"]) for row in rows]
+        self.flagged = [row["flagged"] == "1" for row in rows]
+
+    def recent(self, window: int) -> float | None:
+        """Mean return of the last `window` episodes, None before the first.
+
+        With the benchmark's window (50 episodes per seed) this is the published final
+        score at the end of a run.
+        """
+        return float(np.mean(self.returns[-window:])) if self.returns else None
+
+    @property
+    def flagged_fraction(self) -> float:
+        """Fraction of the episodes that a health flag ended; 0 before the first."""
+        return float(np.mean(self.flagged)) if self.flagged else 0.0

@@ -14,7 +14,7 @@ from jaxrod.cli import runs, settings
 from jaxrod.cli.settings import word_of
 from jaxrod.cli.train import short_name
 from jaxrod.envs import Environment, check_environment, names
-from jaxrod.envs.importing import spelt_out
+from jaxrod.envs.importing import canonical_path
 from jaxrod.installation.backend import devices_that_fit
 from jaxrod.training import RunFolder
 from jaxrod.training.runs.contract import resolve, updates_of
@@ -157,7 +157,7 @@ def plan(
     if variant is not None:
         made["variant"] = variant
         words += ["--variant", variant]
-    envs = {spelt_out(task): _env(task, made) for task in tasks}
+    envs = {canonical_path(task): _env(task, made) for task in tasks}
     learners = {
         name: _configurations(name, _meant(name, sets, algorithms), steps, cores)
         for name in dict.fromkeys(algorithms)

@@ -96,7 +96,7 @@ def train_all(
         try:
             while training:
                 done, _ = wait(training, POLL_SECONDS, FIRST_COMPLETED)
-                if interruption.asked and not stop.is_set():
+                if interruption.requested and not stop.is_set():
                     stop.set()
                     training = {f: run for f, run in training.items() if not f.cancel()}
                 for future in done & training.keys():

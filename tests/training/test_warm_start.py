@@ -19,8 +19,8 @@ from jaxrod.training import (
     PPOConfig,
     SACConfig,
     TRPOConfig,
-    beginning_with,
     train,
+    warm_start,
 )
 from jaxrod.training.normalisation import RunningMoments
 
@@ -49,7 +49,7 @@ def some_policy(hidden=8, limit=0.7):
 )
 def test_the_first_policy_is_the_one_that_is_given(algorithm, config):
     given = some_policy()
-    begun = beginning_with(algorithm, given)
+    begun = warm_start(algorithm, given)
     state, usual = jax.jit(
         lambda key: tuple(a.init(key, Trivial(), config) for a in (begun, algorithm))
     )(jax.random.key(0))
@@ -80,9 +80,7 @@ def test_a_good_policy_stays_good_where_chance_has_learned_nothing():
     taught = train(env, steps=60_000, config=quick, **kept)
     short = dataclasses.replace(quick, initial_log_std=-2.0, learning_rate=3e-4)
     alone = train(env, steps=4096, config=short, **kept)
-    after = train(
-        env, beginning_with(PPO, taught.policy), steps=4096, config=short, **kept
-    )
+    after = train(env, warm_start(PPO, taught.policy), steps=4096, config=short, **kept)
     score = taught.summary["evaluation_score"]
     assert after.summary["evaluation_score"] > score - 0.05
     assert alone.summary["evaluation_score"] < score - 1
@@ -92,9 +90,9 @@ def test_a_good_policy_stays_good_where_chance_has_learned_nothing():
 def test_what_cannot_be_begun_with_is_refused():
     given = some_policy()
     with pytest.raises(ValueError, match="an MLPPolicy to begin with"):
-        beginning_with(PPO, lambda seen: seen)
+        warm_start(PPO, lambda seen: seen)
     with pytest.raises(ValueError, match="activation 'tanh' and output 'clip'"):
-        beginning_with(PPO, dataclasses.replace(given, activation="relu"))
+        warm_start(PPO, dataclasses.replace(given, activation="relu"))
     with pytest.raises(ValueError, match=r"\[\(1, 8\), \(8, 1\)\].* got \[\(1, 4\)"):
         started(PPO, some_policy(hidden=4), SMALL)
     with pytest.raises(ValueError, match="network must be None"):
@@ -105,7 +103,7 @@ def test_what_cannot_be_begun_with_is_refused():
 
 def started(algorithm, policy, config):
     """Nothing is computed."""
-    init = beginning_with(algorithm, policy).init
+    init = warm_start(algorithm, policy).init
     jax.eval_shape(lambda key: init(key, Trivial(), config), jax.random.key(0))
 
 

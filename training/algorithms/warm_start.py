@@ -24,7 +24,7 @@ OUTPUT = "clip"
 """Bound of the actions of all on-policy learners."""
 
 
-def beginning_with(algorithm: Algorithm, policy: MLPPolicy) -> Algorithm:
+def warm_start(algorithm: Algorithm, policy: MLPPolicy) -> Algorithm:
     """A learner whose initial policy is one that was learned before.
 
     The network, the observation moments and their bound are the policy's. So without
