@@ -17,8 +17,8 @@ from jaxrod.geometry import vectors
 from jaxrod.geometry.vectors import Vec3
 from jaxrod.rods.elasticity import elastic_law, internal_loads, stored_energy
 from jaxrod.rods.motion import Loads, Motion, accumulate
+from jaxrod.rods.repr import repr_or_class_name, scene_repr
 from jaxrod.rods.rod import Rod, RodState, angular_velocities, check_state
-from jaxrod.rods.words import or_fields, scene_words
 from jaxrod.structure import pytree
 from jaxrod.validation import check_kind
 
@@ -110,7 +110,7 @@ class Scene:
 
     def __repr__(self) -> str:
         """One line: the rod, the effects by their classes, the method."""
-        return or_fields(scene_words, self)
+        return repr_or_class_name(scene_repr, self)
 
     @property
     def depends_on_time(self) -> bool:

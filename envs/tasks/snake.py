@@ -40,7 +40,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int, Key
 
 from jaxrod import RodState, angular_velocities, limit_rate
-from jaxrod.actuation.b_spline import b_spline_basis
+from jaxrod.actuation.waves import b_spline_basis
 from jaxrod.envs.actions import action_of_size
 from jaxrod.envs.arm.arm_task import check_variant
 from jaxrod.envs.snapshot import Snapshot

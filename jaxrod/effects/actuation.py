@@ -21,9 +21,9 @@ from jaxrod.effects.time import (
     depends_on_time,
 )
 from jaxrod.geometry import vectors
-from jaxrod.geometry.interpolation import interpolated
 from jaxrod.geometry.matrices import Matrix, skew
 from jaxrod.geometry.rotations import directors, to_world
+from jaxrod.rods.along_rod import interpolated
 from jaxrod.rods.motion import Loads, Motion
 from jaxrod.rods.rod import Rod
 from jaxrod.structure import pytree
@@ -130,7 +130,7 @@ def spline_couples(
     shape = (3, spline.n_controls)
     values = as_timed("controls", controls, "", shape, dtype=kind)
     density = as_timed("couple_density", couple_density, "N m/m", (), (3,), dtype=kind)
-    averages = spline.averaged(rod) if isinstance(spline, ControlSpline) else spline
+    averages = spline.averaged(rod)
     if not depends_on_time((values, density)):
         return ElementCouples(_couples(averages, values, density, rod.rest_lengths))
     timed: Any = SplineCouples(averages, values, density, rod.rest_lengths)

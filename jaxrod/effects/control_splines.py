@@ -90,6 +90,10 @@ class ElementAverages:
         """Number of control values."""
         return self.basis.shape[-1]
 
+    def averaged(self, rod: Rod) -> ElementAverages:
+        """The averages themselves: they are those of this rod."""
+        return self
+
     def __call__(
         self, controls: Float[Array, "*batch n_controls"]
     ) -> Float[Array, "*batch n"]:

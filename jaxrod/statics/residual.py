@@ -39,14 +39,15 @@ from jaxrod.geometry.rotations import (
     to_world,
 )
 from jaxrod.geometry.vectors import Vec3
-from jaxrod.rods.elastic_tangents import (
+from jaxrod.rods.elasticity import (
+    ElasticLaw,
     ElementTangent,
     JointTangent,
     element_tangent,
+    internal_loads,
     joint_tangent,
     times_inverse,
 )
-from jaxrod.rods.elasticity import ElasticLaw, internal_loads
 from jaxrod.rods.motion import Motion
 from jaxrod.scene import Scene, constrain_rates
 from jaxrod.statics.block_tridiagonal import BlockTridiagonal

@@ -9,7 +9,6 @@ import numpy as np
 from jaxtyping import Array
 
 from jaxrod.geometry import vectors
-from jaxrod.geometry.interpolation import interpolated, neighbours
 from jaxrod.geometry.rotations import (
     join_quaternion,
     multiply_quaternions,
@@ -17,6 +16,7 @@ from jaxrod.geometry.rotations import (
     rotation_exp,
     split_quaternion,
 )
+from jaxrod.rods.along_rod import interpolated, neighbours
 from jaxrod.rods.elasticity import joint_rotations
 from jaxrod.rods.factories import MOST_ELEMENTS
 from jaxrod.rods.rod import Rod, RodState

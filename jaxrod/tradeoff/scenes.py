@@ -12,7 +12,7 @@ import numpy as np
 
 from jaxrod.composition import make_scene
 from jaxrod.contacts.bodies import cylinder
-from jaxrod.contacts.factories import contact
+from jaxrod.contacts.contact import contact
 from jaxrod.effects.actuation import spline_couples
 from jaxrod.effects.base import Effect
 from jaxrod.effects.clamps import clamp, fixed_end
