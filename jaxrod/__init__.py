@@ -88,10 +88,16 @@ _NAMES = {
     ),
     "damping.internal_damping": ("InternalDamping", "internal_damping"),
     "damping.linear_damper": ("LinearDamper", "linear_damper"),
-    "effects.actuation": ("ElementCouples", "limit_rate", "spline_couples"),
+    "effects.actuation": (
+        "ControlSpline",
+        "ElementAverages",
+        "ElementCouples",
+        "control_spline",
+        "limit_rate",
+        "spline_couples",
+    ),
     "effects.base": ("Effect", "Reaction", "StabilityBound"),
     "effects.clamps": ("Clamp", "FixedEnd", "clamp", "fixed_end"),
-    "effects.control_splines": ("ControlSpline", "ElementAverages", "control_spline"),
     "effects.driven": ("Driven", "driven"),
     "effects.fluids": (
         "FlowField",

@@ -73,7 +73,10 @@ from jaxrod.damping.internal_damping import InternalDamping as InternalDamping
 from jaxrod.damping.internal_damping import internal_damping as internal_damping
 from jaxrod.damping.linear_damper import LinearDamper as LinearDamper
 from jaxrod.damping.linear_damper import linear_damper as linear_damper
+from jaxrod.effects.actuation import ControlSpline as ControlSpline
+from jaxrod.effects.actuation import ElementAverages as ElementAverages
 from jaxrod.effects.actuation import ElementCouples as ElementCouples
+from jaxrod.effects.actuation import control_spline as control_spline
 from jaxrod.effects.actuation import limit_rate as limit_rate
 from jaxrod.effects.actuation import spline_couples as spline_couples
 from jaxrod.effects.base import Effect as Effect
@@ -83,9 +86,6 @@ from jaxrod.effects.clamps import Clamp as Clamp
 from jaxrod.effects.clamps import FixedEnd as FixedEnd
 from jaxrod.effects.clamps import clamp as clamp
 from jaxrod.effects.clamps import fixed_end as fixed_end
-from jaxrod.effects.control_splines import ControlSpline as ControlSpline
-from jaxrod.effects.control_splines import ElementAverages as ElementAverages
-from jaxrod.effects.control_splines import control_spline as control_spline
 from jaxrod.effects.driven import Driven as Driven
 from jaxrod.effects.driven import driven as driven
 from jaxrod.effects.fluids import FlowField as FlowField

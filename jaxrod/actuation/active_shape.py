@@ -14,13 +14,13 @@ from typing import Any, ClassVar
 import jax.numpy as jnp
 from jaxtyping import Array
 
-from jaxrod.actuation.section_bounds import transport_bound
 from jaxrod.actuation.section_load import (
     SectionLoad,
     SectionStrains,
     SectionStress,
     Walls,
     lengths_at_nodes,
+    transport_bound,
     walls_of,
 )
 from jaxrod.effects.base import Reach, StabilityBound

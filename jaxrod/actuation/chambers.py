@@ -21,11 +21,13 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from jaxrod.actuation.fibre_path import FibrePath, fibre_path
-from jaxrod.actuation.section_bounds import section_bound, together, transport_bound
 from jaxrod.actuation.section_load import (
     SectionLoad,
     SectionStrains,
     Walls,
+    section_bound,
+    together,
+    transport_bound,
     walls_of,
 )
 from jaxrod.effects.base import StabilityBound

@@ -110,7 +110,7 @@ class Tendon(Effect):
         turning = pull / shortest
         nodes = 6 * turning * (masses / light) * 0.5
         elements = 8 * turning * lever**2 * (inertia / slight) + 2 * pull * lever
-        # A cable as a whole: see `section_bounds`.
+        # A cable as a whole: see `section_load`.
         free = (0.5 * _TURN) ** 2
         moved = free * jnp.sum(node_share / masses) + 0.5 / light
         turned = _TURN**2 * jnp.sum(element_share / inertia) + 2 / slight

@@ -24,12 +24,12 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from jaxrod.actuation.section_bounds import transport_bound
 from jaxrod.actuation.section_load import (
     SectionLoad,
     SectionStrains,
     SectionStress,
     Walls,
+    transport_bound,
     walls_of,
 )
 from jaxrod.effects.base import Effect, Reach, StabilityBound

@@ -35,10 +35,10 @@ import jax.numpy as jnp
 from jaxtyping import Array
 
 from jaxrod.geometry import vectors
-from jaxrod.geometry.free_rotation import freely_turned
 from jaxrod.geometry.rotations import (
     Quaternion,
     directors,
+    freely_turned,
     multiply_quaternions,
     normalise,
     rotation_exp,

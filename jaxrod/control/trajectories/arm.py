@@ -7,8 +7,7 @@ import dataclasses
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from jaxrod.effects.actuation import spline_couples
-from jaxrod.effects.control_splines import ControlSpline, ElementAverages
+from jaxrod.effects.actuation import ControlSpline, ElementAverages, spline_couples
 from jaxrod.rods.rod import RodState
 from jaxrod.scene import Scene
 from jaxrod.structure import pytree

@@ -13,11 +13,11 @@ import jax.numpy as jnp
 from jaxtyping import Array
 
 from jaxrod.geometry import matrices, vectors
-from jaxrod.geometry.free_rotation import freely_turned
 from jaxrod.geometry.matrices import Matrix
 from jaxrod.geometry.rotations import (
     Quaternion,
     directors,
+    freely_turned,
     join_quaternion,
     split_quaternion,
     to_material,
