@@ -26,7 +26,7 @@ from jaxrod.analysis.inertia_scaling import scale_inertia as scale_inertia
 from jaxrod.analysis.reactions import reactions as reactions
 from jaxrod.analysis.stability import StableStep as StableStep
 from jaxrod.analysis.stability import stable_dt as stable_dt
-from jaxrod.contacts.factories import contact as contact
+from jaxrod.contacts.contact import contact as contact
 from jaxrod.contacts.near import near_contact as near_contact
 from jaxrod.contacts.points import ThinBodyWarning as ThinBodyWarning
 from jaxrod.damping.filters import laplacian_filter as laplacian_filter
@@ -64,11 +64,11 @@ from jaxrod.rods.rod import RodState as RodState
 from jaxrod.rods.rod import angular_velocities as angular_velocities
 from jaxrod.rods.rod import compensated as compensated
 from jaxrod.rods.rod import with_angular_velocities as with_angular_velocities
-from jaxrod.rods.section_shapes import Section as Section
-from jaxrod.rods.section_shapes import circle as circle
-from jaxrod.rods.section_shapes import ellipse as ellipse
-from jaxrod.rods.section_shapes import rectangle as rectangle
-from jaxrod.rods.section_shapes import tube as tube
+from jaxrod.rods.sections import Section as Section
+from jaxrod.rods.sections import circle as circle
+from jaxrod.rods.sections import ellipse as ellipse
+from jaxrod.rods.sections import rectangle as rectangle
+from jaxrod.rods.sections import tube as tube
 from jaxrod.scene import Scene as Scene
 from jaxrod.scene import make_scene as make_scene
 from jaxrod.statics.equilibrium import Equilibrium as Equilibrium

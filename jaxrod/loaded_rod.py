@@ -21,8 +21,8 @@ from jaxrod.geometry.vectors import Vec3
 from jaxrod.model import Stepper
 from jaxrod.rods.elasticity import elastic_law, internal_loads
 from jaxrod.rods.motion import Loads, Motion, accumulate
+from jaxrod.rods.repr import repr_or_class_name, scene_repr
 from jaxrod.rods.rod import Rod, RodState, check_state
-from jaxrod.rods.words import or_fields, scene_words
 from jaxrod.structure import pytree
 
 AnyScene = TypeVar("AnyScene", bound="LoadedRod")
@@ -117,7 +117,7 @@ class LoadedRod:
 
     def __repr__(self) -> str:
         """One line: the rod, the effects by their classes, the method."""
-        return or_fields(scene_words, self)
+        return repr_or_class_name(scene_repr, self)
 
     @property
     def depends_on_time(self) -> bool:

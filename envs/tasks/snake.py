@@ -41,7 +41,7 @@ from jaxtyping import Array, Bool, Float, Int, Key
 
 from jaxrod import RodState, angular_velocities
 from jaxrod.actuation import limit_rate
-from jaxrod.actuation.b_spline import b_spline_basis
+from jaxrod.actuation.waves import b_spline_basis
 from jaxrod.envs.checking import action_of_size, check_variant
 from jaxrod.envs.protocol import Snapshot, Step
 from jaxrod.envs.soft_bodies.snake_body import LENGTH, PERIOD, SnakeBody, snake_body

@@ -3,7 +3,6 @@
 from jaxrod.actuation.active_shapes import ActiveShape, active_shape
 from jaxrod.actuation.chambers import Chamber, WoundChamber, chamber, wound_chamber
 from jaxrod.actuation.fibre_path import helical_offsets
-from jaxrod.actuation.force_length import constant_force, cubic_force, gaussian_force
 from jaxrod.actuation.magnets import (
     LinearField,
     MagneticField,
@@ -11,7 +10,13 @@ from jaxrod.actuation.magnets import (
     linear_field,
     magnetisation,
 )
-from jaxrod.actuation.muscles import Muscle, muscle
+from jaxrod.actuation.muscles import (
+    Muscle,
+    constant_force,
+    cubic_force,
+    gaussian_force,
+    muscle,
+)
 from jaxrod.actuation.section_load import SectionLoad, SectionStrains, SectionStress
 from jaxrod.actuation.tendons import Tendon, tendon
 from jaxrod.actuation.waves import (
@@ -20,11 +25,13 @@ from jaxrod.actuation.waves import (
     muscle_torques,
     travelling_wave,
 )
-from jaxrod.effects.actuation import ElementCouples, limit_rate, spline_couples
-from jaxrod.effects.control_splines import (
+from jaxrod.effects.actuation import (
     ControlSpline,
     ElementAverages,
+    ElementCouples,
     control_spline,
+    limit_rate,
+    spline_couples,
 )
 
 __all__ = [

@@ -14,20 +14,20 @@ from typing import Any, ClassVar
 import jax.numpy as jnp
 from jaxtyping import Array
 
-from jaxrod.actuation.along_rod import middle_places, node_places, resampled_along
-from jaxrod.actuation.section_bounds import transport_bound
 from jaxrod.actuation.section_load import (
     SectionLoad,
     SectionStrains,
     SectionStress,
     Walls,
     lengths_at_nodes,
+    transport_bound,
     walls_of,
 )
 from jaxrod.effects.base import Reach, StabilityBound
 from jaxrod.effects.clamps import Clamp
-from jaxrod.effects.time import Schedule, Timed, as_timed
+from jaxrod.effects.time import Scheduled, Timed, as_timed, is_schedule
 from jaxrod.geometry import vectors
+from jaxrod.rods.along_rod import middle_places, node_places, resampled_along
 from jaxrod.rods.rod import Rod
 from jaxrod.structure import pytree
 from jaxrod.validation import check_kind
@@ -37,9 +37,9 @@ from jaxrod.validation import check_kind
 class ActiveShape(SectionLoad):
     """A shape that is added to the rest shape of the rod; see `active_shape`."""
 
-    curvature: Array | Schedule | None
+    curvature: Scheduled | None
     """Curvature at the joint of each node `(3, n + 1)`, or of all `(3, 1)` [1/m]."""
-    strain: Array | Schedule | None
+    strain: Scheduled | None
     """Strain of each element `(3, n)`, or of all `(3, 1)` [1]."""
     walls: Walls = ()
     """Walls into which the curvature continues."""
@@ -109,23 +109,18 @@ class ActiveShape(SectionLoad):
         return lengths.at[0].multiply(first).at[-1].multiply(last)
 
 
-def _wide(values: Array | Schedule) -> Array:
+def _wide(values: Array) -> Array:
     """Values at the current time, with an axis along the rod."""
-    assert not isinstance(values, Schedule)
     return values[:, None] if values.ndim == 1 else values
 
 
 def _resampled(values: Any, old: Any, new: Any) -> Any:
-    if values is None or (not isinstance(values, Schedule) and values.ndim == 1):
-        return values
-    if isinstance(values, Schedule):
-        if jnp.ndim(values.largest) == 1:
-            return values
-        raise ValueError(
-            "a schedule of an active shape at every place along a rod has no "
-            "counterpart on a rod with another number of elements"
-        )
-    return resampled_along(values, old, new)
+    if values is None:
+        return None
+    if is_schedule(values):
+        everywhere = jnp.ndim(values.largest) == 1
+        return values if everywhere else values.resampled_along(old, new)
+    return values if values.ndim == 1 else resampled_along(values, old, new)
 
 
 def active_shape(

@@ -21,16 +21,18 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from jaxrod.actuation.fibre_path import FibrePath, fibre_path
-from jaxrod.actuation.section_bounds import section_bound, together, transport_bound
 from jaxrod.actuation.section_load import (
     SectionLoad,
     SectionStrains,
     Walls,
+    section_bound,
+    together,
+    transport_bound,
     walls_of,
 )
 from jaxrod.effects.base import StabilityBound
 from jaxrod.effects.clamps import Clamp
-from jaxrod.effects.time import Schedule, Timed, as_timed
+from jaxrod.effects.time import Scheduled, Timed, as_timed
 from jaxrod.geometry import vectors
 from jaxrod.rods.rod import Rod
 from jaxrod.structure import pytree
@@ -45,7 +47,7 @@ class Chamber(SectionLoad):
     """Axes of the chambers."""
     area: Float[Array, "k"]
     """Cross-sectional area of each chamber [m^2]."""
-    pressure: Array | Schedule
+    pressure: Scheduled
     """Pressure above that outside, one number or one per chamber `(k,)` [Pa]."""
     walls: Walls = ()
     """Walls into which the chambers continue."""
@@ -69,7 +71,6 @@ class Chamber(SectionLoad):
     @property
     def _push(self) -> Array:
         """Axial force of each chamber, positive if it pushes [N]."""
-        assert not isinstance(self.pressure, Schedule)
         return self.pressure * self.area
 
 
@@ -83,7 +84,7 @@ class WoundChamber(SectionLoad):
     """Radius of the cross-section of each chamber [m]."""
     angle: Float[Array, "k"]
     """Angle of the fibres to the axis, right-handed if positive [rad]."""
-    pressure: Array | Schedule
+    pressure: Scheduled
     """Pressure above that outside, one number or one per chamber `(k,)` [Pa]."""
     walls: Walls = ()
     """Walls into which the chambers continue."""
@@ -132,7 +133,6 @@ class WoundChamber(SectionLoad):
     @property
     def _pressure(self) -> Array:
         """Pressure in each chamber [Pa]."""
-        assert not isinstance(self.pressure, Schedule)
         return jnp.broadcast_to(self.pressure, self.radius.shape)
 
 

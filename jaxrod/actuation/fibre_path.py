@@ -18,18 +18,19 @@ from dataclasses import replace
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from jaxrod.actuation.along_rod import node_places, resampled_along
-from jaxrod.actuation.section_bounds import (
+from jaxrod.actuation.section_load import (
+    SectionStrains,
+    at_nodes,
     cross_bound,
     fibre_bound,
     section_bound,
     together,
     transport_bound,
 )
-from jaxrod.actuation.section_load import SectionStrains, at_nodes
 from jaxrod.effects.base import StabilityBound
 from jaxrod.geometry import vectors
 from jaxrod.geometry.vectors import Vec3
+from jaxrod.rods.along_rod import node_places, resampled_along
 from jaxrod.rods.rod import Rod
 from jaxrod.structure import pytree
 from jaxrod.validation import Numbers, as_array, numeric

@@ -14,13 +14,13 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from jaxrod.actuation.along_rod import middle_places, resampled_along
 from jaxrod.actuation.section_load import at_nodes
 from jaxrod.effects.base import Effect, Reach, StabilityBound
 from jaxrod.effects.time import Timed, as_timed_vector
 from jaxrod.geometry import vectors
 from jaxrod.geometry.rotations import directors, to_material, to_world
 from jaxrod.geometry.vectors import Vec3
+from jaxrod.rods.along_rod import middle_places, resampled_along
 from jaxrod.rods.motion import Loads, Motion, motion_of
 from jaxrod.rods.rod import Rod, RodState
 from jaxrod.structure import pytree

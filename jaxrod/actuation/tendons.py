@@ -21,7 +21,7 @@ from jaxtyping import Array, Float
 
 from jaxrod.actuation.section_load import at_nodes
 from jaxrod.effects.base import Effect, StabilityBound
-from jaxrod.effects.time import Schedule, Timed, as_timed
+from jaxrod.effects.time import Scheduled, Timed, as_timed
 from jaxrod.geometry import vectors
 from jaxrod.geometry.rotations import directors, to_material
 from jaxrod.geometry.vectors import Vec3
@@ -40,10 +40,12 @@ class Tendon(Effect):
 
     eyelets: Float[Array, "k 2 m"]
     """Offsets from the centreline along d1 and d2 [m]."""
-    tension: Array | Schedule | None
-    """Tension at the base, one number or one per cable `(k,)` [N]."""
-    length: Array | Schedule | None
-    """Length to which cables are wound up, one number or one per cable `(k,)` [m]."""
+    tension: Scheduled
+    """Tension at the base, one number or one per cable `(k,)`; `None` with a length
+    [N]."""
+    length: Scheduled
+    """Length to which cables are wound up, one number or one per cable `(k,)`; `None`
+    with a tension [m]."""
     stiffness: Float[Array, ""] | None
     """Stiffness of a cable that is wound up to a length [N/m]."""
     onset: Float[Array, ""] | None
@@ -108,7 +110,7 @@ class Tendon(Effect):
         turning = pull / shortest
         nodes = 6 * turning * (masses / light) * 0.5
         elements = 8 * turning * lever**2 * (inertia / slight) + 2 * pull * lever
-        # A cable as a whole: see `section_bounds`.
+        # A cable as a whole: see `section_load`.
         free = (0.5 * _TURN) ** 2
         moved = free * jnp.sum(node_share / masses) + 0.5 / light
         turned = _TURN**2 * jnp.sum(element_share / inertia) + 2 / slight
@@ -162,7 +164,6 @@ class Tendon(Effect):
     def _tension(self, lengths: Array) -> Array:
         """Tension at the base of each cable `(k,)` [N]."""
         if self.length is None:
-            assert self.tension is not None and not isinstance(self.tension, Schedule)
             return jnp.broadcast_to(self.tension, lengths.shape)
         taut, share = self._taut(lengths)
         assert self.stiffness is not None
@@ -170,7 +171,6 @@ class Tendon(Effect):
 
     def _taut(self, lengths: Array) -> tuple[Array, Array]:
         """Elongation of the cables [m], and its derivative by their length [1]."""
-        assert self.length is not None and not isinstance(self.length, Schedule)
         assert self.onset is not None
         width = self.onset
         past = jnp.maximum(lengths - self.length + 0.5 * width, 0)
@@ -181,9 +181,7 @@ class Tendon(Effect):
     def _largest_pull(self, rod: Rod) -> Array:
         """Bound on the tension of all cables together [N]."""
         if self.length is None:
-            assert self.tension is not None and not isinstance(self.tension, Schedule)
             return jnp.sum(jnp.abs(self._tension(self.eyelets[:, 0, 0])))
-        assert self.length is not None and not isinstance(self.length, Schedule)
         assert self.stiffness is not None and self.onset is not None
         short = jnp.maximum(rod.length - self.length, 0)
         longest = jnp.broadcast_to(short, self.eyelets.shape[:1])

@@ -7,6 +7,12 @@ $$\tau = r(t)\,A(s) \sin 2\pi\left(\frac tT - \frac s\lambda + \varphi\right),$$
 with a plus sign on the element after it and a minus sign on the element before it: it
 bends an unloaded rod by the curvature $\tau/B$. $r$ rises from 0 to 1 while the wave is
 ramped up.
+
+Clamped uniform cubic B-splines: a shape along a rod from a few coefficients.
+
+With $K$ coefficients there are $K - 3$ equal pieces. The first and the last coefficient
+are the values at the ends. The curve passes near the others, not through them, and
+never exceeds the largest of them.
 """
 
 from __future__ import annotations
@@ -18,23 +24,22 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from jaxrod.actuation.along_rod import node_places, resampled_along
-from jaxrod.actuation.b_spline import b_spline_basis
-from jaxrod.actuation.section_bounds import transport_bound
 from jaxrod.actuation.section_load import (
     SectionLoad,
     SectionStrains,
     SectionStress,
     Walls,
+    transport_bound,
     walls_of,
 )
 from jaxrod.effects.base import Effect, Reach, StabilityBound
 from jaxrod.effects.clamps import Clamp
 from jaxrod.effects.ends import End, check_end
-from jaxrod.effects.time import Clock, Schedule
+from jaxrod.effects.time import Clock, Schedule, Scheduled, is_schedule
 from jaxrod.geometry import vectors
-from jaxrod.geometry.material_frames import unit_vector
+from jaxrod.geometry.material_frames import module_for, unit_vector
 from jaxrod.geometry.rotations import directors, to_material
+from jaxrod.rods.along_rod import node_places, resampled_along
 from jaxrod.rods.motion import Loads, Motion
 from jaxrod.rods.rod import Rod
 from jaxrod.structure import pytree
@@ -46,6 +51,43 @@ from jaxrod.validation import (
     is_traced,
     numeric,
 )
+
+DEGREE = 3
+
+
+def b_spline_basis(count: int, places: Any) -> Array | np.ndarray:
+    """Contribution of each coefficient at places along a rod.
+
+    Args:
+        count: Number of coefficients, at least 4.
+        places: Places from 0 to 1 `(m,)`; slightly outside, the end pieces continue.
+
+    Returns:
+        The basis `(m, count)`, on the host unless the places are traced.
+    """
+    xp = module_for(places)
+    inner = np.linspace(0.0, 1.0, count - DEGREE + 1)
+    knots = np.concatenate([np.zeros(DEGREE), inner, np.ones(DEGREE)])
+    pieces = count - DEGREE
+    piece = xp.clip(xp.floor(places * pieces).astype(int), 0, pieces - 1) + DEGREE
+    # Cox-de Boor recursion.
+    columns = [1.0 * (piece == k) for k in range(len(knots) - 1)]
+    for degree in range(1, DEGREE + 1):
+        rising = [
+            _share(places - knots[k], knots[k + degree] - knots[k])
+            for k in range(len(columns))
+        ]
+        columns = [
+            rising[k] * columns[k] + (1 - rising[k + 1]) * columns[k + 1]
+            for k in range(len(columns) - 1)
+        ]
+    return xp.stack(columns[:count], axis=-1)
+
+
+def _share(part: Any, whole: float) -> Any:
+    """Fraction `part / whole`; zero if `whole` is zero."""
+    return part / whole if whole > 0 else 0 * part
+
 
 FEWEST_COEFFICIENTS = 4
 
@@ -76,6 +118,14 @@ class Wave(Schedule):
         """Absolute values of the amplitudes."""
         return jnp.abs(self.amplitudes)
 
+    def resampled_along(self, old: Any, new: Any) -> Wave:
+        """The wave with its amplitudes and phases at other places."""
+        return replace(
+            self,
+            amplitudes=resampled_along(self.amplitudes, old, new),
+            phases=resampled_along(self.phases, old, new),
+        )
+
 
 @pytree
 class TravellingWave(SectionLoad):
@@ -84,7 +134,7 @@ class TravellingWave(SectionLoad):
     At a fixed time its energy is $-\sum_k \tau_k\, a\cdot\phi_k$.
     """
 
-    moments: Array | Schedule
+    moments: Scheduled
     """Moment at the joint of each node `(n + 1,)`, or a schedule of it [N m]."""
     axis: Float[Array, "3"]
     """Unit vector of the axis, material frame."""
@@ -96,26 +146,21 @@ class TravellingWave(SectionLoad):
     def stored(self, rod: Rod, strains: SectionStrains) -> Array:
         """Negative work of the moments from the straight rod [J]."""
         angle = vectors.dot(vectors.split(self.axis), strains.rotations)
-        return -jnp.sum(self._moments * angle)
+        return -jnp.sum(self.moments * angle)
 
     def stress(self, rod: Rod, strains: SectionStrains) -> SectionStress:
         """Moments in the joints."""
         a, b, c = vectors.split(self.axis)
-        size = -self._moments
+        size = -self.moments
         return SectionStress(moment=(size * a, size * b, size * c))
 
     def stability_bound(self, rod: Rod) -> StabilityBound:
         """Bound of the moments, which turn with the elements."""
-        return transport_bound(rod, moment=self._moments)
+        return transport_bound(rod, moment=self.moments)
 
     def resampled(self, rod: Rod, new_rod: Rod) -> TravellingWave:
         """The same wave at the new nodes."""
         return replace(self, moments=_resampled(self.moments, rod, new_rod))
-
-    @property
-    def _moments(self) -> Array:
-        assert not isinstance(self.moments, Schedule)
-        return self.moments
 
 
 @pytree
@@ -125,14 +170,13 @@ class WorldWave(Effect):
     It has no energy. The couples on the two elements of a joint are opposite.
     """
 
-    moments: Array | Schedule
+    moments: Scheduled
     """Moment at the joint of each node `(n + 1,)`, or a schedule of it [N m]."""
     direction: Float[Array, "3"]
     """Direction of the axis, world frame; its length is a factor."""
 
     def loads(self, rod: Rod, motion: Motion) -> Loads:
         """Couples, positive on the element after a joint, negative on that before."""
-        assert not isinstance(self.moments, Schedule)
         inner = self.moments[1:-1]
         net = vectors.pad(inner, 1, 0) - vectors.pad(inner, 0, 1)
         a, b, c = vectors.split(self.direction)
@@ -149,17 +193,8 @@ class WorldWave(Effect):
 
 def _resampled(moments: Any, rod: Rod, new_rod: Rod) -> Any:
     old, new = node_places(rod), node_places(new_rod)
-    if isinstance(moments, Wave):
-        return replace(
-            moments,
-            amplitudes=resampled_along(moments.amplitudes, old, new),
-            phases=resampled_along(moments.phases, old, new),
-        )
-    if isinstance(moments, Schedule):
-        raise ValueError(
-            "a schedule of moments at the nodes of a rod has no counterpart on a rod "
-            "with another number of elements"
-        )
+    if is_schedule(moments):
+        return moments.resampled_along(old, new)
     return resampled_along(moments, old, new)
 
 

@@ -11,7 +11,7 @@ from jaxtyping import Array
 
 from jaxrod.assemblies.groups import MOST_RODS, equal_rods, scenes
 from jaxrod.contacts.bodies import plane, signed_distance
-from jaxrod.contacts.factories import contact
+from jaxrod.contacts.contact import contact
 from jaxrod.effects.base import Effect
 from jaxrod.systems.contact.rod_contact import rod_contact
 from jaxrod.systems.system import System, make_system

@@ -35,8 +35,7 @@ from jaxrod.geometry.rotations import (
     to_world,
 )
 from jaxrod.geometry.vectors import Vec3
-from jaxrod.rods.elastic_tangents import turned_joint
-from jaxrod.rods.elasticity import joint_couples
+from jaxrod.rods.elasticity import joint_couples, turned_joint
 from jaxrod.rods.motion import Loads, Motion
 from jaxrod.rods.rod import Rod, RodState, check_one
 from jaxrod.structure import pytree, static

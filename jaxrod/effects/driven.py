@@ -19,7 +19,8 @@ from jaxrod.effects.ends import (
     replace_end,
 )
 from jaxrod.effects.held import Axes, Held, held_end
-from jaxrod.effects.nodes import (
+from jaxrod.effects.paths import Path, Turning, schedule_of
+from jaxrod.effects.supports import (
     at_node,
     axes_named,
     check_straight_end,
@@ -28,8 +29,7 @@ from jaxrod.effects.nodes import (
     force_at,
     own_couple,
 )
-from jaxrod.effects.paths import Path, Placed, Turned, Turning, schedule_of
-from jaxrod.effects.time import Schedule
+from jaxrod.effects.time import Schedule, Scheduled, is_schedule
 from jaxrod.geometry import vectors
 from jaxrod.geometry.material_frames import unit_vector
 from jaxrod.geometry.matrices import Matrix
@@ -56,9 +56,9 @@ class Driven(Effect):
     holds the element itself, as a `FixedEnd` does.
     """
 
-    place: Placed | Schedule
+    place: Scheduled
     """Position and motion of the end node; usually a schedule of them."""
-    turn: Turned | Schedule | None
+    turn: Scheduled
     """Frame and rotation of the wall; `None` if the element turns freely."""
     end: End = static(default="start")
     """The end that is driven."""
@@ -70,21 +70,11 @@ class Driven(Effect):
     """Number of elements of the state it was made from; `None` if not known."""
 
     @property
-    def _placed(self) -> Placed:
-        assert isinstance(self.place, Placed)
-        return self.place
-
-    @property
     def _joint(self) -> Clamp | None:
         """Joint between the wall and the end element; `None` if there is none."""
         if self.turn is None or self.holds_element:
             return None
-        return Clamp(self._turned.orientation, self.end)
-
-    @property
-    def _turned(self) -> Turned:
-        assert isinstance(self.turn, Turned)
-        return self.turn
+        return Clamp(self.turn.orientation, self.end)
 
     def loads(self, rod: Rod, motion: Motion) -> Loads:
         """Couple of the wall joint on the end element."""
@@ -116,17 +106,15 @@ class Driven(Effect):
         if self.holds_element:
             w, x, y, z = (
                 replace_end(a, b, self.end)
-                for a, b in zip(
-                    motion.orientation, self._turned.orientation, strict=True
-                )
+                for a, b in zip(motion.orientation, self.turn.orientation, strict=True)
             )
             motion = replace(motion, orientation=(w, x, y, z))
         node = end_node(rod, self.end)
-        there = at_node(motion.position, self._placed.position, node, self.axes)
+        there = at_node(motion.position, self.place.position, node, self.axes)
         moved = replace(motion, position=there)
         if motion.remainder is None:
             return moved
-        none = jnp.zeros_like(self._placed.position)
+        none = jnp.zeros_like(self.place.position)
         return replace(
             moved, remainder=at_node(motion.remainder, none, node, self.axes)
         )
@@ -142,7 +130,7 @@ class Driven(Effect):
             )
             motion = replace(motion, spin=(x, y, z))
         node = end_node(rod, self.end)
-        velocity = at_node(motion.velocity, self._placed.velocity, node, self.axes)
+        velocity = at_node(motion.velocity, self.place.velocity, node, self.axes)
         return replace(motion, velocity=velocity)
 
     def _turning_element(self, rod: Rod) -> tuple[Vec3, Vec3]:
@@ -152,8 +140,8 @@ class Driven(Effect):
             Angular velocity, material frame [rad/s], and angular momentum, world frame
             [kg m^2/s].
         """
-        frame = directors(split_quaternion(self._turned.orientation))
-        local = to_material(frame, vectors.split(self._turned.angular_velocity))
+        frame = directors(split_quaternion(self.turn.orientation))
+        local = to_material(frame, vectors.split(self.turn.angular_velocity))
         return local, to_world(frame, vectors.multiply(self._inertia(rod), local))
 
     def _inertia(self, rod: Rod) -> Vec3:
@@ -169,10 +157,10 @@ class Driven(Effect):
         added.
         """
         node = end_node(rod, self.end)
-        apart = distance_from(self._placed.position, node, self.axes, rod, state)
+        apart = distance_from(self.place.position, node, self.axes, rod, state)
         if self.holds_element:
             actual = at_end(split_quaternion(state.orientations), self.end)
-            held = split_quaternion(self._turned.orientation)
+            held = split_quaternion(self.turn.orientation)
             _, x, y, z = multiply_quaternions(conjugate(held), actual)
             return apart + 2 * vectors.safe_norm((x, y, z))
         joint = self._joint
@@ -198,17 +186,17 @@ class Driven(Effect):
         """Force along the driven axes, couple of the wall, and their power."""
         node = end_node(rod, self.end)
         mass = rod.node_masses[node]
-        push = vectors.split(mass * self._placed.acceleration)
+        push = vectors.split(mass * self.place.acceleration)
         held = force_at(needed, node, self.axes)
         a, b, c = (
             force + inertia if is_held else force
             for force, inertia, is_held in zip(held, push, self.axes, strict=True)
         )
         force = (a, b, c)
-        power = vectors.dot(force, vectors.split(self._placed.velocity))
+        power = vectors.dot(force, vectors.split(self.place.velocity))
         if self.turn is None:
             return Reaction.of(force, power=power)
-        turning = vectors.split(self._turned.angular_velocity)
+        turning = vectors.split(self.turn.angular_velocity)
         if self.holds_element:
             couple = self._couple_on_held(rod, motion, needed)
         else:
@@ -224,10 +212,10 @@ class Driven(Effect):
         index = 0 if self.end == "start" else -1
         a, b, c = (component[index] for component in needed.couples)
         frame = directors(at_end(motion.orientation, self.end))
-        faster = to_material(frame, vectors.split(self._turned.angular_acceleration))
+        faster = to_material(frame, vectors.split(self.turn.angular_acceleration))
         local = vectors.add((a, b, c), vectors.multiply(self._inertia(rod), faster))
         _, momentum = self._turning_element(rod)
-        turning = vectors.split(self._turned.angular_velocity)
+        turning = vectors.split(self.turn.angular_velocity)
         return vectors.add(to_world(frame, local), vectors.cross(turning, momentum))
 
 
@@ -274,7 +262,7 @@ def driven(
         raise ValueError("an end that is free to turn is not turned about an axis")
     if free_to_turn and holds_element:
         raise ValueError("an end element that is free to turn is not held")
-    if axis is None and (isinstance(angle, Schedule) or np.any(np.asarray(angle) != 0)):
+    if axis is None and (is_schedule(angle) or np.any(np.asarray(angle) != 0)):
         raise ValueError("axis must say what the wall turns about by that angle")
     wall = None
     if not free_to_turn:

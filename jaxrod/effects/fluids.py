@@ -11,29 +11,120 @@ and the couple about the rod's axis is $-\zeta_\omega\omega_3$. This is resistiv
 theory: the rod does not change the flow, and its parts do not interact through it.
 Explicit steps of the consistent law solve drag together with the loads
 (`jaxrod.methods.drag_kick`), so it never limits the step.
+
+PyElastica's slender-body drag, for comparisons.
+
+On an element of current length $\ell$ and radius $r$ of a rod of current length $L$,
+
+$$F = -\frac{4\pi\eta\,\ell}{\ln(L/r)}\,(1 - \tfrac12 t t^T)\,v,$$
+
+with $v$ the mass-weighted mean of its nodes' velocities; half of it acts on each node
+(Gazzola et al., R. Soc. Open Sci. 5 (2018) 171628, eq. 4.13). It is a load, so it
+limits the step.
 """
 
 from __future__ import annotations
 
 from abc import abstractmethod
+from collections.abc import Callable
 from dataclasses import replace
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Array, ArrayLike, Float
 
 from jaxrod.effects.base import Effect, Reach, StabilityBound
-from jaxrod.effects.flows import Flow, as_flow
-from jaxrod.effects.time import Timed
+from jaxrod.effects.time import Timed, as_timed, at_clock, clock_at, is_schedule
 from jaxrod.geometry import vectors
 from jaxrod.geometry.vectors import Vec3
 from jaxrod.rods.drag import Drag, drag_loads
 from jaxrod.rods.motion import Loads, Motion
 from jaxrod.rods.rod import Rod
-from jaxrod.structure import pytree
+from jaxrod.structure import pytree, static
 from jaxrod.validation import Numbers, as_array, is_traced, numeric
+
+
+@pytree
+class UniformFlow:
+    """A flow that is the same everywhere."""
+
+    velocity: Float[Array, "3"]
+    """Velocity, world frame [m/s]."""
+
+    def at(self, points: Vec3) -> Vec3:
+        """The velocity at each point [m/s]."""
+        x, y, z = (jnp.broadcast_to(v, points[0].shape) for v in self.velocity)
+        return x, y, z
+
+
+@pytree
+class FlowField:
+    """A flow given by a function of position."""
+
+    parameters: Any
+    """Traced numbers of the flow: any pytree of arrays and schedules."""
+    function: Callable[[Any, Any], Any] = static()
+    """Velocity `(3,)` [m/s] at one point `(3,)` [m], given the parameters."""
+
+    def at(self, points: Vec3) -> Vec3:
+        """The velocity at each point [m/s]."""
+        at_each = jax.vmap(self.function, in_axes=(1, None), out_axes=1)
+        found = at_each(jnp.stack(points), self.parameters)
+        return found[0], found[1], found[2]
+
+
+Flow = UniformFlow | FlowField
+
+
+def flow_field(
+    function: Callable[[Any, Any], ArrayLike], parameters: Any = ()
+) -> FlowField:
+    """A flow that varies in space, and in time if a parameter does.
+
+    Args:
+        function: Pure function from one point `(3,)` [m] and `parameters` to the
+            velocity of the fluid there `(3,)`, world frame [m/s]. A program is compiled
+            for each function, so use the same one again.
+        parameters: Traced numbers of the flow: any pytree of numbers and schedules,
+            such as `jaxrod.schedules.time()`.
+
+    Raises:
+        ValueError: If the function does not give three numbers at a point, or a
+            parameter is not a number that can be stored.
+        TypeError: If `function` is not callable.
+    """
+    if not callable(function):
+        raise TypeError(f"function must be callable, got {type(function).__name__}")
+
+    def number(leaf: Any) -> Any:
+        if is_schedule(leaf):
+            return leaf
+        return as_array("parameters", leaf, "", [np.shape(leaf)])
+
+    dtype = jnp.result_type(float)
+    numbers = jax.tree.map(number, parameters, is_leaf=is_schedule)
+    point = jax.ShapeDtypeStruct((3,), dtype)
+    now = at_clock(numbers, clock_at(0.0, dtype))
+    got = jax.eval_shape(function, point, now)
+    if getattr(got, "shape", None) != (3,):
+        raise ValueError(
+            "function must give one velocity of shape (3,) [m/s] at a point of shape "
+            f"(3,), got {got}"
+        )
+    return FlowField(numbers, function)
+
+
+def as_flow(flow: Flow | Timed | None) -> Flow | None:
+    """Checks an argument that may be a flow, a velocity or `None`.
+
+    Raises:
+        ValueError: If it is not one of them.
+    """
+    if flow is None or isinstance(flow, UniformFlow | FlowField):
+        return flow
+    return UniformFlow(as_timed("flow", flow, "m/s", (3,)))
 
 
 @pytree
@@ -269,3 +360,51 @@ def _coefficient(name: str, value: Numbers, unit: str) -> Array:
             f"{name} must be one number or one per element, got shape {given.shape}"
         )
     return as_array(name, given, unit, [given.shape], non_negative=True)
+
+
+@pytree
+class SlenderBodyDrag(Effect):
+    """PyElastica's `SlenderBodyTheory`; see `slender_body_drag`."""
+
+    viscosity: Float[Array, ""]
+    """Dynamic viscosity of the fluid [Pa s]."""
+
+    def loads(self, rod: Rod, motion: Motion) -> Loads:
+        """Half of every element's drag on each of its nodes."""
+        lengths = motion.lengths
+        radii = rod.radii * jnp.sqrt(rod.rest_lengths / lengths)
+        tangent = vectors.scale(1 / lengths, motion.edges)
+        masses = rod.node_masses
+        x, y, z = (
+            (masses[1:] * v[1:] + masses[:-1] * v[:-1]) / (masses[1:] + masses[:-1])
+            for v in motion.velocity
+        )
+        along = vectors.scale(0.5 * vectors.dot(tangent, (x, y, z)), tangent)
+        size = self._per_length(jnp.sum(lengths), radii) * lengths
+        half = vectors.scale(-0.5 * size, vectors.subtract((x, y, z), along))
+        return Loads(forces=vectors.pair_sum(half))
+
+    def stability_bound(self, rod: Rod) -> StabilityBound:
+        """Drag across the unstretched rod."""
+        return StabilityBound(
+            node_drag=on_nodes(rod, self._per_length(rod.length, rod.radii))
+        )
+
+    def _per_length(self, length: Array, radii: Array) -> Array:
+        """Drag per length and speed across the rod [kg/(m s)]."""
+        return 4 * jnp.pi * self.viscosity / jnp.log(length / radii)
+
+
+def slender_body_drag(viscosity: Numbers) -> SlenderBodyDrag:
+    """PyElastica's `SlenderBodyTheory(dynamic_viscosity)`, for comparisons.
+
+    `stokes_drag` is the same except that it does not account for stretch. It does not
+    limit the step, and its coefficients can be chosen.
+
+    Args:
+        viscosity: Dynamic viscosity of the fluid [Pa s].
+
+    Raises:
+        ValueError: If it is not positive.
+    """
+    return SlenderBodyDrag(as_array("viscosity", viscosity, "Pa s", positive=True))

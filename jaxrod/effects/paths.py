@@ -13,7 +13,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from jaxrod.effects.time import Clock, Schedule, as_timed
+from jaxrod.effects.time import Clock, Schedule, as_timed, is_schedule
 from jaxrod.geometry import vectors
 from jaxrod.geometry.rotations import (
     join_quaternion,
@@ -129,7 +129,7 @@ class _Constant(Schedule):
 def schedule_of(name: str, value: Any, unit: str, shape: tuple[int, ...]) -> Schedule:
     """Schedule, or a constant as a schedule; checked as in `as_timed`."""
     checked = as_timed(name, value, unit, shape)
-    return checked if isinstance(checked, Schedule) else _Constant(checked)
+    return checked if is_schedule(checked) else _Constant(checked)
 
 
 def _rate(schedule: Any, clock: Clock) -> tuple[Any, Any]:

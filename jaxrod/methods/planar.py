@@ -15,8 +15,7 @@ from jaxrod.effects.time import at_clock, clock_at
 from jaxrod.effects.trial_motion import trial_motion
 from jaxrod.loaded_rod import LoadedRod, Method, constrain, constrain_rates
 from jaxrod.methods.consistent import Consistent
-from jaxrod.methods.planar_consistent import PlanarConsistentStepper
-from jaxrod.methods.planar_pyelastica import PlanarPyElasticaStepper
+from jaxrod.methods.planar_laws import PlanarConsistentStepper, PlanarPyElasticaStepper
 from jaxrod.methods.planar_verlet import PLANES, PlanarVerlet, PlaneName
 from jaxrod.methods.pyelastica import PyElastica
 from jaxrod.rods.motion import Loads, Motion, motion_of, state_of

@@ -11,6 +11,26 @@ Internal loads are the exact negative gradient of $W$, in closed form. The discr
 therefore conserves energy (to the order of the integrator), and momentum and angular
 momentum (to round-off). It stays bounded under loads that make laws without a potential
 diverge.
+
+The elastic law's tangent stiffness, in closed form, block by block.
+
+It is the derivative of the negative internal loads when nodes are displaced and
+elements rotated by $\psi$ ($R \to e^{[\psi]} R$). Everything is in the world frame,
+where each element and each joint has a single force or couple, of opposite sign on its
+two sides.
+
+An element of edge $e$ pulls its nodes together with $N$. With $D$ its stiffness over
+its length, rotated into the world frame,
+
+$$\delta N = D\,\delta e + K\psi, \quad K = D[e]_\times - [N]_\times, \qquad
+  \delta(N\times e) = K^T\delta e - [e]_\times K\psi.$$
+
+A joint of rotation vector $\phi$ and torque $\tau = B\phi$ (world frame, at rest
+$\phi = 0$) has the couple $\mu = J^{-T}\tau$ with $J^{-1} = 1 + \frac12[\phi]_\times
++ c[\phi]_\times^2$, and
+
+$$\delta\mu = H(\psi_\text{after} - \psi_\text{before}) - [\mu]_\times\psi_\text{after},
+  \quad H = (J^{-T}B + \partial(J^{-T}\tau)/\partial\phi|_\tau)\,J^{-1}.$$
 """
 
 from __future__ import annotations
@@ -19,6 +39,18 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from jaxrod.geometry import vectors
+from jaxrod.geometry.matrices import (
+    Matrix,
+    add,
+    cross_rows,
+    outer,
+    scale,
+    scaled_identity,
+    skew,
+    subtract,
+    transpose,
+    turned_diagonal,
+)
 from jaxrod.geometry.rotations import (
     Quaternion,
     conjugate,
@@ -149,3 +181,109 @@ def stored_energy(rod: Rod, state: RodState) -> Float[Array, ""]:
         rod.joint_lengths[None, :] * rod.joint_stiffness * curvature**2
     )
     return shear + bend
+
+
+@pytree
+class ElementTangent:
+    """Tangent stiffness of one element of a rod."""
+
+    stretching: Matrix
+    """Derivative `D` of the pull by the edge."""
+    coupling: Matrix
+    """Derivative `K` of the pull by the rotation."""
+    turning: Matrix
+    """Derivative of the couple by the rotation."""
+
+
+@pytree
+class JointTangent:
+    """Tangent stiffness of one joint."""
+
+    stiffness: Matrix
+    """Derivative `H` of the couple by the relative rotation."""
+    couple: Vec3
+    """Couple of the joint [N m], which turns with the element after the joint."""
+
+
+def element_tangent(law: ElasticLaw, motion: Motion) -> ElementTangent:
+    """Tangent of the shear-stretch energy, per element."""
+    frame = directors(motion.orientation)
+    edges, inverse = motion.edges, law.inverse_lengths
+    local = to_material(frame, edges)
+    strain = (local[0] * inverse, local[1] * inverse, local[2] * inverse - 1)
+    stress = vectors.multiply(
+        law.shear_stretch, vectors.subtract(strain, law.rest_strains)
+    )
+    stretching = turned_diagonal(frame, vectors.scale(inverse, law.shear_stretch))
+    coupling = subtract(cross_rows(stretching, edges), skew(to_world(frame, stress)))
+    turning = transpose(cross_rows(transpose(coupling), edges))
+    return ElementTangent(stretching, coupling, turning)
+
+
+def joint_tangent(law: ElasticLaw, motion: Motion) -> JointTangent:
+    """Tangent of the bend-twist energy, per joint."""
+    rotation, coupling = joint_rotations(motion.orientation)
+    w, x, y, z = motion.orientation
+    after = (w[1:], x[1:], y[1:], z[1:])
+    moment = vectors.multiply(law.joint, vectors.subtract(rotation, law.rest_rotations))
+    return turned_joint(after, rotation, coupling, law.joint, moment)
+
+
+def turned_joint(
+    after: Quaternion, rotation: Vec3, coupling: Array, stiffness: Vec3, moment: Vec3
+) -> JointTangent:
+    """Tangent of a joint, given its state in the material frame after it.
+
+    Args:
+        after: Orientation of the element after the joint.
+        rotation: Rotation vector of the joint [rad].
+        coupling: Coupling coefficient, see `rotations.rotation_log_and_coupling`.
+        stiffness: Bend-twist stiffness over joint length [N m].
+        moment: Derivative of the joint's energy by its rotation vector [N m].
+    """
+    frame = directors(after)
+    phi, tau = to_world(frame, rotation), to_world(frame, moment)
+    bent = vectors.cross(phi, tau)
+    twice = vectors.cross(phi, bent)
+    couple = vectors.add(
+        vectors.add(tau, vectors.scale(-0.5, bent)), vectors.scale(coupling, twice)
+    )
+    # d(J^-T tau)/dphi at fixed tau: terms of phi x tau, of phi x (phi x tau), and of c.
+    slope = 2 * _coupling_slope(vectors.dot(phi, phi), coupling)
+    aligned = vectors.dot(phi, tau)
+    bending = add(skew(bent), subtract(outer(tau, phi), scaled_identity(aligned)))
+    change = add(
+        scale(0.5, skew(tau)),
+        subtract(scale(slope, outer(twice, phi)), scale(coupling, bending)),
+    )
+    turned = turned_diagonal(frame, stiffness)
+    by_rotation = add(transpose(times_inverse(turned, phi, coupling)), change)
+    return JointTangent(times_inverse(by_rotation, phi, coupling), couple)
+
+
+def times_inverse(matrix: Matrix, rotation: Vec3, coupling: Array) -> Matrix:
+    r"""Product of a matrix and $J^{-1} = 1 + \frac12[\phi]_\times + c[\phi]_\times^2$.
+
+    The latter is the derivative of a rotation vector when its rotation is continued, in
+    the frame after it: $\log(e^{\phi} e^{\psi}) = \phi + J^{-1}\psi + O(\psi^2)$.
+    """
+
+    def one(row: Vec3) -> Vec3:
+        once = vectors.cross(row, rotation)
+        twice = vectors.scale(coupling, vectors.cross(once, rotation))
+        return vectors.add(row, vectors.add(vectors.scale(0.5, once), twice))
+
+    return one(matrix[0]), one(matrix[1]), one(matrix[2])
+
+
+def _coupling_slope(squared_angle: Array, coupling: Array) -> Array:
+    r"""Derivative of the coupling coefficient by the square of the angle.
+
+    The closed form loses digits as $\epsilon/\theta^2$, but is multiplied by
+    $\theta^3$. The series is used where even that error would matter.
+    """
+    small = squared_angle < 1e-3
+    series = 1 / 720 + squared_angle / 15120
+    safe = jnp.where(small, 1, squared_angle)
+    closed = (1 - 12 * coupling + 4 * coupling * coupling * safe) / (8 * safe)
+    return jnp.where(small, series, closed)

@@ -20,8 +20,7 @@ from jaxrod.geometry.rotations import split_quaternion
 from jaxrod.geometry.vectors import inner_difference, join, split
 from jaxrod.rods.elasticity import joint_rotations, shear_stretch
 from jaxrod.rods.rod import JointMean, Rod, RodState, check_state
-from jaxrod.rods.section_shapes import Section
-from jaxrod.rods.sections import rod_of_section
+from jaxrod.rods.sections import Section, rod_of_section
 from jaxrod.validation import (
     Numbers,
     check_array,

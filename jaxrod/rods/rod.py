@@ -16,7 +16,7 @@ from jaxtyping import Array, Float
 
 from jaxrod.geometry import vectors
 from jaxrod.geometry.rotations import directors_from_orientations
-from jaxrod.rods.words import or_fields, rod_words, state_words
+from jaxrod.rods.repr import repr_or_class_name, rod_repr, state_repr
 from jaxrod.structure import pytree, static
 from jaxrod.validation import Numbers, check_kind, numeric
 
@@ -57,7 +57,7 @@ class Rod:
 
     def __repr__(self) -> str:
         """One line: elements, sizes, material; ranges where they vary."""
-        return or_fields(rod_words, self)
+        return repr_or_class_name(rod_repr, self)
 
     @property
     def n_elements(self) -> int:
@@ -201,7 +201,7 @@ class RodState:
 
     def __repr__(self) -> str:
         """One line: elements, tip, largest speed."""
-        return or_fields(state_words, self)
+        return repr_or_class_name(state_repr, self)
 
     @property
     def layout(self) -> Layout:

@@ -40,14 +40,15 @@ from jaxrod.geometry.rotations import (
 )
 from jaxrod.geometry.vectors import Vec3
 from jaxrod.loaded_rod import LoadedRod, constrain_rates
-from jaxrod.rods.elastic_tangents import (
+from jaxrod.rods.elasticity import (
+    ElasticLaw,
     ElementTangent,
     JointTangent,
     element_tangent,
+    internal_loads,
     joint_tangent,
     times_inverse,
 )
-from jaxrod.rods.elasticity import ElasticLaw, internal_loads
 from jaxrod.rods.motion import Motion
 from jaxrod.statics.block_matrices import BlockTridiagonal
 from jaxrod.statics.degrees_of_freedom import (

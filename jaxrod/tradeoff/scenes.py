@@ -11,11 +11,10 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxrod.contacts.bodies import cylinder
-from jaxrod.contacts.factories import contact
-from jaxrod.effects.actuation import spline_couples
+from jaxrod.contacts.contact import contact
+from jaxrod.effects.actuation import control_spline, spline_couples
 from jaxrod.effects.base import Effect
 from jaxrod.effects.clamps import clamp, fixed_end
-from jaxrod.effects.control_splines import control_spline
 from jaxrod.effects.loads import exponential_damping, gravity
 from jaxrod.methods.laws import IN_SPACE, Law
 from jaxrod.rods.factories import straight_rod

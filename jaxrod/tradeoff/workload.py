@@ -11,7 +11,6 @@ import numpy as np
 from jaxtyping import Array
 
 from jaxrod.geometry import vectors
-from jaxrod.geometry.interpolation import interpolated, neighbours
 from jaxrod.geometry.rotations import (
     join_quaternion,
     multiply_quaternions,
@@ -23,6 +22,7 @@ from jaxrod.loaded_rod import check_scene_and_state
 from jaxrod.methods.consistent import Consistent
 from jaxrod.methods.laws import Law
 from jaxrod.methods.planar_verlet import PlaneName
+from jaxrod.rods.along_rod import interpolated, neighbours
 from jaxrod.rods.elasticity import joint_rotations
 from jaxrod.rods.factories import MOST_ELEMENTS
 from jaxrod.rods.rod import Rod, RodState

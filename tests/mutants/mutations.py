@@ -17,7 +17,7 @@ CHECKS = re.compile(r"^_?check|^(as_array|as_timed\w*|optional_number|numeric|pr
 """Calls whose arguments are names, units and limits."""
 LIMITS = re.compile(r"^_?(MOST|LEAST|FEWEST|LARGEST|SMALLEST|LIMIT|VERSION|__)")
 """Constants at the top of a file that are limits."""
-NO_NUMBERS = {"words.py", "text.py", "captions.py", "field_meanings.py", "__main__.py"}
+NO_NUMBERS = {"repr.py", "text.py", "captions.py", "field_meanings.py", "__main__.py"}
 """Files of text alone."""
 
 OPERATORS = {

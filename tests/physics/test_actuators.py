@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import jaxrod
-from jaxrod.actuation.section_bounds import cross_bound, fibre_bound
+from jaxrod.actuation.section_load import cross_bound, fibre_bound
 from jaxrod.effects.time import Clock
 from jaxrod.geometry import vectors
 from jaxrod.rods.motion import motion_of

@@ -5,7 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from jaxrod.stepping.one_by_one import one_by_one
+from jaxrod.stepping.loops import one_by_one
 
 
 def halved_or_squared(x, count):

@@ -19,8 +19,7 @@ from jaxtyping import Array, Float
 
 from jaxrod.analysis.stability import stable_dt
 from jaxrod.control.trajectories.problem import Problem, make_problem
-from jaxrod.effects.actuation import spline_couples
-from jaxrod.effects.control_splines import ControlSpline, ElementAverages
+from jaxrod.effects.actuation import ControlSpline, ElementAverages, spline_couples
 from jaxrod.geometry import vectors
 from jaxrod.rods.rod import RodState
 from jaxrod.scene import Scene

@@ -14,12 +14,12 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from jaxrod.geometry import matrices, vectors
-from jaxrod.geometry.free_rotation import freely_turned
 from jaxrod.geometry.matrices import Matrix
 from jaxrod.geometry.rotations import (
     Quaternion,
     directors,
     directors_from_orientations,
+    freely_turned,
     join_quaternion,
     split_quaternion,
     to_material,

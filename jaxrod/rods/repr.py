@@ -10,7 +10,7 @@ import numpy as np
 _PREFIXES = {9: "G", 6: "M", 3: "k", 0: ""}
 
 
-def rod_words(rod: Any) -> str:
+def rod_repr(rod: Any) -> str:
     """Describes a rod: its elements, sizes and material, as far as they are known.
 
     Nothing is computed on a device. Traced numbers, and leaves that are not arrays
@@ -35,7 +35,7 @@ def rod_words(rod: Any) -> str:
     return f"Rod({', '.join([*words, *_kind(rod.rest_lengths, 1)])})"
 
 
-def state_words(state: Any) -> str:
+def state_repr(state: Any) -> str:
     """Describes a state: its elements, tip position, and speed of the fastest node."""
     positions, velocities = _known(state.positions), _known(state.velocities)
     words = [_elements(state.orientations)]
@@ -48,7 +48,7 @@ def state_words(state: Any) -> str:
     return f"RodState({', '.join([*words, *_kind(state.positions, 2)])})"
 
 
-def scene_words(scene: Any) -> str:
+def scene_repr(scene: Any) -> str:
     """Describes a scene: its rod, its effects by their classes, its method."""
     names = [type(effect).__name__ for effect in _listed(scene.effects)]
     shown = [
@@ -61,7 +61,7 @@ def scene_words(scene: Any) -> str:
     return f"Scene({', '.join(parts)})"
 
 
-def or_fields(words: Any, thing: Any) -> str:
+def repr_or_class_name(words: Any, thing: Any) -> str:
     """Words for a thing; its class name alone if they cannot be made."""
     try:
         return words(thing)
