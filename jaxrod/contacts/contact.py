@@ -420,11 +420,11 @@ def contact(
     square of the impact speed.
 
     Args:
-        bodies: A body from `jaxrod.shapes.sphere`, `capsule`, `cylinder`, `plane`, `box` or
-            `signed_distance`. Several of the same kind are given as a sequence, or as
-            one body whose numbers have a leading axis (from `jax.vmap` of a factory).
-            Each adds to the compiled program; a dozen bodies cost more than the rod
-            itself, and then `jaxrod.near_contact` helps.
+        bodies: A body from `jaxrod.shapes.sphere`, `capsule`, `cylinder`, `plane`,
+            `box` or `signed_distance`. Several of the same kind are given as a
+            sequence, or as one body whose numbers have a leading axis (from `jax.vmap`
+            of a factory). Each adds to the compiled program; a dozen bodies cost more
+            than the rod itself, and then `jaxrod.near_contact` helps.
         stiffness: Force per length of rod and penetration [N/m^2].
         damping: Force per length of rod and normal speed [kg/(m s)].
         friction: Coefficient of Coulomb friction, or three coefficients, such as those
