@@ -108,8 +108,8 @@ class RodContact(TouchingRods):
         self, a: int, own: Elements, other: Elements, there: Array
     ) -> tuple[ContactPoints, Elements, Array]:
         """Contact points of listed elements, along a leading axis, and segments."""
-        own, other, there = (row_vector(tree) for tree in (own, other, there))
-        return points_on(own, self.segments[a].per_element), other, there
+        points = points_on(row_vector(own), self.segments[a].per_element)
+        return points, row_vector(other), row_vector(there)
 
     def weights(self, a: int, b: int, own: ContactPoints, other: Elements) -> Array:
         """Rest length for which points count: half, since both ways are summed [m]."""
@@ -169,9 +169,14 @@ class RodContact(TouchingRods):
         force, turns = on_own.on_points, on_own.turning_points
         assert force is not None and own.fractions is not None
         nexts = vectors.scale(own.fractions, force)
-        both = SegmentLoads(forces=force, nexts=nexts, turning=turns), on_other
+        both = (
+            SegmentLoads(forces=force, nexts=nexts, turning=turns),
+            replace(on_other, forces=None),
+        )
         one, two = jax.tree.map(lambda leaf: jnp.sum(leaf, axis=0), both)
-        return one, two
+        assert one.forces is not None
+        # The force on the segment is the opposite one: summed once.
+        return one, replace(two, forces=vectors.scale(-1.0, one.forces))
 
     def bound(self, own: Parts, every: list[Parts]) -> StabilityBound:
         """Stiffness and drag as if all of every rod touched its partners.
