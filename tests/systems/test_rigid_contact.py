@@ -29,8 +29,7 @@ def test_the_bound_on_balls_is_that_of_springs_between_all_or_to_the_worst(partn
     """k (1/m_a + 1/m_b) of each, times the mass of the one."""
     stiffness, radii = 1e4, {"a": 0.1, "b": 0.05, "c": 0.2}
     parts = {
-        name: body(jaxrod.sphere((0, 0, 0), r))[0].parts()
-        for name, r in radii.items()
+        name: body(jaxrod.sphere((0, 0, 0), r))[0].parts() for name, r in radii.items()
     }
     contact = jaxrod.rigid_contact(*radii, stiffness=stiffness, partners=partners)
     bounds = contact.fitted(parts, ()).prepared(parts).stability_bounds(parts)
