@@ -221,11 +221,12 @@ class Case:
             self.compare("two runs", split, ROUNDING)
             return
         off = [self._relative(self.after, split)]
-        dt, counts = 0.5 * self.dt, [2 * half, 2 * (self.steps - half)]
+        dt, counts = 0.25 * self.dt, [4 * half, 4 * (self.steps - half)]
         ends = [self.runs(self.first, n, dt) for n in ([sum(counts)], counts)]
         off.append(self._relative(*map(self.first.told, ends)))
-        # About a fourth at half the step.
-        ratio = ALLOWED * off[1] / (0.6 * off[0] + 1e-12)
+        # About a sixteenth at a quarter of the step.
+        rounding = ALLOWED * ROUNDING * max(1.0, *self.noise.values())
+        ratio = ALLOWED * off[1] / (0.3 * off[0] + rounding)
         self.results.append(("two runs, to second order", ratio, off[0], ""))
 
     def _relative(self, one: Any, other: Any) -> float:

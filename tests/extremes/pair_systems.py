@@ -395,13 +395,14 @@ def system_in(view: View, kind: Kind, seed: int, draw: int = 0) -> Any:
     members, rest, moving = maker.members, maker.rest, maker.moving
     couplings = maker.couplings()
     if view.crowded:
+        # So heavy and soft that it never limits the step.
         start = view.place(np.array([40.0, 25.0, -30.0]))
         rod, state = jaxrod.straight_rod(
             3,
-            length=view.number(0.3, "m"),
-            radius=view.number(0.01, "m"),
-            density=view.number(1e3, "kg m^-3"),
-            youngs_modulus=view.number(1e5, "Pa"),
+            length=view.number(1.5, "m"),
+            radius=view.number(0.02, "m"),
+            density=view.number(1e5, "kg m^-3"),
+            youngs_modulus=view.number(1e4, "Pa"),
             start=start,
         )
         members["far"], rest["far"], moving["far"] = (
