@@ -40,13 +40,13 @@ def build(n=N, radius=RADIUS, loop=LOOP, pull=1.0, friction=None):
     rod, _ = jaxrod.straight_rod(n, length=float(bent.length), **material)
     bending, line = rod.bend_twist_stiffness[0, 0], rod.linear_density[0]
     force = jnp.asarray([pull * bending / (2 * loop**2), 0.0, 0.0])
-    pulls = jaxrod.end_load(force), jaxrod.end_load(-force, end="start")
+    pulls = jaxrod.end_load(force), jaxrod.end_load(-force, end="base")
     slow = jaxrod.exponential_damping(0.6 * jnp.sqrt(bending / line) / loop**2)
     stiffness = 300.0 * bending / (loop * radius) ** 2
     law = {"damping": 0.1 * jnp.sqrt(stiffness * line), "friction": friction}
     scene, state = jaxrod.make_scene(rod, *pulls, slow), {"rope": state}
     law |= {"lists": systems.neighbour_lists(skin=1.0, refresh_every=8)}
-    touch = systems.rod_contact("rope", stiffness=stiffness, itself=True, **law)
+    touch = systems.rod_contact("rope", stiffness=stiffness, self_contact=True, **law)
     system = jaxrod.make_system({"rope": scene}, touch, state=state)
     return system, state, float(jaxrod.stable_dt(system).dt)
 

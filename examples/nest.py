@@ -47,7 +47,7 @@ def nest(n_rods=200):
     # For the nest that it becomes, which is denser than what is laid in.
     room = {"pairs": 80 * n_rods, "candidates": 320 * n_rods}
     lists = systems.neighbour_lists(skin=1.0, refresh_every=10, **room)
-    touch = {"stiffness": 1e3, "damping": 0.02, "friction": 0.3, "partners": 4}
+    touch = {"stiffness": 1e3, "damping": 0.02, "friction": 0.3, "max_contacts": 4}
     contact = systems.crossing_contact("rods", **touch, lists=lists)
     scenes, state = {"rods": jax.vmap(scene)(rods)}, {"rods": state}
     system = jaxrod.make_system(scenes, contact, state=state)

@@ -43,7 +43,7 @@ def octopus():
     arms, of_arms = jax.vmap(arm)(angles)
     head, of_head = systems.rigid_body(shapes.sphere((0, 0, 0), HEAD), density=1050.0)
     state = {"arms": of_arms, "head": of_head}
-    roots = [("arms", k, "start") for k in range(N_ARMS)]
+    roots = [("arms", k, "base") for k in range(N_ARMS)]
     together = systems.attach(roots, ("head",), state)
     return jaxrod.make_system({"arms": arms, "head": head}, together), state
 

@@ -51,7 +51,7 @@ def dropped(slack=0.1):
     fall, shape = (jaxrod.gravity(),), shapes.sphere((0.5, 0.0, -0.05), 0.02)
     ball, still = systems.rigid_body(shape, density=500.0, effects=fall)
     state = {"arm": arm, "ball": still}
-    ends = [extend.anchors([place], state) for place in (("arm", "finish"), ("ball",))]
+    ends = [extend.anchors([place], state) for place in (("arm", "tip"), ("ball",))]
     tether = Tether(*ends, length=0.05 + slack, stiffness=200.0)
     members = {"arm": jaxrod.make_scene(rod, jaxrod.clamp(arm)), "ball": ball}
     return jaxrod.make_system(members, tether, state=state), state

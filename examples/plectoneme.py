@@ -31,7 +31,7 @@ def build():
     ahead = jnp.asarray([1.0, 0.0, 0.0])
     nearer = schedules.ramp(0 * ahead, -0.45 * ahead, SHORTENING, start=TWISTING)
     turn = schedules.ramp(0.0, 2 * jnp.pi * TURNS, TWISTING)
-    moved = jaxrod.driven(state, "finish", displacement=nearer, axis=ahead, angle=turn)
+    moved = jaxrod.driven(state, "tip", displacement=nearer, axis=ahead, angle=turn)
     scene = jaxrod.make_scene(
         rod,
         jaxrod.clamp(state),
@@ -39,7 +39,7 @@ def build():
         jaxrod.gravity((0.0, 0.0, -0.2)),  # chooses where it buckles to
         jaxrod.exponential_damping(4.0),
     )
-    touch = systems.rod_contact("rope", stiffness=6e5, damping=40.0, itself=True)
+    touch = systems.rod_contact("rope", stiffness=6e5, damping=40.0, self_contact=True)
     system = jaxrod.make_system({"rope": scene}, touch)
     return system, {"rope": state}, 0.9 * float(jaxrod.stable_dt(system).dt)
 

@@ -43,7 +43,7 @@ def cart_pole():
     rod, state = jaxrod.straight_rod(
         4, **size, youngs_modulus=2.2e6, direction=(0, 0, -1), normal=(0, 1, 0)
     )
-    effects = jaxrod.pin(state), jaxrod.exponential_damping(0.2)
+    effects = jaxrod.pin_support(state), jaxrod.exponential_damping(0.2)
     scene = jaxrod.make_scene(rod, *effects, method=jaxrod.planar("zx"))
     sizes = {"n_intervals": N_INTERVALS, "interval": INTERVAL, "n_controls": 1}
     return jaxrod.control.make_problem(

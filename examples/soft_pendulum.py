@@ -19,7 +19,7 @@ N_INTERVALS = round(SECONDS / INTERVAL)
 
 def move(data, state, couple, k):
     """The rod after an interval under a couple about y on its first element."""
-    motor = jaxrod.EndLoad(jnp.zeros(3), couple * jnp.array([0.0, 1.0, 0.0]), "start")
+    motor = jaxrod.EndLoad(jnp.zeros(3), couple * jnp.array([0.0, 1.0, 0.0]), "base")
     effects = (*data["scene"].effects, motor)
     scene = dataclasses.replace(data["scene"], effects=effects)
     return jaxrod.advance(scene, state, INTERVAL / STEPS, STEPS)
@@ -41,7 +41,11 @@ def pendulum():
     rod, state = jaxrod.straight_rod(
         4, **size, youngs_modulus=2.2e6, direction=(0, 0, -1), normal=(0, 1, 0)
     )
-    effects = jaxrod.pin(state), jaxrod.gravity(), jaxrod.exponential_damping(0.2)
+    effects = (
+        jaxrod.pin_support(state),
+        jaxrod.gravity(),
+        jaxrod.exponential_damping(0.2),
+    )
     scene = jaxrod.make_scene(rod, *effects, method=jaxrod.planar("zx"))
     time = {"n_intervals": N_INTERVALS, "interval": INTERVAL}
     return jaxrod.control.make_problem(

@@ -42,8 +42,8 @@ from jaxrod.effects.loads import end_load as end_load
 from jaxrod.effects.loads import exponential_damping as exponential_damping
 from jaxrod.effects.loads import gravity as gravity
 from jaxrod.effects.loads import uniform_load as uniform_load
-from jaxrod.effects.supports import hinge as hinge
-from jaxrod.effects.supports import pin as pin
+from jaxrod.effects.supports import hinge_support as hinge_support
+from jaxrod.effects.supports import pin_support as pin_support
 from jaxrod.effects.unlikely import UnlikelyWarning as UnlikelyWarning
 from jaxrod.installation.backend import configure_cpu as configure_cpu
 from jaxrod.lanes.choice import LaneChoice as LaneChoice

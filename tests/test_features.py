@@ -316,12 +316,12 @@ def test_drag_with_the_square_of_the_speed_slows_a_rod_by_its_law():
 # Supports
 
 
-@runs("fixed_end", "pin")
+@runs("fixed_end", "pin_support")
 def test_an_end_and_a_node_are_held_and_the_rest_moves():
     scene = jaxrod.make_scene(
         ROD,
         jaxrod.fixed_end(REST),
-        jaxrod.pin(REST, "finish", axes="z"),
+        jaxrod.pin_support(REST, "tip", axes="z"),
         jaxrod.uniform_load((0.0, 50.0, 50.0)),
     )
     state = jaxrod.advance(scene, REST, 1e-3, 20)
@@ -334,12 +334,12 @@ def test_an_end_and_a_node_are_held_and_the_rest_moves():
     close((change[1, -1], change[2, 2]), fallen, rtol=0.05)
 
 
-@runs("hinge")
+@runs("hinge_support")
 def test_a_hinge_turns_about_its_axis_alone():
     rod, rest = straight(youngs_modulus=1e8)
     scene = jaxrod.make_scene(
         rod,
-        jaxrod.hinge(rest, (0, 1, 0)),
+        jaxrod.hinge_support(rest, (0, 1, 0)),
         jaxrod.uniform_load((0.0, 4.0, 4.0)),
     )
     state = jaxrod.advance(scene, rest, 2e-4, 1000)
@@ -634,10 +634,10 @@ def test_exact_joints_hold_and_keep_momentum():
     start = {"rods": of_rods, "head": of_head}
     system = jaxrod.make_system(
         {"rods": rods, "head": head},
-        jaxrod.systems.weld(("rods", 0, "finish"), ("rods", 1, "start"), start),
-        jaxrod.systems.tie(("rods", 0, "finish"), ("rods", 2, "start"), start),
-        jaxrod.systems.attach(("rods", 0, "start"), ("head",), start),
-        jaxrod.systems.attach(("rods", 3, "start"), ("head",), start, turning=True),
+        jaxrod.systems.weld(("rods", 0, "tip"), ("rods", 1, "base"), start),
+        jaxrod.systems.tie(("rods", 0, "tip"), ("rods", 2, "base"), start),
+        jaxrod.systems.attach(("rods", 0, "base"), ("head",), start),
+        jaxrod.systems.attach(("rods", 3, "base"), ("head",), start, turning=True),
         state=start,
     )
     # Once through a step of no length: all ties are kept.
@@ -665,7 +665,7 @@ def test_exact_joints_hold_and_keep_momentum():
 @runs(
     "spring",
     "ball_joint",
-    "rigid_joint",
+    "fixed_joint",
     "hinge_joint",
     "glue",
     "pose_spring",
@@ -686,13 +686,13 @@ def test_each_joint_pulls_two_rods_together_by_its_stiffness():
     at_rest = {"rods": rest}
 
     def ends(k):
-        return ("rods", 2 * k, "finish"), ("rods", 2 * k + 1, "start")
+        return ("rods", 2 * k, "tip"), ("rods", 2 * k + 1, "base")
 
     system = jaxrod.make_system(
         {"rods": rods},
         jaxrod.systems.spring(*ends(0), at_rest, stiffness=100.0),
         jaxrod.systems.ball_joint(*ends(1), at_rest, stiffness=200.0),
-        jaxrod.systems.rigid_joint(
+        jaxrod.systems.fixed_joint(
             *ends(2), at_rest, stiffness=300.0, turning_stiffness=7.0
         ),
         jaxrod.systems.hinge_joint(
@@ -711,7 +711,7 @@ def test_each_joint_pulls_two_rods_together_by_its_stiffness():
             turning_stiffness=3.0,
         ),
         jaxrod.systems.pose_spring(
-            ("rods", 10, "finish"),
+            ("rods", 10, "tip"),
             at_rest,
             stiffness=600.0,
             displacement=(1e-3, 0.0, 0.0),

@@ -60,10 +60,8 @@ def pair():
         jaxrod.systems.rod_contact(
             "one", "two", stiffness=100.0, damping=0.1, friction=0.3
         ),
-        jaxrod.systems.spring(
-            ("one", "finish"), ("two", "finish"), state, stiffness=10.0
-        ),
-        jaxrod.systems.attach(("two", "finish"), ("ball",), state),
+        jaxrod.systems.spring(("one", "tip"), ("two", "tip"), state, stiffness=10.0),
+        jaxrod.systems.attach(("two", "tip"), ("ball",), state),
         state=state,
     )
     return system, jaxrod.with_memory(system, state)

@@ -92,7 +92,7 @@ class Buckling:
         )
         effects = (
             jaxrod.clamp(state),
-            jaxrod.driven(state, "finish", displacement=wall, axes="zx"),
+            jaxrod.driven(state, "tip", displacement=wall, axes="zx"),
             jaxrod.exponential_damping(p["damping"]),
         )
         scene = jaxrod.make_scene(rod, *effects, method=jaxrod.planar("zx"))

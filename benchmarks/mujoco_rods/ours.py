@@ -37,7 +37,7 @@ def build(problem: Problem, method: Any) -> tuple[Any, Any]:
     if problem.clamped:
         effects.append(jaxrod.clamp(state))
     else:
-        effects += [jaxrod.pin(state, node) for node in problem.pinned]
+        effects += [jaxrod.pin_support(state, node) for node in problem.pinned]
     if problem.gravity:
         effects.append(jaxrod.gravity((0.0, 0.0, -problem.gravity)))
     if problem.force:

@@ -68,7 +68,7 @@ class ElementContact(Coupling):
     def loads(self, seen: AllSeen) -> dict[str, Loads]:
         """Forces on the nodes of both rods."""
         one, two = (_Row(seen[self.members[k]]) for k in (0, -1))
-        near = _Near(one, two, itself=len(self.members) == 1)
+        near = _Near(one, two, self_contact=len(self.members) == 1)
         closing = vectors.subtract(_upright(one.velocity), _beside(two.velocity))
         damped = self.damping * vectors.dot(closing, near.normal)
         size = 0.5 * (self.stiffness * near.depth + damped)
@@ -82,7 +82,7 @@ class ElementContact(Coupling):
     def violation(self, seen: AllSeen) -> Array:
         """Deepest penetration over half the sum of the radii."""
         one, two = (_Row(seen[self.members[k]]) for k in (0, -1))
-        near = _Near(one, two, itself=len(self.members) == 1)
+        near = _Near(one, two, self_contact=len(self.members) == 1)
         return jnp.max(jnp.where(near.touch, 2 * near.depth / near.radii, 0))
 
     def stability_bounds(self, parts: AllParts) -> dict[str, StabilityBound]:
@@ -133,7 +133,7 @@ class _Near:
     touch: Bool[Array, "one two"]
     """Whether pairs touch."""
 
-    def __init__(self, one: _Row, two: _Row, *, itself: bool) -> None:
+    def __init__(self, one: _Row, two: _Row, *, self_contact: bool) -> None:
         way = vectors.subtract(_upright(one.first), _beside(two.first))
         own, other = _upright(one.edge), _beside(two.edge)
         apart = between(way, own, other, _places(way, own, other))
@@ -142,7 +142,7 @@ class _Near:
         self.radii = one.radii[:, None] + two.radii[None, :]
         self.depth = self.radii - distance
         self.touch = (self.depth > 0) & (distance > 0)
-        if itself:
+        if self_contact:
             number = np.arange(one.lengths.shape[0])
             skipped = 1 + jnp.ceil(_NEAR * one.radii / one.lengths)
             self.touch &= (number[:, None] - number[None, :]) >= skipped[:, None]

@@ -72,10 +72,10 @@ def guided(
         dtype=jnp.float64,
     )
     turned = jaxrod.driven(
-        state, "finish", axes="xz", axis=(0.0, 1.0, 0.0), angle=turn, holds_element=True
+        state, "tip", axes="xz", axis=(0.0, 1.0, 0.0), angle=turn, holds_element=True
     )
     guides = [
-        jaxrod.pin(state, node, axes="xz")
+        jaxrod.pin_support(state, node, axes="xz")
         for k in range(1, n_guided + 1)
         for node in (k, m - k)
     ]
@@ -89,7 +89,11 @@ def guided(
         jaxrod.exponential_damping(*damping),
     )
     touch = jaxrod.systems.rod_contact(
-        "rod", itself=True, stiffness=stiffness, damping=dashpot, points_per_element=2
+        "rod",
+        self_contact=True,
+        stiffness=stiffness,
+        damping=dashpot,
+        points_per_element=2,
     )
     system = jaxrod.make_system({"rod": scene}, touch)
     return Guided(system, {"rod": state}, m * size)

@@ -129,7 +129,7 @@ def ours(n: int, count: float | None = 1.0) -> tuple[Any, Any]:
     per_length = n / LENGTH
     touch = jaxrod.systems.rod_contact(
         "rod",
-        itself=True,
+        self_contact=True,
         stiffness=count * CONTACT * per_length,
         damping=count * DASHPOT * per_length,
         points_per_element=1,

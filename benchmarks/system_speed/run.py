@@ -175,7 +175,7 @@ def joint(n: int = 10, their_dt: float = 1e-5) -> Scene:
                 jaxrod.exponential_damping(4.0),
             ),
         },
-        jaxrod.systems.tie(("one", "finish"), ("two", "start"), state),
+        jaxrod.systems.tie(("one", "tip"), ("two", "base"), state),
         state=state,
     )
     theirs = simulator("Constraints", "Connections", "Forcing", "Damping")
@@ -226,7 +226,7 @@ def plectoneme(n: int = 150) -> Scene:
     rod, state = jaxrod.rod_along(positions, radius=radius, **numbers)
     state = {"rope": state}
     touch = jaxrod.systems.rod_contact(
-        "rope", stiffness=1e4, damping=1.0, itself=True, lists=lists
+        "rope", stiffness=1e4, damping=1.0, self_contact=True, lists=lists
     )
     scene = jaxrod.make_scene(rod, jaxrod.exponential_damping(4.0))
     system = jaxrod.make_system({"rope": scene}, touch, state=state)

@@ -172,7 +172,7 @@ def octopus_body(n_elements: int, largest_change: float) -> OctopusBody:
         "arms": of_arms,
         "head": of_head,
     }
-    roots = [("arms", k, "start") for k in range(N_ARMS)]
+    roots = [("arms", k, "base") for k in range(N_ARMS)]
     system = jaxrod.make_system(
         {"arms": arms, "head": head},
         jaxrod.systems.attach(roots, ("head",), rest),

@@ -105,7 +105,7 @@ class ActiveShape(SectionLoad):
         """Rest length of the joint at each node; zero at free ends [m]."""
         held = {wall.end for wall in self.walls}
         lengths = lengths_at_nodes(rod)
-        first, last = (0.0 if end not in held else 1.0 for end in ("start", "finish"))
+        first, last = (0.0 if end not in held else 1.0 for end in ("base", "tip"))
         return lengths.at[0].multiply(first).at[-1].multiply(last)
 
 

@@ -157,12 +157,12 @@ def _wall_joint(wall: Wall, orientation: Quaternion) -> tuple[Vec3, Array]:
     """Rotation of the joint between a wall and the end element, and its coupling."""
     frame = split_quaternion(wall.orientation)
     element = at_end(orientation, wall.end)
-    before, after = (frame, element) if wall.end == "start" else (element, frame)
+    before, after = (frame, element) if wall.end == "base" else (element, frame)
     return rotation_log_and_coupling(multiply_quaternions(conjugate(before), after))
 
 
 def _without_free_ends(moment: Vec3, held: Sequence[str]) -> Vec3:
-    first, last = (0 if end in held else 1 for end in ("start", "finish"))
+    first, last = (0 if end in held else 1 for end in ("base", "tip"))
     if not first and not last:
         return moment
 

@@ -207,7 +207,7 @@ def travelling_wave(
     axis: Numbers = (1.0, 0.0, 0.0),
     phase: Numbers = 0.0,
     ramp_up: Numbers | None = None,
-    head: End = "start",
+    head: End = "base",
     into: Clamp | tuple[Clamp, ...] | None = None,
 ) -> TravellingWave:
     """A wave of bending or twist that runs along a rod and turns with its sections.
@@ -227,7 +227,7 @@ def travelling_wave(
             twists.
         phase: Phase at time zero at the head, in periods: 0.25 makes it a cosine.
         ramp_up: Time in which it rises from zero, above 0 [s]; at once by default.
-        head: The end at which waves begin, "start" or "finish".
+        head: The end at which waves begin, "base" or "tip".
         into: The `clamp` of an end, or a tuple of two, into whose wall the wave
             continues.
 
@@ -238,7 +238,7 @@ def travelling_wave(
     check_kind("rod", rod, Rod)
     kind = rod.rest_lengths.dtype
     places = node_places(rod)
-    from_head = places if check_end(head) == "start" else places[-1] - places
+    from_head = places if check_end(head) == "base" else places[-1] - places
     length = as_array("wavelength", wavelength, "m", positive=True, dtype=kind)
     start = as_array("phase", phase, "", dtype=kind)
     wave = Wave(
@@ -261,23 +261,23 @@ def muscle_torques(
     phase_shift: Numbers = 0.0,
     ramp_up_time: Numbers | None = None,
 ) -> WorldWave:
-    """PyElastica's `MuscleTorques`: a wave about a direction of space, from the finish.
+    """PyElastica's `MuscleTorques`: a wave about a direction of space, from the tip.
 
     The moment at the joint with `j` elements after it is `amplitude(s) sin(2 pi t /
     period - wave_number s + phase_shift)`, where `s` is the length of the first `j`
     elements over that of the rod. With elements of equal length that is the distance
-    from the finish. It is for comparisons with PyElastica; `travelling_wave` turns with
+    from the tip. It is for comparisons with PyElastica; `travelling_wave` turns with
     the sections.
 
     Args:
         rod: The rod.
         amplitude: One number [N m]; or the coefficients of a cubic B-spline, at
-            least 4, starting at the finish (PyElastica's `b_coeff`).
+            least 4, starting at the tip (PyElastica's `b_coeff`).
         period: Period, above 0 [s].
         wave_number: Phase over the whole rod, `2 pi` for one wave [rad].
         direction: Direction in the world frame `(3,)`; its length is a factor, as in
             PyElastica.
-        phase_shift: Phase at time zero at the finish [rad].
+        phase_shift: Phase at time zero at the tip [rad].
         ramp_up_time: Time in which it rises from zero, above 0 [s].
 
     Raises:

@@ -42,7 +42,7 @@ def nest(
     friction: Numbers | None = None,
     seed: int = 0,
     points_per_element: int | None = None,
-    partners: int = 6,
+    max_contacts: int = 6,
     effects: Sequence[Effect] = (),
     **rod: Any,
 ) -> tuple[System, dict[str, Any]]:
@@ -64,7 +64,7 @@ def nest(
         seed: Seed of the random angles and places.
         points_per_element: Contact points per element, as in
             `jaxrod.systems.rod_contact`.
-        partners: Rods that may touch one place at a time, for `stable_dt`.
+        max_contacts: Rods that may touch one place at a time, for `stable_dt`.
         effects: Effects on every rod, in addition to contact with the pot.
         **rod: Material, passed to `jaxrod.straight_rod`.
 
@@ -113,7 +113,7 @@ def nest(
     ]
     members = {"rods": scenes(rods, states, [*effects, *pot])}
     touch = rod_contact(
-        "rods", points_per_element=points_per_element, partners=partners, **law
+        "rods", points_per_element=points_per_element, max_contacts=max_contacts, **law
     )
     state = {"rods": states}
     return make_system(members, touch, state=state), state

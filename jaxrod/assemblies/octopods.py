@@ -77,7 +77,7 @@ def octopus(
         dtype=states.positions.dtype,
     )
     state = {"arms": states, "head": of_head}
-    roots = [("arms", k, "start") for k in range(arms)]
+    roots = [("arms", k, "base") for k in range(arms)]
     together = attach(roots, ("head",), state)
     members: dict[str, Any] = {"arms": scenes(rods, states, effects), "head": head}
     return make_system(members, together, state=state), state

@@ -99,10 +99,10 @@ def tree(
         )
         members[name], state[name] = scenes(rods, states, effects), states
         ends = [
-            (before, "finish") if before == "trunk" else (before, parent, "finish")
+            (before, "tip") if before == "trunk" else (before, parent, "tip")
             for parent in parents
         ]
-        roots = [(name, k, "start") for k in range(len(starts))]
+        roots = [(name, k, "base") for k in range(len(starts))]
         joints.append(weld(ends, roots, state))
         tips = np.array(starts) + extent * np.array(axes)
         frames = np.stack([normals, np.cross(axes, normals), axes], axis=1)

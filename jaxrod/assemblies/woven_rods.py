@@ -109,7 +109,7 @@ def braid(
         members[plate], state[plate] = rigid_body(
             disc, density=plate_density, dtype=dtype
         )
-        end = "start" if plate == "bottom" else "finish"
+        end = "base" if plate == "bottom" else "tip"
         for name in ("left", "right"):
             ends = [(name, k, end) for k in range(strands)]
             couplings.append(attach(ends, (plate,), state, turning=True))

@@ -151,7 +151,7 @@ def _pairs(scene: LoadedRod, motion: Motion, duration: Array) -> _Pairs:
     ).T
     for wall in walls:
         assert wall.stiffness is not None
-        if wall.end == "finish":
+        if wall.end == "tip":
             drag = drag.at[-1, 3:].add(wall.stiffness)
             continue
         axes = jnp.stack([jnp.stack([c[0] for c in axis]) for axis in frame])

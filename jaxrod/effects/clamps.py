@@ -57,7 +57,7 @@ class Clamp(Effect):
 
     orientation: Float[Array, "4"]
     """Frame of the wall: the end element's orientation at rest (w, x, y, z)."""
-    end: End = static(default="start")
+    end: End = static(default="base")
     """The end that is clamped."""
     position: Float[Array, "3"] | None = None
     """Position of the wall [m], used by `health` only. `None`: that of the end node."""
@@ -79,7 +79,7 @@ class Clamp(Effect):
 
     def _stiffness(self, rod: Rod) -> Float[Array, "3"]:
         """Stiffness of the joint [N m], equal to that of half an element."""
-        index = 0 if self.end == "start" else -1
+        index = 0 if self.end == "base" else -1
         half = 0.5 * rod.rest_lengths[..., index, None]
         return rod.bend_twist_stiffness[..., index] / half
 
@@ -163,7 +163,7 @@ class FixedEnd(Effect):
     """Position at which the end node is held [m]."""
     orientation: Float[Array, "4"]
     """Orientation at which the end element is held (w, x, y, z)."""
-    end: End = static(default="start")
+    end: End = static(default="base")
     """The end that is held."""
     made_for: int | None = static(default=None)
     """Number of elements of the state it was made from; `None` if not known."""
@@ -227,7 +227,7 @@ class FixedEnd(Effect):
 def _reaction_at(end: End, motion: Motion, needed: Loads, couples: Vec3) -> Reaction:
     """Reaction of the force needed at an end node and a couple on the end element."""
     assert needed.forces is not None
-    index = 0 if end == "start" else -1
+    index = 0 if end == "base" else -1
     fx, fy, fz = (component[index] for component in needed.forces)
     cx, cy, cz = (component[index] for component in couples)
     frame = directors(at_end(motion.orientation, end))
@@ -236,36 +236,36 @@ def _reaction_at(end: End, motion: Motion, needed: Loads, couples: Vec3) -> Reac
 
 def _offset(place: Array, end: End, rod: Rod, state: RodState) -> Array:
     """Distance of an end node from a place, over the radius there [1]."""
-    index = 0 if end == "start" else -1
+    index = 0 if end == "base" else -1
     apart = vectors.split(state.positions[:, index] - place)
     return vectors.safe_norm(apart) / rod.radii[index]
 
 
 def _frame_at_new_middle(orientation: Array, rod: Rod, new_rod: Rod, end: End) -> Array:
     """Frame of an end element, carried along the rest curvature to another middle."""
-    index, sign = (0, 1) if end == "start" else (-1, -1)
+    index, sign = (0, 1) if end == "base" else (-1, -1)
     way = sign * 0.5 * (new_rod.rest_lengths[index] - rod.rest_lengths[index])
     turn = vectors.split(way * rod.rest_curvatures[:, index])
     carried = multiply_quaternions(split_quaternion(orientation), rotation_exp(turn))
     return join_quaternion(carried)
 
 
-def clamp(state: RodState, end: End = "start") -> Clamp:
+def clamp(state: RodState, end: End = "base") -> Clamp:
     """A wall at one end of a rod, at the position and orientation in a given state.
 
     The wall's frame is the end element's orientation in `state`.
     """
     check_kind("state", state, RodState)
     check_one(state)
-    index = 0 if check_end(end) == "start" else -1
+    index = 0 if check_end(end) == "base" else -1
     count = state.orientations.shape[1]
     return Clamp(state.orientations[:, index], end, state.positions[:, index], count)
 
 
-def fixed_end(state: RodState, end: End = "start") -> FixedEnd:
+def fixed_end(state: RodState, end: End = "base") -> FixedEnd:
     """Holds one end node and end element where the given state has them."""
     check_kind("state", state, RodState)
     check_one(state)
-    index = 0 if check_end(end) == "start" else -1
+    index = 0 if check_end(end) == "base" else -1
     count = state.orientations.shape[1]
     return FixedEnd(state.positions[:, index], state.orientations[:, index], end, count)

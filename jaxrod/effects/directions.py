@@ -84,7 +84,7 @@ def transported(root: Quaternion, direction: Vec3, end: End) -> Quaternion:
         direction: Directions of all elements.
         end: The end at which the root is.
     """
-    way = 1 if end == "start" else -1
+    way = 1 if end == "base" else -1
     x, y, z = (c[::way] for c in direction)
     turns = smallest_rotation((x[:-1], y[:-1], z[:-1]), (x[1:], y[1:], z[1:]))
     w, i, j, k = (

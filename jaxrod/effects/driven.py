@@ -60,7 +60,7 @@ class Driven(Effect):
     """Position and motion of the end node; usually a schedule of them."""
     turn: Scheduled
     """Frame and rotation of the wall; `None` if the element turns freely."""
-    end: End = static(default="start")
+    end: End = static(default="base")
     """The end that is driven."""
     axes: Axes = static(default=(True, True, True))
     """World axes along which the node is driven; along the others it is free."""
@@ -146,7 +146,7 @@ class Driven(Effect):
 
     def _inertia(self, rod: Rod) -> Vec3:
         """Moments of inertia of the end element, about its axes [kg m^2]."""
-        index = 0 if self.end == "start" else -1
+        index = 0 if self.end == "base" else -1
         return vectors.split(rod.principal_inertias[:, index])
 
     def violation(self, rod: Rod, state: RodState) -> Array:
@@ -209,7 +209,7 @@ class Driven(Effect):
         It also balances all other couples on the element.
         """
         assert needed.couples is not None
-        index = 0 if self.end == "start" else -1
+        index = 0 if self.end == "base" else -1
         a, b, c = (component[index] for component in needed.couples)
         frame = directors(at_end(motion.orientation, self.end))
         faster = to_material(frame, vectors.split(self.turn.angular_acceleration))
@@ -221,7 +221,7 @@ class Driven(Effect):
 
 def driven(
     state: RodState,
-    end: End = "start",
+    end: End = "base",
     *,
     displacement: Schedule | Numbers = (0.0, 0.0, 0.0),
     axes: str = "xyz",
@@ -253,7 +253,7 @@ def driven(
     """
     check_kind("state", state, RodState)
     check_one(state)
-    index = 0 if check_end(end) == "start" else -1
+    index = 0 if check_end(end) == "base" else -1
     path = Path(
         state.positions[:, index], schedule_of("displacement", displacement, "m", (3,))
     )

@@ -12,7 +12,7 @@ from jaxrod.geometry.vectors import Vec3
 from jaxrod.rods.rod import Rod
 from jaxrod.structure import pytree, static
 
-End = Literal["start", "finish"]
+End = Literal["base", "tip"]
 
 
 @pytree
@@ -24,13 +24,13 @@ class Wall:
     stiffness: Float[Array, "3"] | None = None
     """Stiffness of the elastic joint between wall and element, about the element's
     axes [N m]; `None` for an element that is held rigidly."""
-    end: End = static(default="start")
+    end: End = static(default="base")
     """The end that is held."""
 
 
 def zero_one_end(field: Array, end: End) -> Array:
     """Field with the entry at one end set to zero."""
-    if end == "start":
+    if end == "base":
         return vectors.pad(field[1:], 1, 0)
     return vectors.pad(field[:-1], 0, 1)
 
@@ -48,14 +48,14 @@ def zero_at_end(field: Vec3, end: End) -> Vec3:
 
 def at_end(field: Quaternion, end: End) -> Quaternion:
     """Orientation of the element at one end."""
-    index = 0 if end == "start" else -1
+    index = 0 if end == "base" else -1
     w, x, y, z = (component[index] for component in field)
     return w, x, y, z
 
 
 def place(value: Array, size: int, end: End) -> Array:
     """Field that is zero except at one end."""
-    before, after = (0, size - 1) if end == "start" else (size - 1, 0)
+    before, after = (0, size - 1) if end == "base" else (size - 1, 0)
     return vectors.pad(value[None], before, after)
 
 
@@ -67,8 +67,8 @@ def only_at_end(value: Vec3, size: int, end: End) -> Vec3:
 
 def check_end(end: End) -> End:
     """Returns the name of an end; raises ValueError if it is not one."""
-    if not isinstance(end, str) or end not in ("start", "finish"):
-        raise ValueError(f'end must be "start" or "finish", got {end!r}')
+    if not isinstance(end, str) or end not in ("base", "tip"):
+        raise ValueError(f'end must be "base" or "tip", got {end!r}')
     return end
 
 

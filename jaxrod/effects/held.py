@@ -29,7 +29,7 @@ class Held:
 
 def held_end(end: End, axes: Axes = ALL_AXES) -> Held:
     """The node and the element at an end."""
-    index = 0 if end == "start" else -1
+    index = 0 if end == "base" else -1
     return Held(index, axes, index)
 
 

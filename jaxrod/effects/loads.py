@@ -59,7 +59,7 @@ class EndLoad(Effect):
     """Force on the end node, world frame [N]."""
     couple: Float[Array, "3"]
     """Couple on the end element, world frame [N m]."""
-    end: End = static(default="finish")
+    end: End = static(default="tip")
     """The end that is loaded."""
 
     def loads(self, rod: Rod, motion: Motion) -> Loads:
@@ -97,7 +97,7 @@ class FollowerEndLoad(EndLoad):
 
     def stability_bound(self, rod: Rod) -> StabilityBound:
         """Bound of the turning force, on the end element and the end node."""
-        index = 0 if self.end == "start" else -1
+        index = 0 if self.end == "base" else -1
         size = jnp.sqrt(jnp.sum(self.force**2))
         # The coupling is force times rotation times displacement. By Young's inequality
         # it is at most half of the sum of both squares, with a length as weight that
@@ -215,7 +215,7 @@ def end_load(
     force: Timed = (0.0, 0.0, 0.0),
     couple: Timed = (0.0, 0.0, 0.0),
     *,
-    end: End = "finish",
+    end: End = "tip",
     follower: bool = False,
 ) -> EndLoad:
     """A force and couple on one end.
@@ -224,7 +224,7 @@ def end_load(
         force: Force on the end node `(3,)`, or a schedule of it [N]; in the world
             frame, or in the material frame of the end element if `follower`.
         couple: Couple on the end element, in the same frame [N m].
-        end: "start" or "finish".
+        end: "base" or "tip".
         follower: Whether force and couple turn with the end element. Then a force
             along d3 stays along the rod, and one along d1 or d2 stays across it. If
             only one of them shall turn, list two loads.

@@ -40,7 +40,7 @@ from jaxrod.validation import Numbers, check_kind
 
 def end_node(rod: Rod, end: End) -> int:
     """Number of the node at an end."""
-    return 0 if end == "start" else rod.n_elements
+    return 0 if end == "base" else rod.n_elements
 
 
 def at_node(field: Vec3, value: Array, node: int, axes: Axes) -> Vec3:
@@ -78,7 +78,7 @@ def own_couple(effect: Effect, rod: Rod, motion: Motion, end: End) -> Vec3:
     """Couple of an effect on an end element, world frame [N m]."""
     couples = effect.loads(rod, motion).couples
     assert couples is not None
-    index = 0 if end == "start" else -1
+    index = 0 if end == "base" else -1
     x, y, z = (component[index] for component in couples)
     return to_world(directors(at_end(motion.orientation, end)), (x, y, z))
 
@@ -92,7 +92,7 @@ def axes_named(axes: str) -> Axes:
 
 def check_straight_end(rod: Rod, end: End) -> None:
     """Raises a `ValueError` if a rod's end is curved at rest."""
-    index = 0 if end == "start" else -1
+    index = 0 if end == "base" else -1
     if np.any(np.asarray(rod.rest_curvatures[:, index]) != 0):
         raise ValueError(
             "what holds the end of a rod that is curved at rest there cannot be "
@@ -166,7 +166,7 @@ class Hinge(Effect):
     """Unit vector along the hinge, world frame."""
     own_axis: Float[Array, "3"]
     """The same axis at rest, in the frame of the end element."""
-    end: End = static(default="start")
+    end: End = static(default="base")
     """The end that is held."""
     made_for: int | None = static(default=None)
     """Number of elements of the state it was made from; `None` if not known."""
@@ -177,7 +177,7 @@ class Hinge(Effect):
 
     def _stiffness(self, rod: Rod) -> Array:
         """Stiffness of the joint [N m]."""
-        index = 0 if self.end == "start" else -1
+        index = 0 if self.end == "base" else -1
         return jnp.max(rod.bend_twist_stiffness[:2, index]) / (
             0.5 * rod.rest_lengths[index]
         )
@@ -234,12 +234,12 @@ class Hinge(Effect):
         return Reaction.of(force, own_couple(self, rod, motion, self.end))
 
 
-def pin(state: RodState, at: End | int = "start", *, axes: str = "xyz") -> Pin:
+def pin_support(state: RodState, node: End | int = "base", *, axes: str = "xyz") -> Pin:
     """Holds a node along world axes where the given state has it; elements may turn.
 
     Args:
         state: The state of the rod.
-        at: "start", "finish", or the number of a node.
+        node: "base", "tip", or the number of a node.
         axes: World axes along which it is held: "xyz" for a pin, "z" for a smooth
             floor, "yz" for a rail along x.
 
@@ -250,18 +250,18 @@ def pin(state: RodState, at: End | int = "start", *, axes: str = "xyz") -> Pin:
     check_kind("state", state, RodState)
     check_one(state)
     nodes = state.positions.shape[-1]
-    if isinstance(at, str):
-        node = 0 if check_end(at) == "start" else nodes - 1
-    elif isinstance(at, bool) or not isinstance(at, int | np.integer):
-        raise ValueError(f'at must be "start", "finish" or a node, got {at!r}')
+    if isinstance(node, str):
+        which = 0 if check_end(node) == "base" else nodes - 1
+    elif isinstance(node, bool) or not isinstance(node, int | np.integer):
+        raise ValueError(f'node must be "base", "tip" or a number, got {node!r}')
     else:
-        node = int(at)
-    if not 0 <= node < nodes:
-        raise ValueError(f"at must be a node from 0 to {nodes - 1}, got {at}")
-    return Pin(state.positions[:, node], node, axes_named(axes), nodes - 1)
+        which = int(node)
+    if not 0 <= which < nodes:
+        raise ValueError(f"node must be from 0 to {nodes - 1}, got {node}")
+    return Pin(state.positions[:, which], which, axes_named(axes), nodes - 1)
 
 
-def hinge(state: RodState, axis: Numbers, end: End = "start") -> Hinge:
+def hinge_support(state: RodState, axis: Numbers, end: End = "base") -> Hinge:
     """Holds an end node where the state has it; its element turns about an axis.
 
     Args:
@@ -275,7 +275,7 @@ def hinge(state: RodState, axis: Numbers, end: End = "start") -> Hinge:
     """
     check_kind("state", state, RodState)
     check_one(state)
-    index = 0 if check_end(end) == "start" else -1
+    index = 0 if check_end(end) == "base" else -1
     along = jnp.asarray(unit_vector("axis", axis), state.positions.dtype)
     frame = directors(at_end(split_quaternion(state.orientations), end))
     own = vectors.join(to_material(frame, vectors.split(along)))

@@ -291,8 +291,8 @@ class TorsionFreeStepper(Verlet):
     velocity_kick: Kick
     spin_kick: Kick
     walls: tuple[Vec3 | None, Vec3 | None]
-    """Directions of the walls at the rod's start and finish; `None` without a wall."""
-    root: End = static(default="start")
+    """Directions of the walls at the rod's base and tip; `None` without a wall."""
+    root: End = static(default="base")
     """The end from which frames are transported along the rod."""
 
     @staticmethod
@@ -307,7 +307,7 @@ class TorsionFreeStepper(Verlet):
         joint = rod.joint_stiffness[0] / rod.joint_lengths
         walls: list[Vec3 | None] = [None, None]
         if wall is not None and wall.stiffness is not None:
-            part = 0 if wall.end == "start" else 1
+            part = 0 if wall.end == "base" else 1
             walls[part] = directors(split_quaternion(wall.orientation))[2]
             joints = [joint, joint]
             joints[part] = wall.stiffness[:1]
@@ -324,7 +324,7 @@ class TorsionFreeStepper(Verlet):
             velocity_kick=Kick.create(1 / rod.node_masses, rates[0], dt),
             spin_kick=Kick.create(None, rates[1], dt),
             walls=(walls[0], walls[1]),
-            root="start" if wall is None else wall.end,
+            root="base" if wall is None else wall.end,
         )
 
     def enter(self, state: RodState) -> TorsionFreeMotion:
@@ -347,7 +347,7 @@ class TorsionFreeStepper(Verlet):
             root = at_end(split_quaternion(self.start.orientations), self.root)
         else:
             root = split_quaternion(wall.orientation)
-        index = 0 if self.root == "start" else -1
+        index = 0 if self.root == "base" else -1
         x, y, z = direction
         root = turned_to(root, (x[index], y[index], z[index]))
         orientation = transported(root, direction, self.root)

@@ -10,7 +10,7 @@ from jaxrod.systems.contact.neighbour_lists import (
 from jaxrod.systems.contact.rigid_contact import RigidContact, rigid_contact
 from jaxrod.systems.contact.rod_contact import RodContact, rod_contact
 from jaxrod.systems.joints.glue import Glue, glue
-from jaxrod.systems.joints.hinges import hinge_joint, rigid_joint
+from jaxrod.systems.joints.hinges import fixed_joint, hinge_joint
 from jaxrod.systems.joints.pose_springs import (
     PoseSpring,
     pose_spring,
@@ -42,6 +42,7 @@ __all__ = [
     "ball_joint",
     "body_contact",
     "crossing_contact",
+    "fixed_joint",
     "glue",
     "hinge_joint",
     "neighbour_lists",
@@ -50,7 +51,6 @@ __all__ = [
     "pose_spring_reactions",
     "rigid_body",
     "rigid_contact",
-    "rigid_joint",
     "ring",
     "rod_contact",
     "settled",

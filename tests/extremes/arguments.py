@@ -136,7 +136,7 @@ NUMERIC: dict[str, dict[str, Any]] = {
     },
     "sine": {"amplitude": 2.0, "period": 0.3, "mean": 1.0, "phase": 0.2},
     "table": {"times": [0.0, 1.0], "values": [1.0, 2.0]},
-    "hinge": {"state": ..., "axis": [0.0, 2.0, 1.0]},
+    "hinge_support": {"state": ..., "axis": [0.0, 2.0, 1.0]},
     "driven": {
         "state": ...,
         "displacement": [0.0, 0.1, 0.0],
@@ -258,23 +258,23 @@ NUMERIC: dict[str, dict[str, Any]] = {
         "angular_velocity": [3.0, 2.0, 1.0],
     },
     "spring": {
-        "a": ("one", "finish"),
-        "b": ("two", "start"),
+        "a": ("one", "tip"),
+        "b": ("two", "base"),
         "state": Known("pair of states"),
         "stiffness": 100.0,
         "damping": 2.0,
     },
     "ball_joint": {
-        "a": ("one", "finish"),
-        "b": ("two", "finish"),
+        "a": ("one", "tip"),
+        "b": ("two", "tip"),
         "state": Known("pair of states"),
         "stiffness": 100.0,
         "damping": 2.0,
         "at": [1.0, 0.0, 0.3],
     },
     "hinge_joint": {
-        "a": ("one", "finish"),
-        "b": ("two", "finish"),
+        "a": ("one", "tip"),
+        "b": ("two", "tip"),
         "state": Known("pair of states"),
         "axis": [0.0, 2.0, 1.0],
         "stiffness": 100.0,
@@ -283,9 +283,9 @@ NUMERIC: dict[str, dict[str, Any]] = {
         "axis_damping": 0.1,
         "motor": 0.2,
     },
-    "rigid_joint": {
-        "a": ("one", "finish"),
-        "b": ("two", "finish"),
+    "fixed_joint": {
+        "a": ("one", "tip"),
+        "b": ("two", "tip"),
         "state": Known("pair of states"),
         "stiffness": 100.0,
         "turning_stiffness": 3.0,
@@ -360,7 +360,7 @@ COUNTED: dict[str, dict[str, Any]] = {
         "members": ("one", "two"),
         "stiffness": 1.0,
         "points_per_element": ...,
-        "partners": ...,
+        "max_contacts": ...,
     },
 }
 COUNT_NAMES = {
@@ -375,14 +375,14 @@ COUNT_NAMES = {
     "first",
     "devices",
     "order",
-    "partners",
+    "max_contacts",
 }
 
 OF_KINDS: dict[str, dict[str, Any]] = {
     "clamp": {"state": ...},
     "fixed_end": {"state": ...},
-    "pin": {"state": ...},
-    "hinge": {"state": ..., "axis": (0.0, 1.0, 0.0)},
+    "pin_support": {"state": ...},
+    "hinge_support": {"state": ..., "axis": (0.0, 1.0, 0.0)},
     "driven": {"state": ...},
     "reactions": {"scene": ..., "state": ...},
     "compensated": {"state": ...},

@@ -149,7 +149,7 @@ def call(case: Case) -> Any:
             "end_load": {},
             "clamp": {"state": ...},
             "fixed_end": {"state": ...},
-            "hinge": {"state": ..., "axis": (0.0, 1.0, 0.0)},
+            "hinge_support": {"state": ..., "axis": (0.0, 1.0, 0.0)},
             "driven": {"state": ...},
             "make_scene": {"rod": ...},
             "planar": {"plane": "xy"},

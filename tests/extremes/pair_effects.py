@@ -71,7 +71,7 @@ class Maker:
         """Supports of the rod."""
         view, end = (
             self.view,
-            self.view.end(str(self.choices.choice(("start", "finish")))),
+            self.view.end(str(self.choices.choice(("base", "tip")))),
         )
         node = view.node(int(self.choices.integers(0, self.n + 1)), self.n)
         axis = self.random.normal(size=3) * ([0, 0, 1] if self.kind.flat else 1)
@@ -83,8 +83,8 @@ class Maker:
             "none": lambda: [],
             "clamp": lambda: [jaxrod.clamp(self.state, end)],
             "fixed end": lambda: [jaxrod.fixed_end(self.state, end)],
-            "pin": lambda: [jaxrod.pin(self.state, node)],
-            "hinge": lambda: [jaxrod.hinge(self.state, view.vector(axis), end)],
+            "pin": lambda: [jaxrod.pin_support(self.state, node)],
+            "hinge": lambda: [jaxrod.hinge_support(self.state, view.vector(axis), end)],
             "driven": lambda: [
                 jaxrod.driven(
                     self.state,
@@ -97,7 +97,7 @@ class Maker:
                 )
             ],
             "two clamps": lambda: [
-                jaxrod.clamp(self.state, e) for e in ("start", "finish")
+                jaxrod.clamp(self.state, e) for e in ("base", "tip")
             ],
         }
         return kinds[self.kind.support]()
@@ -309,7 +309,7 @@ def _wave(self: Maker) -> Any:
         wavelength=view.number(self.uniform(0.2, 0.8), "m"),
         axis=own,
         phase=self.uniform(0, 1),
-        head=view.end("start"),
+        head=view.end("base"),
     )
 
 
@@ -346,7 +346,7 @@ def _end_load(self: Maker, *, follower: bool = False) -> Any:
     return jaxrod.end_load(
         self.timed(turned(force, "N")),
         self.timed(turned(couple, "N m")),
-        end=view.end(str(self.choices.choice(("start", "finish")))),
+        end=view.end(str(self.choices.choice(("base", "tip")))),
         follower=follower,
     )
 

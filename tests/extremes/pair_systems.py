@@ -112,12 +112,12 @@ class Maker:
             rod, state = rod_in(view, nodes, turned, True, given)
             if k == 0 and kind.held == "clamp":
                 effects.append(
-                    jaxrod.clamp(state, view.end("start"))
+                    jaxrod.clamp(state, view.end("base"))
                     if kind.method == "consistent"
-                    else jaxrod.fixed_end(state, view.end("start"))
+                    else jaxrod.fixed_end(state, view.end("base"))
                 )
             if k == 0 and kind.held == "pin":
-                effects.append(jaxrod.pin(state, view.node(0, n)))
+                effects.append(jaxrod.pin_support(state, view.node(0, n)))
             losses: dict[str, Callable[[], list[Any]]] = {
                 "none": lambda: [],
                 "damping": lambda: [damping()],
@@ -321,7 +321,7 @@ class Maker:
         at = view.place(self.joint_at[k - 1])
         rest = self.rest
         a: Any = (self.names[parent], seen.node(node, n))
-        b: Any = (self.names[k], "start") if is_rod else (self.names[k],)
+        b: Any = (self.names[k], "base") if is_rod else (self.names[k],)
         ends = at, view.place(self.joint_at[k - 1] + arm)
         sign = 1.0
         if view.exchanged and not how.startswith("attach"):
@@ -355,7 +355,7 @@ class Maker:
                     at=at,
                     **spring,
                 ),
-                "rigid": lambda: jaxrod.systems.rigid_joint(
+                "rigid": lambda: jaxrod.systems.fixed_joint(
                     a,
                     b,
                     rest,

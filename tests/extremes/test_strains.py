@@ -56,7 +56,7 @@ def test_below_that_stretch_a_held_rod_stays_straight_and_above_it_does_not(
 ):
     rod, state = arm(5, radius=0.01)
     taut = stretched(state, share * THRESHOLD)
-    scene = jaxrod.make_scene(rod, jaxrod.clamp(taut), jaxrod.clamp(taut, end="finish"))
+    scene = jaxrod.make_scene(rod, jaxrod.clamp(taut), jaxrod.clamp(taut, end="tip"))
     noise = 1e-8 * jax.random.normal(jax.random.key(0), (3, 5))
     disturbed = replace(taut, orientations=turn(taut.orientations, noise))
     dt = jaxrod.stable_dt(scene).dt

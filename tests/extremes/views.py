@@ -71,7 +71,7 @@ class View:
 
     def end(self, name: str) -> str:
         """An end of the first rod."""
-        return {"start": "finish", "finish": "start"}[name] if self.reversed else name
+        return {"base": "tip", "tip": "base"}[name] if self.reversed else name
 
     def node(self, number: int, n: int) -> int:
         """A node of the first rod, which has `n` elements."""

@@ -129,7 +129,7 @@ def test_a_system_of_rods_and_bodies_is_the_same():
     system = jaxrod.make_system(
         {"arm": jaxrod.make_scene(rod), "other": jaxrod.make_scene(other)},
         jaxrod.systems.ball_joint(
-            ("arm", "finish"), ("other", "start"), states, stiffness=1e4
+            ("arm", "tip"), ("other", "base"), states, stiffness=1e4
         ),
     )
     pulled = jax.tree.map(lambda x: jnp.broadcast_to(x, (RODS, *x.shape)), states)

@@ -28,7 +28,7 @@ def actuators(rod, rest):
     pull = 0.1 * float(rod.shear_stretch_stiffness[2, 0])
     bend = float(rod.bend_twist_stiffness[0, 0])
     random = np.random.default_rng(1)
-    start, finish = jaxrod.clamp(rest), jaxrod.clamp(rest, "finish")
+    start, finish = jaxrod.clamp(rest), jaxrod.clamp(rest, "tip")
     winding = jaxrod.actuation.helical_offsets(rod, 0.8 * radius, 1.5, (0.3, 2.4))
     offsets = random.uniform(-radius, radius, (3, 2))
     return {

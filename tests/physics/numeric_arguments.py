@@ -24,7 +24,7 @@ HEAD, OF_HEAD = jaxrod.systems.rigid_body(
     jaxrod.shapes.sphere((0.0, 0.1, 1.3), 0.1), density=1e3
 )
 TOGETHER = {"rod": STATE, "head": OF_HEAD}
-JOINED = {"a": ("rod", "finish"), "b": ("head",), "state": TOGETHER}
+JOINED = {"a": ("rod", "tip"), "b": ("head",), "state": TOGETHER}
 FELLOW = replace(STATE, positions=STATE.positions + 0.02)
 TOUCH = {
     "stiffness": 1e3,
@@ -82,7 +82,7 @@ FACTORIES = {
     "ramp": [{"first": (1.0, 2.0), "last": (3.0, 4.0), "duration": 2.0, "start": 0.5}],
     "sine": [{"amplitude": 2.0, "period": 0.3, "mean": 1.0, "phase": 0.2}],
     "table": [{"times": (0.0, 1.0), "values": ((1.0, 2.0), (3.0, 4.0))}],
-    "hinge": [{"state": STATE, "axis": (0.0, 2.0, 1.0)}],
+    "hinge_support": [{"state": STATE, "axis": (0.0, 2.0, 1.0)}],
     "driven": [
         {
             "state": STATE,
@@ -252,7 +252,7 @@ FACTORIES = {
             "at": (0.1, 0.2, 1.1),
         }
     ],
-    "rigid_joint": [
+    "fixed_joint": [
         {
             **JOINED,
             "stiffness": 10.0,

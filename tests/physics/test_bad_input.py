@@ -102,11 +102,11 @@ CASES = {
     "rotational_rate must be non-negative, got -2 1/s": (
         lambda: jaxrod.exponential_damping(1.0, -2.0)
     ),
-    """end must be "start" or "finish", got 'tip'""": lambda: jaxrod.clamp(
-        STATE, "tip"
+    """end must be "base" or "tip", got 'finish'""": lambda: jaxrod.clamp(
+        STATE, "finish"
     ),
-    """end must be "start" or "finish", got 'base'""": (
-        lambda: jaxrod.fixed_end(STATE, "base")
+    """end must be "base" or "tip", got 'start'""": (
+        lambda: jaxrod.fixed_end(STATE, "start")
     ),
     "controls must be at least 2, got 1": lambda: jaxrod.actuation.control_spline(1),
     "controls must increase strictly inside 0 m to 1 m": lambda: (

@@ -34,12 +34,12 @@ class Winch(jaxrod.extend.Effect):
     def loads(self, rod, motion):
         pull = self.pull(motion.velocity[1][-1])
         zero = jnp.zeros_like(rod.node_masses)
-        down = place(-pull, rod.n_elements + 1, "finish")
+        down = place(-pull, rod.n_elements + 1, "tip")
         return jaxrod.extend.Loads(forces=(zero, down, zero))
 
     def stability_bound(self, rod):
         return jaxrod.extend.StabilityBound(
-            node_drag=place(self.drag, rod.n_elements + 1, "finish")
+            node_drag=place(self.drag, rod.n_elements + 1, "tip")
         )
 
 
@@ -74,7 +74,7 @@ def half_around(friction, *effects):
     scene = jaxrod.make_scene(
         rod,
         Winch(jnp.asarray(winch), jnp.asarray(IMPEDANCE)),
-        jaxrod.end_load((0, -TENSION, 0), end="start"),
+        jaxrod.end_load((0, -TENSION, 0), end="base"),
         *effects,
         jaxrod.exponential_damping(0.0, 20.0),
     )

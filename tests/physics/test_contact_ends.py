@@ -186,8 +186,8 @@ def test_ends_that_are_tied_have_no_face():
             "rights": jax.vmap(lambda rod: jaxrod.make_scene(rod, ground))(rights),
         },
         jaxrod.systems.tie(
-            ("left", "start"),
-            ("rights", 1, "finish"),
+            ("left", "base"),
+            ("rights", 1, "tip"),
             {"left": at_left, "rights": at_rights},
         ),
     )

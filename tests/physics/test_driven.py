@@ -83,7 +83,10 @@ def driven_and_standing(held):
         driven = jaxrod.driven(state, displacement=shake, **turns)
     else:
         driven = jaxrod.driven(state, displacement=shake, axes="xz", free_to_turn=True)
-        others += (jaxrod.pin(state, "finish", axes="yz"), jaxrod.pin(state, axes="y"))
+        others += (
+            jaxrod.pin_support(state, "tip", axes="yz"),
+            jaxrod.pin_support(state, axes="y"),
+        )
     moment = jaxrod.make_scene(rod, driven, *others).at(MOMENT)
     place = moment.effects[0].place.position
     moved = replace(state, positions=state.positions.at[:, 0].set(place))
@@ -93,7 +96,7 @@ def driven_and_standing(held):
         standing = replace(like(moved), orientation=frame)
     else:
         moved = replace(moved, positions=moved.positions.at[1, 0].set(0.0))
-        standing = jaxrod.pin(moved, axes="xz")
+        standing = jaxrod.pin_support(moved, axes="xz")
     return moment, state, jaxrod.make_scene(rod, standing, *others), moved
 
 
@@ -176,7 +179,7 @@ def test_a_wall_winds_a_rod_up():
     rod, state = along_x()
     wall = jaxrod.driven(
         state,
-        "finish",
+        "tip",
         axis=(1.0, 0.0, 0.0),
         angle=jaxrod.schedules.ramp(0.0, 2 * np.pi * 1.5, 1.0),
     )

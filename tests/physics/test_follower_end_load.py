@@ -24,7 +24,7 @@ from lanes.test_runs import apart, both
 from physics.rods import arm, deformed, difference, random_rod
 
 HURRY = {"xla_backend_optimization_level": 0}
-ENDS = ("start", "finish")
+ENDS = ("base", "tip")
 
 
 def elastica_tip(load):
@@ -44,12 +44,12 @@ def elastica_tip(load):
     return np.array([-(c * x + s * y), s * x - c * y])
 
 
-def pushed(load, n=40, *, end="finish", along=0.0, method=None, effects=(), **changes):
+def pushed(load, n=40, *, end="tip", along=0.0, method=None, effects=(), **changes):
     """An arm along x with a force on an end across it and along it, over EI / L^2."""
     lying = {"direction": (1.0, 0.0, 0.0), "normal": (0.0, 1.0, 0.0)}
     rod, state = arm(n, **{"radius": 0.01} | lying | changes)
     stiffness = float(rod.joint_stiffness[0, 0])
-    wall = jaxrod.clamp(state, "start" if end == "finish" else "finish")
+    wall = jaxrod.clamp(state, "base" if end == "tip" else "tip")
     force = (load * stiffness, 0.0, along * stiffness)
     follower = jaxrod.end_load(force, end=end, follower=True)
     return jaxrod.make_scene(rod, wall, follower, *effects, method=method), state
@@ -67,16 +67,14 @@ def test_the_force_turns_with_the_end_element_and_the_couple_too(end):
     before, after = loads(state), loads(turned)
     assert difference(after.forces, to_world(directors(turn), before.forces)) < 1e-13
     assert difference(after.couples, before.couples) < 1e-15
-    index = 0 if end == "start" else -1
+    index = 0 if end == "base" else -1
     force = np.array([1.0, -2.0, 3.0]) @ np.asarray(state.directors[..., index])
     on_nodes = vectors.join(before.forces)
     np.testing.assert_allclose(on_nodes[:, index], force, atol=1e-14)
     assert np.count_nonzero(on_nodes) == np.count_nonzero(before.couples) == 3
 
 
-@pytest.mark.parametrize(
-    "end", [pytest.param("start", marks=pytest.mark.slow), "finish"]
-)
+@pytest.mark.parametrize("end", [pytest.param("base", marks=pytest.mark.slow), "tip"])
 def test_the_elastica_under_a_force_that_stays_normal_to_its_end(end, record):
     worst = 0.0
     find = jax.jit(jaxrod.equilibrium, compiler_options=HURRY)
@@ -84,8 +82,8 @@ def test_the_elastica_under_a_force_that_stays_normal_to_its_end(end, record):
         scene, state = pushed(load, end=end)
         found = find(scene, state)
         assert found.converged
-        tip = found.state.positions[:2, 0 if end == "start" else -1]
-        if end == "start":
+        tip = found.state.positions[:2, 0 if end == "base" else -1]
+        if end == "base":
             tip = jnp.stack([1.0 - tip[0], tip[1]])
         worst = max(worst, float(np.max(np.abs(tip - elastica_tip(load)))))
     record(
@@ -172,7 +170,7 @@ def test_gradients_are_central_differences(way, record):
 def test_the_planar_method_is_the_one_in_space(law):
     swing = jaxrod.schedules.sine((0.4, 0.0, -2.0), 0.05)
     effects = (
-        jaxrod.end_load(swing, end="start", follower=True),
+        jaxrod.end_load(swing, end="base", follower=True),
         jaxrod.exponential_damping(1.0),
     )
     flat, state = pushed(3.0, 6, radius=0.05, effects=effects, method=planar(law()))
@@ -209,7 +207,7 @@ def test_the_bound_is_that_of_the_force_between_end_node_and_end_element(end):
     rod, _ = random_rod(3, 5)
     load = jaxrod.end_load((3.0, -4.0, 12.0), end=end, follower=True)
     bound = load.stability_bound(rod)
-    index = 0 if end == "start" else -1
+    index = 0 if end == "base" else -1
     mass, least = rod.node_masses[index], jnp.min(rod.inertias[:, index])
     exact = 13.0 / float(jnp.sqrt(mass * least))
     assert float(bound.nodes[index] / mass) == pytest.approx(exact)

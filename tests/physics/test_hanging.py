@@ -60,7 +60,7 @@ def test_a_rope_between_pins_is_a_catenary(record):
         guess, radius=RADIUS, density=1000.0, youngs_modulus=1e7, dtype=jnp.float64
     )
     scene = jaxrod.make_scene(
-        rod, jaxrod.pin(state), jaxrod.pin(state, "finish"), GRAVITY
+        rod, jaxrod.pin_support(state), jaxrod.pin_support(state, "tip"), GRAVITY
     )
     found = jaxrod.equilibrium(scene, state)
     assert found.converged
@@ -80,7 +80,7 @@ def test_a_hanging_chain_swings_by_bessel(record):
     """Daniel Bernoulli's chain: half the zeros of J0 times sqrt(g / L)."""
     # So thin that it hardly bends, and so stiff that its weight hardly stretches it.
     rod, state = rope(72, (0.0, 0.0, -1.0), radius=1e-4)
-    scene = jaxrod.make_scene(rod, jaxrod.pin(state), GRAVITY)
+    scene = jaxrod.make_scene(rod, jaxrod.pin_support(state), GRAVITY)
     found = jaxrod.equilibrium(scene, state)
     assert found.converged
     frequencies = np.asarray(jaxrod.natural_frequencies(scene, found.state, n_modes=7))

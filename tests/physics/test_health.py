@@ -113,7 +113,7 @@ def test_a_step_that_is_none_is_refused_and_flagged_where_it_is_traced(bad):
 
 
 @pytest.mark.parametrize("hold", [jaxrod.clamp, jaxrod.fixed_end])
-@pytest.mark.parametrize("end", ["start", "finish"])
+@pytest.mark.parametrize("end", ["base", "tip"])
 def test_an_end_is_flagged_a_radius_from_where_it_is_held(hold, end):
     rod, state = arm(5)
     scene = jaxrod.make_scene(rod, hold(state, end))
@@ -126,10 +126,10 @@ def test_an_end_is_flagged_a_radius_from_where_it_is_held(hold, end):
     assert not jaxrod.health(bare, moved, DT).flagged
 
 
-@pytest.mark.parametrize("end", ["start", "finish"])
+@pytest.mark.parametrize("end", ["base", "tip"])
 def test_a_hinge_is_told_its_way_from_its_place_or_how_far_its_axis_is_turned(end):
     rod, state = arm(5)
-    scene = jaxrod.make_scene(rod, jaxrod.hinge(state, (0.6, 0.0, 0.8), end))
+    scene = jaxrod.make_scene(rod, jaxrod.hinge_support(state, (0.6, 0.0, 0.8), end))
     assert float(jaxrod.health(scene, state, DT).largest_violation) < 1e-12
     moved = replace(state, positions=state.positions + 0.02 / 3**0.5)
     report = jaxrod.health(scene, moved, DT)

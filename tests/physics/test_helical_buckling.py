@@ -81,7 +81,7 @@ def buckled():
             axis=(0, 0, 1),
             angle=jaxrod.schedules.ramp(0.0, way * np.pi * TURNS, TIME),
         )
-        for end, way in (("start", 1), ("finish", -1))
+        for end, way in (("base", 1), ("tip", -1))
     ]
     scene = jaxrod.make_scene(rod, *walls, jaxrod.exponential_damping(10 / TIME))
     # Where it comes to rest does not depend on inertia.

@@ -254,7 +254,7 @@ def test_the_tangent_is_the_derivative_of_the_residual(distant, record):
             jnp.asarray(np.sin(np.arange(3 * N).reshape(3, N)))
         ),
         jaxrod.clamp(state),
-        jaxrod.fixed_end(state, "finish"),
+        jaxrod.fixed_end(state, "tip"),
         Spring(jnp.asarray(7.0), jnp.asarray(0.3)),
         jaxrod.exponential_damping(0.7, 1.9),
         *([Belt(jnp.asarray(5.0))] if distant else []),

@@ -60,16 +60,16 @@ def test_an_axial_mode_decays(share, record):
     )
 
 
-@pytest.mark.parametrize("end", ["start", "finish"])
+@pytest.mark.parametrize("end", ["base", "tip"])
 def test_a_wall_is_one_more_joint_of_an_element_that_turns(end):
     """Its stiffness times the angular velocity about the element's own axes."""
     rod, state = arm(3)
     wall = jaxrod.clamp(state, end)
     scene = jaxrod.make_scene(rod, wall)
     pairs = _pairs(scene, motion_of(state), jnp.asarray(2.0))
-    index, own = (0, pairs.next) if end == "start" else (-1, pairs.own)
+    index, own = (0, pairs.next) if end == "base" else (-1, pairs.own)
     frame = np.asarray(state.directors)[:, :, index]
-    sign = 1 if end == "start" else -1
+    sign = 1 if end == "base" else -1
     np.testing.assert_allclose(np.asarray(own)[index, 3:, 3:], sign * frame)
     stiffness = wall.wall(rod).stiffness
     np.testing.assert_allclose(np.asarray(pairs.drag)[index, 3:], 2.0 * stiffness)

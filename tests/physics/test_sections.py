@@ -131,7 +131,7 @@ def test_a_free_rod_of_square_section_tumbles(record):
     couple = jaxrod.schedules.table(
         times, tuple((0.0, -4 * f, -2 * f) for f in (0.0, 20.0, 0.0, 0.0))
     )
-    scene = jaxrod.make_scene(rod, jaxrod.end_load(force, couple, end="start"))
+    scene = jaxrod.make_scene(rod, jaxrod.end_load(force, couple, end="base"))
     dt = 1 / 200
     at_five = jaxrod.advance(scene, state, dt, 1000)
     at_seven = jaxrod.advance(scene, at_five, dt, 400, first=1000)

@@ -35,8 +35,8 @@ def test_a_simply_supported_beam_sags_as_it_should():
     load = 0.05
     scene = jaxrod.make_scene(
         rod,
-        jaxrod.pin(state),
-        jaxrod.pin(state, "finish", axes="yz"),
+        jaxrod.pin_support(state),
+        jaxrod.pin_support(state, "tip", axes="yz"),
         jaxrod.uniform_load((0.0, 0.0, -load)),
     )
     found = jaxrod.equilibrium(scene, state)
@@ -55,7 +55,7 @@ def test_a_simply_supported_beam_sags_as_it_should():
 def test_a_simply_supported_beam_vibrates_as_it_should():
     rod, state = along_x()
     scene = jaxrod.make_scene(
-        rod, jaxrod.pin(state), jaxrod.pin(state, "finish", axes="yz")
+        rod, jaxrod.pin_support(state), jaxrod.pin_support(state, "tip", axes="yz")
     )
     exact = np.pi**2 * np.sqrt(BENDING / (DENSITY * AREA)) / LENGTH**2
     found = np.asarray(jaxrod.natural_frequencies(scene, state))
@@ -70,9 +70,9 @@ def test_a_pin_in_the_middle_carries_what_it_should():
     load = 0.05
     scene = jaxrod.make_scene(
         rod,
-        jaxrod.pin(state),
-        jaxrod.pin(state, N // 2, axes="yz"),
-        jaxrod.pin(state, "finish", axes="yz"),
+        jaxrod.pin_support(state),
+        jaxrod.pin_support(state, N // 2, axes="yz"),
+        jaxrod.pin_support(state, "tip", axes="yz"),
         jaxrod.uniform_load((0.0, 0.0, -load)),
     )
     found = jaxrod.equilibrium(scene, state)
@@ -104,7 +104,9 @@ def test_a_stiff_rod_on_a_hinge_is_a_compound_pendulum():
     rod, state = along_x(4)
     gravity = 9.81
     scene = jaxrod.make_scene(
-        rod, jaxrod.hinge(state, (0.0, 2.0, 0.0)), jaxrod.gravity((gravity, 0.0, 0.0))
+        rod,
+        jaxrod.hinge_support(state, (0.0, 2.0, 0.0)),
+        jaxrod.gravity((gravity, 0.0, 0.0)),
     )
     exact = np.sqrt(1.5 * gravity / LENGTH)
     hanging = jaxrod.equilibrium(scene, state)
@@ -132,7 +134,7 @@ def test_a_hinge_lets_a_rod_go_round_and_round():
     velocities = np.stack([0 * x, 0 * x, -20.0 * x])
     spinning = jax.tree.map(jnp.asarray, spinning)
     spinning = replace(spinning, velocities=jnp.asarray(velocities))
-    scene = jaxrod.make_scene(rod, jaxrod.hinge(state, (0.0, 1.0, 0.0)))
+    scene = jaxrod.make_scene(rod, jaxrod.hinge_support(state, (0.0, 1.0, 0.0)))
     dt = float(jaxrod.stable_dt(scene, 0.4).dt)
     steps = int(1.0 / dt)
     records = jaxrod.rollout(scene, spinning, dt, steps - steps % 20, steps // 20)
@@ -266,11 +268,11 @@ def test_bad_supports_are_refused_in_words():
     rod, state = along_x(4)
     shake = jaxrod.schedules.sine((0.0, 0.0, 0.01), 0.3)
     for make, words in (
-        (lambda: jaxrod.pin(state, 7), "at must be a node from 0 to 4"),
-        (lambda: jaxrod.pin(state, "middle"), 'end must be "start" or "finish"'),
-        (lambda: jaxrod.pin(state, axes="xw"), 'axes must be some of "xyz"'),
+        (lambda: jaxrod.pin_support(state, 7), "node must be from 0 to 4"),
+        (lambda: jaxrod.pin_support(state, "middle"), 'end must be "base" or "tip"'),
+        (lambda: jaxrod.pin_support(state, axes="xw"), 'axes must be some of "xyz"'),
         (
-            lambda: jaxrod.hinge(state, (0.0, 0.0, 0.0)),
+            lambda: jaxrod.hinge_support(state, (0.0, 0.0, 0.0)),
             "axis must not be the zero vector",
         ),
         (
@@ -329,7 +331,7 @@ class Loose(Pin):
 def test_two_supports_of_one_freedom_are_refused_by_their_names():
     rod, state = along_x(4)
     shake = jaxrod.schedules.sine((0.0, 0.0, 0.01), 0.3)
-    pin, hinge = jaxrod.pin, jaxrod.hinge(state, (0.0, 1.0, 0.0))
+    pin, hinge = jaxrod.pin_support, jaxrod.hinge_support(state, (0.0, 1.0, 0.0))
     clamp, fixed = jaxrod.clamp(state), jaxrod.fixed_end(state)
 
     def driven(axes="xyz", **options):
@@ -344,22 +346,22 @@ def test_two_supports_of_one_freedom_are_refused_by_their_names():
         (fixed, clamp, "FixedEnd and Clamp both hold node 0 along x, y, z:"),
         (hinge, driven("x", free_to_turn=True), "Hinge and Driven both hold node 0"),
         (driven("x"), driven("yz"), "Driven and Driven .* orientation of element 0:"),
-        (pin(state, "finish"), Glue(), "Pin and Glue both hold node 4 along x, y, z:"),
+        (pin(state, "tip"), Glue(), "Pin and Glue both hold node 4 along x, y, z:"),
     ):
         for pair in ((one, other), (one, jaxrod.gravity(), other)):
             with pytest.raises(ValueError, match=words):
                 jaxrod.make_scene(rod, *pair)
-    finish = jaxrod.hinge(state, (0.0, 1.0, 0.0), "finish")
+    finish = jaxrod.hinge_support(state, (0.0, 1.0, 0.0), "tip")
     loose = Loose(state.positions[:, 0])
     for legal in (
-        (clamp, pin(state, "finish")),
-        (clamp, jaxrod.clamp(state, "finish")),
+        (clamp, pin(state, "tip")),
+        (clamp, jaxrod.clamp(state, "tip")),
         (hinge, finish),
         (pin(state, axes="x"), pin(state, axes="y"), pin(state, axes="z")),
         (driven("xy"), pin(state, axes="z")),
         (driven("x"), driven("yz", free_to_turn=True)),
         (pin(state, 3), Glue()),
-        (pin(state, "finish"), Glue(says=False)),
+        (pin(state, "tip"), Glue(says=False)),
         (pin(state), loose),
     ):
         jaxrod.make_scene(rod, *legal)
@@ -377,7 +379,7 @@ def test_batches_are_refused_with_the_word_vmap():
         lambda: jaxrod.health(scenes, states, 1e-4),
         lambda: rod.momentum(states),
         lambda: jaxrod.clamp(states),
-        lambda: jaxrod.pin(states),
+        lambda: jaxrod.pin_support(states),
     ):
         with pytest.raises(ValueError, match=r"use jax\.vmap"):
             ask()
@@ -392,12 +394,12 @@ def test_supports_that_leave_the_plane_only_later_are_refused():
         axis=(1, 0, 0),
         angle=jaxrod.schedules.ramp(0.0, 2 * np.pi, 1.0),
     )
-    for effect in (turning, jaxrod.hinge(state, (1.0, 0.0, 1.0))):
+    for effect in (turning, jaxrod.hinge_support(state, (1.0, 0.0, 1.0))):
         scene = jaxrod.make_scene(rod, effect, method=jaxrod.planar("xy"))
         with pytest.raises(ValueError, match="couples of effects"):
             jaxrod.advance(scene, state, 1e-5, 1)
     upright = jaxrod.make_scene(
-        rod, jaxrod.hinge(state, (0.0, 0.0, 1.0)), method=jaxrod.planar("xy")
+        rod, jaxrod.hinge_support(state, (0.0, 0.0, 1.0)), method=jaxrod.planar("xy")
     )
     jaxrod.advance(upright, state, 1e-5, 1)
 
@@ -411,7 +413,7 @@ def test_neither_origin_nor_order_matters_to_what_supports_do():
     def run(state, order):
         effects = [
             jaxrod.driven(state, displacement=shake, free_to_turn=True),
-            jaxrod.pin(state, "finish", axes="yz"),
+            jaxrod.pin_support(state, "tip", axes="yz"),
             jaxrod.gravity(),
         ]
         scene = jaxrod.make_scene(rod, *effects[::order])

@@ -13,7 +13,7 @@ from jaxrod.geometry.rotations import directors
 from physics.torsion_free import free, largest_gap, swinging, with_twist
 
 # What holds at one end holds at the other: the longer run looks at both.
-ENDS = ["start", pytest.param("finish", marks=pytest.mark.slow)]
+ENDS = ["base", pytest.param("tip", marks=pytest.mark.slow)]
 
 
 @pytest.mark.slow
@@ -210,7 +210,7 @@ def test_an_end_held_fast_stays(end):
         method=jaxrod.torsion_free(),
     )
     bare = jaxrod.advance(held, state, 2e-4, 300)
-    index = 0 if end == "start" else -1
+    index = 0 if end == "base" else -1
     for field in ("positions", "orientations"):
         before, after = getattr(state, field), getattr(bare, field)
         np.testing.assert_allclose(after[:, index], before[:, index], atol=1e-14)

@@ -139,7 +139,7 @@ def refused(rod, state):
         "follower": jaxrod.end_load(couple=couple, follower=True),
         "about d3, got EndLoad": jaxrod.end_load(couple=couple),
         "about d3, got UniformLoad": jaxrod.uniform_load(couple_per_length=couple),
-        "one held end": (jaxrod.clamp(state), jaxrod.fixed_end(state, "finish")),
+        "one held end": (jaxrod.clamp(state), jaxrod.fixed_end(state, "tip")),
         "got Contact with friction": jaxrod.contact(
             jaxrod.shapes.sphere((0.0, 0.0, 2.0), 0.3),
             stiffness=1e3,

@@ -56,9 +56,9 @@ def test_scenes_are_made_where_a_program_is_traced():
     [
         jaxrod.clamp,
         jaxrod.fixed_end,
-        jaxrod.pin,
+        jaxrod.pin_support,
         jaxrod.driven,
-        lambda state: jaxrod.hinge(state, (0.0, 0.0, 1.0)),
+        lambda state: jaxrod.hinge_support(state, (0.0, 0.0, 1.0)),
     ],
 )
 def test_a_support_made_from_another_rods_state_is_refused(hold):

@@ -10,17 +10,17 @@ import jaxrod
 from physics.rods import arm, perturb
 
 
-def swinging(n=8, dtype=jnp.float64, end="start", sideways=0.0):
+def swinging(n=8, dtype=jnp.float64, end="base", sideways=0.0):
     """A tapered arm clamped at one end, loaded, and pushed sideways; scene, state."""
     rod, state = arm(n, dtype, radius=(0.05, 0.03), direction=(1.0, 0.0, 0.0))
     s = jnp.linspace(0, 1, n + 1, dtype=dtype)
-    s = s if end == "start" else 1 - s
+    s = s if end == "base" else 1 - s
     velocities = jnp.zeros((3, n + 1), dtype).at[1].set(sideways * s**2)
     effects = (
         jaxrod.clamp(state, end),
         jaxrod.gravity((0.0, 0.0, -9.81)),
         jaxrod.exponential_damping(0.5, 3.0),
-        jaxrod.end_load((0.0, 0.0, 4.0), end="finish" if end == "start" else "start"),
+        jaxrod.end_load((0.0, 0.0, 4.0), end="tip" if end == "base" else "base"),
         jaxrod.uniform_load((1.0, 0.0, 2.0)),
     )
     scene = jaxrod.make_scene(rod, *effects, method=jaxrod.torsion_free())

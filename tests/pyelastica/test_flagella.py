@@ -173,7 +173,7 @@ def consistent_speed(n, *, nodes):
             COUPLES,
             period=PERIOD,
             wavelength=WAVELENGTH * LENGTH,
-            head="finish",
+            head="tip",
             ramp_up=PERIOD,
         )
     else:

@@ -50,7 +50,7 @@ class EndTwist(elastica.NoForces):
 def theirs(
     joint,
     *,
-    held="start",
+    held="base",
     pull=PULL,
     steps=STEPS,
     dt=DT,
@@ -74,7 +74,7 @@ def theirs(
         )
         simulator.append(rod)
         rods.append(rod)
-    place = 0 if held == "start" else -1
+    place = 0 if held == "base" else -1
     simulator.constrain(rods[0]).using(
         elastica.FixedConstraint,
         constrained_position_idx=(place,),
@@ -104,7 +104,7 @@ def theirs(
     return np.stack([rod.position_collection for rod in rods])
 
 
-def ours(join, *, held="start", pull=PULL, steps=STEPS, dt=DT, twist=0.0, damping=0.0):
+def ours(join, *, held="base", pull=PULL, steps=STEPS, dt=DT, twist=0.0, damping=0.0):
     """The same of jaxrod's, joined by what `join(a, b, state)` makes."""
     rods, state = {}, {}
     for number, name in enumerate(("one", "two")):
@@ -132,7 +132,7 @@ def ours(join, *, held="start", pull=PULL, steps=STEPS, dt=DT, twist=0.0, dampin
             "one": jaxrod.make_scene(rods["one"], fixed, slow, **law),
             "two": jaxrod.make_scene(rods["two"], *loads, slow, **law),
         },
-        join(("one", "finish"), ("two", "start"), state),
+        join(("one", "tip"), ("two", "base"), state),
         state=state,
     )
     end = jaxrod.advance(system, state, dt, steps)
@@ -166,7 +166,7 @@ def test_a_spherical_joint_is_theirs(record):
 @pytest.mark.parametrize("damping", [0.0, 1e-4])
 def test_a_fixed_joint_is_theirs(damping, record):
     def fixed(a, b, state):
-        return jaxrod.systems.rigid_joint(
+        return jaxrod.systems.fixed_joint(
             a,
             b,
             state,
@@ -217,7 +217,7 @@ def hinged(pull, stiffness, factor):
         numbers = {"stiffness": STIFFNESS, "axis_stiffness": stiffness}
         return jaxrod.systems.hinge_joint(a, b, state, axis=NORMAL, **numbers)
 
-    how = {"held": "finish", "steps": factor * STEPS, "dt": DT / factor, "pull": pull}
+    how = {"held": "tip", "steps": factor * STEPS, "dt": DT / factor, "pull": pull}
     numbers = {"k": STIFFNESS, "nu": 0.0, "kt": stiffness, "normal_direction": NORMAL}
     return ours(hinge, **how), theirs(elastica.HingeJoint, **numbers, **how)
 
@@ -269,7 +269,7 @@ TWIST, LONG, DAMPING = 0.02, 200_000, 2.0
 @pytest.mark.parametrize("name", ["Spherical", "Fixed", "Hinge"])
 def test_joints_are_theirs_for_ten_seconds(name, record):
     """Pulled, and twisted where the joint holds that, until they are nearly at rest."""
-    held, pull, twist = "start", PULL, 0.0
+    held, pull, twist = "base", PULL, 0.0
     if name == "Spherical":
         kind, numbers, join = elastica.FreeJoint, {}, ball
     elif name == "Fixed":
@@ -277,11 +277,11 @@ def test_joints_are_theirs_for_ten_seconds(name, record):
         kind, numbers = elastica.FixedJoint, {"kt": TURNING, "nut": 0.0}
 
         def join(a, b, state):
-            return jaxrod.systems.rigid_joint(
+            return jaxrod.systems.fixed_joint(
                 a, b, state, stiffness=STIFFNESS, turning_stiffness=TURNING
             )
     else:
-        held, pull = "finish", np.array([1.0, 0.0, 0.3])
+        held, pull = "tip", np.array([1.0, 0.0, 0.3])
         kind = elastica.HingeJoint
         numbers = {"kt": TURNING, "normal_direction": NORMAL}
 

@@ -74,10 +74,10 @@ def ours(rod, sizes):
     share = END / float(np.sum(rod.rest_lengths))
     return [
         jaxrod.end_load(
-            jaxrod.schedules.ramp((0, 0, 0), ends * START, RAMP), end="start"
+            jaxrod.schedules.ramp((0, 0, 0), ends * START, RAMP), end="base"
         ),
         jaxrod.end_load(jaxrod.schedules.ramp((0, 0, 0), ends * END, RAMP)),
-        jaxrod.end_load(swing(swings), end="start"),
+        jaxrod.end_load(swing(swings), end="base"),
         jaxrod.end_load(swing(-0.7 * swings)),
         jaxrod.uniform_load(force * share, couple * share),
         jaxrod.end_load(follower * END, follower=True),

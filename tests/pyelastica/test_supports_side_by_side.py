@@ -93,7 +93,7 @@ def test_ends_that_are_twisted_and_pushed_together(record):
     turns, slack, speeds = 0.8, 0.06, stirred((1, 1, 1))
 
     def supports(state):
-        for end, way in (("start", 1), ("finish", -1)):
+        for end, way in (("base", 1), ("tip", -1)):
             yield jaxrod.driven(
                 state,
                 end,
@@ -124,7 +124,7 @@ HELD = {
             "constrained_position_idx": (3,),
             "translational_constraint_selector": np.array([True, False, True]),
         },
-        lambda state: [jaxrod.pin(state, 3, axes="xz")],
+        lambda state: [jaxrod.pin_support(state, 3, axes="xz")],
         (1, 1, 1),
         PUSH,
     ),
@@ -145,7 +145,7 @@ HELD = {
             "rotational_constraint_selector": np.array([True, True, False]),
         },
         # Theirs holds rates and ours the axis: one where nothing tilts it.
-        lambda state: [jaxrod.hinge(state, (0, 0, 1))],
+        lambda state: [jaxrod.hinge_support(state, (0, 0, 1))],
         (1, 1, 0),
         (0.02, 0.5, 0.0),
     ),

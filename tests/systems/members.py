@@ -62,7 +62,7 @@ def free_system():
         "ball": of_ball,
     }
     hinged = jaxrod.systems.hinge_joint(
-        ("three", "finish"),
+        ("three", "tip"),
         ("ball",),
         rest,
         axis=(1.0, 0.2, 0.1),
@@ -79,9 +79,9 @@ def free_system():
             "head": head,
             "ball": ball,
         },
-        jaxrod.systems.weld(("one", "finish"), ("two", "start"), rest),
-        jaxrod.systems.tie(("two", "start"), ("three", "start"), rest),
-        jaxrod.systems.attach(("one", "start"), ("head",), rest),
+        jaxrod.systems.weld(("one", "tip"), ("two", "base"), rest),
+        jaxrod.systems.tie(("two", "base"), ("three", "base"), rest),
+        jaxrod.systems.attach(("one", "base"), ("head",), rest),
         hinged,
         state=rest,
     )

@@ -235,7 +235,7 @@ def joint_of(
     parent, kind = structure.kinds[structure.parents[k]], structure.kinds[k + 1]
     a = (names[structure.parents[k]], structure.nodes[k])
     is_rod = isinstance(kind, int)
-    b: Any = (names[k + 1], "start") if is_rod else (names[k + 1],)
+    b: Any = (names[k + 1], "base") if is_rod else (names[k + 1],)
     assert parent >= structure.nodes[k]
     stiff = 10 ** random.uniform(2, 3.5)
     turn = 10 ** random.uniform(-1, 0.5)
@@ -257,7 +257,7 @@ def joint_of(
             at=starts[k + 1],
             **drag,
         ),
-        "rigid": lambda: jaxrod.systems.rigid_joint(
+        "rigid": lambda: jaxrod.systems.fixed_joint(
             a, b, state, stiffness=stiff, turning_stiffness=turn, **drag, **turning
         ),
         "spring": lambda: jaxrod.systems.spring(

@@ -93,8 +93,8 @@ def resting_ropes(n, rest, contact):
         )
         members[name] = jaxrod.make_scene(
             rod,
-            jaxrod.driven(state[name], "start", free_to_turn=True),
-            jaxrod.driven(state[name], "finish", free_to_turn=True),
+            jaxrod.driven(state[name], "base", free_to_turn=True),
+            jaxrod.driven(state[name], "tip", free_to_turn=True),
             jaxrod.gravity(),
             jaxrod.exponential_damping(5.0),
         )

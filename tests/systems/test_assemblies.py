@@ -93,7 +93,7 @@ def test_a_pinned_net_is_pulled_to_a_diamond(record):
         dtype=jnp.float64,
     )
     far = 0.02
-    corners = [("rows", 0, "start"), ("rows", 2, "finish")]
+    corners = [("rows", 0, "base"), ("rows", 2, "tip")]
     springs = [
         jaxrod.systems.pose_spring(
             place,

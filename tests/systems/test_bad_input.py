@@ -21,7 +21,7 @@ def given():
         jaxrod.shapes.sphere((0, 0, 0.1), 0.05), density=100.0, dtype=jnp.float64
     )
     members = {
-        "one": jaxrod.make_scene(one, jaxrod.clamp(of_one, "finish")),
+        "one": jaxrod.make_scene(one, jaxrod.clamp(of_one, "tip")),
         "two": jaxrod.make_scene(two),
         "far": jaxrod.make_scene(far),
         "ball": ball,
@@ -39,9 +39,9 @@ def given():
         (lambda s: jaxrod.systems.tie(("one", 9), ("two", 0), s), "node of 'one'"),
         (
             lambda s: jaxrod.systems.tie(("one", "end"), ("two", 0), s),
-            '"start" or "finish"',
+            '"base" or "tip"',
         ),
-        (lambda s: jaxrod.systems.tie(("one", "start"), ("far", 0), s), "5 m apart"),
+        (lambda s: jaxrod.systems.tie(("one", "base"), ("far", 0), s), "5 m apart"),
         (lambda s: jaxrod.systems.weld(("one", 4), ("two", 2), s), "m apart"),
         (
             lambda s: jaxrod.systems.tie([("one", 4), ("one", 0)], [("two", 0)], s),
@@ -49,7 +49,7 @@ def given():
         ),
         (lambda s: jaxrod.systems.attach(("ball",), ("ball",), s), "nodes of rods"),
         (
-            lambda s: jaxrod.systems.attach(("one", "finish"), ("ball",), s),
+            lambda s: jaxrod.systems.attach(("one", "tip"), ("ball",), s),
             "held by a support and attached",
         ),
         (
@@ -79,7 +79,7 @@ def given():
             r"\('one', 0\) and \('far', 4\) are 5.* m apart.*0.075 m.*give at",
         ),
         (
-            lambda s: jaxrod.systems.rigid_joint(
+            lambda s: jaxrod.systems.fixed_joint(
                 ("one", 0), ("far", 0), s, stiffness=1.0, turning_stiffness=1.0
             ),
             "are 5 m apart",
@@ -96,7 +96,7 @@ def given():
             "are 5 m apart",
         ),
         (
-            lambda s: jaxrod.systems.weld(("one", "start"), ("nobody", 0), s),
+            lambda s: jaxrod.systems.weld(("one", "base"), ("nobody", 0), s),
             "b: no member is called 'nobody'",
         ),
         (
@@ -223,7 +223,7 @@ def test_a_batch_of_systems_is_no_system_of_groups(given):
     members, state = given
     system = jaxrod.make_system(
         {"one": members["one"], "two": members["two"]},
-        jaxrod.systems.tie(("one", "finish"), ("two", "start"), state),
+        jaxrod.systems.tie(("one", "tip"), ("two", "base"), state),
     )
     pair = {name: state[name] for name in ("one", "two")}
     systems, states = jax.tree.map(lambda leaf: jnp.stack([leaf, leaf]), (system, pair))

@@ -97,7 +97,7 @@ def test_a_ball_rolls_down_a_slope_of_rod(record):
     down = (9.81 * np.sin(slope), 0.0, -9.81 * np.cos(slope))
     members = {
         "rod": jaxrod.make_scene(
-            stiff, jaxrod.clamp(of_stiff), jaxrod.pin(of_stiff, "finish")
+            stiff, jaxrod.clamp(of_stiff), jaxrod.pin_support(of_stiff, "tip")
         ),
         "ball": replace(system.members["ball"], effects=(jaxrod.gravity(down),)),
     }

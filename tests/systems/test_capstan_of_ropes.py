@@ -30,13 +30,13 @@ def over_a_rope(friction):
     )
     held = (
         jaxrod.fixed_end(of_post),
-        jaxrod.fixed_end(of_post, end="finish"),
-        jaxrod.pin(of_post, 1),
+        jaxrod.fixed_end(of_post, end="tip"),
+        jaxrod.pin_support(of_post, 1),
     )
     members = {"rope": scene, "post": jaxrod.make_scene(post, *held)}
     # The onset is a share of the mean of both radii: as wide as at a cylinder.
     onset = 0.01 * 2 * (CENTRELINE - CYLINDER) / CENTRELINE
-    law = rope_law(friction) | {"onset": onset, "partners": 1}
+    law = rope_law(friction) | {"onset": onset, "max_contacts": 1}
     return (
         jaxrod.make_system(members, jaxrod.systems.rod_contact("rope", "post", **law)),
         {"rope": state, "post": of_post},

@@ -24,7 +24,7 @@ def test_two_halves_are_the_whole(record):
             "left": jaxrod.make_scene(left, jaxrod.clamp(of_left), gravity),
             "right": jaxrod.make_scene(right, gravity),
         },
-        jaxrod.systems.weld(("left", "finish"), ("right", "start"), state),
+        jaxrod.systems.weld(("left", "tip"), ("right", "base"), state),
         state=state,
     )
     scene = jaxrod.make_scene(whole, jaxrod.clamp(of_whole), gravity)
@@ -65,7 +65,7 @@ def test_damped_steps_lead_a_system_to_its_equilibrium(record):
             "left": jaxrod.make_scene(left, held, gravity, damping),
             "right": jaxrod.make_scene(right, gravity, damping),
         },
-        jaxrod.systems.weld(("left", "finish"), ("right", "start"), state),
+        jaxrod.systems.weld(("left", "tip"), ("right", "base"), state),
         state=state,
     )
     dt = float(jaxrod.stable_dt(halves).dt)
@@ -88,16 +88,14 @@ def test_equal_rods_in_one_leaf_are_separate_rods():
     alone = {"a": singles[0], "b": singles[1]}
     group = jaxrod.make_system(
         {"rods": scenes},
-        jaxrod.systems.weld(
-            ("rods", 0, "finish"), ("rods", 1, "start"), {"rods": states}
-        ),
+        jaxrod.systems.weld(("rods", 0, "tip"), ("rods", 1, "base"), {"rods": states}),
     )
     pair = jaxrod.make_system(
         {
             name: jax.tree.map(lambda leaf, k=k: leaf[k], scenes)
             for k, name in enumerate("ab")
         },
-        jaxrod.systems.weld(("a", "finish"), ("b", "start"), alone),
+        jaxrod.systems.weld(("a", "tip"), ("b", "base"), alone),
     )
     kicked = jnp.zeros((3, 7)).at[1, 0].set(1.0)
     states = replace(states, velocities=states.velocities.at[0].set(kicked))
@@ -131,7 +129,7 @@ def test_cantilever_with_a_tip_mass(share, root, record):
     rest = {"beam": state, "weight": of_weight}
     system = jaxrod.make_system(
         {"beam": jaxrod.make_scene(body, jaxrod.clamp(state)), "weight": weight},
-        jaxrod.systems.attach(("beam", "finish"), ("weight",), rest, turning=True),
+        jaxrod.systems.attach(("beam", "tip"), ("weight",), rest, turning=True),
     )
     bending, density = float(body.bend_twist_stiffness[0, 0]), mass
     expected = root**2 * np.sqrt(bending / density)
@@ -169,13 +167,13 @@ def test_supports_that_move_are_looked_at_where_they_begin():
     zero = jnp.zeros(3)
 
     def system(displacement):
-        moved = jaxrod.driven(of_above, "finish", displacement=displacement)
+        moved = jaxrod.driven(of_above, "tip", displacement=displacement)
         return jaxrod.make_system(
             {
                 "above": jaxrod.make_scene(above, moved),
                 "below": jaxrod.make_scene(below),
             },
-            jaxrod.systems.weld(("below", "finish"), ("above", "start"), state),
+            jaxrod.systems.weld(("below", "tip"), ("above", "base"), state),
             state=state,
         )
 
@@ -230,9 +228,9 @@ def test_a_joints_dashpot_acts_on_one_and_reacts_on_the_other():
     one, of_one = rod(2)
     two, of_two = rod(3, 0.3, (0.5, 0, 0), (0, 0.6, 0.8))
     rest = {"one": of_one, "two": of_two}
-    joint = jaxrod.systems.rigid_joint(
-        ("one", "finish"),
-        ("two", "start"),
+    joint = jaxrod.systems.fixed_joint(
+        ("one", "tip"),
+        ("two", "base"),
         rest,
         stiffness=10.0,
         turning_stiffness=2.0,
@@ -298,10 +296,10 @@ def test_tie_to_a_held_node_follows_the_support():
     one, of_one = rod()
     two, of_two = rod(6, 0.5, (0.5, 0, 0), (0, 1, 0))
     rest = {"one": of_one, "two": of_two}
-    held = jaxrod.make_scene(one, jaxrod.clamp(of_one, "finish"))
+    held = jaxrod.make_scene(one, jaxrod.clamp(of_one, "tip"))
     system = jaxrod.make_system(
         {"one": held, "two": jaxrod.make_scene(two, jaxrod.gravity())},
-        jaxrod.systems.tie(("one", "finish"), ("two", "start"), rest),
+        jaxrod.systems.tie(("one", "tip"), ("two", "base"), rest),
     )
     after = jaxrod.advance(system, rest, jaxrod.stable_dt(system).dt, 500)
     np.testing.assert_array_equal(after["two"].positions[:, 0], of_two.positions[:, 0])
@@ -356,7 +354,7 @@ def test_a_batch_of_systems_is_a_loop_over_them():
                 "one": jaxrod.make_scene(one, jaxrod.clamp(of_one), falls),
                 "two": jaxrod.make_scene(two, falls),
             },
-            jaxrod.systems.weld(("one", "finish"), ("two", "start"), rest),
+            jaxrod.systems.weld(("one", "tip"), ("two", "base"), rest),
         )
 
     pulls = jnp.array([-9.81, -3.0, 4.0])
@@ -385,7 +383,7 @@ def test_members_that_depend_on_time():
             "left": jaxrod.make_scene(left, jaxrod.clamp(of_left), load),
             "right": jaxrod.make_scene(right, load),
         },
-        jaxrod.systems.weld(("left", "finish"), ("right", "start"), state),
+        jaxrod.systems.weld(("left", "tip"), ("right", "base"), state),
     )
     scene = jaxrod.make_scene(whole, jaxrod.clamp(of_whole), load)
     dt = jaxrod.stable_dt(scene).dt
@@ -404,7 +402,7 @@ def ladder():
         lambda x: rod(4, 0.5, jnp.stack([x, 0 * x, 0 * x]), (0, 1, 0))
     )(0.2 * jnp.arange(12))
     state = {"rails": of_rails, "rungs": of_rungs}
-    ends = ("start", "finish")
+    ends = ("base", "tip")
     system = jaxrod.make_system(
         {
             name: jax.vmap(lambda r: jaxrod.make_scene(r, jaxrod.gravity()))(rods)
@@ -465,7 +463,7 @@ def test_tied_nodes_stay_together_for_long_in_single_precision():
             "one": jaxrod.make_scene(made[0][0], jaxrod.clamp(made[0][1]), falls),
             "two": jaxrod.make_scene(made[1][0], falls),
         },
-        jaxrod.systems.tie(("one", "finish"), ("two", "start"), state),
+        jaxrod.systems.tie(("one", "tip"), ("two", "base"), state),
     )
     dt = jaxrod.stable_dt(system).dt
     after = jaxrod.advance(system, state, dt, 20_000)
@@ -501,7 +499,7 @@ def test_couplings_know_what_is_held_in_systems_that_depend_on_time():
         (),
         (jaxrod.gravity(jaxrod.schedules.ramp((0, 0, 0), (0, 0, 0), 1.0)),),
     ):
-        scene = jaxrod.make_scene(one, jaxrod.pin(state, 0), *more)
+        scene = jaxrod.make_scene(one, jaxrod.pin_support(state, 0), *more)
         system = jaxrod.make_system({"one": scene}, Push())
         ends.append(jaxrod.advance(system, {"one": state}, 1e-4, 5)["one"].positions)
     np.testing.assert_allclose(ends[0], ends[1], rtol=0, atol=1e-15)

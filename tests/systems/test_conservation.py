@@ -65,7 +65,7 @@ def test_energy_of_a_rod_on_a_body_is_of_second_order():
     state = {"rod": of_one, "body": of_body}
     system = jaxrod.make_system(
         {"rod": jaxrod.make_scene(one), "body": body},
-        jaxrod.systems.attach(("rod", "start"), ("body",), state),
+        jaxrod.systems.attach(("rod", "base"), ("body",), state),
     )
     dt, start = jaxrod.stable_dt(system).dt, system.total_energy(state)
     errors = []

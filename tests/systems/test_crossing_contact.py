@@ -349,7 +349,7 @@ def test_the_bound_is_above_the_stiffness_and_within_a_factor(along):
     """Against the largest eigenvalue of the contact alone, at nodes and between."""
     one, of_one = rod(3, 0.3)
     two, of_two = rod(2, 0.2, (along, -0.1, 0.036), (0, 1, 0))
-    system, state = crossing((one, of_one), (two, of_two), partners=1)
+    system, state = crossing((one, of_one), (two, of_two), max_contacts=1)
 
     @jax.jit
     def energy(flat):

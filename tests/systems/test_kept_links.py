@@ -34,7 +34,7 @@ def test_link_is_twist_and_writhe_while_a_twisted_ring_buckles(record):
         24, (jaxrod.exponential_damping(2.0),), turns=turns, straight_at_rest=True
     )
     contact = jaxrod.systems.crossing_contact(
-        "ring", itself=True, stiffness=1e5, damping=10.0
+        "ring", self_contact=True, stiffness=1e5, damping=10.0
     )
     start = {"ring": stirred(state, speed=0.01)}
     system = jaxrod.make_system({"ring": scene}, closure, contact, state=start)

@@ -99,7 +99,7 @@ def test_runs_are_those_without_lists(law, record):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("law", ["line", "crossing"])
-@pytest.mark.parametrize("end", ["start", "finish"])
+@pytest.mark.parametrize("end", ["base", "tip"])
 def test_loads_of_rods_on_themselves_and_tied_together(law, end):
     """Near along rods and near ties nothing touches, from lists as without.
 
@@ -114,7 +114,7 @@ def test_loads_of_rods_on_themselves_and_tied_together(law, end):
     hairpin, bent = jaxrod.rod_along(
         nodes, radius=RADIUS, density=1e3, youngs_modulus=1e6, dtype=jnp.float64
     )
-    side = r if end == "start" else -r
+    side = r if end == "base" else -r
     other, straight = rod(6, 0.3, (0.15, side, 0.0), (0.2, side / r, 0.3))
     third, across = rod(5, 0.3, (0.16, -0.1, 0.036), (0, 1, 0))
     state = {"one": bent, "two": straight, "three": across}
@@ -124,10 +124,10 @@ def test_loads_of_rods_on_themselves_and_tied_together(law, end):
         "three": jaxrod.make_scene(third),
     }
     factory, numbers = LAWS[law]
-    tie = jaxrod.systems.tie(("one", end), ("two", "start"), state)
+    tie = jaxrod.systems.tie(("one", end), ("two", "base"), state)
     found = []
     for lists in (None, jaxrod.systems.neighbour_lists()):
-        contact = factory(*members, **numbers, itself=True, lists=lists)
+        contact = factory(*members, **numbers, self_contact=True, lists=lists)
         system = jaxrod.make_system(members, contact, tie, state=state)
         seen, couplings = jax.jit(seen_at_rest)(system, state)
         found.append(jax.jit(lambda c, s: c.loads(s))(couplings[0], seen))

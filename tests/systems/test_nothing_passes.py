@@ -32,8 +32,8 @@ def plait(pull, stiffness=2e3):
     def one(rod, state):
         return jaxrod.make_scene(
             rod,
-            jaxrod.pin(state),
-            jaxrod.pin(state, "finish", axes="xy"),
+            jaxrod.pin_support(state),
+            jaxrod.pin_support(state, "tip", axes="xy"),
             jaxrod.end_load((0.0, 0.0, pull)),
             jaxrod.exponential_damping(20.0),
         )
@@ -209,7 +209,9 @@ def test_a_rope_comes_to_lie_on_a_floor_and_on_itself(record):
     scene = jaxrod.make_scene(
         rod, jaxrod.gravity((0.0, 0.0, -9.81)), floor, jaxrod.exponential_damping(3.0)
     )
-    touch = jaxrod.systems.rod_contact("rope", itself=True, points_per_element=4, **law)
+    touch = jaxrod.systems.rod_contact(
+        "rope", self_contact=True, points_per_element=4, **law
+    )
     system = jaxrod.make_system({"rope": scene}, touch)
     nodes = lambda own: own["rope"].positions[None]
     states, flags, through = followed(system, {"rope": state}, 1.8, 30, nodes)

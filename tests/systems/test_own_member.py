@@ -219,7 +219,7 @@ def test_what_needs_a_rod_or_a_body_refuses_a_point():
     state = {"rod": arm, "point": start}
     with pytest.raises(ValueError, match="rigid"):
         jaxrod.make_system(
-            members, jaxrod.systems.attach(("rod", "start"), ("point",), state)
+            members, jaxrod.systems.attach(("rod", "base"), ("point",), state)
         )
     with pytest.raises(ValueError, match="rigid"):
         jaxrod.make_system(

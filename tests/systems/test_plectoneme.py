@@ -36,7 +36,7 @@ def wound_up():
     )
     turned = jaxrod.driven(
         state,
-        "finish",
+        "tip",
         displacement=jaxrod.schedules.ramp((0.0, 0.0, 0.0), (0.0, -COMING, 0.0), TIME),
         axis=(0.0, 1.0, 0.0),
         angle=jaxrod.schedules.ramp(0.0, 2 * np.pi * TURNS, TIME),
@@ -46,7 +46,7 @@ def wound_up():
         rod, jaxrod.fixed_end(state), turned, jaxrod.exponential_damping(DAMPING)
     )
     touch = jaxrod.systems.rod_contact(
-        "rod", itself=True, stiffness=1.5e6, damping=300.0, points_per_element=2
+        "rod", self_contact=True, stiffness=1.5e6, damping=300.0, points_per_element=2
     )
     s = np.linspace(0, 1, N + 1)
     bent = state.positions.at[2].add(-1e-3 * np.sin(np.pi * s) ** 2)

@@ -79,7 +79,7 @@ def test_work_of_the_drive_is_what_is_gained_and_lost(record):
     rest = {"rod": state}
     drag, turning_drag = 0.5, 2e-3
     spring = jaxrod.systems.pose_spring(
-        ("rod", "finish"),
+        ("rod", "tip"),
         rest,
         stiffness=200.0,
         damping=drag,

@@ -24,8 +24,10 @@ def test_a_box_may_lie_on_all_points_of_a_face(points):
     assert cloud.count == 12 * (points - 2) + 8
 
 
-@pytest.mark.parametrize("partners", [None, 1])
-def test_the_bound_on_balls_is_that_of_springs_between_all_or_to_the_worst(partners):
+@pytest.mark.parametrize("max_contacts", [None, 1])
+def test_the_bound_on_balls_is_that_of_springs_between_all_or_to_the_worst(
+    max_contacts,
+):
     """k (1/m_a + 1/m_b) of each, times the mass of the one."""
     stiffness, radii = 1e4, {"a": 0.1, "b": 0.05, "c": 0.2}
     parts = {
@@ -33,13 +35,13 @@ def test_the_bound_on_balls_is_that_of_springs_between_all_or_to_the_worst(partn
         for name, r in radii.items()
     }
     contact = jaxrod.systems.rigid_contact(
-        *radii, stiffness=stiffness, partners=partners
+        *radii, stiffness=stiffness, max_contacts=max_contacts
     )
     bounds = contact.fitted(parts, ()).prepared(parts).stability_bounds(parts)
     mass = {name: 500 * 4 / 3 * np.pi * r**3 for name, r in radii.items()}
     for one in radii:
         each = [1 / mass[one] + 1 / mass[other] for other in radii if other != one]
-        worst = sum(each) if partners is None else max(each)
+        worst = sum(each) if max_contacts is None else max(each)
         expected = stiffness * worst * mass[one]
         np.testing.assert_allclose(bounds[one].nodes, [expected], rtol=1e-6)
         assert bounds[one].elements is None
@@ -200,7 +202,7 @@ def test_balls_settle_in_a_corner():
         stiffness=2e4,
         damping=60.0,
         friction=0.4,
-        partners=12,
+        max_contacts=12,
     )
     system = jaxrod.make_system({"balls": balls}, contact)
     state = {"balls": of_balls}

@@ -36,7 +36,7 @@ def test_the_bounds_of_springs_and_dashpots_are_those_of_as_much_length():
     """Each node's own, for as many partners, and twice for both rods that move."""
     parts = {"one": parts_of(rod(5, 0.5)[0]), "two": parts_of(rod(8, 0.5)[0])}
     contact = jaxrod.systems.rod_contact(
-        "one", "two", stiffness=STIFFNESS, damping=7.0, partners=3
+        "one", "two", stiffness=STIFFNESS, damping=7.0, max_contacts=3
     )
     bounds = contact.fitted(parts, ()).prepared(parts).stability_bounds(parts)
     for name, n in (("one", 5), ("two", 8)):
@@ -226,7 +226,7 @@ def test_a_loop_pressed_on_itself_does_not_pass_through():
     straight, of_straight = rod(20, 0.5)
     system = jaxrod.make_system(
         {"one": jaxrod.make_scene(straight)},
-        jaxrod.systems.rod_contact("one", stiffness=STIFFNESS, itself=True),
+        jaxrod.systems.rod_contact("one", stiffness=STIFFNESS, self_contact=True),
     )
     loads, energy = loads_of(system, {"one": of_straight})
     assert float(energy) == 0.0
@@ -243,7 +243,7 @@ def test_a_loop_pressed_on_itself_does_not_pass_through():
     )
     bent = jaxrod.make_system(
         {"one": jaxrod.make_scene(hairpin)},
-        jaxrod.systems.rod_contact("one", stiffness=STIFFNESS, itself=True),
+        jaxrod.systems.rod_contact("one", stiffness=STIFFNESS, self_contact=True),
     )
     loads, _ = loads_of(bent, {"one": of_hairpin})
     force = np.stack(loads["one"].forces)

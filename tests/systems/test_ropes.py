@@ -37,7 +37,7 @@ def hanging(n, direction, height, fall):
     down = jaxrod.schedules.ramp((0.0, 0.0, 0.0), (0.0, 0.0, -fall), 0.5)
     held = [
         jaxrod.driven(state, end, displacement=down, free_to_turn=True)
-        for end in ("start", "finish")
+        for end in ("base", "tip")
     ]
     effects = (*held, jaxrod.gravity(), jaxrod.exponential_damping(20.0))
     return jaxrod.make_scene(rod, *effects), state
@@ -174,7 +174,7 @@ def twisted(n, pull, turn, shift=0.0):
     scene = jaxrod.make_scene(
         rod,
         jaxrod.clamp(state),
-        jaxrod.driven(wall, "finish", axes="yz", axis=(1.0, 0.0, 0.0)),
+        jaxrod.driven(wall, "tip", axes="yz", axis=(1.0, 0.0, 0.0)),
         jaxrod.end_load((pull, 0.0, 0.0)),
     )
     return scene, at

@@ -23,7 +23,7 @@ def two_halves(*effects, length=0.4, n=3):
             "left": jaxrod.make_scene(left, jaxrod.clamp(of_left), *effects),
             "right": jaxrod.make_scene(right, *effects),
         },
-        jaxrod.systems.weld(("left", "finish"), ("right", "start"), state),
+        jaxrod.systems.weld(("left", "tip"), ("right", "base"), state),
         state=state,
     )
     scene = jaxrod.make_scene(whole, jaxrod.clamp(of_whole), *effects)
@@ -88,7 +88,7 @@ def test_a_frame_bends_in_both_its_rods(record):
             "column": jaxrod.make_scene(column, jaxrod.clamp(of_column)),
             "beam": jaxrod.make_scene(beam, jaxrod.end_load((0.0, 0.0, -load))),
         },
-        jaxrod.systems.weld(("column", "finish"), ("beam", "start"), state),
+        jaxrod.systems.weld(("column", "tip"), ("beam", "base"), state),
         state=state,
     )
     found = jaxrod.systems.settled(system, state)
@@ -140,7 +140,7 @@ def test_two_ropes_that_cross_settle(record):
         made, state[name] = jaxrod.straight_rod(
             n, length=SPAN, radius=THICK, start=start, direction=way, **MATERIAL
         )
-        pins = [jaxrod.pin(state[name], end) for end in ("start", "finish")]
+        pins = [jaxrod.pin_support(state[name], end) for end in ("base", "tip")]
         pull = jaxrod.gravity((0.0, 0.0, -9.81))
         members[name] = jaxrod.make_scene(made, *pins, pull)
     contact = jaxrod.systems.crossing_contact(*members, stiffness=STIFFNESS, onset=1e-3)

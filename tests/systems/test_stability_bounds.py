@@ -94,8 +94,8 @@ def joined(joint, body=None):
         scenes["body"], state["body"] = jaxrod.systems.rigid_body(
             shape, density=body, dtype=jnp.float64
         )
-    other = ("rod 1", "start") if body is None else ("body",)
-    coupling = joint(("rod 0", "finish"), other, state)
+    other = ("rod 1", "base") if body is None else ("body",)
+    coupling = joint(("rod 0", "tip"), other, state)
     return jaxrod.make_system(scenes, coupling), state
 
 
@@ -108,7 +108,7 @@ def hinged(a, b, state):
 
 def turned(a, b, state):
     """A joint whose springs against turning are what is stiff."""
-    return jaxrod.systems.rigid_joint(
+    return jaxrod.systems.fixed_joint(
         a, b, state, stiffness=10.0, turning_stiffness=1e5
     )
 
@@ -120,7 +120,7 @@ def ball(a, b, state, **numbers):
 
 def sprung(a, b, state):
     """A spring between nodes that are an element apart."""
-    return jaxrod.systems.spring((a[0], "start"), b, state, **STIFF)
+    return jaxrod.systems.spring((a[0], "base"), b, state, **STIFF)
 
 
 def paired(count, **numbers):
@@ -149,27 +149,27 @@ FRICTION = {"stiffness": 1e8, "damping": 1e6, "friction": 0.5}
 # rod as touching as many as there may be: they are sharp where it does.
 SHARP, SAFE = 1.02, 2.2
 CASES = {
-    "rod_contact of two rods, partners=1": (
-        lambda: stacked(2, LINE, partners=1),
+    "rod_contact of two rods, max_contacts=1": (
+        lambda: stacked(2, LINE, max_contacts=1),
         SHARP,
     ),
     "rod_contact of two rods": (lambda: stacked(2, LINE), SAFE),
     "rod_contact of three rods": (lambda: stacked(3, LINE), SAFE),
     "rod_contact of two rods, dashpots and friction": (
-        lambda: stacked(2, LINE, partners=1, **FRICTION),
+        lambda: stacked(2, LINE, max_contacts=1, **FRICTION),
         SAFE,
     ),
     "rod_contact of two rods, friction far above all springs": (
-        lambda: stacked(2, LINE, partners=1, **FRICTION | {"damping": 3e4}),
+        lambda: stacked(2, LINE, max_contacts=1, **FRICTION | {"damping": 3e4}),
         SHARP,
     ),
     "rod_contact of two rods, friction and springs alike": (
         # Friction drags along surfaces that springs act across: the golden ratio.
-        lambda: stacked(2, LINE, partners=1, **FRICTION | {"damping": 1e3}),
+        lambda: stacked(2, LINE, max_contacts=1, **FRICTION | {"damping": 1e3}),
         1.62,
     ),
-    "crossing_contact of two rods, partners=1": (
-        lambda: stacked(2, CROSSING, partners=1, stiffness=1e9),
+    "crossing_contact of two rods, max_contacts=1": (
+        lambda: stacked(2, CROSSING, max_contacts=1, stiffness=1e9),
         SAFE,
     ),
     "crossing_contact of three rods": (

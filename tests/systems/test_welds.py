@@ -63,7 +63,7 @@ def drawn(seed):
     return members, state, bent, 0.5 * angles @ np.linalg.solve(compliance, angles)
 
 
-PLACES = (("a", "finish"), ("b", "start"))
+PLACES = (("a", "tip"), ("b", "base"))
 
 
 @cache

@@ -214,11 +214,11 @@ class CrossingContact(TouchingRods):
         assert own.radii is not None
         # Each spring acts on six nodes.
         per_rod = jnp.asarray(stiffest(own.n_elements), self.stiffness.dtype)
-        crossings = self.partners * jnp.tile(per_rod, own.count)
+        crossings = self.max_contacts * jnp.tile(per_rod, own.count)
         drag, turning = self.law.largest_drag, None
         sides = 2 if self.friction_drag is None else 4
         if self.friction_drag is not None and drag is not None:
-            turning = 4 * self.partners * drag * own.radii**2
+            turning = 4 * self.max_contacts * drag * own.radii**2
         return StabilityBound(
             nodes=2 * self.stiffness * crossings,
             node_drag=None if drag is None else sides * drag * crossings,
@@ -269,9 +269,9 @@ def crossing_contact(
     damping: Numbers | None = None,
     friction: Numbers | None = None,
     friction_drag: Numbers | None = None,
-    itself: bool = False,
+    self_contact: bool = False,
     onset: Numbers = 0.01,
-    partners: int = 2,
+    max_contacts: int = 2,
     lists: NeighbourLists | None = None,
 ) -> CrossingContact:
     """Contact between all rods of the named members, counted once for each crossing.
@@ -287,10 +287,10 @@ def crossing_contact(
         friction: Coefficient of Coulomb friction [1].
         friction_drag: Largest friction per slip speed [kg/s]; by default equal to
             `damping`.
-        itself: Whether each rod also touches itself. Elements that are nearer to each
-            other along the rod than pi times its radius do not touch.
+        self_contact: Whether each rod also touches itself. Elements that are nearer to
+            each other along the rod than pi times its radius do not touch.
         onset: Width of the smooth onset of contact over the mean of the radii [1].
-        partners: Rods that may cross one element at the same time, for `stable_dt`.
+        max_contacts: Rods that may cross one element at the same time, for `stable_dt`.
         lists: Lists of neighbours, from `neighbour_lists`; by default every step tests
             all pairs of elements.
 
@@ -308,8 +308,8 @@ def crossing_contact(
         friction,
         friction_drag,
         onset,
-        itself=itself,
-        partners=partners,
+        self_contact=self_contact,
+        max_contacts=max_contacts,
         lists=lists,
         per_length=False,
     )

@@ -59,7 +59,7 @@ class RigidContact(PenaltyContact):
     """Given number of balls along an axis; `None` to derive it from the shape."""
     points_per_edge: int = static(default=2)
     """Points on every edge of a box, corners included."""
-    partners: int | None = static(default=None)
+    max_contacts: int | None = static(default=None)
     """Bodies that may touch one body at a time, for the bound; `None` for all."""
 
     def check(self, parts: AllParts) -> None:
@@ -212,8 +212,8 @@ class RigidContact(PenaltyContact):
         for group, spring, dashpot in zip(moving, springs, dashpots, strict=True):
             if not spring:
                 continue
-            rate = self.stiffness * _worst(spring, self.partners)
-            slow = None if drag is None else drag * _worst(dashpot, self.partners)
+            rate = self.stiffness * _worst(spring, self.max_contacts)
+            slow = None if drag is None else drag * _worst(dashpot, self.max_contacts)
             turns, drags = _turns(group, False), _turns(group, rubs)
             bounds[group.member] = StabilityBound(
                 nodes=rate * group.masses,
@@ -237,7 +237,7 @@ def rigid_contact(
     points: Mapping[str, Numbers] | None = None,
     points_per_edge: int = 2,
     balls_per_axis: int | None = None,
-    partners: int | None = None,
+    max_contacts: int | None = None,
 ) -> RigidContact:
     """Contact of rigid bodies with one another and with bodies that stand still.
 
@@ -263,8 +263,8 @@ def rigid_contact(
         points_per_edge: Points on every edge of a box, corners included.
         balls_per_axis: Balls along the axis of capsules and cylinders; by default so
             many that they are at most a radius apart.
-        partners: Bodies that may touch one body at the same time, for `stable_dt`: 12
-            for equal spheres; by default all bodies.
+        max_contacts: Bodies that may touch one body at the same time, for `stable_dt`:
+            12 for equal spheres; by default all bodies.
 
     Returns:
         A coupling for `make_system`.
@@ -306,9 +306,9 @@ def rigid_contact(
             if balls_per_axis is None
             else check_count("balls_per_axis", balls_per_axis, 2, 1000)
         ),
-        partners=None
-        if partners is None
-        else check_count("partners", partners, 1, 1000),
+        max_contacts=None
+        if max_contacts is None
+        else check_count("max_contacts", max_contacts, 1, 1000),
     )
 
 
@@ -325,10 +325,10 @@ def _ease(group: CollisionBodies, rubs: bool) -> Array:
     return moving + group.reach * group.reach / group.inertias
 
 
-def _worst(columns: list[Array], partners: int | None) -> Array:
+def _worst(columns: list[Array], max_contacts: int | None) -> Array:
     """Sum over all other bodies, or a bound for the most that touch at a time."""
     every = jnp.concatenate(columns, axis=1)
     total = jnp.sum(every, axis=1)
-    if partners is None:
+    if max_contacts is None:
         return total
-    return jnp.minimum(total, partners * jnp.max(every, axis=1))
+    return jnp.minimum(total, max_contacts * jnp.max(every, axis=1))

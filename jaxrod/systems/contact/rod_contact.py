@@ -92,7 +92,7 @@ class RodContact(TouchingRods):
             return None
         one, two = own.elements, other.elements
         may = ~same_rod(one, two)
-        if self.itself:
+        if self.self_contact:
             assert one.starts is not None and two.starts is not None
             # The farthest point of an element is at its start or at its end.
             apart = jnp.maximum(two.starts - one.starts, one.ends - two.ends)
@@ -187,13 +187,13 @@ class RodContact(TouchingRods):
         """
         assert own.linear_density is not None
         # Length for which a node stands, from its mass.
-        lengths = self.partners * own.node_masses / jnp.min(own.linear_density)
+        lengths = self.max_contacts * own.node_masses / jnp.min(own.linear_density)
         stiffness = 2 * self.stiffness * lengths
         drag = None if self.damping is None else 2 * self.damping * lengths
         if self.friction_drag is None:
             return StabilityBound(nodes=stiffness, node_drag=drag)
         easiest = jnp.max(jnp.stack([_ease(parts) for parts in every]))
-        rate = self.partners * self.friction_drag * (_ease(own) + easiest)
+        rate = self.max_contacts * self.friction_drag * (_ease(own) + easiest)
         # Dashpots act across the surfaces, friction along them: the larger one counts.
         rub = rate * own.node_masses
         return StabilityBound(
@@ -217,10 +217,10 @@ def rod_contact(
     damping: Numbers | None = None,
     friction: Numbers | None = None,
     friction_drag: Numbers | None = None,
-    itself: bool = False,
+    self_contact: bool = False,
     onset: Numbers = 0.01,
     points_per_element: int | None = None,
-    partners: int = 2,
+    max_contacts: int = 2,
     lists: NeighbourLists | None = None,
 ) -> RodContact:
     """Contact between all rods of the named members.
@@ -232,13 +232,13 @@ def rod_contact(
         friction: Coefficient of Coulomb friction [1].
         friction_drag: Largest friction per length and slip speed [kg/(m s)]; by default
             equal to `damping`.
-        itself: Whether each rod also touches itself. Places that are nearer to each
-            other along the rod than pi times its radius do not touch.
+        self_contact: Whether each rod also touches itself. Places that are nearer to
+            each other along the rod than pi times its radius do not touch.
         onset: Width of the smooth onset of contact over the mean of the radii [1].
         points_per_element: Contact points per element; by default so many that they
             are at most a third of a radius apart. Then the energy of crossing rods is
             the same to 3 % wherever they cross.
-        partners: Rods that may touch one place at the same time, for `stable_dt`: 2
+        max_contacts: Rods that may touch one place at the same time, for `stable_dt`: 2
             for a few rods, 6 in a bundle.
         lists: Lists of neighbours, from `neighbour_lists`; by default every step tests
             all points against all segments.
@@ -259,8 +259,8 @@ def rod_contact(
         friction,
         friction_drag,
         onset,
-        itself=itself,
-        partners=partners,
+        self_contact=self_contact,
+        max_contacts=max_contacts,
         lists=lists,
         per_length=True,
     )

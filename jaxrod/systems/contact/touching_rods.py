@@ -80,11 +80,11 @@ class TouchingRods(PenaltyContact):
     """The lists, once made."""
     members: tuple[str, ...] = static(default=())
     """Names of the members."""
-    itself: bool = static(default=False)
+    self_contact: bool = static(default=False)
     """Whether rods touch themselves."""
     tied: tuple[TiedPair, ...] = static(default=())
     """Pairs of nodes that are tied together; near them nothing touches."""
-    partners: int = static(default=2)
+    max_contacts: int = static(default=2)
     """Rods that may touch one place at a time, for the stability bound."""
 
     has_contact_points: ClassVar[bool] = False
@@ -167,7 +167,11 @@ class TouchingRods(PenaltyContact):
     @property
     def places_matter(self) -> bool:
         """Whether it depends on rods and places along them which pairs touch."""
-        return self.itself or bool(self.tied) or any(s.count > 1 for s in self.segments)
+        return (
+            self.self_contact
+            or bool(self.tied)
+            or any(s.count > 1 for s in self.segments)
+        )
 
     def check(self, parts: AllParts) -> None:
         """Raises ValueError if a member is missing or is not a rod."""
@@ -184,10 +188,10 @@ class TouchingRods(PenaltyContact):
         """
         self.check(parts)
         rods = sum(parts[name].count for name in self.members)
-        if rods < 2 and not self.itself:
+        if rods < 2 and not self.self_contact:
             raise ValueError(
-                "one rod has nothing to touch but itself: give itself=True, or more "
-                "members"
+                "one rod has nothing to touch but itself: give self_contact=True, or "
+                "more members"
             )
         near = tuple(pair for pair in tied if {pair[0], pair[2]} <= set(self.members))
         lists = self.lists
@@ -204,7 +208,7 @@ class TouchingRods(PenaltyContact):
             (a, b)
             for a in range(count)
             for b in range(a if self.symmetric else 0, count)
-            if a != b or self.itself or self.segments[a].count > 1
+            if a != b or self.self_contact or self.segments[a].count > 1
         ]
 
     def share(self, a: int, b: int, own: Any, other: Elements) -> Array | None:
@@ -212,7 +216,7 @@ class TouchingRods(PenaltyContact):
         share: Array | None = None
         if a == b:
             near: Array | float = 0.0
-            if self.itself:
+            if self.self_contact:
                 gap = jnp.maximum(own.starts - other.ends, other.starts - own.ends)
                 near = share_of_gap(gap, *self.scales(own, other))
             share = jnp.where(same_rod(own, other), near, 1)
@@ -466,8 +470,8 @@ def _without(law: TouchingRods, hook: str) -> NotImplementedError:
 def rod_law(
     members: tuple[str, ...],
     *numbers: Any,
-    itself: bool,
-    partners: int,
+    self_contact: bool,
+    max_contacts: int,
     lists: NeighbourLists | None,
     per_length: bool,
 ) -> dict[str, Any]:
@@ -476,8 +480,8 @@ def rod_law(
     Args:
         members: Names of the members.
         *numbers: Numbers of the law, as for `law_numbers`.
-        itself: Whether rods touch themselves.
-        partners: Rods that may touch one place at a time.
+        self_contact: Whether rods touch themselves.
+        max_contacts: Rods that may touch one place at a time.
         lists: Settings of lists of neighbours.
         per_length: Whether the law is per length of contact.
 
@@ -491,8 +495,8 @@ def rod_law(
     return {
         **law_numbers(*numbers, per_length=per_length),
         "members": members,
-        "itself": bool(itself),
-        "partners": check_count("partners", partners, 1, 1000),
+        "self_contact": bool(self_contact),
+        "max_contacts": check_count("max_contacts", max_contacts, 1, 1000),
         "lists": lists,
     }
 

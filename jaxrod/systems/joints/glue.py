@@ -404,7 +404,7 @@ def _glued(
     for side, name in zip("ab", (one, two), strict=True):
         if name[0] in layouts and not layouts[name[0]].is_rod:
             raise ValueError(f"{side}: glue joins rods, and {name[0]!r} is rigid")
-        member, _, _ = resolved(side, (*name, "start"), layouts)
+        member, _, _ = resolved(side, (*name, "base"), layouts)
         counts.append(layouts[member].n_elements)
     chosen = elements
     if chosen is None:

@@ -156,7 +156,7 @@ def hinge_joint(
     return held, axes
 
 
-def rigid_joint(
+def fixed_joint(
     a: Place | Sequence[Place],
     b: Place | Sequence[Place],
     state: Mapping[str, Any],

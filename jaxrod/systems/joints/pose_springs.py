@@ -220,7 +220,7 @@ def pose_spring(
     """Pulls a node of a rod, or a body, towards a target position and orientation.
 
     Args:
-        place: A place on a member, `("arm", "finish")` or `("ball",)`.
+        place: A place on a member, `("arm", "tip")` or `("ball",)`.
         state: State of the system. The target is the pose of the place in it, unless
             `position` and `orientation` are given.
         stiffness: Force per distance [N/m].

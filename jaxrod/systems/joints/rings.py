@@ -129,7 +129,7 @@ def _closure(
         turn: Angle by which the end was twisted before it was joined [rad].
     """
     rest = {name: state}
-    last, first = (name, "finish"), (name, "start")
+    last, first = (name, "tip"), (name, "base")
     layouts = layouts_of(rest)
     dtype = state.positions.dtype
     joint = ElasticJoint(

@@ -170,7 +170,7 @@ def tie(
     Elements turn freely about the shared place; see `weld` for an elastic joint.
 
     Args:
-        a: A place, `("arm", "finish")`, `("arm", 7)` or `("arms", 2, "start")`; or
+        a: A place, `("arm", "tip")`, `("arm", 7)` or `("arms", 2, "base")`; or
             several.
         b: Another place, or one for each place of `a`, to which it is tied.
         state: State of the system, in which tied nodes are at one place.
@@ -276,7 +276,7 @@ def _listed(name: str, places: Any) -> list[Place]:
             return [places]
         return list(places)
     raise TypeError(
-        f'{name} must be a place such as ("arm", "finish"), or several, got {places!r}'
+        f'{name} must be a place such as ("arm", "tip"), or several, got {places!r}'
     )
 
 

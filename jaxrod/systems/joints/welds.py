@@ -35,7 +35,7 @@ def weld(
     to end make the whole rod, and the order of `a` and `b` does not matter.
 
     Args:
-        a: A place, `("trunk", "finish")` or `("arms", 2, 7)`; or several.
+        a: A place, `("trunk", "tip")` or `("arms", 2, 7)`; or several.
         b: Another place, or one for each place of `a`, to which it is joined.
         state: State of the system at rest.
 
@@ -65,7 +65,7 @@ def attach(
     turn.
 
     Args:
-        a: A place on a rod, `("arm", "start")`; or several of one member.
+        a: A place on a rod, `("arm", "base")`; or several of one member.
         b: A body, `("head",)`; or one for each place of `a`.
         state: State of the system at rest.
         turning: Whether the elements turn freely about their nodes.

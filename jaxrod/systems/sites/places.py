@@ -14,8 +14,8 @@ from jaxrod.systems.sites.coupling import AllParts, check_named
 from jaxrod.validation import check_count, is_traced
 
 Place = Sequence[Any]
-"""Place on a member: `("arm", "finish")` or `("arm", 7)` on a rod, `("arms", 2,
-"start")` on one of equal rods, `("ball",)` or `("balls", 3)` on bodies and
+"""Place on a member: `("arm", "tip")` or `("arm", 7)` on a rod, `("arms", 2,
+"base")` on one of equal rods, `("ball",)` or `("balls", 3)` on bodies and
 points. A place within a rod has the orientation of the element after the node."""
 
 
@@ -107,12 +107,10 @@ def resolved(
 
     Raises:
         ValueError: If there is no such place.
-        TypeError: If `place` is not a sequence such as `("arm", "finish")`.
+        TypeError: If `place` is not a sequence such as `("arm", "tip")`.
     """
     if isinstance(place, str) or not isinstance(place, Sequence) or not place:
-        raise TypeError(
-            f'{name} must be a place such as ("arm", "finish"), got {place!r}'
-        )
+        raise TypeError(f'{name} must be a place such as ("arm", "tip"), got {place!r}')
     member, *rest = place
     check_named(member, layouts, where=name)
     own = layouts[member]
@@ -123,7 +121,7 @@ def resolved(
         return member, body, body
     if len(rest) not in (1, 2):
         raise ValueError(
-            f'{name}: of a rod an end ("start", "finish") or a node is needed, '
+            f'{name}: of a rod an end ("base", "tip") or a node is needed, '
             f"got {place!r}"
         )
     rod = _of_many(name, f"of {member!r}", rest[:-1], own.count)
@@ -144,13 +142,13 @@ def _of_many(name: str, where: str, given: Sequence[Any], count: int) -> int:
 
 def _node(name: str, member: str, node: Any, layout: Layout) -> int:
     last = layout.n_elements
-    if node == "start":
+    if node == "base":
         return 0
-    if node == "finish":
+    if node == "tip":
         return last
     if isinstance(node, str):
         raise ValueError(
-            f'{name}: an end is "start" or "finish", got {node!r} of {member!r}'
+            f'{name}: an end is "base" or "tip", got {node!r} of {member!r}'
         )
     counted = node + last + 1 if isinstance(node, int) and node < 0 else node
     return check_count(f"{name}: node of {member!r}", counted, 0, last)
