@@ -332,5 +332,7 @@ def _of_elements(at_nodes: Array) -> Array:
 
 
 def _ratio(whole: Array, part: Array) -> Array:
-    """Ratio `whole / part`; zero where `part` is zero."""
-    return jnp.where(part > 0, whole / jnp.where(part > 0, part, 1), 0)
+    """Ratio `whole / part`; zero where `part`, a square, is zero to rounding."""
+    # Otherwise rounding alone would decide whether a direction counts.
+    counts = part > (64 * float(jnp.finfo(part.dtype).eps)) ** 2 * whole
+    return jnp.where(counts, whole / jnp.where(counts, part, 1), 0)
