@@ -223,7 +223,7 @@ CASES = {
         lambda: joined(hinged, 10.0),
         SHARP,
     ),
-    "turning of a rigid_joint": (lambda: joined(turned), SHARP),
+    "turning of a fixed_joint": (lambda: joined(turned), SHARP),
     "spring between rods": (lambda: joined(sprung), SHARP),
     "spring between a rod and a light body": (lambda: joined(sprung, 10.0), SHARP),
 }

@@ -178,7 +178,7 @@ class Glue(Coupling):
             if not parts[side.points.member].is_rod:
                 raise ValueError(
                     f"glue joins rods, and {side.points.member!r} is rigid: use "
-                    "jaxrod.systems.attach or rigid_joint"
+                    "jaxrod.systems.attach or fixed_joint"
                 )
 
     def prepared(self, parts: AllParts) -> Glue:
