@@ -204,6 +204,10 @@ def at_nodes(of_elements: Array) -> Array:
     return vectors.pad(half, 0, 1) + vectors.pad(half, 1, 0)
 
 
+_LEAST_WEIGHT = 1e-6
+"""Weight of a part of a fibre's elongation beside those of all [1]."""
+
+
 def section_bound(
     rod: Rod,
     stretch: Array | None = None,
@@ -277,7 +281,7 @@ def fibre_bound(
     whole = parts[0] + parts[1] + parts[2]
     directions = along**2, across**2, lever**2
     stretch, shear, turning = (
-        jnp.sum(stiffness * size * _ratio(whole, part), axis=0)
+        jnp.sum(stiffness * size * _share(whole, part), axis=0)
         for size, part in zip(directions, parts, strict=True)
     )
     return section_bound(rod, _of_elements(stretch), _of_elements(shear), turning)
@@ -331,8 +335,11 @@ def _of_elements(at_nodes: Array) -> Array:
     return 0.5 * (at_nodes[1:] + at_nodes[:-1])
 
 
-def _ratio(whole: Array, part: Array) -> Array:
-    """Ratio `whole / part`; zero where `part`, a square, is zero to rounding."""
-    # Otherwise rounding alone would decide whether a direction counts.
-    counts = part > (64 * float(jnp.finfo(part.dtype).eps)) ** 2 * whole
-    return jnp.where(counts, whole / jnp.where(counts, part, 1), 0)
+def _share(whole: Array, part: Array) -> Array:
+    """Inverse weight of one of three parts, for a bound on the square of their sum."""
+    # In proportion to the part, and a little for each: so what rounding leaves of a
+    # part that is zero adds nothing.
+    weight = part + _LEAST_WEIGHT * whole
+    there = weight > 0
+    most = (1 + 3 * _LEAST_WEIGHT) * whole
+    return jnp.where(there, most / jnp.where(there, weight, 1), 0)
