@@ -6,6 +6,7 @@ subclass, decorated with `pytree`, that overrides the hooks it needs; docs/exten
 describes all four.
 """
 
+from jaxrod.contacts.solids import Solid
 from jaxrod.effects.base import Effect, Reaction, StabilityBound
 from jaxrod.geometry import rotations, vectors
 from jaxrod.loaded_rod import LoadedRod, Method
@@ -36,6 +37,7 @@ __all__ = [
     "Parts",
     "Reaction",
     "Seen",
+    "Solid",
     "StabilityBound",
     "Stepper",
     "anchors",

@@ -35,7 +35,7 @@ class Cylinders:
 
     @property
     def ends(self) -> Float[Array, "3 m"]:
-        """Centre of the other end of each cylinder [m]."""
+        """Centre of the end opposite to `starts` of each cylinder [m]."""
         return self.starts + self.lengths[None, :] * self.directions
 
 

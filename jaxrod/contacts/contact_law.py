@@ -131,7 +131,11 @@ class PenaltyLaw:
         return jnp.maximum(self.damping, self.friction_drag)
 
     def energy(self, depth: Array, width: Array) -> Array:
-        """Energy of the spring: `energy_density`."""
+        """Energy of the spring at a depth [m] with an onset of some width [m].
+
+        It is per length [J/m] for contact of rods, per contact [J] otherwise; see
+        `energy_density`.
+        """
         return energy_density(depth, width, self.stiffness)
 
     def spring(self, depth: Array, width: Array) -> Array:

@@ -60,7 +60,7 @@ class Ends:
         return jnp.concatenate([rods[:, :1], rods[:, -1:]], axis=1).reshape(-1)
 
     def beside(self, field: Vec3) -> Vec3:
-        """Vectors at the places beside the ends, interpolated from the points."""
+        """Vectors at one place near each end, interpolated from the points."""
 
         def one(component: Array) -> Array:
             rods = component.reshape(len(self.shares), 1, -1)

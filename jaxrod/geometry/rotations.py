@@ -176,8 +176,11 @@ def rotation_log_and_coupling(q: Quaternion) -> tuple[Vec3, Array]:
     of a number between 1/2 and 1, $u = k^2 |v|^2$, $a(u) = \arctan(\sqrt u)/\sqrt u$.
 
     The coupling coefficient $c = (1 - \frac\theta2\cot\frac\theta2)/\theta^2$ enters
-    the exact gradient of a joint energy: $\partial E/\partial\phi$ acts as
-    $\tau + \frac12\phi\times\tau + c\,\phi\times(\phi\times\tau)$.
+    the exact gradient of a joint energy. With $\tau = \partial E/\partial\phi$ the
+    couple on the element before the joint is
+    $\tau + \frac12\phi\times\tau + c\,\phi\times(\phi\times\tau)$ in its own frame,
+    and that on the element after it
+    $-\tau + \frac12\phi\times\tau - c\,\phi\times(\phi\times\tau)$.
 
     Returns:
         The rotation vector [rad] and `c` [1].

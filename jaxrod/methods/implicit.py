@@ -217,7 +217,10 @@ class ImplicitStepper:
         return Base(base, rates)
 
     def stage(self, base: Base) -> Increments:
-        """Takes a backward Euler step from a base."""
+        """Increments over a base of a backward Euler step of gamma times the step.
+
+        They are NaN where Newton's method does not converge.
+        """
         balance = LoadBalance(
             self.scene, self.law, base.motion, 1 / self.duration, self.damping
         )

@@ -91,7 +91,11 @@ def _holds(effect: Effect) -> bool:
 
 @jax.jit
 def _tried(rod: Rod, effects: tuple[Effect, ...]) -> list[tuple[Array, Array]]:
-    """Deviation of each effect from its promises, and from holding whole components."""
+    """Two errors of each effect, relative; zero where nothing is declared.
+
+    The first is that of its declared tangent or reach against the derivative of its
+    loads. The second is the part of motion that its supports hold only partly.
+    """
     zero = jnp.zeros((), rod.rest_lengths.dtype)
     return [
         (

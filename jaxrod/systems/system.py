@@ -235,7 +235,7 @@ def _member(name: Any, given: Any) -> Member:
     as_member = getattr(given, "as_member", None)
     if as_member is None:
         raise TypeError(
-            f"member {name!r} must be a scene from make_scene or a rigid body, got "
+            f"member {name!r} must be a scene, a rigid body or a Member, got "
             f"{type(given).__name__}"
         )
     member: Member = as_member()

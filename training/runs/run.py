@@ -240,7 +240,7 @@ class Run:
         self._stop_if(name for name, value in row.items() if value != value)
 
     def _stop_if(self, broken: Iterable[str]) -> None:
-        """Raises FloatingPointError if any number is NaN."""
+        """Raises FloatingPointError with the names of all numbers that are NaN."""
         names = ", ".join(broken)
         if names:
             raise FloatingPointError(

@@ -71,7 +71,9 @@ class Memory:
         return offset
 
     def keep(self, used: Sequence[int]) -> tuple[list[int], list[int]]:
-        """Allocates loop-invariant nodes that are used by nodes of a higher rate.
+        """Reserves memory for values that the loop does not change but reads.
+
+        They are the same for all rods, or fixed for each rod.
 
         Args:
             used: All nodes of the kernel that are needed, in order.

@@ -57,7 +57,7 @@ class BodyState:
         return self.velocities, self.angular_velocities
 
     def with_rates(self, velocities: Array, spins: Array) -> BodyState:
-        """The state with other rates."""
+        """The state with other velocities [m/s] and angular velocities [rad/s]."""
         return replace(self, velocities=velocities, angular_velocities=spins)
 
     @property

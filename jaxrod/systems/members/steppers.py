@@ -119,7 +119,7 @@ class RodStepper(MemberStepper):
         return Seen(self.parts, self.row(motion))
 
     def moved_as(self, motion: Motion, seen: Motion) -> Motion:
-        """The member's motion, from the couplings' view of it."""
+        """The motion `seen`, which couplings have changed, divided among the rods."""
         changed: Motion = self.rows(seen)
         return changed
 

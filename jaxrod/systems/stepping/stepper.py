@@ -26,7 +26,7 @@ Motions = dict[str, Motion]
 
 @pytree
 class SystemStepper:
-    """Constants of the step of a system."""
+    """Position Verlet of all members and their couplings, with constants of a run."""
 
     steps_of_end: ClassVar[int] = 1
     members: Mapping[str, MemberStepper]
