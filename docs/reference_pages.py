@@ -35,6 +35,7 @@ PACKAGES = {
     "jaxrod.shapes": "Shapes",
     "jaxrod.systems": "Systems of rods and bodies",
     "jaxrod.topology": "Twist, writhe, link",
+    "jaxrod.tradeoff": "Speed for accuracy",
     "jaxrod.training": "Learners",
     "jaxrod.viz": "Drawing",
 }

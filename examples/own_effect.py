@@ -1,7 +1,6 @@
-"""An effect of one's own, with memory and time: a muscle that tires.
+"""An effect of your own, with memory and time: a muscle that tires.
 
-A bending muscle along the whole arm follows a command that is a sine of time, is slow
-to answer it, and weakens as it works. Run it with `python examples/own_effect.py`.
+A bending muscle along the arm follows a command slowly, and weakens as it works.
 """
 
 from dataclasses import replace
@@ -44,9 +43,8 @@ def simulate(strength=0.05, seconds=1.0):
         12, length=0.3, radius=0.01, density=1000.0, youngs_modulus=1e6
     )
     muscle = TiringMuscle(schedules.sine(1.0, period=0.4), strength, rise_time=0.05)
-    scene = jaxrod.make_scene(
-        rod, jaxrod.clamp(state), jaxrod.exponential_damping(5.0), muscle
-    )
+    damping = jaxrod.exponential_damping(5.0)
+    scene = jaxrod.make_scene(rod, jaxrod.clamp(state), damping, muscle)
     dt = jaxrod.stable_dt(scene).dt
     steps = int(seconds / dt) // 50 * 50
     records = jaxrod.rollout(scene, state, dt, steps, every=steps // 50)

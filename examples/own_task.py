@@ -6,11 +6,10 @@ import jax
 import jax.numpy as jnp
 
 import jaxrod
-from jaxrod import extend
 from jaxrod.envs import Snapshot
 
 
-@extend.pytree
+@jaxrod.extend.pytree
 class State:
     rod: jaxrod.RodState
     goal: jax.Array  # height to reach [m]

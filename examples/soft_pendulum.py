@@ -41,12 +41,9 @@ def pendulum():
     rod, state = jaxrod.straight_rod(
         4, **size, youngs_modulus=2.2e6, direction=(0, 0, -1), normal=(0, 1, 0)
     )
-    effects = (
-        jaxrod.pin_support(state),
-        jaxrod.gravity(),
-        jaxrod.exponential_damping(0.2),
-    )
-    scene = jaxrod.make_scene(rod, *effects, method=jaxrod.planar("zx"))
+    loads = jaxrod.gravity(), jaxrod.exponential_damping(0.2)
+    plane = jaxrod.planar("zx")
+    scene = jaxrod.make_scene(rod, jaxrod.pin_support(state), *loads, method=plane)
     time = {"n_intervals": N_INTERVALS, "interval": INTERVAL}
     return jaxrod.control.make_problem(
         state,

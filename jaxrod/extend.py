@@ -8,6 +8,8 @@ describes all four.
 
 from jaxrod.contacts.solids import Solid
 from jaxrod.effects.base import Effect, Reaction, StabilityBound
+from jaxrod.effects.ends import Wall
+from jaxrod.effects.held import Held
 from jaxrod.geometry import rotations, vectors
 from jaxrod.loaded_rod import LoadedRod, Method
 from jaxrod.model import Stepper
@@ -26,6 +28,7 @@ __all__ = [
     "Anchors",
     "Coupling",
     "Effect",
+    "Held",
     "Layout",
     "Leaf",
     "LoadedRod",
@@ -40,6 +43,7 @@ __all__ = [
     "Solid",
     "StabilityBound",
     "Stepper",
+    "Wall",
     "anchors",
     "as_array",
     "memory",

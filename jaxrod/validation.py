@@ -64,11 +64,13 @@ def check_kind(name: str, value: Any, kind: type | tuple[type, ...]) -> None:
     if isinstance(value, kind):
         return
     kinds = kind if isinstance(kind, tuple) else (kind,)
-    wanted = " or ".join(f"jaxrod.{one.__name__}" for one in kinds)
+    wanted = " or ".join(one.__name__ for one in kinds)
     hint = ""
     if isinstance(value, tuple):
         hint = " (factories return the pair rod, state)"
-    raise TypeError(f"{name} must be a {wanted}, got {type(value).__name__}{hint}")
+    raise TypeError(
+        f"{name} must be a jaxrod {wanted}, got {type(value).__name__}{hint}"
+    )
 
 
 def check_count(name: str, value: Any, smallest: int, largest: float = MOST) -> int:

@@ -1,7 +1,5 @@
 r"""Actuation: couples along a rod, shaped by a spline through a few control values.
 
-Splines through a few control values along a rod.
-
 The spline is the interpolating cubic with not-a-knot ends. It passes through the
 control values at the control points and through zero at both ends of the rod. It
 overshoots between control points: with six equidistant ones it reaches 1.67 times the

@@ -219,7 +219,7 @@ class Effect:
 
         Explicit steps of the consistent law solve drag together with the loads, so that
         it never limits the step. Other methods take the drag from `loads`, which must
-        be `jaxrod.rods.drag.drag_loads` of it, with their `stability_bound`. An effect
+        be `jaxrod.fluids.drag_loads` of it, with their `stability_bound`. An effect
         with drag has no other loads.
         """
         return None

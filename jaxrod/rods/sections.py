@@ -1,10 +1,9 @@
 """Rods from a section and a material: masses and stiffnesses of their elements.
 
-Shapes of sections: area, second moments, torsion constant and shear factors.
-
-Dimensions are one number or one per element. Shear factors are those of Kaneko and of
-Hutchinson (J. Appl. Mech. 68, 2001) at Poisson's ratio 1/2: for circles and tubes 27/28
-and less, for rectangles 5/6. An ellipse has the circle's.
+A shape has an area, second moments, a torsion constant and shear factors. Dimensions
+are one number or one per element. Shear factors are those of Kaneko and of Hutchinson
+(J. Appl. Mech. 68, 2001) at Poisson's ratio 1/2: for circles and tubes 27/28 and less,
+for rectangles 5/6. An ellipse has the circle's.
 """
 
 from __future__ import annotations

@@ -1,11 +1,10 @@
 """Loops that apply a function many times: a traced number, or differentiable.
 
-Batches that run one system after the other, on CPUs.
-
-Under `jax.vmap` a branch on a number of each system is no longer a branch: both sides
-are computed for all. Contact with neighbour lists skips empty lists by branches, and
-one such system fills a core and its cache. So a batch of them takes longer together
-than one by one, and much longer to compile.
+On CPUs, batches of some systems run one system after the other. Under `jax.vmap` a
+branch on a number of each system is no longer a branch: both sides are computed for
+all. Contact with neighbour lists skips empty lists by branches, and one such system
+fills a core and its cache. So a batch of them takes longer together than one by one,
+and much longer to compile.
 """
 
 from __future__ import annotations

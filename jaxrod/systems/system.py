@@ -49,8 +49,8 @@ class System(Assembly, Model):
 
     Structure is static, numbers are traced. Only what is listed is in the compiled
     program. Build a system with `make_system`. The functions for scenes take it too:
-    `advance`, `rollout`, `stable_dt`, `health`, `total_energy`, `momentum`, with a dict
-    of states by member.
+    `advance`, `rollout`, `stable_dt`, `health`, with a dict of states by member; and it
+    has the same methods, such as `total_energy(state)`.
     """
 
     def states_by_name(self, state: Any) -> dict[str, Any]:

@@ -204,7 +204,7 @@ def test_the_number_of_steps_is_a_count(run, steps, message):
     [
         (
             lambda: jaxrod.make_scene((ROD, STATE)),
-            "rod must be a jaxrod.Rod, got tuple",
+            "rod must be a jaxrod Rod, got tuple",
         ),
         (lambda: jaxrod.make_scene(ROD, 3), "effects must be jaxrod effects, got int"),
         (
@@ -213,7 +213,7 @@ def test_the_number_of_steps_is_a_count(run, steps, message):
         ),
         (
             lambda: jaxrod.advance(SCENE, (ROD, STATE), 1e-4, 1),
-            "state must be a jaxrod.RodState, got tuple",
+            "state must be a jaxrod RodState, got tuple",
         ),
     ],
 )

@@ -179,7 +179,7 @@ class RodContact(TouchingRods):
         return one, replace(two, forces=vectors.scale(-1.0, one.forces))
 
     def bound(self, own: Parts, every: list[Parts]) -> StabilityBound:
-        """Stiffness and drag as if all of every rod touched its partners.
+        """Stiffness and drag as if `max_contacts` rods touched all of each.
 
         A spring's change of length is the sum of the contributions of two rods. Its
         square is at most twice the sum of their squares. Slip has four contributions,

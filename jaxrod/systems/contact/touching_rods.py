@@ -128,7 +128,7 @@ class TouchingRods(PenaltyContact):
         raise _without(self, "pair_loads")
 
     def bound(self, own: Parts, every: list[Parts]) -> StabilityBound:
-        """Stiffness and drag on one of all members, as if it touched its partners."""
+        """Stiffness and drag on one of all members, as if `max_contacts` touched it."""
         raise _without(self, "bound")
 
     def in_rows(self, a: int, own: Elements, seen: AllSeen) -> Any:
@@ -357,7 +357,7 @@ class TouchingRods(PenaltyContact):
         return worst
 
     def stability_bounds(self, parts: AllParts) -> dict[str, StabilityBound]:
-        """Stiffness and drag as if all rods touched their partners at their worst."""
+        """Stiffness and drag as if `max_contacts` touched each rod at its worst."""
         every = [parts[name] for name in self.members]
         return {name: self.bound(parts[name], every) for name in self.members}
 

@@ -1,4 +1,4 @@
-r"""Hinges and rigid joints of finite stiffness between members.
+r"""Hinges and fixed joints of finite stiffness between members.
 
 A hinge adds the energy $k_t (1 - a\cdot b)$ to a ball joint, where $a$ and $b$ are the
 directions of its axis as fixed in the first and in the second member. Motors act about
