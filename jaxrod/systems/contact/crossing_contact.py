@@ -205,7 +205,7 @@ class CrossingContact(TouchingRods):
         return from_products(slopes, *lines)
 
     def bound(self, own: Parts, every: list[Parts]) -> StabilityBound:
-        """Stiffness and drag with `max_contacts` rods across every element at its worst.
+        """Stiffness and drag of `max_contacts` rods across every element, at worst.
 
         A spring's change of length is the sum of the contributions of two rods. Its
         square is at most twice the sum of their squares. Slip has four contributions,
