@@ -161,4 +161,4 @@ def test_an_example_is_short_and_uses_public_names_only(name):
     assert len(text.splitlines()) <= 60
     imported = [line for line in text.splitlines() if "jaxrod" in line.split("#")[0]]
     rooms = {line.split()[1] for line in imported if line.startswith("from")}
-    assert rooms <= {"jaxrod", "jaxrod.envs", "jaxrod.training"}
+    assert rooms <= {"jaxrod", "jaxrod.envs", "jaxrod.extend", "jaxrod.training"}
