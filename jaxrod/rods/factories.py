@@ -95,7 +95,7 @@ def straight_rod(
     fractions = np.linspace(0.0, 1.0, n + 1)
     along = extent * axis[:, None] * fractions[None, :]
     return _build(
-        "base",
+        "start",
         origin[:, None] + along,
         module_for(frame).repeat(quaternions(frame[:, :, None]), n, axis=1),
         rest_lengths=extent * np.full(n, 1 / n),

@@ -106,7 +106,7 @@ def wrong_cases() -> list[Case]:
                 cases += [Case(function, argument, k, SCALARS[k]) for k in WRONG]
     for function in ("straight_rod", "rod_along", "control_spline"):
         cases += [Case(function, "dtype", k, v) for k, v in DTYPES.items()]
-    for function in ("clamp", "fixed_end", "end_load", "hinge", "driven"):
+    for function in ("clamp", "fixed_end", "end_load", "hinge_support", "driven"):
         cases += [Case(function, "end", k, v) for k, v in WORDS.items()]
     cases += [Case("make_scene", "method", k, v) for k, v in KINDS.items()]
     cases += [Case("planar", "plane", k, v) for k, v in WORDS.items()]

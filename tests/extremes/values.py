@@ -130,7 +130,7 @@ DTYPES: dict[str, Any] = {
 WORDS: dict[str, Any] = {
     "None": None,
     "0": 0,
-    "'tip'": "tip",
+    "'finish'": "finish",
     "[]": [],
     "array": np.ones(2),
     "True": True,

@@ -52,7 +52,10 @@ def explicit_limit(scene):
     return float(jaxrod.stable_dt(replace(scene, method=jaxrod.consistent()), 1.0).dt)
 
 
-@pytest.mark.parametrize("radius", [0.0, 0.5, 1.0])
+SLOW = pytest.mark.slow
+
+
+@pytest.mark.parametrize("radius", [pytest.param(0.0, marks=SLOW), 0.5, 1.0])
 @pytest.mark.parametrize(
     "name",
     [

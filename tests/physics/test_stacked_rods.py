@@ -53,16 +53,22 @@ def test_each_of_stacked_rods_has_its_own_numbers(shape, changed):
     pairs = list(uneven_rods(int(np.prod(shape)), changed))
     derived = {
         jaxrod.Rod: properties(jaxrod.Rod),
-        jaxrod.RodState: ["rates", "directors", "tip"],
+        jaxrod.RodState: ["layout", "rates", "directors", "tip"],
     }
-    assert len(derived[jaxrod.Rod]) == 10
+    assert len(derived[jaxrod.Rod]) == 11
     assert properties(jaxrod.RodState) == derived[jaxrod.RodState]
     for alone in zip(*pairs, strict=True):
         together = in_stack(alone, shape)
         for name in derived[type(together)]:
+            if name == "rates":  # Two of the fields themselves.
+                continue
             own = [getattr(one, name) for one in alone]
             found = getattr(together, name)
-            if name in ("n_elements", "is_round"):
+            if name == "batch_shape":
+                assert (found, set(own)) == (shape, {()})
+            elif name == "layout":
+                assert found.n_elements == 3
+            elif name in ("n_elements", "is_round"):
                 assert {found} == set(own)
             else:
                 expected = np.reshape(own, (*shape, *np.shape(own[0])))

@@ -318,7 +318,7 @@ def test_effects_on_bodies_have_bounds():
     )
     found = jaxrod.stable_dt(jaxrod.make_system({"body": body}), 1.0)
     assert float(found.dt) == pytest.approx(2 * (2.0 / 800.0) ** 0.5, rel=1e-12)
-    assert found.limiting_mode == "what acts on body 'body'"
+    assert found.limiting_mode == "what acts on 'body'"
 
 
 @pytest.mark.parametrize("speed", [0.005, 0.05, 0.5])
