@@ -52,7 +52,7 @@ def build(n=N, radius=RADIUS, loop=LOOP, pull=1.0, friction=None):
 
 
 def balance(system, state):
-    """What the middle of the rod stores per length and carries, and B / (2 R^2) [N]."""
+    """Stored energy per length plus tension in the middle, and B / (2 R^2) [N]."""
     rod = system.members["rope"].rod
     middle, rest = rod.n_elements // 2, rod.rest_lengths[0]
     edges = jnp.diff(state.positions)[:, middle - 1 : middle + 1] / rest

@@ -26,13 +26,13 @@ def move(data, state, acceleration, k):
 
 
 def running(data, state, acceleration, k):
-    """What the way costs: nodes and cart that are elsewhere, speed, and effort."""
+    """Residuals on the way: distance of nodes and cart, speed, and effort."""
     rod, others = state["rod"], (0.3 * state["cart"], 0.01 * acceleration)
     return rod.positions + data["hanging"], 0.05 * rod.velocities, others
 
 
 def final(data, state):
-    """What the end costs: the same, without effort."""
+    """Residuals at the end: the same, without effort."""
     place = state["rod"].positions + data["hanging"]
     return 4 * place, 0.5 * state["rod"].velocities, state["cart"]
 

@@ -26,12 +26,12 @@ def move(data, state, couple, k):
 
 
 def running(data, state, couple, k):
-    """What the way costs: nodes that are not where they stand, speed, and effort."""
+    """Residuals on the way: distance from standing, speed, and effort."""
     return state.positions + data["hanging"], 0.05 * state.velocities, 0.05 * couple
 
 
 def final(data, state):
-    """What the end costs: the same, without effort."""
+    """Residuals at the end: the same, without effort."""
     return 4 * (state.positions + data["hanging"]), 0.5 * state.velocities
 
 

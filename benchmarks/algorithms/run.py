@@ -120,7 +120,7 @@ class Row:
     reference: str
     """The reference's value, or what it does."""
     ours: str
-    """What we do; empty where the code says it."""
+    """Choice made here; empty where the code says it."""
     why: str
     """Why ours differs; empty where it does not."""
 

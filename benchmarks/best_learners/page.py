@@ -130,7 +130,7 @@ def section(folder: Path, tasks: dict[str, int]) -> str:
 
 
 def _seed(run: dict[str, Any]) -> dict[str, Any]:
-    """What a run comes to."""
+    """Result of a run."""
     earned, most = np.array(run["returns"]), np.array(run["ceiling"])
     there = most > 0
     shares = earned[there] / most[there]

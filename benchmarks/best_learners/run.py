@@ -37,7 +37,7 @@ SEEDS = {
 EPISODES = {"tracking": 256, "reaching": 256, "structured": 4, "unstructured": 4}
 """Nothing is random in the last two: all episodes are the same."""
 EPISODES_SEED = 2
-"""Of the episodes that are counted: no other than what settings were chosen by."""
+"""Seed of the counted episodes, different from that by which settings were chosen."""
 
 Stage = tuple[str, int, dict[str, Any]]
 """A learner, its control steps, and what differs from its defaults."""

@@ -48,7 +48,7 @@ elements a cylinder would pass between two places where contact is looked for
 
 
 def own_setting(task: CleanTask, plane: str | None) -> Setting:
-    """What the task has by default."""
+    """Default setting of the task."""
     reductions = ("planar",) if plane else ()
     step = task.control_period / task.substeps
     return Setting(task.n_elements, step, reductions=reductions)
@@ -67,7 +67,7 @@ def row(name: str, seed: int) -> str:
 
 
 def choice(name: str) -> str:
-    """What `tune` chooses for a task, with the first seed."""
+    """Setting that `tune` chooses for a task, with the first seed."""
     task = make(name, variant="clean")
     problem = clean_problem(task, recorded_actions(task, SEEDS[0]))
     found = tune(problem, max_error=TOLERANCE, elements=ELEMENTS, batch=BATCH)

@@ -89,7 +89,7 @@ def measured(env: Any, envs_per_core: int) -> tuple[float, float]:
 def stepping(
     env: Any, envs_per_device: int, devices: Sequence[jax.Device]
 ) -> tuple[int, Callable[[], float]]:
-    """What steps a batch that is spread over devices, under random actions.
+    """Function that steps a batch spread over devices, under random actions.
 
     Returns:
         Control steps of a call, and the call, which returns the share that was

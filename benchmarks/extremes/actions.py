@@ -42,7 +42,7 @@ FLAGS = (
 
 @pytree
 class Outcome:
-    """What is known of an episode."""
+    """Record of an episode."""
 
     flagged: jax.Array
     """A health flag rose; from then on the arm is frozen."""
@@ -57,7 +57,7 @@ class Outcome:
 
 
 def turned(before, after):
-    """How far each element has turned, material frame [rad]."""
+    """Rotation of each element, material frame [rad]."""
     pairs = jnp.stack([before.orientations, after.orientations], axis=2)
 
     def one(pair):

@@ -36,7 +36,7 @@ FLAGS = (
 
 @pytree
 class Outcome:
-    """What is known of an episode."""
+    """Record of an episode."""
 
     flagged: jax.Array
     """A health flag rose; from then on the arm is frozen."""
@@ -50,7 +50,7 @@ class Outcome:
 
 
 def penetration(arm, state):
-    """How far an arm is in an obstacle, at its deepest, over its radius [1]."""
+    """Largest depth of an arm in an obstacle, over its radius [1]."""
     nodes = state.positions
     points = jnp.concatenate([nodes, 0.5 * (nodes[:, 1:] + nodes[:, :-1])], axis=1)
     (touch,) = arm.obstacles

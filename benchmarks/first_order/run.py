@@ -29,7 +29,7 @@ from jaxrod.training import evaluate, find_algorithm
 SEEDS = (0, 1, 2, 3, 4)
 EPISODES = 64
 EPISODES_SEED = 1
-"""Of the episodes that policies are evaluated on: those of `jaxrod evaluate`."""
+"""Seed of the episodes on which policies are evaluated: that of `jaxrod evaluate`."""
 POINTS = 8
 """Evaluations along a run, about; PPO's recorded runs have twice as many."""
 STEPS: dict[str, dict[str, int]] = {
@@ -45,7 +45,7 @@ SETTINGS: dict[str, dict[str, dict[str, Any]]] = {
         "shac": {},
     },
 }
-"""What differs from the learners' defaults."""
+"""Settings that differ from the learners' defaults."""
 
 
 def trained(task: str, algorithm: str, seed: int, steps: int) -> dict[str, Any]:

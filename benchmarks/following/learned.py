@@ -29,11 +29,11 @@ RECORDS = Path(__file__).with_name("records")
 SEEDS = (0, 1, 2)
 EPISODES = 64
 EPISODES_SEED = 2
-"""Of the episodes that are counted: no other than what settings were chosen by."""
+"""Seed of the counted episodes, different from that by which settings were chosen."""
 POINTS = 8
 """Evaluations along a run."""
 DISCOUNT = 0.99
-"""Of the returns that are counted, DisMech-RL's; a learner has its own."""
+"""Discount of the counted returns, that of DisMech-RL; a learner has its own."""
 FINE = 24
 """Elements of the arm on which the policy is tried at the end."""
 LEARNERS: dict[str, tuple[int, dict[str, Any]]] = {

@@ -49,7 +49,7 @@ PLANNERS: dict[str, dict[str, Any]] = {
 
 
 def planned(settings: dict[str, Any], episodes: int) -> dict[str, Any]:
-    """What a planner earns, and the clocks without compiling."""
+    """Returns of a planner, and the times without compiling."""
     env = make("following")
     params, policy = env.default_params(), mpc(env, **settings)
 

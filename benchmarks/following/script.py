@@ -54,7 +54,7 @@ def end_of_arcs(angles: Array, axes: Array) -> Array:
 
 
 def player(dynamics: bool) -> Callable[..., dict[str, float]]:
-    """What the script earns, by the part, the time ahead and the damping."""
+    """Returns of the script, by the part, the time ahead and the damping."""
     env = make("following")
     params = env.default_params()
     base = jnp.asarray(np.asarray(params.arm.rest.directors[:, :, 0]))

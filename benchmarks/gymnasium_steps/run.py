@@ -55,7 +55,7 @@ def in_other_python(python: str, seconds: float) -> dict[str, Any]:
 
 
 def line(name: str, measured: dict[str, Any]) -> str:
-    """What was measured of an id, in words."""
+    """Measurements of an id, as text."""
     best, median = max(measured["speeds"]), statistics.median(measured["speeds"])
     busy = BURST * len(measured["speeds"]) / measured["busy"]
     words = (

@@ -27,7 +27,7 @@ TRUTH = {
     "density": 1000.0,
     "damping": 10.0,
 }
-"""Of a soft rubber [N m^2, N, kg/m^3, 1/s]."""
+"""Numbers of a soft rubber [N m^2, N, kg/m^3, 1/s]."""
 LOWER = {"density": 300.0, "axial_stiffness": 75.0, "damping": 0.5}
 UPPER = {
     "axial_stiffness": 1000.0,
@@ -38,23 +38,23 @@ UPPER = {
 """Up to these the step is stable."""
 RATE = 30
 PRESSED, PERIOD = 0.05, 4.0
-"""How far the wall comes [m], and how long it takes there and back [s]."""
+"""Travel of the wall [m], and its time there and back [s]."""
 SD = {"film": 1e-3, "force": 0.05}
-"""Of the noise: every coordinate of every node [m], and the sensor [N]."""
+"""Size of the noise in every coordinate of every node [m], and in the sensor [N]."""
 TRUST = ((1.0, 1.0, 1e-3), (0.2, 1.0, 1e-3), (SD["force"], 0.1, 1e-6))
 """Noise of the sensor as searches have it one after the other [N], the last the true
 one; the damping of their first step; the relative change that ends them."""
 TOLERANCE = 5e-6
 """Relative change that ends the search of joined windows."""
 UNEVEN = 5e-3
-"""Of each mode at time zero [rad], and of its rate [rad/s]."""
+"""Amplitude of each mode at time zero [rad], and its rate [rad/s]."""
 
 
 class Buckling:
     """The scene, and windows of it."""
 
     def __init__(self, n: int = 16, modes: int = 8, frames: int = 90) -> None:
-        """Of so many elements and modes of a start, for so many frames."""
+        """Sets the numbers of elements, of modes of a start and of frames."""
         self.n, self.modes, self.frames = n, modes, frames
         s = np.pi * (np.arange(n) + 0.5) / n
         dtype = jnp.result_type(1.0)
@@ -167,7 +167,7 @@ class Buckling:
         return jaxrod.rollout(scene, state, self.dt, steps, self.per, first=begun)
 
     def _seen(self, p: dict[str, Any], states: Any, first: Any) -> Any:
-        """What film and sensor show of states."""
+        """Observations of states by film and sensor."""
         scene, _ = self.scene(p)
         times = first / RATE + jnp.arange(len(states.positions)) / RATE
 

@@ -13,7 +13,7 @@ from benchmarks.identification.buckling import SD, TRUTH, Buckling
 from benchmarks.identification.fit_rows import fit_row, noisy, scaled
 
 FILMS, FRAMES = 4, 6
-"""Of a draw; of a window."""
+"""Numbers of films in a draw, and of frames in a window."""
 DRAWS = ((205, 206), (207, 208), (209, 210), (211, 212), (213, 214))
 """Seeds of films and of their noise. Those up to 208 were seen before the search's
 tolerance and the gaps that count as closed were set, the others were not."""

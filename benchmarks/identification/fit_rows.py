@@ -27,7 +27,7 @@ def noisy(clean: Any, sd: Any, key: Any) -> Any:
 
 
 def timed(program: Callable[..., Any], *given: Any) -> tuple[Any, float, float]:
-    """What a program gives, and the processor time of its first call and of another."""
+    """Result of a program, and processor times of its first call and of another."""
     taken = []
     for _ in range(2):
         begin = time.process_time()

@@ -72,7 +72,7 @@ class Drop:
     """A clamped arm of 1 m, 10 cm thick, let go when horizontal: one second."""
 
     def __init__(self, n: int = 20, frames: int = FRAMES) -> None:
-        """Of so many elements, for so many frames."""
+        """Sets the numbers of elements and frames."""
         self.n, self.frames = n, frames
         stiffest = DROPPED | {"youngs_modulus": MOST_STIFF, "density": 500.0}
         stable = float(jaxrod.stable_dt(self.scene(stiffest)[0]).dt)
@@ -192,7 +192,7 @@ class Poses:
     """A silicone arm of 25 cm, 4 cm thick, held eight ways, with eight loads."""
 
     def __init__(self, n: int = 20, poses: int = POSES) -> None:
-        """Of so many elements, in so many poses."""
+        """Sets the numbers of elements and poses."""
         self.n = n
         random = np.random.default_rng(7)
         gravity = random.normal(size=(poses, 3))
@@ -256,7 +256,7 @@ class Shapes:
     """An arm of 50 cm, 3 cm thick, under its weight, and shapes that it can take."""
 
     def __init__(self, n: int = 20) -> None:
-        """Of so many elements."""
+        """Sets the number of elements."""
         rod, state = jaxrod.straight_rod(
             n,
             length=0.5,

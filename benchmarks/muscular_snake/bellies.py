@@ -1,4 +1,4 @@
-"""How far the bellies of our muscles are from a slender rod, in the third period.
+"""Distance of the bellies of our muscles from a slender rod, in the third period.
 
 Prints for long and short muscles the largest angle between an element and its section's
 normal, and the least and largest stretch, looked at 40 times.

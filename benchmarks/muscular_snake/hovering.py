@@ -1,4 +1,4 @@
-"""Where a rod comes to rest above a plane: PyElastica's plane carries a rod in the air.
+"""Rest of a rod above a plane: PyElastica's plane carries a rod in the air.
 
 The body of the muscular snake without muscles, straight and free, on its plane: heights
 of the centre of mass after being let go at a height, and after a vertical wave along
@@ -24,7 +24,7 @@ SPEEDS = 1e-3, 1e-2, 1e-1
 """Largest speeds of the wave [m/s]."""
 WAVES = 5
 SINKS = 0.001
-"""How far ours sinks into the ground at rest, over the radius: 0.025 mm."""
+"""Depth of ours in the ground at rest, over the radius: 0.025 mm."""
 
 
 def waves(speed: float) -> np.ndarray:

@@ -36,7 +36,7 @@ PERIOD, G, FROUDE = 1.0, 9.81, 0.1
 DELAYS = tuple(start / 101.76 for start in reversed(STARTS))
 BODY_DAMPING = 4e-3 / DENSITY / (np.pi * RADIUS**2)
 MUSCLE_DAMPING = 4e-3 / (MUSCLE_DENSITY * np.pi * TENDON**2)
-"""Of velocities [1/s]; the body has both."""
+"""Damping rate of velocities [1/s]; the body has both."""
 FRICTION = LENGTH / (PERIOD**2 * G * FROUDE) * np.array([1.0, 1.5, 2.0])
 STEP = 5e-6
 """PyElastica's [s]."""
@@ -46,7 +46,7 @@ SIZES = {"long": 39, "short": 33}
 
 @dataclass(frozen=True)
 class MuscleNumbers:
-    """What one muscle is."""
+    """Numbers of one muscle."""
 
     n: int
     start: tuple[float, float, float]
@@ -57,7 +57,7 @@ class MuscleNumbers:
 
 
 def muscle_numbers(number: int) -> MuscleNumbers:
-    """Of one of the eight muscles."""
+    """Numbers of one of the eight muscles."""
     n = SIZES["long" if number < 4 else "short"]
     radii = np.full(n, TENDON)
     radii[FIRST:LAST] = BELLY
@@ -73,16 +73,16 @@ def muscle_numbers(number: int) -> MuscleNumbers:
 
 
 def glue_stiffness(radius: float, scale: float) -> float:
-    """Of the joint of one element of a muscle and the body's [N/m]."""
+    """Stiffness of the joint of one element of a muscle and the body's [N/m]."""
     together = RADIUS + radius
     return RADIUS * radius / together**2 * ELEMENT * YOUNG * scale
 
 
 TENDON_GLUE, BELLY_GLUE = glue_stiffness(TENDON, 2.0), glue_stiffness(BELLY, 0.05)
 JOINT_DAMPING = 1e-4
-"""Of PyElastica's joints [N s/m]."""
+"""Damping of PyElastica's joints [N s/m]."""
 REPULSION = 20.0
-"""Of what pushes rods apart that are too near, over the joint's unscaled stiffness."""
+"""Stiffness that pushes apart rods that are too near, over the joint's unscaled one."""
 
 
 @pytree
@@ -139,12 +139,12 @@ class MuscleDamping(jaxrod.extend.Effect):
 
 
 def _method(theirs: Collection[str]) -> Any:
-    """Of the rods."""
+    """Method of the rods."""
     return jaxrod.pyelastica() if "rods" in theirs else jaxrod.consistent()
 
 
 def _damping(rate: float, theirs: Collection[str]) -> Any:
-    """Of a rod."""
+    """Damping of a rod."""
     if "damping" in theirs:
         return jaxrod.linear_damper(rate)
     return MuscleDamping(jnp.asarray(rate))
@@ -321,7 +321,7 @@ def theirs(
             self.act = act
 
         def apply_forces(self, system: Any, time: Any = 0.0) -> None:
-            """Of the ground, with its couples."""
+            """Loads of the ground, with its couples."""
             self.act(system)
 
     def rod(n: int, start: Any, radii: Any, density: float, young: float) -> Any:

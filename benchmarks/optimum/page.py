@@ -16,7 +16,7 @@ LEARNERS = ROOT / "benchmarks" / "best_learners" / "records"
 SAME = ROOT / "benchmarks" / "same_episodes" / "records"
 CASES = {"tracking": 1, "reaching": 2, "structured": 3, "unstructured": 4}
 PLANS = ("", "held")
-"""Of a task: the line through knots that `mpc` makes by default, or one action."""
+"""Plan of a task: the line through knots that `mpc` makes by default, or one action."""
 
 
 def learners(case: int) -> list[tuple[str, float, int]]:

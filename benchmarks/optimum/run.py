@@ -39,7 +39,7 @@ from jaxrod.structure import pytree, static
 from jaxrod.training import evaluate
 
 SEED = 1
-"""Of the episodes: those of `jaxrod evaluate`."""
+"""Seed of the episodes: that of `jaxrod evaluate`."""
 EPISODES = {"tracking": 32, "reaching": 32, "structured": 4, "unstructured": 4}
 """Nothing is random in the last two: all episodes are the same."""
 HELD = {

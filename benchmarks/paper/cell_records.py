@@ -1,4 +1,4 @@
-"""What a grid leaves to be committed: a record and a curve per cell, and results.csv.
+"""Files that a grid leaves to be committed: a record and a curve per cell, results.csv.
 
 OUT/cells/CELL.json    how the cell was run, on what, and how it ended
 OUT/curves/CELL.csv    its learning curve, thinned
@@ -74,7 +74,7 @@ class Records:
         return self._records.get(cell.name)
 
     def curve(self, name: str) -> Path:
-        """Where the curve of a cell is kept."""
+        """Path of the curve of a cell."""
         return self.out / "curves" / f"{name}.csv"
 
     def add(

@@ -44,7 +44,7 @@ class Cell:
 
     @property
     def config(self) -> dict[str, Any]:
-        """What decides how it ends, as in `config.json`."""
+        """Settings that decide how it ends, as in `config.json`."""
         return {
             "task": self.task,
             "variant": self.variant,
@@ -57,7 +57,7 @@ class Cell:
 
     @property
     def paper(self) -> PaperResult | None:
-        """What the paper reached; None where scores do not compare."""
+        """Score of the paper; None where scores do not compare."""
         return result_of_run(self.config)
 
     @property

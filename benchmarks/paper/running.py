@@ -113,7 +113,7 @@ def run_grid(
 
 
 def changed_since(cell: Cell, records: Records) -> list[str]:
-    """How what was run of a cell, to its end or not, differs from what is asked."""
+    """Differences between the run of a cell so far and the request."""
     record = records.get(cell)
     folder = _folder(cell, records)
     if record is not None:
@@ -172,7 +172,7 @@ def _ended(
 
 
 def _folder(cell: Cell, records: Records) -> RunFolder:
-    """Where a cell is trained."""
+    """Folder in which a cell is trained."""
     return RunFolder(records.out / "runs" / cell.name)
 
 
@@ -208,7 +208,7 @@ def _record(
 
 
 def _so_far(row: Mapping[str, str]) -> dict[str, Any]:
-    """What is known of a run that diverged: the last row of its progress."""
+    """Last row of the progress of a run that diverged."""
     return {
         "env_steps": int(row.get("env_steps", 0)),
         "final_score": None,

@@ -188,7 +188,7 @@ CLEAN: Mapping[str, Mapping[str, Planned]] = {
 
 
 def planned(case: str, algorithm: str, variant: str | None = None) -> Planned:
-    """How a cell of the grid is run.
+    """Settings of a cell of the grid.
 
     Args:
         case: name of the task.

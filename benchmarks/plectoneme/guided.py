@@ -15,7 +15,7 @@ import numpy as np
 import jaxrod
 
 LENGTH, RADIUS, YOUNG = 1.0, 0.025, 1e6
-"""Of PyElastica's examples, between the guides; of 1 kg."""
+"""Numbers of PyElastica's examples, between the guides; their mass is 1 kg."""
 SHEAR = YOUNG / 1.5
 BENDING = YOUNG * np.pi * RADIUS**4 / 4
 TORSION = SHEAR * np.pi * RADIUS**4 / 2

@@ -20,14 +20,14 @@ from jaxrod.structure import pytree
 LENGTH, RADIUS, MASS, YOUNG = 1.0, 0.025, 1.0, 1e6
 TURNS, TWISTING = 10.0, 50.0
 DAMPING = 2.0
-"""Of velocities [1/s]; PyElastica multiplies it by m / J for spins."""
+"""Damping rate of velocities [1/s]; PyElastica multiplies it by m / J for spins."""
 CONTACT, DASHPOT = 1e4, 10.0
-"""Of every pair of elements that touch, in PyElastica [N/m], [N s/m]."""
+"""Stiffness and damping of touching elements, PyElastica [N/m], [N s/m]."""
 KICK = 0.04
 """Force across at the middle [N]: 1e-4 m/s in each of PyElastica's steps."""
 DENSITY = MASS / (np.pi * RADIUS**2 * LENGTH)
 EXTENSION = 10.0
-"""Of the ends, for the writhe [m]."""
+"""Extension of the ends, for the writhe [m]."""
 
 
 def time_step(n: int) -> float:
@@ -152,7 +152,7 @@ def theirs(n: int, shipped: bool = False) -> tuple[Any, Any]:
         pass
 
     class Held(ea.DamperBase):
-        """What the end is turned with, once more after it has been damped."""
+        """Turn of the end, applied once more after it has been damped."""
 
         def __init__(self, time_step: float, **given: Any) -> None:
             super().__init__(**given)
@@ -259,7 +259,7 @@ def pairs_counted(n: int, depth: float) -> float:
 
 @dataclass(frozen=True)
 class Shape:
-    """What is looked at of a state."""
+    """Measurements of a state."""
 
     twist: float
     writhe: float

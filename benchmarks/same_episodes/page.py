@@ -23,7 +23,7 @@ seeds | of these, planned above half | episodes with half of what the learners l
 
 
 def same_episodes(learners: Path, folder: Path, tasks: dict[str, int]) -> str:
-    """What a planner earns in the learners' episodes; empty where there is no record.
+    """Returns of a planner in the learners' episodes; empty where there is no record.
 
     Args:
         learners: holds a record of every run of the learners.

@@ -1,4 +1,4 @@
-"""What the devices of a compiled program send each other, read from its text."""
+"""Bytes that devices of a compiled program send each other, read from its text."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ class Exchange:
 
     @property
     def bytes(self) -> int:
-        """Of one pass of the loops of unknown length."""
+        """Bytes of one pass of the loops of unknown length."""
         return self.size * self.times
 
 

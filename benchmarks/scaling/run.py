@@ -50,7 +50,7 @@ NEST_STEPS = 12
 LEARNERS = ("ppo", "sac")
 GPUS = (8, 64, 256, 1024)
 HOP, BANDWIDTH = 5e-6, 50e9
-"""Of a network [s], [bytes/s]: supposed, not measured."""
+"""Latency and rate of a network [s], [bytes/s]: supposed, not measured."""
 
 
 def updates(
@@ -66,7 +66,7 @@ def updates(
 
 
 def nest(rods: int, devices: Sequence[jax.Device]) -> tuple[Callable[[], Any], str]:
-    """What advances a nest whose rods are spread over devices, and its program."""
+    """Function that advances a nest with rods spread over devices, and its program."""
     system, state, dt = example("nest").nest(rods)
     mesh = device_mesh(devices)
 

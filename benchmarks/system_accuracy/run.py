@@ -27,7 +27,7 @@ SHARE = 0.01
 
 
 class Run(NamedTuple):
-    """What one run gave."""
+    """Result of one run."""
 
     observed: np.ndarray
     """The numbers that are to be right."""
@@ -40,7 +40,7 @@ class Case(NamedTuple):
 
     build: Any
     duration: float
-    """How long it is run [s]."""
+    """Simulated time [s]."""
     samples: int
     """Moments at which it is looked at, all but the first at equal distances."""
     place: Any

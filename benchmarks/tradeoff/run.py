@@ -207,7 +207,7 @@ def _page(
     compared: list[dict[str, Any]],
     machine: dict[str, Any],
 ) -> str:
-    """What was found, as a Markdown page."""
+    """Results, as a Markdown page."""
     versions = ", ".join(f"{name} {v}" for name, v in machine["versions"].items())
     tolerance = compared[0]["tolerance"]
     lines = [
