@@ -53,10 +53,22 @@ def __getattr__(name: str) -> Any:
     if name in _NAMESPACES:
         return _namespace(name)
     if name not in _MODULE_OF:
-        raise AttributeError(f"module 'jaxrod' has no attribute {name!r}")
+        raise AttributeError(
+            f"module 'jaxrod' has no attribute {name!r}{_place_of(name)}"
+        )
     require_sound_jax()
     globals()[name] = getattr(importlib.import_module(_MODULE_OF[name]), name)
     return globals()[name]
+
+
+def _place_of(name: str) -> str:
+    """The end of a message: the namespace that has a name. Nothing is imported."""
+    here = Path(__file__).parent
+    for space in sorted(_NAMESPACES):
+        for file in (here / f"{space}.py", here / space / "__init__.py"):
+            if file.exists() and f'\n    "{name}",\n' in file.read_text():
+                return f": it is jaxrod.{space}.{name}"
+    return ""
 
 
 def _namespace(name: str) -> Any:

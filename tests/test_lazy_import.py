@@ -84,6 +84,13 @@ def test_unknown_names_are_attribute_and_import_errors():
         exec("from jaxrod import advnace")
 
 
+def test_a_name_of_a_namespace_is_found_by_its_message():
+    with pytest.raises(AttributeError, match=r"it is jaxrod\.actuation\.muscle$"):
+        _ = jaxrod.muscle
+    with pytest.raises(AttributeError, match=r"it is jaxrod\.shapes\.sphere$"):
+        _ = jaxrod.sphere
+
+
 def test_a_submodule_that_lacks_an_optional_package_is_no_attribute():
     program = (
         "import sys; sys.modules['optax'] = None\n"
