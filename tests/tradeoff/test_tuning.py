@@ -83,7 +83,7 @@ def test_bad_input_is_refused():
         jaxrod.tune(quarter_of_a_swing(), max_error=1e-6)
     with pytest.raises(ValueError, match="batch must be at least 1, got 0"):
         jaxrod.tune(scene, state, batch=0)
-    with pytest.raises(TypeError, match="scene must be a jaxrod Scene, got Rod"):
+    with pytest.raises(TypeError, match=r"scene must be a jaxrod\.Scene, got Rod"):
         jaxrod.tune(rod, state)
     _, longer = jaxrod.straight_rod(
         5, length=1.0, radius=0.05, density=1000.0, youngs_modulus=1e7
