@@ -25,7 +25,7 @@ OUTPUT = re.compile(r"--out\s+benchmarks/\S*")
 
 
 def documents():
-    """What people read: pages, notebooks, and the programs' and tests' own words."""
+    """Texts that people read: pages, notebooks, and texts of programs and tests."""
     ours = ["*.md", "docs/*.md", "notebooks/*.ipynb", "tests/extremes/*.md"]
     ours += ["benchmarks/*.md", "benchmarks/*/*.md", "benchmarks/*/*.py"]
     ours += ["benchmarks/mujoco_rods/records/*.md", "examples/*.py"]

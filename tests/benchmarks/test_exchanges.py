@@ -1,4 +1,4 @@
-"""What devices send each other, by the program's text."""
+"""Bytes that devices send each other, read from the program's text."""
 
 from __future__ import annotations
 

@@ -18,7 +18,7 @@ UNITS = {"m": (1, 0, 0), "kg": (0, 1, 0), "s": (0, 0, 1), "N": (1, 1, -2)}
 UNITS |= {"Pa": (-1, 1, -2), "T": (0, 1, -2), "A": (0, 0, 0), "1": (0, 0, 0)}
 """Exponents of length, mass and time; electric current keeps its unit."""
 Draws = tuple[np.random.Generator, np.random.Generator]
-"""What draws all that is static, and what draws numbers."""
+"""Two generators: of all static choices, and of numbers."""
 HALF_TURN = np.array([1.0, -1.0, -1.0])
 """A half turn about d1: what the frame of an element is from the rod's other end."""
 
@@ -109,7 +109,7 @@ class View:
 
 
 def draws_of(seed: int, draw: int) -> Draws:
-    """What draws a structure of a seed, and one of its sets of numbers."""
+    """Generators of a structure of a seed, and of one of its sets of numbers."""
     return np.random.default_rng([seed, 2]), np.random.default_rng([seed, 3, draw])
 
 

@@ -369,7 +369,7 @@ class Wearing(jaxrod.extend.Effect):
 
 @pytest.mark.parametrize("group", [False, True])
 def test_a_memory_of_other_effects_is_refused(group):
-    """As in a scene, in its words."""
+    """The message is that of a scene."""
     own, state = rod(2, 0.3)
 
     def made(own):
