@@ -12,8 +12,8 @@ import jax
 
 from jaxrod.lanes.llvm.machine_code import llvm_is_installed, not_here
 
-AUTO, ALWAYS, NEVER = "auto", "always", "never"
-MODES = (AUTO, ALWAYS, NEVER)
+AUTO, ALWAYS, ROWS, NEVER = "auto", "always", "rows", "never"
+MODES = (AUTO, ALWAYS, ROWS, NEVER)
 
 _log = logging.getLogger("jaxrod.lanes")
 _mode = [os.environ.get("JAXROD_LANES", AUTO)]
@@ -45,8 +45,8 @@ def use_lanes(mode: str) -> None:
     Lanes are for CPUs. Other devices have none: XLA runs there.
 
     Args:
-        mode: `"auto"` (where lanes are faster), `"always"` (wherever lanes are
-            possible), or `"never"`. The environment variable `JAXROD_LANES` sets the
+        mode: `"auto"` (whichever is faster), `"always"` (lanes wherever they are
+            possible), `"rows"` (rows wherever they are possible), or `"never"`. The environment variable `JAXROD_LANES` sets the
             initial mode.
 
     Raises:

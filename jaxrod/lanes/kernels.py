@@ -27,6 +27,7 @@ from jaxrod.lanes.choice import (
     ALWAYS,
     AUTO,
     NEVER,
+    ROWS,
     LaneChoice,
     lane_mode,
     note,
@@ -36,6 +37,11 @@ from jaxrod.lanes.graph import FIXED, UNIFORM, VARYING, EndNodes, Entries, Graph
 from jaxrod.lanes.jaxpr.unroll import NotUnrolled, Unroller, kind_of
 from jaxrod.lanes.llvm.kernel import Kernel, adjoint_kernel, run_kernel, step_kernel
 from jaxrod.lanes.llvm.machine_code import not_here, registered, vector_bytes
+from jaxrod.lanes.rows.kernels import (
+    back_kernel,
+    cycles_kernel,
+    whole_run_kernel,
+)
 from jaxrod.lanes.run_spec import Ends, LoopBody, RunSpec, adjoint_body, chosen
 
 FEWEST_RODS = 4
@@ -59,40 +65,66 @@ def lowered_by_lanes(
         spec: Structure of the operation.
         results: Shapes and types of its results.
     """
-    body = spec.body
     rods = spec.batch.size if spec.batch is not None else 1
     mode = lane_mode()
     if mode == NEVER or not_here() is not None or rods == 0:
         return None
-    if mode == AUTO and rods < FEWEST_RODS:
-        refused(f"fewer than {FEWEST_RODS} rods", rods)
-        return None
     begun = time.perf_counter()
-    shared = (True,) * body.n_constants
-    if spec.batch is not None:
-        shared = tuple(not row for row in spec.batch.rows[: body.n_constants])
+    by_rows = mode == ROWS or (mode == AUTO and rods < FEWEST_RODS)
     try:
-        if spec.ends is not None:
-            kernel = _run_kernel(body, spec.ends, shared)
-        elif name == "jaxrod_cycles":
-            kernel = _steps_kernel(body, shared, spec.keeps)
-        else:
-            kernel = _back_kernel(body, spec.moving, shared)
+        kernel = None
+        if not by_rows:
+            kernel, words = _of_lanes(name, spec)
+            by_rows = kernel is None and mode == AUTO
+        if kernel is None and by_rows:
+            kernel, words = _of_rows(name, spec)
+        if kernel is None:
+            refused(words, rods)
+            return None
         target = registered(kernel)
-    except NotUnrolled as reason:
-        refused(str(reason), rods)
-        return None
     except Exception as error:
         # A run that XLA can do must not fail because there is no kernel for it.
-        if mode == ALWAYS:
+        if mode in (ALWAYS, ROWS):
             raise
         first_line = str(error).partition("\n")[0]
         refused(f"no kernel: {type(error).__name__}: {first_line}", rods)
         return None
     seconds = time.perf_counter() - begun
-    words = f"lanes of {vector_bytes()} bytes"
+    words = f"{'rows' if by_rows else 'lanes'} of {vector_bytes()} bytes"
     note(LaneChoice(True, words, rods, kernel.operations, seconds))
     return _call(target, kernel, spec, rods, results)
+
+
+def _of_lanes(name: str, spec: RunSpec) -> tuple[Kernel | None, str]:
+    """Returns the kernel of lanes, or `None` and the reason."""
+    body = spec.body
+    shared = (True,) * body.n_constants
+    if spec.batch is not None:
+        shared = tuple(not row for row in spec.batch.rows[: body.n_constants])
+    try:
+        if spec.ends is not None:
+            return _run_kernel(body, spec.ends, shared), ""
+        if name == "jaxrod_cycles":
+            return _steps_kernel(body, shared, spec.keeps), ""
+        return _back_kernel(body, spec.moving, shared), ""
+    except NotUnrolled as reason:
+        return None, str(reason)
+
+
+def _of_rows(name: str, spec: RunSpec) -> tuple[Kernel | None, str]:
+    """Returns the kernel of rows, or `None` and the reason."""
+    body = spec.body
+    batched = (False,) * body.n_constants
+    if spec.batch is not None:
+        batched = tuple(spec.batch.rows[: body.n_constants])
+    try:
+        if spec.ends is not None:
+            return whole_run_kernel(body, spec.ends, batched), ""
+        if name == "jaxrod_cycles":
+            return cycles_kernel(body, batched, checkpoints=spec.keeps), ""
+        return back_kernel(body, spec.moving, batched), ""
+    except NotUnrolled as reason:
+        return None, str(reason)
 
 
 def _call(

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from jaxrod.lanes.graph import DTYPES, Graph
+from jaxrod.lanes.graph import DTYPES
 from jaxrod.lanes.jaxpr.unroll import NotUnrolled, Unroller, kind_of, rule
 from jaxrod.lanes.operations import OPERATIONS
 
@@ -17,46 +17,46 @@ def same(unroller: Unroller, equation: Any, *arrays: Any) -> Any:
     name, kind = equation.primitive.name, kind_of(equation.outvars[0].aval)
     if kind[0] not in OPERATIONS[name].kinds:
         raise NotUnrolled(f"lanes have no '{name}' of numbers of type {DTYPES[kind]}")
-    return unroller.graph.each(name, kind, *arrays)
+    return unroller.each(name, kind, *arrays)
 
 
 @rule("add_any")
 def added(unroller: Unroller, equation: Any, *arrays: Any) -> Any:
     """Unrolls a sum of cotangents."""
-    return unroller.graph.each("add", kind_of(equation.outvars[0].aval), *arrays)
+    return unroller.each("add", kind_of(equation.outvars[0].aval), *arrays)
 
 
 @rule(*(name for name, operation in OPERATIONS.items() if operation.compares))
 def compared(unroller: Unroller, equation: Any, *arrays: Any) -> Any:
     """Unrolls a comparison of numbers of the same kind."""
-    return unroller.graph.each(equation.primitive.name, "b1", *arrays)
+    return unroller.each(equation.primitive.name, "b1", *arrays)
 
 
 @rule("square")
 def squared(unroller: Unroller, equation: Any, array: Any) -> Any:
     """Unrolls a square."""
-    return unroller.graph.each("mul", kind_of(equation.outvars[0].aval), array, array)
+    return unroller.each("mul", kind_of(equation.outvars[0].aval), array, array)
 
 
 @rule("integer_pow")
 def powered(unroller: Unroller, equation: Any, array: Any) -> Any:
     """Unrolls an integer power, by repeated squaring."""
-    graph, kind = unroller.graph, kind_of(equation.outvars[0].aval)
+    kind = kind_of(equation.outvars[0].aval)
     exponent = equation.params["y"]
     result = None
     square, left = array, abs(exponent)
     while left:
         if left & 1:
             result = (
-                square if result is None else graph.each("mul", kind, result, square)
+                square if result is None else unroller.each("mul", kind, result, square)
             )
         left >>= 1
         if left:
-            square = graph.each("mul", kind, square, square)
-    one = np.full(array.shape, graph.constant(1, kind), np.int64)
+            square = unroller.each("mul", kind, square, square)
+    one = unroller.full(1, array.shape, kind)
     if result is None:
         return one
-    return result if exponent > 0 else graph.each("div", kind, one, result)
+    return result if exponent > 0 else unroller.each("div", kind, one, result)
 
 
 @rule("sign")
@@ -74,7 +74,7 @@ def sign(unroller: Unroller, equation: Any, array: Any) -> Any:
         rest = graph.add("select", (below, least, number), kind)
         return graph.add("select", (above, graph.constant(1, kind), rest), kind)
 
-    return graph.mapped(of, array)
+    return unroller.mapped(of, kind, array)
 
 
 @rule("logistic")
@@ -87,7 +87,7 @@ def logistic(unroller: Unroller, equation: Any, array: Any) -> Any:
         decay = graph.add("exp", (graph.add("neg", (number,), kind),), kind)
         return graph.add("div", (one, graph.add("add", (one, decay), kind)), kind)
 
-    return graph.mapped(of, array)
+    return unroller.mapped(of, kind, array)
 
 
 @rule("round")
@@ -95,56 +95,54 @@ def rounded(unroller: Unroller, equation: Any, array: Any) -> Any:
     """Unrolls rounding to the nearest integer; halves go to even, or away from zero."""
     to_even = equation.params["rounding_method"].value == 1
     operation = "round_even" if to_even else "round_away"
-    return unroller.graph.each(operation, kind_of(equation.outvars[0].aval), array)
+    return unroller.each(operation, kind_of(equation.outvars[0].aval), array)
 
 
 @rule("is_finite")
 def is_finite(unroller: Unroller, equation: Any, array: Any) -> Any:
     """Unrolls a test whether numbers are neither infinite nor NaN."""
-    graph, kind = unroller.graph, kind_of(equation.invars[0].aval)
-    limit = graph.constant(np.inf, kind)
-    size = graph.each("abs", kind, array)
-    return graph.each("lt", "b1", size, np.full(array.shape, limit, np.int64))
+    kind = kind_of(equation.invars[0].aval)
+    size = unroller.each("abs", kind, array)
+    return unroller.each("lt", "b1", size, unroller.full(np.inf, array.shape, kind))
 
 
 @rule("clamp")
 def clamped(unroller: Unroller, equation: Any, low: Any, array: Any, high: Any) -> Any:
     """Unrolls clamping of numbers between two bounds."""
-    graph, kind = unroller.graph, kind_of(equation.outvars[0].aval)
-    return graph.each("min", kind, graph.each("max", kind, low, array), high)
+    kind = kind_of(equation.outvars[0].aval)
+    return unroller.each("min", kind, unroller.each("max", kind, low, array), high)
 
 
 @rule("select_n")
 def selected(unroller: Unroller, equation: Any, which: Any, *cases: Any) -> Any:
     """Unrolls the selection of one of several numbers."""
-    graph, kind = unroller.graph, kind_of(equation.outvars[0].aval)
+    kind = kind_of(equation.outvars[0].aval)
     if kind_of(equation.invars[0].aval) == "b1":
-        return graph.each("select", kind, which, cases[1], cases[0])
+        return unroller.each("select", kind, which, cases[1], cases[0])
     index_kind = kind_of(equation.invars[0].aval)
     result = cases[0]
     for i, case in enumerate(cases[1:], 1):
-        number = np.full((), graph.constant(i, index_kind), np.int64)
-        chosen = graph.each("eq", "b1", which, number)
-        result = graph.each("select", kind, chosen, case, result)
+        number = unroller.full(i, (), index_kind)
+        chosen = unroller.each("eq", "b1", which, number)
+        result = unroller.each("select", kind, chosen, case, result)
     return result
 
 
 @rule("convert_element_type")
 def converted(unroller: Unroller, equation: Any, array: Any) -> Any:
     """Unrolls the conversion of numbers to another kind."""
-    graph = unroller.graph
     before = kind_of(equation.invars[0].aval)
-    return converted_nodes(graph, array, before, kind_of(equation.outvars[0].aval))
+    return as_kind(unroller, array, before, kind_of(equation.outvars[0].aval))
 
 
-def converted_nodes(graph: Graph, array: Any, before: str, after: str) -> Any:
-    """Converts nodes of one kind to nodes of another."""
+def as_kind(unroller: Unroller, array: Any, before: str, after: str) -> Any:
+    """Converts an array of one kind to another."""
     if before == after:
         return array
     if after == "b1":
-        zero = np.full(array.shape, graph.constant(0, before), np.int64)
-        return graph.each("ne", "b1", array, zero)
-    return graph.each("convert", after, array)
+        zero = unroller.full(0, array.shape, before)
+        return unroller.each("ne", "b1", array, zero)
+    return unroller.each("convert", after, array)
 
 
 @rule("copy", "stop_gradient", "optimization_barrier", "pvary", "reshard")

@@ -54,7 +54,7 @@ def looped(unroller: Unroller, equation: Any, *arrays: Any) -> Any:
     carry = list(arrays[first_carry:])
     for _ in range(MOST_ROUNDS):
         (answer,) = unroller.run(loop.condition, [*for_test, *carry])
-        known = unroller.graph.value(int(answer))
+        known = unroller.graph.value(unroller.number(answer))
         if known is None:
             raise NotUnrolled("lanes have no loop whose length depends on numbers")
         if not known:
@@ -71,7 +71,7 @@ def branched(unroller: Unroller, equation: Any, index: Any, *arrays: Any) -> Any
     """
     graph = unroller.graph
     branches = equation.params["branches"]
-    known = graph.value(int(index))
+    known = graph.value(unroller.number(index))
     if known is not None:
         which = min(max(int(known), 0), len(branches) - 1)
         return unroller.run(branches[which], arrays)
@@ -81,10 +81,10 @@ def branched(unroller: Unroller, equation: Any, index: Any, *arrays: Any) -> Any
         if kind == "b1":
             chosen = index
         else:
-            chosen = graph.each("ge", "b1", index, np.int64(graph.constant(i, kind)))
+            chosen = unroller.each("ge", "b1", index, unroller.full(i, (), kind))
         others = unroller.run(branch, arrays)
         results = [
-            graph.each("select", kind_of(v.aval), chosen, new, old)
+            unroller.each("select", kind_of(v.aval), chosen, new, old)
             for v, new, old in zip(equation.outvars, others, results, strict=True)
         ]
     return results
@@ -106,7 +106,7 @@ def by_platform(unroller: Unroller, equation: Any) -> Any:
     if rest is None:
         raise NotUnrolled("the program is for other platforms")
     kind = kind_of(equation.outvars[0].aval)
-    return np.full((), unroller.graph.constant(rest, kind), np.int64)
+    return unroller.full(rest, (), kind)
 
 
 @rule("custom_linear_solve")

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from jaxrod.lanes.jaxpr.arithmetic import converted_nodes
+from jaxrod.lanes.jaxpr.arithmetic import as_kind
 from jaxrod.lanes.jaxpr.unroll import NotUnrolled, Unroller, kind_of, rule
 
 _REDUCTIONS = {
@@ -101,8 +101,8 @@ def product(unroller: Unroller, equation: Any, left: Any, right: Any) -> Any:
     (sum_left, sum_right), (batch_left, batch_right) = equation.params[
         "dimension_numbers"
     ]
-    left = converted_nodes(graph, left, kind_of(equation.invars[0].aval), kind)
-    right = converted_nodes(graph, right, kind_of(equation.invars[1].aval), kind)
+    left = as_kind(unroller, left, kind_of(equation.invars[0].aval), kind)
+    right = as_kind(unroller, right, kind_of(equation.invars[1].aval), kind)
 
     def arranged(array: Any, batch: Any, summed: Any) -> tuple[Any, tuple[int, ...]]:
         free = [i for i in range(array.ndim) if i not in (*batch, *summed)]

@@ -41,6 +41,8 @@ class Unroller:
             graph: Graph to which nodes are added.
         """
         self.graph = graph
+        self.rules: dict[str, Rule] = RULES
+        """Rules by name of the primitive."""
 
     def run(self, closed: Any, arrays: Sequence[Any]) -> list[Any]:
         """Unrolls a closed jaxpr: takes and returns arrays of nodes.
@@ -62,17 +64,17 @@ class Unroller:
 
         for equation in jaxpr.eqns:
             name = equation.primitive.name
-            words = _unknown(equation)
+            words = _unknown(equation, self.rules)
             if words is not None:
                 raise NotUnrolled(words)
             given = [read(atom) for atom in equation.invars]
             try:
-                made = RULES[name](self, equation, *given)
+                made = self.rules[name](self, equation, *given)
             except (KeyError, AttributeError) as error:
                 raise NotUnrolled(f"'{name}' is not as expected: {error!r}") from error
             results = made if isinstance(made, list) else [made]
             for variable, result in zip(equation.outvars, results, strict=True):
-                result = np.asarray(result, np.int64)
+                result = self.as_array(result)
                 if result.shape != variable.aval.shape:
                     raise AssertionError(
                         f"{name}: {result.shape}, not {variable.aval.shape}"
@@ -81,6 +83,26 @@ class Unroller:
             if len(self.graph) > MOST_NODES:
                 raise NotUnrolled(f"the program has more than {MOST_NODES} operations")
         return [read(atom) for atom in jaxpr.outvars]
+
+    def as_array(self, result: Any) -> Any:
+        """Returns the result of a rule as an array."""
+        return np.asarray(result, np.int64)
+
+    def number(self, array: Any) -> int:
+        """Returns the node of an array of one number."""
+        return int(array)
+
+    def each(self, operation: str, kind: str, *arrays: Any) -> Any:
+        """Applies an operation to the entries of arrays of one shape."""
+        return self.graph.each(operation, kind, *arrays)
+
+    def mapped(self, function: Callable[..., int], kind: str, *arrays: Any) -> Any:
+        """Applies a function of nodes, which makes a node of a kind, to entries."""
+        return self.graph.mapped(function, *arrays)
+
+    def full(self, value: Any, shape: tuple[int, ...], kind: str) -> Any:
+        """Returns an array of one known number."""
+        return np.full(shape, self.graph.constant(value, kind), np.int64)
 
     def known(self, value: Any, aval: Any) -> Any:
         """Returns the nodes of an array whose numbers are known."""
@@ -116,12 +138,12 @@ RULES: dict[str, Rule] = {}
 """Rules by name of the primitive: `(unroller, equation, *arrays)` to the results."""
 
 
-def rule(*names: str) -> Callable[[Rule], Rule]:
+def rule(*names: str, rules: dict[str, Rule] = RULES) -> Callable[[Rule], Rule]:
     """Registers a rule for primitives (a decorator)."""
 
     def note(function: Rule) -> Rule:
         for name in names:
-            RULES[name] = function
+            rules[name] = function
         return function
 
     return note
@@ -138,7 +160,7 @@ def supported(program: Any) -> str | None:
         if not hasattr(variable.aval, "dtype"):
             return f"lanes have no {variable.aval}"
     for equation in jaxpr.eqns:
-        words = _unknown(equation)
+        words = _unknown(equation, RULES)
         if words is not None:
             return words
         for inner in programs_within(equation):
@@ -148,8 +170,8 @@ def supported(program: Any) -> str | None:
     return None
 
 
-def _unknown(equation: Any) -> str | None:
+def _unknown(equation: Any, rules: dict[str, Rule]) -> str | None:
     name = equation.primitive.name
-    if name not in RULES:
+    if name not in rules:
         return f"lanes do not know the primitive '{name}'"
     return unknown_parameter(equation)

@@ -20,26 +20,45 @@ _LN_2 = (0.6931471805599453, 2.3190468138462996e-17)
 _LARGEST_ANGLE = {"f32": 1e9, "f64": 1e5}
 
 
-def elementary_text(operation: str, kind: str, width: int) -> tuple[str, set[str]]:
-    """Returns functions of a vector and of a single number, and their declarations."""
-    single = _of_one(operation, kind)
-    row = OPERATIONS[operation]
-    given = ", ".join(["double"] * row.operands)
-    library = {f"declare double @{row.symbol}({given})"}
-    if width == 1:
-        return single, library
+def elementary_texts(needs: set[tuple[str, str, int]]) -> tuple[list[str], set[str]]:
+    """Returns the functions that code needs, and their declarations.
+
+    Args:
+        needs: Operation, kind and lanes of each function; 1 for single numbers.
+    """
+    whole = set(needs)
+    for operation, kind, width in needs:
+        whole |= {(*other, width) for other in _needed_by(operation, kind)}
+    texts, declared = [], set()
+    for operation, kind in sorted({need[:2] for need in whole}):
+        row = OPERATIONS[operation]
+        given = ", ".join(["double"] * row.operands)
+        declared.add(f"declare double @{row.symbol}({given})")
+        texts.append(_of_one(operation, kind))
+    for operation, kind, width in sorted(whole):
+        if width > 1:
+            text, more = _of_vector(operation, kind, width)
+            texts.append(text)
+            declared |= more
+    return texts, declared
+
+
+def vector_name(operation: str, kind: str, width: int) -> str:
+    """Returns the name of a function of a vector, or of a single number."""
+    return f"@{operation}_{kind}_{'one' if width == 1 else width}"
+
+
+def _of_vector(operation: str, kind: str, width: int) -> tuple[str, set[str]]:
     if operation in ("sin", "cos"):
-        text, declared = _circular(operation, kind, width)
-    elif operation == "exp":
-        text, declared = _exponential(kind, width)
-    elif (operation, kind) == ("tanh", "f32"):
-        text, declared = _hyperbolic_tangent(width)
-    else:
-        text, declared = _lane_by_lane(operation, kind, width, operation), set()
-    return single + text, library | declared
+        return _circular(operation, kind, width)
+    if operation == "exp":
+        return _exponential(kind, width)
+    if (operation, kind) == ("tanh", "f32"):
+        return _hyperbolic_tangent(width)
+    return _lane_by_lane(operation, kind, width, operation), set()
 
 
-def needed_by(operation: str, kind: str) -> set[tuple[str, str]]:
+def _needed_by(operation: str, kind: str) -> set[tuple[str, str]]:
     """Returns the other functions that a function calls: operation and kind."""
     return {("exp", "f64")} if (operation, kind) == ("tanh", "f32") else set()
 
@@ -84,7 +103,7 @@ def _lane_by_lane(operation: str, kind: str, width: int, name: str) -> str:
     lines.append(f"ret {many} {made}")
     arguments = ", ".join(f"{many} {vector}" for vector in given)
     body = "\n".join(lines)
-    return f"define internal {many} @{name}_{kind}({arguments}) {{\n{body}\n}}\n"
+    return f"define internal {many} {vector_name(name, kind, width)}({arguments}) {{\n{body}\n}}\n"
 
 
 class _Lines:
@@ -141,7 +160,7 @@ def _circular(operation: str, kind: str, width: int) -> tuple[str, set[str]]:
     any_far = code.new(f"call i1 {reduce}({truth} {far})")
     code.lines.append(f"br i1 {any_far}, label %slow, label %fast")
     code.lines.append("slow:")
-    slow = code.new(f"call {many} @{operation}_slow_{kind}({many} %x)")
+    slow = code.new(f"call {many} @{operation}_slow_{kind}_{width}({many} %x)")
     code.lines += [f"ret {many} {slow}", "fast:"]
     wide = code.type("f64")
     angle = "%x" if kind == "f64" else code.new(f"fpext {many} %x to {wide}")
@@ -225,7 +244,7 @@ def _hyperbolic_tangent(width: int) -> tuple[str, set[str]]:
     number = code.new(f"fpext {many} %x to {wide}")
     size = code.intrinsic("fabs", "f64", number)
     twice = code.new(f"fmul {wide} {size}, {code.splat(-2.0, 'f64')}")
-    decay = code.new(f"call {wide} @exp_f64({wide} {twice})")
+    decay = code.new(f"call {wide} @exp_f64_{width}({wide} {twice})")
     one = code.splat(1.0, "f64")
     above = code.new(f"fsub {wide} {one}, {decay}")
     below = code.new(f"fadd {wide} {one}, {decay}")
@@ -244,5 +263,6 @@ def _whole(width: int, value: int, size: str = "i32") -> str:
 def _finished(code: _Lines, name: str, kind: str, result: str) -> tuple[str, set[str]]:
     many = code.type(kind)
     body = "\n".join(["entry:", *code.lines, f"ret {many} {result}"])
-    text = f"define internal {many} @{name}_{kind}({many} %x) {{\n{body}\n}}\n"
+    function = vector_name(name, kind, code.width)
+    text = f"define internal {many} {function}({many} %x) {{\n{body}\n}}\n"
     return text, code.declared

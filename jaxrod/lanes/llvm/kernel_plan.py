@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from jaxrod.lanes.graph import FIXED, UNIFORM, VARYING, Entries, Step
-from jaxrod.lanes.llvm.elementary import elementary_text, needed_by
+from jaxrod.lanes.llvm.elementary import elementary_texts
 from jaxrod.lanes.llvm.memory import Memory, Region, function_text
 from jaxrod.lanes.llvm.transpose import is_tiled, transpose_text
 from jaxrod.lanes.llvm.vector_code import BYTES, Writer
@@ -195,16 +195,12 @@ class KernelPlan:
         needs: set[tuple[str, str, int]] = set()
         for writer in self.writers:
             declared |= writer.declared
-            for operation, kind in writer.needs:
-                needs.add((operation, kind, writer.width))
-                needs |= {(*n, writer.width) for n in needed_by(operation, kind)}
-        widest = {(o, k): w for o, k, w in sorted(needs, key=lambda n: n[2])}
-        for (operation, kind), width in sorted(widest.items()):
-            text, more = elementary_text(operation, kind, width)
-            texts.append(text)
-            declared |= more
-        loads = [_pointer(f"%in{i}", "%operands", i) for i in range(n_operands)] + [
-            _pointer(f"%out{i}", "%results", i) for i in range(n_results)
+            needs |= writer.needs
+        functions, more = elementary_texts(needs)
+        texts += functions
+        declared |= more
+        loads = [pointer_text(f"%in{i}", "%operands", i) for i in range(n_operands)] + [
+            pointer_text(f"%out{i}", "%results", i) for i in range(n_results)
         ]
         memory = self.memory
         counts = "".join(
@@ -262,7 +258,7 @@ def goals_in(
     return [goal[1:] for goal in ordered]
 
 
-def _pointer(name: str, array: str, index: int) -> str:
+def pointer_text(name: str, array: str, index: int) -> str:
     """Writes code that loads the data pointer of one buffer of a call."""
     return (
         f"{name}b = getelementptr ptr, ptr {array}, i64 {index}\n"

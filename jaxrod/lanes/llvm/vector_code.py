@@ -71,8 +71,8 @@ class Writer:
         self.lines: list[str] = []
         self.names: dict[int, str] = {}
         self.loaded: dict[int, tuple[str, int]] = {}
-        self.needs: set[tuple[str, str]] = set()
-        """Called functions of `elementary.py`: operation and kind."""
+        self.needs: set[tuple[str, str, int]] = set()
+        """Called functions of `elementary.py`: operation, kind and lanes."""
         self.declared: set[str] = set()
 
     def type(self, kind: str) -> str:
@@ -162,11 +162,11 @@ class Writer:
             return self._intrinsic(line, kind, names)
         if line is not None:
             return self.new(f"{line} contract {self.type(kind)} {names[0]}, {names[1]}")
-        self.needs.add((operation, kind))
+        self.needs.add((operation, kind, self.width))
         many = self.type(kind)
         given = ", ".join(f"{many} {name}" for name in names)
-        single = "_one" if self.width == 1 else ""
-        return self.new(f"call {many} @{operation}_{kind}{single}({given})")
+        lanes = "one" if self.width == 1 else self.width
+        return self.new(f"call {many} @{operation}_{kind}_{lanes}({given})")
 
     def _whole(self, operation: str, names: list[str], kind: str) -> str:
         many = self.type(kind)

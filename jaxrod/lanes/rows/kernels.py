@@ -1,0 +1,457 @@
+"""Kernels of rows: all steps of one scene after the other, as LLVM IR.
+
+The number of steps and of scenes are arguments, so that one kernel serves all of them.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from functools import lru_cache
+from typing import Any
+
+from jaxrod.jax_internals.equations import operand_types, result_types
+from jaxrod.lanes.graph import FIXED, VARYING
+from jaxrod.lanes.jaxpr.unroll import NotUnrolled, kind_of
+from jaxrod.lanes.llvm.elementary import elementary_texts
+from jaxrod.lanes.llvm.kernel import Kernel
+from jaxrod.lanes.llvm.kernel_plan import pointer_text
+from jaxrod.lanes.llvm.machine_code import vector_bytes
+from jaxrod.lanes.llvm.vector_code import BYTES, TYPES, literal
+from jaxrod.lanes.rows.arrays import Rows
+from jaxrod.lanes.rows.loop_code import RowWriter, fill_text
+from jaxrod.lanes.rows.row_graph import Piece, RowGraph, row_major
+from jaxrod.lanes.rows.row_unroller import RowUnroller
+from jaxrod.lanes.rows.schedule import Goal, Place, Schedule, hoisted
+from jaxrod.lanes.run_spec import Ends, LoopBody, RunSpec, adjoint_body
+
+ALIGNMENT = 64
+"""Alignment of regions and of stored nodes [bytes]."""
+MOST_LINES = 60_000
+"""Length of the longest program that is compiled."""
+
+
+class _Region:
+    """A region of the workspace that holds arrays one after the other."""
+
+    def __init__(self, pointer: str) -> None:
+        self.pointer, self.size = pointer, 0
+
+    def give(self, kind: str, count: int) -> Place:
+        """Allocates an array."""
+        place = Place(self.pointer, self.size)
+        size = max(count, 1) * BYTES[kind]
+        self.size += -(-size // ALIGNMENT) * ALIGNMENT
+        return place
+
+    def all(self, avals: Sequence[Any]) -> list[Place]:
+        """Allocates arrays of these types."""
+        return [self.give(kind_of(aval), math.prod(aval.shape)) for aval in avals]
+
+
+class RowPlan:
+    """Memory and functions of a kernel of rows."""
+
+    def __init__(self, body: LoopBody, batched: Sequence[bool]) -> None:
+        """Translates a step.
+
+        Args:
+            body: The step.
+            batched: Whether each constant has a row for each scene.
+        """
+        self.graph = RowGraph()
+        self.unroller = RowUnroller(self.graph)
+        avals = operand_types(body.closed)
+        n = self.n_constants = body.n_constants
+        self.constants, self.carry = avals[:n], avals[n:]
+        self.batched = list(batched)
+        self.fixed, self.now = _Region("%fixed"), _Region("%now")
+        self.ready: dict[int, Place] = {}
+        self.inputs = [
+            self.input(i, aval, FIXED if i < n else VARYING)
+            for i, aval in enumerate(avals)
+        ]
+        self.constant_places = self.fixed.all(self.constants)
+        self.carry_places = self.now.all(self.carry)
+        self.stand(0, [*self.constant_places, *self.carry_places])
+        self.made = self.unroller.run(body.closed, self.inputs)
+        self.scratch = 0
+        self.texts: list[str] = []
+        self.declared: set[str] = {
+            "declare i64 @llvm.smin.i64(i64, i64)",
+            "declare void @llvm.memcpy.p0.p0.i64(ptr, ptr, i64, i1)",
+            "declare void @llvm.memset.p0.i64(ptr, i8, i64, i1)",
+        }
+        self.needs: set[tuple[str, str, int]] = set()
+        self.fills: set[str] = set()
+        self.lines = 0
+
+    def input(self, which: int, aval: Any, rate: int) -> Rows:
+        """Returns the array of operand number `which`."""
+        return self.unroller.input(which, aval, rate)
+
+    def stand(self, first: int, places: Sequence[Place]) -> None:
+        """Notes where input arrays are stored, from number `first` on."""
+        for node, (which, _) in self.graph.places.items():
+            if first <= which < first + len(places):
+                self.ready[node] = places[which - first]
+
+    def goals(self, arrays: Sequence[Rows], places: Sequence[Place]) -> list[Goal]:
+        """Returns the goals that write arrays to places, in the order of their axes."""
+        goals = []
+        for array, place in zip(arrays, places, strict=True):
+            strides = row_major(array.shape)
+            own = tuple(strides[axis] for axis in array.loops)
+            for index, node in array.entries():
+                base = sum(i * s for i, s in zip(index, strides, strict=True))
+                goals.append(Goal(node, place, Piece(base, own, array.dims)))
+        return goals
+
+    def hoist(self, goals: Sequence[Goal]) -> None:
+        """Writes the function that computes what does not vary from step to step."""
+        graph = self.graph
+        for i, (node, numbers) in enumerate(graph.data.items()):
+            kind = graph.kinds[node]
+            one = "i8" if kind == "b1" else TYPES[kind]
+            entries = ", ".join(
+                f"{one} {int(v) if kind == 'b1' else literal(v, kind)}" for v in numbers
+            )
+            self.texts.append(
+                f"@data{i} = private constant [{len(numbers)} x {one}] [{entries}], "
+                f"align {ALIGNMENT}\n"
+            )
+            self.ready[node] = Place(f"@data{i}", 0)
+        nodes = hoisted(graph, [goal.node for goal in goals], self.ready)
+        for node in nodes:
+            more = 1 if graph.operations[node] == "scatter" else 0
+            count = math.prod(graph.dims[node]) + more
+            self.ready[node] = self.fixed.give(graph.kinds[node], count)
+        self.function("fixed", [], ["%fixed"], nodes)
+
+    def function(
+        self,
+        name: str,
+        goals: Sequence[Goal],
+        pointers: Sequence[str],
+        stored: Sequence[int] = (),
+    ) -> None:
+        """Writes a function that computes goals.
+
+        Raises:
+            NotUnrolled: It is too long.
+        """
+        schedule = Schedule(self.graph, goals, self.ready, stored)
+        writer = RowWriter(self.graph, schedule, vector_bytes())
+        self.texts.append(writer.text(name, ["%scratch", *pointers]))
+        self.scratch = max(self.scratch, schedule.size)
+        self.declared |= writer.declared
+        self.needs |= writer.needs
+        self.fills |= writer.fills
+        self.lines += writer.count
+        if self.lines > MOST_LINES:
+            raise NotUnrolled(f"a program of more than {MOST_LINES} lines is too long")
+
+    def module(self, per_scene: str, n_operands: int, n_results: int) -> str:
+        """Writes the whole module except for the handler by which XLA calls it."""
+        functions, more = elementary_texts(self.needs)
+        texts = [*map(fill_text, sorted(self.fills)), *functions, *self.texts]
+        loads = [pointer_text(f"%in{i}", "%operands", i) for i in range(n_operands)]
+        loads += [pointer_text(f"%out{i}", "%results", i) for i in range(n_results)]
+        counts = "".join(
+            f"%{name}at = getelementptr i32, ptr %in0, i64 {i}\n"
+            f"%{name}32 = load i32, ptr %{name}at\n"
+            f"%{name} = sext i32 %{name}32 to i64\n"
+            for i, name in enumerate(("steps", "every", "rods", "kept"))
+        )
+        constants = "".join(
+            self.fetch(1 + i, aval, place, self.batched[i])
+            for i, (aval, place) in enumerate(
+                zip(self.constants, self.constant_places, strict=True)
+            )
+        )
+        main = f"""
+define void @kernel(ptr %operands, ptr %results) nounwind {{
+entry:
+{"".join(loads)}{counts}
+%raw = ptrtoint ptr %out{n_results - 1} to i64
+%raised = add i64 %raw, 63
+%aligned = and i64 %raised, -64
+%room = inttoptr i64 %aligned to ptr
+%scratch = getelementptr i8, ptr %room, i64 0
+%fixed = getelementptr i8, ptr %room, i64 {self.scratch}
+br label %scenes_test
+scenes_test:
+%scene = phi i64 [0, %entry], [%following, %scene_done]
+%inside = icmp slt i64 %scene, %rods
+br i1 %inside, label %scenes, label %done
+scenes:
+{constants}
+call void @fixed(ptr %scratch, ptr %fixed)
+{per_scene}
+br label %scene_done
+scene_done:
+%following = add i64 %scene, 1
+br label %scenes_test
+done:
+ret void
+}}
+"""
+        return "\n".join([*sorted(self.declared | more), *texts, main])
+
+    def fetch(
+        self, operand: int, aval: Any, place: Place, batched: bool, row: str = "%scene"
+    ) -> str:
+        """Writes a copy of an operand to its place; `row` is its row of the batch."""
+        size = math.prod(aval.shape) * BYTES[kind_of(aval)]
+        mark = f"%f{operand}"
+        source = f"%in{operand}"
+        text = ""
+        if batched:
+            text += f"{mark}r = mul i64 {row}, {size}\n"
+            text += f"{mark}s = getelementptr i8, ptr {source}, i64 {mark}r\n"
+            source = f"{mark}s"
+        return text + (
+            f"{mark}t = getelementptr i8, ptr {place.pointer}, i64 {place.offset}\n"
+            f"call void @llvm.memcpy.p0.p0.i64(ptr {mark}t, ptr {source}, i64 {size}, "
+            "i1 false)\n"
+        )
+
+    def bring(
+        self, result: int, aval: Any, place: Place, region: str, row: str = "%scene"
+    ) -> str:
+        """Writes a copy from a place to a row of a result."""
+        size = math.prod(aval.shape) * BYTES[kind_of(aval)]
+        mark = f"%b{result}"
+        return (
+            f"{mark}r = mul i64 {row}, {size}\n"
+            f"{mark}t = getelementptr i8, ptr %out{result}, i64 {mark}r\n"
+            f"{mark}s = getelementptr i8, ptr {region}, i64 {place.offset}\n"
+            f"call void @llvm.memcpy.p0.p0.i64(ptr {mark}t, ptr {mark}s, i64 {size}, "
+            "i1 false)\n"
+        )
+
+
+@lru_cache(maxsize=64)
+def cycles_kernel(
+    body: LoopBody, batched: tuple[bool, ...], *, checkpoints: bool
+) -> Kernel:
+    """Writes the kernel that repeats a step; see `lanes.llvm.kernel.step_kernel`."""
+    plan = RowPlan(body, batched)
+    goals = _next_carry(plan)
+    plan.hoist(goals)
+    plan.function("step", goals, ["%fixed", "%now", "%then"])
+    n_carry, first = len(plan.carry), 1 + plan.n_constants
+    regions, room = _pointers(plan, now0=plan.now.size, then0=plan.now.size)
+    fetches = "".join(
+        plan.fetch(first + i, aval, Place("%now0", place.offset), True)
+        for i, (aval, place) in enumerate(
+            zip(plan.carry, plan.carry_places, strict=True)
+        )
+    )
+    marks = "".join(
+        plan.bring(n_carry + i, aval, place, "%now1", "%mark")
+        for i, (aval, place) in enumerate(
+            zip(plan.carry, plan.carry_places, strict=True)
+        )
+    )
+    if checkpoints:
+        marks = f"%mark0 = mul i64 %scene, %kept\n%mark = add i64 %mark0, %j\n{marks}"
+    brings = "".join(
+        plan.bring(i, aval, place, "%now1")
+        for i, (aval, place) in enumerate(
+            zip(plan.carry, plan.carry_places, strict=True)
+        )
+    )
+    text = f"{regions}{fetches}{_segments(marks if checkpoints else '')}{brings}"
+    n_results = n_carry * (2 if checkpoints else 1) + 1
+    n_operands = first + n_carry
+    module = plan.module(text, n_operands, n_results)
+    return Kernel(module, n_operands, n_results, room, 0, plan.lines)
+
+
+@lru_cache(maxsize=64)
+def whole_run_kernel(
+    body: LoopBody, ends: Ends, batched: tuple[bool, ...]
+) -> Kernel:
+    """Writes the kernel of a whole run; see `lanes.llvm.kernel.run_kernel`."""
+    plan = RowPlan(body, batched)
+    n = plan.n_constants
+    avals = ends.given[n:]
+    given, made = _Region("%given"), _Region("%made")
+    first_given = n + len(plan.carry)
+    arguments = [
+        plan.input(first_given + i, aval, VARYING) for i, aval in enumerate(avals)
+    ]
+    given_places, made_places = given.all(avals), made.all(ends.made)
+    plan.stand(first_given, given_places)
+    begun = plan.unroller.run(ends.begin, [*plan.inputs[:n], *arguments])
+    ended = plan.unroller.run(ends.end, plan.inputs)
+    step = _next_carry(plan)
+    start = [Place("%then", place.offset) for place in plan.carry_places]
+    begin, end = plan.goals(begun, start), plan.goals(ended, made_places)
+    plan.hoist([*step, *begin, *end])
+    plan.function("step", step, ["%fixed", "%now", "%then"])
+    plan.function("begin", begin, ["%fixed", "%given", "%then"])
+    plan.function("end", end, ["%fixed", "%now", "%made"])
+    regions, room = _pointers(
+        plan, now0=plan.now.size, then0=plan.now.size, given=given.size, made=made.size
+    )
+    fetches = "".join(
+        plan.fetch(1 + n + i, aval, place, True)
+        for i, (aval, place) in enumerate(zip(avals, given_places, strict=True))
+    )
+    brings = "".join(
+        plan.bring(i, aval, place, "%made")
+        for i, (aval, place) in enumerate(zip(ends.made, made_places, strict=True))
+    )
+    text = f"""{regions}{fetches}
+call void @begin(ptr %scratch, ptr %fixed, ptr %given, ptr %now0)
+{_segments("")}
+call void @end(ptr %scratch, ptr %fixed, ptr %now1, ptr %made)
+{brings}"""
+    n_operands, n_results = 1 + n + len(avals), len(ends.made) + 1
+    module = plan.module(text, n_operands, n_results)
+    return Kernel(module, n_operands, n_results, room, 0, plan.lines)
+
+
+@lru_cache(maxsize=64)
+def back_kernel(
+    body: LoopBody, moving: tuple[bool, ...], batched: tuple[bool, ...]
+) -> Kernel:
+    """Writes the kernel of the reverse pass; see `lanes.llvm.kernel.adjoint_kernel`."""
+    plan = RowPlan(body, batched)
+    n = plan.n_constants
+    closed = adjoint_body(RunSpec(body, 0, tuple(moving)))
+    avals = result_types(closed)
+    n_seeds = sum(body.floating)
+    before, after = _Region("%before"), _Region("%after")
+    first = n + len(plan.carry)
+    given = [plan.input(first + i, aval, VARYING) for i, aval in enumerate(avals)]
+    before_places, after_places = before.all(avals), after.all(avals)
+    plan.stand(first, before_places)
+    made = plan.unroller.run(closed, [*plan.inputs, *given[:n_seeds]])
+    totals = [
+        plan.unroller.each("add", old.kind, old, new)
+        for old, new in zip(given[n_seeds:], made[n_seeds:], strict=True)
+    ]
+    step = _next_carry(plan)
+    back = plan.goals([*made[:n_seeds], *totals], after_places)
+    plan.hoist([*step, *back])
+    plan.function("step", step, ["%fixed", "%now", "%then"])
+    plan.function("adjoint", back, ["%fixed", "%now", "%before", "%after"])
+    size = plan.now.size
+    regions, room = _pointers(
+        plan, back0=before.size, other0=before.size, kept0=0
+    )
+    n_carry, first_mark = len(plan.carry), 1 + n
+    marks = "%mark0 = mul i64 %scene, %kept\n%mark = add i64 %mark0, %j\n" + "".join(
+        plan.fetch(first_mark + i, aval, Place("%kept0", p.offset), True, "%mark")
+        for i, (aval, p) in enumerate(zip(plan.carry, plan.carry_places, strict=True))
+    )
+    first_seed = first_mark + n_carry
+    seeds = "".join(
+        plan.fetch(first_seed + i, aval, Place("%back0", p.offset), True)
+        for i, (aval, p) in enumerate(
+            zip(avals[:n_seeds], before_places[:n_seeds], strict=True)
+        )
+    )
+    brings = "".join(
+        plan.bring(i, aval, place, "%back1")
+        for i, (aval, place) in enumerate(zip(avals, before_places, strict=True))
+    )
+    text = f"""{regions}
+call void @llvm.memset.p0.i64(ptr %back0, i8 0, i64 {before.size}, i1 false)
+{seeds}
+%j0 = sub i64 %kept, 1
+br label %segments
+segments:
+%j = phi i64 [%j0, %scenes], [%j1, %segment_done]
+%back1 = phi ptr [%back0, %scenes], [%back2, %segment_done]
+%other1 = phi ptr [%other0, %scenes], [%other2, %segment_done]
+%some = icmp sge i64 %j, 0
+br i1 %some, label %segment, label %finished
+segment:
+%begun = mul i64 %j, %every
+%rest = sub i64 %steps, %begun
+%length = call i64 @llvm.smin.i64(i64 %rest, i64 %every)
+{marks}
+%last = sub i64 %length, 1
+br label %again_test
+again_test:
+%i = phi i64 [0, %segment], [%i1, %again]
+%now = phi ptr [%kept0, %segment], [%then, %again]
+%left = icmp slt i64 %i, %last
+br i1 %left, label %again, label %back
+again:
+%then = getelementptr i8, ptr %now, i64 {size}
+call void @step(ptr %scratch, ptr %fixed, ptr %now, ptr %then)
+%i1 = add i64 %i, 1
+br label %again_test
+back:
+%k = phi i64 [%last, %again_test], [%k1, %back]
+%here = phi ptr [%now, %again_test], [%here1, %back]
+%ct = phi ptr [%back1, %again_test], [%earlier, %back]
+%earlier = phi ptr [%other1, %again_test], [%ct, %back]
+call void @adjoint(ptr %scratch, ptr %fixed, ptr %here, ptr %ct, ptr %earlier)
+%here1 = getelementptr i8, ptr %here, i64 {-size}
+%k1 = sub i64 %k, 1
+%more = icmp sge i64 %k1, 0
+br i1 %more, label %back, label %segment_done
+segment_done:
+%back2 = phi ptr [%earlier, %back]
+%other2 = phi ptr [%ct, %back]
+%j1 = sub i64 %j, 1
+br label %segments
+finished:
+{brings}"""
+    n_operands, n_results = first_seed + n_seeds, len(avals) + 1
+    module = plan.module(text, n_operands, n_results)
+    return Kernel(module, n_operands, n_results, room, size, plan.lines)
+
+
+def _next_carry(plan: RowPlan) -> list[Goal]:
+    then = [Place("%then", place.offset) for place in plan.carry_places]
+    return plan.goals(plan.made, then)
+
+
+def _pointers(plan: RowPlan, **sizes: int) -> tuple[str, int]:
+    """Writes pointers to regions after `%fixed`; returns the size of the workspace."""
+    start, lines = plan.scratch + plan.fixed.size, []
+    for name, size in sizes.items():
+        lines.append(f"%{name} = getelementptr i8, ptr %room, i64 {start}\n")
+        start += size
+    return "".join(lines), start
+
+
+def _segments(marks: str) -> str:
+    """Writes the loop over all steps; `%now1` has the last carry."""
+    return f"""
+br label %segments
+segments:
+%j = phi i64 [0, %scenes], [%j1, %segment_done]
+%now1 = phi ptr [%now0, %scenes], [%now2, %segment_done]
+%then1 = phi ptr [%then0, %scenes], [%then2, %segment_done]
+%begun = mul i64 %j, %every
+%rest = sub i64 %steps, %begun
+%length = call i64 @llvm.smin.i64(i64 %rest, i64 %every)
+%some = icmp sgt i64 %rest, 0
+br i1 %some, label %segment, label %finished
+segment:
+{marks}
+br label %steps_loop
+steps_loop:
+%i = phi i64 [0, %segment], [%i1, %steps_loop]
+%now = phi ptr [%now1, %segment], [%then, %steps_loop]
+%then = phi ptr [%then1, %segment], [%now, %steps_loop]
+call void @step(ptr %scratch, ptr %fixed, ptr %now, ptr %then)
+%i1 = add i64 %i, 1
+%more = icmp slt i64 %i1, %length
+br i1 %more, label %steps_loop, label %segment_done
+segment_done:
+%now2 = phi ptr [%then, %steps_loop]
+%then2 = phi ptr [%now, %steps_loop]
+%j1 = add i64 %j, 1
+br label %segments
+finished:
+"""
+

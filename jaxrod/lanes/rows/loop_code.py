@@ -1,0 +1,652 @@
+"""Loops of a schedule as LLVM IR.
+
+A loop goes through a row in vectors. The last vector of a row ends with the row: it
+begins early and computes some numbers again, so that no load or store is outside. Outer
+axes are loops around it. What does not change in a loop is computed before it.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+
+import numpy as np
+
+from jaxrod.lanes.llvm.vector_code import BYTES, TYPES, Writer, literal
+from jaxrod.lanes.rows.row_graph import Dims, RowGraph, row_major
+from jaxrod.lanes.rows.schedule import Goal, Loop, Place, Schedule
+
+Lines = list[str]
+_IDENTITY = {
+    "add": 0,
+    "mul": 1,
+    "max": -np.inf,
+    "min": np.inf,
+    "and": True,
+    "or": False,
+    "xor": False,
+}
+
+
+class RowWriter(Writer):
+    """Writer of a function that runs the loops of a schedule."""
+
+    graph: RowGraph
+
+    def __init__(self, graph: RowGraph, schedule: Schedule, vector_bytes: int) -> None:
+        """Begins a function.
+
+        Args:
+            graph: The graph.
+            schedule: Loops of the function.
+            vector_bytes: Size of a vector register [bytes].
+        """
+        super().__init__(graph, 1, lambda writer, node: None)
+        self.schedule, self.vector_bytes = schedule, vector_bytes
+        self.count = 0
+        self.numbers: dict[int, str] = {}
+        """Names of single numbers, which are known in all later loops."""
+        self.spreads: dict[tuple[int, int], str] = {}
+        """Names of single numbers in every lane, in this loop."""
+        self.before: list[Lines] = [[]]
+        """Lines before each loop of a nest, from the outermost on; then its body."""
+        self.behind: list[Lines] = [[]]
+        """Lines after each inner loop of a nest."""
+        self.dims: Dims = ()
+        self.indices: list[str] = []
+        self.fills: set[str] = set()
+        """Types of numbers that are repeated in memory."""
+
+    def text(self, name: str, pointers: Sequence[str]) -> str:
+        """Writes the whole function."""
+        whole: Lines = []
+        for number, loop in enumerate(self.schedule.loops):
+            whole += self._loop(number, loop)
+        given = ", ".join(f"ptr noalias nocapture {p}" for p in pointers)
+        head = f"define internal void @{name}({given}) noinline nounwind "
+        return f"{head}{{\nentry:\n" + "\n".join([*whole, "ret void", "}", ""])
+
+    def new(self, text: str) -> str:
+        """Appends a line that computes a value, and returns its name."""
+        self.count += 1
+        name = f"%v{self.count}"
+        self.lines.append(f"{name} = {text}")
+        return name
+
+    def value(self, node: int) -> str:
+        """Returns the name of a node's value in the loop that is being written."""
+        graph = self.graph
+        known = graph.value(node)
+        if known is not None:
+            return self.literal(known, graph.kinds[node])
+        dims = graph.dims[node]
+        if not dims:
+            return self._spread(node)
+        name = self.names.get(node)
+        if name is None:
+            name = self._read(node)
+            self.names[node] = name
+        return name
+
+    def _number(self, node: int) -> str:
+        """Returns the name of a single number; it is loaded if it is stored."""
+        name = self.numbers.get(node)
+        if name is not None:
+            return name
+        place = self.schedule.ready.get(node)
+        if place is None:
+            raise AssertionError(f"node {node} is used before it is worked out")
+        name = self._load_one(self._at(place), self.graph.kinds[node])
+        self.numbers[node] = name
+        return name
+
+    def _spread(self, node: int) -> str:
+        if self.width == 1 and not self.dims:
+            return self._number(node)
+        key = node, self.width
+        name = self.spreads.get(key)
+        if name is None:
+            lines, self.lines = self.lines, self.before[0]
+            name = self.spread(self._number(node), self.graph.kinds[node])
+            self.lines = lines
+            self.spreads[key] = name
+        return name
+
+    def _read(self, node: int) -> str:
+        """Reads a view, an index, or a stored node of the dims of this loop."""
+        graph, schedule = self.graph, self.schedule
+        operation = graph.operations[node]
+        kind = graph.kinds[node]
+        if operation == "iota":
+            return self._iota(graph.extras[node], kind)
+        place = None if operation == "view" else schedule.place(node)
+        if place is not None:
+            return self._load(place, 0, row_major(graph.dims[node]), kind)
+        if operation != "view":
+            raise AssertionError(f"node {node} is used before it is worked out")
+        (source,) = graph.arguments[node]
+        place = schedule.place(source)
+        assert place is not None, (source, graph.operations[source])
+        base, strides = graph.extras[node]
+        return self._load(place, base, strides, kind)
+
+    def _iota(self, axis: int, kind: str) -> str:
+        many = self.type(kind)
+        depth = len(self.dims) - 1
+        lines, self.lines = self.lines, self.before[axis + 1]
+        index = self.indices[axis]
+        first = self.new(f"trunc i64 {index} to {TYPES[kind]}") if (
+            kind not in ("i64", "u64", "f32", "f64")
+        ) else self.new(f"add i64 {index}, 0")
+        if kind[0] == "f":
+            first = self.new(f"sitofp i64 {first} to {TYPES[kind]}")
+        name = self.spread(first, kind)
+        if axis == depth and self.width > 1:
+            steps = ", ".join(
+                f"{TYPES[kind]} {literal(i, kind)}" for i in range(self.width)
+            )
+            word = "fadd" if kind[0] == "f" else "add"
+            name = self.new(f"{word} {many} {name}, <{steps}>")
+        self.lines = lines
+        return name
+
+    def _at(self, place: Place) -> str:
+        return self.new(f"getelementptr i8, ptr {place.pointer}, i64 {place.offset}")
+
+    def _address(self, place: Place, base: int, strides: Dims, kind: str) -> str:
+        """Writes the address of the first lane, where the body of the loop begins."""
+        size = BYTES[kind]
+        at = self.new(
+            f"getelementptr i8, ptr {place.pointer}, "
+            f"i64 {place.offset + base * size}"
+        )
+        for index, stride in zip(self.indices, strides, strict=True):
+            if stride == 0 or index == "0":
+                continue
+            if stride != 1:
+                index = self.new(f"mul i64 {index}, {stride}")
+            one = "i8" if kind == "b1" else TYPES[kind]
+            at = self.new(f"getelementptr {one}, ptr {at}, i64 {index}")
+        return at
+
+    def _load_one(self, at: str, kind: str) -> str:
+        one = "i8" if kind == "b1" else TYPES[kind]
+        found = self.new(f"load {one}, ptr {at}, align {BYTES[kind]}")
+        return self.new(f"icmp ne i8 {found}, 0") if kind == "b1" else found
+
+    def _load(self, place: Place, base: int, strides: Dims, kind: str) -> str:
+        """Loads numbers, as far out in the nest of loops as they do not change."""
+        deepest = max(
+            (axis for axis, stride in enumerate(strides) if stride), default=-1
+        )
+        lines, self.lines = self.lines, self.before[deepest + 1]
+        at = self._address(place, base, strides, kind)
+        inner = strides[-1] if strides else 0
+        if inner == 0 or self.width == 1:
+            name = self.spread(self._load_one(at, kind), kind)
+        elif inner == 1:
+            one = "i8" if kind == "b1" else TYPES[kind]
+            many = f"<{self.width} x {one}>"
+            name = self.new(f"load {many}, ptr {at}, align {BYTES[kind]}")
+            if kind == "b1":
+                name = self.new(f"icmp ne {many} {name}, zeroinitializer")
+        else:
+            name, one = "poison", TYPES[kind]
+            for lane in range(self.width):
+                beside = self.new(
+                    f"getelementptr i8, ptr {at}, i64 {lane * inner * BYTES[kind]}"
+                )
+                number = self._load_one(beside, kind)
+                name = self.new(
+                    f"insertelement {self.type(kind)} {name}, {one} {number}, "
+                    f"i64 {lane}"
+                )
+        self.lines = lines
+        return name
+
+    def _store(
+        self, name: str, place: Place, base: int, strides: Dims, kind: str
+    ) -> None:
+        at = self._address(place, base, strides, kind)
+        inner = strides[-1] if strides else 1
+        many = self.type(kind)
+        if kind == "b1":
+            wide = "i8" if self.width == 1 else f"<{self.width} x i8>"
+            name = self.new(f"zext {many} {name} to {wide}")
+            many, kind = wide, "u8"
+        if inner == 1 or self.width == 1:
+            self.lines.append(f"store {many} {name}, ptr {at}, align {BYTES[kind]}")
+            return
+        for lane in range(self.width):
+            number = self.new(f"extractelement {many} {name}, i64 {lane}")
+            beside = self.new(
+                f"getelementptr i8, ptr {at}, i64 {lane * inner * BYTES[kind]}"
+            )
+            self.lines.append(
+                f"store {TYPES[kind]} {number}, ptr {beside}, align {BYTES[kind]}"
+            )
+
+    def _gather(self, node: int) -> str:
+        graph = self.graph
+        table, index = graph.arguments[node]
+        base, kind = graph.extras[node], graph.kinds[node]
+        place = self.schedule.place(table)
+        assert place is not None
+        at = self._at(Place(place.pointer, place.offset + base * BYTES[kind]))
+        places = self.value(index)
+        one = "i8" if kind == "b1" else TYPES[kind]
+        if self.width == 1:
+            at = self.new(f"getelementptr {one}, ptr {at}, i32 {places}")
+            return self._load_one(at, kind)
+        w = self.width
+        ats = self.new(f"getelementptr {one}, ptr {at}, <{w} x i32> {places}")
+        suffix = {"f32": "f32", "f64": "f64"}.get(kind, f"i{8 * BYTES[kind]}")
+        name = f"@llvm.masked.gather.v{w}{suffix}.v{w}p0"
+        many, truth = f"<{w} x {one}>", f"<{w} x i1>"
+        self.declared.add(f"declare {many} {name}(<{w} x ptr>, i32, {truth}, {many})")
+        every = "<" + ", ".join(["i1 true"] * w) + ">"
+        found = self.new(
+            f"call {many} {name}(<{w} x ptr> {ats}, i32 {BYTES[kind]}, "
+            f"{truth} {every}, {many} poison)"
+        )
+        if kind == "b1":
+            found = self.new(f"icmp ne {many} {found}, zeroinitializer")
+        return found
+
+    def _loop(self, number: int, loop: Loop) -> Lines:
+        if loop.scatters:
+            return self._scatters(number, loop)
+        if not loop.dims:
+            return self._straight(loop)
+        return self._nest(number, loop)
+
+    def _straight(self, loop: Loop) -> Lines:
+        """Writes the operations on single numbers of a level."""
+        self.width, self.dims, self.indices = 1, (), []
+        self.lines = lines = []
+        self.before = [lines]
+        self.names, self.spreads = {}, {}
+        graph, schedule = self.graph, self.schedule
+        for node, first, count in schedule.fills.get(loop.level, ()):
+            self._fill(node, first, count)
+        for node in loop.nodes:
+            self.numbers[node] = self._computed(node)
+            if node in schedule.fresh:
+                place = schedule.place(node)
+                assert place is not None
+                self._store(self.numbers[node], place, 0, (), graph.kinds[node])
+        for goal in loop.goals:
+            self._write(goal)
+        return lines
+
+    def _fill(self, node: int, first: int, count: int) -> None:
+        graph = self.graph
+        kind, place = graph.kinds[node], self.schedule.place(node)
+        assert place is not None
+        number = self.value(graph.arguments[node][-1])
+        if count > 8:
+            self._call_fill(number, place, first, count, kind)
+            return
+        for i in range(first, first + count):
+            self._store(number, place, i, (), kind)
+
+    def _call_fill(
+        self, number: str, place: Place, first: int, count: int, kind: str
+    ) -> None:
+        at = self._at(Place(place.pointer, place.offset + first * BYTES[kind]))
+        one = TYPES[kind]
+        if kind == "b1":
+            number, one = self.new(f"zext i1 {number} to i8"), "i8"
+        self.fills.add(one)
+        self.lines.append(
+            f"call void @fill_{one}(ptr {at}, {one} {number}, i64 {count})"
+        )
+
+    def _computed(self, node: int) -> str:
+        operation = self.graph.operations[node]
+        if operation == "gather":
+            return self._gather(node)
+        if operation == "view":
+            return self._read(node)
+        return self.operation(node)
+
+    def _write(self, goal: Goal) -> None:
+        place = self.schedule.goal_place(goal)
+        kind, piece = self.graph.kinds[goal.node], goal.piece
+        self._store(self.value(goal.node), place, piece.base, piece.strides, kind)
+
+    def _width_of(self, loop: Loop) -> int:
+        """Lanes of the vectors of a loop: as many as fit, and as the row has."""
+        kinds = {self.graph.kinds[node] for node in (*loop.nodes, *loop.reductions)}
+        kinds |= {self.graph.kinds[goal.node] for goal in loop.goals}
+        widest = max((BYTES[kind] for kind in kinds), default=4)
+        lanes = self.vector_bytes // max(widest, 4)
+        return min(lanes, 1 << (loop.dims[-1].bit_length() - 1))
+
+    def _nest(self, number: int, loop: Loop) -> Lines:
+        """Writes a loop over a row, and the loops around it."""
+        graph, schedule = self.graph, self.schedule
+        dims = self.dims = loop.dims
+        depth = len(dims)
+        self.width = self._width_of(loop)
+        rounds = -(-dims[-1] // self.width)
+        marks = [f"g{number}_{axis}" for axis in range(depth)]
+        self.indices = [f"%i_{mark}" for mark in marks]
+        if rounds == 1:
+            self.indices[-1] = "0"
+        self.before = [[] for _ in range(depth + 1)]
+        self.behind = [[] for _ in range(depth + 1)]
+        self.names, self.spreads = {}, {}
+        body = self.lines = self.before[depth]
+        for node in loop.nodes:
+            self.names[node] = self._computed(node)
+            if schedule.is_kept(node):
+                place = schedule.place(node)
+                assert place is not None
+                strides = row_major(graph.dims[node])
+                self._store(self.names[node], place, 0, strides, graph.kinds[node])
+        for goal in loop.goals:
+            self._write(goal)
+        phis: Lines = []
+        finish: list[Callable[[], None]] = []
+        for node in loop.reductions:
+            self._reduce(node, marks[-1], rounds, phis, finish)
+        # The innermost loop.
+        mark = marks[-1]
+        self.lines = self.behind[depth]
+        for act in finish:
+            act()
+        if rounds == 1:
+            inner = [*body, *self.behind[depth]]
+        else:
+            last = dims[-1] - self.width
+            inner = [
+                f"br label %{mark}_pre",
+                f"{mark}_pre:",
+                f"br label %{mark}",
+                f"{mark}:",
+                f"%c_{mark} = phi i64 [0, %{mark}_pre], [%d_{mark}, %{mark}]",
+                *phis,
+                f"%i_{mark} = call i64 @llvm.smin.i64(i64 %c_{mark}, i64 {last})"
+                if dims[-1] % self.width
+                else f"%i_{mark} = add i64 %c_{mark}, 0",
+                *body,
+                f"%d_{mark} = add i64 %c_{mark}, {self.width}",
+                f"%m_{mark} = icmp slt i64 %d_{mark}, {dims[-1]}",
+                f"br i1 %m_{mark}, label %{mark}, label %{mark}_done",
+                f"{mark}_done:",
+                *self.behind[depth],
+            ]
+        for axis in range(depth - 2, -1, -1):
+            mark = marks[axis]
+            inner = [
+                f"br label %{mark}_pre",
+                f"{mark}_pre:",
+                f"br label %{mark}",
+                f"{mark}:",
+                f"%i_{mark} = phi i64 [0, %{mark}_pre], [%d_{mark}, %{mark}_end]",
+                *self.before[axis + 1],
+                *inner,
+                f"br label %{mark}_end",
+                f"{mark}_end:",
+                *self.behind[axis + 1],
+                f"%d_{mark} = add i64 %i_{mark}, 1",
+                f"%m_{mark} = icmp slt i64 %d_{mark}, {dims[axis]}",
+                f"br i1 %m_{mark}, label %{mark}, label %{mark}_done",
+                f"{mark}_done:",
+            ]
+        return [*self.before[0], *inner, *self.behind[0]]
+
+    def _reduce(
+        self,
+        node: int,
+        mark: str,
+        rounds: int,
+        phis: Lines,
+        finish: list[Callable[[], None]],
+    ) -> None:
+        """Writes a reduction: in registers along the row, in memory around it."""
+        graph, schedule, dims = self.graph, self.schedule, self.dims
+        operation, axes = graph.extras[node]
+        (source,) = graph.arguments[node]
+        kind, depth = graph.kinds[node], len(dims)
+        kept = [axis for axis in range(depth) if axis not in axes]
+        own = dict(zip(kept, row_major(graph.dims[node]), strict=True))
+        strides = tuple(own.get(axis, 0) for axis in range(depth))
+        value = self.value(source)
+        if rounds > 1 and dims[-1] % self.width and operation in ("add", "mul", "xor"):
+            value = self._without_repeats(value, mark, operation, kind)
+        outer = [axis for axis in axes if axis != depth - 1]
+        place = schedule.place(node)
+        none = _identity(operation, kind)
+        if outer:
+            assert place is not None
+            size = math.prod(graph.dims[node])
+            lines, self.lines = self.lines, self.before[0]
+            self._call_fill(literal(none, kind), place, 0, size, kind)
+            self.lines = lines
+        if depth - 1 not in axes:
+            assert place is not None
+            at = self._address(place, 0, strides, kind)
+            many = self._memory_type(kind)
+            old = self._from_memory(
+                self.new(f"load {many}, ptr {at}, align {BYTES[kind]}"), kind
+            )
+            made = self._combined(operation, old, value, kind)
+            self._store(made, place, 0, strides, kind)
+            return
+        if rounds > 1:
+            start = self.literal(none, kind)
+            self.count += 1
+            old = f"%a{self.count}"
+            made = self._combined(operation, old, value, kind)
+            phis.append(
+                f"{old} = phi {self.type(kind)} [{start}, %{mark}_pre], "
+                f"[{made}, %{mark}]"
+            )
+        else:
+            made = value
+
+        def ending() -> None:
+            total = self._across(operation, made, kind)
+            if depth == 1:
+                self.numbers[node] = total
+                if node in schedule.fresh:
+                    self._one_lane_store(total, schedule.place(node), (), kind)
+                return
+            outside = strides[:-1]
+            assert place is not None
+            if outer:
+                width, self.width = self.width, 1
+                indices, self.indices = self.indices, self.indices[:-1]
+                at = self._address(place, 0, outside, kind)
+                before = self._load_one(at, kind)
+                total = self._combined(operation, before, total, kind)
+                self.width, self.indices = width, indices
+            self._one_lane_store(total, place, outside, kind)
+            if not graph.dims[node]:
+                lines, self.lines = self.lines, self.behind[0]
+                self.numbers[node] = self._load_one(self._at(place), kind)
+                self.lines = lines
+
+        finish.append(ending)
+
+    def _memory_type(self, kind: str) -> str:
+        one = "i8" if kind == "b1" else TYPES[kind]
+        return one if self.width == 1 else f"<{self.width} x {one}>"
+
+    def _from_memory(self, name: str, kind: str) -> str:
+        if kind != "b1":
+            return name
+        many = self._memory_type(kind)
+        zero = "0" if self.width == 1 else "zeroinitializer"
+        return self.new(f"icmp ne {many} {name}, {zero}")
+
+    def _one_lane_store(
+        self, name: str, place: Place | None, strides: Dims, kind: str
+    ) -> None:
+        assert place is not None
+        width, self.width = self.width, 1
+        indices, self.indices = self.indices, self.indices[: len(strides)]
+        at = self._address(place, 0, strides, kind)
+        if kind == "b1":
+            name = self.new(f"zext i1 {name} to i8")
+        one = "i8" if kind == "b1" else TYPES[kind]
+        self.lines.append(f"store {one} {name}, ptr {at}, align {BYTES[kind]}")
+        self.width, self.indices = width, indices
+
+    def _without_repeats(
+        self, value: str, mark: str, operation: str, kind: str
+    ) -> str:
+        """Leaves out the lanes of the last vector that the one before it had."""
+        many = f"<{self.width} x i64>"
+        over = self.new(f"sub i64 %c_{mark}, %i_{mark}")
+        first = self.new(f"insertelement {many} poison, i64 {over}, i64 0")
+        zeros = f"<{self.width} x i32> zeroinitializer"
+        first = self.new(f"shufflevector {many} {first}, {many} poison, {zeros}")
+        lanes = "<" + ", ".join(f"i64 {i}" for i in range(self.width)) + ">"
+        fresh = self.new(f"icmp sge {many} {lanes}, {first}")
+        none = self.literal(_identity(operation, kind), kind)
+        return self._select([fresh, value, none], kind)
+
+    def _combined(self, operation: str, a: str, b: str, kind: str) -> str:
+        """Combines two values, as the operation of the graph does."""
+        if operation in ("min", "max"):
+            return self._extreme(operation, (-1, -1), [a, b], kind)
+        if kind[0] == "f":
+            return self._float(operation, [a, b], kind)
+        return self._whole(operation, [a, b], kind)
+
+    def _across(self, operation: str, value: str, kind: str) -> str:
+        """Combines the lanes of a vector, halves with halves."""
+        width = self.width
+        while self.width > 1:
+            many, half = self.type(kind), self.width // 2
+            parts = []
+            for begin in (0, half):
+                lanes = ", ".join(f"i32 {begin + i}" for i in range(half))
+                parts.append(
+                    self.new(
+                        f"shufflevector {many} {value}, {many} poison, "
+                        f"<{half} x i32> <{lanes}>"
+                    )
+                )
+            self.width = half
+            if half == 1:
+                one = TYPES[kind]
+                parts = [
+                    self.new(f"extractelement <1 x {one}> {part}, i64 0")
+                    for part in parts
+                ]
+            value = self._combined(operation, parts[0], parts[1], kind)
+        self.width = width
+        return value
+
+    def _scatters(self, number: int, loop: Loop) -> Lines:
+        """Writes scatters by the same indices: one number after the other."""
+        graph, schedule = self.graph, self.schedule
+        self.width, self.dims = 1, ()
+        self.names, self.spreads, self.indices = {}, {}, []
+        self.lines = lines = []
+        self.before = [lines]
+        for node in loop.scatters:
+            into, kind = graph.arguments[node][0], graph.kinds[node]
+            (count,) = graph.dims[node]
+            place = schedule.place(node)
+            assert place is not None
+            known = graph.value(into)
+            if known is not None:
+                self._call_fill(literal(known, kind), place, 0, count, kind)
+                continue
+            if graph.operations[into] == "view":
+                (stored,) = graph.arguments[into]
+                begin = graph.extras[into][0]
+            else:
+                stored, begin = into, 0
+            source = schedule.place(stored)
+            assert source is not None
+            size = count * BYTES[kind]
+            source = Place(source.pointer, source.offset + begin * BYTES[kind])
+            to, of = self._at(place), self._at(source)
+            self.declared.add("declare void @llvm.memcpy.p0.p0.i64(ptr, ptr, i64, i1)")
+            lines.append(
+                f"call void @llvm.memcpy.p0.p0.i64(ptr {to}, ptr {of}, i64 {size}, "
+                "i1 false)"
+            )
+        index = graph.arguments[loop.scatters[0]][1]
+        rounds = graph.extras[loop.scatters[0]][1]
+        mark = f"g{number}"
+        body: Lines = []
+        self.lines, self.before = body, [lines, body]
+        self.dims, self.indices = (rounds,), [f"%i_{mark}"]
+        at = self._stored_number(index)
+        for node in loop.scatters:
+            kind, operation = graph.kinds[node], graph.extras[node][0]
+            update = graph.arguments[node][2]
+            number_ = self._stored_number(update)
+            place = schedule.place(node)
+            assert place is not None
+            one = "i8" if kind == "b1" else TYPES[kind]
+            base = self._at(place)
+            target = self.new(f"getelementptr {one}, ptr {base}, i32 {at}")
+            if operation != "set":
+                old = self._load_one(target, kind)
+                number_ = self._combined(operation, old, number_, kind)
+            if kind == "b1":
+                number_ = self.new(f"zext i1 {number_} to i8")
+            self.lines.append(
+                f"store {one} {number_}, ptr {target}, align {BYTES[kind]}"
+            )
+        return [
+            *lines,
+            f"br label %{mark}_pre",
+            f"{mark}_pre:",
+            f"br label %{mark}",
+            f"{mark}:",
+            f"%i_{mark} = phi i64 [0, %{mark}_pre], [%d_{mark}, %{mark}]",
+            *body,
+            f"%d_{mark} = add i64 %i_{mark}, 1",
+            f"%m_{mark} = icmp slt i64 %d_{mark}, {rounds}",
+            f"br i1 %m_{mark}, label %{mark}, label %{mark}_done",
+            f"{mark}_done:",
+        ]
+
+    def _stored_number(self, node: int) -> str:
+        """Returns the number of a row at the index of a scatter's loop."""
+        graph = self.graph
+        known = graph.value(node)
+        if known is not None:
+            return self.literal(known, graph.kinds[node])
+        return self._read(node) if graph.dims[node] else self._number(node)
+
+
+def fill_text(one: str) -> str:
+    """Writes a function that repeats a number in memory."""
+    return f"""
+define internal void @fill_{one}(ptr %to, {one} %number, i64 %count) nounwind {{
+entry:
+br label %loop
+loop:
+%i = phi i64 [0, %entry], [%next, %loop]
+%at = getelementptr {one}, ptr %to, i64 %i
+store {one} %number, ptr %at
+%next = add i64 %i, 1
+%more = icmp slt i64 %next, %count
+br i1 %more, label %loop, label %done
+done:
+ret void
+}}
+"""
+
+
+def _identity(operation: str, kind: str) -> object:
+    """Returns the number that changes nothing."""
+    none = _IDENTITY[operation]
+    if kind == "b1":
+        return bool(none) if operation in ("and", "or", "xor") else operation == "min"
+    if kind[0] != "f" and operation in ("min", "max"):
+        info = np.iinfo(np.dtype(f"{'int' if kind[0] == 'i' else 'uint'}{kind[1:]}"))
+        return info.max if operation == "min" else info.min
+    if kind[0] != "f" and operation == "and":
+        return -1 if kind[0] == "i" else 2 ** int(kind[1:]) - 1
+    return none if kind[0] == "f" else int(none)

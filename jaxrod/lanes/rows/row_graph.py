@@ -1,0 +1,233 @@
+"""Graphs of rows: each node is a number, a row, or a table of numbers.
+
+A node has *dims*, the lengths of the loops that compute it: none for a single number,
+one for a row, two for a table. A single number serves wherever a row is expected. Nodes
+that move numbers are
+
+- `view`: reads a stored node at places that are affine in the loop indices;
+- `joined`: a stored node, put together from pieces;
+- `gather`: reads a stored node at computed places;
+- `scatter`: a stored node to which numbers are added at computed places;
+- `reduce`: a node reduced along some of its axes;
+- `iota`: the index along an axis.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from jaxrod.lanes.graph import Graph
+
+Dims = tuple[int, ...]
+
+
+@dataclass(frozen=True)
+class Piece:
+    """A part of a stored node: where in it another node is written."""
+
+    base: int
+    """Place of the first number, in numbers."""
+    strides: Dims
+    """Distance of the places of neighbours along each axis of the other node."""
+    dims: Dims
+    """Lengths of the loops that write it."""
+
+    def places(self) -> np.ndarray:
+        """Places of all its numbers."""
+        at = np.full(self.dims, self.base, np.int64)
+        for axis, (length, stride) in enumerate(
+            zip(self.dims, self.strides, strict=True)
+        ):
+            shape = [1] * len(self.dims)
+            shape[axis] = length
+            at = at + (np.arange(length) * stride).reshape(shape)
+        return at.reshape(-1)
+
+
+@dataclass(frozen=True)
+class Move:
+    """How an axis of a view moves through the node that it reads."""
+
+    axis: int | None
+    """Axis of that node; `None` for one along which the view repeats."""
+    step: int = 1
+    """Distance of neighbours along that axis."""
+
+
+class RowGraph(Graph):
+    """Nodes of a program of rows, in the order in which they were made."""
+
+    def __init__(self) -> None:
+        """Makes an empty graph."""
+        super().__init__()
+        self.dims: list[Dims] = []
+        self.extras: dict[int, Any] = {}
+        """What a node is, besides its operation and arguments."""
+        self.data: dict[int, np.ndarray] = {}
+        """Known numbers of stored nodes."""
+
+    def _new(
+        self, operation: str, arguments: tuple[int, ...], kind: str, rate: int
+    ) -> int:
+        dims: Dims = ()
+        for argument in arguments:
+            own = self.dims[argument]
+            if own and dims and own != dims:
+                raise AssertionError(f"{operation} of rows of {own} and {dims} numbers")
+            dims = own or dims
+        self.dims.append(dims)
+        return super()._new(operation, arguments, kind, rate)
+
+    def place(
+        self,
+        operation: str,
+        arguments: tuple[int, ...],
+        kind: str,
+        dims: Dims,
+        extra: Any,
+        rate: int | None = None,
+    ) -> int:
+        """Returns the node of an operation that moves numbers; it may exist already."""
+        key = (operation, arguments, kind, dims, extra)
+        node = self._known.get(key)
+        if node is None:
+            if rate is None:
+                rate = max(1, *(self.rates[a] for a in arguments))
+            node = super()._new(operation, arguments, kind, rate)
+            self.dims.append(dims)
+            self.extras[node] = extra
+            self._known[key] = node
+        return node
+
+    def array(self, which: int, size: int, kind: str, rate: int) -> int:
+        """Returns the stored node of input array number `which`."""
+        node = self.place("input", (), kind, (size,), which, rate)
+        self.places[node] = (which, 0)
+        return node
+
+    def known_array(self, numbers: np.ndarray, kind: str) -> int:
+        """Returns the stored node of an array of known numbers."""
+        flat = np.ascontiguousarray(numbers).reshape(-1)
+        node = self.place("data", (), kind, (flat.size,), flat.tobytes(), 1)
+        self.data[node] = flat
+        return node
+
+    def view(self, node: int, dims: Dims, base: int, strides: Dims) -> int:
+        """Returns a view of a stored node, by its places in memory."""
+        own = self.dims[node]
+        if dims == own and base == 0 and strides == row_major(own):
+            return node
+        return self.place("view", (node,), self.kinds[node], dims, (base, strides))
+
+    def taken(self, node: int, start: Sequence[int], moves: Sequence[Any], dims: Dims):
+        """Returns a node read along its own axes.
+
+        Args:
+            node: Any node.
+            start: First index along each axis of the node.
+            moves: How each axis of the result moves.
+            dims: Lengths of the axes of the result.
+        """
+        own = self.dims[node]
+        if not own:
+            return node
+        if self.operations[node] == "view":
+            (source,) = self.arguments[node]
+            base, strides = self.extras[node]
+        else:
+            source, base, strides = node, 0, row_major(own)
+        base += sum(s * stride for s, stride in zip(start, strides, strict=True))
+        new = tuple(
+            0 if move.axis is None else move.step * strides[move.axis] for move in moves
+        )
+        return self.view(source, dims, base, new)
+
+    def flat(self, node: int) -> tuple[int, int]:
+        """Returns a stored node, and where in it all numbers of a node begin.
+
+        The numbers follow one another in the order of the node's axes.
+        """
+        if self.operations[node] == "view":
+            base, strides = self.extras[node]
+            if strides == row_major(self.dims[node]):
+                return self.arguments[node][0], base
+        return node, 0
+
+    def joined(
+        self, sources: Sequence[int], pieces: Sequence[Piece], dims: Dims, fill: int
+    ) -> int:
+        """Returns a stored node put together from pieces; `fill` is between them.
+
+        Pieces do not overlap.
+        """
+        if len(sources) == 1:
+            (source,), (piece,) = sources, pieces
+            whole = piece.base == 0 and piece.strides == row_major(dims)
+            if whole and piece.dims == dims:
+                return source
+        return self.place(
+            "joined",
+            (*sources, fill),
+            self.kinds[fill],
+            dims,
+            tuple(pieces),
+        )
+
+    def reduced(self, node: int, operation: str, axes: Dims) -> int:
+        """Returns a node reduced along axes."""
+        own = self.dims[node]
+        dims = tuple(n for axis, n in enumerate(own) if axis not in axes)
+        kind = self.kinds[node]
+        return self.place("reduce", (node,), kind, dims, (operation, axes))
+
+    def gathered(self, table: int, base: int, index: int) -> int:
+        """Returns numbers of a stored node at places `base + index`."""
+        dims = self.dims[index]
+        known = self.value(index)
+        if known is not None:
+            return self.view(table, (), base + int(known), ())
+        return self.place("gather", (table, index), self.kinds[table], dims, base)
+
+    def scattered(
+        self,
+        into: int,
+        index: int,
+        updates: int,
+        operation: str,
+        size: int,
+        rounds: int,
+    ) -> int:
+        """Returns a stored row with numbers combined into it, one after the other.
+
+        Args:
+            into: Node of the row.
+            index: Node of the places; one equal to `size` leaves its number out.
+            updates: Node of the numbers.
+            operation: Operation that combines them, or `set`.
+            size: Length of the row.
+            rounds: Count of the numbers.
+        """
+        kind = self.kinds[into]
+        if self.operations[into] == "view" and self.extras[into][1] not in ((1,), ()):
+            fill = self.constant(0, kind)
+            whole = (Piece(0, (1,), (size,)),)
+            into = self.place("joined", (into, fill), kind, (size,), whole)
+        elif not self.dims[into] and self.value(into) is None:
+            fill = into
+            into = self.place("joined", (fill,), kind, (size,), ())
+        given, extra = (into, index, updates), (operation, rounds)
+        return self.place("scatter", given, kind, (size,), extra)
+
+    def iota(self, dims: Dims, axis: int, kind: str) -> int:
+        """Returns the index along an axis."""
+        return self.place("iota", (), kind, dims, axis, 0)
+
+
+def row_major(dims: Dims) -> Dims:
+    """Returns the distances of neighbours along each axis of a stored node."""
+    return tuple(math.prod(dims[axis + 1 :]) for axis in range(len(dims)))

@@ -1,0 +1,366 @@
+"""Schedules: which loops compute which nodes, in which order, and what is stored.
+
+Nodes of the same dims are computed in one loop, unless one needs another as a whole: a
+shifted view, a gather or a sum. So nodes get *levels*. A loop computes all nodes of a
+level and of the same dims; what it makes for other loops is stored.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from jaxrod.lanes.graph import VARYING
+from jaxrod.lanes.llvm.vector_code import BYTES
+from jaxrod.lanes.rows.row_graph import Dims, Piece, RowGraph, row_major
+
+STORED = frozenset({"joined", "scatter", "reduce", "input", "data"})
+"""Operations of nodes that are not computed in a loop over their own numbers."""
+ALIGNMENT = 64
+"""Alignment of stored nodes [bytes]."""
+
+
+@dataclass(frozen=True)
+class Place:
+    """A place in memory."""
+
+    pointer: str
+    """Name of the pointer to the region."""
+    offset: int
+    """Distance from it [bytes]."""
+
+
+@dataclass(frozen=True)
+class Goal:
+    """A node that is written to a given place."""
+
+    node: int
+    place: Place
+    """Place of the array to which it belongs."""
+    piece: Piece
+    """Where in that array it is written."""
+
+
+@dataclass
+class Loop:
+    """Nodes that are computed in one loop, or in one line of code if `dims` is ()."""
+
+    level: int
+    dims: Dims
+    nodes: list[int] = field(default_factory=list)
+    goals: list[Goal] = field(default_factory=list)
+    """What is written besides stored nodes."""
+    reductions: list[int] = field(default_factory=list)
+    scatters: list[int] = field(default_factory=list)
+    """Nodes of scatters, which have a loop of their own."""
+
+
+class Schedule:
+    """Loops that compute goals from stored nodes."""
+
+    def __init__(
+        self,
+        graph: RowGraph,
+        goals: Sequence[Goal],
+        ready: dict[int, Place],
+        stored: Iterable[int] = (),
+    ) -> None:
+        """Makes a schedule.
+
+        Args:
+            graph: The graph.
+            goals: Nodes to be written to given places.
+            ready: Places of nodes that are stored already.
+            stored: Nodes that are to be computed, and stored in places that `ready`
+                has too.
+        """
+        self.graph, self.ready = graph, dict(ready)
+        self.fresh = set(stored)
+        self.places: dict[int, Place] = {}
+        """Places of nodes that are stored on the way."""
+        self.fills: dict[int, list[tuple[int, int, int]]] = {}
+        """Runs of fill by level: joined node, first number, count."""
+        self.size = 0
+        """Size of the places of nodes stored on the way [bytes]."""
+        self._at: dict[int, int] = {}
+        self._done: dict[int, int] = {}
+        self._loops: dict[tuple[int, Dims, str], Loop] = {}
+        self._kept: set[int] = set()
+        self._read: dict[int, int] = {}
+        self._goals = list(goals)
+        self.order = self._needed()
+        for node in self.order:
+            self._level(node)
+        for goal in goals:
+            self._write(goal)
+        for node in self.order:
+            self._use(node)
+        self.loops = [self._loops[key] for key in sorted(self._loops, key=_key)]
+        rank = {node: i for i, node in enumerate(self.order)}
+        for loop in self.loops:
+            loop.nodes = sorted(set(loop.nodes), key=rank.__getitem__)
+        self._allocate()
+
+    def place(self, node: int) -> Place | None:
+        """Returns the place of a stored node, or `None`."""
+        return self.ready.get(node) or self.places.get(node)
+
+    def is_ready(self, node: int) -> bool:
+        """Whether a node is stored, or known, before the schedule begins."""
+        if node in self.fresh:
+            return False
+        return node in self.ready or self.graph.operations[node] in (
+            "constant",
+            "iota",
+        )
+
+    def _needed(self) -> list[int]:
+        graph, order, seen = self.graph, [], set()
+        for start in [*(goal.node for goal in self._goals), *self.fresh]:
+            stack = [(start, False)]
+            while stack:
+                node, expanded = stack.pop()
+                if expanded:
+                    order.append(node)
+                    continue
+                if node in seen or self.is_ready(node):
+                    continue
+                seen.add(node)
+                stack.append((node, True))
+                stack.extend((a, False) for a in reversed(graph.arguments[node]))
+        return order
+
+    def _after(self, node: int) -> int:
+        """Level from which a stored node can be read, or a number as part of a row."""
+        return 0 if self.is_ready(node) else self._done[node] + 1
+
+    def _beside(self, node: int, dims: Dims) -> int:
+        """Level from which a loop over `dims` can use a node of the same dims."""
+        graph = self.graph
+        if self.is_ready(node):
+            return 0
+        inline = graph.operations[node] not in STORED
+        if inline and graph.dims[node] == dims:
+            return self._at[node]
+        return self._after(node)
+
+    def _level(self, node: int) -> None:
+        graph = self.graph
+        operation, arguments = graph.operations[node], graph.arguments[node]
+        dims = graph.dims[node]
+        if operation == "view":
+            level = self._after(arguments[0])
+        elif operation == "reduce":
+            level = self._beside(arguments[0], graph.dims[arguments[0]])
+        elif operation == "gather":
+            level = max(self._after(arguments[0]), self._beside(arguments[1], dims))
+        elif operation == "scatter":
+            level = max(self._after(a) for a in arguments)
+        elif operation == "joined":
+            level = self._after(arguments[-1])
+            for source, piece in self._pieces(node):
+                level = max(level, self._piece_level(source, piece))
+        else:
+            level = max((self._beside(a, dims) for a in arguments), default=0)
+        self._at[node] = self._done[node] = level
+
+    def _pieces(self, node: int) -> list[tuple[int, Piece]]:
+        sources = self.graph.arguments[node][:-1]
+        return list(zip(sources, self.graph.extras[node], strict=True))
+
+    def _piece_level(self, source: int, piece: Piece) -> int:
+        return self._beside(source, piece.dims)
+
+    def _loop(self, level: int, dims: Dims, what: str = "loop") -> Loop:
+        key = (level, dims, what)
+        if key not in self._loops:
+            self._loops[key] = Loop(level, dims)
+        return self._loops[key]
+
+    def _write(self, goal: Goal) -> None:
+        level = self._piece_level(goal.node, goal.piece)
+        loop = self._loop(level, goal.piece.dims)
+        loop.goals.append(goal)
+        self._take(goal.node, loop)
+
+    def _take(self, node: int, loop: Loop) -> None:
+        """Notes that a loop uses a node: it computes it, or reads it."""
+        graph = self.graph
+        if self.is_ready(node):
+            return
+        operation, dims = graph.operations[node], graph.dims[node]
+        if operation == "view":
+            self._keep(graph.arguments[node][0], loop.level)
+            return
+        if not dims:
+            if loop.dims == () and operation not in STORED:
+                return
+            self._read[node] = max(self._read.get(node, 0), loop.level)
+            return
+        if operation in STORED or self._at[node] != loop.level or dims != loop.dims:
+            self._keep(node, loop.level)
+
+    def _keep(self, node: int, level: int) -> None:
+        if self.is_ready(node):
+            return
+        self._kept.add(node)
+        self._read[node] = max(self._read.get(node, 0), level)
+
+    def _use(self, node: int) -> None:
+        """Puts a node into its loop, and notes what that loop uses."""
+        graph = self.graph
+        operation, arguments = graph.operations[node], graph.arguments[node]
+        level, dims = self._at[node], graph.dims[node]
+        if node in self.fresh and operation not in STORED:
+            self._kept.add(node)
+        if operation == "view":
+            # It is read where it is used. A view that is stored has a loop.
+            if not dims:
+                loop = self._loop(level, ())
+                loop.nodes.append(node)
+                self._keep(arguments[0], level)
+            return
+        if operation == "joined":
+            self._kept.add(node)
+            first = level
+            for source, piece in self._pieces(node):
+                at = self._piece_level(source, piece)
+                loop = self._loop(at, piece.dims)
+                loop.goals.append(Goal(source, Place(f"node {node}", 0), piece))
+                self._take(source, loop)
+                first = min(first, at)
+            self._fill(node, first)
+            return
+        if operation == "scatter":
+            rounds = graph.extras[node][1]
+            loop = self._loop(level, (), f"scatter {arguments[1]} {rounds}")
+            loop.scatters.append(node)
+            self._kept.add(node)
+            for argument in arguments:
+                if graph.operations[argument] == "view" and graph.dims[argument]:
+                    self._keep(graph.arguments[argument][0], level)
+                elif graph.dims[argument]:
+                    self._keep(argument, level)
+            return
+        if operation == "reduce":
+            source = arguments[0]
+            loop = self._loop(level, graph.dims[source])
+            loop.reductions.append(node)
+            self._take(source, loop)
+            if dims or len(graph.dims[source]) > 1:
+                self._kept.add(node)
+            return
+        loop = self._loop(level, dims)
+        loop.nodes.append(node)
+        if operation == "gather":
+            self._keep(arguments[0], level)
+            self._take(arguments[1], loop)
+            return
+        for argument in arguments:
+            self._take(argument, loop)
+
+    def _fill(self, node: int, level: int) -> None:
+        graph = self.graph
+        size = math.prod(graph.dims[node])
+        free = np.ones(size, bool)
+        for piece in graph.extras[node]:
+            free[piece.places()] = False
+        edges = np.flatnonzero(np.diff(np.r_[False, free, False].astype(np.int8)))
+        level = max(level, self._after(graph.arguments[node][-1]))
+        for first, last in zip(edges[::2], edges[1::2], strict=True):
+            self.fills.setdefault(level, []).append(
+                (node, int(first), int(last - first))
+            )
+            self._loop(level, ())
+
+    def _allocate(self) -> None:
+        """Gives stored nodes places, and uses places again that nobody reads."""
+        graph = self.graph
+        begins: dict[int, list[int]] = {}
+        first_write: dict[int, int] = {}
+        for node in self._kept:
+            if node in self.ready:
+                continue
+            first = self._at[node]
+            if graph.operations[node] == "joined":
+                first = min(
+                    [self._piece_level(s, p) for s, p in self._pieces(node)] + [first]
+                )
+            first_write[node] = first
+            begins.setdefault(first, []).append(node)
+        free: dict[int, list[int]] = {}
+        ends: dict[int, list[tuple[int, int]]] = {}
+        for level in sorted(begins):
+            for past in sorted(level_ for level_ in ends if level_ < level):
+                for size, offset in ends.pop(past):
+                    free.setdefault(size, []).append(offset)
+            for node in sorted(begins[level]):
+                more = 1 if graph.operations[node] == "scatter" else 0
+                count = math.prod(graph.dims[node]) + more
+                size = -(-count * BYTES[graph.kinds[node]] // ALIGNMENT) * ALIGNMENT
+                spare = free.get(size)
+                if spare:
+                    offset = spare.pop()
+                else:
+                    offset = self.size
+                    self.size += size
+                self.places[node] = Place("%scratch", offset)
+                last = max(self._read.get(node, level), self._done[node])
+                ends.setdefault(last, []).append((size, offset))
+
+    def goal_place(self, goal: Goal) -> Place:
+        """Returns the place of the array to which a goal belongs."""
+        word, _, number = goal.place.pointer.partition(" ")
+        if word != "node":
+            return goal.place
+        place = self.place(int(number))
+        assert place is not None
+        return place
+
+    def is_kept(self, node: int) -> bool:
+        """Whether a node is stored."""
+        return node in self._kept
+
+
+def hoisted(graph: RowGraph, goals: Iterable[int], given: Iterable[int]) -> list[int]:
+    """Returns the nodes that do not vary, but are read by nodes that do.
+
+    Args:
+        graph: The graph.
+        goals: Nodes that are to be computed in a step.
+        given: Nodes that are stored already.
+    """
+    known, found = set(given), {}
+
+    def keep(node: int) -> None:
+        if graph.rates[node] >= VARYING or node in known:
+            return
+        operation = graph.operations[node]
+        if operation in ("constant", "iota"):
+            return
+        if operation == "view" and graph.dims[node]:
+            keep(graph.arguments[node][0])
+            return
+        found[node] = None
+
+    goals = list(goals)
+    for node in graph.needed(goals):
+        if graph.rates[node] >= VARYING:
+            for argument in graph.arguments[node]:
+                keep(argument)
+    for node in goals:
+        keep(node)
+    return list(found)
+
+
+def whole_piece(dims: Dims) -> Piece:
+    """Returns the piece that is a whole stored node."""
+    return Piece(0, row_major(dims), dims)
+
+
+def _key(key: tuple[int, Dims, str]) -> tuple[int, int, Dims, str]:
+    level, dims, what = key
+    return level, len(dims), dims, what
