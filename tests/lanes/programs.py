@@ -129,6 +129,27 @@ def _gather(pool):
     return a[places]
 
 
+def _gather_moving(pool):
+    a = pool.some("f")
+    a = a[None] if a.ndim == 0 else a
+    places = fitted(pool.some("i"), (6,)) % (a.shape[0] + 2) - 1
+    mode = ("fill", "clip", "promise_in_bounds")[pool.rng.integers(3)]
+    if mode == "promise_in_bounds":
+        places = jnp.clip(places, 0, a.shape[0] - 1)
+    return a.at[places].get(mode=mode)
+
+
+def _scatter_moving(pool):
+    a = pool.some("f")
+    a = a[None] if a.ndim == 0 else a
+    places = fitted(pool.some("i"), (7,)) % (a.shape[0] + 2) - 1
+    values = fitted(pool.some("f"), (7, *a.shape[1:]))
+    name = ("add", "mul", "min", "max")[pool.rng.integers(4)]
+    # A product of many numbers would amplify rounding.
+    values = jnp.tanh(values)
+    return getattr(a.at[places], name)(values, mode="drop")
+
+
 def _scatter(pool):
     a = pool.some("f")
     a = a[None] if a.ndim == 0 else a
@@ -256,9 +277,13 @@ OPERATIONS = (
     *(_select, _pad, _slice, _dynamic_slice, _dynamic_update, _gather, _scatter),
     *(_scan, _loop, _branch, _matrix, _einsum, _derivative),
 )
+MOVING = (_gather_moving, _scatter_moving)
+"""Operations at places that change, which rows have and lanes have not."""
+LENGTHS = {"always": (1, 2, 3), "rows": (1, 2, 3, 4, 5, 7, 8, 9, 17, 20)}
+"""Lengths of axes, by mode: those of rows are loops from five on."""
 
 
-def random_program(seed):
+def random_program(seed, mode="always"):
     """A program and what it is given: `(cycle, constants, carry)`.
 
     Two rows are shared.
@@ -267,7 +292,7 @@ def random_program(seed):
     dtype = (jnp.float32, jnp.float64)[rng.integers(2)]
 
     def shape():
-        return tuple(int(n) for n in rng.integers(1, 4, rng.integers(0, 3)))
+        return tuple(int(n) for n in rng.choice(LENGTHS[mode], rng.integers(0, 3)))
 
     constants = [jnp.asarray(rng.normal(size=shape()), dtype) for _ in range(2)]
     carry = [
@@ -276,14 +301,15 @@ def random_program(seed):
         jnp.asarray(rng.integers(-9, 9, shape()), jnp.int32),
         jnp.asarray(rng.integers(0, 2, shape()), bool),
     ]
-    picks = rng.integers(0, len(OPERATIONS), rng.integers(3, 9))
+    known = OPERATIONS + (6 * MOVING if mode == "rows" else ())
+    picks = rng.integers(0, len(known), rng.integers(3, 9))
     inner_seed = int(rng.integers(2**31))
 
     def cycle(constants, carry):
         pool = Pool(np.random.default_rng(inner_seed), [*constants, *carry])
         for pick in picks:
-            made = OPERATIONS[pick](pool)
-            if 0 < made.size <= 60:
+            made = known[pick](pool)
+            if 0 < made.size <= 20 * max(LENGTHS[mode]):
                 pool.arrays.append(made)
         after = []
         for array in carry:
@@ -297,13 +323,13 @@ def random_program(seed):
     return cycle, constants, carry, dtype
 
 
-def difference(seed):
+def difference(seed, mode="always"):
     """The largest difference of a random program, in units of what rounding allows."""
     from jaxrod.lanes.choice import lane_choices, use_lanes
     from jaxrod.lanes.primitives import cycles_p
     from jaxrod.lanes.run_spec import LoopBody, RunSpec
 
-    cycle, constants, carry, dtype = random_program(seed)
+    cycle, constants, carry, dtype = random_program(seed, mode)
     n = len(constants)
     closed = jax.make_jaxpr(lambda *a: cycle(list(a[:n]), list(a[n:])))(
         *constants, *carry
@@ -324,7 +350,7 @@ def difference(seed):
         given = (jnp.int32(CYCLES), constants[0], own, *carry)
         return cycles_p.bind(*given, spec=spec)
 
-    use_lanes("always")
+    use_lanes(mode)
     taken = jax.jit(jax.vmap(run))(own, *many)
     if not lane_choices()[-1].taken:
         return None, lane_choices()[-1].why
@@ -345,13 +371,14 @@ def main(arguments):
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--count", type=int, default=100)
     parser.add_argument("--first", type=int, default=0)
+    parser.add_argument("--mode", default="always", choices=LENGTHS)
     options = parser.parse_args(arguments)
     jax.config.update("jax_enable_x64", True)
     bad = left = 0
     for seed in range(options.first, options.first + options.count):
         if seed % 200 == 0:
             jax.clear_caches()
-        worst, program = difference(seed)
+        worst, program = difference(seed, options.mode)
         if worst is None:
             left += 1
             print(f"{seed}: left to XLA: {program}", flush=True)

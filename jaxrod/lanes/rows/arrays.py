@@ -396,7 +396,10 @@ class Layout:
             sources.append(int(nodes[index]))
             pieces.append(Piece(base, own, dims))
         fill = self.graph.constant(0, array.kind)
-        return self.graph.joined(sources, pieces, (size,), fill), 0
+        node = self.graph.joined(sources, pieces, (size,), fill)
+        if not self.graph.dims[node]:
+            node = self.graph.place("joined", (node,), array.kind, (size,), ())
+        return self.graph.flat(node)
 
     def _views(self, stored: tuple[int, int], shape: Dims, loops: Dims, kind: str):
         node, base = stored

@@ -10,24 +10,11 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 
-import numpy as np
-
 from jaxrod.lanes.llvm.vector_code import BYTES, TYPES, Writer, literal
-from jaxrod.lanes.rows.row_graph import Dims, RowGraph, row_major
+from jaxrod.lanes.rows.row_graph import Dims, RowGraph, identity, row_major
 from jaxrod.lanes.rows.schedule import Goal, Loop, Place, Schedule
 
 Lines = list[str]
-_IDENTITY = {
-    "add": 0,
-    "mul": 1,
-    "max": -np.inf,
-    "min": np.inf,
-    "and": True,
-    "or": False,
-    "xor": False,
-}
-
-
 class RowWriter(Writer):
     """Writer of a function that runs the loops of a schedule."""
 
@@ -418,7 +405,7 @@ class RowWriter(Writer):
             value = self._without_repeats(value, mark, operation, kind)
         outer = [axis for axis in axes if axis != depth - 1]
         place = schedule.place(node)
-        none = _identity(operation, kind)
+        none = identity(operation, kind)
         if outer:
             assert place is not None
             size = math.prod(graph.dims[node])
@@ -506,7 +493,7 @@ class RowWriter(Writer):
         first = self.new(f"shufflevector {many} {first}, {many} poison, {zeros}")
         lanes = "<" + ", ".join(f"i64 {i}" for i in range(self.width)) + ">"
         fresh = self.new(f"icmp sge {many} {lanes}, {first}")
-        none = self.literal(_identity(operation, kind), kind)
+        none = self.literal(identity(operation, kind), kind)
         return self._select([fresh, value, none], kind)
 
     def _combined(self, operation: str, a: str, b: str, kind: str) -> str:
@@ -637,16 +624,3 @@ done:
 ret void
 }}
 """
-
-
-def _identity(operation: str, kind: str) -> object:
-    """Returns the number that changes nothing."""
-    none = _IDENTITY[operation]
-    if kind == "b1":
-        return bool(none) if operation in ("and", "or", "xor") else operation == "min"
-    if kind[0] != "f" and operation in ("min", "max"):
-        info = np.iinfo(np.dtype(f"{'int' if kind[0] == 'i' else 'uint'}{kind[1:]}"))
-        return info.max if operation == "min" else info.min
-    if kind[0] != "f" and operation == "and":
-        return -1 if kind[0] == "i" else 2 ** int(kind[1:]) - 1
-    return none if kind[0] == "f" else int(none)

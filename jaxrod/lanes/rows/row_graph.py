@@ -136,6 +136,8 @@ class RowGraph(Graph):
         own = self.dims[node]
         if not own:
             return node
+        if self.operations[node] == "iota":
+            return self._taken_index(node, start, moves, dims)
         if self.operations[node] == "view":
             (source,) = self.arguments[node]
             base, strides = self.extras[node]
@@ -147,6 +149,19 @@ class RowGraph(Graph):
         )
         return self.view(source, dims, base, new)
 
+    def _taken_index(
+        self, node: int, start: Sequence[int], moves: Sequence[Move], dims: Dims
+    ) -> int:
+        axis, kind = self.extras[node], self.kinds[node]
+        made = self.constant(start[axis], kind)
+        for along, move in enumerate(moves):
+            if move.axis == axis:
+                index = self.iota(dims, along, kind)
+                step = self.constant(move.step, kind)
+                index = self.add("mul", (index, step), kind)
+                made = self.add("add", (made, index), kind)
+        return made
+
     def flat(self, node: int) -> tuple[int, int]:
         """Returns a stored node, and where in it all numbers of a node begin.
 
@@ -156,6 +171,11 @@ class RowGraph(Graph):
             base, strides = self.extras[node]
             if strides == row_major(self.dims[node]):
                 return self.arguments[node][0], base
+        if self.operations[node] in ("view", "iota"):
+            kind, dims = self.kinds[node], self.dims[node]
+            whole = (Piece(0, row_major(dims), dims),)
+            given = (node, self.constant(0, kind))
+            return self.place("joined", given, kind, dims, whole), 0
         return node, 0
 
     def joined(
@@ -231,3 +251,27 @@ class RowGraph(Graph):
 def row_major(dims: Dims) -> Dims:
     """Returns the distances of neighbours along each axis of a stored node."""
     return tuple(math.prod(dims[axis + 1 :]) for axis in range(len(dims)))
+
+
+_IDENTITY = {
+    "add": 0,
+    "mul": 1,
+    "max": -np.inf,
+    "min": np.inf,
+    "and": True,
+    "or": False,
+    "xor": False,
+}
+
+
+def identity(operation: str, kind: str) -> object:
+    """Returns the number that changes nothing."""
+    none = _IDENTITY[operation]
+    if kind == "b1":
+        return bool(none) if operation in ("and", "or", "xor") else operation == "min"
+    if kind[0] != "f" and operation in ("min", "max"):
+        info = np.iinfo(np.dtype(f"{'int' if kind[0] == 'i' else 'uint'}{kind[1:]}"))
+        return info.max if operation == "min" else info.min
+    if kind[0] != "f" and operation == "and":
+        return -1 if kind[0] == "i" else 2 ** int(kind[1:]) - 1
+    return none if kind[0] == "f" else int(none)

@@ -24,7 +24,7 @@ from jaxrod.lanes.jaxpr.unroll import (
     rule,
 )
 from jaxrod.lanes.rows.arrays import Layout, Rows, long_axes
-from jaxrod.lanes.rows.row_graph import Move, RowGraph
+from jaxrod.lanes.rows.row_graph import Move, RowGraph, identity
 from jaxrod.jax_internals.equations import scan_of
 
 SHARED = (
@@ -275,6 +275,55 @@ def _reduced(
     return Rows(shape, loops, lines[0], kind)
 
 
+_CUMULATIVE = {"cumsum": "add", "cumprod": "mul", "cummax": "max", "cummin": "min"}
+
+
+@_row_rule(*_CUMULATIVE)
+def accumulated(unroller: RowUnroller, equation: Any, array: Rows) -> Rows:
+    """Translates a cumulative operation, by combination with ever longer shifts."""
+    operation = _CUMULATIVE[equation.primitive.name]
+    axis, kind = equation.params["axis"], array.kind
+    none = unroller.graph.constant(identity(operation, kind), kind)
+    n, shift = array.shape[axis], 1
+    while shift < n:
+        low, high = (-shift, shift) if equation.params["reverse"] else (shift, -shift)
+        moved = unroller.layout.padded(array, axis, low, high, 0, none)
+        array = unroller.each(operation, kind, array, moved)
+        shift *= 2
+    return array
+
+
+@_row_rule("argmax", "argmin")
+def place_of_extreme(unroller: RowUnroller, equation: Any, array: Rows) -> Rows:
+    """Translates the index of the largest or smallest entry; the first of equal ones.
+
+    The first NaN wins, as in JAX.
+    """
+    kind = kind_of(equation.outvars[0].aval)
+    (axis,) = equation.params["axes"]
+    operation = "max" if equation.primitive.name == "argmax" else "min"
+    best = _reduced(unroller, array, operation, (axis,))
+    shape = tuple(1 if a == axis else n for a, n in enumerate(array.shape))
+    best = unroller.layout.reshaped(best, shape)
+    match = unroller.each("eq", "b1", array, best)
+    if array.kind[0] == "f":
+        odd = unroller.each("ne", "b1", array, array)
+        match = unroller.each("or", "b1", match, odd)
+    index = _iota(unroller, array.shape, axis, kind)
+    beyond = unroller.full(array.shape[axis], (), kind)
+    index = unroller.each("select", kind, match, index, beyond)
+    return _reduced(unroller, index, "min", (axis,))
+
+
+@_row_rule("tile")
+def tiled(unroller: RowUnroller, equation: Any, array: Rows) -> Rows:
+    """Translates the repetition of a whole array."""
+    for axis, count in enumerate(equation.params["reps"]):
+        if count != 1:
+            array = unroller.layout.concatenated([array] * count, axis)
+    return array
+
+
 @_row_rule("dot_general")
 def product(unroller: RowUnroller, equation: Any, left: Rows, right: Rows) -> Rows:
     """Translates sums of products, such as matrix products."""
@@ -340,7 +389,7 @@ def picked(unroller: RowUnroller, equation: Any, array: Rows, *starts: Rows) -> 
             known.append(min(max(int(value or 0), 0), room))
         else:
             known.append(0)
-            moving.append((axis, _clamped(graph, start, room)))
+            moving.append((axis, _clamped(unroller, start, room)))
     if not moving:
         return layout.taken(array, sizes, known, _straight(array))
     places = []
@@ -351,12 +400,9 @@ def picked(unroller: RowUnroller, equation: Any, array: Rows, *starts: Rows) -> 
     return _read(unroller, array, sizes, known, places)
 
 
-def _clamped(graph: RowGraph, start: Rows, room: int) -> int:
-    node, kind = start.scalar, start.kind
-    if kind != "i32":
-        raise NotUnrolled(f"rows have no indices of type {DTYPES[kind]}")
-    low, high = graph.constant(0, kind), graph.constant(room, kind)
-    return graph.add("min", (graph.add("max", (node, low), kind), high), kind)
+def _clamped(unroller: RowUnroller, start: Rows, room: int) -> int:
+    """Returns the node of an index between 0 and `room`."""
+    return _bounded(unroller, start, room)[0].scalar
 
 
 def _read(
@@ -410,7 +456,7 @@ def replaced(
         room = array.shape[axis] - update.shape[axis]
         if room == 0:
             continue
-        at = _clamped(graph, start, room)
+        at = _clamped(unroller, start, room)
         given = Rows((), (), np.array(at), "i32")
         along = _iota(unroller, (array.shape[axis],), 0, "i32")
         column = unroller.each("sub", "i32", along, given)
@@ -536,18 +582,20 @@ def _gathered(
 
 def _index_columns(unroller: RowUnroller, indices: Rows) -> list[Rows]:
     """Returns the indices of each axis, which are along the last axis of `indices`."""
-    if indices.kind != "i32":
-        raise NotUnrolled(f"rows have no indices of type {DTYPES[indices.kind]}")
     last = len(indices.shape) - 1
     return [_at(unroller, indices, last, i) for i in range(indices.shape[last])]
 
 
 def _bounded(unroller: RowUnroller, column: Rows, room: int) -> tuple[Rows, Rows]:
     """Returns indices between 0 and `room`, and whether they were so before."""
-    zero, most = (unroller.full(n, (), "i32") for n in (0, room))
-    clamped = unroller.each("max", "i32", column, zero)
-    clamped = unroller.each("min", "i32", clamped, most)
-    return clamped, unroller.each("eq", "b1", clamped, column)
+    kind = column.kind
+    if kind not in ("i32", "i64", "u32"):
+        raise NotUnrolled(f"rows have no indices of type {DTYPES[kind]}")
+    zero, most = (unroller.full(n, (), kind) for n in (0, room))
+    clamped = unroller.each("max", kind, column, zero)
+    clamped = unroller.each("min", kind, clamped, most)
+    inside = unroller.each("eq", "b1", clamped, column)
+    return as_kind(unroller, clamped, kind, "i32"), inside
 
 
 @_row_rule("scatter-add", "scatter-mul", "scatter-min", "scatter-max", "scatter")
