@@ -39,10 +39,19 @@ def _run(spec: RunSpec, steps: Any, *arrays: Any) -> list[Any]:
     ends, body = spec.ends, spec.body
     assert ends is not None
     constants, given = parted(arrays, body.n_constants)
-    carry = evaluate(ends.begin, *constants, *given)
+    carry = run_once(ends.first, constants, given)
     inner = RunSpec(body, spec.length)
     after = cycles_p.bind(steps, *constants, *carry, spec=inner)
-    return evaluate(ends.end, *constants, *after)
+    return run_once(ends.last, constants, after)
+
+
+def run_once(step: LoopBody, constants: Sequence[Any], given: Sequence[Any]) -> Any:
+    """Returns the results of a program that `as_step` made a step."""
+    n = len(given)
+    results = [jnp.zeros(aval.shape, aval.dtype) for aval in step.avals[n:]]
+    spec = RunSpec(step, 1)
+    made = cycles_p.bind(jnp.int32(1), *constants, *given, *results, spec=spec)
+    return made[n:]
 
 
 def _cycles(spec: RunSpec, steps: Any, *arrays: Any) -> list[Any]:

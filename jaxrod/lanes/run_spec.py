@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import jax
@@ -48,10 +49,23 @@ class Ends:
     end: Any
     """Closed jaxpr that takes constants and the last carry to the run's results."""
 
+    n_constants: int
+    """Number of constants, which come first among the operands of both."""
+
     @property
     def given(self) -> Any:
         """Types of the operands of `begin`: constants, then arguments."""
         return operand_types(self.begin)
+
+    @cached_property
+    def first(self) -> LoopBody:
+        """The beginning as a step."""
+        return as_step(self.begin, self.n_constants)
+
+    @cached_property
+    def last(self) -> LoopBody:
+        """The end as a step."""
+        return as_step(self.end, self.n_constants)
 
     @property
     def made(self) -> Any:
@@ -95,6 +109,23 @@ class RunSpec:
     def n_kept(self) -> int:
         """Number of checkpoints."""
         return -(-(self.length or 0) // self.every)
+
+
+def as_step(closed: Any, n_constants: int) -> LoopBody:
+    """Returns a program as a step, whose carry is its arguments and its results.
+
+    So a program that runs once has the derivatives of a step, and its kernels.
+    """
+    given = operand_types(closed)
+    n = len(given)
+
+    def body(*arrays: Any) -> list[Any]:
+        return [*arrays[n_constants:n], *evaluate(closed, *arrays[:n])]
+
+    whole = jax.make_jaxpr(body)(
+        *map(varying_shape, [*given, *result_types(closed)])
+    )
+    return LoopBody(whole, n_constants)
 
 
 def tangent_body(spec: RunSpec) -> tuple[Any, int]:

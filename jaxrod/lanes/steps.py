@@ -88,7 +88,7 @@ def try_lanes(integrator: Any, given: Any, n_times: Any) -> Any:
         spec=RunSpec(
             LoopBody(body, n),
             n_times if isinstance(n_times, int) else None,
-            ends=Ends(begin, end),
+            ends=Ends(begin, end, n),
         ),
     )
     return jax.tree.unflatten(made_tree, made)
