@@ -26,7 +26,14 @@ from jaxrod.jax_internals.primitives import (
 )
 from jaxrod.lanes.choice import lanes_wanted, refused
 from jaxrod.lanes.kernels import lowered_by_lanes
-from jaxrod.lanes.reference import REFERENCES, adjoint_p, cycles_p, run_p, tangent_p
+from jaxrod.lanes.reference import (
+    REFERENCES,
+    adjoint_p,
+    cycles_p,
+    run_once,
+    run_p,
+    tangent_p,
+)
 from jaxrod.lanes.run_spec import Batch, RunSpec, chosen, parted
 
 
@@ -276,4 +283,4 @@ for _primitive in (run_p, cycles_p, adjoint_p):
     lower_on_cpus(_primitive, REFERENCES[_primitive], _kernels(_primitive))
 
 
-__all__ = ["adjoint_p", "cycles_p", "run_p", "tangent_p"]
+__all__ = ["adjoint_p", "cycles_p", "run_once", "run_p", "tangent_p"]

@@ -19,7 +19,7 @@ from jaxrod.lanes.choice import (
     say_if_slower,
 )
 from jaxrod.lanes.jaxpr.unroll import supported
-from jaxrod.lanes.run_spec import Ends, LoopBody, RunSpec
+from jaxrod.lanes.run_spec import Ends, LoopBody, RunSpec, as_step
 
 
 def try_lanes(integrator: Any, given: Any, n_times: Any) -> Any:
@@ -33,65 +33,135 @@ def try_lanes(integrator: Any, given: Any, n_times: Any) -> Any:
     Returns:
         The result of `end` after all cycles, or `None`.
     """
-    if not lanes_wanted():
-        if lane_mode() != NEVER:
-            say_if_slower()
+    if not _kernels_wanted():
         return None
     from jaxrod.lanes.primitives import run_p
 
-    constants, structure = jax.tree.flatten(integrator)
-    state = [_settled(leaf) for leaf in jax.tree.leaves(given)]
-    constants = [_settled(leaf) for leaf in constants]
-    steps = jnp.asarray(n_times, jnp.int32)
-    axes = axes_of(*map(jax.typeof, (steps, *constants, *state)))
-    constants, state = pvary(constants, axes), pvary(state, axes)
-    n = len(constants)
+    parts = _Parts(integrator, given, n_times)
+    begin, carried = parts.program("begin", parts.given)
+    carry = parts.like(carried, begin)
+    body, cycled = parts.program("cycle", carry)
+    end, made_tree = parts.program("end", carry)
+    if _refused(parts, carried, begin, body, cycled, begin, end):
+        return None
+    spec = RunSpec(
+        LoopBody(body, parts.n), parts.length, ends=Ends(begin, end, parts.n)
+    )
+    made = run_p.bind(*parts.operands, spec=spec)
+    return jax.tree.unflatten(made_tree, made)
 
-    def part(name: str, argument: Any) -> tuple[Any, Any]:
+
+def try_cycles(integrator: Any, carry: Any, n_times: Any) -> Any:
+    """Runs an integrator's cycles from a carry; `None` if XLA has to do the loop.
+
+    Args:
+        integrator: A pytree with a method `cycle`.
+        carry: Argument of `cycle`.
+        n_times: Number of cycles, an `int` or traced.
+
+    Returns:
+        The carry after all cycles, or `None`.
+    """
+    if not _kernels_wanted():
+        return None
+    from jaxrod.lanes.primitives import cycles_p
+
+    parts = _Parts(integrator, carry, n_times)
+    carried = jax.tree.structure(carry)
+    body, cycled = parts.program("cycle", parts.given)
+    if _refused(parts, carried, None, body, cycled):
+        return None
+    spec = RunSpec(LoopBody(body, parts.n), parts.length)
+    made = cycles_p.bind(*parts.operands, spec=spec)
+    return jax.tree.unflatten(carried, made)
+
+
+def by_kernel(integrator: Any, name: str, given: Any) -> Any:
+    """Returns the result of a method of an integrator; a kernel computes it if one can.
+
+    Args:
+        integrator: A pytree.
+        name: Name of the method.
+        given: Argument of the method.
+    """
+    if not _kernels_wanted():
+        return getattr(integrator, name)(given)
+    from jaxrod.lanes.primitives import run_once
+
+    parts = _Parts(integrator, given, 1)
+    closed, made_tree = parts.program(name, parts.given)
+    words = supported(closed)
+    if words is not None:
+        refused(words)
+        return getattr(integrator, name)(given)
+    _, *arrays = parts.operands
+    step = as_step(closed, parts.n)
+    made = run_once(step, arrays[: parts.n], arrays[parts.n :])
+    return jax.tree.unflatten(made_tree, made)
+
+
+def _kernels_wanted() -> bool:
+    if lanes_wanted():
+        return True
+    if lane_mode() != NEVER:
+        say_if_slower()
+    return False
+
+
+class _Parts:
+    """Methods of an integrator as programs, and the operands of a run."""
+
+    def __init__(self, integrator: Any, given: Any, n_times: Any) -> None:
+        constants, self.structure = jax.tree.flatten(integrator)
+        state = [_settled(leaf) for leaf in jax.tree.leaves(given)]
+        constants = [_settled(leaf) for leaf in constants]
+        steps = jnp.asarray(n_times, jnp.int32)
+        self.axes = axes_of(*map(jax.typeof, (steps, *constants, *state)))
+        self.constants, state = pvary(constants, self.axes), pvary(state, self.axes)
+        self.n = len(constants)
+        self.length = n_times if isinstance(n_times, int) else None
+        self.operands = (steps, *self.constants, *state)
+        self.state = state
+        self.given = jax.tree.unflatten(jax.tree.structure(given), state)
+
+    def program(self, name: str, argument: Any) -> tuple[Any, Any]:
         """Returns a method as a closed jaxpr, and the tree of its result."""
         leaves, tree = jax.tree.flatten(argument)
         result: list[Any] = []
 
         def method(*arrays: Any) -> list[Any]:
-            stepper = jax.tree.unflatten(structure, arrays[:n])
+            stepper = jax.tree.unflatten(self.structure, arrays[: self.n])
             bound: Callable[[Any], Any] = getattr(stepper, name)
             made, made_tree = jax.tree.flatten(
-                bound(jax.tree.unflatten(tree, arrays[n:]))
+                bound(jax.tree.unflatten(tree, arrays[self.n :]))
             )
             result.append(made_tree)
-            return pvary([_settled(leaf) for leaf in made], axes)
+            return pvary([_settled(leaf) for leaf in made], self.axes)
 
-        closed = jax.make_jaxpr(method)(*constants, *leaves)
+        closed = jax.make_jaxpr(method)(*self.constants, *leaves)
         return closed, result[0]
 
-    state_tree = jax.tree.structure(given)
-    begin, carried = part("begin", jax.tree.unflatten(state_tree, state))
-    carry = [varying_shape(aval) for aval in result_types(begin)]
-    body, cycled = part("cycle", jax.tree.unflatten(carried, carry))
-    end, made_tree = part("end", jax.tree.unflatten(carried, carry))
+    def like(self, tree: Any, closed: Any) -> Any:
+        """Returns the types of the results of a program, as a tree."""
+        types = [varying_shape(aval) for aval in result_types(closed)]
+        return jax.tree.unflatten(tree, types)
+
+
+def _refused(
+    parts: _Parts, carried: Any, begin: Any, body: Any, cycled: Any, *programs: Any
+) -> bool:
+    """Whether a loop is left to XLA; the reason is recorded."""
     words = None
-    for closed in (begin, body, end):
+    for closed in (body, *programs):
         words = words or supported(closed)
+    given = parts.state if begin is None else result_types(begin)
+    before = [(a.shape, a.dtype) for a in given]
     after = [(a.shape, a.dtype) for a in result_types(body)]
-    if words is None and (cycled, after) != (
-        carried,
-        [(a.shape, a.dtype) for a in carry],
-    ):
+    if words is None and (cycled, after) != (carried, before):
         words = "what a step makes is not of the type of what it is given"
     if words is not None:
         refused(words)
-        return None
-    made = run_p.bind(
-        steps,
-        *constants,
-        *state,
-        spec=RunSpec(
-            LoopBody(body, n),
-            n_times if isinstance(n_times, int) else None,
-            ends=Ends(begin, end, n),
-        ),
-    )
-    return jax.tree.unflatten(made_tree, made)
+    return words is not None
 
 
 def _settled(leaf: Any) -> Any:

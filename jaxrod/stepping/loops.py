@@ -29,7 +29,7 @@ from jaxrod.jax_internals.primitives import (
     unknown_rules,
 )
 from jaxrod.jax_internals.scans import scan
-from jaxrod.lanes.steps import try_lanes
+from jaxrod.lanes.steps import try_cycles, try_lanes
 
 
 @dataclass(frozen=True, eq=False)
@@ -127,27 +127,47 @@ def integrated(integrator: Any, state: Any, n_cycles: int | Array) -> Any:
     """State after the integrator's beginning, its cycles and its end.
 
     Args:
-        integrator: A pytree with methods `begin`, `cycle` and `end`. One with
-            `one_by_one` does not use lanes, and is not batched with others on a CPU.
+        integrator: A pytree with methods `begin`, `cycle` and `end`. One that has to be
+            renewed `every` so many cycles has a method `renewed` too; it is not batched
+            with others on a CPU.
         state: Initial state.
         n_cycles: Number of cycles; an `int` if it is to be differentiated in reverse.
     """
-    if getattr(integrator, "one_by_one", False):
+    if hasattr(integrator, "renewed"):
         if isinstance(n_cycles, int):
-            whole = lambda own, state: _looped(own, state, n_cycles)
+            whole = lambda own, state: _in_blocks(own, state, n_cycles)
             return one_by_one(whole, integrator, state)
-        return one_by_one(_looped, integrator, state, n_cycles)
+        return one_by_one(_in_blocks, integrator, state, n_cycles)
     by_lanes = try_lanes(integrator, state, n_cycles)
     if by_lanes is not None:
         return by_lanes
-    return _looped(integrator, state, n_cycles)
+    return integrator.end(_looped(integrator, integrator.begin(state), n_cycles))
 
 
-def _looped(integrator: Any, state: Any, n_cycles: int | Array) -> Any:
-    begun = integrator.begin(state)
+def _in_blocks(integrator: Any, state: Any, n_cycles: int | Array) -> Any:
+    """State after cycles in blocks, before each of which the integrator is renewed."""
+    every = integrator.every
+
+    def block(carry: Any, length: int | Array) -> Any:
+        carry = integrator.renewed(carry)
+        made = try_cycles(integrator, carry, length)
+        return _looped(integrator, carry, length) if made is None else made
+
+    carry = integrator.begin(state)
     if isinstance(n_cycles, int):
-        return integrator.end(repeat(integrator.cycle, begun, n_cycles))
-    return integrator.end(repeat_traced(integrator.cycle, begun, n_cycles))
+        blocks, rest = divmod(n_cycles, every)
+        carry = repeat(lambda carry: block(carry, every), carry, blocks)
+        carry = block(carry, rest) if rest else carry
+    else:
+        each = lambda i, carry: block(carry, jnp.clip(n_cycles - i * every, 0, every))
+        carry = lax.fori_loop(0, (n_cycles + every - 1) // every, each, carry)
+    return integrator.end(integrator.renewed(carry))
+
+
+def _looped(integrator: Any, carry: Any, n_cycles: int | Array) -> Any:
+    if isinstance(n_cycles, int):
+        return repeat(integrator.cycle, carry, n_cycles)
+    return repeat_traced(integrator.cycle, carry, n_cycles)
 
 
 def repeat_traced(

@@ -20,6 +20,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array
 
+from jaxrod.lanes.choice import lanes_wanted
 from jaxrod.systems.contact.element_pairs import (
     Elements,
     NeighbourList,
@@ -72,7 +73,7 @@ def sums_over_list(
         two = unpack(tables[1][some.other], other)
         return work(one, two, some.there)
 
-    if entries <= LEAST:
+    if entries <= LEAST or lanes_wanted():
         on_own, on_other = worked(listed)
         return (
             scatter_add(on_own, listed.own, sizes[0]),

@@ -15,6 +15,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Int
 
+from jaxrod.lanes.steps import by_kernel
 from jaxrod.structure import pytree, static
 from jaxrod.systems.contact.neighbour_lists import RECORD, NeighbourRecord
 from jaxrod.systems.sites.coupling import Coupling
@@ -70,9 +71,6 @@ class ListingSystem:
     """Position Verlet of a system with lists of neighbours."""
 
     steps_of_end: ClassVar[int] = 1
-    one_by_one: ClassVar[bool] = True
-    """Whether the systems of a batch are stepped one after the other, so that branches
-    on the contents of lists stay branches."""
     stepper: SystemStepper | EvolvingSystem
     """The system's stepper, whose couplings have no lists yet."""
     every: int = static()
@@ -80,34 +78,38 @@ class ListingSystem:
 
     def begin(self, state: Mapping[str, Any]) -> Listing:
         """Carry in the middle of the first step, where neighbours are searched."""
-        motions = self.stepper.begin(state)
+        motions = by_kernel(self.stepper, "begin", state)
         found = searched(self.stepper.couplings, self._seen(motions))
         return Listing(motions, found, jnp.zeros((), jnp.int32), state[RECORD])
 
-    def cycle(self, carry: Listing) -> Listing:
-        """Moves from the middle of a step to the middle of the next."""
-        carry = self._looked(carry)
-        moved = self._listed(carry).cycle(carry.motions)
-        return replace(carry, motions=moved, age=carry.age + 1)
-
-    def end(self, carry: Listing) -> dict[str, Any]:
-        """Moves from the middle of the last step to its end."""
-        carry = self._looked(carry)
-        state = self._listed(carry).end(carry.motions)
-        return {**state, RECORD: carry.record}
-
-    def _looked(self, carry: Listing) -> Listing:
-        """The carry with lists that are young enough, and with its record updated."""
+    def renewed(self, carry: Listing) -> Listing:
+        """The carry with lists that are young enough for the next steps."""
 
         def anew(_: Any) -> tuple[Any, ...]:
             return searched(self.stepper.couplings, self._seen(carry.motions))
 
         old = carry.age >= self.every
         found = jax.lax.cond(old, anew, lambda have: have, carry.found)
-        carry = replace(carry, found=found, age=jnp.where(old, 0, carry.age))
-        return replace(carry, record=self._recorded(carry))
+        return replace(carry, found=found, age=jnp.where(old, 0, carry.age))
+
+    def cycle(self, carry: Listing) -> Listing:
+        """Moves from the middle of a step to the middle of the next."""
+        carry = replace(carry, record=self._recorded(carry))
+        moved = self._listed(carry).cycle(carry.motions)
+        return replace(carry, motions=moved, age=carry.age + 1)
+
+    def end(self, carry: Listing) -> dict[str, Any]:
+        """Moves from the middle of the last step to its end."""
+        return by_kernel(self, "ended", carry)
+
+    def ended(self, carry: Listing) -> dict[str, Any]:
+        """The end of the last step, and the record of the run."""
+        state = self._listed(carry).end(carry.motions)
+        return {**state, RECORD: self._recorded(carry)}
 
     def _recorded(self, carry: Listing) -> NeighbourRecord:
+        """The record with what the lists may have missed now; it has no derivative."""
+        carry = jax.lax.stop_gradient(carry)
         record, seen = carry.record, self._seen(carry.motions)
         missed, moved, used = record.missed, record.moved, record.used
         for coupling in self._listed(carry).couplings:
