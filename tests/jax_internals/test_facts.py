@@ -25,6 +25,7 @@ from jaxrod.jax_internals.primitives import (
 from jaxrod.lanes import choice
 from jaxrod.lanes.choice import lane_choices, lane_mode, use_lanes
 from jaxrod.lanes.jaxpr.unroll import RULES, supported
+from jaxrod.lanes.rows.row_unroller import ROW_RULES
 
 X = jnp.arange(1.0, 13.0).reshape(3, 4)
 
@@ -187,6 +188,7 @@ def test_xla_takes_the_whole_run(kind, monkeypatch, mode):
     assert lane_choices()[-1].taken
     if kind == "primitive":
         monkeypatch.delitem(RULES, "sqrt")
+        monkeypatch.delitem(ROW_RULES, "sqrt")
         words = "primitive 'sqrt'"
     elif kind == "parameter":
         monkeypatch.setitem(equations._PARAMETERS, "slice", "limit_indices strides")
@@ -199,6 +201,7 @@ def test_xla_takes_the_whole_run(kind, monkeypatch, mode):
             return real(unroller, bare, *arrays)
 
         monkeypatch.setitem(RULES, "slice", without)
+        monkeypatch.setitem(ROW_RULES, "slice", without)
         words = "'slice' is not as expected: KeyError"
     found = run()
     last = lane_choices()[-1]

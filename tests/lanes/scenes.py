@@ -10,7 +10,19 @@ import numpy as np
 import pytest
 
 import jaxrod
+from jaxrod.lanes.choice import use_lanes
 from physics.actuators import actuators
+
+_FORCED = ["always"]
+
+
+def forced(mode=None):
+    """The mode in which a test takes kernels; sets it if one is given."""
+    if mode is not None:
+        _FORCED[0] = mode
+        use_lanes(mode)
+    return _FORCED[0]
+
 
 METHODS = ("consistent", "pyelastica", "planar", "torsion free", "planar pyelastica")
 

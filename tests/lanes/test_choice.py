@@ -25,12 +25,11 @@ def advanced(rods):
     return lane_choices()
 
 
-def test_a_large_batch_takes_lanes_and_a_small_one_does_not():
+def test_a_large_batch_takes_lanes_and_a_small_one_rows():
     use_lanes("auto")
-    assert [made.taken for made in advanced(64)] == [True]
-    refused = advanced(2)
-    assert not any(made.taken for made in refused)
-    assert "fewer than" in refused[-1].why
+    for rods, word in ((64, "lanes"), (2, "rows")):
+        (made,) = advanced(rods)
+        assert made.taken and made.why.startswith(word)
 
 
 def test_never_means_never():
@@ -65,7 +64,7 @@ def test_lanes_are_for_cpus_alone(monkeypatch, backend):
 
 @pytest.mark.parametrize("mode", ["sometimes", "", None])
 def test_a_mode_there_is_not_is_refused_in_words(mode):
-    with pytest.raises(ValueError, match="auto, always, never"):
+    with pytest.raises(ValueError, match="auto, always, rows, never"):
         use_lanes(mode)
 
 
@@ -81,11 +80,15 @@ def test_a_mode_in_the_environment_that_there_is_not_is_refused_in_words():
     assert made.returncode != 0 and "JAXROD_LANES must be one of" in made.stderr
 
 
-def test_a_step_that_is_too_long_is_left_to_xla(monkeypatch):
+def test_a_step_that_is_too_long_for_lanes_is_left_to_rows(monkeypatch):
+    kernels._run_kernel.cache_clear()
     monkeypatch.setattr(kernels, "MOST_OPERATIONS", 1000)
     monkeypatch.setattr(kernels, "MOST_OF_ALL", 1000)
     refused = advanced(9)[-1]
     assert not refused.taken and "longer than 1000" in refused.why
+    use_lanes("auto")
+    taken = advanced(9)[-1]
+    assert taken.taken and taken.why.startswith("rows")
 
 
 def test_what_has_many_equations_may_be_longer():

@@ -11,6 +11,7 @@ from jaxrod.lanes.choice import lane_choices, use_lanes
 from jaxrod.lanes.jaxpr.unroll import RULES
 from jaxrod.lanes.primitives import cycles_p
 from jaxrod.lanes.run_spec import LoopBody, RunSpec
+from lanes.scenes import forced
 
 ODD = [0.0, -0.0, np.nan, np.inf, -np.inf, 0.5, -0.5, 1.5, 2.5, -2.5, 7.0, -3.25]
 UNREACHABLE = {
@@ -204,7 +205,7 @@ def test_every_primitive_is_that_of_xla(dtype):
         slots = [s.astype(a.dtype) for s, a in zip(slots, avals, strict=True)]
         return cycles_p.bind(jnp.int32(1), *inputs, *slots, spec=spec)
 
-    use_lanes("always")
+    use_lanes(forced())
     taken = jax.jit(jax.vmap(run))(*many)
     assert lane_choices()[-1].taken, lane_choices()[-1].why
     use_lanes("never")

@@ -8,16 +8,17 @@ from pathlib import Path
 import pytest
 
 from lanes.programs import difference
+from lanes.scenes import forced
 
 
 @pytest.mark.parametrize("seed", range(6))
-def test_a_random_program_is_the_same_by_lanes(seed):
-    worst, _ = difference(seed)
+def test_a_random_program_is_the_same(seed):
+    worst, _ = difference(seed, forced())
     assert worst is not None and worst <= 1
 
 
 @pytest.mark.slow
-def test_many_random_programs_are_the_same_by_lanes(record):
+def test_many_random_programs_are_the_same(record):
     """In a process of their own, by XLA as it is without `configure_cpu`.
 
     With its fusion XLA's compiler (0.10.1) aborts the process on a few of them.
@@ -27,7 +28,7 @@ def test_many_random_programs_are_the_same_by_lanes(record):
     env["PYTHONPATH"] = os.pathsep.join((str(root / "tests"), str(root)))
     program = [sys.executable, str(root / "tests" / "lanes" / "programs.py")]
     done = subprocess.run(
-        [*program, "--first", "1000", "--count", "300"],
+        [*program, "--first", "1000", "--count", "300", "--mode", forced()],
         env=env,
         cwd=root,
         capture_output=True,
@@ -37,7 +38,7 @@ def test_many_random_programs_are_the_same_by_lanes(record):
     *apart, last = done.stdout.splitlines()
     assert last == "300 programs, 0 differ, 0 left to XLA", (apart, done.stderr[-1000:])
     record(
-        "lanes: random programs",
+        f"{forced()}: random programs",
         "XLA; differences beyond rounding, of 300",
         done.returncode,
         at_most=0,

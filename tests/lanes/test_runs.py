@@ -8,7 +8,7 @@ import pytest
 import jaxrod
 from jaxrod.lanes.choice import lane_choices, use_lanes
 from jaxrod.lanes.llvm.machine_code import compiled_kernels
-from lanes.scenes import arm, random_batch, shaken
+from lanes.scenes import arm, forced, random_batch, shaken
 
 RODS = 5
 ROUNDING = 1e-11
@@ -18,7 +18,7 @@ ROUNDING = 1e-11
 def both(function, *arguments):
     """What a function returns by lanes and by XLA."""
     results = []
-    for mode in ("always", "never"):
+    for mode in (forced(), "never"):
         use_lanes(mode)
         # Another function, so that nothing that was compiled before is used.
         results.append(jax.jit(lambda *a: function(*a))(*arguments))
