@@ -46,8 +46,8 @@ def use_lanes(mode: str) -> None:
 
     Args:
         mode: `"auto"` (whichever is faster), `"always"` (lanes wherever they are
-            possible), `"rows"` (rows wherever they are possible), or `"never"`. The environment variable `JAXROD_LANES` sets the
-            initial mode.
+            possible), `"rows"` (rows wherever they are possible), or `"never"`. The
+            environment variable `JAXROD_LANES` sets the initial mode.
 
     Raises:
         ValueError: The mode is unknown.

@@ -1,16 +1,15 @@
 """Kernels of runs: from the programs of a run to a call of its machine code.
 
-LLVM compiles single operations, XLA compiles equations of whole arrays. A long rod has
-many operations in few equations, which XLA compiles in seconds. A system of many
-members has many equations too, and XLA takes about as long for it as LLVM
-(docs/performance.md).
+Lanes take batches of short programs: LLVM compiles their operations one by one, so that
+it takes longer for more elements. Rows take all else: single scenes, small batches and
+long rods. Their programs are loops, whose length does not grow with the elements.
 """
 
 from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from functools import lru_cache
 from typing import Any
 
@@ -19,8 +18,6 @@ import jax.numpy as jnp
 
 from jaxrod.jax_internals.equations import (
     operand_types,
-    program_of,
-    programs_within,
     result_types,
 )
 from jaxrod.lanes.choice import (
@@ -34,7 +31,7 @@ from jaxrod.lanes.choice import (
     refused,
 )
 from jaxrod.lanes.graph import FIXED, UNIFORM, VARYING, EndNodes, Entries, Graph, Step
-from jaxrod.lanes.jaxpr.unroll import NotUnrolled, Unroller, kind_of
+from jaxrod.lanes.jaxpr.unroll import MOST_NODES, NotUnrolled, Unroller, kind_of
 from jaxrod.lanes.llvm.kernel import Kernel, adjoint_kernel, run_kernel, step_kernel
 from jaxrod.lanes.llvm.machine_code import not_here, registered, vector_bytes
 from jaxrod.lanes.rows.kernels import (
@@ -44,15 +41,9 @@ from jaxrod.lanes.rows.kernels import (
 )
 from jaxrod.lanes.run_spec import Ends, LoopBody, RunSpec, adjoint_body, chosen
 
-FEWEST_RODS = 4
-"""Smallest batch that lanes take; smaller ones are left to XLA."""
-MOST_OPERATIONS = 120_000
-"""Length up to which programs are always taken: longer ones do not fit the processor's
-instruction cache, and take long to compile."""
-OPERATIONS_PER_EQUATION = 100
-"""Operations per equation up to which longer programs are taken too."""
-MOST_OF_ALL = 400_000
-"""Length beyond which no program is taken."""
+MOST_OPERATIONS = 60_000
+"""Operations of the longest programs for which lanes are chosen. Longer ones do not fit
+the processor's instruction cache, and take many seconds to compile: rows take them."""
 
 
 def lowered_by_lanes(
@@ -70,11 +61,12 @@ def lowered_by_lanes(
     if mode == NEVER or not_here() is not None or rods == 0:
         return None
     begun = time.perf_counter()
-    by_rows = mode == ROWS or (mode == AUTO and rods < FEWEST_RODS)
+    by_rows = mode == ROWS or (mode == AUTO and 2 * rods < _width(spec.body))
     try:
         kernel = None
         if not by_rows:
-            kernel, words = _of_lanes(name, spec)
+            most = MOST_OPERATIONS if mode == AUTO else MOST_NODES
+            kernel, words = _of_lanes(name, spec, most)
             by_rows = kernel is None and mode == AUTO
         if kernel is None and by_rows:
             kernel, words = _of_rows(name, spec)
@@ -95,7 +87,7 @@ def lowered_by_lanes(
     return _call(target, kernel, spec, rods, results)
 
 
-def _of_lanes(name: str, spec: RunSpec) -> tuple[Kernel | None, str]:
+def _of_lanes(name: str, spec: RunSpec, most: int) -> tuple[Kernel | None, str]:
     """Returns the kernel of lanes, or `None` and the reason."""
     body = spec.body
     shared = (True,) * body.n_constants
@@ -103,10 +95,10 @@ def _of_lanes(name: str, spec: RunSpec) -> tuple[Kernel | None, str]:
         shared = tuple(not row for row in spec.batch.rows[: body.n_constants])
     try:
         if spec.ends is not None:
-            return _run_kernel(body, spec.ends, shared), ""
+            return _run_kernel(body, spec.ends, shared, most), ""
         if name == "jaxrod_cycles":
-            return _steps_kernel(body, shared, spec.keeps), ""
-        return _back_kernel(body, spec.moving, shared), ""
+            return _steps_kernel(body, shared, spec.keeps, most), ""
+        return _back_kernel(body, spec.moving, shared, most), ""
     except NotUnrolled as reason:
         return None, str(reason)
 
@@ -146,22 +138,26 @@ def _call(
 
 
 @lru_cache(maxsize=64)
-def _steps_kernel(body: LoopBody, shared: tuple[bool, ...], keeps: bool) -> Kernel:
-    step, _, _ = _unrolled_step(body, shared, most_operations(body))
+def _steps_kernel(
+    body: LoopBody, shared: tuple[bool, ...], keeps: bool, most: int
+) -> Kernel:
+    step, _, _ = _unrolled_step(body, shared, most)
     return step_kernel(step, _width(body), checkpoints=keeps)
 
 
 @lru_cache(maxsize=64)
-def _run_kernel(body: LoopBody, ends: Ends, shared: tuple[bool, ...]) -> Kernel:
-    step, around = _unrolled_run(body, ends, shared, most_operations(body))
+def _run_kernel(
+    body: LoopBody, ends: Ends, shared: tuple[bool, ...], most: int
+) -> Kernel:
+    step, around = _unrolled_run(body, ends, shared, most)
     return run_kernel(step, around, _width(body))
 
 
 @lru_cache(maxsize=64)
 def _back_kernel(
-    body: LoopBody, moving: tuple[bool, ...], shared: tuple[bool, ...]
+    body: LoopBody, moving: tuple[bool, ...], shared: tuple[bool, ...], most: int
 ) -> Kernel:
-    step, unroller, inputs = _unrolled_step(body, shared, most_operations(body))
+    step, unroller, inputs = _unrolled_step(body, shared, most)
     graph = step.graph
     spec = RunSpec(body, 0, moving)
     closed = adjoint_body(spec)
@@ -180,7 +176,7 @@ def _back_kernel(
             sums, given[len(floats) :], made[len(floats) :], strict=True
         )
     ]
-    _check_length(len(graph), most_operations(body))
+    _check_length(len(graph), most)
     outputs = [array.reshape(-1).tolist() for array in (*made[: len(floats)], *total)]
     adjoint = Step(graph, step.constants, carry, outputs)
     return adjoint_kernel(step, adjoint, len(floats), _width(body))
@@ -268,17 +264,3 @@ def _check_length(operations: int, most: int) -> None:
     """
     if operations > most:
         raise NotUnrolled(f"a program of {operations} operations is longer than {most}")
-
-
-def most_operations(body: LoopBody) -> int:
-    """Largest number of operations in a step that lanes take."""
-    equations = sum(1 for _ in _equations(program_of(body.closed).jaxpr))
-    return max(MOST_OPERATIONS, min(OPERATIONS_PER_EQUATION * equations, MOST_OF_ALL))
-
-
-def _equations(jaxpr: Any) -> Iterator[Any]:
-    """Yields the equations of a program and of the programs within it."""
-    for equation in jaxpr.eqns:
-        yield equation
-        for inner in programs_within(equation):
-            yield from _equations(inner)

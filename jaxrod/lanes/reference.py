@@ -18,7 +18,7 @@ import jax
 import jax.numpy as jnp
 from jax import lax
 
-from jaxrod.jax_internals.primitives import evaluate, new_primitive
+from jaxrod.jax_internals.primitives import new_primitive
 from jaxrod.jax_internals.scans import scan
 from jaxrod.lanes.run_spec import (
     LoopBody,

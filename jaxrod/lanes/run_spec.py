@@ -122,9 +122,7 @@ def as_step(closed: Any, n_constants: int) -> LoopBody:
     def body(*arrays: Any) -> list[Any]:
         return [*arrays[n_constants:n], *evaluate(closed, *arrays[:n])]
 
-    whole = jax.make_jaxpr(body)(
-        *map(varying_shape, [*given, *result_types(closed)])
-    )
+    whole = jax.make_jaxpr(body)(*map(varying_shape, [*given, *result_types(closed)]))
     return LoopBody(whole, n_constants)
 
 

@@ -127,13 +127,13 @@ def integrated(integrator: Any, state: Any, n_cycles: int | Array) -> Any:
     """State after the integrator's beginning, its cycles and its end.
 
     Args:
-        integrator: A pytree with methods `begin`, `cycle` and `end`. One that has to be
-            renewed `every` so many cycles has a method `renewed` too; it is not batched
-            with others on a CPU.
+        integrator: A pytree with methods `begin`, `cycle` and `end`. One with
+            `one_by_one` has a method `renewed` too, which is called before every
+            `every` cycles, and is not batched with others on a CPU.
         state: Initial state.
         n_cycles: Number of cycles; an `int` if it is to be differentiated in reverse.
     """
-    if hasattr(integrator, "renewed"):
+    if getattr(integrator, "one_by_one", False):
         if isinstance(n_cycles, int):
             whole = lambda own, state: _in_blocks(own, state, n_cycles)
             return one_by_one(whole, integrator, state)

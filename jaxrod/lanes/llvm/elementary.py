@@ -103,7 +103,8 @@ def _lane_by_lane(operation: str, kind: str, width: int, name: str) -> str:
     lines.append(f"ret {many} {made}")
     arguments = ", ".join(f"{many} {vector}" for vector in given)
     body = "\n".join(lines)
-    return f"define internal {many} {vector_name(name, kind, width)}({arguments}) {{\n{body}\n}}\n"
+    function = vector_name(name, kind, width)
+    return f"define internal {many} {function}({arguments}) {{\n{body}\n}}\n"
 
 
 class _Lines:

@@ -6,10 +6,8 @@ An array has a node for every index along its unrolled axes. Along the other axe
 
 from __future__ import annotations
 
-import itertools
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
@@ -95,7 +93,7 @@ class Layout:
             array: The array that is read.
             shape: Shape of the result.
             start: First index along each axis of `array`.
-            moves: How each axis of the result moves through `array`.
+            moves: Motion of each axis of the result through `array`.
         """
         graph = self.graph
         loops = tuple(
@@ -151,9 +149,7 @@ class Layout:
                 for axis, i in zip(more, inner, strict=True):
                     at[axis] = i
                 sources.append(int(array.nodes[tuple(at)]))
-                base = sum(
-                    i * strides[a] for a, i in zip(more, inner, strict=True)
-                )
+                base = sum(i * strides[a] for a, i in zip(more, inner, strict=True))
                 pieces.append(Piece(base, own, array.dims))
             if len(set(sources)) == 1:
                 zeros = [0] * len(array.loops)
@@ -185,9 +181,7 @@ class Layout:
         ]
         return self.taken(array, shape, [0] * len(shape), moves)
 
-    def mapped(
-        self, function: Callable[..., int], kind: str, *arrays: Rows
-    ) -> Rows:
+    def mapped(self, function: Callable[..., int], kind: str, *arrays: Rows) -> Rows:
         """Applies a function of nodes to the entries of arrays of one shape.
 
         An array without axes serves every entry.
@@ -224,9 +218,7 @@ class Layout:
         ):
             lead += 1
         rest = shape[lead:]
-        parts = [
-            self._flat(array, index) for index in np.ndindex(*array.shape[:lead])
-        ]
+        parts = [self._flat(array, index) for index in np.ndindex(*array.shape[:lead])]
         loops = tuple(lead + axis for axis in long_axes(rest))
         inner = tuple(axis - lead for axis in loops)
         rows = [self._views(part, rest, inner, array.kind).nodes for part in parts]
@@ -241,9 +233,7 @@ class Layout:
         shape[axis] = length
         single = all(array.shape[axis] == 1 for array in arrays)
         if length < SHORTEST_LOOP or (single and len(shape) > 1):
-            others = sorted(
-                {a for array in arrays for a in array.loops if a != axis}
-            )
+            others = sorted({a for array in arrays for a in array.loops if a != axis})
             arrays = [self.looped(array, tuple(others)) for array in arrays]
             nodes = np.concatenate([array.nodes for array in arrays], axis=axis)
             return Rows(tuple(shape), tuple(others), nodes, arrays[0].kind)
@@ -251,7 +241,9 @@ class Layout:
         parts = [(array, int(b)) for array, b in zip(arrays, begins, strict=False)]
         return self._placed(parts, axis, 1, tuple(shape), None)
 
-    def padded(self, array: Rows, axis: int, low: int, high: int, inner: int, fill):
+    def padded(
+        self, array: Rows, axis: int, low: int, high: int, inner: int, fill: int
+    ) -> Rows:
         """Pads an array along one axis, also between its entries.
 
         Args:
@@ -278,7 +270,7 @@ class Layout:
         shape[axis] = length
         if not low and not high and not inner:
             return array
-        if length < SHORTEST_LOOP or axis not in array.loops and 0 in array.shape:
+        if length < SHORTEST_LOOP or (axis not in array.loops and 0 in array.shape):
             nodes = np.full(
                 [length if a == axis else k for a, k in enumerate(array.nodes.shape)],
                 fill,
@@ -297,9 +289,7 @@ class Layout:
         """Returns the entries from `first` up to `last` along an axis."""
         shape, start = list(array.shape), [0] * len(array.shape)
         shape[axis], start[axis] = len(range(first, last, step)), first
-        moves = [
-            Move(a, step if a == axis else 1) for a in range(len(array.shape))
-        ]
+        moves = [Move(a, step if a == axis else 1) for a in range(len(array.shape))]
         return self.taken(array, tuple(shape), start, moves)
 
     def stored(self, array: Rows) -> tuple[int, int]:
@@ -359,8 +349,10 @@ class Layout:
         if len(kept) == 1 and len(dims) == 1:
             (source, piece) = kept[0]
             margin = dims[0] - piece.base - sum(piece.dims)
-            if len(piece.dims) == 1 and piece.strides == (1,) and (
-                max(piece.base, margin) <= 2
+            if (
+                len(piece.dims) == 1
+                and piece.strides == (1,)
+                and (max(piece.base, margin) <= 2)
             ):
                 return self._with_margins(source, piece, dims, fill)
         return self.graph.joined(
@@ -401,7 +393,9 @@ class Layout:
             node = self.graph.place("joined", (node,), array.kind, (size,), ())
         return self.graph.flat(node)
 
-    def _views(self, stored: tuple[int, int], shape: Dims, loops: Dims, kind: str):
+    def _views(
+        self, stored: tuple[int, int], shape: Dims, loops: Dims, kind: str
+    ) -> Rows:
         node, base = stored
         strides = row_major(shape)
         nodes = np.empty(_unrolled(shape, loops), np.int64)
@@ -426,6 +420,3 @@ def _stays_loop(array: Rows, length: int, move: Move) -> bool:
 
 def _unrolled(shape: Dims, loops: Dims) -> list[int]:
     return [1 if axis in loops else n for axis, n in enumerate(shape)]
-
-
-__all__ = ["Layout", "Rows", "long_axes", "itertools", "Any"]

@@ -21,7 +21,7 @@ from jaxrod.lanes.llvm.vector_code import BYTES, TYPES, literal
 from jaxrod.lanes.rows.arrays import Rows
 from jaxrod.lanes.rows.loop_code import RowWriter, fill_text
 from jaxrod.lanes.rows.row_graph import Piece, RowGraph, row_major
-from jaxrod.lanes.rows.row_unroller import RowUnroller
+from jaxrod.lanes.rows.row_indexing import RowUnroller
 from jaxrod.lanes.rows.schedule import Goal, Place, Schedule, hoisted
 from jaxrod.lanes.run_spec import Ends, LoopBody, RunSpec, adjoint_body
 
@@ -270,9 +270,7 @@ def cycles_kernel(
 
 
 @lru_cache(maxsize=64)
-def whole_run_kernel(
-    body: LoopBody, ends: Ends, batched: tuple[bool, ...]
-) -> Kernel:
+def whole_run_kernel(body: LoopBody, ends: Ends, batched: tuple[bool, ...]) -> Kernel:
     """Writes the kernel of a whole run; see `lanes.llvm.kernel.run_kernel`."""
     plan = RowPlan(body, batched)
     n = plan.n_constants
@@ -340,9 +338,7 @@ def back_kernel(
     plan.function("step", step, ["%fixed", "%now", "%then"])
     plan.function("adjoint", back, ["%fixed", "%now", "%before", "%after"])
     size = plan.now.size
-    regions, room = _pointers(
-        plan, back0=before.size, other0=before.size, kept0=0
-    )
+    regions, room = _pointers(plan, back0=before.size, other0=before.size, kept0=0)
     n_carry, first_mark = len(plan.carry), 1 + n
     marks = "%mark0 = mul i64 %scene, %kept\n%mark = add i64 %mark0, %j\n" + "".join(
         plan.fetch(first_mark + i, aval, Place("%kept0", p.offset), True, "%mark")
@@ -454,4 +450,3 @@ segment_done:
 br label %segments
 finished:
 """
-

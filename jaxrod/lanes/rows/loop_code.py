@@ -15,6 +15,8 @@ from jaxrod.lanes.rows.row_graph import Dims, RowGraph, identity, row_major
 from jaxrod.lanes.rows.schedule import Goal, Loop, Place, Schedule
 
 Lines = list[str]
+
+
 class RowWriter(Writer):
     """Writer of a function that runs the loops of a schedule."""
 
@@ -122,9 +124,11 @@ class RowWriter(Writer):
         depth = len(self.dims) - 1
         lines, self.lines = self.lines, self.before[axis + 1]
         index = self.indices[axis]
-        first = self.new(f"trunc i64 {index} to {TYPES[kind]}") if (
-            kind not in ("i64", "u64", "f32", "f64")
-        ) else self.new(f"add i64 {index}, 0")
+        first = (
+            self.new(f"trunc i64 {index} to {TYPES[kind]}")
+            if (kind not in ("i64", "u64", "f32", "f64"))
+            else self.new(f"add i64 {index}, 0")
+        )
         if kind[0] == "f":
             first = self.new(f"sitofp i64 {first} to {TYPES[kind]}")
         name = self.spread(first, kind)
@@ -144,8 +148,7 @@ class RowWriter(Writer):
         """Writes the address of the first lane, where the body of the loop begins."""
         size = BYTES[kind]
         at = self.new(
-            f"getelementptr i8, ptr {place.pointer}, "
-            f"i64 {place.offset + base * size}"
+            f"getelementptr i8, ptr {place.pointer}, i64 {place.offset + base * size}"
         )
         for index, stride in zip(self.indices, strides, strict=True):
             if stride == 0 or index == "0":
@@ -250,7 +253,8 @@ class RowWriter(Writer):
     def _straight(self, loop: Loop) -> Lines:
         """Writes the operations on single numbers of a level."""
         self.width, self.dims, self.indices = 1, (), []
-        self.lines = lines = []
+        lines: Lines = []
+        self.lines = lines
         self.before = [lines]
         self.names, self.spreads = {}, {}
         graph, schedule = self.graph, self.schedule
@@ -482,9 +486,7 @@ class RowWriter(Writer):
         self.lines.append(f"store {one} {name}, ptr {at}, align {BYTES[kind]}")
         self.width, self.indices = width, indices
 
-    def _without_repeats(
-        self, value: str, mark: str, operation: str, kind: str
-    ) -> str:
+    def _without_repeats(self, value: str, mark: str, operation: str, kind: str) -> str:
         """Leaves out the lanes of the last vector that the one before it had."""
         many = f"<{self.width} x i64>"
         over = self.new(f"sub i64 %c_{mark}, %i_{mark}")
@@ -534,7 +536,8 @@ class RowWriter(Writer):
         graph, schedule = self.graph, self.schedule
         self.width, self.dims = 1, ()
         self.names, self.spreads, self.indices = {}, {}, []
-        self.lines = lines = []
+        lines: Lines = []
+        self.lines = lines
         self.before = [lines]
         for node in loop.scatters:
             into, kind = graph.arguments[node][0], graph.kinds[node]

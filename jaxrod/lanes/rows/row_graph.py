@@ -51,7 +51,7 @@ class Piece:
 
 @dataclass(frozen=True)
 class Move:
-    """How an axis of a view moves through the node that it reads."""
+    """Motion of an axis of a view through the node that it reads."""
 
     axis: int | None
     """Axis of that node; `None` for one along which the view repeats."""
@@ -67,7 +67,7 @@ class RowGraph(Graph):
         super().__init__()
         self.dims: list[Dims] = []
         self.extras: dict[int, Any] = {}
-        """What a node is, besides its operation and arguments."""
+        """Details of an operation, by node: places, pieces, axes."""
         self.data: dict[int, np.ndarray] = {}
         """Known numbers of stored nodes."""
 
@@ -124,13 +124,15 @@ class RowGraph(Graph):
             return node
         return self.place("view", (node,), self.kinds[node], dims, (base, strides))
 
-    def taken(self, node: int, start: Sequence[int], moves: Sequence[Any], dims: Dims):
+    def taken(
+        self, node: int, start: Sequence[int], moves: Sequence[Move], dims: Dims
+    ) -> int:
         """Returns a node read along its own axes.
 
         Args:
             node: Any node.
             start: First index along each axis of the node.
-            moves: How each axis of the result moves.
+            moves: Motion of each axis of the result.
             dims: Lengths of the axes of the result.
         """
         own = self.dims[node]

@@ -41,7 +41,7 @@ class Goal:
     place: Place
     """Place of the array to which it belongs."""
     piece: Piece
-    """Where in that array it is written."""
+    """Part of that array that is written."""
 
 
 @dataclass
@@ -52,7 +52,7 @@ class Loop:
     dims: Dims
     nodes: list[int] = field(default_factory=list)
     goals: list[Goal] = field(default_factory=list)
-    """What is written besides stored nodes."""
+    """Nodes that are written to given places."""
     reductions: list[int] = field(default_factory=list)
     scatters: list[int] = field(default_factory=list)
     """Nodes of scatters, which have a loop of their own."""
@@ -333,7 +333,8 @@ def hoisted(graph: RowGraph, goals: Iterable[int], given: Iterable[int]) -> list
         goals: Nodes that are to be computed in a step.
         given: Nodes that are stored already.
     """
-    known, found = set(given), {}
+    known: set[int] = set(given)
+    found: dict[int, None] = {}
 
     def keep(node: int) -> None:
         if graph.rates[node] >= VARYING or node in known:
