@@ -331,7 +331,7 @@ class Table(Schedule):
         """The value at a time."""
         t = clock.time
         last = self.times.shape[0] - 1
-        index = jnp.clip(jnp.searchsorted(self.times, t, side="right") - 1, 0, last - 1)
+        index = jnp.clip(jnp.sum(self.times <= t) - 1, 0, last - 1)
         before, after = self.times[index], self.times[index + 1]
         part = jnp.clip((t - before) / (after - before), 0, 1)
         return self.values[index] + part * (self.values[index + 1] - self.values[index])

@@ -154,14 +154,13 @@ def _in_blocks(integrator: Any, state: Any, n_cycles: int | Array) -> Any:
         return _looped(integrator, carry, length) if made is None else made
 
     carry = integrator.begin(state)
+    # The last block is shorter than the others: it ends before it would be renewed.
     if isinstance(n_cycles, int):
         blocks, rest = divmod(n_cycles, every)
         carry = repeat(lambda carry: block(carry, every), carry, blocks)
-        carry = block(carry, rest) if rest else carry
-    else:
-        each = lambda i, carry: block(carry, jnp.clip(n_cycles - i * every, 0, every))
-        carry = lax.fori_loop(0, (n_cycles + every - 1) // every, each, carry)
-    return integrator.end(integrator.renewed(carry))
+        return integrator.end(block(carry, rest))
+    each = lambda i, carry: block(carry, jnp.clip(n_cycles - i * every, 0, every))
+    return integrator.end(lax.fori_loop(0, n_cycles // every + 1, each, carry))
 
 
 def _looped(integrator: Any, carry: Any, n_cycles: int | Array) -> Any:

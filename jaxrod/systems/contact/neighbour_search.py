@@ -19,6 +19,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import lax
@@ -35,6 +36,8 @@ CELLS = 1024
 """Number of cells along each axis; three times ten bits are one key."""
 BLOCK = 16_384
 """Number of candidates that are processed at once."""
+MOST_AT_ONCE = 1024
+"""Largest number of second elements that are tested all at once."""
 _ROUNDING = 1e-3
 """Relative margin of the cell size, so that round-off cannot move an element into a
 non-adjacent cell."""
@@ -80,6 +83,8 @@ class Rows:
     """Rows of each stretch: the largest number that one holds, at most `slots`."""
     slots: int = static()
     """Room in a stretch."""
+    complete: bool = static(default=False)
+    """Whether there is one stretch, which has all second elements in order."""
 
     @property
     def room(self) -> int:
@@ -174,6 +179,7 @@ def all_rows(own: Bounds, other: Bounds) -> Rows:
         order=jnp.arange(count, dtype=jnp.int32),
         wide=jnp.asarray(count, jnp.int32),
         slots=count,
+        complete=count <= MOST_AT_ONCE,
     )
 
 
@@ -205,8 +211,7 @@ def rows_of_cells(
     exists = (u >= 0) & (u < CELLS) & (v >= 0) & (v < CELLS)
     low = _key(u, v, jnp.maximum(z - 1, 0))
     high = _key(u, v, jnp.minimum(z + 1, CELLS - 1))
-    begin = jnp.searchsorted(ordered, low, side="left").astype(jnp.int32)
-    end = jnp.searchsorted(ordered, high, side="right").astype(jnp.int32)
+    begin, end = _count(ordered, low - 1), _count(ordered, high)
     held = jnp.where(exists, end - begin, 0)
     most = jnp.max(held)
     return Rows(begin, held, order, jnp.clip(most, 1, slots), slots), most
@@ -235,8 +240,7 @@ class CandidateList:
     def named(self, number: Array) -> NeighbourList:
         """List of the candidates with some numbers."""
         until, rows = self.until, self.rows
-        column = jnp.searchsorted(until, number, side="right").astype(jnp.int32)
-        column = jnp.minimum(column, until.shape[0] - 1)
+        column = jnp.minimum(_count(until, number), until.shape[0] - 1)
         before = jnp.where(column > 0, until[column - 1], 0)
         count = lambda row: self.running[row, column]
         row = _reached(count, number - before, rows.count, rows.room)
@@ -276,6 +280,16 @@ def candidates(
         after = before + near.astype(before.dtype)
         return after, lax.dynamic_update_index_in_dim(running, after, row, 0)
 
+    if rows.complete:
+        # Every row has one second element, the same for all first elements.
+        (u, v, w), farther, fellow = jax.tree.map(lambda leaf: leaf[:, None], there)
+        here = ((x, y, z), reach, own.numbers)
+        (a, b, c), reach, number = jax.tree.map(lambda leaf: leaf[None], here)
+        square = (a - u) ** 2 + (b - v) ** 2 + (c - w) ** 2
+        near = square <= (reach + farther) ** 2
+        near = near & (number < fellow) if once else near
+        running = jnp.cumsum(near.astype(jnp.int32), axis=0)
+        return CandidateList(rows, running, jnp.cumsum(running[-1]), size, once)
     none = jnp.zeros(x.shape, jnp.int32)
     running = jnp.zeros((rows.room, *x.shape), jnp.int32)
     total, running = lax.fori_loop(0, rows.count, counted, (none, running))
@@ -307,8 +321,7 @@ def pairs_within(
             gather(own, listed.own), gather(other, listed.other), allowed
         )
         running = jnp.cumsum(near.astype(jnp.int32))
-        place = jnp.searchsorted(running, within, side="right").astype(jnp.int32)
-        place = jnp.minimum(place, block - 1)
+        place = jnp.minimum(_count(running, within), block - 1)
         # Both numbers are in one row: XLA's CPU compiler aborts the process for two
         # updates of a batch at the same index.
         pairs = jnp.stack([listed.own, listed.other], axis=-1)[place]
@@ -320,7 +333,11 @@ def pairs_within(
 
     none = jnp.zeros((), jnp.int32)
     room = jnp.zeros((size + block, 2), jnp.int32)
-    _, taken, kept = lax.while_loop(more, worked, (none, none, room))
+    start = none, none, room
+    # A single block needs no loop.
+    _, taken, kept = (
+        worked(start) if block == some.size else lax.while_loop(more, worked, start)
+    )
     there = jnp.arange(size, dtype=jnp.int32) < taken
     kept = jnp.where(there[:, None], kept[:size], 0)
     return NeighbourList(kept[:, 0], kept[:, 1], there), taken
@@ -344,6 +361,18 @@ def _reached(
         place = jnp.where(below & (place + step <= size), tried, place)
         step //= 2
     return jnp.minimum(place, size - 1)
+
+
+def _count(ordered: Array, number: Array) -> Array:
+    """Count of the entries of an ordered array that are at most a number."""
+    size = ordered.shape[0]
+    place, step = jnp.zeros(number.shape, jnp.int32), 1 << (size.bit_length() - 1)
+    while step:
+        tried = place + step
+        at_most = ordered[jnp.minimum(tried, size) - 1] <= number
+        place = jnp.where(at_most & (tried <= size), tried, place)
+        step //= 2
+    return place
 
 
 def _half_length(bounds: Bounds) -> Array:

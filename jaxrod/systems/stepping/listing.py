@@ -80,20 +80,27 @@ class ListingSystem:
     """Steps between searches."""
 
     def begin(self, state: Mapping[str, Any]) -> Listing:
-        """Carry in the middle of the first step, where neighbours are searched."""
+        """Carry in the middle of the first step, without lists yet."""
         motions = by_kernel(self.stepper, "begin", state)
-        found = searched(self.stepper.couplings, self._seen(motions))
-        return Listing(motions, found, jnp.zeros((), jnp.int32), state[RECORD])
+        like = jax.eval_shape(self.search, motions)
+        found = jax.tree.map(lambda leaf: jnp.zeros(leaf.shape, leaf.dtype), like)
+        return Listing(motions, found, jnp.int32(self.every), state[RECORD])
+
+    def search(self, motions: Any) -> tuple[Any, ...]:
+        """Results of the searches of all couplings; they have no derivatives."""
+        motions = jax.lax.stop_gradient(motions)
+        return searched(self.stepper.couplings, self._seen(motions))
 
     def renewed(self, carry: Listing) -> Listing:
         """The carry with lists that are young enough for the next steps."""
-
-        def anew(_: Any) -> tuple[Any, ...]:
-            return searched(self.stepper.couplings, self._seen(carry.motions))
-
-        old = carry.age >= self.every
-        found = jax.lax.cond(old, anew, lambda have: have, carry.found)
-        return replace(carry, found=found, age=jnp.where(old, 0, carry.age))
+        found = jax.lax.cond(
+            carry.age >= self.every,
+            lambda _: by_kernel(self, "search", carry.motions),
+            lambda found: found,
+            carry.found,
+        )
+        age = jnp.where(carry.age >= self.every, 0, carry.age)
+        return replace(carry, found=found, age=age)
 
     def cycle(self, carry: Listing) -> Listing:
         """Moves from the middle of a step to the middle of the next."""
