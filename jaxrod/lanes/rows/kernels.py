@@ -19,10 +19,10 @@ from jaxrod.lanes.llvm.kernel_plan import pointer_text
 from jaxrod.lanes.llvm.machine_code import vector_bytes
 from jaxrod.lanes.llvm.vector_code import BYTES, TYPES, literal
 from jaxrod.lanes.rows.arrays import Rows
-from jaxrod.lanes.rows.loop_code import RowWriter, fill_text
+from jaxrod.lanes.rows.loop_code import RowWriter, fill_call, fill_text
 from jaxrod.lanes.rows.row_graph import Piece, RowGraph, row_major
 from jaxrod.lanes.rows.row_indexing import RowUnroller
-from jaxrod.lanes.rows.schedule import Goal, Place, Schedule, hoisted
+from jaxrod.lanes.rows.schedule import Goal, Place, Schedule, fills_of, hoisted
 from jaxrod.lanes.run_spec import Ends, LoopBody, RunSpec, adjoint_body
 
 ALIGNMENT = 64
@@ -76,6 +76,8 @@ class RowPlan:
         self.stand(0, [*self.constant_places, *self.carry_places])
         self.made = self.unroller.run(body.closed, self.inputs)
         self.scratch = 0
+        self.lasting: dict[int, Place] = {}
+        """Places of nodes with constant fill between their pieces."""
         self.texts: list[str] = []
         self.declared: set[str] = {
             "declare i64 @llvm.smin.i64(i64, i64)",
@@ -140,7 +142,8 @@ class RowPlan:
         Raises:
             NotUnrolled: It is too long.
         """
-        schedule = Schedule(self.graph, goals, self.ready, stored)
+        lasting = None if stored or name == "fixed" else self.lasting_place
+        schedule = Schedule(self.graph, goals, self.ready, stored, lasting)
         writer = RowWriter(self.graph, schedule, vector_bytes())
         self.texts.append(writer.text(name, ["%scratch", *pointers]))
         self.scratch = max(self.scratch, schedule.size)
@@ -151,9 +154,31 @@ class RowPlan:
         if self.lines > MOST_LINES:
             raise NotUnrolled(f"a program of more than {MOST_LINES} lines is too long")
 
+    def lasting_place(self, node: int) -> Place:
+        """Returns the place of a node whose fill is written once for each scene."""
+        place = self.lasting.get(node)
+        if place is None:
+            kind = self.graph.kinds[node]
+            place = self.fixed.give(kind, math.prod(self.graph.dims[node]))
+            self.lasting[node] = place
+        return place
+
+    def lasting_fills(self) -> str:
+        """Writes the function that fills what lies between pieces."""
+        graph, lines = self.graph, []
+        for node, place in self.lasting.items():
+            kind, value = graph.kinds[node], graph.value(graph.arguments[node][-1])
+            self.fills.add("i8" if kind == "b1" else TYPES[kind])
+            number = str(int(value)) if kind == "b1" else literal(value, kind)
+            for fill in fills_of(graph, node):
+                lines.append(fill_call(number, place, kind, fill))
+        body = "\n".join(["entry:", *lines, "ret void"])
+        return f"define internal void @fills(ptr %fixed) noinline {{\n{body}\n}}\n"
+
     def module(self, per_scene: str, n_operands: int, n_results: int) -> str:
         """Writes the whole module except for the handler by which XLA calls it."""
         functions, more = elementary_texts(self.needs)
+        self.texts.append(self.lasting_fills())
         texts = [*map(fill_text, sorted(self.fills)), *functions, *self.texts]
         loads = [pointer_text(f"%in{i}", "%operands", i) for i in range(n_operands)]
         loads += [pointer_text(f"%out{i}", "%results", i) for i in range(n_results)]
@@ -187,6 +212,7 @@ br i1 %inside, label %scenes, label %done
 scenes:
 {constants}
 call void @fixed(ptr %scratch, ptr %fixed)
+call void @fills(ptr %fixed)
 {per_scene}
 br label %scene_done
 scene_done:

@@ -12,7 +12,7 @@ from collections.abc import Callable, Sequence
 
 from jaxrod.lanes.llvm.vector_code import BYTES, TYPES, Writer, literal
 from jaxrod.lanes.rows.row_graph import Dims, RowGraph, identity, row_major
-from jaxrod.lanes.rows.schedule import Goal, Loop, Place, Schedule
+from jaxrod.lanes.rows.schedule import Fill, Goal, Loop, Place, Schedule
 
 Lines = list[str]
 
@@ -258,8 +258,8 @@ class RowWriter(Writer):
         self.before = [lines]
         self.names, self.spreads = {}, {}
         graph, schedule = self.graph, self.schedule
-        for node, first, count in schedule.fills.get(loop.level, ()):
-            self._fill(node, first, count)
+        for fill in schedule.fills.get(loop.level, ()):
+            self._fill(fill)
         for node in loop.nodes:
             self.numbers[node] = self._computed(node)
             if node in schedule.fresh:
@@ -270,28 +270,19 @@ class RowWriter(Writer):
             self._write(goal)
         return lines
 
-    def _fill(self, node: int, first: int, count: int) -> None:
-        graph = self.graph
-        kind, place = graph.kinds[node], self.schedule.place(node)
+    def _fill(self, fill: Fill) -> None:
+        graph, node = self.graph, fill.node
+        place = self.schedule.place(node)
         assert place is not None
         number = self.value(graph.arguments[node][-1])
-        if count > 8:
-            self._call_fill(number, place, first, count, kind)
-            return
-        for i in range(first, first + count):
-            self._store(number, place, i, (), kind)
+        self._call_fill(number, place, graph.kinds[node], fill)
 
-    def _call_fill(
-        self, number: str, place: Place, first: int, count: int, kind: str
-    ) -> None:
-        at = self._at(Place(place.pointer, place.offset + first * BYTES[kind]))
+    def _call_fill(self, number: str, place: Place, kind: str, fill: Fill) -> None:
         one = TYPES[kind]
         if kind == "b1":
             number, one = self.new(f"zext i1 {number} to i8"), "i8"
         self.fills.add(one)
-        self.lines.append(
-            f"call void @fill_{one}(ptr {at}, {one} {number}, i64 {count})"
-        )
+        self.lines.append(fill_call(number, place, kind, fill))
 
     def _computed(self, node: int) -> str:
         operation = self.graph.operations[node]
@@ -414,7 +405,7 @@ class RowWriter(Writer):
             assert place is not None
             size = math.prod(graph.dims[node])
             lines, self.lines = self.lines, self.before[0]
-            self._call_fill(literal(none, kind), place, 0, size, kind)
+            self._call_fill(literal(none, kind), place, kind, Fill(node, 0, size))
             self.lines = lines
         if depth - 1 not in axes:
             assert place is not None
@@ -546,7 +537,8 @@ class RowWriter(Writer):
             assert place is not None
             known = graph.value(into)
             if known is not None:
-                self._call_fill(literal(known, kind), place, 0, count, kind)
+                whole = Fill(node, 0, count)
+                self._call_fill(literal(known, kind), place, kind, whole)
                 continue
             if graph.operations[into] == "view":
                 (stored,) = graph.arguments[into]
@@ -610,19 +602,40 @@ class RowWriter(Writer):
         return self._read(node) if graph.dims[node] else self._number(node)
 
 
+def fill_call(number: str, place: Place, kind: str, fill: Fill) -> str:
+    """Writes a call that repeats a number in memory; booleans are bytes already."""
+    one, size = ("i8", 1) if kind == "b1" else (TYPES[kind], BYTES[kind])
+    at = place.offset + fill.first * size
+    return (
+        f"call void @fill_{one}(ptr {place.pointer}, i64 {at}, {one} {number}, "
+        f"i64 {fill.count}, i64 {fill.runs}, i64 {fill.stride})"
+    )
+
+
 def fill_text(one: str) -> str:
-    """Writes a function that repeats a number in memory."""
+    """Writes a function that repeats a number in memory, in runs."""
     return f"""
-define internal void @fill_{one}(ptr %to, {one} %number, i64 %count) nounwind {{
+define internal void @fill_{one}(ptr %to, i64 %offset, {one} %number, i64 %count,
+    i64 %runs, i64 %stride) nounwind {{
 entry:
+%start = getelementptr i8, ptr %to, i64 %offset
+br label %outer
+outer:
+%j = phi i64 [0, %entry], [%j1, %outer_end]
+%begin = mul i64 %j, %stride
+%row = getelementptr {one}, ptr %start, i64 %begin
 br label %loop
 loop:
-%i = phi i64 [0, %entry], [%next, %loop]
-%at = getelementptr {one}, ptr %to, i64 %i
+%i = phi i64 [0, %outer], [%next, %loop]
+%at = getelementptr {one}, ptr %row, i64 %i
 store {one} %number, ptr %at
 %next = add i64 %i, 1
 %more = icmp slt i64 %next, %count
-br i1 %more, label %loop, label %done
+br i1 %more, label %loop, label %outer_end
+outer_end:
+%j1 = add i64 %j, 1
+%again = icmp slt i64 %j1, %runs
+br i1 %again, label %outer, label %done
 done:
 ret void
 }}

@@ -8,14 +8,14 @@ level and of the same dims; what it makes for other loops is stored.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
 
 from jaxrod.lanes.graph import VARYING
 from jaxrod.lanes.llvm.vector_code import BYTES
-from jaxrod.lanes.rows.row_graph import Dims, Piece, RowGraph, row_major
+from jaxrod.lanes.rows.row_graph import Dims, Piece, RowGraph
 
 STORED = frozenset({"joined", "scatter", "reduce", "input", "data"})
 """Operations of nodes that are not computed in a loop over their own numbers."""
@@ -44,6 +44,20 @@ class Goal:
     """Part of that array that is written."""
 
 
+@dataclass(frozen=True)
+class Fill:
+    """Runs of fill between the pieces of a joined node, at equal distances."""
+
+    node: int
+    first: int
+    """Place of the first number of the first run."""
+    count: int
+    """Numbers in a run."""
+    runs: int = 1
+    stride: int = 0
+    """Distance of the beginnings of neighbouring runs."""
+
+
 @dataclass
 class Loop:
     """Nodes that are computed in one loop, or in one line of code if `dims` is ()."""
@@ -67,6 +81,7 @@ class Schedule:
         goals: Sequence[Goal],
         ready: dict[int, Place],
         stored: Iterable[int] = (),
+        lasting: Callable[[int], Place] | None = None,
     ) -> None:
         """Makes a schedule.
 
@@ -76,13 +91,16 @@ class Schedule:
             ready: Places of nodes that are stored already.
             stored: Nodes that are to be computed, and stored in places that `ready`
                 has too.
+            lasting: Function that gives a place to a node whose fill is a constant.
+                Fill is written there once, not in every step.
         """
         self.graph, self.ready = graph, dict(ready)
         self.fresh = set(stored)
         self.places: dict[int, Place] = {}
         """Places of nodes that are stored on the way."""
-        self.fills: dict[int, list[tuple[int, int, int]]] = {}
-        """Runs of fill by level: joined node, first number, count."""
+        self.fills: dict[int, list[Fill]] = {}
+        """Fill between pieces, by level."""
+        self._lasting = lasting
         self.size = 0
         """Size of the places of nodes stored on the way [bytes]."""
         self._at: dict[int, int] = {}
@@ -263,18 +281,16 @@ class Schedule:
             self._take(argument, loop)
 
     def _fill(self, node: int, level: int) -> None:
-        graph = self.graph
-        size = math.prod(graph.dims[node])
-        free = np.ones(size, bool)
-        for piece in graph.extras[node]:
-            free[piece.places()] = False
-        edges = np.flatnonzero(np.diff(np.r_[False, free, False].astype(np.int8)))
-        level = max(level, self._after(graph.arguments[node][-1]))
-        for first, last in zip(edges[::2], edges[1::2], strict=True):
-            self.fills.setdefault(level, []).append(
-                (node, int(first), int(last - first))
-            )
-            self._loop(level, ())
+        fills = fills_of(self.graph, node)
+        if not fills:
+            return
+        fill = self.graph.arguments[node][-1]
+        if self._lasting is not None and self.graph.value(fill) is not None:
+            self.places[node] = self._lasting(node)
+            return
+        level = max(level, self._after(fill))
+        self.fills.setdefault(level, []).extend(fills)
+        self._loop(level, ())
 
     def _allocate(self) -> None:
         """Gives stored nodes places, and uses places again that nobody reads."""
@@ -282,7 +298,7 @@ class Schedule:
         begins: dict[int, list[int]] = {}
         first_write: dict[int, int] = {}
         for node in self._kept:
-            if node in self.ready:
+            if node in self.ready or node in self.places:
                 continue
             first = self._at[node]
             if graph.operations[node] == "joined":
@@ -357,9 +373,23 @@ def hoisted(graph: RowGraph, goals: Iterable[int], given: Iterable[int]) -> list
     return list(found)
 
 
-def whole_piece(dims: Dims) -> Piece:
-    """Returns the piece that is a whole stored node."""
-    return Piece(0, row_major(dims), dims)
+def fills_of(graph: RowGraph, node: int) -> list[Fill]:
+    """Returns the runs of fill of a joined node."""
+    free = np.ones(math.prod(graph.dims[node]), bool)
+    for piece in graph.extras[node]:
+        free[piece.places()] = False
+    edges = np.flatnonzero(np.diff(np.r_[False, free, False].astype(np.int8)))
+    made: list[Fill] = []
+    for first, last in zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True):
+        count = last - first
+        if made and made[-1].count == count:
+            old = made[-1]
+            stride = old.stride or first - old.first
+            if first == old.first + old.runs * stride:
+                made[-1] = Fill(node, old.first, count, old.runs + 1, stride)
+                continue
+        made.append(Fill(node, first, count))
+    return made
 
 
 def _key(key: tuple[int, Dims, str]) -> tuple[int, int, Dims, str]:
