@@ -1,8 +1,9 @@
-"""Lanes and XLA side by side on one core: docs/performance.md.
+"""Lanes, rows and XLA side by side on one core: docs/performance.md.
 
 `speed`: rod-steps per second of scenes of many kinds, a batch of 256. `gradient`: the
 value and gradient of 1000 steps, a batch of 64. `length`: elements from 5 to 1000.
-`batch`: rods from 1 to 65536. All by default; what is not measured keeps its rows.
+`batch`: rods from 1 to 65536. `single`: one scene or system, without a batch.
+`single_gradient`: its gradient. All by default; a table that is not measured stays.
 
 Both programs are compiled first; then windows of both alternate, and the least of five
 is taken of each. Counted is processor time of one core, compiling apart.
@@ -23,13 +24,14 @@ import numpy as np
 
 import jaxrod
 from benchmarks.shared.arguments import add_names
-from benchmarks.shared.files import ROOT
+from benchmarks.shared.files import ROOT, example
 from benchmarks.shared.page_tables import measured_table
 from jaxrod.envs import make
 
 PAGE = ROOT / "docs" / "performance.md"
 WINDOWS = 5
 MODES = ("always", "never")
+SINGLE_MODES = ("auto", "never")
 HEADS = {
     "speed": (
         "| scene, batch of 256 | lanes [million rod-steps/s] | XLA | ratio "
@@ -47,6 +49,15 @@ HEADS = {
     "batch": (
         "| rods of 20 elements | lanes [million rod-steps/s] | XLA | ratio "
         "| first call, lanes [s] | XLA |\n|---|---:|---:|---:|---:|---:|"
+    ),
+    "single": (
+        "| one scene or system | rows [us a step] | XLA | ratio "
+        "| first call, rows [s] | XLA |\n|---|---:|---:|---:|---:|---:|"
+    ),
+    "single_gradient": (
+        "| value and gradient of 200 steps | rows [us a step] | XLA | ratio "
+        "| of rows' forward pass | first call, rows [s] | XLA |\n"
+        "|---|---:|---:|---:|---:|---:|---:|"
     ),
 }
 
@@ -121,17 +132,129 @@ def _planar(n: int) -> tuple[Any, Any, Any]:
     return flat, state, 0.5 * jaxrod.stable_dt(flat).dt
 
 
+def joined() -> tuple[Any, Any, Any]:
+    """The system of docs/systems.md without contact: two rods and a ball."""
+    rods, states = {}, {}
+    for name, n, length, radius, start, direction in (
+        ("trunk", 20, 1.0, 0.02, (0, 0, 0), (1, 0, 0)),
+        ("branch", 8, 0.4, 0.01, (0.5, 0, 0), (0, 0, 1)),
+    ):
+        rods[name], states[name] = jaxrod.straight_rod(
+            n,
+            length=length,
+            radius=radius,
+            density=1000.0,
+            youngs_modulus=1e6,
+            start=start,
+            direction=direction,
+            dtype="float32",
+        )
+    sphere = jaxrod.shapes.sphere((1.05, 0, 0), 0.05)
+    ball, states["ball"] = jaxrod.systems.rigid_body(
+        sphere, density=300.0, dtype="float32"
+    )
+    clamp, gravity = jaxrod.clamp(states["trunk"]), jaxrod.gravity()
+    members = {
+        "trunk": jaxrod.make_scene(rods["trunk"], clamp, gravity),
+        "branch": jaxrod.make_scene(rods["branch"], gravity),
+        "ball": ball,
+    }
+    weld = jaxrod.systems.weld(("trunk", 10), ("branch", "base"), states)
+    attached = jaxrod.systems.attach(("trunk", "tip"), ("ball",), states)
+    system = jaxrod.make_system(members, weld, attached, state=states)
+    return system, states, 1e-5
+
+
+def crossing(law: str) -> tuple[Any, Any, Any]:
+    """Two ropes of 51 elements that cross, with lists of 32 pairs."""
+    rods, states = {}, {}
+    for name, start, direction in (
+        ("one", (-0.5, 0, 0), (1, 0, 0)),
+        ("other", (0, -0.5, 0.0195), (0, 1, 0)),
+    ):
+        rods[name], states[name] = jaxrod.straight_rod(
+            51,
+            length=1.0,
+            radius=0.01,
+            density=1000.0,
+            youngs_modulus=1e6,
+            start=start,
+            direction=direction,
+            dtype="float32",
+        )
+    lists = jaxrod.systems.neighbour_lists(pairs=32)
+    touch = getattr(jaxrod.systems, law)
+    contact = touch("one", "other", stiffness=1e3, damping=0.1, lists=lists)
+    scenes = {k: jaxrod.make_scene(rod, jaxrod.gravity()) for k, rod in rods.items()}
+    return jaxrod.make_system(scenes, contact, state=states), states, 1e-5
+
+
+SINGLE: dict[str, Callable[[], tuple[Any, Any, Any]]] = {
+    "a rod of 20 elements": lambda: arm(20),
+    "50": lambda: arm(50),
+    "200": lambda: arm(200),
+    "1000": lambda: arm(1000),
+    "20, float64": lambda: arm(20, dtype="float64"),
+    "200, float64": lambda: arm(200, dtype="float64"),
+    "two rods and a ball, welded and attached": joined,
+    "two ropes, `crossing_contact`, lists": lambda: crossing("crossing_contact"),
+    "two ropes, `rod_contact`, lists": lambda: crossing("rod_contact"),
+    "`knot.py`: a rod of 100 elements touches itself": lambda: example("knot").build(),
+    "`plectoneme.py`": lambda: example("plectoneme").build(),
+    "`nest.py`, 50 rods": lambda: example("nest").nest(50),
+}
+
+
+def single_row(label: str, model: tuple[Any, Any, Any], window: float) -> str:
+    """One row of steps of a scene or system without a batch."""
+    scene, state, dt = model
+    run = lambda state, n: jaxrod.advance(scene, state, dt, n)
+    # Examples take long; for the others the overhead of a call is not to count.
+    steps = 200 if label.startswith("`") else 5000
+    programs, first = compiled(run, (state, jnp.int32(steps)), SINGLE_MODES)
+    per = {k: 1e6 * t / steps for k, t in timed(programs, window).items()}
+    rows, xla = per["auto"], per["never"]
+    return (
+        f"| {label} | {rows:.3g} | {xla:.3g} | {xla / rows:.1f} | "
+        f"{first['auto']:.1f} | {first['never']:.1f} |"
+    )
+
+
+def single_gradient_row(label: str, model: tuple[Any, Any, Any], window: float) -> str:
+    """One row of values and gradients to all numbers of a scene or system."""
+    scene, state, dt = model
+    steps = 200
+
+    def final(scene: Any) -> Any:
+        moved = jaxrod.advance(scene, state, dt, steps)
+        floats = [x for x in jax.tree.leaves(moved) if x.dtype == jnp.float32]
+        return sum(jnp.sum(x**2) for x in floats)
+
+    forward, _ = compiled(final, (scene,), SINGLE_MODES[:1])
+    both = jax.value_and_grad(final, allow_int=True)
+    programs, first = compiled(both, (scene,), SINGLE_MODES)
+    ahead = 1e6 * timed(forward, window)["auto"] / steps
+    per = {k: 1e6 * t / steps for k, t in timed(programs, window).items()}
+    rows, xla = per["auto"], per["never"]
+    return (
+        f"| {label} | {rows:.3g} | {xla:.3g} | {xla / rows:.1f} | {rows / ahead:.1f} | "
+        f"{first['auto']:.1f} | {first['never']:.1f} |"
+    )
+
+
 def batch_of(state: Any, rods: int) -> Any:
     """Equal states of many rods."""
     return jax.tree.map(lambda leaf: jnp.broadcast_to(leaf, (rods, *leaf.shape)), state)
 
 
 def compiled(
-    function: Callable[..., Any], arguments: Iterable[Any]
+    function: Callable[..., Any],
+    arguments: Iterable[Any],
+    modes: Iterable[str] = MODES,
 ) -> tuple[dict[str, Program], dict[str, float]]:
-    """Programs of a function by lanes and by XLA, and what their first calls took."""
+    """Programs of a function in some modes, and the times of their first calls [s]."""
     programs, seconds = {}, {}
-    for mode in MODES:
+    for mode in modes:
         jaxrod.use_lanes(mode)
         program = jax.jit(lambda *a: function(*a))
         given = tuple(arguments)
@@ -213,6 +336,13 @@ def rows(table: str, window: float) -> Iterable[str]:
     elif table == "length":
         for n in (5, 10, 20, 50, 100, 200, 1000):
             yield forward_row(f"{n}", arm(n), 256, window)
+    elif table == "single":
+        for label, model in SINGLE.items():
+            yield single_row(label, model(), window)
+    elif table == "single_gradient":
+        yield single_gradient_row("a rod of 20 elements", arm(20), window)
+        label = "two rods and a ball, welded and attached"
+        yield single_gradient_row(label, joined(), window)
     else:
         for rods in (1, 2, 4, 8, 16, 64, 256, 1024, 8192, 65536):
             yield forward_row(f"{rods}", arm(20), rods, window)

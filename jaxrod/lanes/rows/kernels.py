@@ -27,7 +27,7 @@ from jaxrod.lanes.run_spec import Ends, LoopBody, RunSpec, adjoint_body
 
 ALIGNMENT = 64
 """Alignment of regions and of stored nodes [bytes]."""
-MOST_LINES = 60_000
+MOST_LINES = 400_000
 """Length of the longest program that is compiled."""
 
 
