@@ -150,6 +150,16 @@ def _scatter_moving(pool):
     return getattr(a.at[places], name)(values, mode="drop")
 
 
+def _scatter_masked(pool):
+    """A sum over some entries of a list, whose numbers are computed from gathers."""
+    a = pool.some("f")
+    a = jnp.ravel(a)
+    places = fitted(pool.some("i"), (19,)) % a.shape[0]
+    there = fitted(pool.some("b"), (19,))
+    numbers = jnp.sin(a[places]) * jnp.cos(fitted(pool.some("f"), (19,)))
+    return jnp.zeros_like(a).at[places].add(jnp.where(there, numbers, 0))
+
+
 def _scatter(pool):
     a = pool.some("f")
     a = a[None] if a.ndim == 0 else a
@@ -277,7 +287,7 @@ OPERATIONS = (
     *(_select, _pad, _slice, _dynamic_slice, _dynamic_update, _gather, _scatter),
     *(_scan, _loop, _branch, _matrix, _einsum, _derivative),
 )
-MOVING = (_gather_moving, _scatter_moving)
+MOVING = (_gather_moving, _scatter_moving, _scatter_masked)
 """Operations at places that change, which rows have and lanes have not."""
 LENGTHS = {"always": (1, 2, 3), "rows": (1, 2, 3, 4, 5, 7, 8, 9, 17, 20)}
 """Lengths of axes, by mode: those of rows are loops from five on."""

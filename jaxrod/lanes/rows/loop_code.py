@@ -320,6 +320,10 @@ class RowWriter(Writer):
         self.behind = [[] for _ in range(depth + 1)]
         self.names, self.spreads = {}, {}
         body = self.lines = self.before[depth]
+        first_line = 0
+        if loop.mask is not None:
+            some = self._anywhere(self.value(loop.mask))
+            first_line = len(body)
         for node in loop.nodes:
             self.names[node] = self._computed(node)
             if schedule.is_kept(node):
@@ -334,7 +338,17 @@ class RowWriter(Writer):
         for node in loop.reductions:
             self._reduce(node, marks[-1], rounds, phis, finish)
         # The innermost loop.
-        mark = marks[-1]
+        mark = latch = marks[-1]
+        if loop.mask is not None:
+            latch = f"{mark}_skip"
+            body = [
+                *body[:first_line],
+                f"br i1 {some}, label %{mark}_go, label %{latch}",
+                f"{mark}_go:",
+                *body[first_line:],
+                f"br label %{latch}",
+                f"{latch}:",
+            ]
         self.lines = self.behind[depth]
         for act in finish:
             act()
@@ -347,7 +361,7 @@ class RowWriter(Writer):
                 f"{mark}_pre:",
                 f"br label %{mark}",
                 f"{mark}:",
-                f"%c_{mark} = phi i64 [0, %{mark}_pre], [%d_{mark}, %{mark}]",
+                f"%c_{mark} = phi i64 [0, %{mark}_pre], [%d_{mark}, %{latch}]",
                 *phis,
                 f"%i_{mark} = call i64 @llvm.smin.i64(i64 %c_{mark}, i64 {last})"
                 if dims[-1] % self.width
@@ -378,6 +392,15 @@ class RowWriter(Writer):
                 f"{mark}_done:",
             ]
         return [*self.before[0], *inner, *self.behind[0]]
+
+    def _anywhere(self, mask: str) -> str:
+        """Returns the name of a truth: whether a mask is true in some lane."""
+        if self.width == 1:
+            return mask
+        many = self.type("b1")
+        name = f"@llvm.vector.reduce.or.v{self.width}i1"
+        self.declared.add(f"declare i1 {name}({many})")
+        return self.new(f"call i1 {name}({many} {mask})")
 
     def _reduce(
         self,
@@ -561,6 +584,11 @@ class RowWriter(Writer):
         body: Lines = []
         self.lines, self.before = body, [lines, body]
         self.dims, self.indices = (rounds,), [f"%i_{mark}"]
+        mask = graph.arguments[loop.scatters[0]][3:]
+        if mask:
+            there = self._stored_number(mask[0])
+            body.append(f"br i1 {there}, label %{mark}_go, label %{mark}_skip")
+            body.append(f"{mark}_go:")
         at = self._stored_number(index)
         for node in loop.scatters:
             kind, operation = graph.kinds[node], graph.extras[node][0]
@@ -585,8 +613,10 @@ class RowWriter(Writer):
             f"{mark}_pre:",
             f"br label %{mark}",
             f"{mark}:",
-            f"%i_{mark} = phi i64 [0, %{mark}_pre], [%d_{mark}, %{mark}]",
+            f"%i_{mark} = phi i64 [0, %{mark}_pre], [%d_{mark}, %{mark}_skip]",
             *body,
+            f"br label %{mark}_skip",
+            f"{mark}_skip:",
             f"%d_{mark} = add i64 %i_{mark}, 1",
             f"%m_{mark} = icmp slt i64 %d_{mark}, {rounds}",
             f"br i1 %m_{mark}, label %{mark}, label %{mark}_done",

@@ -242,7 +242,13 @@ class RowGraph(Graph):
         elif not self.dims[into] and self.value(into) is None:
             fill = into
             into = self.place("joined", (fill,), kind, (size,), ())
-        given, extra = (into, index, updates), (operation, rounds)
+        given: tuple[int, ...] = into, index, updates
+        if operation == "add" and self.operations[updates] == "select":
+            mask, number, nothing = self.arguments[updates]
+            if self.value(nothing) == 0 and self.dims[mask] == (rounds,):
+                # Where nothing is added, nothing need be computed.
+                given = into, index, number, mask
+        extra = operation, rounds
         return self.place("scatter", given, kind, (size,), extra)
 
     def iota(self, dims: Dims, axis: int, kind: str) -> int:

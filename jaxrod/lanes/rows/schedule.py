@@ -70,6 +70,8 @@ class Loop:
     reductions: list[int] = field(default_factory=list)
     scatters: list[int] = field(default_factory=list)
     """Nodes of scatters, which have a loop of their own."""
+    mask: int | None = None
+    """Node of a mask; vectors in which it is nowhere true are skipped."""
 
 
 class Schedule:
@@ -110,6 +112,7 @@ class Schedule:
         self._read: dict[int, int] = {}
         self._goals = list(goals)
         self.order = self._needed()
+        self._masks = self._masked()
         for node in self.order:
             self._level(node)
         for goal in goals:
@@ -151,17 +154,54 @@ class Schedule:
                 stack.extend((a, False) for a in reversed(graph.arguments[node]))
         return order
 
+    def _masked(self) -> dict[int, int]:
+        """Returns nodes that matter only where a mask is true, with that mask.
+
+        They are used by scatters under that mask alone, and by other such nodes. Places
+        of gathers are not among them: those must be inside everywhere. Masks are stored
+        before the schedule begins.
+        """
+        graph = self.graph
+        users: dict[int, list[tuple[int, int]]] = {}
+        for node in self.order:
+            for position, argument in enumerate(graph.arguments[node]):
+                users.setdefault(argument, []).append((node, position))
+        apart = {goal.node for goal in self._goals} | self.fresh
+        masks: dict[int, int] = {}
+        for node in reversed(self.order):
+            operation, dims = graph.operations[node], graph.dims[node]
+            if not dims or node in apart or operation in ("view", *STORED):
+                continue
+            found = set()
+            for user, position in users[node]:
+                given = graph.arguments[user]
+                if graph.operations[user] == "scatter":
+                    last = given[3] if position == 2 and len(given) == 4 else None
+                elif graph.operations[user] == "gather":
+                    last = None
+                else:
+                    last = masks.get(user)
+                found.add(last)
+            (mask,) = found if len(found) == 1 else (None,)
+            if mask is None or graph.dims[mask] != dims:
+                continue
+            stored = graph.arguments[mask] if graph.operations[mask] == "view" else ()
+            if self.is_ready(stored[0] if stored else mask):
+                masks[node] = mask
+        return masks
+
     def _after(self, node: int) -> int:
         """Level from which a stored node can be read, or a number as part of a row."""
         return 0 if self.is_ready(node) else self._done[node] + 1
 
-    def _beside(self, node: int, dims: Dims) -> int:
-        """Level from which a loop over `dims` can use a node of the same dims."""
+    def _beside(self, node: int, dims: Dims, mask: int | None = None) -> int:
+        """Level from which a loop over `dims`, under a mask, can use a node."""
         graph = self.graph
         if self.is_ready(node):
             return 0
         inline = graph.operations[node] not in STORED
-        if inline and graph.dims[node] == dims:
+        same = operation_is_read(graph, node) or self._masks.get(node) == mask
+        if inline and graph.dims[node] == dims and same:
             return self._at[node]
         return self._after(node)
 
@@ -174,7 +214,9 @@ class Schedule:
         elif operation == "reduce":
             level = self._beside(arguments[0], graph.dims[arguments[0]])
         elif operation == "gather":
-            level = max(self._after(arguments[0]), self._beside(arguments[1], dims))
+            mask = self._masks.get(node)
+            at = self._beside(arguments[1], dims, mask)
+            level = max(self._after(arguments[0]), at)
         elif operation == "scatter":
             level = max(self._after(a) for a in arguments)
         elif operation == "joined":
@@ -182,7 +224,8 @@ class Schedule:
             for source, piece in self._pieces(node):
                 level = max(level, self._piece_level(source, piece))
         else:
-            level = max((self._beside(a, dims) for a in arguments), default=0)
+            mask = self._masks.get(node)
+            level = max((self._beside(a, dims, mask) for a in arguments), default=0)
         self._at[node] = self._done[node] = level
 
     def _pieces(self, node: int) -> list[tuple[int, Piece]]:
@@ -192,10 +235,14 @@ class Schedule:
     def _piece_level(self, source: int, piece: Piece) -> int:
         return self._beside(source, piece.dims)
 
-    def _loop(self, level: int, dims: Dims, what: str = "loop") -> Loop:
-        key = (level, dims, what)
+    def _loop(
+        self, level: int, dims: Dims, what: str = "loop", mask: int | None = None
+    ) -> Loop:
+        key = (level, dims, what if mask is None else f"{what} under {mask}")
         if key not in self._loops:
-            self._loops[key] = Loop(level, dims)
+            self._loops[key] = loop = Loop(level, dims, mask=mask)
+            if mask is not None:
+                self._take(mask, loop)
         return self._loops[key]
 
     def _write(self, goal: Goal) -> None:
@@ -218,7 +265,8 @@ class Schedule:
                 return
             self._read[node] = max(self._read.get(node, 0), loop.level)
             return
-        if operation in STORED or self._at[node] != loop.level or dims != loop.dims:
+        here = self._at[node] == loop.level and dims == loop.dims
+        if operation in STORED or not here or self._masks.get(node) != loop.mask:
             self._keep(node, loop.level)
 
     def _keep(self, node: int, level: int) -> None:
@@ -253,8 +301,8 @@ class Schedule:
             self._fill(node, first)
             return
         if operation == "scatter":
-            rounds = graph.extras[node][1]
-            loop = self._loop(level, (), f"scatter {arguments[1]} {rounds}")
+            rounds, mask = graph.extras[node][1], arguments[3:]
+            loop = self._loop(level, (), f"scatter {arguments[1]} {rounds} {mask}")
             loop.scatters.append(node)
             self._kept.add(node)
             for argument in arguments:
@@ -271,7 +319,7 @@ class Schedule:
             if dims or len(graph.dims[source]) > 1:
                 self._kept.add(node)
             return
-        loop = self._loop(level, dims)
+        loop = self._loop(level, dims, mask=self._masks.get(node))
         loop.nodes.append(node)
         if operation == "gather":
             self._keep(arguments[0], level)
@@ -371,6 +419,11 @@ def hoisted(graph: RowGraph, goals: Iterable[int], given: Iterable[int]) -> list
     for node in goals:
         keep(node)
     return list(found)
+
+
+def operation_is_read(graph: RowGraph, node: int) -> bool:
+    """Whether a node is read or known wherever it is used, and never computed."""
+    return graph.operations[node] in ("view", "iota", "constant")
 
 
 def fills_of(graph: RowGraph, node: int) -> list[Fill]:

@@ -74,7 +74,7 @@ def sums_over_list(
         return work(one, two, some.there)
 
     if entries <= LEAST or lanes_wanted():
-        on_own, on_other = worked(listed)
+        on_own, on_other = _where(listed.there, worked(listed))
         return (
             scatter_add(on_own, listed.own, sizes[0]),
             scatter_add(on_other, listed.other, sizes[1]),
@@ -112,6 +112,14 @@ def sums_over_list(
     numbers = jnp.arange(-(-entries // block), dtype=jnp.int32)
     on_own, on_other = jax.lax.scan(step, (none[0], none[1]), numbers)[0]
     return unpack(on_own, like[0]), unpack(on_other, like[1])
+
+
+def _where(there: Array, tree: Any) -> Any:
+    """Numbers of entries in use; zero for the others, which kernels skip."""
+    nothing = jnp.zeros((), jnp.int32)
+    return jax.tree.map(
+        lambda field: jnp.where(there, field, nothing.astype(field.dtype)), tree
+    )
 
 
 @jax.custom_jvp
