@@ -53,7 +53,9 @@ class RowWriter(Writer):
             whole += self._loop(number, loop)
         given = ", ".join(f"ptr noalias nocapture {p}" for p in pointers)
         head = f"define internal void @{name}({given}) noinline nounwind "
-        return f"{head}alignstack(64) {{\nentry:\n" + "\n".join([*whole, "ret void", "}", ""])
+        return f"{head}alignstack(64) {{\nentry:\n" + "\n".join(
+            [*whole, "ret void", "}", ""]
+        )
 
     def new(self, text: str) -> str:
         """Appends a line that computes a value, and returns its name."""

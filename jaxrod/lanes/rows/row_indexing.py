@@ -100,6 +100,13 @@ def replaced(
 ) -> Rows:
     """Translates the update of a dynamic slice, clamped like `picked`."""
     layout, inside = unroller.layout, None
+    known = [unroller.graph.value(start.scalar) for start in starts]
+    if None not in known:
+        rooms = [n - k for n, k in zip(array.shape, update.shape, strict=True)]
+        first = [
+            min(max(int(at), 0), room) for at, room in zip(known, rooms, strict=True)
+        ]
+        return _changed(unroller, array, first, update, "set")
     places: list[tuple[int, Rows]] = []
     for axis, start in enumerate(starts):
         room = array.shape[axis] - update.shape[axis]
@@ -262,6 +269,15 @@ def _bounded(unroller: RowUnroller, column: Rows, room: int) -> tuple[Rows, Rows
     return as_kind(unroller, clamped, kind, "i32"), inside
 
 
+_SCATTERS = {
+    "scatter-add": "add",
+    "scatter-mul": "mul",
+    "scatter-min": "min",
+    "scatter-max": "max",
+    "scatter": "set",
+}
+
+
 @row_rule("scatter-add", "scatter-mul", "scatter-min", "scatter-max", "scatter")
 def scattered(
     unroller: RowUnroller, equation: Any, array: Rows, indices: Rows, updates: Rows
@@ -271,8 +287,19 @@ def scattered(
     if numbers.operand_batching_dims:
         raise NotUnrolled("rows do not scatter along two batches")
     layout, graph = unroller.layout, unroller.graph
-    (axis,) = numbers.scatter_dims_to_operand_dims or (None,)
-    if axis is None or tuple(numbers.inserted_window_dims) != (axis,):
+    operation = _SCATTERS[equation.primitive.name]
+    columns = _index_columns(unroller, indices)
+    known = [graph.value(column.scalar) for column in columns]
+    if np.prod(indices.shape[:-1]) == 1 and None not in known:
+        places = dict(zip(numbers.scatter_dims_to_operand_dims, known, strict=True))
+        clip = "CLIP" in str(equation.params["mode"])
+        return _scattered_once(
+            unroller, numbers, array, places, updates, operation, clip
+        )
+    if len(columns) != 1:
+        raise NotUnrolled("rows do not scatter along several axes")
+    (axis,) = numbers.scatter_dims_to_operand_dims
+    if tuple(numbers.inserted_window_dims) != (axis,):
         raise NotUnrolled("rows do not scatter slices")
     window = tuple(numbers.update_window_dims)
     inner = [a for a in range(len(array.shape)) if a != axis]
@@ -280,7 +307,7 @@ def scattered(
     for a, b in zip(inner, window, strict=True):
         if array.shape[a] != updates.shape[b]:
             raise NotUnrolled("rows do not scatter slices")
-    (column,) = _index_columns(unroller, indices)
+    (column,) = columns
     n = array.shape[axis]
     clamped, inside = _bounded(unroller, column, n - 1)
     outside = unroller.full(n, (), "i32")
@@ -288,16 +315,6 @@ def scattered(
         raise NotUnrolled("rows do not scatter with clipped places")
     safe = unroller.each("select", "i32", inside, clamped, outside)
     count = int(np.prod(safe.shape, dtype=int))
-    known = graph.value(safe.scalar) if count == 1 else None
-    operation = {
-        "scatter-add": "add",
-        "scatter-mul": "mul",
-        "scatter-min": "min",
-        "scatter-max": "max",
-        "scatter": "set",
-    }[equation.primitive.name]
-    if known is not None:
-        return _changed_at(unroller, array, axis, int(known), updates, operation)
     flat_index = layout.looped(layout.reshaped(safe, (count,)), (0,))
     made: Any = np.empty([array.shape[a] for a in inner], object)
     for at in np.ndindex(*made.shape):
@@ -328,25 +345,51 @@ def scattered(
     return whole[0]
 
 
-def _changed_at(
+def _scattered_once(
     unroller: RowUnroller,
+    numbers: Any,
     array: Rows,
-    axis: int,
-    index: int,
+    places: dict[int, Any],
     update: Rows,
     operation: str,
+    clip: bool,
 ) -> Rows:
-    """Combines a slice at a known index with an update; none if it is outside."""
-    layout, n = unroller.layout, array.shape[axis]
-    if not 0 <= index < n:
+    """Combines one slice of an array, at a known place, with an update."""
+    sizes = iter(update.shape)
+    inserted = numbers.inserted_window_dims
+    shape = [1 if a in inserted else next(sizes) for a in range(len(array.shape))]
+    rooms = [n - size for n, size in zip(array.shape, shape, strict=True)]
+    start = [int(places.get(axis, 0)) for axis in range(len(shape))]
+    inside = [min(max(at, 0), room) for at, room in zip(start, rooms, strict=True)]
+    if inside != start and not clip:
         return array
-    old = layout.sliced(array, axis, index, index + 1)
-    new = layout.reshaped(update, old.shape)
-    if operation != "set":
-        new = unroller.each(operation, array.kind, old, new)
-    before = layout.sliced(array, axis, 0, index)
-    after = layout.sliced(array, axis, index + 1, n)
-    return layout.concatenated([before, new, after], axis)
+    new = unroller.layout.reshaped(update, tuple(shape))
+    return _changed(unroller, array, inside, new, operation)
+
+
+def _changed(
+    unroller: RowUnroller,
+    array: Rows,
+    start: Sequence[int],
+    new: Rows,
+    operation: str,
+    axis: int = 0,
+) -> Rows:
+    """Combines the slice of an array at a known place with another array."""
+    layout = unroller.layout
+    if axis == len(array.shape):
+        if operation == "set":
+            return new
+        return unroller.each(operation, array.kind, array, new)
+    n, first = array.shape[axis], start[axis]
+    last = first + new.shape[axis]
+    middle = layout.sliced(array, axis, first, last)
+    middle = _changed(unroller, middle, start, new, operation, axis + 1)
+    if last - first == n:
+        return middle
+    before = layout.sliced(array, axis, 0, first)
+    after = layout.sliced(array, axis, last, n)
+    return layout.concatenated([before, middle, after], axis)
 
 
 __all__ = ["RowUnroller"]
