@@ -9,7 +9,7 @@ import numpy as np
 from jaxrod.lanes.jaxpr.arithmetic import as_kind
 from jaxrod.lanes.jaxpr.unroll import NotUnrolled, Unroller, kind_of, rule
 
-_REDUCTIONS = {
+REDUCTIONS = {
     "reduce_sum": "add",
     "reduce_prod": "mul",
     "reduce_max": "max",
@@ -18,11 +18,13 @@ _REDUCTIONS = {
     "reduce_or": "or",
     "reduce_xor": "xor",
 }
-_CUMULATIVE = {"cumsum": "add", "cumprod": "mul", "cummax": "max", "cummin": "min"}
+"""Operations of reductions, by name of the primitive."""
+CUMULATIVE = {"cumsum": "add", "cumprod": "mul", "cummax": "max", "cummin": "min"}
+"""Operations of cumulative primitives, by name."""
 _OF_NOTHING = {"add": 0, "mul": 1, "max": -np.inf, "min": np.inf, "and": 1, "or": 0}
 
 
-@rule(*_REDUCTIONS)
+@rule(*REDUCTIONS)
 def reduced(unroller: Unroller, equation: Any, array: Any) -> Any:
     """Unrolls a reduction along axes, by pairwise combination of halves.
 
@@ -30,7 +32,7 @@ def reduced(unroller: Unroller, equation: Any, array: Any) -> Any:
     chain of dependent operations.
     """
     graph, kind = unroller.graph, kind_of(equation.outvars[0].aval)
-    operation = _REDUCTIONS[equation.primitive.name]
+    operation = REDUCTIONS[equation.primitive.name]
     axes = tuple(equation.params["axes"])
     kept = [axis for axis in range(array.ndim) if axis not in axes]
     rows = np.transpose(array, (*axes, *kept))
@@ -47,11 +49,11 @@ def reduced(unroller: Unroller, equation: Any, array: Any) -> Any:
     return rows[0]
 
 
-@rule(*_CUMULATIVE)
+@rule(*CUMULATIVE)
 def accumulated(unroller: Unroller, equation: Any, array: Any) -> Any:
     """Unrolls a cumulative operation along an axis, from either end."""
     kind = kind_of(equation.outvars[0].aval)
-    operation = _CUMULATIVE[equation.primitive.name]
+    operation = CUMULATIVE[equation.primitive.name]
     rows = np.moveaxis(array, equation.params["axis"], 0)
     backwards = equation.params["reverse"]
     rows = rows[::-1] if backwards else rows

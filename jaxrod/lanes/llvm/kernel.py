@@ -66,7 +66,7 @@ def step_kernel(step: Step, width: int, *, checkpoints: bool) -> Kernel:
 {plan.pointers(start, now0=now, then0=then)}
 {plan.fetch_all(step.carry, places, first_carry, "%now0")}
 call void @fixed(ptr %shared, ptr %own)
-{_SEGMENTS.replace("MARKS", marks if checkpoints else "")}
+{forward_loops("blocks", "ptr %shared, ptr %own", marks if checkpoints else "")}
 {plan.bring_all(step.carry, places, "%now1")}
 br label %block_done
 """
@@ -111,7 +111,7 @@ def run_kernel(step: Step, ends: EndNodes, width: int) -> Kernel:
 {plan.fetch_all(ends.given, given_places, first, "%given")}
 call void @fixed(ptr %shared, ptr %own)
 call void @begin(ptr %shared, ptr %own, ptr %given, ptr %now0)
-{_SEGMENTS.replace("MARKS", "")}
+{forward_loops("blocks", "ptr %shared, ptr %own")}
 call void @end(ptr %shared, ptr %own, ptr %now1, ptr %made)
 {plan.bring_all(ends.made, made_places, "%made")}
 br label %block_done
@@ -122,25 +122,35 @@ br label %block_done
     return Kernel(module, n_operands, n_results, room, 0, plan.operations)
 
 
-_SEGMENTS = """
+def forward_loops(entry: str, given: str, marks: str = "") -> str:
+    """Writes the loop over all steps, in segments between checkpoints.
+
+    `%now1` has the last carry.
+
+    Args:
+        entry: Label of the block before the loop.
+        given: Arguments of `@step` before the two carries.
+        marks: Code that stores a checkpoint.
+    """
+    return f"""
 br label %segments
 segments:
-%j = phi i64 [0, %blocks], [%j1, %segment_done]
-%now1 = phi ptr [%now0, %blocks], [%now2, %segment_done]
-%then1 = phi ptr [%then0, %blocks], [%then2, %segment_done]
+%j = phi i64 [0, %{entry}], [%j1, %segment_done]
+%now1 = phi ptr [%now0, %{entry}], [%now2, %segment_done]
+%then1 = phi ptr [%then0, %{entry}], [%then2, %segment_done]
 %begun = mul i64 %j, %every
 %rest = sub i64 %steps, %begun
 %length = call i64 @llvm.smin.i64(i64 %rest, i64 %every)
 %some = icmp sgt i64 %rest, 0
 br i1 %some, label %segment, label %finished
 segment:
-MARKS
+{marks}
 br label %steps_loop
 steps_loop:
 %i = phi i64 [0, %segment], [%i1, %steps_loop]
 %now = phi ptr [%now1, %segment], [%then, %steps_loop]
 %then = phi ptr [%then1, %segment], [%now, %steps_loop]
-call void @step(ptr %shared, ptr %own, ptr %now, ptr %then)
+call void @step({given}, ptr %now, ptr %then)
 %i1 = add i64 %i, 1
 %more = icmp slt i64 %i1, %length
 br i1 %more, label %steps_loop, label %segment_done
@@ -151,7 +161,6 @@ segment_done:
 br label %segments
 finished:
 """
-"""Loop over all steps, in segments between checkpoints; `%now1` has the last carry."""
 
 
 def adjoint_kernel(
@@ -207,12 +216,33 @@ def adjoint_kernel(
 call void @llvm.memset.p0.i64(ptr %back0, i8 0, i64 {before.room()}, i1 false)
 {plan.fetch_all(seeds, back_places[:n_seeds], first_seed, "%back0")}
 call void @fixed(ptr %shared, ptr %own)
+{backward_loops("blocks", "ptr %shared, ptr %own", size, marks)}
+{plan.bring_all(adjoint.carry, back_places, "%back1")}
+br label %block_done
+"""
+    n_operands = first_seed + n_seeds
+    n_results = len(adjoint.carry) + 1
+    plan.declared.add("declare void @llvm.memset.p0.i64(ptr, i8, i64, i1)")
+    module = plan.module(text, n_operands, n_results)
+    return Kernel(module, n_operands, n_results, kept, size, plan.operations)
+
+
+def backward_loops(entry: str, given: str, size: int, marks: str) -> str:
+    """Writes the loop back over all steps; `%back1` has the first cotangents.
+
+    Args:
+        entry: Label of the block before the loop.
+        given: Arguments of `@step` and `@adjoint` before the others.
+        size: Size of a carry [bytes].
+        marks: Code that loads a checkpoint.
+    """
+    return f"""
 %j0 = sub i64 %kept, 1
 br label %segments
 segments:
-%j = phi i64 [%j0, %blocks], [%j1, %segment_done]
-%back1 = phi ptr [%back0, %blocks], [%back2, %segment_done]
-%other1 = phi ptr [%other0, %blocks], [%other2, %segment_done]
+%j = phi i64 [%j0, %{entry}], [%j1, %segment_done]
+%back1 = phi ptr [%back0, %{entry}], [%back2, %segment_done]
+%other1 = phi ptr [%other0, %{entry}], [%other2, %segment_done]
 %some = icmp sge i64 %j, 0
 br i1 %some, label %segment, label %finished
 segment:
@@ -229,7 +259,7 @@ again_test:
 br i1 %left, label %again, label %back
 again:
 %then = getelementptr i8, ptr %now, i64 {size}
-call void @step(ptr %shared, ptr %own, ptr %now, ptr %then)
+call void @step({given}, ptr %now, ptr %then)
 %i1 = add i64 %i, 1
 br label %again_test
 back:
@@ -237,7 +267,7 @@ back:
 %here = phi ptr [%now, %again_test], [%here1, %back]
 %ct = phi ptr [%back1, %again_test], [%earlier, %back]
 %earlier = phi ptr [%other1, %again_test], [%ct, %back]
-call void @adjoint(ptr %shared, ptr %own, ptr %here, ptr %ct, ptr %earlier)
+call void @adjoint({given}, ptr %here, ptr %ct, ptr %earlier)
 %here1 = getelementptr i8, ptr %here, i64 {-size}
 %k1 = sub i64 %k, 1
 %more = icmp sge i64 %k1, 0
@@ -248,11 +278,4 @@ segment_done:
 %j1 = sub i64 %j, 1
 br label %segments
 finished:
-{plan.bring_all(adjoint.carry, back_places, "%back1")}
-br label %block_done
 """
-    n_operands = first_seed + n_seeds
-    n_results = len(adjoint.carry) + 1
-    plan.declared.add("declare void @llvm.memset.p0.i64(ptr, i8, i64, i1)")
-    module = plan.module(text, n_operands, n_results)
-    return Kernel(module, n_operands, n_results, kept, size, plan.operations)

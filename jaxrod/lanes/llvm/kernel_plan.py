@@ -199,20 +199,11 @@ class KernelPlan:
         functions, more = elementary_texts(needs)
         texts += functions
         declared |= more
-        loads = [pointer_text(f"%in{i}", "%operands", i) for i in range(n_operands)] + [
-            pointer_text(f"%out{i}", "%results", i) for i in range(n_results)
-        ]
         memory = self.memory
-        counts = "".join(
-            f"%{name}at = getelementptr i32, ptr %in0, i64 {i}\n"
-            f"%{name}32 = load i32, ptr %{name}at\n"
-            f"%{name} = sext i32 %{name}32 to i64\n"
-            for i, name in enumerate(("steps", "every", "rods", "kept"))
-        )
         main = f"""
 define void @kernel(ptr %operands, ptr %results) nounwind {{
 entry:
-{"".join(loads)}{counts}
+{entry_text(n_operands, n_results)}
 %raw = ptrtoint ptr %out{n_results - 1} to i64
 %raised = add i64 %raw, 63
 %aligned = and i64 %raised, -64
@@ -258,7 +249,20 @@ def goals_in(
     return [goal[1:] for goal in ordered]
 
 
-def pointer_text(name: str, array: str, index: int) -> str:
+def entry_text(n_operands: int, n_results: int) -> str:
+    """Writes code that loads the data pointers of all buffers, and the counts."""
+    loads = [_pointer(f"%in{i}", "%operands", i) for i in range(n_operands)]
+    loads += [_pointer(f"%out{i}", "%results", i) for i in range(n_results)]
+    counts = [
+        f"%{name}at = getelementptr i32, ptr %in0, i64 {i}\n"
+        f"%{name}32 = load i32, ptr %{name}at\n"
+        f"%{name} = sext i32 %{name}32 to i64\n"
+        for i, name in enumerate(("steps", "every", "rods", "kept"))
+    ]
+    return "".join([*loads, *counts])
+
+
+def _pointer(name: str, array: str, index: int) -> str:
     """Writes code that loads the data pointer of one buffer of a call."""
     return (
         f"{name}b = getelementptr ptr, ptr {array}, i64 {index}\n"

@@ -14,19 +14,21 @@ from jaxrod.jax_internals.equations import operand_types, result_types
 from jaxrod.lanes.graph import FIXED, VARYING
 from jaxrod.lanes.jaxpr.unroll import NotUnrolled, kind_of
 from jaxrod.lanes.llvm.elementary import elementary_texts
-from jaxrod.lanes.llvm.kernel import Kernel
-from jaxrod.lanes.llvm.kernel_plan import pointer_text
+from jaxrod.lanes.llvm.kernel import Kernel, backward_loops, forward_loops
+from jaxrod.lanes.llvm.kernel_plan import entry_text
 from jaxrod.lanes.llvm.machine_code import vector_bytes
 from jaxrod.lanes.llvm.vector_code import BYTES, TYPES, literal
 from jaxrod.lanes.rows.arrays import Rows
 from jaxrod.lanes.rows.loop_code import RowWriter, fill_call, fill_text
 from jaxrod.lanes.rows.row_graph import Piece, RowGraph, row_major
-from jaxrod.lanes.rows.row_indexing import RowUnroller
+from jaxrod.lanes.rows.row_unroller import RowUnroller
 from jaxrod.lanes.rows.schedule import Goal, Place, Schedule, fills_of, hoisted
 from jaxrod.lanes.run_spec import Ends, LoopBody, RunSpec, adjoint_body
 
 ALIGNMENT = 64
 """Alignment of regions and of stored nodes [bytes]."""
+GIVEN = "ptr %scratch, ptr %fixed"
+"""First arguments of all functions of a kernel."""
 MOST_LINES = 400_000
 """Length of the longest program that is compiled."""
 
@@ -180,14 +182,6 @@ class RowPlan:
         functions, more = elementary_texts(self.needs)
         self.texts.append(self.lasting_fills())
         texts = [*map(fill_text, sorted(self.fills)), *functions, *self.texts]
-        loads = [pointer_text(f"%in{i}", "%operands", i) for i in range(n_operands)]
-        loads += [pointer_text(f"%out{i}", "%results", i) for i in range(n_results)]
-        counts = "".join(
-            f"%{name}at = getelementptr i32, ptr %in0, i64 {i}\n"
-            f"%{name}32 = load i32, ptr %{name}at\n"
-            f"%{name} = sext i32 %{name}32 to i64\n"
-            for i, name in enumerate(("steps", "every", "rods", "kept"))
-        )
         constants = "".join(
             self.fetch(1 + i, aval, place, self.batched[i])
             for i, (aval, place) in enumerate(
@@ -197,7 +191,7 @@ class RowPlan:
         main = f"""
 define void @kernel(ptr %operands, ptr %results) nounwind {{
 entry:
-{"".join(loads)}{counts}
+{entry_text(n_operands, n_results)}
 %raw = ptrtoint ptr %out{n_results - 1} to i64
 %raised = add i64 %raw, 63
 %aligned = and i64 %raised, -64
@@ -288,7 +282,8 @@ def cycles_kernel(
             zip(plan.carry, plan.carry_places, strict=True)
         )
     )
-    text = f"{regions}{fetches}{_segments(marks if checkpoints else '')}{brings}"
+    loops = forward_loops("scenes", GIVEN, marks if checkpoints else "")
+    text = f"{regions}{fetches}{loops}{brings}"
     n_results = n_carry * (2 if checkpoints else 1) + 1
     n_operands = first + n_carry
     module = plan.module(text, n_operands, n_results)
@@ -330,7 +325,7 @@ def whole_run_kernel(body: LoopBody, ends: Ends, batched: tuple[bool, ...]) -> K
     )
     text = f"""{regions}{fetches}
 call void @begin(ptr %scratch, ptr %fixed, ptr %given, ptr %now0)
-{_segments("")}
+{forward_loops("scenes", GIVEN)}
 call void @end(ptr %scratch, ptr %fixed, ptr %now1, ptr %made)
 {brings}"""
     n_operands, n_results = 1 + n + len(avals), len(ends.made) + 1
@@ -384,47 +379,7 @@ def back_kernel(
     text = f"""{regions}
 call void @llvm.memset.p0.i64(ptr %back0, i8 0, i64 {before.size}, i1 false)
 {seeds}
-%j0 = sub i64 %kept, 1
-br label %segments
-segments:
-%j = phi i64 [%j0, %scenes], [%j1, %segment_done]
-%back1 = phi ptr [%back0, %scenes], [%back2, %segment_done]
-%other1 = phi ptr [%other0, %scenes], [%other2, %segment_done]
-%some = icmp sge i64 %j, 0
-br i1 %some, label %segment, label %finished
-segment:
-%begun = mul i64 %j, %every
-%rest = sub i64 %steps, %begun
-%length = call i64 @llvm.smin.i64(i64 %rest, i64 %every)
-{marks}
-%last = sub i64 %length, 1
-br label %again_test
-again_test:
-%i = phi i64 [0, %segment], [%i1, %again]
-%now = phi ptr [%kept0, %segment], [%then, %again]
-%left = icmp slt i64 %i, %last
-br i1 %left, label %again, label %back
-again:
-%then = getelementptr i8, ptr %now, i64 {size}
-call void @step(ptr %scratch, ptr %fixed, ptr %now, ptr %then)
-%i1 = add i64 %i, 1
-br label %again_test
-back:
-%k = phi i64 [%last, %again_test], [%k1, %back]
-%here = phi ptr [%now, %again_test], [%here1, %back]
-%ct = phi ptr [%back1, %again_test], [%earlier, %back]
-%earlier = phi ptr [%other1, %again_test], [%ct, %back]
-call void @adjoint(ptr %scratch, ptr %fixed, ptr %here, ptr %ct, ptr %earlier)
-%here1 = getelementptr i8, ptr %here, i64 {-size}
-%k1 = sub i64 %k, 1
-%more = icmp sge i64 %k1, 0
-br i1 %more, label %back, label %segment_done
-segment_done:
-%back2 = phi ptr [%earlier, %back]
-%other2 = phi ptr [%ct, %back]
-%j1 = sub i64 %j, 1
-br label %segments
-finished:
+{backward_loops("scenes", GIVEN, size, marks)}
 {brings}"""
     n_operands, n_results = first_seed + n_seeds, len(avals) + 1
     module = plan.module(text, n_operands, n_results)
@@ -443,36 +398,3 @@ def _pointers(plan: RowPlan, **sizes: int) -> tuple[str, int]:
         lines.append(f"%{name} = getelementptr i8, ptr %room, i64 {start}\n")
         start += size
     return "".join(lines), start
-
-
-def _segments(marks: str) -> str:
-    """Writes the loop over all steps; `%now1` has the last carry."""
-    return f"""
-br label %segments
-segments:
-%j = phi i64 [0, %scenes], [%j1, %segment_done]
-%now1 = phi ptr [%now0, %scenes], [%now2, %segment_done]
-%then1 = phi ptr [%then0, %scenes], [%then2, %segment_done]
-%begun = mul i64 %j, %every
-%rest = sub i64 %steps, %begun
-%length = call i64 @llvm.smin.i64(i64 %rest, i64 %every)
-%some = icmp sgt i64 %rest, 0
-br i1 %some, label %segment, label %finished
-segment:
-{marks}
-br label %steps_loop
-steps_loop:
-%i = phi i64 [0, %segment], [%i1, %steps_loop]
-%now = phi ptr [%now1, %segment], [%then, %steps_loop]
-%then = phi ptr [%then1, %segment], [%now, %steps_loop]
-call void @step(ptr %scratch, ptr %fixed, ptr %now, ptr %then)
-%i1 = add i64 %i, 1
-%more = icmp slt i64 %i1, %length
-br i1 %more, label %steps_loop, label %segment_done
-segment_done:
-%now2 = phi ptr [%then, %steps_loop]
-%then2 = phi ptr [%now, %steps_loop]
-%j1 = add i64 %j, 1
-br label %segments
-finished:
-"""

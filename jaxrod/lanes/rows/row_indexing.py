@@ -390,6 +390,3 @@ def _changed(
     before = layout.sliced(array, axis, 0, first)
     after = layout.sliced(array, axis, last, n)
     return layout.concatenated([before, middle, after], axis)
-
-
-__all__ = ["RowUnroller"]

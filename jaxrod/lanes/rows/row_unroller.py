@@ -11,9 +11,9 @@ from typing import Any
 
 import numpy as np
 
-import jaxrod.lanes.jaxpr  # noqa: F401  It registers the rules.
 from jaxrod.jax_internals.equations import scan_of
 from jaxrod.lanes.jaxpr.arithmetic import as_kind
+from jaxrod.lanes.jaxpr.reductions import CUMULATIVE, REDUCTIONS
 from jaxrod.lanes.jaxpr.unroll import (
     RULES,
     NotUnrolled,
@@ -227,21 +227,10 @@ def row_of_places(
     return Rows(shape, loops, nodes, kind)
 
 
-_REDUCTIONS = {
-    "reduce_sum": "add",
-    "reduce_prod": "mul",
-    "reduce_max": "max",
-    "reduce_min": "min",
-    "reduce_and": "and",
-    "reduce_or": "or",
-    "reduce_xor": "xor",
-}
-
-
-@row_rule(*_REDUCTIONS)
+@row_rule(*REDUCTIONS)
 def reduced(unroller: RowUnroller, equation: Any, array: Rows) -> Rows:
     """Translates a reduction along axes."""
-    operation = _REDUCTIONS[equation.primitive.name]
+    operation = REDUCTIONS[equation.primitive.name]
     axes = tuple(equation.params["axes"])
     return _reduced(unroller, array, operation, axes)
 
@@ -279,13 +268,10 @@ def _reduced(
     return Rows(shape, loops, lines[0], kind)
 
 
-_CUMULATIVE = {"cumsum": "add", "cumprod": "mul", "cummax": "max", "cummin": "min"}
-
-
-@row_rule(*_CUMULATIVE)
+@row_rule(*CUMULATIVE)
 def accumulated(unroller: RowUnroller, equation: Any, array: Rows) -> Rows:
     """Translates a cumulative operation, by combination with ever longer shifts."""
-    operation = _CUMULATIVE[equation.primitive.name]
+    operation = CUMULATIVE[equation.primitive.name]
     axis, kind = equation.params["axis"], array.kind
     none = unroller.graph.constant(identity(operation, kind), kind)
     n, shift = array.shape[axis], 1

@@ -116,10 +116,7 @@ def sums_over_list(
 
 def _where(there: Array, tree: Any) -> Any:
     """Numbers of entries in use; zero for the others, which kernels skip."""
-    nothing = jnp.zeros((), jnp.int32)
-    return jax.tree.map(
-        lambda field: jnp.where(there, field, nothing.astype(field.dtype)), tree
-    )
+    return jax.tree.map(lambda field: jnp.where(there, field, 0), tree)
 
 
 @jax.custom_jvp

@@ -1,0 +1,42 @@
+"""Rows: list entries that are not in use are skipped, and nothing else is."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from jaxrod.lanes.choice import lane_choices, use_lanes
+from jaxrod.lanes.primitives import cycles_p
+from jaxrod.lanes.rows.kernels import cycles_kernel
+from jaxrod.lanes.run_spec import LoopBody, RunSpec
+
+ENTRIES, SIZE = 37, 11
+
+
+def gathered_and_scattered(table, places, there, total):
+    """One step of a sum over the entries of a list, computed from gathers."""
+    numbers = jnp.sin(table[places]) * (1 + table[places[::-1]])
+    more = jnp.where(there, numbers, 0)
+    return [total + jnp.zeros(SIZE, table.dtype).at[places].add(more)]
+
+
+@pytest.mark.parametrize("used", [0, 1, 16, 36, 37, "scattered"])
+@pytest.mark.parametrize("dtype", ["float32", "float64"])
+def test_sums_over_the_entries_in_use_are_those_of_xla(used, dtype):
+    rng = np.random.default_rng(0)
+    table = jnp.asarray(rng.normal(size=SIZE), dtype)
+    places = jnp.asarray(rng.integers(0, SIZE, ENTRIES), jnp.int32)
+    there = rng.random(ENTRIES) < 0.2 if used == "scattered" else None
+    there = jnp.arange(ENTRIES) < used if there is None else jnp.asarray(there)
+    given = (table, places, there, jnp.zeros(SIZE, dtype))
+    body = LoopBody(jax.make_jaxpr(gathered_and_scattered)(*given), 3)
+    kernel = cycles_kernel(body, (False,) * 3, checkpoints=False)
+    assert "_skip:" in kernel.text
+    found = []
+    for mode in ("rows", "never"):
+        use_lanes(mode)
+        run = jax.jit(lambda *a: cycles_p.bind(*a, spec=RunSpec(body, None)))
+        found.append(run(jnp.int32(3), *given)[0])
+        assert mode == "never" or lane_choices()[-1].taken
+    tolerance = {"float32": 1e-5, "float64": 1e-13}[dtype]
+    np.testing.assert_allclose(*found, rtol=tolerance, atol=tolerance)
