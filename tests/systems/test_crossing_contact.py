@@ -305,18 +305,18 @@ def test_collision_keeps_momenta(record):
 @pytest.mark.parametrize(
     ("place", "way", "h"),
     [
-        ((0.12, -0.12, 0.037), (0, 1, 0), 1e-6),
-        ((0.03, 0.0, 0.036), (1, 0, 0), 1e-4),
-        ((0.03, -0.003, 0.036), (1, 0.05, 0), 1e-6),
-        ((0.12, -0.12, 0.0), (0, 1, 0), 1e-6),
-        ((0.12, -0.12, 0.0401), (0, 1, 0), 1e-6),
+        ((0.12, -0.12, 0.037), (0, 1, 0), 1e-4),
+        ((0.03, 0.0, 0.036), (1, 0, 0), 3e-4),
+        ((0.03, -0.003, 0.036), (1, 0.05, 0), 1e-4),
+        ((0.12, -0.12, 0.0), (0, 1, 0), 1e-4),
+        ((0.12, -0.12, 0.0401), (0, 1, 0), 1e-4),
     ],
     ids=["crossing", "parallel", "nearly parallel", "coincident", "onset"],
 )
 def test_gradient_of_a_run(place, way, h, record):
     """Through a rod's fall on another with friction, against central differences.
 
-    Where rods are parallel to a thousandth, what differences round off is large.
+    For parallel rods, rounding and truncation of differences are equal at 2e-6.
     """
     one, of_one = rod(3, 0.3)
     two, of_two = rod(3, 0.3, place, way)

@@ -16,9 +16,12 @@ middles.
 
 Two pieces of smooth axes take Newton's method in the unit square, started from the
 closest points of the chords. In each step the squared distance is replaced by its
-second-order expansion, again a quadratic form. This form is not clearly convex for
-pieces that bend towards each other and are nearly parallel. There the terms of the
-curvature are left out.
+second-order expansion, again a quadratic form. This form is not convex for pieces that
+bend towards each other and are nearly parallel: their closest points lie on the border,
+and the step goes there in the direction in which the distance falls. Curvature terms
+that halve the second derivative along one piece are left out. Such a piece bends about
+the other with less than twice its distance as radius, and its closest point is hardly
+defined.
 """
 
 from __future__ import annotations
@@ -38,9 +41,11 @@ CROSSED = 1e-5
 """Squared sine of the angle above which segments count as crossed [1]."""
 _FLOOR = 1e-6
 """Lower bound of the determinant in divisions, over its largest value [1]."""
-STEPS = 3
-"""Number of Newton steps. With three, forces match the energy to round-off; with two,
-to 3e-8."""
+STEPS = 8
+"""Number of Newton steps.
+
+Of random pieces at angles from 4 mrad to a right one, 99.9 % converge in eight steps
+and 86 % in three; crossed pieces take two or three."""
 _CONVEX = 0.5
 """Smallest fraction of the second derivatives of straight pieces that counts as convex
 [1]."""
@@ -157,6 +162,26 @@ def first_guess(have: Products) -> tuple[Array, Array]:
     return have.on_own(last), last
 
 
+def lowest(form: Products, start: Array) -> tuple[Array, Array]:
+    """Minimum of a quadratic form in the unit square [1].
+
+    If the form is not convex, it is the minimum on the border that lies in the
+    direction in which the form falls from the starting point.
+
+    Args:
+        form: Coefficients of the form, as for two segments.
+        start: Starting point on the first piece [1].
+    """
+    largest = form.own * form.other
+    determinant = largest - form.mixed * form.mixed
+    across = form.mixed * form.other_way - form.other * form.own_way
+    convex = determinant > _FLOOR * largest
+    inside = across / jnp.where(convex, determinant, largest)
+    border = jnp.where(across > determinant * start, 1.0, 0.0)
+    last = form.on_other(jnp.where(convex, jnp.clip(inside, 0, 1), border))
+    return form.on_own(last), last
+
+
 def crossedness(have: Products) -> Array:
     """Degree of crossing: zero for parallel segments, one for crossed ones [1]."""
     sine = 1 - have.mixed * have.mixed / (have.own * have.other)
@@ -216,17 +241,8 @@ def nearest_on_curves(
             straight[0] + vectors.dot(r, own.bend(s)),
             straight[1] - vectors.dot(r, other.bend(t)),
         )
-        square = mixed * mixed
-        convex = (
-            (bent[0] > _CONVEX * straight[0])
-            & (bent[1] > _CONVEX * straight[1])
-            & (
-                bent[0] * bent[1] - square
-                > _CONVEX * (straight[0] * straight[1] - square)
-            )
-        )
         a, b = (
-            jnp.where(convex, full, flat)
+            jnp.where(full > _CONVEX * flat, full, flat)
             for full, flat in zip(bent, straight, strict=True)
         )
         form = Products(
@@ -236,7 +252,7 @@ def nearest_on_curves(
             own_way=vectors.dot(r, u) - a * s + mixed * t,
             other_way=vectors.dot(r, v) + b * t - mixed * s,
         )
-        s, t = first_guess(form)
+        s, t = lowest(form, s)
     return s, t
 
 
