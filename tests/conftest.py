@@ -151,3 +151,10 @@ def dtype(request):
 def chromium():
     """The path of an installed Chromium; for tests marked `browser`."""
     return chromium_path()
+
+
+@pytest.fixture
+def compiled_for_cpus():
+    """Compiles for CPUs, even beside a GPU: only there does XLA count operations."""
+    with jax.default_device(jax.devices("cpu")[0]):
+        yield

@@ -269,6 +269,7 @@ class Nothing(jaxrod.extend.Effect):
         return 0.0
 
 
+@pytest.mark.usefixtures("compiled_for_cpus")
 def test_an_effect_costs_only_what_it_does(record, request):
     # XLA counts its own operations, not those of kernels.
     request.addfinalizer(partial(jaxrod.use_lanes, lane_mode()))
@@ -290,6 +291,7 @@ def test_an_effect_costs_only_what_it_does(record, request):
     assert flops(jaxrod.gravity()) > bare
 
 
+@pytest.mark.usefixtures("compiled_for_cpus")
 @pytest.mark.parametrize(
     ("kind", "figure"),
     [("consistent", 7828), ("compensated", 8137), ("pyelastica", 6944), ("xy", 1688)],

@@ -331,6 +331,7 @@ def kept(hook):
     return {"wall": hook.wall} if "wall" in vars(hook) else {}
 
 
+@pytest.mark.usefixtures("compiled_for_cpus")
 @pytest.mark.parametrize("method", METHODS)
 def test_an_effect_that_overrides_no_hook_is_free_in_every_method(method):
     def flops(*effects):
