@@ -10,6 +10,7 @@ import argparse
 import ast
 import difflib
 import importlib
+import os
 import sys
 from collections.abc import Sequence
 from pathlib import Path
@@ -67,6 +68,8 @@ def main(words: Sequence[str]) -> int:
             file=sys.stderr,
         )
         return 2
+    # Times of first calls are those of programs that have to be compiled.
+    os.environ.setdefault("JAXROD_CACHE", "0")
     args = parser_of(name).parse_args(rest)
     return int(args.run(args))
 

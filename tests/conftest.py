@@ -12,6 +12,8 @@ if "PYTEST_XDIST_WORKER" in os.environ:
     for variable in ("OMP_NUM_THREADS", "NPROC", "NUMBA_NUM_THREADS"):
         os.environ.setdefault(variable, "1")
 os.environ.setdefault("MPLBACKEND", "Agg")
+# Nothing is kept for programs outside of the tests.
+os.environ.setdefault("JAXROD_CACHE", "0")
 
 import jax
 import pytest

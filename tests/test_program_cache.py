@@ -12,7 +12,7 @@ import pytest
 
 import jaxrod
 from jaxrod import cli
-from jaxrod.installation import backend, program_cache
+from jaxrod.installation import backend, doctor, program_cache
 from jaxrod.private_folders import shared_with
 
 REFUSED = "Error reading persistent compilation cache entry"
@@ -93,9 +93,9 @@ def test_the_features_are_those_of_one_core(monkeypatch):
 
 @pytest.mark.parametrize(
     ("word", "asked"),
-    [("", False), ("0", False), ("1", True), (" 1 ", True), ("here", "here")],
+    [("", None), ("0", False), ("1", True), (" 1 ", True), ("here", "here")],
 )
-def test_the_variable_says_no_yes_or_where(word, asked, monkeypatch):
+def test_the_variable_says_no_yes_where_or_nothing(word, asked, monkeypatch):
     monkeypatch.setenv("JAXROD_CACHE", word)
     assert program_cache.asked_for() == asked
 
@@ -108,7 +108,8 @@ def test_a_folder_that_jax_was_given_stays(as_before, tmp_path, monkeypatch):
     assert program_cache.keep_programs(tmp_path / "other") == tmp_path / "other"
     jax.config.update("jax_compilation_cache_dir", None)
     assert program_cache.keep_programs() == program_cache.default_folder()
-    assert jax.config.jax_compilation_cache_dir == str(program_cache.default_folder())
+    own = Path(jax.config.jax_compilation_cache_dir)
+    assert own.parent == program_cache.default_folder()
 
 
 def test_nothing_is_kept_without_a_checksum(as_before, tmp_path, monkeypatch):
@@ -324,7 +325,7 @@ def test_processes_that_fill_one_folder_at_once_compute_the_same(tmp_path):
 @checked
 @pytest.mark.slow
 def test_the_command_keeps_what_it_compiled(tmp_path):
-    words = ["train", "trivial", "--steps", "2k", "--num-envs", "8", "--cache"]
+    words = ["train", "trivial", "--steps", "2k", "--num-envs", "8"]
     words += ["--set", "rollout_steps=32", "--no-replay", "--json", "--out"]
     kept = ("JAX_COMPILATION_CACHE_DIR", "JAXROD_CACHE", "TF_CPP_MIN_LOG_LEVEL")
     environment = {name: os.environ[name] for name in os.environ if name not in kept}
@@ -346,4 +347,99 @@ def test_the_command_keeps_what_it_compiled(tmp_path):
 
 
 def test_the_help_names_the_variable():
-    assert "JAXROD_CACHE=1" in cli.EPILOG
+    assert "JAXROD_CACHE=0" in cli.EPILOG
+
+
+@pytest.fixture
+def kept_in(as_before, tmp_path, monkeypatch):
+    """A folder of caches of which nothing is known, and no setting."""
+    monkeypatch.setattr(program_cache, "without_checksum", lambda: False)
+    monkeypatch.setattr(program_cache, "_is_loud", lambda: False)
+    monkeypatch.delenv("JAXROD_CACHE", raising=False)
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    jax.config.update("jax_compilation_cache_dir", None)
+    return program_cache.default_folder()
+
+
+def processes_of(folder):
+    return sorted(folder.glob("process-*"))
+
+
+def test_programs_are_kept_where_nobody_says_otherwise(kept_in):
+    assert program_cache.keep_programs(asked=False) == kept_in
+    (own,) = processes_of(kept_in)
+    assert jax.config.jax_compilation_cache_dir == str(own)
+    assert own.stat().st_mode & 0o777 == 0o700 or os.name != "posix"
+    # A second call in the same process changes nothing.
+    assert program_cache.keep_programs(asked=False) == kept_in
+    assert processes_of(kept_in) == [own]
+
+
+@pytest.mark.parametrize(
+    ("change", "why"),
+    [
+        (lambda m: m.setenv("JAXROD_CACHE", "0"), "JAXROD_CACHE is 0"),
+        (
+            lambda m: m.setattr(program_cache, "without_checksum", lambda: True),
+            "zstandard",
+        ),
+        (lambda m: m.setattr(program_cache, "_is_loud", lambda: True), "false alarm"),
+    ],
+)
+def test_where_programs_cannot_be_kept_nothing_is_said_but_by_doctor(
+    kept_in, change, why, monkeypatch
+):
+    monkeypatch.setenv("TF_CPP_MIN_LOG_LEVEL", "")
+    change(monkeypatch)
+    assert program_cache.keep_programs(asked=False) is None
+    assert jax.config.jax_compilation_cache_dir is None
+    assert not kept_in.exists()
+    found = doctor.check_program_cache()
+    assert found.ok and why in found.advice
+
+
+def test_doctor_says_where_programs_are_and_how_large(kept_in):
+    kept_in.mkdir(parents=True, mode=0o700)
+    (kept_in / "a-cache").write_bytes(bytes(2_000_000))
+    assert "1 files, 2.0 MB of 1,000 MB in" in doctor.check_program_cache().detail
+
+
+def test_a_process_adds_its_whole_files_when_it_ends(kept_in):
+    kept_in.mkdir(parents=True, mode=0o700)
+    (kept_in / "old-cache").write_bytes(b"old")
+    own = program_cache._folder_of_this_process(kept_in)
+    assert (own / "old-cache").read_bytes() == b"old"
+    (own / "new-cache").write_bytes(b"new")
+    (own / "tables").mkdir()
+    assert not (kept_in / "new-cache").exists()
+    program_cache._give_back(own, os.getpid() + 1)  # a child that was forked
+    assert own.exists()
+    (kept_in / "both-cache").write_bytes(b"first")
+    (own / "both-cache").write_bytes(b"second")
+    program_cache._give_back(own, os.getpid())
+    assert sorted(file.name for file in kept_in.iterdir()) == [
+        "both-cache",
+        "new-cache",
+        "old-cache",
+    ]
+    assert (kept_in / "both-cache").read_bytes() == b"first"
+
+
+def test_what_was_not_used_for_longest_goes_and_folders_of_killed_processes_too(
+    kept_in, monkeypatch
+):
+    monkeypatch.setattr(program_cache, "MOST_BYTES", 250)
+    kept_in.mkdir(parents=True, mode=0o700)
+    for name, age in (("a", 3), ("b", 1), ("c", 2)):
+        (kept_in / f"{name}-cache").write_bytes(bytes(100))
+        os.utime(kept_in / f"{name}-cache", (1e9 - age, 1e9 - age))
+    for name in ("process-killed", "process-alive", "else"):
+        (kept_in / name).mkdir()
+    for name in ("process-killed", "else"):
+        os.utime(kept_in / name, (1e9, 1e9))
+    own = program_cache._folder_of_this_process(kept_in)
+    assert sorted(file.name for file in own.iterdir()) == ["b-cache", "c-cache"]
+    assert {entry.name for entry in kept_in.iterdir()} == {
+        *("b-cache", "c-cache", "process-alive", "else"),
+        own.name,
+    }

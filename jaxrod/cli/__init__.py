@@ -79,8 +79,8 @@ a first run:
   jaxrod render runs/first
 
 `jaxrod COMMAND --help` explains each command with examples.
-JAXROD_TRACEBACK=1 shows where an error was raised, JAXROD_CACHE=1 keeps compiled
-programs for the next call (docs/compiling.md).
+JAXROD_TRACEBACK=1 shows where an error was raised. Compiled programs are kept for the
+next call; JAXROD_CACHE=0 keeps none (docs/compiling.md).
 """
 
 
@@ -99,7 +99,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     """
     arguments = list(sys.argv[1:] if argv is None else argv)
     command = "jaxrod"
-    if asked_for():
+    if asked_for() is not False:
         silence_false_alarms()
     try:
         parser, chosen = _parser(arguments)

@@ -32,7 +32,6 @@ from typing import Any
 from jaxrod.cli import runs, settings
 from jaxrod.cli.render import draw_learning_curve, print_paths, write_replay
 from jaxrod.files import reading
-from jaxrod.installation import program_cache
 
 STEPS = 10_000_000
 """Default number of control steps: the published budget."""
@@ -145,12 +144,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--process-id", type=int, metavar="I", help="number of this one, from 0"
     )
     parser.add_argument(
-        "--cache",
-        action="store_true",
-        help="keep compiled programs on disk for the next run, as JAXROD_CACHE=1 does "
-        "(docs/compiling.md)",
-    )
-    parser.add_argument(
         "--join-seconds",
         type=int,
         metavar="S",
@@ -181,9 +174,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Trains, draws, and prints the result."""
-    if args.cache and not program_cache.asked_for():
-        os.environ[program_cache.VARIABLE] = "1"
-        program_cache.silence_false_alarms()
     import jaxrod
     from jaxrod.envs import check_environment, names
     from jaxrod.envs.importing import canonical_path

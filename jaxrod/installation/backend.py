@@ -45,15 +45,16 @@ def configure_cpu(
     """Applies the CPU settings jaxrod is measured with. Call it before using JAX.
 
     Sets `XLA_FLAGS` for this process (options that you set yourself are kept), and the
-    number of CPU devices a batch can be spread over. Settings take effect only if no
-    JAX computation has run yet; otherwise a warning is given.
+    number of CPU devices a batch can be spread over. Compiled programs are kept on disk
+    for the next process, in at most 1 GB. Settings take effect only if no JAX
+    computation has run yet; otherwise a warning is given.
 
     Args:
         devices: Number of CPU devices; by default the number of cores this process
             may use.
-        cache: Whether compiled programs are kept on disk for the next process, or the
-            folder to keep them in; by default the value of the environment variable
-            `JAXROD_CACHE` (1 or a folder), and no if it is not set.
+        cache: Whether compiled programs are kept, or the folder to keep them in; by
+            default the value of the environment variable `JAXROD_CACHE` (0, 1 or a
+            folder). If that is not set they are kept wherever it is safe.
 
     Raises:
         ValueError: If `devices` is not a positive integer, `cache` is not a folder that
@@ -63,7 +64,7 @@ def configure_cpu(
         devices = available_cores()
     devices = check_count("devices", devices, 1, MOST_DEVICES)
     kept = asked_for() if cache is None else cache
-    if not isinstance(kept, bool | str | os.PathLike) or kept == "":
+    if not isinstance(kept, bool | str | os.PathLike | None) or kept == "":
         raise ValueError(f"cache must be True, False or a folder, got {cache!r}")
     if _backend_is_running():
         warnings.warn(
@@ -74,7 +75,9 @@ def configure_cpu(
         return
     os.environ["XLA_FLAGS"] = with_backend_options(given_options())
     jax.config.update("jax_num_cpu_devices", devices)
-    if kept:
+    if kept is None:
+        keep_programs(asked=False)
+    elif kept is not False:
         keep_programs(None if kept is True else kept)
 
 

@@ -15,12 +15,19 @@ from contextlib import nullcontext
 from dataclasses import dataclass
 from functools import partial
 from importlib import metadata
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from jaxrod.installation import jax_version
 from jaxrod.installation.machine import available_cores, processor
+from jaxrod.installation.program_cache import (
+    MOST_BYTES,
+    asked_for,
+    default_folder,
+    obstacle,
+)
 
 if TYPE_CHECKING:
     import jax
@@ -59,6 +66,7 @@ def run_checks() -> list[Check]:
         for device in _one_device_per_platform():
             checks += check_device(device)
     checks.append(_guard("lanes", check_lanes))
+    checks.append(_guard("compiled programs", check_program_cache))
     checks.append(_guard("default precision", check_default_precision))
     checks.append(check_processors())
     return checks
@@ -341,6 +349,23 @@ def check_lanes() -> Check:
         return Check("lanes", True, detail)
     advice = "Lanes give wrong numbers here. Set JAXROD_LANES=never and report it."
     return Check("lanes", False, detail, advice)
+
+
+def check_program_cache() -> Check:
+    """Reports where compiled programs are kept, and how large they are."""
+    import jax
+
+    settings: Any = jax.config
+    given = settings.jax_compilation_cache_dir
+    why = None if given else obstacle()
+    if why is not None:
+        return Check("compiled programs", True, "not kept", f"Not kept: {why}.")
+    asked = asked_for()
+    folder = Path(given or (asked if isinstance(asked, str) else default_folder()))
+    files = [file for file in folder.glob("*") if file.is_file()]
+    size = sum(file.stat().st_size for file in files)
+    detail = f"{len(files)} files, {1e-6 * size:.1f} MB of {1e-6 * MOST_BYTES:,.0f} MB"
+    return Check("compiled programs", True, f"{detail} in {folder}")
 
 
 def check_default_precision() -> Check:

@@ -5,22 +5,31 @@ names a file after the program, XLA's options and the releases. The capabilities
 processor are not known to be among them, and a home directory may be shared by several
 machines. So there is a folder for every processor.
 
-JAX does not write whole files at once. Files compressed by zlib have a checksum: one
-that is damaged or half written is reported and compiled again. Files compressed by
-zstandard have none, and a process that loads a damaged one can crash or worse. In that
-case nothing is kept.
+JAX does not write whole files at once. So each process has a folder of its own inside,
+with hard links to all files that are kept. What it adds is moved to the others when the
+process ends: nobody meets half a file, and a process that is killed leaves only its own
+folder, which is removed after a week. Files that were not used for longest are removed
+once all of them take more than `MOST_BYTES`.
+
+Files compressed by zlib have a checksum: one that the disk damaged is reported and
+compiled again. Files compressed by zstandard have none, and a process that loads a
+damaged one can crash or worse. In that case nothing is kept.
 
 Files from the disk are executed. A folder that others can write to is therefore
-refused, with a warning, and programs are compiled as if there were no cache.
+refused, and programs are compiled as if there were no cache.
 """
 
 from __future__ import annotations
 
+import atexit
 import hashlib
 import importlib.util
 import os
 import platform
+import shutil
 import sys
+import tempfile
+import time
 import warnings
 from contextlib import suppress
 from importlib import metadata
@@ -29,15 +38,26 @@ from pathlib import Path
 from jaxrod.private_folders import make_private_folder, shared_with
 
 VARIABLE = "JAXROD_CACHE"
-"""Environment variable that asks for the cache: 1, or a folder."""
+"""Environment variable of the cache: 0 for none, 1, or a folder."""
 
-SHORTEST_COMPILATION = 0.3
+SHORTEST_COMPILATION = 0.01
 """Shortest compile time of programs that are kept [s], unless the user set it."""
 
+MOST_BYTES = 10**9
+"""Largest size of all kept programs together [bytes]."""
+
 _JAX_SHORTEST = 1.0
+_OWN = "process-"
+"""Beginning of the names of the folders of single processes."""
+_WEEK = 7 * 86_400.0
 
 _LOUD = "0.10.1"
 _LEVEL = "TF_CPP_MIN_LOG_LEVEL"
+_UNCHECKED = (
+    "JAX compresses them by zstandard here, without a checksum, and one that is "
+    "damaged on the disk would be run. Without the package zstandard, and with Python "
+    "before 3.14, they are kept"
+)
 
 
 class UncheckedCacheWarning(UserWarning):
@@ -53,26 +73,42 @@ def without_checksum() -> bool:
     return sys.version_info >= (3, 14) or bool(importlib.util.find_spec("zstandard"))
 
 
-def asked_for() -> bool | str:
-    """Value of the environment variable: no, yes, or a folder."""
+def asked_for() -> bool | str | None:
+    """Value of the environment variable: no, yes, a folder, or None if not set."""
     value = os.environ.get(VARIABLE, "").strip()
-    if value in ("", "0"):
-        return False
-    return True if value == "1" else value
+    return {"": None, "0": False, "1": True}.get(value, value)
 
 
-def keep_programs(folder: str | os.PathLike[str] | None = None) -> Path | None:
+def obstacle() -> str | None:
+    """Reason why programs are not kept by default; None if they are."""
+    if asked_for() is False:
+        return f"{VARIABLE} is 0"
+    if without_checksum():
+        return _UNCHECKED
+    if asked_for() is None and _is_loud() and not os.environ.get(_LEVEL):
+        return f"JAX {_LOUD} raises a false alarm for every program that was kept"
+    try:
+        return shared_with(default_folder())
+    except RuntimeError as error:
+        return str(error)
+
+
+def keep_programs(
+    folder: str | os.PathLike[str] | None = None, *, asked: bool = True
+) -> Path | None:
     """Makes JAX keep the programs that it compiles from now on, and use those kept.
 
     Args:
         folder: Folder of the programs; by default `default_folder()`, or the one that
             JAX uses already. If it does not exist it is made, for this user alone.
+        asked: Whether somebody asked for it. Otherwise there is neither an error nor a
+            warning where programs cannot be kept.
 
     Returns:
         The folder; None if nothing is kept.
 
     Raises:
-        ValueError: If it is not a folder, and cannot be made.
+        ValueError: If it was asked for, and is not a folder and cannot be made.
 
     Warns:
         UncheckedCacheWarning: If JAX would keep programs without a checksum.
@@ -83,25 +119,29 @@ def keep_programs(folder: str | os.PathLike[str] | None = None) -> Path | None:
     # JAX defines its settings at run time, so their types are not known before.
     already = getattr(jax.config, "jax_compilation_cache_dir", None)
     if folder is None and already:
-        return Path(already)
+        own = Path(already)
+        return own.parent if own.name.startswith(_OWN) else own
+    if not asked and obstacle() is not None:
+        return None
     if without_checksum():
         warnings.warn(
-            "compiled programs are not kept: JAX compresses them by zstandard here, "
-            "without a checksum, and one that is damaged on the disk would be run. "
-            "Without the package zstandard, and with Python before 3.14, they are kept",
+            f"compiled programs are not kept: {_UNCHECKED}",
             UncheckedCacheWarning,
             stacklevel=3,
         )
         return None
-    chosen = default_folder() if folder is None else Path(folder)
-    chosen = chosen.expanduser().absolute()
     try:
+        chosen = default_folder() if folder is None else Path(folder)
+        chosen = chosen.expanduser().absolute()
         make_private_folder(chosen)
-    except (OSError, ValueError) as error:
+    except (OSError, ValueError, RuntimeError) as error:
+        if not asked:
+            return None
         # From the environment or an argument: in both cases a folder was meant.
         raise ValueError(
             f"the cache of compiled programs must be a folder that can be made, got "
-            f"{str(chosen)!r}: {getattr(error, 'strerror', None) or error}"
+            f"{str(folder or 'the default')!r}: "
+            f"{getattr(error, 'strerror', None) or error}"
         ) from error
     why = shared_with(chosen)
     if why is not None:
@@ -113,11 +153,50 @@ def keep_programs(folder: str | os.PathLike[str] | None = None) -> Path | None:
             stacklevel=3,
         )
         return None
-    jax.config.update("jax_compilation_cache_dir", str(chosen))
+    try:
+        own = _folder_of_this_process(chosen)
+    except OSError:
+        # A disk that is full or read-only costs time, not results.
+        return None
+    jax.config.update("jax_compilation_cache_dir", str(own))
     name = "jax_persistent_cache_min_compile_time_secs"
     if getattr(jax.config, name) == _JAX_SHORTEST:
         jax.config.update(name, SHORTEST_COMPILATION)
     return chosen
+
+
+def _folder_of_this_process(folder: Path) -> Path:
+    """A new folder with links to all kept programs; files that nobody uses go."""
+    kept, size = [], 0
+    for entry in os.scandir(folder):
+        found = entry.stat(follow_symlinks=False)
+        used = max(found.st_atime, found.st_mtime)
+        if entry.is_file(follow_symlinks=False):
+            kept.append((used, found.st_size, Path(entry.path)))
+            size += found.st_size
+        elif entry.name.startswith(_OWN) and used < time.time() - _WEEK:
+            shutil.rmtree(entry.path, ignore_errors=True)
+    own = Path(tempfile.mkdtemp(prefix=_OWN, dir=folder))
+    atexit.register(_give_back, own, os.getpid())
+    for _, bytes_of_it, file in sorted(kept):
+        with suppress(OSError):
+            if size > MOST_BYTES:
+                size -= bytes_of_it
+                file.unlink()
+            else:
+                os.link(file, own / file.name)
+    return own
+
+
+def _give_back(own: Path, process: int) -> None:
+    """Moves what a process has added to the others, and removes its folder."""
+    if os.getpid() != process:
+        return
+    with suppress(OSError):
+        for file in own.iterdir():
+            if file.is_file() and not (own.parent / file.name).exists():
+                file.replace(own.parent / file.name)
+    shutil.rmtree(own, ignore_errors=True)
 
 
 def default_folder() -> Path:
@@ -152,8 +231,12 @@ def silence_false_alarms() -> None:
     Nothing is hidden with other releases, or if `TF_CPP_MIN_LOG_LEVEL` is set; errors
     that end the process are always shown.
     """
-    if "jaxlib" in sys.modules or os.environ.get(_LEVEL):
-        return
+    if "jaxlib" not in sys.modules and not os.environ.get(_LEVEL) and _is_loud():
+        os.environ[_LEVEL] = "3"
+
+
+def _is_loud() -> bool:
+    """Whether this release of JAX raises false alarms about kept programs."""
     with suppress(metadata.PackageNotFoundError):
-        if metadata.version("jaxlib") == _LOUD:
-            os.environ[_LEVEL] = "3"
+        return metadata.version("jaxlib") == _LOUD
+    return False
