@@ -248,6 +248,20 @@ def test_points_are_those_of_the_table():
 
 @pytest.mark.slow
 @pytest.mark.default_precision
+def test_the_ball_lies_anywhere_near_the_middle_on_the_table():
+    env = make("gripper")
+    params = env.default_params()
+    keys = jax.random.split(KEY, 64)
+    _, states = jax.jit(jax.vmap(env.reset, in_axes=(0, None)))(keys, params)
+    places = np.asarray(states.body["ball"].positions)[..., 0]
+    rest = np.asarray(params.body.rest["ball"].positions)[:, 0]
+    spread = float(params.spread)
+    away = places[:, :2] - rest[:2]
+    assert np.all(np.abs(away) <= spread) and spread > 0
+    assert np.all(np.ptp(away, axis=0) > 1.6 * spread)
+    np.testing.assert_array_equal(places[:, 2], rest[2])
+
+
 def test_fingers_press_the_ball_into_the_table_without_going_into_it():
     """The wrist comes down with closing fingers, as random actions have it."""
     env = make("gripper")
