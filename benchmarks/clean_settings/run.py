@@ -43,7 +43,7 @@ FOOTER = """\
 among the multiples of ten that an arm observed at eleven nodes may have. The tasks with
 obstacles have more: the strongest actions stretch the arm twofold, and with fewer
 elements a cylinder would pass between two places where contact is looked for
-(`benchmarks/extremes`).
+(`benchmarks/extremes`). Among obstacles the ends of the arm have no face in contact.
 """
 
 

@@ -136,20 +136,18 @@ def measured(name: str) -> dict[str, Any]:
         "seed": SEED,
         "episodes": episodes,
         "settings": {
-            setting: getattr(policy, setting)
-            for setting in (
-                "method",
-                "shape",
-                "horizon",
-                "knots",
-                "iterations",
-                "replan",
-                "first",
-                "starts",
-            )
-        }
-        | {"hold": held}
-        | {each: float(getattr(policy, each)) for each in ("effort", "smoothness")},
+            "method": policy.method,
+            "shape": policy.cost.shape,
+            "horizon": policy.cost.knots * policy.cost.spacing,
+            "knots": policy.cost.knots,
+            "iterations": policy.iterations,
+            "replan": policy.replan,
+            "first": policy.first,
+            "starts": policy.starts,
+            "hold": held,
+            "effort": float(policy.cost.effort),
+            "smoothness": float(policy.cost.smoothness),
+        },
         "period_ms": 1e3 * policy.replan * env.control_period,
         "plan_ms": many,
         "single_plan_ms": timed(policy, env, 1)[0],

@@ -81,6 +81,9 @@ SPEED = 0.2
 STEPS_PER_ELEMENT = 48
 """Simulation steps of a control step, per element of a finger: 0.87 of the stability
 bound at full pressure."""
+LEAST_STEPS = 360
+"""Fewest simulation steps of a control step by default. With fewer than eight elements
+the contact of the fingertips bounds the step more than the fingers do."""
 LOWEST, ASIDE = 0.11, 0.02
 """Lowest height of the wrist above the table, its largest displacement aside [m]."""
 GRASP, HALF = 0.065, 0.02
@@ -323,7 +326,8 @@ def gripper(
     Args:
         variant: "clean", the only one: the library's own physics.
         n_elements: Elements of every finger, at least 4.
-        substeps: Simulation steps per control step of 0.1 s; by default 48 per element.
+        substeps: Simulation steps per control step of 0.1 s; by default 48 per element,
+            and at least 360.
         episode_length: Control steps per episode.
         spread: Largest distance of the ball from the middle at the start, along x and
             along y, up to 0.02 m [m].
@@ -335,7 +339,8 @@ def gripper(
     """
     check_variant(variant, VARIANTS)
     check_count("n_elements", n_elements, 4)
-    steps = STEPS_PER_ELEMENT * n_elements if substeps is None else substeps
+    usual = max(STEPS_PER_ELEMENT * n_elements, LEAST_STEPS)
+    steps = usual if substeps is None else substeps
     check_count("substeps", steps, 1)
     check_count("episode_length", episode_length, 1)
     aside = float(check_array("spread", spread, [()], "m", non_negative=True))

@@ -58,6 +58,9 @@ LARGEST_RATE = 4.0
 STEPS_PER_ELEMENT = 7
 """Simulation steps of a control step, per element of an arm: about 0.8 of the stability
 bound."""
+LEAST_STEPS = 37
+"""Fewest simulation steps of a control step by default. With fewer than six elements
+the contact of the tips with the floor bounds the step more than the arms do."""
 SPEED = 0.1
 """Unit of observed velocities [m/s]."""
 STROKE = (4.0, 1.0, 0.5)
@@ -233,7 +236,8 @@ def octopus(
     Args:
         variant: "clean", the only one: the library's own physics.
         n_elements: Elements of every arm, at least 3.
-        substeps: Simulation steps per control step of 0.1 s; by default 7 per element.
+        substeps: Simulation steps per control step of 0.1 s; by default 7 per element,
+            and at least 37.
         episode_length: Control steps per episode.
         turn: Largest angle of the heading from x, either way, up to pi [rad].
 
@@ -242,7 +246,8 @@ def octopus(
     """
     check_variant(variant, VARIANTS)
     check_count("n_elements", n_elements, 3)
-    steps = STEPS_PER_ELEMENT * n_elements if substeps is None else substeps
+    usual = max(STEPS_PER_ELEMENT * n_elements, LEAST_STEPS)
+    steps = usual if substeps is None else substeps
     check_count("substeps", steps, 1)
     check_count("episode_length", episode_length, 1)
     return Octopus(n_elements, steps, episode_length, check_turn(turn))

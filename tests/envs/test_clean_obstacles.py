@@ -174,8 +174,7 @@ def test_an_arm_at_the_limits_of_stretch_is_stepped_stably(name, limit):
     assert params.dt < 0.6 * 2 / jaxrod.highest_frequency(free, state)
 
 
-@pytest.mark.slow
-@NAMES
+@MAZE_FIRST
 def test_the_step_is_a_stable_one_with_every_obstacle_in_view_touching(name):
     env = make(name, variant="clean")
     params = env.default_params()
@@ -190,3 +189,19 @@ def test_the_step_is_a_stable_one_with_every_obstacle_in_view_touching(name):
         params.dt
         > jaxrod.stable_dt(arm.scene(jnp.zeros((3, env.n_controls)), arm.rest)).dt
     )
+
+
+@pytest.mark.slow
+def test_the_step_is_a_stable_one_for_an_arm_pressed_head_on():
+    """Measured with one cylinder, a quarter of the arm's radius inside its tip."""
+    env = make("structured", variant="clean")
+    params = env.default_params()
+    arm, rest = params.arm, params.arm.rest
+    (touch,) = arm.obstacles
+    radius = float(touch.body.radius[0])
+    ahead = rest.tip + jnp.array([0, 0, radius + 0.75 * arm.rod.radii[-1]])
+    body = jaxrod.shapes.sphere(ahead, radius)
+    touch = dataclasses.replace(touch, body=body, n_bodies=None)
+    arm = dataclasses.replace(arm, obstacles=(touch,), nearest=None)
+    scene = arm.scene(jnp.zeros((3, env.n_controls)))
+    assert params.dt < 0.8 * 2 / jaxrod.highest_frequency(scene, rest)

@@ -60,6 +60,10 @@ def test_rowing_goes_forward_and_along_the_heading():
 
 @pytest.mark.slow
 def test_steps_are_stable_and_weights_are_what_they_should_be():
+    for n in (3, 5):
+        params = make("octopus", n_elements=n).default_params()
+        bound = jaxrod.stable_dt(params.body.system, 1.0).dt
+        assert 0.6 < params.dt / bound < 0.83
     env = make("octopus")
     params = env.default_params()
     body = params.body
