@@ -455,16 +455,20 @@ def checked_sizes(
 ) -> tuple[int, int]:
     """Checked numbers of elements and substeps, by default those of the variant.
 
+    Arms of more elements take more steps by default, since the largest stable step is
+    proportional to the length of an element.
+
     Raises:
         ValueError: If an argument does not fit.
     """
     check_variant(variant, usual)
-    elements, steps = usual["paper" if variant == "paper" else "clean"]
-    elements = elements if n_elements is None else n_elements
-    steps = steps if substeps is None else substeps
+    usual_elements, steps = usual["paper" if variant == "paper" else "clean"]
+    elements = usual_elements if n_elements is None else n_elements
     check_count("n_elements", elements, OBSERVED_NODES - 1)
     if elements % (OBSERVED_NODES - 1):
         raise ValueError(f"n_elements must be a multiple of 10, got {elements}")
+    steps = max(steps, -(-steps * elements // usual_elements))
+    steps = steps if substeps is None else substeps
     check_count("substeps", steps, 1)
     check_count("episode_length", episode_length, 1)
     return elements, steps

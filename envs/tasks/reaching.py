@@ -247,7 +247,7 @@ def reaching(
         variant: "paper" or "clean".
         n_elements: Elements of the arm, a multiple of 10.
         substeps: Simulation steps per control step of 1.4 ms; by default 7 in
-            "paper" and 4 in "clean".
+            "paper" and 4 in "clean", or more for more elements than usual.
         episode_length: Control steps per episode.
 
     Raises:

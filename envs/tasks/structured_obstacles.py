@@ -109,7 +109,7 @@ def structured_obstacles(
         n_elements: Elements of the arm, a multiple of 10; by default 50 in "paper"
             and 40 in "clean".
         substeps: Simulation steps per control step of 1.4 ms; by default 14 in
-            "paper" and 13 in "clean".
+            "paper" and 13 in "clean", or more for more elements than usual.
         episode_length: Control steps per episode.
 
     Raises:

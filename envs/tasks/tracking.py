@@ -120,7 +120,7 @@ def tracking(
         n_elements: Elements of the arm, a multiple of 10; by default 20 in "paper"
             and 30 in "clean".
         substeps: Simulation steps per control step of 1.4 ms; by default 7 in
-            "paper" and 5 in "clean".
+            "paper" and 5 in "clean", or more for more elements than usual.
         episode_length: Control steps per episode.
 
     Raises:
