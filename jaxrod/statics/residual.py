@@ -190,10 +190,19 @@ class LoadBalance:
         strained = vectors.add(linear, vectors.cross(edges, turn))
         local = to_material(directors(before.orientation), strained)
         edges = to_world(directors(self.motion(moved).orientation), local)
-        free = unstack_dofs(self.free)[0]
-        gaps = zip(vectors.subtract(edges, linear), free, strict=True)
-        x, y, z = (_closed(gap, nodes) for gap, nodes in gaps)
-        return replace(moved, displacement=vectors.add(moved.displacement, (x, y, z)))
+        closing = self._closing(vectors.subtract(edges, linear))
+        return replace(moved, displacement=vectors.add(moved.displacement, closing))
+
+    def removal_of_strain(self) -> Increment:
+        """Displacements of nodes that give the edges of the base their strains at rest.
+
+        The elements keep their orientations. Strain remains where nodes are held.
+        """
+        a, b, c = self.law.rest_strains
+        rest = vectors.scale(1 / self.law.inverse_lengths, (a, b, 1 + c))
+        edges = to_world(directors(self.base.orientation), rest)
+        closing = self._closing(vectors.subtract(edges, self.base.edges))
+        return Increment(closing, jax.tree.map(jnp.zeros_like, self.base.spin))
 
     def change(self, increment: Increment, step: Float[Array, "n+1 6"]) -> Increment:
         """Change of the increment by a step."""
@@ -215,6 +224,11 @@ class LoadBalance:
         own = to_material(directors(self.base.orientation), turn)
         held = Increment(displacement, own)
         return jax.tree.map(lambda a, b, c: jnp.where(a == 1, b, c), free, found, held)
+
+    def _closing(self, gaps: Vec3) -> Vec3:
+        """Displacements of free nodes that change the edges by the gaps: `_closed`."""
+        x, y, z = map(_closed, gaps, unstack_dofs(self.free)[0])
+        return x, y, z
 
     @property
     def free(self) -> Float[Array, "n+1 6"]:

@@ -143,6 +143,36 @@ def scene_of_every_load(n=4):
     return scene, state
 
 
+@pytest.mark.parametrize("size", [1e-5, 1e-4, 1e-3])
+def test_a_start_whose_nodes_are_off_leads_to_the_same_equilibrium(size):
+    """Nodes off by 1e-5 of the length press its elements beyond what they buckle at."""
+    rod, state = arm(20, radius=0.005)
+    load = (bending(rod), 0.0, 0.0)
+    expected = under_end_load(rod, state, load).state
+    random = np.random.default_rng(0)
+    for _ in range(5):
+        off = size * random.normal(size=state.positions.shape)
+        off[:, 0] = 0  # The wall holds this node.
+        near = replace(state, positions=state.positions + off)
+        found = under_end_load(rod, near, load)
+        assert bool(found.converged)
+        assert difference(found.state, expected) < 1e-9
+
+
+def test_a_fold_on_the_way_does_not_end_the_search():
+    """Far beyond buckling, corrections grow without bound near a singular tangent."""
+    scene, state = scene_of_every_load()
+    random = np.random.default_rng(0)
+
+    def find(more):
+        heavier = jaxrod.make_scene(scene.rod, *scene.effects, jaxrod.gravity(more))
+        return jaxrod.equilibrium(heavier, state)
+
+    more = jnp.asarray(0.01 * random.normal(size=(20, 3)))
+    found = jax.jit(jax.vmap(find), compiler_options=HURRY)(more)
+    assert bool(jnp.all(found.converged))
+
+
 def mixture(found):
     """A number that depends on every position and orientation."""
     parts = (found.state.positions, found.state.orientations)
