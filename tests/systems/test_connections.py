@@ -8,6 +8,8 @@ import numpy as np
 import pytest
 
 import jaxrod
+from jaxrod.geometry.rotations import rotation_log
+from jaxrod.rods.motion import Motion
 from jaxrod.systems.energies import seen_at_rest
 from jaxrod.systems.members.rigid_stepper import Carried, RigidStepper
 from systems.members import free_system, rod
@@ -289,6 +291,21 @@ def test_a_body_has_the_inertia_of_what_it_carries_about_the_common_centre():
     )
     np.testing.assert_allclose(found, expected, rtol=1e-12)
     np.testing.assert_allclose(inverse @ expected, np.eye(3), atol=1e-12)
+
+    # It turns as fast as that inertia says: by differences of a short drift each way.
+    momentum = draws.normal(size=3)
+    zeros = (jnp.zeros(1),) * 3
+    motion = Motion(
+        position=zeros,
+        orientation=(jnp.ones(1), *zeros),
+        velocity=zeros,
+        spin=tuple(jnp.asarray(momentum)[:, None]),
+    )
+    short = 1e-5
+    ends = [stepper.drift(motion, jnp.asarray(dt)) for dt in (-short, short)]
+    turns = [np.array(rotation_log(end.orientation))[:, 0] for end in ends]
+    rate = (turns[1] - turns[0]) / (2 * short)
+    np.testing.assert_allclose(rate, np.linalg.solve(expected, momentum), rtol=1e-8)
 
 
 @pytest.mark.slow

@@ -38,6 +38,30 @@ def turned(quaternion, vectors):
     return vectors + w * cross + np.cross(axis, cross)
 
 
+def test_several_equal_bodies_are_shown_each_in_its_place_in_every_frame():
+    ball = jaxrod.shapes.sphere((0.0, 0.0, 0.0), 0.1)
+    draws = np.random.default_rng(0)
+    one = [jaxrod.systems.rigid_body(ball, density=1000.0) for _ in range(3)]
+    bodies, state = jaxrod.systems.stacked_bodies(*one)
+    system = jaxrod.make_system({"balls": bodies})
+    frames = draws.normal(size=(5, 3, 3))
+    turns = draws.normal(size=(5, 4, 3))
+    turns /= np.linalg.norm(turns, axis=1, keepdims=True)
+    states = {"balls": jax.tree.map(lambda x: jnp.stack([x] * 5), state)}
+    states["balls"] = dataclasses.replace(
+        states["balls"], positions=jnp.asarray(frames), orientations=jnp.asarray(turns)
+    )
+    (mesh,) = Replay.from_states(system, states, np.arange(5.0)).meshes
+    for frame in range(5):
+        for body in range(3):
+            np.testing.assert_allclose(
+                mesh.positions[frame, body], frames[frame, :, body], rtol=1e-6
+            )
+            np.testing.assert_allclose(
+                mesh.orientations[frame, body], turns[frame, :, body], rtol=1e-6
+            )
+
+
 @pytest.mark.slow
 def test_every_member_is_there_where_its_states_are(run, replay):
     _, states, times = run
