@@ -53,9 +53,8 @@ class ContactPair:
 class Moving(Protocol):
     """Elements or contact points in motion."""
 
-    @property
-    def spin(self) -> Vec3 | None:
-        """Angular velocities, world frame [rad/s]; `None` without friction."""
+    def spin_at(self, place: Any) -> Vec3:
+        """Angular velocities at places on the axes, world frame [rad/s]."""
 
     def velocity_at(self, place: Any) -> Vec3:
         """Velocities of places on the axes [m/s]."""
@@ -116,9 +115,9 @@ def pair_forces(
             own.velocity_at(pair.places[0]), other.velocity_at(pair.places[1])
         )
     if law.friction is not None:
-        assert own.spin is not None and other.spin is not None
         turning = vectors.subtract(
-            vectors.cross(own.spin, arms[0]), vectors.cross(other.spin, arms[1])
+            vectors.cross(own.spin_at(pair.places[0]), arms[0]),
+            vectors.cross(other.spin_at(pair.places[1]), arms[1]),
         )
     push, rub = law.forces(pair.depth, pair.width, pair.normal, rate, turning)
     pressed = pair.weight * push

@@ -18,6 +18,8 @@ both rods.
 Subtracted terms have springs only. Dashpots and friction act at the closest points of
 two segments, reduced by the share of the push that is subtracted. A subtracted dashpot
 would be at another place, which moves differently, and would feed in energy.
+So next to a node they belong to one of its two segments: a rod described from its other
+end has them there a little differently, to first order in the length of a segment.
 """
 
 from __future__ import annotations
@@ -161,7 +163,12 @@ class CrossingContact(TouchingRods):
         conjugate, bulges = functools.reduce(_summed, at_places)
         shifting = self._shifting(nearest, middle, own, other)
         force, own_edge, other_edge = _summed(conjugate, shifting)
-        own_turn, other_turn = _summed(both[0][1], both[1][1]) or (None, None)
+        own_turn = other_turn = None
+        if both[0][1] is not None:
+            at_nodes = map(
+                _turning_nodes, (nearest, middle), (turn for _, turn in both)
+            )
+            own_turn, other_turn = functools.reduce(_summed, at_nodes)
         back = vectors.scale(-1.0, force)
         return (
             _on_elements(force, own_edge, own_turn, bulges[0]),
@@ -251,12 +258,28 @@ def _on_bulges(fraction: Array, force: Vec3) -> Bulges:
     return vectors.scale(first, force), vectors.scale(second, force)
 
 
+def _turning_nodes(
+    pair: ContactPair, turns: tuple[Vec3, Vec3]
+) -> tuple[tuple[Vec3, Vec3], tuple[Vec3, Vec3]]:
+    """Couples at places of both elements, as couples at the nodes of each."""
+
+    def shared(place: Array, turn: Vec3) -> tuple[Vec3, Vec3]:
+        later = vectors.scale(place, turn)
+        return vectors.subtract(turn, later), later
+
+    s, t = pair.places
+    assert s is not None
+    return shared(s, turns[0]), shared(t, turns[1])
+
+
 def _on_elements(
-    force: Vec3, edge: Vec3, turning: Vec3 | None, bulges: Bulges
+    force: Vec3, edge: Vec3, turning: tuple[Vec3, Vec3] | None, bulges: Bulges
 ) -> SegmentLoads:
     """Loads on segments; edges are no variables beside the tangents, but nodes are."""
     nexts = vectors.subtract(edge, vectors.add(*bulges))
-    return SegmentLoads(forces=force, nexts=nexts, turning=turning, tangents=bulges)
+    return SegmentLoads(
+        forces=force, nexts=nexts, turning_nodes=turning, tangents=bulges
+    )
 
 
 def _summed(a: Tree, b: Tree) -> Tree:

@@ -40,8 +40,13 @@ class Elements:
     """Velocities of the first nodes [m/s]; `None` if they are not needed."""
     velocity_change: Vec3 | None = None
     """Velocities of the next nodes minus those of the first [m/s]."""
+    first_spin: Vec3 | None = None
+    """Angular velocities at the first nodes, world frame [rad/s]; `None` without
+    friction."""
+    spin_change: Vec3 | None = None
+    """Angular velocities at the next nodes minus those at the first [rad/s]."""
     spin: Vec3 | None = None
-    """Angular velocities, world frame [rad/s]; `None` without friction."""
+    """Angular velocities [rad/s]; `None` without contact points or friction."""
     rods: Array | None = None
     """Number of each element's rod; `None` if it is not needed."""
     starts: Array | None = None
@@ -75,6 +80,15 @@ class Elements:
         assert self.first_velocity is not None and self.velocity_change is not None
         change = _on_cubic(self.velocity_change, self.velocity_bulges, place)
         return vectors.add(self.first_velocity, change)
+
+    def spin_at(self, place: Array) -> Vec3:
+        """Angular velocity at a place, interpolated between the nodes [rad/s].
+
+        So it is the same for two elements at the node between them, and what is counted
+        twice there cancels.
+        """
+        assert self.first_spin is not None and self.spin_change is not None
+        return vectors.add(self.first_spin, vectors.scale(place, self.spin_change))
 
     def tangent(self, fraction: Array) -> Vec3:
         """Derivative of the place on the axis by the fraction [m]."""
@@ -146,6 +160,10 @@ def elements_at(
         velocity, change, velocity_bulges = _pieces(
             segments, seen.motion.velocity, smooth=smooth
         )
+    first_spin = spin_change = None
+    if spins:
+        nodes = mapped(segments.at_nodes, seen.angular_velocities)
+        first_spin, spin_change, _ = _pieces(segments, nodes, smooth=False)
     dtype, placed = segments.radii.dtype, placed or has_contact_points
     return Elements(
         first=first,
@@ -154,7 +172,9 @@ def elements_at(
         follows=jnp.asarray(~segments.is_end, dtype),
         first_velocity=velocity,
         velocity_change=change,
-        spin=seen.angular_velocities if spins else None,
+        first_spin=first_spin,
+        spin_change=spin_change,
+        spin=seen.angular_velocities if spins and has_contact_points else None,
         rods=jnp.asarray(segments.segment_rods, dtype) if placed else None,
         starts=segments.starts if placed else None,
         rest_lengths=segments.rest_lengths if placed else None,

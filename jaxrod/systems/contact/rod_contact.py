@@ -29,6 +29,7 @@ from jaxtyping import Array
 
 from jaxrod.effects.base import StabilityBound
 from jaxrod.geometry import vectors
+from jaxrod.geometry.vectors import Vec3
 from jaxrod.structure import pytree, static
 from jaxrod.systems.contact.contact_pairs import (
     ContactPair,
@@ -148,17 +149,23 @@ class RodContact(TouchingRods):
         closest, node = self.contact_pairs(own, other, weights)
         force, turns = pair_forces(closest, own, other, self.law)
         subtracted, others = pair_forces(node, own, other, self.law)
-        nexts = vectors.add(vectors.scale(closest.places[1], force), subtracted)
+        fraction = closest.places[1]
+        nexts = vectors.add(vectors.scale(fraction, force), subtracted)
         force = vectors.add(force, subtracted)
-        own_turn = other_turn = None
+        own_turn = other_turns = None
         if turns is not None and others is not None:
-            own_turn, other_turn = map(vectors.add, turns, others)
+            own_turn = vectors.add(turns[0], others[0])
+            later = vectors.scale(fraction, turns[1])
+            other_turns = (
+                vectors.subtract(turns[1], later),
+                vectors.add(later, others[1]),
+            )
         return (
             SegmentLoads(on_points=force, turning_points=own_turn),
             SegmentLoads(
                 forces=vectors.scale(-1.0, force),
                 nexts=vectors.scale(-1.0, nexts),
-                turning=other_turn,
+                turning_nodes=other_turns,
             ),
         )
 
@@ -169,8 +176,15 @@ class RodContact(TouchingRods):
         force, turns = on_own.on_points, on_own.turning_points
         assert force is not None and own.fractions is not None
         nexts = vectors.scale(own.fractions, force)
+        within = at_nodes = None
+        if turns is not None:
+            first, last = (own.fractions == end for end in (0, 1))
+            at_nodes = vectors.scale(first, turns), vectors.scale(last, turns)
+            within = vectors.scale(~(first | last), turns)
         both = (
-            SegmentLoads(forces=force, nexts=nexts, turning=turns),
+            SegmentLoads(
+                forces=force, nexts=nexts, turning=within, turning_nodes=at_nodes
+            ),
             replace(on_other, forces=None),
         )
         one, two = jax.tree.map(lambda leaf: jnp.sum(leaf, axis=0), both)
@@ -279,10 +293,18 @@ def points_on(own: Elements, per_element: int) -> ContactPoints:
     at_end = 0.5 * own.last * spacing
     within = jnp.where(counts == per_element, at_end, spacing)
     moves = own.first_velocity is not None
+    spin: Vec3 | None = None
+    if own.spin is not None:
+        on_nodes = counts % per_element == 0
+        x, y, z = (
+            jnp.where(on_nodes, at_node, within)
+            for at_node, within in zip(own.spin_at(fractions), own.spin, strict=True)
+        )
+        spin = x, y, z
     return ContactPoints(
         position=vectors.add(own.first, own.on_axis(fractions)),
         velocity=own.velocity_at(fractions) if moves else None,
-        spin=own.spin,
+        spin=spin,
         radii=jnp.where(counts == 0, own.first_radii, own.radii),
         lengths=jnp.where(counts == 0, own.first_lengths, within),
         rods=own.rods,

@@ -128,11 +128,34 @@ class RodSegments:
         within = (first + self._fractions(nodes) * change).reshape(self.count, -1)
         return jnp.concatenate([within, rods[:, -1:]], axis=1).reshape(-1)
 
-    def of_points(self, segments: Array) -> Array:
-        """Values of a field on segments at the points on them."""
+    def at_nodes(self, segments: Array) -> Array:
+        """Values of a field on segments at the nodes: averages by length."""
+        first, last = self._shares()
         rods = self._rods(segments)
-        within = jnp.repeat(rods, self.per_element, axis=1)
-        return jnp.concatenate([within, rods[:, -1:]], axis=1).reshape(-1)
+        return (
+            vectors.pad(first * rods, 0, 1) + vectors.pad(last * rods, 1, 0)
+        ).reshape(-1)
+
+    def from_nodes(self, nodes: Array) -> Array:
+        """Couples at nodes, shared by the segments in proportion to their lengths."""
+        first, last = self._shares()
+        rods = self._rods(nodes)
+        return (first * rods[:, :-1] + last * rods[:, 1:]).reshape(-1)
+
+    def _shares(self) -> tuple[Array, Array]:
+        """Shares of each segment in the averages at its first and next node [1]."""
+        lengths = self._rods(self.rest_lengths)
+        both = vectors.pad(lengths, 0, 1) + vectors.pad(lengths, 1, 0)
+        return lengths / both[:, :-1], lengths / both[:, 1:]
+
+    def of_points(self, segments: Array) -> Array:
+        """Values of a field on segments at the points; averages at points on nodes."""
+        within = self._rods(segments)[:, :, None]
+        nodes = self._rods(self.at_nodes(segments))
+        inner = jnp.repeat(within, self.per_element - 1, axis=2)
+        firsts = jnp.concatenate([nodes[:, :-1, None], inner], axis=2)
+        rods = firsts.reshape(self.count, -1)
+        return jnp.concatenate([rods, nodes[:, -1:]], axis=1).reshape(-1)
 
     def from_points(self, points: Array) -> Array:
         """Forces at points, summed on the nodes."""
@@ -151,11 +174,12 @@ class RodSegments:
         return (first + following).reshape(-1)
 
     def to_segments(self, points: Array) -> Array:
-        """Couples at points, summed on their segments."""
+        """Couples at points, summed on the segments: the transpose of `of_points`."""
         rods = self._rods(points)
         within = rods[:, :-1].reshape(self.count, -1, self.per_element)
-        last = jnp.pad(rods[:, -1:], ((0, 0), (self.n_elements - 1, 0)))
-        return (jnp.sum(within, axis=2) + last).reshape(-1)
+        nodes = jnp.concatenate([within[:, :, 0], rods[:, -1:]], axis=1)
+        inner = jnp.sum(within[:, :, 1:], axis=2).reshape(-1)
+        return inner + self.from_nodes(nodes.reshape(-1))
 
     def _fractions(self, like: Array) -> Array:
         """Places of the points along a segment, over its length [1]."""
@@ -247,7 +271,7 @@ class ContactPoints:
     velocity: Vec3 | None
     """Velocities of the centreline [m/s]; `None` if they are not needed."""
     spin: Vec3 | None
-    """Angular velocities of the points' segments, world frame [rad/s]."""
+    """Angular velocities of the rods at the points, world frame [rad/s]."""
     radii: Array
     """Radii [m]."""
     lengths: Array
@@ -273,6 +297,11 @@ class ContactPoints:
         """Velocities of the points [m/s]."""
         assert self.velocity is not None
         return self.velocity
+
+    def spin_at(self, place: Any) -> Vec3:
+        """Angular velocities at the points [rad/s]."""
+        assert self.spin is not None
+        return self.spin
 
 
 def points_at(segments: RodSegments, seen: Seen, *, spins: bool) -> ContactPoints:
@@ -303,21 +332,27 @@ class SegmentLoads:
     """Parts of these forces that act at the next nodes [N]."""
     turning: Vec3 | None = None
     """Couples on segments [N m]."""
+    turning_nodes: tuple[Vec3, Vec3] | None = None
+    """Couples at the first and at the next nodes of segments [N m]."""
     tangents: tuple[Vec3, Vec3] | None = None
     """Forces on the tangents at first and at next nodes, for smooth axes [N]."""
 
     def added(self, more: SegmentLoads) -> SegmentLoads:
         """Sum of both loads; either may lack some parts."""
-        tangents = more.tangents if self.tangents is None else self.tangents
-        if self.tangents is not None and more.tangents is not None:
-            tangents = jax.tree.map(jnp.add, self.tangents, more.tangents)
+
+        def both(own: tuple[Vec3, Vec3] | None, other: tuple[Vec3, Vec3] | None) -> Any:
+            if own is None or other is None:
+                return own or other
+            return jax.tree.map(jnp.add, own, other)
+
         return SegmentLoads(
             vectors.add_optional(self.on_points, more.on_points),
             vectors.add_optional(self.turning_points, more.turning_points),
             vectors.add_optional(self.forces, more.forces),
             vectors.add_optional(self.nexts, more.nexts),
             vectors.add_optional(self.turning, more.turning),
-            tangents,
+            both(self.turning_nodes, more.turning_nodes),
+            both(self.tangents, more.tangents),
         )
 
 
@@ -330,6 +365,9 @@ def loads_on_member(segments: RodSegments, seen: Seen, loads: SegmentLoads) -> L
     if loads.turning_points is not None:
         on_segments = mapped(segments.to_segments, loads.turning_points)
         couples = vectors.add_optional(on_segments, couples)
+    if loads.turning_nodes is not None:
+        x, y, z = map(segments.from_segments, *loads.turning_nodes)
+        couples = vectors.add_optional(mapped(segments.from_nodes, (x, y, z)), couples)
     if loads.forces is not None and loads.nexts is not None:
         firsts = vectors.subtract(loads.forces, loads.nexts)
         x, y, z = map(segments.from_segments, firsts, loads.nexts)
