@@ -242,3 +242,21 @@ def test_a_strip_buckles_sideways(record):
         abs(critical / 4.013 - 1),
         at_most=1e-2,
     )
+
+
+def test_joints_in_series_are_two_springs_each_half_an_element_long():
+    """Elements of other lengths and moduli; compliances of halves add up."""
+    rod, _ = jaxrod.straight_rod(
+        6, length=1.0, radius=0.05, density=1000.0, youngs_modulus=1e6
+    )
+    lengths = jnp.asarray([0.1, 0.3, 0.2, 0.15, 0.15, 0.1])
+    stiffness = jnp.asarray(np.random.default_rng(0).uniform(1, 9, (3, 6)))
+    rod = replace(
+        rod,
+        rest_lengths=lengths,
+        bend_twist_stiffness=stiffness,
+        joint_mean="series",
+    )
+    halves = 0.5 * np.asarray(lengths) / np.asarray(stiffness)
+    compliance = (halves[:, :-1] + halves[:, 1:]) / np.asarray(rod.joint_lengths)
+    np.testing.assert_allclose(rod.joint_stiffness, 1 / compliance, rtol=1e-6)

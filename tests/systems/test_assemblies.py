@@ -262,3 +262,14 @@ def test_a_nest_comes_to_lie_in_its_pot():
 def test_bad_input(build, words):
     with pytest.raises(ValueError, match=words):
         build()
+
+
+@pytest.mark.parametrize("rings", [1, 2, 3])
+def test_hexagonal_places_fill_a_hexagon(rings):
+    places = jaxrod.assemblies.parallel_rods.hexagonal_places(rings, 0.1)
+    assert places.shape == (2, 3 * rings * (rings + 1) + 1)
+    away = np.linalg.norm(places, axis=0)
+    assert np.sum(np.isclose(away, 0.1 * rings)) >= 6
+    assert np.max(away) == pytest.approx(0.1 * rings)
+    between = np.linalg.norm(places[:, :, None] - places[:, None], axis=0)
+    assert np.min(between + np.eye(len(away))) == pytest.approx(0.1)

@@ -11,6 +11,7 @@ import jaxrod
 from jaxrod.geometry.rotations import rotation_log
 from jaxrod.rods.motion import Motion
 from jaxrod.systems.energies import seen_at_rest
+from jaxrod.systems.joints.attachments import Attachment
 from jaxrod.systems.members.rigid_stepper import Carried, RigidStepper
 from systems.members import free_system, rod
 
@@ -521,3 +522,24 @@ def test_couplings_know_what_is_held_in_systems_that_depend_on_time():
         ends.append(jaxrod.advance(system, {"one": state}, 1e-4, 5)["one"].positions)
     np.testing.assert_allclose(ends[0], ends[1], rtol=0, atol=1e-15)
     assert float(jnp.max(jnp.abs(ends[0][2]))) > 0
+
+
+def test_what_an_attachment_is_apart_is_counted_in_radii():
+    apart = 0.003
+    one, rest = rod()
+    ball, place = jaxrod.systems.rigid_body(
+        jaxrod.shapes.sphere(rest.positions[:, -1], 0.05),
+        density=500.0,
+        dtype=jnp.float64,
+    )
+    states = {"one": rest, "ball": place}
+    attached = jaxrod.systems.attach(("one", "tip"), ("ball",), states)
+    system = jaxrod.make_system({"one": jaxrod.make_scene(one), "ball": ball}, attached)
+    moved = {
+        **states,
+        "ball": replace(place, positions=place.positions + apart * np.eye(3)[:, 1:2]),
+    }
+    for given, expected in ((states, 0.0), (moved, apart / 0.02)):
+        seen, couplings = seen_at_rest(system, given)
+        (fitted,) = (c for c in couplings if isinstance(c, Attachment))
+        assert float(fitted.violation(seen)) == pytest.approx(expected, rel=1e-9)

@@ -16,6 +16,7 @@ from jaxrod.geometry.rotations import (
     rotation_exp,
     split_quaternion,
 )
+from jaxrod.systems.contact.crossing_contact import CrossingContact
 from jaxrod.systems.energies import seen_at_rest
 from systems.members import stirred
 
@@ -346,3 +347,26 @@ def test_bad_input(options, words):
     given = given | options
     with pytest.raises(ValueError, match=words):
         jaxrod.systems.ring(given.pop("n", 10), **given)
+
+
+@pytest.mark.parametrize("n", [3, 8])
+def test_contact_knows_that_a_ring_is_closed_and_a_rod_is_not(n):
+    rod, state, closure = made(n)
+    arm, at_rest = jaxrod.straight_rod(
+        n,
+        length=1.0,
+        radius=THICK,
+        density=DENSITY,
+        youngs_modulus=YOUNG,
+        start=(0.0, 0.0, 1.0),
+        dtype=jnp.float64,
+    )
+    contact = jaxrod.systems.crossing_contact("ring", "arm", stiffness=1e3)
+    system = jaxrod.make_system(
+        {"ring": jaxrod.make_scene(rod), "arm": jaxrod.make_scene(arm)},
+        closure,
+        contact,
+    )
+    _, couplings = seen_at_rest(system, {"ring": state, "arm": at_rest})
+    (fitted,) = (c for c in couplings if isinstance(c, CrossingContact))
+    assert [own.closed for own in fitted.segments] == [(0,), ()]

@@ -148,6 +148,7 @@ def test_bodies_and_arrows_are_part_of_a_frame():
     on_block = others[: 12 * 3] - [0, 0, 2]
     np.testing.assert_allclose(np.abs(on_block), [[0.1, 0.2, 0.3]] * 36)
     arrow = others[12 * 3 :]
+    assert arrow[:, 2].min() == pytest.approx(0.0, abs=1e-9)
     assert arrow[:, 2].max() == pytest.approx(1.0)
     assert replay.bounds()[1][2] == pytest.approx(2.3)
 

@@ -164,11 +164,11 @@ class CrossingContact(TouchingRods):
         shifting = self._shifting(nearest, middle, own, other)
         force, own_edge, other_edge = _summed(conjugate, shifting)
         own_turn = other_turn = None
-        if both[0][1] is not None:
-            at_nodes = map(
-                _turning_nodes, (nearest, middle), (turn for _, turn in both)
+        turns = [turn for _, turn in both]
+        if turns[0] is not None and turns[1] is not None:
+            own_turn, other_turn = _summed(
+                _turning_nodes(nearest, turns[0]), _turning_nodes(middle, turns[1])
             )
-            own_turn, other_turn = functools.reduce(_summed, at_nodes)
         back = vectors.scale(-1.0, force)
         return (
             _on_elements(force, own_edge, own_turn, bulges[0]),
