@@ -143,6 +143,13 @@ def test_plans_are_made_only_when_they_are_due():
         right, kept = act(memory, observation, state)
         other, _ = act(memory, observation, wrong)
         assert (float(right[0, 0]) == float(other[0, 0])) == (call < 4)
+        if call == 4:
+            # The new plan begins where the old one has led to.
+            cost = policy.cost
+            shift = shift_weights(cost.knots, cost.spacing, 4, cost.shape)
+            begun = shift[0] @ np.asarray(memory.values[0])
+            np.testing.assert_allclose(kept.values[0, 0], begun, atol=1e-6)
+            assert np.max(np.abs(kept.values[0, -1] - begun)) > 1e-3
         memory = kept
 
 

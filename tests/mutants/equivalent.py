@@ -29,5 +29,23 @@ REASONS: dict[tuple[str, str], str] = {
         "number: `1` -> `2` in "
         "`return jnp.where(free, jnp.inf, 4 * inertia / jnp.where(free, 1, be...`",
     ): "it divides what `where` does not choose: it has to differ from zero",
+    (
+        "jaxrod/lanes/kernels.py",
+        "number: `1` -> `2` in `[array.reshape(-1).tolist() for array in begun],`",
+    ): "NumPy takes -2 for -1 in a new shape",
+    (
+        "jaxrod/viz/recording.py",
+        "index: `0` -> `(-1)` in `return self.rods[0]`",
+    ): "there is one kind of rods there: the first is the last",
+    (
+        "envs/soft_bodies/octopus_body.py",
+        "number: `0.0` -> `1.0` in "
+        "`jaxrod.shapes.plane((0.0, 0.0, 0.0), (0.0, 0.0, 1.0)),`",
+    ): "any point of the floor gives the same floor",
+    (
+        "jaxrod/analysis/stability.py",
+        "number: `0.5` -> `(2 * 0.5)` in "
+        "`0.5 * (lower + upper), (lower, guess), (upper, -guess), (upper, -gu...`",
+    ): "the search for a root begins elsewhere and finds the same root",
 }
 """Reasons by file and change."""
