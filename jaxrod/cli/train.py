@@ -193,7 +193,8 @@ def run(args: argparse.Namespace) -> int:
         stored = runs.read_config(source)
         if stored["task"] != canonical_path(args.task):
             raise ValueError(
-                f"{source} holds a run of {stored['task']}, not of {args.task}"
+                f"{source / 'config.json'}: the run is one of {stored['task']}, not of "
+                f"{args.task}"
             )
         if args.algorithm in (None, stored["algorithm"]):
             with reading(source / "config.json"):
