@@ -186,6 +186,7 @@ def outcome(case: Case, *, must_refuse: bool) -> str:
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         warnings.simplefilter("ignore", jaxrod.UnstableStepWarning)
+        warnings.simplefilter("ignore", jaxrod.UnlikelyWarning)
         with jax.enable_x64(False):
             try:
                 made = call(case)

@@ -22,7 +22,6 @@ def test_bad_and_extreme_values_are_refused_by_name_or_kept():
 
 @pytest.mark.slow
 @pytest.mark.default_precision
-@pytest.mark.filterwarnings("ignore::jaxrod.effects.unlikely.UnlikelyWarning")
 def test_more_bad_and_extreme_values():
     assert not faults(None)
 
