@@ -123,3 +123,15 @@ def test_vmap_is_a_loop_and_numbers_are_single():
 def test_bad_options_are_named(options, said):
     with pytest.raises(ValueError, match=said):
         make("octopus", **options)
+
+
+def test_controls_follow_the_action_either_way_and_no_farther_than_they_may():
+    env = make("octopus", n_elements=3)
+    params, state = start(env)
+    most = float(params.body.largest_change)
+    actions = jnp.linspace(-3, 3, env.action_size)
+    _, after, *_ = jax.jit(env.step)(KEY, state, actions, params)
+    change = np.ravel(after.controls - state.controls)
+    wanted = np.clip(actions, -1, 1) - np.ravel(state.controls)
+    assert 0 < most < 1
+    np.testing.assert_allclose(change, np.clip(wanted, -most, most), rtol=1e-5)

@@ -47,5 +47,10 @@ REASONS: dict[tuple[str, str], str] = {
         "number: `0.5` -> `(2 * 0.5)` in "
         "`0.5 * (lower + upper), (lower, guess), (upper, -guess), (upper, -gu...`",
     ): "the search for a root begins elsewhere and finds the same root",
+    (
+        "jaxrod/methods/planar.py",
+        "index: `0` -> `(1)` in "
+        "`stepper = method.stepper(scene, state, jnp.ones_like(rod.rest_lengt...`",
+    ): "ones like any element are the same",
 }
 """Reasons by file and change."""
