@@ -76,3 +76,15 @@ def test_the_triangles_of_a_shape_have_their_corners_on_it_and_its_volume(shape)
     a, b, c = (corners[faces[:, k]] for k in range(3))
     volume = np.sum(a * np.cross(b, c)) / 6
     assert volume == pytest.approx(float(body.solid().volume), rel=0.02)
+
+
+@pytest.mark.parametrize("length", [0.5, 0.1])
+def test_the_row_of_balls_of_a_cylinder_touches_both_its_ends(length):
+    """Or lies in the middle, if the cylinder is shorter than it is thick."""
+    start, way, radius = np.array([0.1, -0.2, 0.3]), np.array([0.6, 0.0, 0.8]), 0.1
+    body = jaxrod.shapes.cylinder(start, start + length * way, radius)
+    first, last, found = body.row_of_balls
+    inset = min(radius, 0.5 * length)
+    np.testing.assert_allclose(first, start + inset * way, atol=1e-6)
+    np.testing.assert_allclose(last, start + (length - inset) * way, atol=1e-6)
+    assert float(found) == pytest.approx(radius)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import shutil
+from types import SimpleNamespace
 
 import jax.numpy as jnp
 import numpy as np
@@ -14,7 +15,7 @@ from jaxrod.geometry import surfaces
 from jaxrod.viz import Arrows, Mesh, Replay, Sphere, film, picture
 from jaxrod.viz.bodies import leaning_plane
 from jaxrod.viz.geometry import Shapes, refined
-from jaxrod.viz.light import view_of
+from jaxrod.viz.light import _Lamp, view_of
 from jaxrod.viz.raster import nearest, shares_at
 from viz.swinging_arm import swinging_arm
 
@@ -202,3 +203,17 @@ def test_a_small_thing_keeps_its_colour_in_a_film(tmp_path):
     )
     assert expected > 100
     assert warm == pytest.approx(expected, rel=0.3)
+
+
+@pytest.mark.parametrize(("texels", "share"), [(1.5, 1), (3.5, 0), (20, 0)])
+def test_a_shadow_begins_a_few_texels_below_what_casts_it(texels, share):
+    """So surfaces do not shade themselves, and what lies on the floor shades it."""
+    side, texel = 100, 0.01
+    size = 0.86 * side * texel
+    floor = size * np.array([[0.0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]])
+    plate = 0.25 * floor + [0.3 * size, 0.3 * size, texels * texel]
+    corners = np.concatenate([quad[[[0, 1, 2], [0, 2, 3]]] for quad in (floor, plate)])
+    lamp = _Lamp(corners, SimpleNamespace(lamp=np.array([0.0, 0.0, 1.0])), side)
+    places = np.array([plate.mean(axis=0) * [1, 1, 0], [0.8 * size, 0.8 * size, 0]])
+    lit = lamp.reaches(places.astype(np.float32), 2 * texel)
+    np.testing.assert_allclose(lit, [share, 1])
