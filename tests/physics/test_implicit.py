@@ -406,3 +406,30 @@ def test_gradients_through_implicit_steps_agree_with_differences(record):
 def test_bad_settings_are_refused(arguments, message):
     with pytest.raises(ValueError, match=message):
         jaxrod.implicit(**arguments)
+
+
+def test_loads_that_change_in_time_are_taken_at_the_times_of_the_stages():
+    """Velocity of a free rod in a field that grows and fades: second order in dt."""
+    rod, state = jaxrod.straight_rod(
+        3,
+        length=1.0,
+        radius=0.05,
+        density=1000.0,
+        youngs_modulus=1e6,
+        dtype=jnp.float64,
+    )
+    duration, period, phase = 0.3, 0.5, 0.1
+    field = jaxrod.schedules.sine((1.0, 0.0, 0.0), period, phase=phase)
+    scene = jaxrod.make_scene(rod, jaxrod.gravity(field), method=jaxrod.implicit())
+    turn = 2 * np.pi / period
+    ends = np.cos(turn * np.array([0, duration]) + 2 * np.pi * phase)
+    exact = (ends[0] - ends[1]) / turn
+    errors = [
+        abs(
+            float(jaxrod.advance(scene, state, duration / n, n).velocities[0, 1])
+            - exact
+        )
+        for n in (20, 40)
+    ]
+    assert errors[0] < 0.05 * abs(exact)
+    assert 3.5 < errors[0] / errors[1] < 4.5

@@ -428,3 +428,11 @@ def test_neither_origin_nor_order_matters_to_what_supports_do():
         np.testing.assert_allclose(back, here.positions, rtol=0, atol=1e-9)
         for one, other in zip(held[:2], also_held[:2], strict=True):
             np.testing.assert_allclose(one.force, other.force, rtol=0, atol=1e-4)
+
+
+@pytest.mark.parametrize("end", ["base", "tip"])
+def test_a_pin_at_an_end_stays_at_that_end_of_a_finer_rod(end):
+    rod, state = along_x(6)
+    finer, _ = along_x(12)
+    pin = jaxrod.pin_support(state, end)
+    assert pin.resampled(rod, finer).node == {"base": 0, "tip": 12}[end]

@@ -16,6 +16,7 @@ from jaxrod.viz import Arrows, Mesh, Replay, Sphere, film, picture
 from jaxrod.viz.bodies import leaning_plane
 from jaxrod.viz.geometry import Shapes, refined
 from jaxrod.viz.light import _Lamp, view_of
+from jaxrod.viz.meshes import shaded
 from jaxrod.viz.raster import nearest, shares_at
 from viz.swinging_arm import swinging_arm
 
@@ -217,3 +218,13 @@ def test_a_shadow_begins_a_few_texels_below_what_casts_it(texels, share):
     places = np.array([plate.mean(axis=0) * [1, 1, 0], [0.8 * size, 0.8 * size, 0]])
     lit = lamp.reaches(places.astype(np.float32), 2 * texel)
     np.testing.assert_allclose(lit, [share, 1])
+
+
+def test_normals_do_not_depend_on_how_a_face_is_cut_into_triangles():
+    """A flat roof of four faces, one of them cut in two: its top points upwards."""
+    rim = [[1.0, 0, 0], [0.5, 0.5, 0], [0, 1, 0], [-1, 0, 0], [0, -1, 0]]
+    vertices = np.array([*rim, [0, 0, 0.1]])
+    faces = np.array([[k, (k + 1) % 5, 5] for k in range(5)])
+    corners, normals = shaded(Mesh(vertices, faces))
+    at_top = np.isclose(corners[..., 2], 0.1)
+    np.testing.assert_allclose(normals[at_top], [[0, 0, 1]] * 5, atol=1e-12)
