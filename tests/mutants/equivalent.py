@@ -52,5 +52,10 @@ REASONS: dict[tuple[str, str], str] = {
         "index: `0` -> `(1)` in "
         "`stepper = method.stepper(scene, state, jnp.ones_like(rod.rest_lengt...`",
     ): "ones like any element are the same",
+    (
+        "jaxrod/statics/effect_tangents.py",
+        "number: `3` -> `4` in "
+        "`moved = colour[None, None, :, None] == jnp.arange(3)[:, None, None,...`",
+    ): "a fourth colour moves nothing, and nobody looks at it",
 }
 """Reasons by file and change."""

@@ -411,3 +411,24 @@ def test_methods_agree_on_actuators_in_a_plane():
     np.testing.assert_allclose(implicit, space, atol=2e-5)
     theirs = tip(jaxrod.pyelastica(), 2e-4, 100)
     np.testing.assert_allclose(theirs, space, atol=2e-3)
+
+
+def test_a_rod_that_has_the_strain_it_is_told_to_have_stores_nothing():
+    """Half the stiffness times the square of what strain is missing, per length."""
+    length, strain = 0.8, 0.1
+    rod, state = jaxrod.straight_rod(
+        5,
+        length=length,
+        radius=0.02,
+        density=1000.0,
+        youngs_modulus=1e6,
+        dtype=jnp.float64,
+    )
+    shape = jaxrod.actuation.active_shape(rod, strain=(0.0, 0.0, strain))
+    scene = jaxrod.make_scene(rod, shape)
+    stiffness = float(rod.shear_stretch_stiffness[2, 0])
+    for own in (0.0, 0.5 * strain, strain):
+        stretched = replace(state, positions=(1 + own) * state.positions)
+        stored = float(scene.potential_energy(stretched))
+        missing = 0.5 * stiffness * length * (own - strain) ** 2
+        assert stored == pytest.approx(missing, abs=1e-12 * stiffness)

@@ -543,3 +543,22 @@ def test_what_an_attachment_is_apart_is_counted_in_radii():
         seen, couplings = seen_at_rest(system, given)
         (fitted,) = (c for c in couplings if isinstance(c, Attachment))
         assert float(fitted.violation(seen)) == pytest.approx(expected, rel=1e-9)
+
+
+def test_several_nodes_are_attached_to_one_body():
+    one, rest = rod()
+    ball, place = jaxrod.systems.rigid_body(
+        jaxrod.shapes.sphere(rest.positions[:, 1], 0.05),
+        density=500.0,
+        dtype=jnp.float64,
+    )
+    states = {"one": rest, "ball": place}
+    nodes = [("one", 0), ("one", 2)]
+    both = jaxrod.systems.attach(nodes, ("ball",), states)
+    system = jaxrod.make_system({"one": jaxrod.make_scene(one), "ball": ball}, both)
+    moved = {**states, "ball": replace(place, velocities=place.velocities + 0.1)}
+    after = jaxrod.advance(system, moved, 1e-5, 3)
+    was, found = (np.asarray(s["one"].positions)[:, [0, 2]] for s in (states, after))
+    moved = np.asarray(after["ball"].positions - place.positions)
+    assert np.all(moved > 1e-8)
+    np.testing.assert_allclose(found - was, np.tile(moved, 2), rtol=0.05)
