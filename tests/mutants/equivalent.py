@@ -57,5 +57,10 @@ REASONS: dict[tuple[str, str], str] = {
         "number: `3` -> `4` in "
         "`moved = colour[None, None, :, None] == jnp.arange(3)[:, None, None,...`",
     ): "a fourth colour moves nothing, and nobody looks at it",
+    (
+        "envs/soft_bodies/snake_body.py",
+        "index: `0` -> `(1)` in "
+        "`drag = relaxation_time * rod.joint_stiffness[0] / rod.joint_lengths`",
+    ): "sections are round: both bending stiffnesses are the same",
 }
 """Reasons by file and change."""
