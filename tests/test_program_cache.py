@@ -362,7 +362,7 @@ def kept_in(as_before, tmp_path, monkeypatch):
 
 
 def processes_of(folder):
-    return sorted(folder.glob("process-*"))
+    return sorted(folder.glob("jaxrod-process-*"))
 
 
 def test_programs_are_kept_where_nobody_says_otherwise(kept_in):
@@ -430,16 +430,18 @@ def test_what_was_not_used_for_longest_goes_and_folders_of_killed_processes_too(
 ):
     monkeypatch.setattr(program_cache, "MOST_BYTES", 250)
     kept_in.mkdir(parents=True, mode=0o700)
+    (kept_in / "mine.npz").write_bytes(bytes(500))  # not jaxrod's: never touched
+    os.utime(kept_in / "mine.npz", (1e8, 1e8))
     for name, age in (("a", 3), ("b", 1), ("c", 2)):
         (kept_in / f"{name}-cache").write_bytes(bytes(100))
         os.utime(kept_in / f"{name}-cache", (1e9 - age, 1e9 - age))
-    for name in ("process-killed", "process-alive", "else"):
+    for name in ("jaxrod-process-killed", "jaxrod-process-alive", "else"):
         (kept_in / name).mkdir()
-    for name in ("process-killed", "else"):
+    for name in ("jaxrod-process-killed", "else"):
         os.utime(kept_in / name, (1e9, 1e9))
     own = program_cache._folder_of_this_process(kept_in)
     assert sorted(file.name for file in own.iterdir()) == ["b-cache", "c-cache"]
     assert {entry.name for entry in kept_in.iterdir()} == {
-        *("b-cache", "c-cache", "process-alive", "else"),
+        *("b-cache", "c-cache", "jaxrod-process-alive", "else", "mine.npz"),
         own.name,
     }

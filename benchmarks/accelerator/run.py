@@ -19,6 +19,7 @@ import numpy as np
 
 import jaxrod
 from benchmarks.environments.run import ARMS, stepping
+from benchmarks.lanes.run import crossing
 from benchmarks.rod_steps.arms import N_ELEMENTS, advance_arms, arms
 from benchmarks.rod_steps.pyelastica import TIME_STEP
 from benchmarks.shared.arguments import add_names
@@ -52,34 +53,6 @@ def arm(dtype: str) -> tuple[Any, Any, float]:
     return scene, state, 1e-4
 
 
-def ropes(dtype: str) -> tuple[Any, Any, float]:
-    """Two ropes that cross, with lists of neighbours."""
-    rods, states = {}, {}
-    for name, start, direction in (
-        ("one", (-0.5, 0, 0), (1, 0, 0)),
-        ("other", (0, -0.5, 0.0195), (0, 1, 0)),
-    ):
-        rods[name], states[name] = jaxrod.straight_rod(
-            25,
-            length=1.0,
-            radius=0.01,
-            density=1000.0,
-            youngs_modulus=1e6,
-            start=start,
-            direction=direction,
-            dtype=dtype,
-        )
-    touch = jaxrod.systems.crossing_contact(
-        "one",
-        "other",
-        stiffness=1e3,
-        damping=0.1,
-        lists=jaxrod.systems.neighbour_lists(pairs=32),
-    )
-    scenes = {k: jaxrod.make_scene(rod, jaxrod.gravity()) for k, rod in rods.items()}
-    return jaxrod.make_system(scenes, touch, state=states), states, 1e-5
-
-
 def comparisons(dtype: str) -> Iterator[tuple[str, Callable[..., Any], Any]]:
     """Names of programs, the programs, and their arguments."""
 
@@ -92,7 +65,7 @@ def comparisons(dtype: str) -> Iterator[tuple[str, Callable[..., Any], Any]]:
 
     scene, state, dt = arm(dtype)
     yield f"arm, {STEPS} steps", run(scene, dt, lambda end: [end]), state
-    system, states, fine = ropes(dtype)
+    system, states, fine = crossing("crossing_contact", 25, dtype)
     both = lambda end: [end[name] for name in states]
     yield f"two ropes with lists, {STEPS} steps", run(system, fine, both), states
 
@@ -105,11 +78,11 @@ def comparisons(dtype: str) -> Iterator[tuple[str, Callable[..., Any], Any]]:
     yield "arm, 64 gradients", jax.vmap(jax.grad(height)), batch
 
 
-def equal() -> list[str]:
+def equal() -> None:
     """Largest differences from float64 on the CPU, over the largest number."""
     cpu = jax.devices("cpu")[0]
-    lines = ["| program | dtype | accelerator | CPU | the same bits again |"]
-    lines.append("|---|---|---:|---:|---|")
+    print("| program | dtype | accelerator | CPU | the same bits again |")
+    print("|---|---|---:|---:|---|")
     for case, exact in zip(comparisons("float32"), comparisons("float64"), strict=True):
         name, program, given = exact
         there = jax.device_put(given, cpu)
@@ -120,12 +93,8 @@ def equal() -> list[str]:
             same = _equal_bits(found, compiled(given))
             here = jax.jit(program)(jax.device_put(given, cpu))
             errors = [f"{_difference(x, reference):.1e}" for x in (found, here)]
-            lines.append(
-                f"| {name} | {dtype} | {' | '.join(errors)} | "
-                f"{'yes' if same else 'no'} |"
-            )
-            print(lines[-1], flush=True)
-    return lines
+            again = "yes" if same else "no"
+            print(f"| {name} | {dtype} | {' | '.join(errors)} | {again} |", flush=True)
 
 
 def _difference(found: Any, reference: Any) -> float:
@@ -158,12 +127,10 @@ def median_time(call: Callable[[], Any]) -> Timed:
     return float(np.median(times)), first
 
 
-def rods(dtypes: tuple[str, ...], batches: tuple[int, ...]) -> list[str]:
+def rods(dtypes: tuple[str, ...], batches: tuple[int, ...]) -> None:
     """Rod-steps per second of arms of 20 elements, each under couples of its own."""
-    lines = [
-        f"| rods of {N_ELEMENTS} elements | dtype | rod-steps/s | first call [s] |"
-    ]
-    lines.append("|---:|---|---:|---:|")
+    print(f"| rods of {N_ELEMENTS} elements | dtype | rod-steps/s | first call [s] |")
+    print("|---:|---|---:|---:|")
     for dtype in dtypes:
         for batch in batches:
             with jax.enable_x64(dtype == "float64"):
@@ -180,23 +147,20 @@ def rods(dtypes: tuple[str, ...], batches: tuple[int, ...]) -> list[str]:
             if not (np.all(np.isfinite(ended)) and np.ptp(ended, axis=0).max() < 1e-5):
                 raise FloatingPointError("equal arms did not move alike")
             speed = batch * int(steps) / per
-            lines.append(f"| {batch:,} | {dtype} | {speed:,.0f} | {first:.1f} |")
-            print(lines[-1], flush=True)
-    return lines
+            print(f"| {batch:,} | {dtype} | {speed:,.0f} | {first:.1f} |", flush=True)
 
 
-def tasks(names: tuple[str, ...], batches: tuple[int, ...]) -> list[str]:
+def tasks(names: tuple[str, ...], batches: tuple[int, ...]) -> None:
     """Control steps per second of tasks, restarts and scores included."""
-    lines = ["| task | environments | control steps/s | first call [s] |"]
-    lines.append("|---|---:|---:|---:|")
+    print("| task | environments | control steps/s | first call [s] |")
+    print("|---|---:|---:|---:|")
     for name in names:
         env = make(name, variant="clean")
         for batch in batches:
             steps, call = stepping(env, batch, jax.devices()[:1])
             per, first = median_time(call)
-            lines.append(f"| {name} | {batch:,} | {steps / per:,.0f} | {first:.1f} |")
-            print(lines[-1], flush=True)
-    return lines
+            speed = steps / per
+            print(f"| {name} | {batch:,} | {speed:,.0f} | {first:.1f} |", flush=True)
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

@@ -165,22 +165,22 @@ def joined() -> tuple[Any, Any, Any]:
     return system, states, 1e-5
 
 
-def crossing(law: str) -> tuple[Any, Any, Any]:
-    """Two ropes of 51 elements that cross, with lists of 32 pairs."""
+def crossing(law: str, n: int = 51, dtype: str = "float32") -> tuple[Any, Any, Any]:
+    """Two ropes of `n` elements that cross, with lists of 32 pairs."""
     rods, states = {}, {}
     for name, start, direction in (
         ("one", (-0.5, 0, 0), (1, 0, 0)),
         ("other", (0, -0.5, 0.0195), (0, 1, 0)),
     ):
         rods[name], states[name] = jaxrod.straight_rod(
-            51,
+            n,
             length=1.0,
             radius=0.01,
             density=1000.0,
             youngs_modulus=1e6,
             start=start,
             direction=direction,
-            dtype="float32",
+            dtype=dtype,
         )
     lists = jaxrod.systems.neighbour_lists(pairs=32)
     touch = getattr(jaxrod.systems, law)

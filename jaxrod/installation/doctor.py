@@ -24,8 +24,8 @@ from jaxrod.installation import jax_version
 from jaxrod.installation.machine import available_cores, processor
 from jaxrod.installation.program_cache import (
     MOST_BYTES,
-    asked_for,
-    default_folder,
+    chosen_folder,
+    kept_files,
     obstacle,
 )
 
@@ -360,10 +360,9 @@ def check_program_cache() -> Check:
     why = None if given else obstacle()
     if why is not None:
         return Check("compiled programs", True, "not kept", f"Not kept: {why}.")
-    asked = asked_for()
-    folder = Path(given or (asked if isinstance(asked, str) else default_folder()))
-    files = [file for file in folder.glob("*") if file.is_file()]
-    size = sum(file.stat().st_size for file in files)
+    folder = Path(given or chosen_folder())
+    files = kept_files(folder) if folder.is_dir() else []
+    size = sum(size for _, size, _ in files)
     detail = f"{len(files)} files, {1e-6 * size:.1f} MB of {1e-6 * MOST_BYTES:,.0f} MB"
     return Check("compiled programs", True, f"{detail} in {folder}")
 

@@ -26,6 +26,7 @@ import hashlib
 import importlib.util
 import os
 import platform
+import re
 import shutil
 import sys
 import tempfile
@@ -47,8 +48,10 @@ MOST_BYTES = 10**9
 """Largest size of all kept programs together [bytes]."""
 
 _JAX_SHORTEST = 1.0
-_OWN = "process-"
+_OWN = "jaxrod-process-"
 """Beginning of the names of the folders of single processes."""
+_KEPT = re.compile(r"jaxrod-lanes-.*|.*-cache|.*-atime")
+"""Names of the files that JAX and jaxrod keep; others in the folder are not touched."""
 _WEEK = 7 * 86_400.0
 
 _LOUD = "0.10.1"
@@ -88,9 +91,26 @@ def obstacle() -> str | None:
     if asked_for() is None and _is_loud() and not os.environ.get(_LEVEL):
         return f"JAX {_LOUD} raises a false alarm for every program that was kept"
     try:
-        return shared_with(default_folder())
+        return shared_with(chosen_folder())
     except RuntimeError as error:
         return str(error)
+
+
+def chosen_folder() -> Path:
+    """Folder that the environment variable names, or the default one."""
+    asked = asked_for()
+    return Path(asked).expanduser() if isinstance(asked, str) else default_folder()
+
+
+def kept_files(folder: Path) -> list[tuple[float, int, Path]]:
+    """Time of the last use [s], size [bytes] and path of each file that is kept."""
+    kept = []
+    for entry in os.scandir(folder):
+        if entry.is_file(follow_symlinks=False) and _KEPT.fullmatch(entry.name):
+            found = entry.stat(follow_symlinks=False)
+            used = max(found.st_atime, found.st_mtime)
+            kept.append((used, found.st_size, Path(entry.path)))
+    return sorted(kept)
 
 
 def keep_programs(
@@ -167,18 +187,15 @@ def keep_programs(
 
 def _folder_of_this_process(folder: Path) -> Path:
     """A new folder with links to all kept programs; files that nobody uses go."""
-    kept, size = [], 0
-    for entry in os.scandir(folder):
-        found = entry.stat(follow_symlinks=False)
-        used = max(found.st_atime, found.st_mtime)
-        if entry.is_file(follow_symlinks=False):
-            kept.append((used, found.st_size, Path(entry.path)))
-            size += found.st_size
-        elif entry.name.startswith(_OWN) and used < time.time() - _WEEK:
-            shutil.rmtree(entry.path, ignore_errors=True)
+    for abandoned in folder.glob(f"{_OWN}*"):
+        with suppress(OSError):  # Another process may remove it at the same time.
+            if abandoned.stat().st_mtime < time.time() - _WEEK:
+                shutil.rmtree(abandoned, ignore_errors=True)
+    kept = kept_files(folder)
+    size = sum(bytes_of_it for _, bytes_of_it, _ in kept)
     own = Path(tempfile.mkdtemp(prefix=_OWN, dir=folder))
     atexit.register(_give_back, own, os.getpid())
-    for _, bytes_of_it, file in sorted(kept):
+    for _, bytes_of_it, file in kept:
         with suppress(OSError):
             if size > MOST_BYTES:
                 size -= bytes_of_it
