@@ -10,6 +10,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from typing import Any, ClassVar, Protocol, Self
 
+import numpy as np
 from jaxtyping import Array, ArrayLike, Float
 
 from jaxrod.geometry.vectors import Vec3
@@ -143,6 +144,20 @@ class Model(ABC):
         n_steps: ArrayLike = 1000,
     ) -> Any:
         """Flags of a state and the values behind them: `jaxrod.health`."""
+
+    @abstractmethod
+    def equilibrium(
+        self,
+        state: Any,
+        *,
+        tolerance: ArrayLike | None = None,
+        max_iterations: int = 100,
+    ) -> Any:
+        """Configuration in which all loads balance: `jaxrod.equilibrium`."""
+
+    @abstractmethod
+    def squared_frequencies(self, state: Any) -> np.ndarray:
+        """Squares of all angular frequencies about a state at rest [rad^2/s^2]."""
 
     @abstractmethod
     def kinetic_energy(self, state: Any) -> Float[Array, ""]:

@@ -7,8 +7,10 @@ from dataclasses import replace
 from typing import Any
 
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, ArrayLike, Float
 
+from jaxrod.analysis.frequency import squared_frequencies
 from jaxrod.analysis.health import Health, HealthLimits, scene_health
 from jaxrod.analysis.stability import (
     StableStep,
@@ -35,6 +37,7 @@ from jaxrod.methods.drag_kick import check_drag
 from jaxrod.model import Model, Stepper
 from jaxrod.rods.elasticity import stored_energy
 from jaxrod.rods.rod import Rod, RodState
+from jaxrod.statics.equilibrium import Equilibrium, scene_equilibrium
 from jaxrod.structure import pytree
 from jaxrod.systems.members.member import Member
 from jaxrod.systems.members.rods import member_of_rod
@@ -155,6 +158,22 @@ class Scene(LoadedRod, Model):
             work_input=work_input,
             n_steps=n_steps,
         )
+
+    def equilibrium(
+        self,
+        state: Any,
+        *,
+        tolerance: ArrayLike | None = None,
+        max_iterations: int = 100,
+    ) -> Equilibrium:
+        """Configuration in which all loads balance: `jaxrod.equilibrium`."""
+        return scene_equilibrium(
+            self, state, tolerance=tolerance, max_iterations=max_iterations
+        )
+
+    def squared_frequencies(self, state: Any) -> np.ndarray:
+        """Squares of all angular frequencies about a state at rest [rad^2/s^2]."""
+        return squared_frequencies(self, state)
 
     def kinetic_energy(self, state: Any) -> Float[Array, ""]:
         """Kinetic energy of translation and rotation [J]."""

@@ -15,6 +15,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -25,6 +26,7 @@ from jaxtyping import Array, Float
 from jaxrod.geometry import vectors
 from jaxrod.geometry.rotations import multiply_quaternions, rotation_exp
 from jaxrod.loaded_rod import LoadedRod, scene_of
+from jaxrod.model import Model, check_model
 from jaxrod.rods.motion import motion_of
 from jaxrod.rods.rod import Rod, RodState
 from jaxrod.statics.degrees_of_freedom import degrees_of_freedom
@@ -80,18 +82,18 @@ def highest_frequency(
 
 @knows_constants
 def natural_frequencies(
-    scene: LoadedRod, state: RodState, n_modes: int | None = None
+    scene: Model, state: Any, n_modes: int | None = None
 ) -> np.ndarray:
     """Angular frequencies of small undamped motions about a state at rest.
 
-    They come from the dense eigenvalue problem of the `6 n + 3` degrees of freedom,
-    without those that constraints hold. It is for looking at a rod, not for the inside
-    of a loop. A straight rod of round section bends in the same way in two planes and
-    has its bending frequencies twice. A free one starts with the six zeros of rigid
-    motions.
+    They come from the dense eigenvalue problem of all degrees of freedom (`6 n + 3` for
+    a rod), without those that constraints hold. It is for looking at a rod or a system,
+    not for the inside of a loop. A straight rod of round section bends in the same way
+    in two planes and has its bending frequencies twice. A free one starts with the six
+    zeros of rigid motions.
 
     Args:
-        scene: The scene, in consistent mode.
+        scene: The scene in consistent mode, or the system.
         state: The configuration, in equilibrium.
         n_modes: Number of modes, the lowest ones; by default all.
 
@@ -104,25 +106,15 @@ def natural_frequencies(
             anything is traced.
         TypeError: If `scene` or `state` is of another type.
     """
-    scene = scene_of(scene, state)
+    check_model(scene)
     if n_modes is not None:
         n_modes = check_count("n_modes", n_modes, 1)
-    if not scene.method.has_energy:
-        raise ValueError(
-            f"natural_frequencies needs the consistent law, got {scene.method!r}: "
-            "PyElastica's loads are not the gradient of an energy"
-        )
-    stiffness = _stiffness(scene, state)
-    if is_traced(stiffness):
+    if is_traced(scene, state):
         raise ValueError(
             "natural_frequencies needs numbers that are known, not traced by jax.jit, "
             "grad or vmap; highest_frequency works inside them"
         )
-    matrix = np.asarray(stiffness, np.float64)
-    free = np.asarray(_free(scene, state))
-    matrix = matrix[np.ix_(free, free)]
-    squares = np.linalg.eigvalsh(0.5 * (matrix + matrix.T))
-    frequencies = np.sqrt(np.maximum(squares, 0))
+    frequencies = np.sqrt(np.maximum(scene.squared_frequencies(state), 0))
     if n_modes is None:
         return frequencies
     if n_modes > frequencies.size:
@@ -131,6 +123,21 @@ def natural_frequencies(
             f"scene, got {n_modes}"
         )
     return frequencies[:n_modes]
+
+
+def squared_frequencies(scene: LoadedRod, state: RodState) -> np.ndarray:
+    """Squares of all angular frequencies of a rod, increasing [rad^2/s^2]."""
+    scene = scene_of(scene, state)
+    if not scene.method.has_energy:
+        raise ValueError(
+            f"natural_frequencies needs the consistent law, got {scene.method!r}: "
+            "PyElastica's loads are not the gradient of an energy"
+        )
+    matrix = np.asarray(_stiffness(scene, state), np.float64)
+    free = np.asarray(_free(scene, state))
+    matrix = matrix[np.ix_(free, free)]
+    squares: np.ndarray = np.linalg.eigvalsh(0.5 * (matrix + matrix.T))
+    return squares
 
 
 @jax.jit(static_argnames="size")

@@ -110,9 +110,10 @@ def frequency_changes(
     """
     check_kind("scaling", scaling, InertiaScaling)
     n_modes = check_count("n_modes", n_modes, 1)
-    true = _scaled(scaling.scene, 1 / scaling.factors)
+    scene: Any = scaling.scene
+    true: Any = _scaled(scene, 1 / scaling.factors)
     before = natural_frequencies(true, state)
-    after = natural_frequencies(scaling.scene, state)
+    after = natural_frequencies(scene, state)
     # Rigid motions have frequencies of the size of round-off.
     eps = float(jnp.finfo(state.positions.dtype).eps)
     moving = before > 10 * np.sqrt(eps) * before[-1]

@@ -1,8 +1,9 @@
-"""Statics: equilibria of a rod under its loads, and their derivatives."""
+"""Statics: equilibria under all loads, and their derivatives; those of a rod."""
 
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -11,6 +12,7 @@ from jaxtyping import Array, ArrayLike, Bool, Float, Int
 
 from jaxrod.effects.base import Effect
 from jaxrod.loaded_rod import LoadedRod, constrain, constrain_rates, scene_of
+from jaxrod.model import Model, check_model
 from jaxrod.rods.elasticity import elastic_law
 from jaxrod.rods.motion import Motion, motion_of, state_of
 from jaxrod.rods.rod import RodState
@@ -25,9 +27,9 @@ from jaxrod.validation import as_array, check_count
 
 @pytree
 class Equilibrium:
-    """A rod at rest under its loads, if `converged`."""
+    """A scene or a system at rest under its loads, if `converged`."""
 
-    state: RodState
+    state: Any
     """State at the end of the iteration, at rest."""
     converged: Bool[Array, ""]
     """Whether all loads balance there, to the tolerance."""
@@ -39,15 +41,15 @@ class Equilibrium:
     couples) it does not exclude instability in motion (flutter).
     """
     loose: Bool[Array, ""]
-    """Whether nothing resists a motion of the rod as a whole, or a rotation of all
-    elements about their own axes: as on two pins, or on a smooth floor.
+    """Whether nothing resists a motion of a rod or a body as a whole, or a rotation of
+    all elements of a rod about their own axes: as on two pins, or on a smooth floor.
 
     The balance of loads does not determine the position along such a mode. Derivatives
-    are those of a rod whose middle does not move along it, and are not valid for loads
-    that would drive it.
+    are those of a rod whose middle does not move along it, and of a system that has no
+    momentum along it. They are not valid for loads that would drive it.
     """
     iterations: Int[Array, ""]
-    """Number of Newton corrections taken."""
+    """Number of corrections taken."""
     force_residual: Float[Array, ""]
     """Largest component of unbalanced force at a node [N]."""
     couple_residual: Float[Array, ""]
@@ -55,45 +57,77 @@ class Equilibrium:
 
 
 def equilibrium(
+    scene: Model,
+    state: Any,
+    *,
+    tolerance: ArrayLike | None = None,
+    max_iterations: int = 100,
+) -> Equilibrium:
+    """Finds an equilibrium of a scene or a system under its loads, from a state.
+
+    Works inside jit and vmap. The equilibrium is differentiable in both modes with
+    respect to every number of the model, by the implicit function theorem: one
+    linear solve, whatever the number of iterations.
+
+    Loads are those at rest: friction, drag and dashpots are zero, so things come to lie
+    where they would without friction. Near a limit point (buckling, snap-through) there
+    may be no equilibrium nearby: check `converged`. The method finds equilibria, stable
+    or not: check `stable`. That of systems prefers the stable ones, because it goes
+    where loads push.
+
+    A rod costs as much as its number of elements; with effects that couple distant
+    parts, and for systems, the matrices are dense: six unknowns for each element, each
+    body and each end of a rod. A thousand unknowns take tens of milliseconds for each
+    correction, three thousand a second.
+
+    Args:
+        scene: The scene or system, at one moment; an effect must hold the rod of a
+            scene.
+        state: Initial guess; held components are held at its values. Its velocities
+            do not matter.
+        tolerance: Iteration ends after a correction below this many element lengths
+            and radians; by default 1e-7, or 3e-4 in single precision.
+        max_iterations: Largest number of corrections, taken or not.
+
+    Returns:
+        The state at rest, and how well the loads balance there.
+
+    Raises:
+        ValueError: If the law is not "consistent", if nothing holds the rod of a scene,
+            if a number is a schedule, or if an argument is out of range.
+        TypeError: If `scene` or `state` is of another type.
+    """
+    check_model(scene)
+    found: Equilibrium = scene.equilibrium(
+        state, tolerance=tolerance, max_iterations=max_iterations
+    )
+    return found
+
+
+def search_limits(
+    tolerance: ArrayLike | None, max_iterations: int, dtype: Any
+) -> tuple[Array, Array]:
+    """Checked limits of a search, with the default tolerance of a dtype."""
+    most = check_count("max_iterations", max_iterations, 1)
+    if tolerance is None:
+        tolerance = default_tolerance(dtype)
+    bound = as_array("tolerance", tolerance, "", positive=True, dtype=dtype)
+    return bound, jnp.asarray(most)
+
+
+def scene_equilibrium(
     scene: LoadedRod,
     state: RodState,
     *,
     tolerance: ArrayLike | None = None,
     max_iterations: int = 100,
 ) -> Equilibrium:
-    """Finds an equilibrium of a rod under its loads, starting from a state.
-
-    Works inside jit and vmap. The equilibrium is differentiable in both modes with
-    respect to every number of the scene, by the implicit function theorem: one
-    linear solve, whatever the number of iterations.
-
-    Near a limit point (buckling, snap-through) there may be no equilibrium nearby:
-    check `converged`. The method finds equilibria, stable or not: check `stable`.
-
-    Args:
-        scene: The scene; an effect must hold the rod.
-        state: Initial guess; held components are held at its values. Its velocities
-            do not matter.
-        tolerance: Iteration ends after a correction below this many element lengths
-            and radians; by default 1e-7, or 3e-4 in single precision.
-        max_iterations: Largest number of corrections.
-
-    Returns:
-        The state at rest, and how well the loads balance there.
-
-    Raises:
-        ValueError: If the law is not "consistent", if nothing holds the rod, or if
-            an argument is out of range.
-        TypeError: If `scene` or `state` is of another type.
-    """
+    """Finds an equilibrium of one rod: see `equilibrium`."""
     scene = scene_of(scene, state)
     if not scene.method.has_energy:
         raise ValueError(f"equilibrium needs the consistent law, got {scene.method!r}")
     dtype = scene.rod.rest_lengths.dtype
-    max_iterations = check_count("max_iterations", max_iterations, 1)
-    if tolerance is None:
-        tolerance = default_tolerance(dtype)
-    bound = as_array("tolerance", tolerance, "", positive=True, dtype=dtype)
+    bound, most = search_limits(tolerance, max_iterations, dtype)
     if _is_loose(scene):
         raise ValueError(
             "scene must hold the rod for an equilibrium: a free rod has none under "
@@ -101,7 +135,7 @@ def equilibrium(
             "jaxrod.fixed_end(state)"
         )
     check_declared_properties(scene)
-    return _equilibrium(scene, state, bound, jnp.asarray(max_iterations))
+    return _equilibrium(scene, state, bound, most)
 
 
 def _is_loose(scene: LoadedRod) -> bool:

@@ -74,10 +74,10 @@ def settled(
 ) -> Settled:
     """Follows a scene or a system until it rests: see the module.
 
-    It works for all models that can be stepped, including contact and bodies, while
-    `equilibrium` takes one rod. It works inside jit and vmap. It cannot be
-    differentiated in reverse mode, and does not use the implicit function theorem;
-    forward mode follows all steps.
+    It works for all models that can be stepped, and follows their motion, where
+    `jaxrod.equilibrium` solves for the balance of loads. It works inside jit and vmap.
+    It cannot be differentiated in reverse mode, and does not use the implicit function
+    theorem; forward mode follows all steps.
 
     It finds rest states that are reached by falling. A model that stands exactly on the
     top of a hill, such as a straight column, stays there and has converged. A model

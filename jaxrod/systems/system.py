@@ -7,12 +7,14 @@ from dataclasses import replace
 from typing import Any
 
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, ArrayLike, Float
 
 from jaxrod.analysis.health import HealthLimits
 from jaxrod.effects.own_classes import check_own_class
 from jaxrod.geometry.vectors import Vec3
 from jaxrod.model import Model, Stepper
+from jaxrod.statics.equilibrium import Equilibrium, search_limits
 from jaxrod.structure import pytree
 from jaxrod.systems.contact.continued import free_ends
 from jaxrod.systems.contact.neighbour_lists import RECORD
@@ -27,6 +29,8 @@ from jaxrod.systems.health import SystemHealth, system_health
 from jaxrod.systems.members.member import Member
 from jaxrod.systems.sites.coupling import AllParts, Coupling
 from jaxrod.systems.stability import StableSystemStep, stable_system_dt
+from jaxrod.systems.statics.equilibrium import system_equilibrium
+from jaxrod.systems.statics.frequencies import squared_frequencies
 from jaxrod.systems.stepping.assembly import (
     Assembly,
     SystemState,
@@ -123,6 +127,31 @@ class System(Assembly, Model):
         check_system_state(self, state)
         self.check_moment()
         return system_health(self, state, dt, limits=limits)
+
+    def equilibrium(
+        self,
+        state: Any,
+        *,
+        tolerance: ArrayLike | None = None,
+        max_iterations: int = 100,
+    ) -> Equilibrium:
+        """Configuration in which all loads balance: `jaxrod.equilibrium`."""
+        self._check_statics(state)
+        bound, most = search_limits(tolerance, max_iterations, self.dtype)
+        return system_equilibrium(
+            self.recalling(state), self.with_memory(state), bound, most
+        )
+
+    def squared_frequencies(self, state: Any) -> np.ndarray:
+        """Squares of all angular frequencies about a state at rest [rad^2/s^2]."""
+        self._check_statics(state)
+        return squared_frequencies(self.recalling(state), state)
+
+    def _check_statics(self, state: Any) -> None:
+        check_system_state(self, state)
+        self.check_moment()
+        for name, member in self.interfaces().items():
+            member.check_statics(name)
 
     def check_moment(self) -> None:
         """Raises a `ValueError` if the system depends on time."""

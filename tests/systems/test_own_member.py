@@ -210,6 +210,16 @@ class Pull(extend.Coupling):
         return 0.5 * self.stiffness * sum(w * w for w in self._way(seen))
 
 
+def test_a_point_rests_where_its_spring_is_slack():
+    point, state = made()
+    system = jaxrod.make_system({"point": point})
+    found = jaxrod.equilibrium(system, {"point": state})
+    assert found.converged and found.stable and not found.loose
+    np.testing.assert_allclose(found.state["point"].positions, 0, atol=1e-15)
+    frequencies = jaxrod.natural_frequencies(system, found.state)
+    np.testing.assert_allclose(frequencies, OMEGA, rtol=1e-12)
+
+
 def test_what_needs_a_rod_or_a_body_refuses_a_point():
     point, start = made()
     rod, arm = jaxrod.straight_rod(

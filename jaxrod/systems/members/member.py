@@ -74,6 +74,14 @@ class Member(ABC):
         for effect in self.effects:
             check_kind(f"member {name!r}: effect", effect, Effect)
 
+    def check_statics(self, name: str) -> None:
+        """Raises a ValueError if it has no equilibria, as its loads have no energy.
+
+        Args:
+            name: Name of the member, for messages.
+        """
+        del name
+
     @abstractmethod
     def check_state(self, name: str, state: Any, dtype: Any) -> None:
         """Raises a TypeError or a ValueError if a state is not of this member."""

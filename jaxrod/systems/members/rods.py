@@ -61,6 +61,14 @@ class OneRod(Member):
                 "has no steps in a system: use consistent() or pyelastica()"
             )
 
+    def check_statics(self, name: str) -> None:
+        """Raises a ValueError for a law whose loads have no energy."""
+        if not self.model.method.has_energy:
+            raise ValueError(
+                f"member {name!r}: statics need the consistent law, got "
+                f"{self.model.method!r}"
+            )
+
     def with_effect(self, effect: Effect) -> Any:
         """The scene with one more effect, the same for equal rods."""
         return self.each(lambda scene: scene.with_effect(effect))

@@ -1,0 +1,1 @@
+"""Statics of systems: equilibria, and small motions about them."""

@@ -1,0 +1,63 @@
+r"""Loose motions of a system: those that nothing resists, in statics.
+
+A ball on a smooth floor can slide, a rod of round section between two pins can turn
+about itself. The stiffness $K$ is then singular, and the balance of loads does not
+determine the place along such a motion $m$. If the loads do not drive it, a spring
+against its momentum $u = M m$ changes nothing but that place, which is then the one
+where the motion has no momentum, exactly and whatever its stiffness:
+
+$$(K + \sigma\,u u^T)\,r = g, \quad m\cdot g = 0 \quad\Rightarrow\quad
+  u\cdot r = 0, \quad K r = g.$$
+
+What is looked at are the rigid motions of each rod and body, the rotation of all
+elements of a rod about their own axes, and all their sums.
+"""
+
+from __future__ import annotations
+
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from jaxrod.lanes.steps import by_kernel
+from jaxrod.systems.statics.problem import Linear, StaticProblem
+
+_ROUNDINGS = 64
+"""Multiple of the machine epsilon up to which a resistance counts as zero."""
+
+_LEAST = 0.01
+"""Size of a sum of motions, over theirs, up to which it is none [1]."""
+
+
+def loose_motions(problem: StaticProblem, here: Linear) -> Float[Array, "modes m"]:
+    """Independent motions that nothing resists, in scaled rates.
+
+    Returns:
+        As many as there are rigid motions; zeros in place of those that are resisted.
+    """
+    whole = by_kernel(problem, "motions_of_the_whole", here.motions)
+    resisted = here.stiffness @ whole.T
+    # Size of the rows without cancellation.
+    sizes = jnp.max(jnp.abs(here.stiffness) @ jnp.abs(whole.T), axis=1, keepdims=True)
+    resisted = resisted / jnp.where(sizes > 0, sizes, 1)
+    barred = whole.T - here.projection @ whole.T
+    both = jnp.concatenate([resisted, barred])
+    _, resistance, mixtures = jnp.linalg.svd(both, full_matrices=False)
+    none = resistance <= _ROUNDINGS * jnp.finfo(resistance.dtype).eps
+    found = jnp.where(none[:, None], mixtures, 0) @ whole
+    # The turn of a straight rod about its axis, less that of all its elements about
+    # theirs, is nothing but round-off.
+    real = jnp.sum(found**2, axis=1, keepdims=True) > _LEAST**2
+    return jnp.where(real, found, 0)
+
+
+def held(
+    problem: StaticProblem, here: Linear, motions: Float[Array, "modes m"]
+) -> Float[Array, "m m"]:
+    """Stiffness with springs against loose motions, and regular for barred rates."""
+    momenta = motions @ here.mass
+    inertia = jnp.sum(momenta * motions, axis=1)
+    free = inertia > 0
+    weight = jnp.where(free, jnp.sum(motions**2, axis=1), 0)
+    weight = weight / jnp.where(free, inertia, 1) ** 2
+    springs = momenta.T @ (weight[:, None] * momenta)
+    return here.stiffness + problem.scales.energy * (springs + here.barred)

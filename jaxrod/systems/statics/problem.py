@@ -1,0 +1,425 @@
+r"""The static problem of a system: its loads as a function of its configuration.
+
+The stepper of a system already knows everything that statics asks for. A kick from
+rest, so short that nothing moves, gives the accelerations $a$ that all loads cause at a
+configuration, with supports, ties and attachments taken into account. Rates $r$ that
+these allow are $P r$, and moving at such rates for a second leads to another
+configuration. The kinetic energy $T(P r)$ is quadratic, and its matrix $M$ is the mass.
+Loads out of balance, forces on nodes and couples on elements, and their stiffness are
+
+$$g = M a, \qquad K r = -M \frac{\partial a}{\partial r}\,P r.$$
+
+So a coupling, an effect or a member of your own needs nothing further to be brought to
+rest. Loads are those at rest: friction, dashpots and drag are zero.
+
+The matrices are dense. They are computed column by column, by one compiled kernel.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import lax
+from jax.flatten_util import ravel_pytree
+from jaxtyping import Array, Bool, Float
+
+from jaxrod.geometry import vectors
+from jaxrod.geometry.rotations import directors, to_material, to_world
+from jaxrod.geometry.vectors import Vec3
+from jaxrod.lanes.steps import by_kernel
+from jaxrod.rods.motion import Motion
+from jaxrod.structure import pytree
+from jaxrod.systems.members.parts import Parts, Seen
+from jaxrod.systems.statics.rigid_motions import rigid_motions
+from jaxrod.systems.stepping.assembly import Assembly, SystemState
+from jaxrod.systems.stepping.listing import searched, with_found
+from jaxrod.systems.stepping.stepper import Motions, SystemStepper
+
+INSTANT = 1e-9
+"""Duration of the kick that measures loads, over the time in which a rod bends [1]."""
+ANCHOR, ROUNDINGS = 1e-8, 100
+"""Weight that leaves rods that nothing holds in place when gaps are closed [1], and the
+least multiple of the machine epsilon that it may be."""
+
+
+@pytree
+class Scales:
+    """Units of a system, from its rods."""
+
+    length: Float[Array, ""]
+    """Length of the longest rod [m]."""
+    element: Float[Array, ""]
+    """Length of the shortest element [m]."""
+    energy: Float[Array, ""]
+    """Bending stiffness over length, mean of all rods [J]."""
+    time: Float[Array, ""]
+    """Time in which the fastest rod bends by its own length [s]."""
+
+
+def scales_of(system: Assembly) -> Scales:
+    """Units of a system; ones if it has no rods."""
+    lengths, elements, energies, times = [], [], [], []
+    for own in system.parts().values():
+        if not own.is_rod:
+            continue
+        assert own.rest_lengths is not None and own.bend_twist_stiffness is not None
+        assert own.linear_density is not None
+        whole = jnp.sum(own.rest_lengths) / own.count
+        stiffness = jnp.mean(own.bend_twist_stiffness[0])
+        lengths.append(whole)
+        elements.append(jnp.min(own.rest_lengths))
+        energies.append(stiffness / whole)
+        times.append(whole**2 * jnp.sqrt(jnp.mean(own.linear_density) / stiffness))
+    if not lengths:
+        one = jnp.ones((), system.dtype)
+        return Scales(one, one, one, one)
+    return Scales(
+        jnp.max(jnp.stack(lengths)),
+        jnp.min(jnp.stack(elements)),
+        jnp.mean(jnp.stack(energies)),
+        jnp.min(jnp.stack(times)),
+    )
+
+
+@pytree
+class Linear:
+    """A static problem about a configuration; rates are scaled.
+
+    Unknowns are displacements over the scale of length, and rotations.
+    """
+
+    motions: Any
+    """Configuration."""
+    loads: Float[Array, " m"]
+    """Loads out of balance [J]."""
+    stiffness: Float[Array, "m m"]
+    """Stiffness against allowed rates; zero for all others [J]."""
+    mass: Float[Array, "m m"]
+    """Mass of allowed rates; zero for all others [kg m^2]."""
+    projection: Float[Array, "m m"]
+    """Projection on allowed rates."""
+
+    @property
+    def barred(self) -> Float[Array, "m m"]:
+        """Square of the projection on rates that are not allowed."""
+        rest = jnp.eye(len(self.loads), dtype=self.mass.dtype) - self.projection
+        return rest.T @ rest
+
+
+@pytree
+class StaticProblem:
+    """A system and its stepper, with a step so short that nothing moves."""
+
+    system: Assembly
+    """The system."""
+    stepper: SystemStepper
+    """Its stepper."""
+    scales: Scales
+    """Its units."""
+
+    # Methods for kernels: each takes one argument.
+
+    def allowed(self, given: tuple[Motions, Any]) -> Any:
+        """Part of the rates that supports, ties and attachments allow."""
+        motions, rates = given
+
+        def held(own: Any) -> Any:
+            return rates_of(self.stepper.supported(with_rates(motions, own)))
+
+        none = jax.tree.map(jnp.zeros_like, rates)
+        return jax.tree.map(jnp.subtract, held(rates), held(none))
+
+    def momenta(self, given: tuple[Motions, Any]) -> Any:
+        """Gradient of the kinetic energy of the allowed part of the rates."""
+        motions, rates = given
+
+        def energy(own: Any) -> Array:
+            moving = with_rates(motions, self.allowed((motions, own)))
+            state = self.stepper.leave(moving)
+            total = jnp.zeros((), self.system.dtype)
+            for name, member in self.system.interfaces().items():
+                total = total + member.kinetic_energy(state[name])
+            return total
+
+        return jax.grad(energy)(rates)
+
+    def accelerations(self, motions: Motions) -> Any:
+        """Accelerations that all loads cause at rest."""
+        rest = at_rest(motions)
+        still = rates_of(self.stepper.supported(rest))
+        kicked = rates_of(self.stepper.kick(rest))
+        dt = self.stepper.dt
+        return jax.tree.map(lambda a, b: (a - b) / dt, kicked, still)
+
+    def moved(self, given: tuple[Motions, Any]) -> Motions:
+        """Configuration after a second at rates."""
+        one = jnp.ones((), self.system.dtype)
+        return at_rest(self.stepper.drift(with_rates(*given), one))
+
+    def accelerations_after(self, given: tuple[Motions, Any]) -> Any:
+        """Accelerations after a second at rates."""
+        return self.accelerations(self.moved(given))
+
+    def column(self, given: tuple[Motions, Any]) -> tuple[Any, Any, Any, Any]:
+        """A column of all matrices, for given rates.
+
+        Returns:
+            Accelerations; the allowed part of the rates; its momenta; the change of
+            the accelerations that it causes.
+        """
+        motions, rates = given
+        none = jax.tree.map(jnp.zeros_like, rates)
+        allowed = self.allowed(given)
+        here, change = jax.jvp(
+            lambda own: self.accelerations_after((motions, own)), (none,), (allowed,)
+        )
+        return here, allowed, self.momenta(given), change
+
+    def moved_with_gaps(self, given: tuple[Motions, Any]) -> tuple[Motions, Array]:
+        """Configuration after a second at rates, and what its edges lack.
+
+        Strains should change linearly. Moving at rates stretches the edges of rods by
+        the square of the rotation of their elements, and stretching is far stiffer
+        than bending. Gaps are the differences of displacements that undo this, axis by
+        axis, of all elements of all rods [m].
+        """
+        motions, rates = given
+        moved = self.moved(given)
+        before, after = self.stepper.seen(motions), self.stepper.seen(moved)
+        moving = self.stepper.seen(with_rates(motions, rates))
+        gaps = [jnp.zeros(0, self.system.dtype)]
+        for name, parts in _rods(before):
+            here, there = before[name].motion, after[name].motion
+            now = _edges(there, parts)
+            turning = vectors.cross(
+                _edges(here, parts), moving[name].angular_velocities
+            )
+            local = to_material(directors(here.orientation), vectors.add(now, turning))
+            wanted = to_world(directors(there.orientation), local)
+            gaps += [*vectors.subtract(wanted, now)]
+        return moved, jnp.concatenate(gaps)
+
+    def placed(self, given: tuple[Motions, Any]) -> Motions:
+        """Configuration after a second at rates, with what follows others in place."""
+        return at_rest(self.stepper.supported(self.moved(given)))
+
+    def entered(self, state: SystemState) -> Motions:
+        """Configuration of a state, with what is held and what follows in place."""
+        return self.placed(_still(self.stepper.enter(state)))
+
+    def left(self, given: tuple[Motions, Any]) -> dict[str, Any]:
+        """State of the configuration after a second at rates."""
+        return self.stepper.leave(self.placed(given))
+
+    def with_held(self, given: tuple[Motions, Motions]) -> Motions:
+        """Configuration found, with what supports hold as it was at the start.
+
+        Members are held where they were at the start, or where the numbers of a
+        support say: both have derivatives, while what was found has none.
+        """
+        found, start = given
+        together = {}
+        for name, stepper in self.stepper.members.items():
+            motion, at = found[name], start[name]
+
+            def rates(
+                rate: float, motion: Motion = motion, stepper: Any = stepper
+            ) -> tuple[Vec3, Vec3]:
+                velocity, spin = jax.tree.map(
+                    lambda a: jnp.full_like(a, rate), (motion.velocity, motion.spin)
+                )
+                moving = replace(motion, velocity=velocity, spin=spin)
+                after = stepper.supported(moving)
+                return after.velocity, after.spin
+
+            nodes, elements = jax.tree.map(jnp.subtract, rates(1.0), rates(0.0))
+            turning = jnp.where(elements[0] == 1, 1, elements[1])
+            turning = jnp.where(turning == 1, 1, elements[2])
+            position, orientation = jax.tree.map(
+                lambda free, there, here: jnp.where(free == 1, there, here),
+                (nodes, (turning,) * 4),
+                (motion.position, motion.orientation),
+                (at.position, at.orientation),
+            )
+            together[name] = replace(motion, position=position, orientation=orientation)
+        return self.placed(_still(together))
+
+    def motions_of_the_whole(self, motions: Motions) -> Float[Array, "modes m"]:
+        """Rigid motions of each part, and rotation about d3, in scaled rates.
+
+        A part is a rod of a member, or a body. Each motion is normalised.
+        """
+        units = self.units(motions)
+        still = jax.tree.map(jnp.zeros_like, rates_of(motions))
+        found = []
+        for name, own in self.stepper.seen(motions).items():
+            like = motions[name].velocity, motions[name].spin
+            for rates in rigid_motions(own, self.scales.length):
+                shaped = jax.tree.map(lambda a, b: a.reshape(b.shape), rates, like)
+                found.append(ravel_pytree({**still, name: shaped})[0] / units)
+        whole = jnp.stack(found)
+        return whole / jnp.sqrt(jnp.sum(whole**2, axis=1, keepdims=True))
+
+    # Matrices and vectors of scaled rates.
+
+    def listed(self, motions: Motions) -> StaticProblem:
+        """The problem with neighbours as they are found at a configuration."""
+        seen = self.stepper.seen(motions)
+        found = lax.stop_gradient(searched(self.stepper.couplings, seen))
+        couplings = with_found(self.stepper.couplings, found)
+        return replace(self, stepper=replace(self.stepper, couplings=couplings))
+
+    def units(self, motions: Motions) -> Float[Array, " m"]:
+        """Rates per scaled rate: the scale of length, and inertias of elements."""
+        units = {}
+        for name, own in self.stepper.seen(motions).items():
+            inertias = jnp.max(own.parts.inertias, axis=0)
+            units[name] = (
+                tuple(
+                    jnp.full_like(c, self.scales.length) for c in motions[name].velocity
+                ),
+                tuple(inertias.reshape(c.shape) for c in motions[name].spin),
+            )
+        return ravel_pytree(units)[0]
+
+    def rates(self, motions: Motions, scaled: Float[Array, " m"]) -> Any:
+        """Rates of all members."""
+        _, tree_of = ravel_pytree(rates_of(motions))
+        return tree_of(scaled * self.units(motions))
+
+    def linear(self, motions: Motions) -> Linear:
+        """The problem about a configuration."""
+        motions = jax.tree.map(lax.optimization_barrier, motions)
+        problem, units = self.listed(motions), self.units(motions)
+        _, tree_of = ravel_pytree(rates_of(motions))
+        numbers = jnp.arange(units.size)
+
+        def column(number: Array) -> tuple[Array, ...]:
+            rates = tree_of(jnp.where(numbers == number, units, 0))
+            parts = by_kernel(problem, "column", (motions, rates))
+            here, allowed, momenta, change = (ravel_pytree(p)[0] for p in parts)
+            return here / units, allowed / units, momenta * units, change / units
+
+        here, projection, mass, change = lax.map(column, numbers)
+        mass = 0.5 * (mass + mass.T)
+        # Some members do not turn: nothing resists it, and nothing moves.
+        moves = jnp.diagonal(mass) > 0
+        return Linear(
+            motions=motions,
+            loads=mass @ here[0],
+            stiffness=-mass @ change.T,
+            mass=mass,
+            projection=jnp.where(moves[None, :], projection.T, 0),
+        )
+
+    def moved_along_edges(self, here: Linear, scaled: Float[Array, " m"]) -> Motions:
+        """Configuration after scaled rates, to first order; strains change linearly.
+
+        Displacements close the gaps of the edges, in the sense of least squares where
+        ties and supports leave no other way.
+        """
+        _, tree_of = ravel_pytree(rates_of(here.motions))
+        rates = self.rates(here.motions, scaled)
+        moved, gaps = by_kernel(self, "moved_with_gaps", (here.motions, rates))
+        first, second = self._places_of_edges(here.motions)
+        rows = np.arange(len(first))
+        differences = jnp.zeros((len(first), scaled.size), scaled.dtype)
+        differences = differences.at[rows, first].set(-1).at[rows, second].set(1)
+        # Bodies are displaced but not turned.
+        allowed = here.projection * is_displacement(here.motions)[None, :]
+        along = differences @ allowed
+        others = jnp.eye(scaled.size, dtype=scaled.dtype) - allowed
+        matrix = along.T @ along + others.T @ others
+        anchor = max(ANCHOR, ROUNDINGS * float(jnp.finfo(scaled.dtype).eps))
+        matrix = matrix + anchor * jnp.eye(scaled.size, dtype=scaled.dtype)
+        closing = jax.scipy.linalg.solve(matrix, along.T @ gaps, assume_a="pos")
+        closed: Motions = by_kernel(self, "placed", (moved, tree_of(closing)))
+        return closed
+
+    def _places_of_edges(self, motions: Motions) -> tuple[np.ndarray, np.ndarray]:
+        """Places of the two nodes of each gap, among all unknowns."""
+        leaves, tree = jax.tree.flatten(rates_of(motions))
+        ends = np.cumsum([leaf.size for leaf in leaves])
+        places = [
+            np.arange(end - leaf.size, end)
+            for leaf, end in zip(leaves, ends, strict=True)
+        ]
+        numbers = jax.tree.unflatten(tree, places)
+        none = np.zeros(0, int)
+        first, second = [none], [none]
+        for name, parts in _rods(self.stepper.seen(motions)):
+            for component in numbers[name][0]:
+                rows = component.reshape(parts.count, parts.n_elements + 1)
+                first.append(rows[:, :-1].ravel())
+                second.append(rows[:, 1:].ravel())
+        return np.concatenate(first), np.concatenate(second)
+
+
+def static_problem(
+    system: Assembly, state: SystemState
+) -> tuple[StaticProblem, Motions]:
+    """The static problem of a system, and the configuration of a state."""
+    scales = scales_of(system)
+    stepper = system.stepper(state, INSTANT * scales.time)
+    problem = StaticProblem(system, stepper, scales)
+    bare = {name: state[name] for name in system.members}
+    start: Motions = by_kernel(problem, "entered", bare)
+    return problem, start
+
+
+def rates_of(motions: Motions) -> Any:
+    """Velocities and spins of all members."""
+    return {k: (motion.velocity, motion.spin) for k, motion in motions.items()}
+
+
+def with_rates(motions: Motions, rates: Any) -> Motions:
+    """Motions at one configuration with other rates."""
+    return {
+        k: replace(motion, velocity=rates[k][0], spin=rates[k][1])
+        for k, motion in motions.items()
+    }
+
+
+def at_rest(motions: Motions) -> Motions:
+    """Motions with zero rates."""
+    return {k: motion.at_rest for k, motion in motions.items()}
+
+
+def is_displacement(motions: Motions) -> Bool[Array, " m"]:
+    """Whether an unknown is a displacement, and not a rotation."""
+    flags = {
+        k: (
+            jax.tree.map(jnp.ones_like, motion.velocity),
+            jax.tree.map(jnp.zeros_like, motion.spin),
+        )
+        for k, motion in motions.items()
+    }
+    return ravel_pytree(flags)[0] > 0
+
+
+def _still(motions: Motions) -> tuple[Motions, Any]:
+    """A configuration and zero rates."""
+    return motions, jax.tree.map(jnp.zeros_like, rates_of(motions))
+
+
+def _rods(seen: dict[str, Seen]) -> list[tuple[str, Parts]]:
+    """Names and constants of the members that are rods."""
+    return [(k, seen[k].parts) for k in sorted(seen) if seen[k].parts.is_rod]
+
+
+def _edges(motion: Motion, parts: Parts) -> Vec3:
+    """Vectors from each node to the next of each rod, all elements in one row [m]."""
+
+    def differences(component: Array) -> Array:
+        rows = component.reshape(parts.count, parts.n_elements + 1)
+        return (rows[:, 1:] - rows[:, :-1]).reshape(-1)
+
+    x, y, z = map(differences, motion.position)
+    if motion.remainder is None:
+        return x, y, z
+    u, v, w = map(differences, motion.remainder)
+    return vectors.subtract((x, y, z), (u, v, w))

@@ -1,0 +1,307 @@
+"""Equilibria of systems, their derivatives and small motions about them."""
+
+from dataclasses import replace
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import jaxrod
+from jaxrod import shapes, systems
+from systems.members import rod
+from systems.test_settled import two_halves
+
+G = 9.81
+
+
+def pendulum(n=4, mass=0.3, size=0.02):
+    """A rod clamped at one end with a ball at the other, under gravity; and its state.
+
+    The ball is attached at its middle, so it pulls like a force.
+    """
+    arm, of_arm = rod(n, 0.4)
+    tip = tuple(np.asarray(of_arm.tip))
+    ball, of_ball = systems.rigid_body(
+        shapes.sphere(tip, size),
+        mass=mass,
+        effects=(jaxrod.gravity((0.0, 0.0, -G)),),
+    )
+    state = {"arm": of_arm, "ball": of_ball}
+    system = jaxrod.make_system(
+        {"arm": jaxrod.make_scene(arm, jaxrod.clamp(of_arm)), "ball": ball},
+        systems.attach(("arm", "tip"), ("ball",), state, turning=True),
+        state=state,
+    )
+    return system, state
+
+
+def by_ball_and_by_force():
+    """Tip of a rod with a ball, and of one under its weight, by the ball's mass."""
+    system, state = pendulum()
+    arm = system.members["arm"]
+
+    def of_ball(mass):
+        ball = replace(system.members["ball"], masses=mass[None])
+        heavy = replace(system, members={**system.members, "ball": ball})
+        found = jaxrod.equilibrium(heavy, state)
+        return found.state["arm"].tip, found
+
+    def of_force(mass):
+        weight = jnp.stack([jnp.zeros(()), jnp.zeros(()), -G * mass])
+        scene = jaxrod.make_scene(arm.rod, *arm.effects, jaxrod.end_load(weight))
+        found = jaxrod.equilibrium(scene, state["arm"])
+        return found.state.tip, found
+
+    return of_ball, of_force
+
+
+def test_a_ball_at_the_tip_pulls_like_its_weight(record):
+    of_ball, of_force = by_ball_and_by_force()
+    mass = jnp.asarray(0.3)
+    (tip, found), (wanted, single) = of_ball(mass), of_force(mass)
+    assert found.converged and found.stable and single.converged
+    # A ball that turns about its middle: nothing resists that.
+    assert found.loose and not single.loose
+    assert abs(wanted[2]) > 0.1
+    record(
+        "a ball at the tip of a rod, equilibrium of the system [lengths]",
+        "equilibrium of the rod under its weight",
+        np.max(np.abs(tip - wanted)) / 0.4,
+        at_most=1e-12,
+    )
+    assert found.force_residual < 1e-9 and found.couple_residual < 1e-10
+    np.testing.assert_allclose(found.state["ball"].positions[:, 0], tip, atol=1e-15)
+    for name, own in found.state.items():
+        assert all(np.all(np.asarray(rate) == 0) for rate in own.rates), name
+
+
+@pytest.mark.slow
+def test_what_a_heavier_ball_changes_is_what_a_larger_force_changes(record):
+    of_ball, of_force = by_ball_and_by_force()
+    mass, one = jnp.asarray(0.3), jnp.ones(())
+    _, slope, _ = jax.jvp(of_ball, (mass,), (one,), has_aux=True)
+    _, steep, _ = jax.jvp(of_force, (mass,), (one,), has_aux=True)
+    record(
+        "derivative of an equilibrium by the mass of a ball at the tip, relative",
+        "that of the rod's equilibrium by its load",
+        np.max(np.abs(slope - steep)) / np.max(np.abs(steep)),
+        at_most=1e-10,
+    )
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("dtype", [jnp.float64, jnp.float32])
+def test_two_welded_halves_are_where_the_whole_is(dtype, record):
+    """Two loads in one batch, and the gradient in reverse mode."""
+    system, state, scene, of_whole = two_halves()
+    system, state, scene, of_whole = jax.tree.map(
+        lambda a: a.astype(dtype) if jnp.issubdtype(a.dtype, jnp.floating) else a,
+        (system, state, scene, of_whole),
+    )
+
+    def loaded(force):
+        own = system.members["right"]
+        own = jaxrod.make_scene(own.rod, *own.effects, jaxrod.end_load(force))
+        heavy = replace(system, members={**system.members, "right": own})
+        found = jaxrod.equilibrium(heavy, state)
+        return jnp.sum(found.state["right"].tip), found
+
+    def alone(force):
+        own = jaxrod.make_scene(scene.rod, *scene.effects, jaxrod.end_load(force))
+        found = jaxrod.equilibrium(own, of_whole)
+        return jnp.sum(found.state.tip), found
+
+    forces = jnp.asarray([[0.0, 0.03, -0.12], [0.1, 0.0, 0.3]], dtype)
+    slopes, found = jax.jit(jax.vmap(jax.grad(loaded, has_aux=True)))(forces)
+    wanted, single = jax.vmap(jax.grad(alone, has_aux=True))(forces)
+    assert np.all(found.converged) and np.all(found.stable)
+    assert not np.any(found.loose)
+    fine = dtype == jnp.float64
+    record(
+        f"two welded halves under end loads, {jnp.dtype(dtype).name} [lengths]",
+        "equilibrium of one rod",
+        np.max(np.abs(found.state["right"].tip - single.state.tip)) / 0.4,
+        at_most=1e-11 if fine else 1e-3,
+    )
+    record(
+        f"gradient by the load, reverse mode, {jnp.dtype(dtype).name}, relative",
+        "that of one rod",
+        np.max(np.abs(slopes - wanted)) / np.max(np.abs(wanted)),
+        at_most=1e-9 if fine else 1e-2,
+    )
+
+
+@pytest.mark.slow
+def test_derivatives_of_derivatives_are_those_of_differences():
+    system, state = pendulum(2)
+
+    def height(mass):
+        ball = replace(system.members["ball"], masses=mass[None])
+        heavy = replace(system, members={**system.members, "ball": ball})
+        return jaxrod.equilibrium(heavy, state, tolerance=1e-10).state["arm"].tip[2]
+
+    slope = jax.jit(jax.jacfwd(height))
+    mass, h = jnp.asarray(0.3), 1e-4
+    curve = jax.jit(jax.jacfwd(jax.jacfwd(height)))(mass)
+    finite = (slope(mass + h) - slope(mass - h)) / (2 * h)
+    np.testing.assert_allclose(curve, finite, rtol=1e-6)
+
+
+@pytest.mark.slow
+def test_a_column_that_buckles_goes_where_it_is_pushed():
+    """Twice Euler's load: straight is an equilibrium, not a stable one."""
+    system, state, scene, of_whole = two_halves()
+    rigid = float(scene.rod.bend_twist_stiffness[0, 0])
+    euler = (np.pi / 2) ** 2 * rigid / 0.4**2
+
+    def loaded(aside):
+        force = jnp.asarray([-2 * euler, 0.0, aside])
+        own = system.members["right"]
+        own = jaxrod.make_scene(own.rod, *own.effects, jaxrod.end_load(force))
+        heavy = replace(system, members={**system.members, "right": own})
+        return jaxrod.equilibrium(heavy, state)
+
+    straight, bent = loaded(0.0), loaded(1e-3 * euler)
+    assert straight.converged and not straight.stable
+    assert bent.converged and bent.stable
+    own = jaxrod.make_scene(
+        scene.rod,
+        *scene.effects,
+        jaxrod.end_load(jnp.asarray([-2 * euler, 0.0, 1e-3 * euler])),
+    )
+    from_there = replace(
+        of_whole,
+        positions=jnp.concatenate(
+            [bent.state["left"].positions, bent.state["right"].positions[:, 1:]], axis=1
+        ),
+        orientations=jnp.concatenate(
+            [bent.state["left"].orientations, bent.state["right"].orientations], axis=1
+        ),
+    )
+    single = jaxrod.equilibrium(own, from_there)
+    assert single.converged and single.stable and single.iterations <= 2
+    np.testing.assert_allclose(bent.state["right"].tip, single.state.tip, atol=1e-10)
+
+
+@pytest.mark.slow
+def test_an_octopus_that_nothing_holds_rests_where_it_does_not_drift():
+    """Its arms sag alike about a head that floats; the whole stays where it was."""
+    load = jaxrod.end_load((0.0, 0.0, -2e-4))
+    system, state = jaxrod.assemblies.octopus(4, 4, effects=(load,))
+    # Forces on tips down and on the head up add up to nothing.
+    head = system.members["head"]
+    lift = jaxrod.gravity((0.0, 0.0, float(4 * 2e-4 / head.masses[0])))
+    head = replace(head, effects=(lift,))
+    system = replace(system, members={**system.members, "head": head})
+    found = jaxrod.equilibrium(system, state)
+    assert found.converged and found.stable and found.loose
+    tips = found.state["arms"].tip
+    np.testing.assert_allclose(tips[:, 2], tips[0, 2], atol=1e-9)
+    assert tips[0, 2] - found.state["head"].positions[2, 0] < -0.004
+    settled = systems.settled(system, state, max_steps=400_000)
+    assert settled.converged
+    np.testing.assert_allclose(
+        tips[:, 2] - found.state["head"].positions[2, 0],
+        settled.state["arms"].tip[:, 2] - settled.state["head"].positions[2, 0],
+        atol=1e-6,
+    )
+
+
+@pytest.mark.slow
+def test_ropes_that_cross_rest_where_two_elasticae_do(record):
+    """With lists of neighbours, from ropes that do not touch."""
+    from systems.resting_ropes import LENGTH, nodes_of, resting_ropes, two_elasticae
+
+    found, _ = two_elasticae()
+    shapes_at = {}
+    for n in (16, 32):
+        rest = nodes_of(found, n)
+        contact = systems.crossing_contact(
+            *rest, stiffness=1e3, damping=0.1, lists=systems.neighbour_lists()
+        )
+        system, state = resting_ropes(n, rest, contact)
+        there = jaxrod.equilibrium(system.at(0.0), state)
+        assert there.converged and there.stable
+        shapes_at[n] = max(
+            np.max(np.abs(np.asarray(there.state[name].positions) - rest[name]))
+            for name in rest
+        )
+    record(
+        "ropes of 32 elements that cross, equilibrium: shape [lengths]",
+        "two elasticae with a load in the middle",
+        shapes_at[32] / LENGTH,
+        at_most=1.5e-3,
+    )
+    assert shapes_at[32] < 0.5 * shapes_at[16]
+
+
+@pytest.mark.slow
+def test_frequencies_of_two_halves_are_those_of_the_whole(record):
+    system, state, scene, of_whole = two_halves()
+    found = jaxrod.natural_frequencies(system, state)
+    wanted = jaxrod.natural_frequencies(scene, of_whole)
+    assert found.shape == wanted.shape
+    record(
+        "all frequencies of two welded halves, relative",
+        "those of one rod",
+        np.max(np.abs(found / wanted - 1)),
+        at_most=1e-10,
+    )
+    np.testing.assert_array_equal(
+        jaxrod.natural_frequencies(system, state, 3), found[:3]
+    )
+    with pytest.raises(ValueError, match=f"at most {found.size}"):
+        jaxrod.natural_frequencies(system, state, found.size + 1)
+
+
+def test_frequencies_of_a_ball_on_a_spring_are_its_own():
+    """The ball carries the mass of the node that is attached to it."""
+    system, state = pendulum(2, mass=5.0)
+    ball, arm = system.members["ball"], system.members["arm"]
+    still = replace(ball, effects=())
+    system = replace(system, members={**system.members, "ball": still})
+    slowest = jaxrod.natural_frequencies(system, state)
+    free = np.sum(slowest < 1e-3)
+    assert free == 3
+    bending = float(arm.rod.bend_twist_stiffness[0, 0])
+    stiffness = 3 * bending / 0.4**3
+    expected = np.sqrt(stiffness / 5.0)
+    # Two elements, and a mass far above that of the rod.
+    np.testing.assert_allclose(slowest[3:5], expected, rtol=0.1)
+    np.testing.assert_allclose(slowest[3], slowest[4], rtol=1e-9)
+
+
+def test_bad_input():
+    system, state = pendulum(2)
+    for words, options in {
+        "tolerance must be positive, got 0": {"tolerance": 0.0},
+        "max_iterations must be at least 1, got 0": {"max_iterations": 0},
+    }.items():
+        with pytest.raises(ValueError, match=words):
+            jaxrod.equilibrium(system, state, **options)
+    with pytest.raises(ValueError, match="state must have the members"):
+        jaxrod.equilibrium(system, {"arm": state["arm"]})
+    arm = system.members["arm"]
+    published = replace(arm, method=jaxrod.pyelastica())
+    other = jaxrod.make_system({"arm": published})
+    of_arm = {"arm": state["arm"]}
+    for function in (jaxrod.equilibrium, jaxrod.natural_frequencies):
+        with pytest.raises(ValueError, match="'arm': statics need the consistent law"):
+            function(other, of_arm)
+    swing = jaxrod.schedules.sine((0.0, 0.0, 1.0), 1.0)
+    moving = jaxrod.make_scene(arm.rod, *arm.effects, jaxrod.end_load(swing))
+    with pytest.raises(ValueError, match=r"a schedule: give system\.at"):
+        jaxrod.equilibrium(jaxrod.make_system({"arm": moving}), of_arm)
+    with pytest.raises(ValueError, match=r"traced by jax\.jit"):
+        jax.jit(jaxrod.natural_frequencies, static_argnums=2)(system, state, 1)
+
+
+def test_nothing_balances_the_weight_of_a_ball_that_nothing_holds():
+    ball, of_ball = systems.rigid_body(
+        shapes.sphere((0, 0, 0), 0.1), density=1000.0, effects=(jaxrod.gravity(),)
+    )
+    found = jaxrod.equilibrium(
+        jaxrod.make_system({"ball": ball}), {"ball": of_ball}, max_iterations=5
+    )
+    assert not found.converged and found.loose
