@@ -6,9 +6,10 @@ import os
 
 import numpy as np
 import pytest
+from matplotlib.figure import Figure
 from matplotlib.image import imread
 
-from jaxrod.viz import ReferenceScore, learning_curve
+from jaxrod.viz import ReferenceScore, curves, learning_curve
 
 REFERENCE = ReferenceScore("paper, PPO", 10652.0, 665.0, 10.9)
 
@@ -93,3 +94,26 @@ def test_a_failed_drawing_leaves_the_old_picture(tmp_path, monkeypatch):
         learning_curve(progress, out)
     assert out.read_bytes() == b"old"
     assert sorted(p.name for p in tmp_path.iterdir()) == ["out.png", "progress.csv"]
+
+
+def test_the_upper_axis_is_the_mean_clock_of_the_runs_from_zero():
+    """One run stops early: its pace is kept up to the last step of the other."""
+    axes = Figure().add_subplot()
+    steps, wall = np.array([5.0, 10.0]), np.array([100.0, 200.0])
+    runs = [
+        curves.Curve(steps, wall, steps, "run"),
+        curves.Curve(steps / 2, wall, steps, "run"),
+    ]
+    axes.set_xlim(0, 10)
+    curves._clock(axes, runs, 10.0)
+    (top,) = axes.child_axes
+    # 20 and 40 s a step: 30 s, half a minute.
+    shown = {
+        text.get_text(): place
+        for text, place in zip(top.get_xticklabels(), top.get_xticks(), strict=True)
+    }
+    # The whole clock: five minutes, from zero.
+    assert "0" in shown and 4 < max(map(float, shown)) <= 5 and len(shown) >= 5
+    for minutes, place in shown.items():
+        np.testing.assert_allclose(place, 2 * float(minutes), rtol=1e-6, atol=1e-9)
+    assert "wall-clock time, mean of the runs [min]" in top.get_xlabel()
