@@ -330,8 +330,9 @@ def test_slopes_through_a_touch_are_those_of_finite_differences():
     # Within all limits, where the return has a slope.
     actions = jnp.tile(jnp.asarray([0.9, 0.02, -0.01, 0.93]), (4, 1))
     actions = actions.at[:, 0].set(jnp.asarray([0.3, 0.95, 0.9, 0.95]))
-    # Its program takes three and a half times as long to compile with optimisation.
-    assert gradient_error(env, actions, params, 1e-6, optimised=False) < 1e-6
+    # A touch begins within 1e-6 of these actions, where the slope changes. The program
+    # takes three and a half times as long to compile with optimisation.
+    assert gradient_error(env, actions, params, 1e-7, optimised=False) < 1e-6
 
 
 @pytest.mark.slow
