@@ -75,10 +75,10 @@ def equilibrium(
     or not: check `stable`. That of systems prefers the stable ones, because it goes
     where loads push.
 
-    A rod costs as much as its number of elements; with effects that couple distant
-    parts, and for systems, the matrices are dense: six unknowns for each element, each
-    body and each end of a rod. A thousand unknowns take tens of milliseconds for each
-    correction, three thousand a second.
+    The cost of a correction grows with the number of elements for one rod. With effects
+    that couple distant parts, and for systems, matrices are dense, with six unknowns
+    for each element and each body: each column costs a system a few of its steps, and
+    solving grows with the cube of the unknowns.
 
     Args:
         scene: The scene or system, at one moment; an effect must hold the rod of a
@@ -86,8 +86,9 @@ def equilibrium(
         state: Initial guess; held components are held at its values. Its velocities
             do not matter.
         tolerance: Iteration ends after a correction below this many element lengths
-            and radians; by default 1e-7, or 3e-4 in single precision.
-        max_iterations: Largest number of corrections, taken or not.
+            and radians; by default 1e-7, or in single precision 3e-4, and 3e-3 for
+            systems.
+        max_iterations: Largest number of corrections tried, accepted or not.
 
     Returns:
         The state at rest, and how well the loads balance there.
@@ -105,12 +106,19 @@ def equilibrium(
 
 
 def search_limits(
-    tolerance: ArrayLike | None, max_iterations: int, dtype: Any
+    tolerance: ArrayLike | None, max_iterations: int, dtype: Any, coarse: float = 3e-4
 ) -> tuple[Array, Array]:
-    """Checked limits of a search, with the default tolerance of a dtype."""
+    """Checked limits of a search.
+
+    Args:
+        tolerance: Tolerance, or `None` for the default.
+        max_iterations: Largest number of corrections tried.
+        dtype: Type of the numbers.
+        coarse: Default tolerance in single precision.
+    """
     most = check_count("max_iterations", max_iterations, 1)
     if tolerance is None:
-        tolerance = default_tolerance(dtype)
+        tolerance = coarse if jnp.finfo(dtype).bits <= 32 else default_tolerance(dtype)
     bound = as_array("tolerance", tolerance, "", positive=True, dtype=dtype)
     return bound, jnp.asarray(most)
 

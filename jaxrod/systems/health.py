@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import functools
-from dataclasses import replace
 from typing import Any
 
 import jax
@@ -15,6 +14,7 @@ from jaxrod.structure import pytree
 from jaxrod.systems.contact.neighbour_lists import RECORD, NeighbourRecord, no_record
 from jaxrod.systems.energies import seen_at_rest
 from jaxrod.systems.stepping.assembly import Assembly, SystemState
+from jaxrod.systems.stepping.listing import with_shortage
 
 
 @pytree
@@ -72,14 +72,7 @@ def system_health(
     worst = functools.reduce(
         jnp.maximum, [value for value in found if value is not None], zero
     )
-    record = state.get(RECORD, no_record(system.dtype))
-    for coupling in couplings:
-        if coupling.refresh_every is not None:
-            record = replace(
-                record,
-                missed=jnp.maximum(record.missed, coupling.found.missed),
-                used=jnp.maximum(record.used, jnp.max(coupling.found.used)),
-            )
+    record = with_shortage(state.get(RECORD, no_record(system.dtype)), couplings)
     # Written so that NaN counts as wrong.
     return SystemHealth(
         members,

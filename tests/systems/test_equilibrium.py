@@ -305,3 +305,113 @@ def test_nothing_balances_the_weight_of_a_ball_that_nothing_holds():
         jaxrod.make_system({"ball": ball}), {"ball": of_ball}, max_iterations=5
     )
     assert not found.converged and found.loose
+
+
+@pytest.mark.slow
+def test_the_whole_of_a_free_system_stays_where_it_was():
+    """Rods that are curved at rest, on a heavy ball: nothing pushes the whole."""
+    arm, of_arm = rod(4, 0.3)
+    ball, of_ball = systems.rigid_body(shapes.sphere((-0.05, 0, 0), 0.05), mass=50.0)
+    state = {"arm": of_arm, "ball": of_ball}
+    joined = systems.attach(("arm", "base"), ("ball",), state)
+
+    def at_rest(curvature):
+        curved = jnp.zeros((3, 3)).at[1].set(curvature)
+        bent = replace(arm, rest_curvatures=curved)
+        system = jaxrod.make_system(
+            {"arm": jaxrod.make_scene(bent), "ball": ball}, joined
+        )
+        return jaxrod.equilibrium(system, state, tolerance=1e-10)
+
+    def middle(found):
+        masses = arm.node_masses
+        own = jnp.sum(masses[None, :] * found["arm"].positions, axis=1)
+        return (own + 50.0 * found["ball"].positions[:, 0]) / (50.0 + jnp.sum(masses))
+
+    found = at_rest(4.0)
+    assert found.converged and found.stable and found.loose
+    assert np.max(np.abs(found.state["arm"].positions - of_arm.positions)) > 0.1
+    np.testing.assert_allclose(middle(found.state), middle(state), atol=1e-12)
+    slope = jax.jacfwd(lambda c: middle(at_rest(c).state))(4.0)
+    np.testing.assert_allclose(slope, 0, atol=1e-12)
+
+
+def test_what_falls_is_not_at_rest_however_light_it_is():
+    """Beside a rod so stiff that the weight is nothing to it."""
+    arm, of_arm = rod(2, 1.0, youngs_modulus=2e11)
+    dust, of_dust = systems.rigid_body(
+        shapes.sphere((0, 0, 1), 1e-3), mass=1e-6, effects=(jaxrod.gravity(),)
+    )
+    system = jaxrod.make_system(
+        {"arm": jaxrod.make_scene(arm, jaxrod.clamp(of_arm)), "dust": dust}
+    )
+    state = {"arm": of_arm, "dust": of_dust}
+    found = jaxrod.equilibrium(system, state, max_iterations=5)
+    assert found.loose and not found.converged and not found.stable
+
+
+@pytest.mark.slow
+def test_a_light_body_that_carries_a_heavy_node_turns_like_both():
+    arm, of_arm = rod(4, 0.4)
+    beside = (0.43, 0.0, 0.0)
+    load = jaxrod.end_load((0.0, 0.0, -0.8))
+    single = jaxrod.equilibrium(
+        jaxrod.make_scene(arm, jaxrod.clamp(of_arm), load), of_arm
+    )
+    light, of_light = systems.rigid_body(shapes.sphere(beside, 3e-3), mass=1e-4)
+    state = {"arm": of_arm, "body": of_light}
+    system = jaxrod.make_system(
+        {"arm": jaxrod.make_scene(arm, jaxrod.clamp(of_arm), load), "body": light},
+        systems.attach(("arm", "tip"), ("body",), state),
+    )
+    found = jaxrod.equilibrium(system, state)
+    assert found.converged and found.stable and found.iterations <= 10
+    np.testing.assert_allclose(found.state["arm"].tip, single.state.tip, atol=1e-10)
+
+
+@pytest.mark.slow
+def test_loose_turns_are_found_far_from_the_origin():
+    """A free rod that was bent straight takes its curved shape again."""
+
+    def shape(start):
+        left, of_left = rod(3, 0.2, start)
+        right, of_right = rod(3, 0.2, (start[0] + 0.2, *start[1:]))
+        curved = jnp.zeros((3, 2)).at[1].set(2.0)
+        state = {"left": of_left, "right": of_right}
+        system = jaxrod.make_system(
+            {
+                "left": jaxrod.make_scene(replace(left, rest_curvatures=curved)),
+                "right": jaxrod.make_scene(replace(right, rest_curvatures=curved)),
+            },
+            systems.weld(("left", "tip"), ("right", "base"), state),
+        )
+        found = jaxrod.equilibrium(system, state)
+        assert found.converged and found.stable and found.loose
+        return found.state["right"].tip - jnp.asarray(start)
+
+    near = shape((0.0, 0.0, 0.0))
+    np.testing.assert_allclose(shape((100.0, 50.0, 20.0)), near, atol=1e-8)
+
+
+@pytest.mark.slow
+def test_lists_without_room_are_not_at_rest():
+    """Two rods, one of which is pushed through the other that is not in its list."""
+    lower, of_lower = rod(4, 0.4)
+    upper, of_upper = rod(4, 0.4, (0.2, -0.2, 0.041), (0, 1, 0))
+    state = {"lower": of_lower, "upper": of_upper}
+    members = {
+        "lower": jaxrod.make_scene(lower, jaxrod.clamp(of_lower)),
+        "upper": jaxrod.make_scene(
+            upper, jaxrod.clamp(of_upper), jaxrod.end_load((0.0, 0.0, -0.3))
+        ),
+    }
+
+    def at_rest(lists):
+        contact = systems.rod_contact("lower", "upper", stiffness=1e4, lists=lists)
+        system = jaxrod.make_system(members, contact, state=state)
+        return jaxrod.equilibrium(system, state | jaxrod.with_memory(system, state))
+
+    enough = at_rest(systems.neighbour_lists())
+    assert enough.converged and not enough.state["neighbours"].overflow
+    few = at_rest(systems.neighbour_lists(pairs=1, candidates=1, cell_slots=0))
+    assert few.state["neighbours"].overflow and not few.converged

@@ -9,14 +9,14 @@ where the motion has no momentum, exactly and whatever its stiffness:
 $$(K + \sigma\,u u^T)\,r = g, \quad m\cdot g = 0 \quad\Rightarrow\quad
   u\cdot r = 0, \quad K r = g.$$
 
-What is looked at are the rigid motions of each rod and body, the rotation of all
-elements of a rod about their own axes, and all their sums.
+The candidates are the rigid motions of each rod and body, the rotation of all elements
+of a rod about their own axes, and all linear combinations of these.
 """
 
 from __future__ import annotations
 
 import jax.numpy as jnp
-from jaxtyping import Array, Float
+from jaxtyping import Array, Bool, Float
 
 from jaxrod.lanes.steps import by_kernel
 from jaxrod.systems.statics.problem import Linear, StaticProblem
@@ -29,7 +29,7 @@ _LEAST = 0.01
 
 
 def loose_motions(problem: StaticProblem, here: Linear) -> Float[Array, "modes m"]:
-    """Independent motions that nothing resists, in scaled rates.
+    """Independent motions that nothing resists, in scaled rates, of size one.
 
     Returns:
         As many as there are rigid motions; zeros in place of those that are resisted.
@@ -42,18 +42,28 @@ def loose_motions(problem: StaticProblem, here: Linear) -> Float[Array, "modes m
     barred = whole.T - here.projection @ whole.T
     both = jnp.concatenate([resisted, barred])
     _, resistance, mixtures = jnp.linalg.svd(both, full_matrices=False)
-    none = resistance <= _ROUNDINGS * jnp.finfo(resistance.dtype).eps
+    none = resistance <= _ROUNDINGS * problem.rounding(here.motions)
     found = jnp.where(none[:, None], mixtures, 0) @ whole
-    # The turn of a straight rod about its axis, less that of all its elements about
-    # theirs, is nothing but round-off.
-    real = jnp.sum(found**2, axis=1, keepdims=True) > _LEAST**2
-    return jnp.where(real, found, 0)
+    # Candidates may depend on each other: the turn of a straight rod about its axis,
+    # less that of all its elements about theirs, is nothing but round-off.
+    _, sizes, independent = jnp.linalg.svd(found, full_matrices=False)
+    return jnp.where((sizes > _LEAST)[:, None], independent, 0)
+
+
+def are_driven(
+    problem: StaticProblem, here: Linear, motions: Float[Array, "modes m"]
+) -> Bool[Array, ""]:
+    """Whether loads drive loose motions by more than their round-off."""
+    work = jnp.abs(motions @ here.loads)
+    sizes = jnp.sum(jnp.abs(here.stiffness), axis=1)
+    rounding = _ROUNDINGS * problem.rounding(here.motions)
+    return jnp.any(work > rounding * (jnp.abs(motions) @ sizes))
 
 
 def held(
     problem: StaticProblem, here: Linear, motions: Float[Array, "modes m"]
 ) -> Float[Array, "m m"]:
-    """Stiffness with springs against loose motions, and regular for barred rates."""
+    """Stiffness with springs along loose motions, and against barred rates."""
     momenta = motions @ here.mass
     inertia = jnp.sum(momenta * motions, axis=1)
     free = inertia > 0

@@ -15,7 +15,7 @@ from jax import lax
 from jaxtyping import Array, Bool, Float, Int
 
 from jaxrod.structure import pytree
-from jaxrod.systems.statics.loose_motions import held, loose_motions
+from jaxrod.systems.statics.loose_motions import are_driven, held, loose_motions
 from jaxrod.systems.statics.problem import Linear, StaticProblem, is_displacement
 from jaxrod.systems.stepping.stepper import Motions
 
@@ -40,8 +40,10 @@ class Search:
     """The problem at the configuration."""
     stiffness: Float[Array, "m m"]
     """Stiffness, regular for rates that are not allowed and for loose motions [J]."""
-    loose: Bool[Array, ""]
-    """Whether there are loose motions."""
+    loose: Float[Array, "modes m"]
+    """Motions that nothing resists; zeros in place of others."""
+    driven: Bool[Array, ""]
+    """Whether loads drive one of them."""
     factors: tuple[Array, Array]
     """Factors of the matrix of the correction."""
     step: Float[Array, " m"]
@@ -70,7 +72,7 @@ def newton(
         start: Configuration to start from.
         tolerance: The search ends after a correction of less than this many element
             lengths and radians.
-        max_iterations: Largest number of trials.
+        max_iterations: Largest number of corrections tried, accepted or not.
     """
     displaced = is_displacement(start)
     count, dtype = displaced.size, problem.system.dtype
@@ -87,7 +89,8 @@ def newton(
 
     def improve(search: Search) -> Search:
         before, step, share = search.here, search.step, search.share
-        here = problem.linear(problem.moved_along_edges(before, share * step))
+        moved = problem.moved_along_edges(before, share * step, search.loose)
+        here = problem.linear(moved)
         pushed = search.inertia * before.mass @ step
         expected = (1 - share) * before.loads + share * pushed
         left = jax.scipy.linalg.lu_solve(search.factors, here.loads - expected)
@@ -96,7 +99,7 @@ def newton(
         first = search.trials == 0
         # Below the tolerance what is left may be round-off.
         little = jnp.max(jnp.abs(share * step) * fine) <= tolerance
-        done = ~first & little & (search.inertia == 0)
+        done = ~first & little & (search.inertia == 0) & ~search.driven
         taken = first | done | ((ratio <= LEFT) & (work > 0))
         own = jnp.dot(step, before.mass @ step)
         resisted = jnp.abs(work - search.inertia * own)
@@ -118,7 +121,8 @@ def newton(
         return Search(
             here=here,
             stiffness=stiffness,
-            loose=jnp.max(jnp.abs(loose)) > 0,
+            loose=loose,
+            driven=are_driven(problem, here, loose),
             factors=factors,
             step=step,
             share=1 / jnp.maximum(1, jnp.max(jnp.abs(step) / most)),
@@ -135,5 +139,9 @@ def newton(
     here = Linear(start, vector, one, one, one)
     factors = one, jnp.arange(count, dtype=jnp.int32)
     # The first trial is the start itself.
-    begin = Search(here, one, no, factors, vector, zero, zero, zero, none, none, no)
+    modes = len(jax.eval_shape(problem.motions_of_the_whole, start))
+    loose = jnp.zeros((modes, count), dtype)
+    begin = Search(
+        here, one, loose, no, factors, vector, zero, zero, zero, none, none, no
+    )
     return lax.while_loop(unfinished, improve, begin)

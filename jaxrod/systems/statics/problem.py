@@ -34,7 +34,7 @@ from jaxrod.lanes.steps import by_kernel
 from jaxrod.rods.motion import Motion
 from jaxrod.structure import pytree
 from jaxrod.systems.members.parts import Parts, Seen
-from jaxrod.systems.statics.rigid_motions import rigid_motions
+from jaxrod.systems.statics.rigid_motions import rigid_motions, spins
 from jaxrod.systems.stepping.assembly import Assembly, SystemState
 from jaxrod.systems.stepping.listing import searched, with_found
 from jaxrod.systems.stepping.stepper import Motions, SystemStepper
@@ -164,20 +164,27 @@ class StaticProblem:
         """Accelerations after a second at rates."""
         return self.accelerations(self.moved(given))
 
-    def column(self, given: tuple[Motions, Any]) -> tuple[Any, Any, Any, Any]:
-        """A column of all matrices, for given rates.
+    def column(self, given: tuple[Motions, Array]) -> tuple[Array, ...]:
+        """A column of all matrices, for given scaled rates.
 
         Returns:
             Accelerations; the allowed part of the rates; its momenta; the change of
-            the accelerations that it causes.
+            the accelerations that it causes; all scaled.
         """
-        motions, rates = given
+        motions, _ = given
+        rates = self.rates(given)
         none = jax.tree.map(jnp.zeros_like, rates)
-        allowed = self.allowed(given)
+        allowed = self.allowed((motions, rates))
         here, change = jax.jvp(
             lambda own: self.accelerations_after((motions, own)), (none,), (allowed,)
         )
-        return here, allowed, self.momenta(given), change
+        momenta = self.momenta((motions, rates))
+        return (
+            self.scaled(motions, here),
+            self.scaled(motions, allowed),
+            self.scaled_momenta(motions, momenta),
+            self.scaled(motions, change),
+        )
 
     def moved_with_gaps(self, given: tuple[Motions, Any]) -> tuple[Motions, Array]:
         """Configuration after a second at rates, and what its edges lack.
@@ -211,9 +218,18 @@ class StaticProblem:
         """Configuration of a state, with what is held and what follows in place."""
         return self.placed(_still(self.stepper.enter(state)))
 
-    def left(self, given: tuple[Motions, Any]) -> dict[str, Any]:
-        """State of the configuration after a second at rates."""
-        return self.stepper.leave(self.placed(given))
+    def moved_after(self, given: tuple[Motions, Array]) -> Motions:
+        """Configuration after a second at scaled rates."""
+        return self.moved((given[0], self.rates(given)))
+
+    def left_after(self, given: tuple[Motions, Array]) -> dict[str, Any]:
+        """State of the configuration after a second at scaled rates."""
+        return self.stepper.leave(self.placed((given[0], self.rates(given))))
+
+    def accelerations_scaled(self, given: tuple[Motions, Array]) -> Array:
+        """Scaled accelerations after a second at scaled rates."""
+        moved = self.moved_after(given)
+        return self.scaled(moved, self.accelerations(moved))
 
     def with_held(self, given: tuple[Motions, Motions]) -> Motions:
         """Configuration found, with what supports hold as it was at the start.
@@ -253,18 +269,23 @@ class StaticProblem:
 
         A part is a rod of a member, or a body. Each motion is normalised.
         """
-        units = self.units(motions)
         still = jax.tree.map(jnp.zeros_like, rates_of(motions))
         found = []
         for name, own in self.stepper.seen(motions).items():
             like = motions[name].velocity, motions[name].spin
             for rates in rigid_motions(own, self.scales.length):
                 shaped = jax.tree.map(lambda a, b: a.reshape(b.shape), rates, like)
-                found.append(ravel_pytree({**still, name: shaped})[0] / units)
+                found.append(ravel_pytree({**still, name: shaped})[0])
         whole = jnp.stack(found)
         return whole / jnp.sqrt(jnp.sum(whole**2, axis=1, keepdims=True))
 
     # Matrices and vectors of scaled rates.
+
+    def rounding(self, motions: Motions) -> Float[Array, ""]:
+        """Round-off of edges, over their lengths: larger far from the origin [1]."""
+        places = [c for motion in motions.values() for c in motion.position]
+        far = jnp.max(jnp.stack([jnp.max(jnp.abs(place)) for place in places]))
+        return jnp.finfo(far.dtype).eps * (1 + far / self.scales.element)
 
     def listed(self, motions: Motions) -> StaticProblem:
         """The problem with neighbours as they are found at a configuration."""
@@ -273,36 +294,57 @@ class StaticProblem:
         couplings = with_found(self.stepper.couplings, found)
         return replace(self, stepper=replace(self.stepper, couplings=couplings))
 
-    def units(self, motions: Motions) -> Float[Array, " m"]:
-        """Rates per scaled rate: the scale of length, and inertias of elements."""
-        units = {}
-        for name, own in self.stepper.seen(motions).items():
-            inertias = jnp.max(own.parts.inertias, axis=0)
-            units[name] = (
-                tuple(
-                    jnp.full_like(c, self.scales.length) for c in motions[name].velocity
-                ),
-                tuple(inertias.reshape(c.shape) for c in motions[name].spin),
-            )
-        return ravel_pytree(units)[0]
+    def rates(self, given: tuple[Motions, Array]) -> Any:
+        """Rates of all members, from scaled rates.
 
-    def rates(self, motions: Motions, scaled: Float[Array, " m"]) -> Any:
-        """Rates of all members."""
+        Scaled rates are velocities over the scale of length, and angular velocities.
+        """
+        motions, scaled = given
         _, tree_of = ravel_pytree(rates_of(motions))
-        return tree_of(scaled * self.units(motions))
+        length = self.scales.length
+        return {
+            name: (vectors.scale(length, velocity), self._spins(motions, name, turning))
+            for name, (velocity, turning) in tree_of(scaled).items()
+        }
+
+    def scaled(self, motions: Motions, rates: Any) -> Float[Array, " m"]:
+        """Scaled rates."""
+        moving = self.stepper.seen(motions)
+        found = {}
+        for name, (velocity, spin) in rates.items():
+            own = moving[name]
+            row = jax.tree.map(lambda a: a.reshape(-1), spin)
+            own = replace(own, motion=replace(own.motion, spin=row))
+            found[name] = (
+                vectors.scale(1 / self.scales.length, velocity),
+                _shaped(own.angular_velocities, spin),
+            )
+        return ravel_pytree(found)[0]
+
+    def scaled_momenta(self, motions: Motions, momenta: Any) -> Float[Array, " m"]:
+        """Gradient by scaled rates, from that by rates."""
+        length = self.scales.length
+        found = {
+            name: (vectors.scale(length, moving), self._spins(motions, name, turning))
+            for name, (moving, turning) in momenta.items()
+        }
+        return ravel_pytree(found)[0]
+
+    def _spins(self, motions: Motions, name: str, turning: Vec3) -> Vec3:
+        """Spins of a member at given angular velocities: inertias times these."""
+        row = jax.tree.map(lambda a: a.reshape(-1), turning)
+        return _shaped(spins(self.stepper.seen(motions)[name], row), turning)
 
     def linear(self, motions: Motions) -> Linear:
         """The problem about a configuration."""
         motions = jax.tree.map(lax.optimization_barrier, motions)
-        problem, units = self.listed(motions), self.units(motions)
-        _, tree_of = ravel_pytree(rates_of(motions))
-        numbers = jnp.arange(units.size)
+        problem = self.listed(motions)
+        numbers = jnp.arange(ravel_pytree(rates_of(motions))[0].size)
 
         def column(number: Array) -> tuple[Array, ...]:
-            rates = tree_of(jnp.where(numbers == number, units, 0))
-            parts = by_kernel(problem, "column", (motions, rates))
-            here, allowed, momenta, change = (ravel_pytree(p)[0] for p in parts)
-            return here / units, allowed / units, momenta * units, change / units
+            seed = (numbers == number).astype(self.system.dtype)
+            parts: tuple[Array, ...] = by_kernel(problem, "column", (motions, seed))
+            return parts
 
         here, projection, mass, change = lax.map(column, numbers)
         mass = 0.5 * (mass + mass.T)
@@ -316,14 +358,21 @@ class StaticProblem:
             projection=jnp.where(moves[None, :], projection.T, 0),
         )
 
-    def moved_along_edges(self, here: Linear, scaled: Float[Array, " m"]) -> Motions:
+    def moved_along_edges(
+        self, here: Linear, scaled: Float[Array, " m"], loose: Float[Array, "modes m"]
+    ) -> Motions:
         """Configuration after scaled rates, to first order; strains change linearly.
 
         Displacements close the gaps of the edges, in the sense of least squares where
         ties and supports leave no other way.
+
+        Args:
+            here: The configuration before.
+            scaled: Scaled rates.
+            loose: Motions along which the displacements have no momentum.
         """
         _, tree_of = ravel_pytree(rates_of(here.motions))
-        rates = self.rates(here.motions, scaled)
+        rates = by_kernel(self, "rates", (here.motions, scaled))
         moved, gaps = by_kernel(self, "moved_with_gaps", (here.motions, rates))
         first, second = self._places_of_edges(here.motions)
         rows = np.arange(len(first))
@@ -337,6 +386,15 @@ class StaticProblem:
         anchor = max(ANCHOR, ROUNDINGS * float(jnp.finfo(scaled.dtype).eps))
         matrix = matrix + anchor * jnp.eye(scaled.size, dtype=scaled.dtype)
         closing = jax.scipy.linalg.solve(matrix, along.T @ gaps, assume_a="pos")
+        momenta = loose @ here.mass
+        inertia = momenta @ loose.T
+        # Heavy and light ones alike, and one for those that are zeros.
+        own = jnp.diagonal(inertia)
+        size = jnp.sqrt(jnp.where(own > 0, own, 1))
+        inertia = inertia / size[:, None] / size[None, :]
+        inertia = inertia + jnp.diag(jnp.where(own > 0, 0.0, 1.0))
+        shares = jnp.linalg.solve(inertia, (momenta @ closing) / size) / size
+        closing = closing - loose.T @ shares
         closed: Motions = by_kernel(self, "placed", (moved, tree_of(closing)))
         return closed
 
@@ -399,6 +457,11 @@ def is_displacement(motions: Motions) -> Bool[Array, " m"]:
         for k, motion in motions.items()
     }
     return ravel_pytree(flags)[0] > 0
+
+
+def _shaped(field: Vec3, like: Vec3) -> Vec3:
+    x, y, z = (a.reshape(b.shape) for a, b in zip(field, like, strict=True))
+    return x, y, z
 
 
 def _still(motions: Motions) -> tuple[Motions, Any]:

@@ -15,19 +15,21 @@ from jaxrod.systems.members.parts import Seen
 
 
 def rigid_motions(own: Seen, length: Array) -> Iterator[tuple[Vec3, Vec3]]:
-    """Velocities and spins of rigid motions, of one part of a member after the other.
+    """Scaled velocities and angular velocities of rigid motions, part after part.
 
     Each part is displaced along three axes and turned about three through its middle,
     and all elements of a rod turn about their own axes.
 
     Args:
         own: The member.
-        length: Size of displacements [m].
+        length: Scale of velocities [m].
     """
     count = own.parts.count
     centred = []
     for component in own.motion.position:
         rows = component.reshape(count, -1)
+        # From the first node, which loses no digits far from the origin.
+        rows = rows - rows[:, :1]
         centred.append((rows - jnp.mean(rows, axis=1, keepdims=True)).reshape(-1))
     arm: Vec3 = (centred[0], centred[1], centred[2])
     d3 = directors(own.motion.orientation)[2]
@@ -35,12 +37,12 @@ def rigid_motions(own: Seen, length: Array) -> Iterator[tuple[Vec3, Vec3]]:
     motions = [] if not own.parts.is_rod else [(still, d3)]
     for axis in range(3):
         moving, turning = _along(axis, arm[0]), _along(axis, d3[0])
-        motions.append((vectors.scale(length, moving), unturned))
-        motions.append((vectors.cross(moving, arm), turning))
+        motions.append((moving, unturned))
+        around = vectors.scale(1 / length, vectors.cross(moving, arm))
+        motions.append((around, turning))
     for velocity, turning in motions:
-        spin = _spins(own, turning)
         for part in range(count):
-            yield _of_part(part, count, velocity), _of_part(part, count, spin)
+            yield _of_part(part, count, velocity), _of_part(part, count, turning)
 
 
 def _of_part(part: int, count: int, field: Vec3) -> Vec3:
@@ -57,17 +59,20 @@ def _along(axis: int, like: Array) -> Vec3:
     return x, y, z
 
 
-def _spins(own: Seen, turning: Vec3) -> Vec3:
-    """Spins of elements at given angular velocities [rad/s]."""
+def spins(own: Seen, turning: Vec3) -> Vec3:
+    """Spins of elements at given angular velocities [rad/s]: inertias times these."""
     # Angular velocities are linear in spins: their matrix, column by column.
     columns = []
     for axis in range(3):
         spin = _along(axis, turning[0])
         moving = replace(own, motion=replace(own.motion, spin=spin))
         columns.append(moving.angular_velocities)
-    a, b, c = matrices.transpose((columns[0], columns[1], columns[2]))
+    matrix = matrices.transpose((columns[0], columns[1], columns[2]))
+    # Of the size of one: products of three inertias would underflow in float32.
+    size = matrix[0][0] + matrix[1][1] + matrix[2][2]
+    a, b, c = matrices.scale(1 / size, matrix)
     cofactors = vectors.cross(b, c), vectors.cross(c, a), vectors.cross(a, b)
-    determinant = vectors.dot(a, cofactors[0])
+    determinant = vectors.dot(a, cofactors[0]) * size
     inverse = matrices.transpose(matrices.scale(1 / determinant, cofactors))
     x, y, z = (vectors.dot(row, turning) for row in inverse)
     return x, y, z

@@ -52,6 +52,19 @@ def searched(couplings: Sequence[Coupling], seen: Any) -> tuple[Any, ...]:
     return tuple(c.search(seen) for c in couplings if c.refresh_every is not None)
 
 
+def with_shortage(
+    record: NeighbourRecord, couplings: Sequence[Coupling]
+) -> NeighbourRecord:
+    """The record, with what the last searches of couplings had no room for."""
+    missed, used = record.missed, record.used
+    for coupling in couplings:
+        if coupling.refresh_every is not None:
+            own: Any = coupling
+            missed = jnp.maximum(missed, own.found.missed)
+            used = jnp.maximum(used, jnp.max(own.found.used))
+    return replace(record, missed=missed, used=used)
+
+
 @pytree
 class Listing:
     """Motions of a system, and its lists of neighbours."""
@@ -120,16 +133,13 @@ class ListingSystem:
     def _recorded(self, carry: Listing) -> NeighbourRecord:
         """The record with what the lists may have missed now; it has no derivative."""
         carry = jax.lax.stop_gradient(carry)
-        record, seen = carry.record, self._seen(carry.motions)
-        missed, moved, used = record.missed, record.moved, record.used
-        for coupling in self._listed(carry).couplings:
-            if coupling.refresh_every is None:
-                continue
-            found: Any = coupling
-            missed = jnp.maximum(missed, found.found.missed)
-            used = jnp.maximum(used, jnp.max(found.found.used))
-            moved = jnp.maximum(moved, coupling.moved(seen))
-        return NeighbourRecord(missed, moved, used)
+        couplings = self._listed(carry).couplings
+        seen = self._seen(carry.motions)
+        moved = carry.record.moved
+        for coupling in couplings:
+            if coupling.refresh_every is not None:
+                moved = jnp.maximum(moved, coupling.moved(seen))
+        return with_shortage(replace(carry.record, moved=moved), couplings)
 
     def _listed(self, carry: Listing) -> SystemStepper | EvolvingSystem:
         """The system's stepper with lists."""
