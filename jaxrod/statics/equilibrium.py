@@ -86,8 +86,7 @@ def equilibrium(
         state: Initial guess; held components are held at its values. Its velocities
             do not matter.
         tolerance: Iteration ends after a correction below this many element lengths
-            and radians; by default 1e-7, or in single precision 3e-4, and 3e-3 for
-            systems.
+            and radians; by default 1e-7, or 3e-4 in single precision.
         max_iterations: Largest number of corrections tried, accepted or not.
 
     Returns:
@@ -106,19 +105,12 @@ def equilibrium(
 
 
 def search_limits(
-    tolerance: ArrayLike | None, max_iterations: int, dtype: Any, coarse: float = 3e-4
+    tolerance: ArrayLike | None, max_iterations: int, dtype: Any
 ) -> tuple[Array, Array]:
-    """Checked limits of a search.
-
-    Args:
-        tolerance: Tolerance, or `None` for the default.
-        max_iterations: Largest number of corrections tried.
-        dtype: Type of the numbers.
-        coarse: Default tolerance in single precision.
-    """
+    """Checked limits of a search, with the default tolerance of a dtype."""
     most = check_count("max_iterations", max_iterations, 1)
     if tolerance is None:
-        tolerance = coarse if jnp.finfo(dtype).bits <= 32 else default_tolerance(dtype)
+        tolerance = default_tolerance(dtype)
     bound = as_array("tolerance", tolerance, "", positive=True, dtype=dtype)
     return bound, jnp.asarray(most)
 

@@ -137,7 +137,7 @@ class System(Assembly, Model):
     ) -> Equilibrium:
         """Configuration in which all loads balance: `jaxrod.equilibrium`."""
         self._check_statics(state)
-        bound, most = search_limits(tolerance, max_iterations, self.dtype, 3e-3)
+        bound, most = search_limits(tolerance, max_iterations, self.dtype)
         return system_equilibrium(
             self.recalling(state), self.with_memory(state), bound, most
         )

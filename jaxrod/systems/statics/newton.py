@@ -28,6 +28,8 @@ LEFT = 0.75
 LITTLE = 0.1
 """The same, below which inertia shrinks fast [1]."""
 
+STALLED = 10
+"""Multiple of the tolerance below which a search that no longer gets on is done [1]."""
 FASTEST, SLOWEST = 0.1, 0.75
 """Factors by which inertia shrinks [1]."""
 
@@ -97,8 +99,12 @@ def newton(
         ratio = size(left) / (share * size(step))
         work = jnp.dot(step, before.loads)
         first = search.trials == 0
-        # Below the tolerance what is left may be round-off.
-        little = jnp.max(jnp.abs(share * step) * fine) <= tolerance
+        # Below the tolerance what is left may be round-off. So it is a little above it,
+        # where it no longer shrinks.
+        largest = jnp.max(jnp.abs(share * step) * fine)
+        little = (largest <= tolerance) | (
+            (largest <= STALLED * tolerance) & (ratio > LEFT)
+        )
         done = ~first & little & (search.inertia == 0) & ~search.driven
         taken = first | done | ((ratio <= LEFT) & (work > 0))
         own = jnp.dot(step, before.mass @ step)

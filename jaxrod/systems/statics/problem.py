@@ -282,10 +282,10 @@ class StaticProblem:
     # Matrices and vectors of scaled rates.
 
     def rounding(self, motions: Motions) -> Float[Array, ""]:
-        """Round-off of edges, over their lengths: larger far from the origin [1]."""
+        """Round-off of places over the size of the system: larger far away [1]."""
         places = [c for motion in motions.values() for c in motion.position]
         far = jnp.max(jnp.stack([jnp.max(jnp.abs(place)) for place in places]))
-        return jnp.finfo(far.dtype).eps * (1 + far / self.scales.element)
+        return jnp.finfo(far.dtype).eps * jnp.maximum(1, far / self.scales.length)
 
     def listed(self, motions: Motions) -> StaticProblem:
         """The problem with neighbours as they are found at a configuration."""
