@@ -77,8 +77,7 @@ def equilibrium(
 
     The cost of a correction grows with the number of elements for one rod. With effects
     that couple distant parts, and for systems, matrices are dense, with six unknowns
-    for each element and each body: each column costs a system a few of its steps, and
-    solving grows with the cube of the unknowns.
+    for each element and each body. Solving grows with the cube of their number.
 
     Args:
         scene: The scene or system, at one moment; an effect must hold the rod of a

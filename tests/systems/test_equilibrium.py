@@ -369,6 +369,54 @@ def test_a_light_body_that_carries_a_heavy_node_turns_like_both():
     np.testing.assert_allclose(found.state["arm"].tip, single.state.tip, atol=1e-10)
 
 
+def corner(turn, names, exchanged, unit):
+    """Tip of a loaded corner of two rods, seen otherwise, back in metres and unturned.
+
+    Args:
+        turn: Rotation matrix of the whole.
+        names: Names of both rods, which put them in order.
+        exchanged: Whether the weld names the second rod first.
+        unit: Units of length in a metre; newtons become kilograms times units.
+    """
+    material = {
+        "radius": 0.02 * unit,
+        "density": 1000.0 / unit**3,
+        "youngs_modulus": 1e6 / unit,
+        "normal": tuple(turn @ (0.0, 1.0, 0.0)),
+    }
+    ways, starts = ((0.0, 0.0, 1.0), (1.0, 0.0, 0.0)), (np.zeros(3), (0.0, 0.0, 0.3))
+    rods, state = {}, {}
+    for name, way, start in zip(names, ways, starts, strict=True):
+        rods[name], state[name] = rod(
+            4,
+            0.3 * unit,
+            tuple(unit * (turn @ start)),
+            tuple(turn @ way),
+            **material,
+        )
+    post, beam = names
+    ends = ((post, "tip"), (beam, "base"))
+    joint = systems.weld(*(ends[::-1] if exchanged else ends), state)
+    load = jaxrod.end_load(unit * (turn @ (0.0, 0.05, -0.1)))
+    members = {
+        post: jaxrod.make_scene(rods[post], jaxrod.clamp(state[post])),
+        beam: jaxrod.make_scene(rods[beam], load),
+    }
+    found = jaxrod.equilibrium(jaxrod.make_system(members, joint), state)
+    assert found.converged and found.stable and not found.loose
+    return turn.T @ np.asarray(found.state[beam].tip) / unit
+
+
+@pytest.mark.slow
+def test_it_is_the_same_turned_in_other_units_and_in_another_order():
+    turn = np.linalg.qr(np.random.default_rng(0).normal(size=(3, 3)))[0]
+    turn *= np.sign(np.linalg.det(turn))
+    wanted = corner(np.eye(3), ("a", "b"), False, 1.0)
+    assert np.linalg.norm(wanted - (0.3, 0.0, 0.3)) > 0.03
+    found = corner(turn, ("b", "a"), True, 1e3)
+    np.testing.assert_allclose(found, wanted, atol=1e-10)
+
+
 @pytest.mark.slow
 def test_loose_turns_are_found_far_from_the_origin():
     """A free rod that was bent straight takes its curved shape again."""

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 
 from jaxrod.systems.statics.problem import Linear, static_problem
@@ -35,5 +34,4 @@ def squared_frequencies(system: Assembly, state: SystemState) -> np.ndarray:
 @jax.jit
 def _linear(system: Assembly, state: SystemState) -> Linear:
     problem, start = static_problem(system, state)
-    here = problem.linear(start)
-    return jax.tree.map(jnp.asarray, here)
+    return problem.linear(start)
