@@ -24,6 +24,9 @@ from jaxrod.systems.statics.problem import Linear, StaticProblem
 _ROUNDINGS = 64
 """Multiple of the machine epsilon up to which a resistance counts as zero."""
 
+_DRIVEN = 1024
+"""The same for loads along a loose motion, which sum up round-off of all elements."""
+
 _LEAST = 0.01
 """Size of a sum of motions, over theirs, up to which it is none [1]."""
 
@@ -56,7 +59,7 @@ def are_driven(
     """Whether loads drive loose motions by more than their round-off."""
     work = jnp.abs(motions @ here.loads)
     sizes = jnp.sum(jnp.abs(here.stiffness), axis=1)
-    rounding = _ROUNDINGS * problem.rounding(here.motions)
+    rounding = _DRIVEN * problem.rounding(here.motions)
     return jnp.any(work > rounding * (jnp.abs(motions) @ sizes))
 
 
