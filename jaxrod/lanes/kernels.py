@@ -61,7 +61,8 @@ def lowered_by_lanes(
     if mode == NEVER or not_here() is not None or rods == 0:
         return None
     begun = time.perf_counter()
-    by_rows = mode == ROWS or (mode == AUTO and 2 * rods < _width(spec.body))
+    few = rods == 1 or 2 * rods < _width(spec.body)
+    by_rows = mode == ROWS or (mode == AUTO and few)
     try:
         kernel = None
         if not by_rows:

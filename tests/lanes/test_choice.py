@@ -24,11 +24,17 @@ def advanced(rods):
     return lane_choices()
 
 
-def test_a_large_batch_takes_lanes_and_a_small_one_rows():
+@pytest.mark.parametrize("vector", [16, 32, 64])
+def test_a_batch_that_fills_half_a_vector_takes_lanes_and_fewer_rows(
+    monkeypatch, vector
+):
     use_lanes("auto")
-    for rods, word in ((64, "lanes"), (2, "rows")):
+    monkeypatch.setattr(kernels, "vector_bytes", lambda: vector)
+    width = vector // jnp.zeros(()).dtype.itemsize
+    half = max(width // 2, 2)
+    for rods, word in ((half, "lanes"), (half - 1, "rows"), (64, "lanes"), (1, "rows")):
         (made,) = advanced(rods)
-        assert made.taken and made.why.startswith(word)
+        assert made.taken and made.why.startswith(word), (rods, made)
 
 
 def test_never_means_never():
