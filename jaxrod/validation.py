@@ -134,6 +134,7 @@ def check_array(
     *,
     positive: bool = False,
     non_negative: bool = False,
+    at_least: float = -math.inf,
     at_most: float = math.inf,
     dtype: Any = None,
 ) -> Any:
@@ -148,6 +149,7 @@ def check_array(
         unit: SI unit, for the message ("" for a pure number).
         positive: Whether values must be > 0.
         non_negative: Whether values must be >= 0.
+        at_least: Smallest allowed value.
         at_most: Largest allowed value.
         dtype: Floating-point dtype that must be able to hold the values, if given.
 
@@ -167,6 +169,7 @@ def check_array(
         (~np.isfinite(value), "finite"),
         (positive & (value <= 0), "positive"),
         (non_negative & (value < 0), "non-negative"),
+        (value < at_least, f"at least {at_least:g}"),
         (value > at_most, f"at most {at_most:g}"),
     ):
         if np.any(is_bad):
@@ -185,6 +188,7 @@ def as_array(
     *,
     positive: bool = False,
     non_negative: bool = False,
+    at_least: float = -math.inf,
     at_most: float = math.inf,
     dtype: Any = None,
 ) -> Array:
@@ -197,6 +201,7 @@ def as_array(
         shapes: The allowed shapes; one number by default.
         positive: Whether values must be > 0.
         non_negative: Whether values must be >= 0.
+        at_least: Smallest allowed value.
         at_most: Largest allowed value.
         dtype: Floating-point dtype; by default JAX's default.
 
@@ -211,6 +216,7 @@ def as_array(
         unit,
         positive=positive,
         non_negative=non_negative,
+        at_least=at_least,
         at_most=at_most,
         dtype=dtype,
     )

@@ -9,9 +9,12 @@ is slack. Each straight piece pulls its two eyelets towards each other.
 With friction, tension falls at an eyelet where the cable turns by $\theta_j$ and slips
 (Euler-Eytelwein),
 
-$$T_j = T_{j-1} \exp(-\mu\,\theta_j \tanh(v_j/v_s)),$$
+$$T_j = T_{j-1} \exp(-\mu\,\theta_j\,\phi_j), \qquad
+  \phi_j = \frac{s + \tanh(v_j/v_s)}{1 + s \tanh(v_j/v_s)},$$
 
-with the speed $v_j$ at which the cable slips towards its base, where it is pulled.
+with the speed $v_j$ at which the cable slips towards its base, where it is pulled. The
+share $s$ of friction remains at rest: one after the cable was pulled in, minus one
+after it was let out. So an equilibrium is also where a motion comes to rest.
 """
 
 from __future__ import annotations
@@ -56,6 +59,9 @@ class Tendon(Effect):
     """Coefficient of friction at the eyelets [1]."""
     slip_speed: Float[Array, ""] | None = None
     """Speed of slip at which friction is 0.76 of its full size [m/s]."""
+    friction_at_rest: Float[Array, "..."] | None = None
+    """Share of friction that remains at rest, one number or one per cable `(k,)`: above
+    zero after the cable was pulled in [1]."""
     first: int = static(default=0)
     """Number of the element with the first eyelet."""
 
@@ -206,8 +212,19 @@ class Tendon(Effect):
         after = along[0][:, 1:], along[1][:, 1:], along[2][:, 1:]
         sine = vectors.safe_norm(vectors.cross(before, after))
         turn = jnp.arctan2(sine, vectors.dot(before, after))
-        lost = self.friction * turn * jnp.tanh(-beyond / self.slip_speed)
+        lost = self.friction * turn * self._slip_share(-beyond / self.slip_speed)
         return jnp.exp(-jnp.pad(jnp.cumsum(lost, axis=1), ((0, 0), (1, 0))))
+
+    def _slip_share(self, slip: Array) -> Array:
+        """Share of friction at speeds of slip over the slip speed `(k, m)` [1]."""
+        moving = jnp.tanh(slip)
+        if self.friction_at_rest is None:
+            return moving
+        still = self.friction_at_rest.reshape(-1, 1)
+        # The limit where both are one, with opposite signs, is the share at rest.
+        tiny = jnp.finfo(moving.dtype).eps
+        weight = jnp.maximum(1 + still * moving, tiny)
+        return still + moving * (1 - still**2) / weight
 
 
 def _pieces(points: Vec3) -> tuple[Vec3, Array]:
@@ -243,6 +260,7 @@ def tendon(
     anchor: Numbers | None = None,
     friction: Numbers | None = None,
     slip_speed: Numbers = 1e-2,
+    friction_at_rest: Numbers | None = None,
 ) -> Tendon:
     """Cables through eyelets on a rod, fixed at the last one.
 
@@ -261,9 +279,12 @@ def tendon(
         anchor: Point in space from which cables come `(3,)`, or one per cable `(k, 3)`
             [m]. Without one they begin at the first eyelet, to which their actuator is
             fixed.
-        friction: Coefficient of friction at the eyelets, at least 0 [1]. Cables at rest
-            have no friction, so `equilibrium` neglects it.
+        friction: Coefficient of friction at the eyelets, at least 0 [1].
         slip_speed: Speed at which friction is 0.76 of its full size, above 0 [m/s].
+        friction_at_rest: Share of friction that remains while the cable rests, one
+            number or one per cable `(k,)` from -1 to 1 [1]: 1 after it was pulled in,
+            -1 after it was let out. `equilibrium` takes it into account. None by
+            default, as if vibration had released the cable.
 
     Raises:
         ValueError: If an argument is out of range or of the wrong shape, or not exactly
@@ -296,6 +317,8 @@ def tendon(
         points = as_array("anchor", anchor, "m", [(3,), (count, 3)], dtype=kind)
         points = jnp.broadcast_to(points, (count, 3)).T
     per_cable: list[tuple[int, ...]] = [(), (count,)]
+    if friction is None and friction_at_rest is not None:
+        raise ValueError("friction_at_rest needs a coefficient of friction")
     wide = 1e-3 * 1.0 * rod.length if onset is None else onset
     return Tendon(
         eyelets=eyelets,
@@ -318,5 +341,16 @@ def tendon(
         slip_speed=None
         if friction is None
         else as_array("slip_speed", slip_speed, "m/s", positive=True, dtype=kind),
+        friction_at_rest=None
+        if friction_at_rest is None
+        else as_array(
+            "friction_at_rest",
+            friction_at_rest,
+            "",
+            per_cable,
+            at_least=-1.0,
+            at_most=1.0,
+            dtype=kind,
+        ),
         first=first,
     )

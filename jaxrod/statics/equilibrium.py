@@ -11,6 +11,9 @@ from jax import lax
 from jaxtyping import Array, ArrayLike, Bool, Float, Int
 
 from jaxrod.effects.base import Effect
+from jaxrod.geometry import vectors
+from jaxrod.geometry.matrices import stacked, turned_diagonal
+from jaxrod.geometry.rotations import directors
 from jaxrod.loaded_rod import LoadedRod, constrain, constrain_rates, scene_of
 from jaxrod.model import Model, check_model
 from jaxrod.rods.elasticity import elastic_law
@@ -18,8 +21,13 @@ from jaxrod.rods.motion import Motion, motion_of, state_of
 from jaxrod.rods.rod import RodState
 from jaxrod.statics.declared_properties import check_declared_properties
 from jaxrod.statics.degrees_of_freedom import unstack_dofs
-from jaxrod.statics.effect_tangents import has_closed_form
-from jaxrod.statics.newton import default_tolerance, largest, newton
+from jaxrod.statics.effect_tangents import Tangent, has_closed_form
+from jaxrod.statics.newton import default_tolerance, largest
+from jaxrod.statics.pseudo_transient import (
+    LARGEST_DISPLACEMENT,
+    LARGEST_TURN,
+    find_rest,
+)
 from jaxrod.statics.residual import Increment, LoadBalance, implicit_solution
 from jaxrod.structure import pytree
 from jaxrod.validation import as_array, check_count
@@ -69,11 +77,12 @@ def equilibrium(
     respect to every number of the model, by the implicit function theorem: one
     linear solve, whatever the number of iterations.
 
-    Loads are those at rest: friction, drag and dashpots are zero, so things come to lie
-    where they would without friction. Near a limit point (buckling, snap-through) there
-    may be no equilibrium nearby: check `converged`. The method finds equilibria, stable
-    or not: check `stable`. That of systems prefers the stable ones, because it goes
-    where loads push.
+    Loads are those at rest: drag and dashpots are zero, and so is friction, except for
+    a tendon's with `friction_at_rest`. The search goes where loads push, past folds
+    (buckling, snap-through), to an equilibrium that is stable. It finds an unstable one
+    only if it starts there or loads do not push away from it, as with a straight column
+    under an axial load: check `stable`. Where there is none it does not converge: check
+    `converged`.
 
     The cost of a correction grows with the number of elements for one rod. With effects
     that couple distant parts, and for systems, matrices are dense, with six unknowns
@@ -153,18 +162,113 @@ def _at_rest(scene: LoadedRod, base: Motion) -> LoadBalance:
     return LoadBalance(scene, elastic_law(scene.rod), base, still, None, at_rest=True)
 
 
+@pytree
+class _RodPlace:
+    """A configuration of a rod, with its loads and its stiffness there."""
+
+    configuration: Motion
+    """The configuration."""
+    units: Float[Array, "1 6"]
+    """Units of steps: the length of the rod [m], and one [rad]."""
+    loads: Float[Array, "n+1 6"]
+    """Loads on free components, scaled [J]."""
+    tangent: Tangent
+    """Tangent stiffness, with springs against loose modes [N/m, N, N m]."""
+    mass: Float[Array, "n+1 6 6"]
+    """Masses and rotary inertias, world frame; zero for held components [kg, kg m^2]."""
+    loose: Bool[Array, ""]
+    """Whether nothing resists a motion of the rod as a whole."""
+
+    @property
+    def driven(self) -> Bool[Array, ""]:
+        """False: where loads drive a loose mode, the springs against it give way."""
+        return jnp.zeros((), bool)
+
+    def at(self, configuration: Motion) -> _RodPlace:
+        """The place with another configuration."""
+        return replace(self, configuration=configuration)
+
+    def momentum(self, step: Float[Array, "n+1 6"]) -> Float[Array, "n+1 6"]:
+        """The mass times a step."""
+        moving = (self.units * step)[:, None, :]
+        return self.units * jnp.sum(self.mass * moving, axis=2)
+
+    def factors(self, inertia: Array) -> Any:
+        """Factors of the stiffness plus a multiple of the mass."""
+        return self.tangent.with_blocks(inertia * self.mass).factored()
+
+    def solve(self, factors: Any, right: Float[Array, "n+1 6"]) -> Array:
+        """Solution of the linear system that has been factored."""
+        return factors.solve(right / self.units) / self.units
+
+
+@pytree
+class _RodAtRest:
+    """The static problem of a rod."""
+
+    balance: LoadBalance
+    """Balance of loads without inertia."""
+
+    @property
+    def units(self) -> Float[Array, "1 6"]:
+        """Units of steps: the length of the rod [m], and one [rad]."""
+        return _six(jnp.sum(self.balance.scene.rod.rest_lengths), 1)
+
+    @property
+    def element_lengths(self) -> Float[Array, "1 6"]:
+        """Size of a scaled step in element lengths and radians."""
+        lengths = self.balance.scene.rod.rest_lengths
+        return _six(jnp.sum(lengths) / jnp.min(lengths), 1)
+
+    @property
+    def largest_step(self) -> Float[Array, "1 6"]:
+        """Largest scaled step."""
+        one = jnp.ones((), self.balance.scene.rod.rest_lengths.dtype)
+        return _six(LARGEST_DISPLACEMENT * one, LARGEST_TURN)
+
+    def place(self, configuration: Motion) -> _RodPlace:
+        """The place of a configuration."""
+        here = replace(self.balance, base=configuration)
+        none = _no_increment(configuration)
+        tangent, loose = here.held_tangent(none)
+        loads = -self.units * here.residual(none)
+        mass = _mass(here)
+        return _RodPlace(configuration, self.units, loads, tangent, mass, loose)
+
+    def moved(self, place: _RodPlace, step: Float[Array, "n+1 6"]) -> Motion:
+        """Configuration after a step, to first order; strains change linearly."""
+        here = replace(self.balance, base=place.configuration)
+        none = _no_increment(place.configuration)
+        return here.motion(here.retract_along_edges(none, self.units * step))
+
+
+def _six(length: Array, radian: float) -> Float[Array, "1 6"]:
+    """A number for displacements and one for rotations."""
+    turn = jnp.full_like(length, radian)
+    return jnp.stack([length, length, length, turn, turn, turn])[None]
+
+
+def _mass(balance: LoadBalance) -> Float[Array, "n+1 6 6"]:
+    """Masses of the nodes and rotary inertias of the elements, world frame."""
+    rod = balance.scene.rod
+    frame = directors(balance.base.orientation)
+    turning = stacked(turned_diagonal(frame, vectors.split(rod.principal_inertias)))
+    turning = jnp.pad(turning, ((0, 1), (3, 0), (3, 0)))
+    one = jnp.eye(3, dtype=turning.dtype)[None]
+    moving = jnp.pad(rod.node_masses[:, None, None] * one, ((0, 0), (0, 3), (0, 3)))
+    free = balance.free
+    return free[:, :, None] * free[:, None, :] * (moving + turning)
+
+
 @jax.jit
 def _equilibrium(
     scene: LoadedRod, state: RodState, tolerance: Array, max_iterations: Array
 ) -> Equilibrium:
     start = motion_of(state).at_rest
     start = constrain_rates(scene, constrain(scene, start))
-    guess = jnp.zeros((len(start.position[0]), 6), tolerance.dtype)
-    end = newton(
-        *lax.stop_gradient((_at_rest(scene, start), guess, tolerance)),
-        max_iterations,
-    )
-    found = _at_rest(scene, end.base).motion(end.increment)
+    problem = _RodAtRest(_at_rest(scene, start))
+    end = find_rest(*lax.stop_gradient((problem, start, tolerance)), max_iterations)
+    found = end.here.configuration
     # Held components have the values of the state and the scene, with derivatives.
     balance = _at_rest(scene, _keep_held(scene, found, start))
     increment = implicit_solution(balance, _no_increment(found))
@@ -172,8 +276,8 @@ def _equilibrium(
     return Equilibrium(
         state=replace(state_of(balance.motion(increment)), memory=state.memory),
         converged=end.converged,
-        stable=end.converged & end.tangent.is_positive(),
-        loose=end.loose,
+        stable=end.converged & end.here.tangent.is_positive(),
+        loose=end.here.loose,
         iterations=end.iterations,
         force_residual=largest(force),
         couple_residual=largest(couple),

@@ -193,17 +193,6 @@ class LoadBalance:
         closing = self._closing(vectors.subtract(edges, linear))
         return replace(moved, displacement=vectors.add(moved.displacement, closing))
 
-    def removal_of_strain(self) -> Increment:
-        """Displacements of nodes that give the edges of the base their strains at rest.
-
-        The elements keep their orientations. Strain remains where nodes are held.
-        """
-        a, b, c = self.law.rest_strains
-        rest = vectors.scale(1 / self.law.inverse_lengths, (a, b, 1 + c))
-        edges = to_world(directors(self.base.orientation), rest)
-        closing = self._closing(vectors.subtract(edges, self.base.edges))
-        return Increment(closing, jax.tree.map(jnp.zeros_like, self.base.spin))
-
     def change(self, increment: Increment, step: Float[Array, "n+1 6"]) -> Increment:
         """Change of the increment by a step."""
         displacement, turn = unstack_dofs(step)

@@ -213,6 +213,7 @@ NUMERIC: dict[str, dict[str, Any]] = {
         "anchor": [-0.1, 0.0, 0.1],
         "friction": 0.2,
         "slip_speed": 0.01,
+        "friction_at_rest": 0.5,
     },
     "chamber": {"rod": ..., "pressure": 1e4, "area": 1e-4, "offsets": [0.01, 0.02]},
     "wound_chamber": {

@@ -267,6 +267,7 @@ def _tendon(self: Maker, kind: str = "") -> Any:
         given["onset"] = view.number(0.02 * self.length, "m")
     elif kind == "rubbing":
         given |= {"friction": 0.3, "slip_speed": view.number(0.05, "m s^-1")}
+        given |= {"friction_at_rest": 0.4}
     return jaxrod.actuation.tendon(self.rod, offsets, **given)
 
 

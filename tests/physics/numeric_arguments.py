@@ -186,6 +186,7 @@ FACTORIES = {
             "anchor": (0.0, 0.1, -0.2),
             "friction": 0.3,
             "slip_speed": 0.02,
+            "friction_at_rest": 0.5,
         },
         {
             "rod": ROD,

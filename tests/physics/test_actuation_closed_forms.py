@@ -16,6 +16,7 @@ from physics.actuators import at_once, strained
 from physics.rods import (
     AREA,
     BENDING,
+    LENGTH,
     RADIUS,
     SECOND_MOMENT,
     YOUNG,
@@ -194,6 +195,27 @@ def test_a_tendons_friction_is_by_how_fast_it_slips_at_each_eyelet(anchored):
             if element >= 0:
                 forces[element : element + 2] += 0.5 * sign * tension * along[j]
     np.testing.assert_allclose(found, forces.T, atol=1e-10 * pull)
+
+
+@pytest.mark.parametrize("share", [1.0, -1.0, 0.6])
+def test_a_cable_at_rest_keeps_the_share_of_its_friction_that_is_asked_for(share):
+    """T = T_0 exp(-s mu theta) along a ring: in a motion, as Moebius's sum of shares."""
+    pull, friction = 7.0, 0.4
+    rod, _ = arm(24)
+    ring = strained(rod, (0.0, 1.5 * np.pi / LENGTH, 0.0), 0.0)
+    cable = jaxrod.actuation.tendon(
+        rod, (0.0, 0.0), tension=pull, friction=friction, friction_at_rest=share
+    )
+    # The last eyelet's element carries the tension that is left, half at each node.
+    last = np.stack(cable.loads(rod, motion_of(ring)).forces)[:, -1]
+    turned = 1.5 * np.pi * 22 / 24
+    left = 2 * np.linalg.norm(last) / pull
+    np.testing.assert_allclose(left, np.exp(-share * friction * turned), 1e-12)
+    for slip in (-50.0, -1.0, 0.0, 0.3, 50.0):
+        t = np.tanh(slip)
+        expected = share if abs(share) == 1 else (share + t) / (1 + share * t)
+        found = cable._slip_share(jnp.full((1, 3), slip))
+        np.testing.assert_allclose(found, expected, rtol=1e-9)
 
 
 def test_the_bound_of_a_tendon_is_above_all_that_its_energy_is_curved_by():

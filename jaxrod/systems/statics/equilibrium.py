@@ -9,14 +9,20 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 from jax import lax
-from jaxtyping import Array
+from jaxtyping import Array, Bool, Float
 
 from jaxrod.lanes.steps import by_kernel
 from jaxrod.statics.equilibrium import Equilibrium
+from jaxrod.statics.pseudo_transient import (
+    LARGEST_DISPLACEMENT,
+    LARGEST_TURN,
+    find_rest,
+)
+from jaxrod.structure import pytree
 from jaxrod.systems.contact.neighbour_lists import RECORD
-from jaxrod.systems.statics.loose_motions import held, loose_motions
-from jaxrod.systems.statics.newton import Search, newton
+from jaxrod.systems.statics.loose_motions import are_driven, held, loose_motions
 from jaxrod.systems.statics.problem import (
+    Linear,
     StaticProblem,
     is_displacement,
     static_problem,
@@ -27,6 +33,79 @@ from jaxrod.systems.stepping.stepper import Motions
 
 _SPARE = 16
 """Multiple of what disturbs the stiffness up to which it may be negative [1]."""
+
+
+@pytree
+class _SystemPlace:
+    """A configuration of a system, with its loads and its stiffness there."""
+
+    linear: Linear
+    """The problem about the configuration."""
+    stiffness: Float[Array, "m m"]
+    """Stiffness, regular for rates that are not allowed and for loose motions [J]."""
+    loose: Float[Array, "modes m"]
+    """Motions that nothing resists; zeros in place of others."""
+    driven: Bool[Array, ""]
+    """Whether loads drive one of them."""
+
+    @property
+    def loads(self) -> Float[Array, " m"]:
+        """Loads out of balance [J]."""
+        return self.linear.loads
+
+    def at(self, motions: Motions) -> _SystemPlace:
+        """The place with another configuration."""
+        return replace(self, linear=replace(self.linear, motions=motions))
+
+    def momentum(self, step: Float[Array, " m"]) -> Float[Array, " m"]:
+        """The mass times a step."""
+        return self.linear.mass @ step
+
+    def factors(self, inertia: Array) -> tuple[Array, Array]:
+        """Factors of the stiffness plus a multiple of the mass."""
+        return jax.scipy.linalg.lu_factor(self.stiffness + inertia * self.linear.mass)
+
+    def solve(
+        self, factors: tuple[Array, Array], right: Float[Array, " m"]
+    ) -> Float[Array, " m"]:
+        """Solution of the linear system that has been factored."""
+        return jax.scipy.linalg.lu_solve(factors, right)
+
+
+@pytree
+class _SystemAtRest:
+    """The static problem of a system, as the search sees it."""
+
+    problem: StaticProblem
+    """The problem."""
+    displaced: Bool[Array, " m"]
+    """Whether an unknown is a displacement."""
+
+    @property
+    def element_lengths(self) -> Float[Array, " m"]:
+        """Size of a scaled step in element lengths and radians."""
+        scales = self.problem.scales
+        return jnp.where(self.displaced, scales.length / scales.element, 1)
+
+    @property
+    def largest_step(self) -> Float[Array, " m"]:
+        """Largest scaled step."""
+        return jnp.where(self.displaced, LARGEST_DISPLACEMENT, LARGEST_TURN)
+
+    def place(self, motions: Motions) -> _SystemPlace:
+        """The place of a configuration."""
+        here = self.problem.linear(motions)
+        loose = loose_motions(self.problem, here)
+        return _SystemPlace(
+            linear=here,
+            stiffness=held(self.problem, here, loose),
+            loose=loose,
+            driven=are_driven(self.problem, here, loose),
+        )
+
+    def moved(self, place: _SystemPlace, step: Float[Array, " m"]) -> Motions:
+        """Configuration after a step, to first order; strains change linearly."""
+        return self.problem.moved_along_edges(place.linear, step, place.loose)
 
 
 @jax.jit
@@ -43,16 +122,18 @@ def system_equilibrium(
         max_iterations: Largest number of corrections tried, accepted or not.
     """
     problem, start = static_problem(system, state)
-    end = newton(*lax.stop_gradient((problem, start, tolerance)), max_iterations)
-    found = by_kernel(problem, "with_held", (end.here.motions, start))
+    at_rest = _SystemAtRest(problem, is_displacement(start))
+    end = find_rest(*lax.stop_gradient((at_rest, start, tolerance)), max_iterations)
+    here = end.here
+    found = by_kernel(problem, "with_held", (here.linear.motions, start))
     correction = _last_correction(problem, found, end.step)
     rest = by_kernel(problem, "left_after", (found, correction))
-    loads = lax.stop_gradient(end.here.loads)
+    loads = lax.stop_gradient(here.loads)
     converged = end.converged
     together = _with_memory(system, rest, state)
     if RECORD in state:
         # Contact that lists had no room for is not balanced.
-        couplings = problem.listed(end.here.motions).stepper.couplings
+        couplings = problem.listed(here.linear.motions).stepper.couplings
         together[RECORD] = lax.stop_gradient(with_shortage(state[RECORD], couplings))
         converged &= ~together[RECORD].overflow
     displaced = is_displacement(start)
@@ -60,8 +141,8 @@ def system_equilibrium(
     return Equilibrium(
         state=together,
         converged=converged,
-        stable=converged & _is_positive(end, problem.rounding(start)),
-        loose=jnp.max(jnp.abs(end.loose)) > 0,
+        stable=converged & _is_positive(here, problem.rounding(start)),
+        loose=jnp.max(jnp.abs(here.loose)) > 0,
         iterations=end.iterations,
         force_residual=force / lax.stop_gradient(problem.scales.length),
         couple_residual=jnp.max(jnp.abs(loads), where=~displaced, initial=0),
@@ -108,14 +189,14 @@ def _with_memory(
     return together
 
 
-def _is_positive(end: Search, rounding: Array) -> Array:
+def _is_positive(here: _SystemPlace, rounding: Array) -> Array:
     """Whether the symmetric part of the stiffness is positive definite.
 
     What round-off, or loads that are not quite in balance, can do to it is not counted:
     a whole that can turn has a stiffness against that of the size of these loads.
     """
-    matrix = 0.5 * (end.stiffness + end.stiffness.T)
-    spare = rounding * jnp.max(jnp.abs(matrix)) + jnp.max(jnp.abs(end.here.loads))
+    matrix = 0.5 * (here.stiffness + here.stiffness.T)
+    spare = rounding * jnp.max(jnp.abs(matrix)) + jnp.max(jnp.abs(here.loads))
     factor = jnp.linalg.cholesky(
         matrix + _SPARE * spare * jnp.eye(len(matrix), dtype=matrix.dtype)
     )

@@ -1,13 +1,18 @@
-r"""Newton's method for a system at rest, with inertia where it is needed.
+r"""Search for a configuration at rest: Newton's method, with inertia where it is needed.
 
-A full correction $K r = g$ is tried, and judged by the correction that would be left.
-If that is too large, or if the correction goes against the loads, the members are given
-inertia: $(K + s M)\,r = g$ is one implicit step of a motion that stops again at once.
-The factor $s$ shrinks to zero as the corrections become better. Such steps follow the
-way that loads push, past folds, to an equilibrium that is stable.
+A full correction $K s = f$ of the loads $f$ is tried, and judged by the correction that
+would be left. If that is too large, or if the correction goes against the loads, things
+are given inertia: $(K + \sigma M)\,s = f$ is one implicit step of a motion that stops
+again at once. The factor $\sigma$ shrinks to zero as the corrections become better.
+Such steps follow the way that loads push, past folds, to an equilibrium that is stable.
+
+Source: pseudo-transient continuation (Kelley and Keyes, SIAM J. Numer. Anal. 35, 1998),
+with a factor that is controlled by how well the linear model predicts the loads.
 """
 
 from __future__ import annotations
+
+from typing import Any, Protocol
 
 import jax
 import jax.numpy as jnp
@@ -15,9 +20,6 @@ from jax import lax
 from jaxtyping import Array, Bool, Float, Int
 
 from jaxrod.structure import pytree
-from jaxrod.systems.statics.loose_motions import are_driven, held, loose_motions
-from jaxrod.systems.statics.problem import Linear, StaticProblem, is_displacement
-from jaxrod.systems.stepping.stepper import Motions
 
 LARGEST_TURN = 1.0
 """Largest rotation in one correction [rad]."""
@@ -27,29 +29,67 @@ LEFT = 0.75
 """Largest correction that may be left after one that is taken, over this one [1]."""
 LITTLE = 0.1
 """The same, below which inertia shrinks fast [1]."""
-
 STALLED = 10
 """Multiple of the tolerance below which a search that no longer gets on is done [1]."""
 FASTEST, SLOWEST = 0.1, 0.75
 """Factors by which inertia shrinks [1]."""
 
 
+class Place(Protocol):
+    """A configuration, with its loads and their derivative there (a pytree).
+
+    Steps and loads are scaled: a step has displacements over a length, and rotations.
+    """
+
+    @property
+    def loads(self) -> Array:
+        """Loads out of balance [J]."""
+
+    @property
+    def driven(self) -> Bool[Array, ""]:
+        """Whether loads drive a motion that nothing resists."""
+
+    def at(self, configuration: Any) -> Any:
+        """This place with another configuration: a start, before it is looked at."""
+
+    def momentum(self, step: Array) -> Array:
+        """The mass times a step [kg m^2]."""
+
+    def factors(self, inertia: Array) -> Any:
+        """Factors of the stiffness plus a multiple of the mass."""
+
+    def solve(self, factors: Any, right: Array) -> Array:
+        """Solution of the linear system that has been factored."""
+
+
+class RestProblem(Protocol):
+    """A static problem as the search sees it."""
+
+    @property
+    def element_lengths(self) -> Array:
+        """Size of a scaled step in element lengths and radians, over the step."""
+
+    @property
+    def largest_step(self) -> Array:
+        """Largest scaled step, component by component."""
+
+    def place(self, configuration: Any) -> Any:
+        """The place of a configuration."""
+
+    def moved(self, place: Any, step: Array) -> Any:
+        """Configuration after a step, to first order."""
+
+
 @pytree
 class Search:
-    """State of Newton's method: the configuration, and the correction to try next."""
+    """State of the search: a place, and the correction to try next."""
 
-    here: Linear
-    """The problem at the configuration."""
-    stiffness: Float[Array, "m m"]
-    """Stiffness, regular for rates that are not allowed and for loose motions [J]."""
-    loose: Float[Array, "modes m"]
-    """Motions that nothing resists; zeros in place of others."""
-    driven: Bool[Array, ""]
-    """Whether loads drive one of them."""
-    factors: tuple[Array, Array]
+    here: Any
+    """The place."""
+    factors: Any
     """Factors of the matrix of the correction."""
-    step: Float[Array, " m"]
-    """Full correction, in scaled rates."""
+    step: Array
+    """Full correction."""
     share: Float[Array, ""]
     """Share of it that is tried [1]."""
     inertia: Float[Array, ""]
@@ -64,8 +104,8 @@ class Search:
     """Whether the last correction was below the tolerance."""
 
 
-def newton(
-    problem: StaticProblem, start: Motions, tolerance: Array, max_iterations: Array
+def find_rest(
+    problem: RestProblem, start: Any, tolerance: Array, max_iterations: int | Array
 ) -> Search:
     """Searches for the configuration at which loads balance.
 
@@ -76,10 +116,6 @@ def newton(
             lengths and radians.
         max_iterations: Largest number of corrections tried, accepted or not.
     """
-    displaced = is_displacement(start)
-    count, dtype = displaced.size, problem.system.dtype
-    fine = jnp.where(displaced, problem.scales.length / problem.scales.element, 1)
-    most = jnp.where(displaced, LARGEST_DISPLACEMENT, LARGEST_TURN)
 
     def size(step: Array) -> Array:
         return jnp.sqrt(jnp.sum(step * step))
@@ -91,23 +127,22 @@ def newton(
 
     def improve(search: Search) -> Search:
         before, step, share = search.here, search.step, search.share
-        moved = problem.moved_along_edges(before, share * step, search.loose)
-        here = problem.linear(moved)
-        pushed = search.inertia * before.mass @ step
-        expected = (1 - share) * before.loads + share * pushed
-        left = jax.scipy.linalg.lu_solve(search.factors, here.loads - expected)
+        here = problem.place(problem.moved(before, share * step))
+        momentum = before.momentum(step)
+        expected = (1 - share) * before.loads + share * search.inertia * momentum
+        left = before.solve(search.factors, here.loads - expected)
         ratio = size(left) / (share * size(step))
-        work = jnp.dot(step, before.loads)
+        work = jnp.sum(step * before.loads)
         first = search.trials == 0
         # Below the tolerance what is left may be round-off. So it is a little above it,
         # where it no longer shrinks.
-        largest = jnp.max(jnp.abs(share * step) * fine)
+        largest = jnp.max(jnp.abs(share * step) * problem.element_lengths)
         little = (largest <= tolerance) | (
             (largest <= STALLED * tolerance) & (ratio > LEFT)
         )
-        done = ~first & little & (search.inertia == 0) & ~search.driven
+        done = ~first & little & (search.inertia == 0) & ~before.driven
         taken = first | done | ((ratio <= LEFT) & (work > 0))
-        own = jnp.dot(step, before.mass @ step)
+        own = jnp.sum(step * momentum)
         resisted = jnp.abs(work - search.inertia * own)
         fast = ratio <= LITTLE
         lower = search.inertia * jnp.where(fast, search.shrinking, 0.5)
@@ -120,18 +155,14 @@ def newton(
         inertia = jnp.where(taken, lower, higher)
         inertia = jnp.where(first, 0, inertia)
         here = jax.tree.map(lambda a, b: jnp.where(taken, a, b), here, before)
-        loose = loose_motions(problem, here)
-        stiffness = held(problem, here, loose)
-        factors = jax.scipy.linalg.lu_factor(stiffness + inertia * here.mass)
-        step = jax.scipy.linalg.lu_solve(factors, here.loads)
+        factors = here.factors(inertia)
+        step = here.solve(factors, here.loads)
+        over = jnp.max(jnp.abs(step) / problem.largest_step)
         return Search(
             here=here,
-            stiffness=stiffness,
-            loose=loose,
-            driven=are_driven(problem, here, loose),
             factors=factors,
             step=step,
-            share=1 / jnp.maximum(1, jnp.max(jnp.abs(step) / most)),
+            share=1 / jnp.maximum(1, over),
             inertia=inertia,
             shrinking=jnp.where(first, FASTEST, shrinking),
             trials=search.trials + 1,
@@ -139,15 +170,17 @@ def newton(
             converged=done,
         )
 
-    none, no = jnp.zeros((), jnp.int32), jnp.zeros((), bool)
-    zero, vector = jnp.zeros((), dtype), jnp.zeros(count, dtype)
-    one = jnp.eye(count, dtype=dtype)
-    here = Linear(start, vector, one, one, one)
-    factors = one, jnp.arange(count, dtype=jnp.int32)
+    def nothing() -> Any:
+        here = problem.place(start)
+        return here, here.factors(jnp.zeros_like(tolerance))
+
     # The first trial is the start itself.
-    modes = len(jax.eval_shape(problem.motions_of_the_whole, start))
-    loose = jnp.zeros((modes, count), dtype)
-    begin = Search(
-        here, one, loose, no, factors, vector, zero, zero, zero, none, none, no
+    here, factors = jax.tree.map(
+        lambda a: jnp.zeros(a.shape, a.dtype), jax.eval_shape(nothing)
     )
+    here = here.at(start)
+    zero, none = jnp.zeros_like(tolerance), jnp.zeros((), jnp.int32)
+    step = jnp.zeros_like(here.loads)
+    no = jnp.zeros((), bool)
+    begin = Search(here, factors, step, zero, zero, zero, none, none, no)
     return lax.while_loop(unfinished, improve, begin)
