@@ -175,7 +175,7 @@ class _RodPlace:
     tangent: Tangent
     """Tangent stiffness, with springs against loose modes [N/m, N, N m]."""
     mass: Float[Array, "n+1 6 6"]
-    """Masses and rotary inertias, world frame; zero for held components [kg, kg m^2]."""
+    """Masses and rotary inertias, world frame; zero where held [kg, kg m^2]."""
     loose: Bool[Array, ""]
     """Whether nothing resists a motion of the rod as a whole."""
 

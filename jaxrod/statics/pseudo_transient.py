@@ -1,4 +1,4 @@
-r"""Search for a configuration at rest: Newton's method, with inertia where it is needed.
+r"""Search for a configuration at rest: Newton's method, with inertia where needed.
 
 A full correction $K s = f$ of the loads $f$ is tried, and judged by the correction that
 would be left. If that is too large, or if the correction goes against the loads, things

@@ -199,7 +199,7 @@ def test_a_tendons_friction_is_by_how_fast_it_slips_at_each_eyelet(anchored):
 
 @pytest.mark.parametrize("share", [1.0, -1.0, 0.6])
 def test_a_cable_at_rest_keeps_the_share_of_its_friction_that_is_asked_for(share):
-    """T = T_0 exp(-s mu theta) along a ring: in a motion, as Moebius's sum of shares."""
+    """T = T_0 exp(-s mu theta) along a ring; shares add as velocities do."""
     pull, friction = 7.0, 0.4
     rod, _ = arm(24)
     ring = strained(rod, (0.0, 1.5 * np.pi / LENGTH, 0.0), 0.0)
