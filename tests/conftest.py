@@ -5,6 +5,7 @@ import gc
 import os
 import shutil
 import tempfile
+from collections import Counter
 
 # Every worker of a parallel run computes on one thread, so that two workers on two
 # cores do not fight. These are read when the libraries start, hence before imports.
@@ -70,8 +71,16 @@ def chromium_path() -> str | None:
     return next(filter(None, map(shutil.which, CHROMIUM_NAMES)), None)
 
 
+@pytest.hookimpl(tryfirst=True)
 def pytest_collection_modifyitems(items):
-    """Skips what this machine cannot run, and says why."""
+    """Skips what this machine cannot run, and says why; marks sets that are slow."""
+    sets = Counter()
+    for item in items:
+        if marker := item.get_closest_marker("fast_sets"):
+            test = item.nodeid.partition("[")[0]
+            sets[test] += 1
+            if sets[test] > marker.args[0]:
+                item.add_marker(pytest.mark.slow)
     missing = {
         "browser": lambda: None if chromium_path() else "no Chromium is installed",
         "gpu": lambda: (

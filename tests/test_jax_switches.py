@@ -111,6 +111,7 @@ def names_of(programs):
     ]
 
 
+@pytest.mark.fast_sets(5)
 @pytest.mark.default_precision
 @pytest.mark.parametrize("name", names_of(WITHOUT_JIT))
 def test_without_jit_it_is_the_same(name):
@@ -133,6 +134,7 @@ MADE_OUTSIDE = {
 }
 
 
+@pytest.mark.fast_sets(1)
 @pytest.mark.default_precision
 @pytest.mark.parametrize("name", MADE_OUTSIDE)
 def test_a_scene_of_what_was_made_outside_may_be_made_within_jit(name):
@@ -229,6 +231,7 @@ SOUND = {
 }
 
 
+@pytest.mark.fast_sets(5)
 @pytest.mark.default_precision
 @pytest.mark.parametrize("name", names_of(SOUND))
 def test_nothing_stops_being_finite_on_the_way(name):

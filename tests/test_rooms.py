@@ -3,6 +3,8 @@
 import ast
 from pathlib import Path
 
+import pytest
+
 from walk_of_a_scene import files_entered
 
 ROOT = Path(__file__).parents[1]
@@ -89,6 +91,7 @@ def test_no_module_name_begins_with_an_underscore():
     assert {name for name in names if name.startswith("_")} == {"__main__"}
 
 
+@pytest.mark.slow
 def test_a_scene_enters_few_files_on_its_way_to_a_step():
     """`python tests/walk_of_a_scene.py` prints them."""
     assert len(files_entered()) <= 8

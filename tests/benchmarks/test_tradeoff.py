@@ -102,6 +102,7 @@ def test_simulators_without_our_contact_are_left_out_with_a_word(monkeypatch):
     ]
 
 
+@pytest.mark.fast_sets(2)
 @pytest.mark.parametrize("name", sorted(SCENES.keys() - {"slam"}))
 def test_named_problems_are_made_of_effects_pyelastica_has(name):
     problem = short(SCENES[name](), 2)

@@ -83,6 +83,7 @@ def check_refused(result, before, folder, said):
     assert contents(folder) == before
 
 
+@pytest.mark.fast_sets(9)
 @pytest.mark.parametrize(("name", "what", "said"), DAMAGES)
 def test_a_damaged_run_is_not_evaluated(name, what, said, spoilt, run):
     folder = spoilt(name, what)

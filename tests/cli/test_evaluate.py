@@ -34,6 +34,7 @@ def test_the_text_says_what_was_measured(trained, run):
     assert "±" in out
 
 
+@pytest.mark.slow
 def test_a_run_can_be_evaluated_while_it_trains(tmp_path, run_json):
     scores = []
 

@@ -25,6 +25,7 @@ def test_a_known_minimum_is_found(mode):
     assert np.all(np.diff(costs) <= 0)
 
 
+@pytest.mark.fast_sets(2)
 @pytest.mark.parametrize("batched", [False, True])
 def test_an_iteration_whose_first_damping_would_be_rejected_is_not_lost(dtype, batched):
     start = jnp.asarray([-1.0, 1.0], dtype)

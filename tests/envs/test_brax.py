@@ -146,6 +146,7 @@ def test_an_episode_asked_to_be_longer_than_it_is_ends_all_the_same():
     assert ends == ([False] * 20 + [True]) * 2
 
 
+@pytest.mark.fast_sets(3)
 @pytest.mark.parametrize("repeat", [1, 2, 3])
 @pytest.mark.parametrize("length", [5, 6])
 def test_a_repeated_action_ends_with_the_episode(length, repeat):

@@ -154,6 +154,7 @@ def test_gradient_through_contact_is_that_of_finite_differences(name, towards, r
     )
 
 
+@pytest.mark.fast_sets(1)
 @NAMES
 @pytest.mark.parametrize(
     "limit",

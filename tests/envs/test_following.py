@@ -26,6 +26,7 @@ def weightless(arm):
     return dataclasses.replace(arm, weight=jaxrod.gravity((0.0, 0.0, 0.0)))
 
 
+@pytest.mark.fast_sets(2)
 @pytest.mark.parametrize("n", [5, 12, 20])
 def test_angles_of_all_segments_are_the_bend_of_the_arm(n):
     """The integral of the rest curvature is the sum of the angles."""

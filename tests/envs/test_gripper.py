@@ -262,6 +262,7 @@ def test_the_ball_lies_anywhere_near_the_middle_on_the_table():
     np.testing.assert_array_equal(places[:, 2], rest[2])
 
 
+@pytest.mark.slow
 def test_fingers_press_the_ball_into_the_table_without_going_into_it():
     """The wrist comes down with closing fingers, as random actions have it."""
     env = make("gripper")

@@ -221,6 +221,7 @@ def test_wrappers_of_gymnasium_go_over_it(mode, names):
         assert 0.5 < np.std(rows) < 2
 
 
+@pytest.mark.fast_sets(2)
 @pytest.mark.parametrize(
     ("before", "flags", "holds"),
     [

@@ -23,6 +23,7 @@ def test_cylinders_of_the_maze_stand_across_its_plane():
     np.testing.assert_array_equal(maze.centres[::2], maze.starts[::2])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "variant", ["paper", pytest.param("clean", marks=pytest.mark.slow)]
 )

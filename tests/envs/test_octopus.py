@@ -125,6 +125,7 @@ def test_bad_options_are_named(options, said):
         make("octopus", **options)
 
 
+@pytest.mark.slow
 def test_controls_follow_the_action_either_way_and_no_farther_than_they_may():
     env = make("octopus", n_elements=3)
     params, state = start(env)

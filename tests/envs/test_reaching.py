@@ -58,6 +58,7 @@ def test_paper_arm_moves_as_an_independent_implementation_says(paper):
     np.testing.assert_allclose(obs[-1, 37:41], quaternion(arm.Q[-1]), atol=1e-10)
 
 
+@pytest.mark.fast_sets(1)
 @VARIANTS
 def test_observation_is_nodes_tip_velocity_tip_frame_and_goal(variant):
     env = make("reaching", variant=variant)

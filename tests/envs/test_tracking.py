@@ -90,6 +90,7 @@ def test_observation_is_nodes_tip_velocity_target_and_its_velocity(variant):
     np.testing.assert_allclose(obs[41:] * 0.5, state.target.velocity, rtol=1e-12)
 
 
+@pytest.mark.fast_sets(2)
 @pytest.mark.parametrize(
     ("distance", "bonus"), [(0.04, 2.0), (0.06, 0.5), (0.099, 0.5), (0.11, 0.0)]
 )

@@ -7,6 +7,7 @@ from examples.loading import load
 pendulum = load("driven_pendulum")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("share", "stands"), [pytest.param(0.5, False, marks=pytest.mark.slow), (1.6, True)]
 )

@@ -75,6 +75,7 @@ def shaken(scene, state, dt, n_steps):
     return moved, jaxrod.health(scene, end, dt).flagged
 
 
+@pytest.mark.fast_sets(6)
 @pytest.mark.parametrize("slenderness", [3, 30, 1000])
 @pytest.mark.parametrize("n", [2, 20, pytest.param(100, marks=pytest.mark.slow)])
 def test_noise_stays_noise_whatever_the_slenderness(slenderness, n, dtype):

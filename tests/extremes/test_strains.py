@@ -114,6 +114,7 @@ def examined(scene, state, dt):
     return jaxrod.health(scene, state, dt), finite
 
 
+@pytest.mark.fast_sets(3)
 @pytest.mark.parametrize("angle", [2.4, 2.6, np.pi - 1e-3, np.pi, 3.6, 6.0])
 def test_joints_turned_to_pi_and_beyond(angle):
     """Past pi a rotation is the shorter one the other way; before, it is flagged."""

@@ -169,6 +169,7 @@ def test_every_rule_belongs_to_a_primitive_with_known_parameters():
 # Runs with equations that lanes do not know ---------------------------------------
 
 
+@pytest.mark.fast_sets(1)
 @pytest.mark.parametrize("kind", ["primitive", "parameter", "lost parameter"])
 def test_xla_takes_the_whole_run(kind, monkeypatch, mode):
     rod, start = jaxrod.straight_rod(

@@ -113,6 +113,7 @@ def test_a_chamber_bends_and_lengthens(bar, record):
     )
 
 
+@pytest.mark.fast_sets(2)
 @pytest.mark.parametrize("degrees", [30.0, 54.7356, -70.0])
 def test_a_wound_chamber_pushes_and_unwinds(bar, degrees, record):
     rod, state = bar

@@ -43,6 +43,7 @@ def solve(matrix, right):
     return jax.jit(lambda matrix, right: matrix.solve(right))(matrix, right)
 
 
+@pytest.mark.fast_sets(6)
 @both_forms
 @pytest.mark.parametrize(("n", "m"), [(N, M), (1, 3), (2, 1)])
 def test_the_solution_is_that_of_the_whole_system(n, m, form, dtype):
@@ -127,6 +128,7 @@ def test_a_singular_matrix_gives_no_finite_solution(form):
     assert not np.any(np.isfinite(solve(form(singular), right)))
 
 
+@pytest.mark.fast_sets(1)
 @both_forms
 def test_derivatives_of_the_solution(form):
     chain, right = random_matrix(4)

@@ -103,6 +103,7 @@ def test_distances_are_those_of_the_nearest_of_many_points_of_the_surface():
     assert nearest(body, jnp.concatenate([mantle, *lids], axis=1)) < 2e-3
 
 
+@pytest.mark.fast_sets(6)
 def test_everything_is_finite_everywhere(body, dtype):
     """Values, and their gradients with respect to places and numbers."""
     body = jax.tree.map(lambda leaf: leaf.astype(dtype), body)

@@ -126,6 +126,7 @@ RUNS = {
 }
 
 
+@pytest.mark.fast_sets(9)
 @pytest.mark.parametrize(
     ("run", "kind"),
     [
@@ -170,6 +171,7 @@ def test_a_scene_that_a_jitted_function_closes_over(plane):
         assert jax.eval_shape(run)
 
 
+@pytest.mark.fast_sets(1)
 @pytest.mark.parametrize(
     ("kind", "mode"),
     [("float64", "consistent"), ("float32", "consistent"), ("float32", "pyelastica")],
@@ -291,6 +293,7 @@ def test_an_effect_costs_only_what_it_does(record, request):
     assert flops(jaxrod.gravity()) > bare
 
 
+@pytest.mark.fast_sets(2)
 @pytest.mark.usefixtures("compiled_for_cpus")
 @pytest.mark.parametrize(
     ("kind", "figure"),

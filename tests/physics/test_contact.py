@@ -33,6 +33,7 @@ from physics.touching import (
 )
 
 
+@pytest.mark.fast_sets(1)
 @pytest.mark.parametrize("per_element", [1, 3])
 def test_a_weight_rests_at_the_penetration_weight_over_stiffness(per_element):
     rod, state = random_rod(2, 6)

@@ -58,6 +58,7 @@ FINEST = pytest.param(160, 8, marks=pytest.mark.slow)
 GRIDS = [(10, 1), (10, 4), (40, 2), (160, 1), FINEST]
 
 
+@pytest.mark.fast_sets(2)
 @pytest.mark.parametrize(("n", "points"), GRIDS)
 def test_a_standing_rod_is_pushed_alike_on_every_grid(n, points):
     for name, make in BELOW.items():
@@ -69,6 +70,7 @@ def test_a_standing_rod_is_pushed_alike_on_every_grid(n, points):
                 assert found == pytest.approx(law(depth), rel=0.02), (name, depth)
 
 
+@pytest.mark.fast_sets(2)
 @pytest.mark.parametrize(("n", "points"), GRIDS)
 def test_a_moving_body_is_pushed_as_a_fixed_one(n, points):
     rod, state = standing(n, 1e-3)
@@ -140,6 +142,7 @@ def test_a_leaning_rod_is_pushed_alike_on_every_grid():
         assert np.max(np.abs(forces[:2])) < 1e-12
 
 
+@pytest.mark.fast_sets(1)
 @pytest.mark.parametrize("per", [1, 3])
 def test_loads_at_an_end_are_minus_the_gradient_of_the_energy(per):
     """At a sphere, aslant, so that the two normals differ; near ones, too."""
@@ -204,6 +207,7 @@ def test_ends_that_are_tied_have_no_face():
     assert float(jnp.sum(free[2])) == pytest.approx(expected, rel=0.02)
 
 
+@pytest.mark.fast_sets(2)
 @pytest.mark.parametrize("n", [2, 3, 12])
 def test_the_bound_of_the_stiffness_holds_for_ends_at_any_angle(n):
     """On a coarse grid and on one whose elements are thinner than the rod is thick."""

@@ -37,6 +37,7 @@ def test_an_arm_that_is_dropped_comes_to_rest_there(record):
     )
 
 
+@pytest.mark.fast_sets(1)
 @pytest.mark.parametrize("mode", ["consistent", "pyelastica"])
 def test_an_arm_rolls_down_a_slope_at_two_thirds_of_free_sliding(mode, record):
     slope = 0.3

@@ -73,6 +73,7 @@ def is_sound(scene, state):
     return not any(report.flagged for report in examined(scene, state))
 
 
+@pytest.mark.fast_sets(7)
 def test_a_held_rod_that_is_let_go_is_sound(world):
     assert is_sound(*falling(world, *readme_rod(), held=True))
 

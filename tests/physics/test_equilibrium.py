@@ -159,6 +159,7 @@ def test_a_start_whose_nodes_are_off_leads_to_the_same_equilibrium(size):
         assert difference(found.state, expected) < 1e-9
 
 
+@pytest.mark.slow
 def test_a_fold_on_the_way_does_not_end_the_search():
     """Far beyond buckling, corrections grow without bound near a singular tangent."""
     scene, state = scene_of_every_load()

@@ -74,6 +74,7 @@ def test_the_force_turns_with_the_end_element_and_the_couple_too(end):
     assert np.count_nonzero(on_nodes) == np.count_nonzero(before.couples) == 3
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("end", [pytest.param("base", marks=pytest.mark.slow), "tip"])
 def test_the_elastica_under_a_force_that_stays_normal_to_its_end(end, record):
     worst = 0.0

@@ -66,6 +66,7 @@ def slid(duration, force, friction):
     return duration**2 / (2 * MASS) * (abs(force) - friction * MASS * G) ** 2
 
 
+@pytest.mark.fast_sets(1)
 @pytest.mark.parametrize(("force", "friction"), [(10.0, 0.4), (-10.0, 0.2)])
 def test_a_rod_slides_along_itself_forward_and_backward(force, friction, record):
     moved, turned = on_ground(0.25, (0.4, 0.2, 1.0), force=force)

@@ -49,6 +49,7 @@ def spinning(state, rate):
     return jaxrod.with_angular_velocities(arm(5)[0], state, spins)
 
 
+@pytest.mark.fast_sets(4)
 @pytest.mark.parametrize(
     ("change", "wrong", "fine", "flag"),
     [

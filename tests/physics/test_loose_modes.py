@@ -99,6 +99,7 @@ def test_its_sag_depends_on_every_number_as_differences_say(record):
     )
 
 
+@pytest.mark.slow
 def test_what_loads_do_drive_is_not_said_to_converge():
     """An end couple about the axis of a rod on two pins spins it for ever."""
     spun = found(*beam(), couple=(0.01, 0.0, 0.0))

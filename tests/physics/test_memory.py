@@ -55,6 +55,7 @@ def muscled(rod, state, method=None, command=0.8):
     )
 
 
+@pytest.mark.fast_sets(2)
 @pytest.mark.parametrize("name", METHODS)
 def test_what_an_effect_remembers_goes_on_in_every_method(name, rod_and_state):
     rod, state = rod_and_state

@@ -120,6 +120,7 @@ def test_the_coupling_coefficient(dtype):
     np.testing.assert_allclose(got, exact, rtol=2 * TOLERANCE[str(dtype)])
 
 
+@pytest.mark.fast_sets(2)
 @pytest.mark.parametrize("differentiate", [jax.jacfwd, jax.jacrev])
 def test_derivatives_at_zero_are_finite_and_right(differentiate, dtype):
     back = lambda v: jnp.stack(rotation_log(rotation_exp((v[0], v[1], v[2]))))

@@ -125,6 +125,7 @@ TABLE = {
 }
 
 
+@pytest.mark.fast_sets(2)
 @pytest.mark.parametrize("name", TABLE)
 def test_the_limit_of_well_known_rods(name, record):
     radius, modulus, n, published = TABLE[name]
@@ -142,6 +143,7 @@ def test_the_limit_of_well_known_rods(name, record):
 
 # Damping, over the highest frequency. Where the law of PyElastica damps more than that
 # in a step, the limit is not one number: the bound is below the first of several.
+@pytest.mark.fast_sets(1)
 @pytest.mark.parametrize(
     ("mode", "rates"),
     [

@@ -68,6 +68,7 @@ def steps_along(name, values, dtype=jnp.float64, method=None, faces=True, **numb
     return jax.jit(jax.vmap(step))(jnp.asarray(values, dtype))
 
 
+@pytest.mark.fast_sets(2)
 @pytest.mark.parametrize("dtype", [jnp.float32, jnp.float64])
 @pytest.mark.parametrize("name", ["stiffness", "damping", "drag"])
 def test_more_stiffness_or_drag_never_allows_a_larger_step(name, dtype):
@@ -79,6 +80,7 @@ def test_more_stiffness_or_drag_never_allows_a_larger_step(name, dtype):
     assert np.max(found.uncertainty) < rounding
 
 
+@pytest.mark.slow
 def test_the_step_has_a_derivative_both_ways():
     """The search is not differentiated: the balance that defines the step is."""
     scene, _ = pressed(4)
@@ -93,6 +95,7 @@ def test_the_step_has_a_derivative_both_ways():
     np.testing.assert_allclose(jax.jacfwd(step)(drag), expected, rtol=1e-6)
 
 
+@pytest.mark.fast_sets(1)
 @pytest.mark.parametrize("method", [jaxrod.consistent(), jaxrod.pyelastica()])
 def test_more_damping_never_asks_for_a_smaller_step(method):
     values = np.geomspace(1e-3, 1e3, 61)

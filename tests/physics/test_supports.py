@@ -64,6 +64,7 @@ def test_a_simply_supported_beam_vibrates_as_it_should():
     np.testing.assert_allclose(lowest, exact, rtol=3e-3)
 
 
+@pytest.mark.slow
 def test_a_pin_in_the_middle_carries_what_it_should():
     """Two equal spans under a uniform load: the middle carries 5/8 of it."""
     rod, state = along_x()

@@ -10,6 +10,7 @@ from jaxrod.rods.motion import Motion
 from physics.rods import arm
 
 
+@pytest.mark.fast_sets(2)
 @pytest.mark.parametrize("order", [1, 3, 7])
 def test_filtered_rates(order):
     rod, _ = arm(10)

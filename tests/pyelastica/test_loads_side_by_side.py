@@ -128,6 +128,7 @@ def drawn():
     )
 
 
+@pytest.mark.fast_sets(3)
 @pytest.mark.parametrize("which", range(len(SIZES)), ids=SIZES)
 def test_loads_are_those_of_pyelastica(which, drawn, record, monkeypatch):
     still, state = same_scene(drawn)

@@ -62,6 +62,7 @@ def from_its_other_end(state):
     )
 
 
+@pytest.mark.fast_sets(1)
 @pytest.mark.parametrize(
     "beside",
     [

@@ -47,6 +47,7 @@ def test_the_bounds_of_springs_and_dashpots_are_those_of_as_much_length():
         assert bounds[name].element_drag is None
 
 
+@pytest.mark.fast_sets(1)
 @pytest.mark.parametrize(("n", "m"), [(7, 20), (20, 53)])
 def test_parallel_rods_press_alike_on_any_grids(n, m, record):
     """The force is stiffness times depth times length, spread as the grid is."""

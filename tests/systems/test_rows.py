@@ -61,6 +61,7 @@ def test_summed(name: str) -> None:
     np.testing.assert_allclose(found, expected, rtol=0, atol=1e-14)
 
 
+@pytest.mark.fast_sets(5)
 @pytest.mark.parametrize("name", [*INDICES, *REPEATED])
 def test_transposed(name: str) -> None:
     """Picking and adding up are each other's transpose."""

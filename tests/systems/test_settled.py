@@ -192,6 +192,7 @@ def test_a_ball_comes_to_rest_and_what_falls_does_not(record):
     assert float(dropped.force_residual) == pytest.approx(weight, rel=1e-9)
 
 
+@pytest.mark.slow
 def test_a_beam_settles_within_a_few_of_its_periods():
     """It is damped by the rate at which it swings, found on the way."""
     arm, straight = jaxrod.straight_rod(

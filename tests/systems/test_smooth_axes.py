@@ -8,6 +8,7 @@ from scipy.interpolate import CubicHermiteSpline
 from jaxrod.systems.contact.smooth_axes import smooth_nodes, stiffest
 
 
+@pytest.mark.fast_sets(3)
 @pytest.mark.parametrize("n", [3, 7, 12, 13, 20])
 def test_the_stiffest_springs_are_those_of_cubic_splines(n):
     """Sums of stiffness entries of each node, with each spring at its worst place."""

@@ -76,6 +76,7 @@ def evaluated():
     return jax.jit(jax.value_and_grad(energy, argnums=1))
 
 
+@pytest.mark.fast_sets(6)
 @pytest.mark.parametrize("seed", range(12))
 def test_two_halves_are_two_springs_in_series(seed):
     members, state, bent, expected = drawn(seed)

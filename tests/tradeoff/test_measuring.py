@@ -37,6 +37,7 @@ def test_the_error_falls_with_the_square_of_the_number_of_elements(swinging):
     assert exact.error < 0.2 * errors[1]
 
 
+@pytest.mark.slow
 def test_the_reference_knows_how_wrong_it_is(swinging):
     workload, exact = swinging
     finer = tips_of(
@@ -45,6 +46,7 @@ def test_the_reference_knows_how_wrong_it_is(swinging):
     assert 0.5 < tip_error(exact.tips, finer, exact.length) / exact.error < 2.0
 
 
+@pytest.mark.fast_sets(2)
 @pytest.mark.parametrize(
     "reductions", [("planar",), ("untwisted",), ("compensated",), ("inertia",)]
 )

@@ -83,6 +83,7 @@ def rows(out):
         ]
 
 
+@pytest.mark.slow
 def test_the_file_holds_the_table_of_progress_and_the_evaluation(tmp_path):
     result = trained(tmp_path)
     expected = rows(tmp_path)

@@ -101,6 +101,7 @@ def assert_equal_ends(left, right):
     assert (left / "episodes.csv").read_bytes() == (right / "episodes.csv").read_bytes()
 
 
+@pytest.mark.slow
 def test_two_processes_are_two_devices_bit_by_bit(tmp_path):
     whole, apart = tmp_path / "whole", tmp_path / "apart"
     (one,) = said(start(asked(whole, devices=2, processes=1)))

@@ -339,6 +339,7 @@ class Endless(Trivial):
         return seen, state, 0 * reward - 0.25, never, never, info
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "config",
     [SMALL, TRPOConfig(num_envs=8, rollout_steps=16, hidden_sizes=(8,))],

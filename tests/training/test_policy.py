@@ -33,6 +33,7 @@ def test_policy_is_the_mean_of_the_learners_distribution():
     np.testing.assert_allclose(policy(observation), jnp.clip(mean, -1, 1), rtol=1e-12)
 
 
+@pytest.mark.fast_sets(3)
 @pytest.mark.parametrize("activation", ["tanh", "relu", "elu"])
 @pytest.mark.parametrize("output", ["clip", "tanh"])
 def test_files_hold_exactly_the_policy(tmp_path, activation, output):
@@ -81,6 +82,7 @@ def test_impossible_action_repeat_is_refused_where_it_is_read(tmp_path):
         load_policy(tmp_path)
 
 
+@pytest.mark.fast_sets(1)
 @pytest.mark.parametrize(
     ("learner", "init", "settings"),
     [(ppo.PPO, ppo.init, PPOConfig), (sac.SAC, sac.init, SACConfig)],

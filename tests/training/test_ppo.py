@@ -102,6 +102,7 @@ def test_first_minibatch_has_ratio_one():
         assert metrics.scalars["clipped"] == 0
 
 
+@pytest.mark.slow
 def test_vectorised_seeds_equal_separate_runs():
     env, updates = Trivial(), 4
     states, metrics = train_seeds(env, steps=128 * updates, seeds=(3, 4), config=SMALL)

@@ -66,6 +66,7 @@ def test_an_object_that_make_did_not_make_trains_and_cannot_be_made_again(tmp_pa
         open_run(tmp_path)
 
 
+@pytest.mark.slow
 @pytest.mark.default_precision
 def test_runs_of_when_a_task_was_a_case_are_read_and_go_on(tmp_path):
     settings = {"steps": 256, "config": SMALL, "progress": False, "out": tmp_path}

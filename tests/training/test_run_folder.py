@@ -122,6 +122,7 @@ def test_what_jaxrod_did_not_write_is_never_replaced(tmp_path, fill, said, overw
     assert contents(folder) == before
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("overwrite", [False, True])
 def test_a_run_that_lost_its_configuration_is_not_replaced(copy, overwrite):
     (copy.path / "config.json").unlink()

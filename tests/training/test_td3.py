@@ -29,6 +29,7 @@ SIZES = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.default_precision
 @pytest.mark.parametrize(
     ("name", "config"),

@@ -43,6 +43,7 @@ def some_policy(hidden=8, limit=0.7):
     )
 
 
+@pytest.mark.fast_sets(1)
 @pytest.mark.parametrize(
     ("algorithm", "config"),
     [(PPO, SMALL), (TRPO, TRPOConfig(num_envs=8, rollout_steps=16, hidden_sizes=(8,)))],
