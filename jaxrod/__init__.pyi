@@ -54,6 +54,7 @@ from jaxrod.methods.implicit import implicit as implicit
 from jaxrod.methods.planar import planar as planar
 from jaxrod.methods.pyelastica import pyelastica as pyelastica
 from jaxrod.methods.torsion_free import torsion_free as torsion_free
+from jaxrod.resampling import resample as resample
 from jaxrod.rods.elasticity import stored_energy as stored_energy
 from jaxrod.rods.elasticity import strains as strains
 from jaxrod.rods.factories import rod_along as rod_along

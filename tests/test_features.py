@@ -475,7 +475,7 @@ def test_health_flags_what_a_step_too_long_has_broken_and_freeze_keeps_the_rest(
     np.testing.assert_array_equal(kept.positions, sound.positions)
 
 
-@runs("equilibrium", "reactions", "settled", "make_system")
+@runs("equilibrium", "reactions", "resample", "settled", "make_system")
 def test_an_arm_rests_where_its_loads_balance():
     scene, state = arm()
     rest = jaxrod.equilibrium(scene, state)
@@ -486,6 +486,8 @@ def test_an_arm_rests_where_its_loads_balance():
     close(wall.force, (0, 0, weight), rtol=1e-6, atol=1e-6)
     centre = rest.state.positions @ ROD.node_masses / MASS
     close(wall.couple, (0, -weight * centre[0], 0), rtol=1e-4, atol=1e-4)
+    finer, fine = jaxrod.resample(scene, state, 8)
+    close(jaxrod.equilibrium(finer, fine).state.tip[2], rest.state.tip[2], rtol=0.1)
     # The same arm as a system, followed until it rests.
     system = jaxrod.make_system({"arm": scene})
     fallen = jaxrod.systems.settled(system, {"arm": state}, max_steps=20000)

@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 
 import jaxrod
-from jaxrod.tradeoff.workload import resampled
 from physics.rods import arm, deformed
 
 
@@ -36,7 +35,7 @@ def curved(n, dtype=jnp.float64):
 def test_a_uniform_straight_rod_is_the_one_the_factory_makes():
     rod, state = arm(7)
     scene = jaxrod.make_scene(rod, jaxrod.clamp(state), jaxrod.gravity())
-    finer, moved = resampled(scene, state, 20)
+    finer, moved = jaxrod.resample(scene, state, 20)
     expected_rod, expected = arm(20)
     for field in dataclasses.fields(rod):
         got, want = (getattr(r, field.name) for r in (finer.rod, expected_rod))
@@ -57,7 +56,7 @@ def test_it_converges_to_the_rod_of_many_elements():
     exact, exact_state = curved(96)
 
     def errors(n):
-        scene, state = resampled(*curved(n), 96)
+        scene, state = jaxrod.resample(*curved(n), 96)
         yield scene.rod.bend_twist_stiffness, exact.rod.bend_twist_stiffness
         yield scene.rod.linear_density, exact.rod.linear_density
         yield scene.effects[0].orientation, exact.effects[0].orientation
@@ -81,7 +80,7 @@ def test_a_moving_rod_keeps_its_momentum_and_energy():
         state, velocities=jnp.stack([smooth, 2 * smooth, 0.5 * smooth])
     )
     state = jaxrod.with_angular_velocities(rod, state, jnp.ones((3, 40)))
-    scene, moved = resampled(jaxrod.make_scene(rod), state, 80)
+    scene, moved = jaxrod.resample(jaxrod.make_scene(rod), state, 80)
     np.testing.assert_allclose(scene.momentum(moved), rod.momentum(state), rtol=2e-3)
     assert float(scene.kinetic_energy(moved)) == pytest.approx(
         float(rod.kinetic_energy(state)), rel=2e-3
@@ -90,7 +89,7 @@ def test_a_moving_rod_keeps_its_momentum_and_energy():
 
 def test_the_same_number_changes_nothing_and_too_few_are_refused():
     scene, state = curved(8)
-    again = resampled(scene, state, 8)
+    again = jaxrod.resample(scene, state, 8)
     assert again[0] is scene and again[1] is state
     with pytest.raises(ValueError, match="n_elements must be at least 2"):
-        resampled(scene, state, 1)
+        jaxrod.resample(scene, state, 1)

@@ -12,7 +12,6 @@ from jaxrod.effects.base import Effect
 from jaxrod.geometry.rotations import directors
 from jaxrod.rods.motion import Loads
 from jaxrod.structure import pytree
-from jaxrod.tradeoff.workload import resampled
 from physics.reductions import arithmetic_left, check_one_program
 from physics.rods import arm
 from physics.torsion_free import largest_gap, swinging, with_twist
@@ -62,9 +61,9 @@ def test_compensation_inertia_scaling_and_other_numbers_of_elements():
     np.testing.assert_allclose(one.positions, other.positions, atol=2e-6)
     assert one.remainders is not None and bool(jnp.any(one.remainders != 0))
     assert not bool(jaxrod.health(scene, one, 2e-4).flagged)
-    fewer, there = resampled(scene, other, 5)
+    fewer, there = jaxrod.resample(scene, other, 5)
     assert not fewer.method.twist and there.positions.shape == (3, 6)
-    scaled = jaxrod.scale_inertia(resampled(*exact, 40)[0])
+    scaled = jaxrod.scale_inertia(jaxrod.resample(*exact, 40)[0])
     assert not scaled.scene.method.twist and float(scaled.gain) >= 1
 
 

@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 
 import jaxrod
-from jaxrod.tradeoff.workload import resampled
 from physics.numeric_arguments import BALL, FACTORIES, MATERIAL, SCENE, STATE
 from public_names import PUBLIC
 
@@ -134,6 +133,7 @@ def test_gradients_are_those_of_central_differences(name, case, argument):
         ("highest_frequency", {"scene": SCENE, "state": STATE, "size": 3}),
         ("natural_frequencies", {"scene": SCENE, "state": STATE, "n_modes": 3}),
         ("equilibrium", {"scene": SCENE, "state": STATE, "max_iterations": 3}),
+        ("resample", {"scene": SCENE, "state": STATE, "n_elements": 6}),
         ("implicit", {"max_iterations": 3}),
         ("rollout", {"scene": SCENE, "state": STATE, "dt": 1e-4, "n_steps": 3}),
         ("rollout_times", {"dt": 1e-4, "n_steps": 4, "every": 2}),
@@ -153,7 +153,7 @@ def test_traced_structure_is_refused_by_name(name, arguments):
     "look",
     [
         lambda scene: jaxrod.natural_frequencies(scene, STATE),
-        lambda scene: resampled(scene, STATE, 6),
+        lambda scene: jaxrod.resample(scene, STATE, 6),
         lambda scene: jaxrod.tune(scene, STATE),
     ],
 )
