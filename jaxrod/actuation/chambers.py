@@ -15,6 +15,7 @@ with the moment $2 p \pi r^3 \cot\alpha$ (Bishop-Moser and Kota, 2015).
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import ClassVar
 
 import jax.numpy as jnp
 import numpy as np
@@ -30,7 +31,7 @@ from jaxrod.actuation.section_load import (
     transport_bound,
     walls_of,
 )
-from jaxrod.effects.base import StabilityBound
+from jaxrod.effects.base import Reach, StabilityBound
 from jaxrod.effects.clamps import Clamp
 from jaxrod.effects.time import Scheduled, Timed, as_timed
 from jaxrod.geometry import vectors
@@ -43,6 +44,7 @@ from jaxrod.validation import Numbers, as_array, check_kind
 class Chamber(SectionLoad):
     """Chambers of constant cross-section; see `chamber`."""
 
+    reach: ClassVar[Reach] = "second neighbours"
     path: FibrePath
     """Axes of the chambers."""
     area: Float[Array, "k"]
@@ -78,6 +80,7 @@ class Chamber(SectionLoad):
 class WoundChamber(SectionLoad):
     """Chambers wound with fibres at an angle; see `wound_chamber`."""
 
+    reach: ClassVar[Reach] = "second neighbours"
     path: FibrePath
     """Axes of the chambers."""
     radius: Float[Array, "k"]

@@ -48,7 +48,7 @@ from jaxrod.actuation.section_load import (
     lengths_at_nodes,
     walls_of,
 )
-from jaxrod.effects.base import StabilityBound
+from jaxrod.effects.base import Reach, StabilityBound
 from jaxrod.effects.clamps import Clamp
 from jaxrod.effects.time import Scheduled, Timed, as_timed
 from jaxrod.geometry import vectors
@@ -212,6 +212,7 @@ DRAWN_OUT = 1.5
 class Muscle(SectionLoad):
     """One or several muscle fibres; see `muscle`."""
 
+    reach: ClassVar[Reach] = "second neighbours"
     path: FibrePath
     """Path of the fibres."""
     force: Float[Array, "k n"]

@@ -23,7 +23,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from jaxrod.actuation.section_load import at_nodes
-from jaxrod.effects.base import Effect, StabilityBound
+from jaxrod.effects.base import Effect, Reach, StabilityBound
 from jaxrod.effects.time import Scheduled, Timed, as_timed
 from jaxrod.geometry import vectors
 from jaxrod.geometry.rotations import directors, to_material
@@ -64,6 +64,12 @@ class Tendon(Effect):
     zero after the cable was pulled in [1]."""
     first: int = static(default=0)
     """Number of the element with the first eyelet."""
+
+    @property
+    def actual_reach(self) -> Reach:
+        """Far if a length or friction decides about the tension of a cable."""
+        decided_here = self.length is None and self.friction is None
+        return "second neighbours" if decided_here else "any"
 
     def loads(self, rod: Rod, motion: Motion) -> Loads:
         """Pulls of the pieces on their eyelets."""

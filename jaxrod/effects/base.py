@@ -21,7 +21,7 @@ from jaxrod.rods.motion import Loads, Motion
 from jaxrod.rods.rod import Rod, RodState
 from jaxrod.structure import pytree
 
-Reach = Literal["neighbours", "any"]
+Reach = Literal["neighbours", "second neighbours", "any"]
 """Range along the rod over which the loads of an effect may depend on the state."""
 
 
@@ -128,12 +128,17 @@ class Effect:
     """Range along the rod over which `loads` depend on the state.
 
     "neighbours" promises that the force on node `k` and the couple on element `k`
-    depend on nodes and elements `k - 1`, `k` and `k + 1` alone. Then the linear systems
-    of implicit steps and of `equilibrium` stay block-tridiagonal, with work in
-    proportion to the number of elements; with "any" they are dense. A broken promise
-    would give a wrong derivative. Both methods therefore test the effect numerically
-    and refuse it if they detect one.
+    depend on nodes and elements `k - 1`, `k` and `k + 1` alone, "second neighbours"
+    that they depend on `k - 2` to `k + 2` alone. Then the work of the linear systems of
+    implicit steps and of `equilibrium` is in proportion to the number of elements; with
+    "any" they are dense. A broken promise would give a wrong derivative. Both methods
+    therefore test the effect numerically and refuse it if they detect one.
     """
+
+    @property
+    def actual_reach(self) -> Reach:
+        """Range of the loads with the numbers of this effect; `reach` by default."""
+        return self.reach
 
     def __init_subclass__(cls, **kwargs: Any) -> None:
         """Drops inherited declarations about hooks that this class overrides."""

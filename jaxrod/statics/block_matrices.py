@@ -11,7 +11,8 @@ pivoting. That is safe for the matrices of rods: they are positive definite up t
 non-symmetric parts, whatever the units of the unknowns. LAPACK is not used: a call per
 block would cost more than the elimination, and would not batch.
 
-Effects that couple distant parts of a rod need the dense form. A rod of `n` elements
+Where effects couple second neighbours, two blocks are taken for one. Effects that
+couple distant parts of a rod need the dense form. A rod of `n` elements
 has `6 n + 3` unknowns, and work grows with their cube. With tens of elements it is
 about as much as the elimination along the chain, with hundreds far more.
 """
@@ -26,7 +27,7 @@ import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Array, Bool, Float, Int
 
-from jaxrod.structure import pytree
+from jaxrod.structure import pytree, static
 
 _COLUMNS_AT_ONCE = 128
 
@@ -178,6 +179,108 @@ def _swapped(blocks: Array) -> Array:
 def _times(blocks: Array, vector: Array) -> Array:
     """Each block times its vector, as a sum of columns, without matrix units."""
     return jnp.sum(blocks * vector[:, None, :], axis=2)
+
+
+@pytree
+class PairedBlocks:
+    """A square matrix of `n` by `n` blocks that couples second neighbours.
+
+    Two blocks are taken for one of a block-tridiagonal matrix. If their number is odd
+    there is one more, with ones on its diagonal.
+    """
+
+    pairs: BlockTridiagonal
+    """The matrix of pairs of blocks."""
+    n: int = static()
+    """Number of blocks."""
+
+    def multiply(self, vector: Float[Array, "n m"]) -> Float[Array, "n m"]:
+        """The matrix times a vector."""
+        return self._parted(self.pairs.multiply(self._paired(vector)))
+
+    def solve(self, right: Float[Array, "n m"]) -> Float[Array, "n m"]:
+        """Solution for a right-hand side; see `BlockTridiagonal.solve`."""
+        return self._parted(self.pairs.solve(self._paired(right)))
+
+    def is_positive(self) -> Bool[Array, ""]:
+        """Whether all pivots are positive: see `BlockTridiagonal.is_positive`."""
+        return self.pairs.is_positive()
+
+    def stiffened(self, index: int, block: Float[Array, "m m"]) -> PairedBlocks:
+        """Matrix with a block added to its diagonal."""
+        blocks = jnp.zeros((self.n, *block.shape), block.dtype).at[index].set(block)
+        return self.with_blocks(blocks)
+
+    def with_blocks(self, blocks: Float[Array, "n m m"]) -> PairedBlocks:
+        """Matrix with a block added to each block of its diagonal."""
+        first, second = _first_and_second(blocks)
+        none = jnp.zeros_like(first)
+        added = self.pairs.with_blocks(quarters(first, none, none, second))
+        return replace(self, pairs=added)
+
+    def factored(self) -> PairedBlocks:
+        """The matrix in the form that solves fastest: elimination costs little."""
+        return self
+
+    def _paired(self, vector: Float[Array, "n m"]) -> Float[Array, "half 2*m"]:
+        return jnp.concatenate(_first_and_second(vector), axis=1)
+
+    def _parted(self, vector: Float[Array, "half 2*m"]) -> Float[Array, "n m"]:
+        return vector.reshape(2 * len(vector), -1)[: self.n]
+
+
+def in_pairs(matrix: BlockTridiagonal) -> PairedBlocks:
+    """The same matrix in pairs of blocks."""
+    none = jnp.zeros_like(matrix.diagonal)
+    return of_five_bands(none, matrix.lower, matrix.diagonal, matrix.upper, none, 1.0)
+
+
+def of_five_bands(
+    before_last: Float[Array, "n m m"],
+    before: Float[Array, "n m m"],
+    diagonal: Float[Array, "n m m"],
+    after: Float[Array, "n m m"],
+    after_next: Float[Array, "n m m"],
+    spare: float,
+) -> PairedBlocks:
+    """Matrix whose rows of blocks couple two blocks on either side.
+
+    Args:
+        before_last: Block `k` couples row `k` to the unknowns of block `k - 2`.
+        before: The same for block `k - 1`.
+        diagonal: The same for block `k`.
+        after: The same for block `k + 1`.
+        after_next: The same for block `k + 2`.
+        spare: Diagonal of the block that makes the number of blocks even.
+    """
+    n, m, _ = diagonal.shape
+    (a0, a1), (b0, b1), (d0, d1), (u0, u1), (v0, v1) = (
+        _first_and_second(band)
+        for band in (before_last, before, diagonal, after, after_next)
+    )
+    none = jnp.zeros_like(a0)
+    if n % 2:
+        d1 = d1.at[-1].set(spare * jnp.eye(m, dtype=d1.dtype))
+    pairs = BlockTridiagonal(
+        lower=quarters(a0, b0, none, a1),
+        diagonal=quarters(d0, u0, b1, d1),
+        upper=quarters(v0, none, u1, v1),
+    )
+    return PairedBlocks(pairs, n)
+
+
+def _first_and_second(blocks: Array) -> tuple[Array, Array]:
+    """Blocks with even and with odd numbers; a zero one is added if one is missing."""
+    n = len(blocks)
+    even = jnp.pad(blocks, ((0, n % 2),) + ((0, 0),) * (blocks.ndim - 1))
+    return even[0::2], even[1::2]
+
+
+def quarters(a: Array, b: Array, c: Array, d: Array) -> Array:
+    """Blocks from their quarters."""
+    return jnp.concatenate(
+        [jnp.concatenate([a, b], axis=2), jnp.concatenate([c, d], axis=2)], axis=1
+    )
 
 
 @pytree

@@ -77,7 +77,7 @@ def _says(effect: Effect) -> bool:
     """Whether an effect makes promises about its loads that may not hold."""
     if type(effect).loads is Effect.loads:
         return False
-    return has_closed_form(effect) or effect.reach == "neighbours"
+    return has_closed_form(effect) or effect.actual_reach != "any"
 
 
 def _holds(effect: Effect) -> bool:
@@ -151,7 +151,7 @@ def _gap_of_tangent(effect: Effect, rod: Rod) -> Array:
                 x, y, z = (-moved * vectors.dot(row, turns) for row in tangent)
                 said = stack_dofs(jax.tree.map(jnp.zeros_like, nodes), (x, y, z))
         else:
-            said = matrix_by_colouring(push, step).multiply(step)
+            said = matrix_by_colouring(push, step, effect.actual_reach).multiply(step)
         sizes = jnp.abs(jnp.stack([true - said, true, said, now]))
         # Forces and couples have different units.
         off, *whole = jnp.max(sizes.reshape(4, -1, 2, 3), axis=(1, 3))

@@ -2,7 +2,8 @@
 
 An effect may have it in closed form (`Effect.turning_tangent`). Any other effect is
 differentiated. If it promises to depend on neighbours only (`Effect.reach`), three
-colours of directions suffice; otherwise all directions are used.
+colours of directions suffice, and five for second neighbours; otherwise all directions
+are used.
 """
 
 from __future__ import annotations
@@ -15,17 +16,26 @@ import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Array, Float
 
-from jaxrod.effects.base import Effect
+from jaxrod.effects.base import Effect, Reach
 from jaxrod.geometry import vectors
 from jaxrod.geometry.matrices import Matrix, add
 from jaxrod.geometry.rotations import directors, multiply_quaternions, to_world
 from jaxrod.loaded_rod import LoadedRod, external_loads
 from jaxrod.rods.motion import Loads, Motion
-from jaxrod.statics.block_matrices import BlockTridiagonal, Dense, as_dense, matrix_of
+from jaxrod.statics.block_matrices import (
+    BlockTridiagonal,
+    Dense,
+    PairedBlocks,
+    as_dense,
+    in_pairs,
+    matrix_of,
+    of_five_bands,
+)
 from jaxrod.statics.degrees_of_freedom import stack_dofs, unstack_dofs
 
-Tangent = BlockTridiagonal | Dense
-"""Tangent of a chain: block-tridiagonal, or dense if distant parts are coupled."""
+Tangent = BlockTridiagonal | PairedBlocks | Dense
+"""Tangent of a chain: block-tridiagonal; the same in pairs of blocks, if effects couple
+second neighbours; or dense if distant parts are coupled."""
 
 
 def has_closed_form(effect: Effect) -> bool:
@@ -63,8 +73,11 @@ def with_differentiated(
         free: One for each component that can move, zero for those the scene holds.
     """
     others = tuple(effect for effect in scene.effects if not has_closed_form(effect))
-    near = tuple(effect for effect in others if effect.reach == "neighbours")
-    far = tuple(effect for effect in others if effect.reach == "any")
+    ranges: tuple[Reach, ...] = ("neighbours", "second neighbours", "any")
+    near, second, far = (
+        tuple(effect for effect in others if effect.actual_reach == reach)
+        for reach in ranges
+    )
     # Fused 18 times with the computation of the motion, it would compile for minutes.
     barrier = lax.optimization_barrier
 
@@ -73,13 +86,20 @@ def with_differentiated(
         push = change_of_loads(replace(scene, effects=effects), there, pace, inertia)
         return lambda step: free * push(free * step)
 
-    if near:
-        part = jax.tree.map(barrier, matrix_by_colouring(push_of(near), free))
-        chain = jax.tree.map(jnp.subtract, chain, part)
-    if not far:
-        return chain
-    rest = jax.tree.map(barrier, matrix_of(push_of(far), free))
-    return jax.tree.map(jnp.subtract, as_dense(chain), rest)
+    def without(matrix: Tangent, part: Tangent) -> Tangent:
+        found: Tangent = jax.tree.map(jnp.subtract, matrix, jax.tree.map(barrier, part))
+        return found
+
+    def coloured(effects: tuple[Effect, ...], reach: Reach) -> Tangent:
+        return matrix_by_colouring(push_of(effects), free, reach)
+
+    if far:
+        rest = (*near, *second, *far)
+        return without(as_dense(chain), matrix_of(push_of(rest), free))
+    if second:
+        both = (*near, *second)
+        return without(in_pairs(chain), coloured(both, "second neighbours"))
+    return without(chain, coloured(near, "neighbours")) if near else chain
 
 
 def change_of_loads(
@@ -127,24 +147,32 @@ def total_loads(
 def matrix_by_colouring(
     push: Callable[[Float[Array, "n m"]], Float[Array, "n m"]],
     like: Float[Array, "n m"],
-) -> BlockTridiagonal:
-    """Block-tridiagonal matrix of a linear function of blocks of size `m`.
+    reach: Reach,
+) -> BlockTridiagonal | PairedBlocks:
+    """Matrix of a linear function of blocks of size `m` that does not reach far.
 
-    Each block of the result depends on the same block of the input and on its two
-    neighbours. Every third block is perturbed at once (colouring), so `3 m` evaluations
-    are enough for any number of blocks.
+    Each block of the result depends on the same block of the input and on its one or
+    two neighbours on either side. Every third, or fifth, block is perturbed at once
+    (colouring), so `3 m`, or `5 m`, evaluations are enough for any number of blocks.
     """
     n, m = like.shape
-    colour = jnp.arange(n) % 3
-    moved = colour[None, None, :, None] == jnp.arange(3)[:, None, None, None]
+    far = 1 if reach == "neighbours" else 2
+    colours = 2 * far + 1
+    colour = jnp.arange(n) % colours
+    moved = colour[None, None, :, None] == jnp.arange(colours)[:, None, None, None]
     seeds = moved & jnp.eye(m, dtype=bool)[None, :, None, :]
     answers = jax.vmap(jax.vmap(push))(seeds.astype(like.dtype))
     # Axes: colour moved, block loaded, component loaded, component moved.
     columns = jnp.moveaxis(answers, 1, 3)
 
     def answers_to(shift: int) -> Array:
-        mover = (colour[:, None, None] + shift) % 3
-        answer = jnp.where(mover == 0, columns[0], columns[1])
-        return jnp.where(mover == 2, columns[2], answer)
+        mover = (colour[:, None, None] + shift) % colours
+        answer = columns[0]
+        for k in range(1, colours):
+            answer = jnp.where(mover == k, columns[k], answer)
+        return answer
 
-    return BlockTridiagonal(answers_to(-1), answers_to(0), answers_to(1))
+    before, own, after = (answers_to(shift) for shift in (-1, 0, 1))
+    if far == 1:
+        return BlockTridiagonal(before, own, after)
+    return of_five_bands(answers_to(-2), before, own, after, answers_to(2), spare=0.0)

@@ -28,8 +28,8 @@ from jaxrod.geometry.rotations import directors
 from jaxrod.geometry.vectors import Vec3
 from jaxrod.rods.motion import Motion
 from jaxrod.rods.rod import Rod
-from jaxrod.statics.block_matrices import BlockTridiagonal, Dense
 from jaxrod.statics.degrees_of_freedom import stack_dofs
+from jaxrod.statics.effect_tangents import Tangent
 
 _ROUNDINGS = 16
 """Multiple of the machine epsilon up to which a resistance counts as zero. Loose modes
@@ -37,7 +37,7 @@ have 3; modes that pins resist have 3000 in float32 even for n = 100 and L/r = 1
 
 
 def loose_modes(
-    tangent: BlockTridiagonal | Dense,
+    tangent: Tangent,
     rod: Rod,
     motion: Motion,
     free: Float[Array, "n+1 6"],
@@ -79,8 +79,8 @@ def are_any(modes: Float[Array, "7 n+1 6"]) -> Bool[Array, ""]:
 
 
 def held_in_the_middle(
-    tangent: BlockTridiagonal | Dense, rod: Rod, modes: Float[Array, "7 n+1 6"]
-) -> BlockTridiagonal | Dense:
+    tangent: Tangent, rod: Rod, modes: Float[Array, "7 n+1 6"]
+) -> Tangent:
     """Tangent with springs against the modes in the middle of the rod.
 
     They are as stiff as the rod is in bending. A correction is then about as large as

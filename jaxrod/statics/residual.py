@@ -50,7 +50,7 @@ from jaxrod.rods.elasticity import (
     times_inverse,
 )
 from jaxrod.rods.motion import Motion
-from jaxrod.statics.block_matrices import BlockTridiagonal
+from jaxrod.statics.block_matrices import BlockTridiagonal, quarters
 from jaxrod.statics.degrees_of_freedom import (
     degrees_of_freedom,
     stack_dofs,
@@ -334,19 +334,12 @@ def assemble_tangent(
     couple_after, none = _placed(couple, 0, 1), jnp.zeros_like(nodes)
     couple_transposed = jnp.swapaxes(couple_after, 1, 2)
     return BlockTridiagonal(
-        lower=_quarters(-before, _placed(couple, 1, 0), none, _placed(-bend, 1, 1)),
-        diagonal=_quarters(nodes, -couple_after, -couple_transposed, own),
-        upper=_quarters(-after, none, couple_transposed, _placed(-carried, 0, 2)),
+        lower=quarters(-before, _placed(couple, 1, 0), none, _placed(-bend, 1, 1)),
+        diagonal=quarters(nodes, -couple_after, -couple_transposed, own),
+        upper=quarters(-after, none, couple_transposed, _placed(-carried, 0, 2)),
     )
 
 
 def _placed(blocks: Array, before: int, after: int) -> Array:
     """Blocks padded with zeros at the ends of the chain."""
     return jnp.pad(blocks, ((before, after), (0, 0), (0, 0)))
-
-
-def _quarters(a: Array, b: Array, c: Array, d: Array) -> Array:
-    """Blocks of 6 by 6 from their quarters."""
-    return jnp.concatenate(
-        [jnp.concatenate([a, b], axis=2), jnp.concatenate([c, d], axis=2)], axis=1
-    )

@@ -1,11 +1,17 @@
-"""Block-tridiagonal systems, and dense ones of blocks, against linear algebra."""
+"""Block-tridiagonal systems, the same in pairs, and dense ones: linear algebra."""
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from jaxrod.statics.block_matrices import BlockTridiagonal, as_dense, matrix_of
+from jaxrod.statics.block_matrices import (
+    BlockTridiagonal,
+    as_dense,
+    in_pairs,
+    matrix_of,
+    of_five_bands,
+)
 from physics.rods import difference, largest
 
 N, M = 7, 6
@@ -22,8 +28,10 @@ def random_matrix(seed, dtype=jnp.float64, n=N, m=M):
     return BlockTridiagonal(*entries), jnp.asarray(right, dtype)
 
 
-# A block-tridiagonal matrix as it is, and as a dense one.
-both_forms = pytest.mark.parametrize("form", [lambda matrix: matrix, as_dense])
+# A block-tridiagonal matrix as it is, in pairs of blocks, and as a dense one.
+every_form = pytest.mark.parametrize(
+    "form", [lambda matrix: matrix, in_pairs, as_dense]
+)
 
 
 def whole(matrix):
@@ -44,7 +52,7 @@ def solve(matrix, right):
 
 
 @pytest.mark.fast_sets(6)
-@both_forms
+@every_form
 @pytest.mark.parametrize(("n", "m"), [(N, M), (1, 3), (2, 1)])
 def test_the_solution_is_that_of_the_whole_system(n, m, form, dtype):
     matrix, right = random_matrix(0, dtype, n, m)
@@ -55,7 +63,29 @@ def test_the_solution_is_that_of_the_whole_system(n, m, form, dtype):
     assert error < 10 * jnp.finfo(dtype).eps * np.max(np.abs(expected))
 
 
-@both_forms
+@pytest.mark.parametrize("n", [1, 2, 3, 4, 7])
+def test_second_neighbours_are_in_pairs(n):
+    random = np.random.default_rng(n)
+    bands = random.normal(size=(5, n, 3, 3))
+    bands[2] += 15 * np.eye(3)
+    entries = np.zeros((n, 3, n, 3))
+    for k in range(n):
+        for shift in range(-2, 3):
+            if 0 <= k + shift < n:
+                entries[k, :, k + shift] = bands[shift + 2, k]
+            else:
+                bands[shift + 2, k] = 0
+    entries = entries.reshape(3 * n, 3 * n)
+    matrix = of_five_bands(*map(jnp.asarray, bands), spare=1.0)
+    right = random.normal(size=(n, 3))
+    product = np.ravel(matrix.multiply(jnp.asarray(right)))
+    np.testing.assert_allclose(product, entries @ right.ravel(), atol=1e-12)
+    solution = np.ravel(matrix.solve(jnp.asarray(right)))
+    expected = np.linalg.solve(entries, right.ravel())
+    np.testing.assert_allclose(solution, expected, atol=1e-13)
+
+
+@every_form
 def test_the_product_is_that_of_the_whole_matrix(form):
     matrix, right = random_matrix(1)
     np.testing.assert_allclose(
@@ -79,7 +109,7 @@ def test_columns_are_found_one_by_one_or_some_at_once(n):
     assert difference(found, as_dense(matrix)) == 0
 
 
-@both_forms
+@every_form
 def test_the_units_of_the_unknowns_do_not_matter(form):
     """Rows and columns scaled over twelve orders give the scaled solution."""
     matrix, right = random_matrix(2)
@@ -92,7 +122,7 @@ def test_the_units_of_the_unknowns_do_not_matter(form):
     np.testing.assert_allclose(got, expected, rtol=1e-11)
 
 
-@both_forms
+@every_form
 def test_what_has_positive_eigenvalues_alone_is_positive(form):
     answers = []
     for seed in range(6):
@@ -111,7 +141,7 @@ def test_what_has_positive_eigenvalues_alone_is_positive(form):
     assert not bool(form(unknown).is_positive())
 
 
-@both_forms
+@every_form
 def test_what_is_added_to_a_block_of_the_diagonal_is_there(form):
     matrix, right = random_matrix(3)
     block = jnp.arange(M * M, dtype=right.dtype).reshape(M, M)
@@ -121,7 +151,7 @@ def test_what_is_added_to_a_block_of_the_diagonal_is_there(form):
     assert largest(change.at[2].set(0)) == 0
 
 
-@both_forms
+@every_form
 def test_a_singular_matrix_gives_no_finite_solution(form):
     matrix, right = random_matrix(3)
     singular = jax.tree.map(jnp.zeros_like, matrix)
@@ -129,7 +159,7 @@ def test_a_singular_matrix_gives_no_finite_solution(form):
 
 
 @pytest.mark.fast_sets(1)
-@both_forms
+@every_form
 def test_derivatives_of_the_solution(form):
     chain, right = random_matrix(4)
     change, push = random_matrix(5)
