@@ -54,7 +54,6 @@ from jaxrod.methods.implicit import implicit as implicit
 from jaxrod.methods.planar import planar as planar
 from jaxrod.methods.pyelastica import pyelastica as pyelastica
 from jaxrod.methods.torsion_free import torsion_free as torsion_free
-from jaxrod.resampling import resample as resample
 from jaxrod.rods.elasticity import stored_energy as stored_energy
 from jaxrod.rods.elasticity import strains as strains
 from jaxrod.rods.factories import rod_along as rod_along
@@ -82,6 +81,7 @@ from jaxrod.stepping.runs import step as step
 from jaxrod.stepping.runs import with_memory as with_memory
 from jaxrod.systems.system import System as System
 from jaxrod.systems.system import make_system as make_system
+from jaxrod.tradeoff.resampling import resample as resample
 from jaxrod.tradeoff.tuning import Tuned as Tuned
 from jaxrod.tradeoff.tuning import tune as tune
 

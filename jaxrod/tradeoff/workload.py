@@ -12,9 +12,9 @@ from jaxrod.loaded_rod import check_scene_and_state
 from jaxrod.methods.consistent import Consistent
 from jaxrod.methods.laws import Law
 from jaxrod.methods.planar_verlet import PlaneName
-from jaxrod.resampling import resample
 from jaxrod.rods.rod import RodState
 from jaxrod.scene import Scene
+from jaxrod.tradeoff.resampling import resample
 from jaxrod.validation import check_array
 
 Build = Callable[[int, Law], tuple[Scene, RodState]]

@@ -199,5 +199,5 @@ def test_what_a_base_says_of_other_loads_is_forgotten():
     assert not has_closed_form(Lighter(ONE))
     assert Springs.reach == "neighbours" and Looser.reach == "any"
     assert Mixed.reach == "any"
-    with pytest.raises(ValueError, match="reach must be one of neighbours, any"):
+    with pytest.raises(ValueError, match="reach must be one of neighbours, second"):
         type("Far", (jaxrod.extend.Effect,), {"reach": "far"})
