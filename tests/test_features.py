@@ -157,7 +157,6 @@ def acted_on(state=REST, dt=1e-3, steps=20, **on):
     return momentum, spin, state
 
 
-@pytest.mark.slow
 def test_with_everything_turned_off_a_free_rod_stays_as_it_is():
     momentum, spin, state = acted_on()
     close(momentum, ZERO)
@@ -408,7 +407,6 @@ def test_the_law_of_pyelastica_is_nearly_the_same_at_small_strains():
     assert np.max(np.abs(other - plain)) > 1e-12
 
 
-@pytest.mark.slow
 @runs("implicit")
 def test_implicit_steps_are_close_to_explicit_ones():
     plain, other = sagged(), sagged(jaxrod.implicit())
@@ -443,7 +441,6 @@ def test_enlarged_inertia_allows_larger_steps_and_hardly_changes_the_motion():
     assert 0 < abs(lowest) < 0.02
 
 
-@pytest.mark.slow
 @runs("stable_dt", "highest_frequency", "natural_frequencies")
 def test_the_highest_frequency_limits_the_step():
     scene, state = arm()
@@ -499,7 +496,6 @@ def test_an_arm_rests_where_its_loads_balance():
     assert np.max(np.abs(fallen.state["arm"].velocities)) < 1e-3
 
 
-@pytest.mark.slow
 @runs("tune")
 def test_tune_returns_a_setting_within_the_tolerance(monkeypatch):
     scene, state = arm()
@@ -562,7 +558,6 @@ def laid_on(kind, state=REST, dt=1e-5, steps=5):
     return state.velocities @ ROD.node_masses / (dt * steps), state, scene
 
 
-@pytest.mark.slow
 @runs("contact", *ROOM)
 @pytest.mark.parametrize("kind", ROOM)
 def test_a_body_pushes_a_rod_out_by_its_stiffness(kind):
@@ -623,7 +618,6 @@ def angle(a, b):
     return math.acos(np.dot(a, b) / np.linalg.norm(a) / np.linalg.norm(b))
 
 
-@pytest.mark.slow
 @runs("tie", "weld", "attach", "rigid_body", "BodyState", "box")
 def test_exact_joints_hold_and_keep_momentum():
     x, y = np.eye(3)[:2]
@@ -804,7 +798,6 @@ def touching(stiff, gap, way=(1, 0, 0)):
     return (*np.asarray(rods), *np.asarray(pushed).T)
 
 
-@pytest.mark.slow
 @runs("rod_contact")
 def test_rods_side_by_side_press_by_their_length():
     one, other, *balls = touching("rods", -DEEP)
@@ -911,7 +904,6 @@ def unlisted():
     return jaxrod.advance(*heaps(listed=False), STEP, STEPS)
 
 
-@pytest.mark.slow
 @LAWS
 @runs("neighbour_lists", "rod_contact", "crossing_contact")
 def test_lists_of_neighbours_change_nothing(law, listed, unlisted):
@@ -926,7 +918,6 @@ def test_lists_of_neighbours_change_nothing(law, listed, unlisted):
     close(system.momentum(state), ZERO)
 
 
-@pytest.mark.slow
 @runs("neighbours", "health")
 def test_lists_are_counted_and_say_that_nothing_was_missed(listed):
     system, start, state = listed
@@ -959,7 +950,6 @@ def went(system, start, factor=1.0):
     return {name: state[name] for name in start}
 
 
-@pytest.mark.slow
 def test_systems_with_lists_run_within_jit(listed):
     system, start, state = listed
     found = jax.jit(went)(system, start)

@@ -49,6 +49,7 @@ MAY_BE_NONE = {
     ("wound_chamber", "offsets"),
     ("tendon", "anchor"),
     ("tendon", "friction"),
+    ("tendon", "friction_at_rest"),
     ("active_shape", "curvature"),
     ("active_shape", "strain"),
     ("rigid_body", "position"),
