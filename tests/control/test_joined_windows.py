@@ -185,7 +185,7 @@ def test_parameters_stay_in_bounds():
     assert dict(zip(fit.names, fit.at_bound, strict=True))["push"]
 
 
-@pytest.mark.fast_sets(1)
+@pytest.mark.slow
 @pytest.mark.parametrize("sd", [SD, None])
 def test_windows_that_do_not_meet_are_not_called_converged(sd):
     """In units of the noise, be it given or found."""

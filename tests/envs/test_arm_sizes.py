@@ -8,7 +8,7 @@ import jaxrod
 from jaxrod.envs import make
 
 
-@pytest.mark.fast_sets(4)
+@pytest.mark.slow
 @pytest.mark.parametrize("n", [20, 30, 60, 80])
 @pytest.mark.parametrize("name", ["tracking", "reaching"])
 def test_default_steps_are_stable_for_any_number_of_elements(name, n):

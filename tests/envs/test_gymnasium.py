@@ -376,6 +376,7 @@ def test_pictures_are_those_of_the_running_episode():
 SHORT = {"episode_length": 4}
 
 
+@pytest.mark.slow
 @EVERY_ID
 def test_the_checker_has_nothing_to_say_about_any_id(name):
     check_env(gymnasium.make(name, **SHORT).unwrapped)

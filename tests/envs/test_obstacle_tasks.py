@@ -100,7 +100,7 @@ def test_arm_moves_as_an_independent_implementation_says(name):
     np.testing.assert_allclose(state.arm.velocities.T, arm.v, rtol=0, atol=1e-5)
 
 
-@pytest.mark.fast_sets(1)
+@pytest.mark.slow
 @NAMES
 def test_control_values_change_by_a_hundredth_per_simulation_step(name):
     env = make(name)

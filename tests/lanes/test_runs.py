@@ -68,7 +68,7 @@ def test_a_batch_of_any_size_is_the_same(rods):
     assert apart(taken, expected) < ROUNDING
 
 
-@pytest.mark.fast_sets(2)
+@pytest.mark.slow
 @pytest.mark.parametrize("count", [0, 2])
 def test_any_number_of_steps_is_the_same_traced_or_not(count):
     scene, state, dt = hanging()

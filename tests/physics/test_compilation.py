@@ -242,6 +242,7 @@ def test_single_precision_follows_double_precision(record):
     )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("batch", [1, pytest.param(16, marks=pytest.mark.slow)])
 def test_memory_of_the_gradient_of_a_thousand_steps(batch, record):
     rod, state = arm(20)

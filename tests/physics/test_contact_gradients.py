@@ -33,6 +33,7 @@ def struck(n=4, dtype=jnp.float64):
     return scene, replace(state, velocities=swing.at[0].set(0.3 * state.positions[2]))
 
 
+@pytest.mark.slow
 def test_gradients_through_contact_are_those_of_finite_differences(record):
     """With respect to every number: body, contact law, rod, and the way it starts."""
     scene, state = struck()

@@ -53,6 +53,7 @@ def test_the_first_frequency_of_ten_elements(record):
     )
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("compiled_for_cpus")
 def test_the_cost_of_ten_elements(record):
     def cost(n, dt):

@@ -409,6 +409,7 @@ def test_bad_settings_are_refused(arguments, message):
         jaxrod.implicit(**arguments)
 
 
+@pytest.mark.slow
 def test_loads_that_change_in_time_are_taken_at_the_times_of_the_stages():
     """Velocity of a free rod in a field that grows and fades: second order in dt."""
     rod, state = jaxrod.straight_rod(

@@ -62,7 +62,7 @@ COMMON = ("sphere", "signed distance")
 KINDS = [k if k in COMMON else pytest.param(k, marks=pytest.mark.slow) for k in BODIES]
 
 
-@pytest.mark.fast_sets(1)
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", KINDS)
 def test_loads_are_those_of_all_bodies_while_few_are_touched(kind):
     rod, state = thick_arm()

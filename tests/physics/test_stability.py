@@ -143,7 +143,7 @@ def test_the_limit_of_well_known_rods(name, record):
 
 # Damping, over the highest frequency. Where the law of PyElastica damps more than that
 # in a step, the limit is not one number: the bound is below the first of several.
-@pytest.mark.fast_sets(1)
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("mode", "rates"),
     [

@@ -70,7 +70,7 @@ def both_forces(depth, velocity, friction, drag):
     return np.asarray(forces), arm.external_forces
 
 
-@pytest.mark.fast_sets(2)
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("case", "velocity", "friction", "drag"),
     [

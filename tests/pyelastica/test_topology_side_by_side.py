@@ -46,6 +46,7 @@ def test_link(ribbon, ends):
     np.testing.assert_allclose(ours, theirs, atol=1e-7)
 
 
+@pytest.mark.slow
 def test_twist(ribbon):
     nodes, normals, _ = ribbon
     theirs = knot_theory.compute_twist(nodes[None], normals[None])[0][0]

@@ -297,6 +297,7 @@ def test_bad_input():
         jax.jit(jaxrod.natural_frequencies, static_argnums=2)(system, state, 1)
 
 
+@pytest.mark.slow
 def test_nothing_balances_the_weight_of_a_ball_that_nothing_holds():
     ball, of_ball = systems.rigid_body(
         shapes.sphere((0, 0, 0), 0.1), density=1000.0, effects=(jaxrod.gravity(),)
@@ -336,6 +337,7 @@ def test_the_whole_of_a_free_system_stays_where_it_was():
     np.testing.assert_allclose(slope, 0, atol=1e-12)
 
 
+@pytest.mark.slow
 def test_what_falls_is_not_at_rest_however_light_it_is():
     """Beside a rod so stiff that the weight is nothing to it."""
     arm, of_arm = rod(2, 1.0, youngs_modulus=2e11)

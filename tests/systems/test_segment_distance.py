@@ -3,6 +3,7 @@
 import jax
 import jax.numpy as jnp
 import numpy as np
+import pytest
 
 from jaxrod.geometry import vectors
 from jaxrod.systems.contact.element_pairs import Elements
@@ -73,6 +74,7 @@ def test_closest_points_of_curves_are_stationary_in_the_unit_square(record):
     )
 
 
+@pytest.mark.slow
 def test_derivatives_of_closest_points_of_curves_are_those_of_differences(record):
     """Along random changes of both pieces, where both differences agree."""
 

@@ -79,6 +79,7 @@ def test_start_may_be_traced_although_factories_look_at_their_numbers():
     assert states.environments.observation.shape == (2, 8, 1)
 
 
+@pytest.mark.slow
 def test_learning_rate_falls_linearly_to_its_end():
     result = train(
         Trivial(),

@@ -80,6 +80,7 @@ def test_runs_of_when_a_task_was_a_case_are_read_and_go_on(tmp_path):
     assert train(make("trivial"), resume=True, **settings).summary == before.summary
 
 
+@pytest.mark.slow
 @pytest.mark.default_precision
 def test_a_run_goes_on_in_the_environment_it_was_started_in(tmp_path):
     settings = {"steps": 256, "config": SMALL, "progress": False}
