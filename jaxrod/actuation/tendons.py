@@ -14,7 +14,8 @@ $$T_j = T_{j-1} \exp(-\mu\,\theta_j\,\phi_j), \qquad
 
 with the speed $v_j$ at which the cable slips towards its base, where it is pulled. The
 share $s$ of friction remains at rest: one after the cable was pulled in, minus one
-after it was let out. So an equilibrium is also where a motion comes to rest.
+after it was let out. Loads at zero speed are those of statics: an equilibrium stays at
+rest.
 """
 
 from __future__ import annotations

@@ -19,7 +19,7 @@ about as much as the elimination along the chain, with hundreds far more.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 import jax
@@ -232,27 +232,18 @@ class PairedBlocks:
 def in_pairs(matrix: BlockTridiagonal) -> PairedBlocks:
     """The same matrix in pairs of blocks."""
     none = jnp.zeros_like(matrix.diagonal)
-    return of_five_bands(none, matrix.lower, matrix.diagonal, matrix.upper, none, 1.0)
+    bands = none, matrix.lower, matrix.diagonal, matrix.upper, none
+    return of_five_bands(bands, spare=1.0)
 
 
-def of_five_bands(
-    before_last: Float[Array, "n m m"],
-    before: Float[Array, "n m m"],
-    diagonal: Float[Array, "n m m"],
-    after: Float[Array, "n m m"],
-    after_next: Float[Array, "n m m"],
-    spare: float,
-) -> PairedBlocks:
+def of_five_bands(bands: Sequence[Float[Array, "n m m"]], spare: float) -> PairedBlocks:
     """Matrix whose rows of blocks couple two blocks on either side.
 
     Args:
-        before_last: Block `k` couples row `k` to the unknowns of block `k - 2`.
-        before: The same for block `k - 1`.
-        diagonal: The same for block `k`.
-        after: The same for block `k + 1`.
-        after_next: The same for block `k + 2`.
+        bands: Blocks of each row, from the second neighbour before to that after.
         spare: Diagonal of the block that makes the number of blocks even.
     """
+    before_last, before, diagonal, after, after_next = bands
     n, m, _ = diagonal.shape
     (a0, a1), (b0, b1), (d0, d1), (u0, u1), (v0, v1) = (
         _first_and_second(band)

@@ -7,7 +7,7 @@ hold a rod where it is free.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 import jax
@@ -15,7 +15,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from jaxrod.effects.base import Effect
+from jaxrod.effects.base import Effect, Reach
 from jaxrod.effects.trial_motion import trial_motion
 from jaxrod.geometry import vectors
 from jaxrod.geometry.rotations import (
@@ -27,13 +27,14 @@ from jaxrod.geometry.rotations import (
 from jaxrod.loaded_rod import LoadedRod, Method
 from jaxrod.rods.motion import Motion
 from jaxrod.rods.rod import Rod
+from jaxrod.statics.block_matrices import BlockTridiagonal, of_five_bands
 from jaxrod.statics.degrees_of_freedom import (
     free_position_mask,
     free_velocity_mask,
     stack_dofs,
     unstack_dofs,
 )
-from jaxrod.statics.effect_tangents import has_closed_form, matrix_by_colouring
+from jaxrod.statics.effect_tangents import bands_by_colouring, has_closed_form
 from jaxrod.validation import is_traced
 
 
@@ -151,7 +152,7 @@ def _gap_of_tangent(effect: Effect, rod: Rod) -> Array:
                 x, y, z = (-moved * vectors.dot(row, turns) for row in tangent)
                 said = stack_dofs(jax.tree.map(jnp.zeros_like, nodes), (x, y, z))
         else:
-            said = matrix_by_colouring(push, step, effect.actual_reach).multiply(step)
+            said = _times_coloured(push, step, effect.actual_reach)
         sizes = jnp.abs(jnp.stack([true - said, true, said, now]))
         # Forces and couples have different units.
         off, *whole = jnp.max(sizes.reshape(4, -1, 2, 3), axis=(1, 3))
@@ -159,6 +160,14 @@ def _gap_of_tangent(effect: Effect, rod: Rod) -> Array:
 
     trials = jnp.asarray([[1, 1, 1e-3, 1e-3], [1, 0, 1, 0]], step.dtype)
     return jnp.max(jax.vmap(gap)(*trials))
+
+
+def _times_coloured(push: Callable[[Array], Array], step: Array, reach: Reach) -> Array:
+    """What a linear function of a reach makes of a step, by its matrix."""
+    if reach == "neighbours":
+        return BlockTridiagonal(*bands_by_colouring(push, step, 1)).multiply(step)
+    bands = bands_by_colouring(push, step, 2)
+    return of_five_bands(bands, spare=0.0).multiply(step)
 
 
 def _mixing(effect: Effect, rod: Rod) -> Array:

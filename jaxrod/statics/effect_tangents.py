@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
+from typing import TypeVar
 
 import jax
 import jax.numpy as jnp
@@ -36,6 +37,9 @@ from jaxrod.statics.degrees_of_freedom import stack_dofs, unstack_dofs
 Tangent = BlockTridiagonal | PairedBlocks | Dense
 """Tangent of a chain: block-tridiagonal; the same in pairs of blocks, if effects couple
 second neighbours; or dense if distant parts are coupled."""
+
+
+Matrices = TypeVar("Matrices", BlockTridiagonal, PairedBlocks, Dense)
 
 
 def has_closed_form(effect: Effect) -> bool:
@@ -86,20 +90,21 @@ def with_differentiated(
         push = change_of_loads(replace(scene, effects=effects), there, pace, inertia)
         return lambda step: free * push(free * step)
 
-    def without(matrix: Tangent, part: Tangent) -> Tangent:
-        found: Tangent = jax.tree.map(jnp.subtract, matrix, jax.tree.map(barrier, part))
+    def without(matrix: Matrices, part: Matrices) -> Matrices:
+        found: Matrices = jax.tree.map(
+            jnp.subtract, matrix, jax.tree.map(barrier, part)
+        )
         return found
 
-    def coloured(effects: tuple[Effect, ...], reach: Reach) -> Tangent:
-        return matrix_by_colouring(push_of(effects), free, reach)
-
-    if far:
-        rest = (*near, *second, *far)
-        return without(as_dense(chain), matrix_of(push_of(rest), free))
-    if second:
-        both = (*near, *second)
-        return without(in_pairs(chain), coloured(both, "second neighbours"))
-    return without(chain, coloured(near, "neighbours")) if near else chain
+    if second and not far:
+        bands = bands_by_colouring(push_of((*near, *second)), free, 2)
+        return without(in_pairs(chain), of_five_bands(bands, spare=0.0))
+    if near:
+        bands = bands_by_colouring(push_of(near), free, 1)
+        chain = without(chain, BlockTridiagonal(*bands))
+    if not far:
+        return chain
+    return without(as_dense(chain), matrix_of(push_of((*second, *far)), free))
 
 
 def change_of_loads(
@@ -144,20 +149,26 @@ def total_loads(
     )
 
 
-def matrix_by_colouring(
+def bands_by_colouring(
     push: Callable[[Float[Array, "n m"]], Float[Array, "n m"]],
     like: Float[Array, "n m"],
-    reach: Reach,
-) -> BlockTridiagonal | PairedBlocks:
-    """Matrix of a linear function of blocks of size `m` that does not reach far.
+    reach: int,
+) -> tuple[Float[Array, "n m m"], ...]:
+    """Bands of the matrix of a linear function of blocks that does not reach far.
 
-    Each block of the result depends on the same block of the input and on its one or
-    two neighbours on either side. Every third, or fifth, block is perturbed at once
-    (colouring), so `3 m`, or `5 m`, evaluations are enough for any number of blocks.
+    Every third block is perturbed at once (colouring), or every fifth for two
+    neighbours on either side, so `(2 reach + 1) m` evaluations are enough.
+
+    Args:
+        push: The function.
+        like: An array of its shape, `n` blocks of size `m`.
+        reach: Number of neighbours on either side on which a block depends.
+
+    Returns:
+        Blocks of each row, from the farthest neighbour before to that after.
     """
     n, m = like.shape
-    far = 1 if reach == "neighbours" else 2
-    colours = 2 * far + 1
+    colours = 2 * reach + 1
     colour = jnp.arange(n) % colours
     moved = colour[None, None, :, None] == jnp.arange(colours)[:, None, None, None]
     seeds = moved & jnp.eye(m, dtype=bool)[None, :, None, :]
@@ -172,7 +183,4 @@ def matrix_by_colouring(
             answer = jnp.where(mover == k, columns[k], answer)
         return answer
 
-    before, own, after = (answers_to(shift) for shift in (-1, 0, 1))
-    if far == 1:
-        return BlockTridiagonal(before, own, after)
-    return of_five_bands(answers_to(-2), before, own, after, answers_to(2), spare=0.0)
+    return tuple(answers_to(shift) for shift in range(-reach, reach + 1))

@@ -217,6 +217,27 @@ def test_a_cable_at_rest_keeps_the_share_of_its_friction_that_is_asked_for(share
         expected = share if abs(share) == 1 else (share + t) / (1 + share * t)
         found = cable._slip_share(jnp.full((1, 3), slip))
         np.testing.assert_allclose(found, expected, rtol=1e-9)
+    # One share for each cable.
+    both = replace(cable, friction_at_rest=jnp.asarray([share, 0.0]))
+    found = both._slip_share(jnp.zeros((2, 3)))
+    np.testing.assert_array_equal(found, [[share] * 3, [0.0] * 3])
+
+
+@pytest.mark.slow
+def test_a_pose_that_friction_holds_stays_when_it_is_advanced():
+    rod, state = arm(8, radius=0.03, youngs_modulus=1e6)
+    poses = []
+    for share in (1.0, -1.0):
+        cable = jaxrod.actuation.tendon(
+            rod, (0.02, 0.0), tension=20.0, friction=0.2, friction_at_rest=share
+        )
+        scene = jaxrod.make_scene(rod, jaxrod.clamp(state), cable)
+        rest = jaxrod.equilibrium(scene, state)
+        assert bool(rest.converged)
+        later = jaxrod.advance(scene, rest.state, jaxrod.stable_dt(scene).dt, 500)
+        assert float(jnp.max(jnp.abs(later.positions - rest.state.positions))) < 1e-9
+        poses.append(rest.state.positions)
+    assert float(jnp.max(jnp.abs(poses[0] - poses[1]))) > 1e-3
 
 
 def test_the_bound_of_a_tendon_is_above_all_that_its_energy_is_curved_by():

@@ -76,7 +76,7 @@ def test_second_neighbours_are_in_pairs(n):
             else:
                 bands[shift + 2, k] = 0
     entries = entries.reshape(3 * n, 3 * n)
-    matrix = of_five_bands(*map(jnp.asarray, bands), spare=1.0)
+    matrix = of_five_bands(jnp.asarray(bands), spare=1.0)
     right = random.normal(size=(n, 3))
     product = np.ravel(matrix.multiply(jnp.asarray(right)))
     np.testing.assert_allclose(product, entries @ right.ravel(), atol=1e-12)

@@ -322,7 +322,7 @@ def test_equilibrium_starts_from_a_moving_state_and_ends_at_rest():
 
 @pytest.mark.slow
 def test_a_tapered_arm_under_strong_tendons_is_found_from_the_straight_one():
-    """As in ten steps of the tension; full corrections alone went metres away."""
+    """It is the one of ten steps of the tension; full corrections alone ran away."""
     n, held = 36, 30
     s = (np.arange(n) + 0.5) * 0.36 / n
     radius = np.interp(s, [0, 0.305, 0.36], [15.4e-3, 6.4e-3, 4.8e-3])

@@ -1,4 +1,4 @@
-"""How far along the rod the loads of effects depend on its state."""
+"""Reach of effects: the range along the rod over which loads depend on the state."""
 
 import jax
 import jax.numpy as jnp
