@@ -163,7 +163,7 @@ def _gap_of_tangent(effect: Effect, rod: Rod) -> Array:
 
 
 def _times_coloured(push: Callable[[Array], Array], step: Array, reach: Reach) -> Array:
-    """What a linear function of a reach makes of a step, by its matrix."""
+    """A linear function of a given reach applied to a step, by its matrix."""
     if reach == "neighbours":
         return BlockTridiagonal(*bands_by_colouring(push, step, 1)).multiply(step)
     bands = bands_by_colouring(push, step, 2)
