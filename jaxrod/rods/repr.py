@@ -75,7 +75,7 @@ def _listed(effects: Any) -> tuple[Any, ...]:
 
 
 def _known(leaf: Any) -> np.ndarray | None:
-    """Numbers of a leaf; `None` if it has none that can be read here and now."""
+    """Numbers of a leaf; `None` if they cannot be read without waiting or tracing."""
     import jax
 
     if isinstance(leaf, jax.core.Tracer) or not isinstance(
