@@ -1,4 +1,4 @@
-r"""Kicks with drag: exact for each direction, however large the rates are.
+r"""Kicks with drag: exact along and across the rod, at any decay rate.
 
 At fixed configuration, with the acceleration $a$ by all loads held constant, a
 component of the velocity relative to the fluid obeys $\dot w = a - g w - q |w| w$. Its
@@ -122,7 +122,7 @@ def _change(
     if along[1] is None:
         gain, loss = _decay(along[0], dt)
     else:
-        # Not the absolute value: JAX takes its slope at zero to be one.
+        # Not `abs`: JAX gives it the slope one at zero.
         way = jnp.sign(on_rate)
         speed, size = way * on_rate, jnp.sign(on_drive) * on_drive
         gain, loss = _riccati(along, speed, size, way * on_drive, dt)

@@ -371,7 +371,7 @@ def _in_plane(orientation: Quaternion, normal: Vec2, out: int) -> Quaternion:
 
 
 def _but_for_rounding(component: Array) -> Array:
-    """Mean, or zero if it is round-off: most normals are d1 or d2."""
+    """Mean of a component, or zero if it is round-off: most normals are d1 or d2."""
     mean = jnp.mean(component)
     return jnp.where(jnp.abs(mean) < 64 * jnp.finfo(mean.dtype).eps, 0, mean)
 
