@@ -132,7 +132,7 @@ class Pin(Effect):
         return (Held(self.node, self.axes),)
 
     def check(self, rod: Rod) -> None:
-        """Raises ValueError if the node is missing or the state was another rod's."""
+        """Raises ValueError if there is no such node or the state was another rod's."""
         check_made_for("pin", self.made_for, rod)
         if not 0 <= self.node <= rod.n_elements:
             raise ValueError(
