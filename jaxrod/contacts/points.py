@@ -77,7 +77,7 @@ class AtNodes:
         return field
 
     def to_elements(self, field: Array) -> Array:
-        """Each element's shares of the couples at its two nodes."""
+        """Couples at the nodes, divided between the elements next to them."""
         return self.share_of_first * field[:-1] + self.share_of_last * field[1:]
 
 
