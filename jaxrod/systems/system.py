@@ -52,9 +52,9 @@ class System(Assembly, Model):
     """Rods and rigid bodies by name, and the couplings between them.
 
     Structure is static, numbers are traced. Only what is listed is in the compiled
-    program. Build a system with `make_system`. The functions for scenes take it too:
-    `advance`, `rollout`, `stable_dt`, `health`, with a dict of states by member; and it
-    has the same methods, such as `total_energy(state)`.
+    program. Build a system with `make_system`. Functions for scenes (`advance`,
+    `rollout`, `stable_dt`, `health`) take it, too, with a dict of states by member. It
+    has the same methods as a scene, such as `total_energy(state)`.
     """
 
     def states_by_name(self, state: Any) -> dict[str, Any]:
@@ -123,7 +123,7 @@ class System(Assembly, Model):
         work_input: ArrayLike = 0.0,
         n_steps: ArrayLike = 1000,
     ) -> SystemHealth:
-        """Flags and the measured values behind them; its energy is not examined."""
+        """Flags and the measured values behind them; energies are not examined."""
         check_system_state(self, state)
         self.check_moment()
         return system_health(self, state, dt, limits=limits)
@@ -258,7 +258,7 @@ def _flat(couplings: Any) -> Any:
 
 
 def _member(name: Any, given: Any) -> Member:
-    """The member that answers for what is given, checked."""
+    """The checked member for an entry of a system."""
     if not isinstance(name, str):
         raise TypeError(f"names of members must be strings, got {name!r}")
     as_member = getattr(given, "as_member", None)
@@ -275,7 +275,7 @@ def _member(name: Any, given: Any) -> Member:
 def _free_ends(
     parts: AllParts, couplings: Sequence[Coupling], dtype: Any
 ) -> dict[str, Array]:
-    """One for each free end of the rods of each member, zero for other ends."""
+    """Flags of the ends of each member's rods: 1 if free, 0 otherwise."""
     held = {node for coupling in couplings for node in coupling.joined_nodes()}
     return {
         name: jnp.asarray(free_ends(name, parts, held), dtype)
@@ -300,7 +300,7 @@ def _sized(
                 "neighbour_lists, or make_system a state in which to count them"
             )
         return couplings
-    # Without couplings: nothing is searched yet.
+    # Without couplings, because nothing has been searched yet.
     plain = replace(system, couplings=()).at(0.0)
     seen, _ = seen_at_rest(plain, state)
     parts = system.parts()
@@ -315,7 +315,7 @@ def _with_room(coupling: Coupling, parts: Any, seen: Any) -> Coupling:
 
 
 def _check_followers(couplings: Sequence[Coupling]) -> None:
-    """Raises where a node would follow two bodies, or a body and a tie."""
+    """Raises if a node would follow two bodies, or a body and a tie."""
     followers: dict[tuple[str, int], str] = {}
     for coupling in couplings:
         followed = coupling.followed

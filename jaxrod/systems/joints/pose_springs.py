@@ -88,7 +88,7 @@ class PoseSpring(Coupling):
         return a - x, b - y, c - z
 
     def _angle(self, own: Seen) -> Vec3:
-        """Rotation vector from the target, the same in both frames [rad]."""
+        """Rotation vector from the target, which is the same in both frames [rad]."""
         q = _one_quaternion(self._turned.orientation)
         here = orientation_at(own, self.anchor.points)
         return rotation_log(multiply_quaternions(conjugate(q), here))

@@ -95,7 +95,7 @@ def _own_stepper(
 def system_with_memory(system: Assembly, state: SystemState) -> dict[str, Any]:
     """The state with the initial memories of effects, where it has none.
 
-    A system with lists of neighbours also gets a record of contacts that they miss.
+    A system with lists of neighbours also gets a record of the contacts that they miss.
     """
     own = {
         name: member.with_memory(state[name])
