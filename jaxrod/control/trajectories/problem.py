@@ -335,7 +335,7 @@ def within_bounds(
     """Checks given controls, and converts them to the dtype of the problem.
 
     Raises:
-        ValueError: They do not have that shape, are not finite or exceed the bounds.
+        ValueError: They have another shape, are not finite or exceed the bounds.
     """
     values = np.asarray(check_array(name, given, [shape], ""))
     low, high = np.asarray(problem.lower), np.asarray(problem.upper)
@@ -346,7 +346,7 @@ def within_bounds(
             f"{values[beyond].flat[0]:g}"
         )
     dtype = problem.lower.dtype
-    # Clip again after rounding to the dtype of the problem, in which the bounds are.
+    # Clip again after rounding to the dtype of the problem and of the bounds.
     return jnp.clip(
         jnp.asarray(values, dtype), problem.lower[None], problem.upper[None]
     )
