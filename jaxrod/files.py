@@ -1,4 +1,4 @@
-"""Files written completely or not at all, and read with their names in every error."""
+"""Atomic writes of files, and reads whose errors name the file."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ class DamagedFileError(ValueError):
 
 
 class LinkedFileError(ValueError):
-    """Something in a folder leads out of it, and is not written through."""
+    """A link in a folder points outside it; nothing is written through the link."""
 
 
 class UntrustedError(ValueError):
@@ -31,7 +31,7 @@ class UntrustedError(ValueError):
 
 
 def refuse_link(path: Path) -> None:
-    """Refuses a file or folder that is a link; to be called before writing there.
+    """Raises if a file or folder is a link; call it before writing there.
 
     A folder that was unpacked from an archive may contain links to anywhere. The folder
     that the user names may itself be a link; its content must not be.
@@ -48,11 +48,11 @@ def refuse_link(path: Path) -> None:
 
 
 def make_folder(path: Path) -> None:
-    """Makes a folder in a given one, if it does not exist.
+    """Makes a folder inside an existing one, unless it is already there.
 
     Raises:
-        LinkedFileError: If it is a link, wherever that leads.
-        OSError: If it cannot be made; with its name.
+        LinkedFileError: If it is a link, whatever its target.
+        OSError: If it cannot be made; the message names it.
     """
     refuse_link(path)
     path.mkdir(parents=True, exist_ok=True)
@@ -61,19 +61,19 @@ def make_folder(path: Path) -> None:
 def open_to_write(path: Path, flags: int) -> int:
     """Opens a file in a given folder, for writing in place.
 
-    It is not truncated: the caller does that, once the file is known to be the right
+    The file is not truncated: the caller does that after checking that it is the right
     one.
 
     Args:
-        path: A plain file, without a second name; made if `flags` say so.
+        path: A plain file with no other hard link; created if `flags` ask for it.
         flags: Flags of `os.open`.
 
     Returns:
         The descriptor of the open file.
 
     Raises:
-        LinkedFileError: If it is a link, has a second name, or is not a plain file.
-        OSError: If it cannot be opened; with its name.
+        LinkedFileError: If it is a link, has other hard links, or is not a plain file.
+        OSError: If it cannot be opened; the message names it.
     """
     refuse_link(path)
     # A pipe in its place must not block the process; Windows has neither flag.
@@ -120,7 +120,7 @@ def write_atomically(
         private: Whether nobody but this user may read it.
 
     Raises:
-        OSError: If it cannot be written; with the name of the file.
+        OSError: If it cannot be written; the message names it.
     """
     target = Path(path)
     if target.is_dir():
@@ -179,7 +179,7 @@ def reading(path: Path) -> Iterator[None]:
 
     Raises:
         DamagedFileError: If anything but an error of the operating system was raised.
-        UntrustedError: If that was raised; the file is not damaged.
+        UntrustedError: Passed on unchanged, because the file is not damaged.
         OSError: If the file cannot be opened.
     """
     try:
@@ -225,8 +225,8 @@ def parse_json(text: str) -> dict[str, Any]:
     """Reads one object from JSON text.
 
     Raises:
-        ValueError: If it is not JSON, or not an object; or if an object in it has a key
-            twice, of which readers take one or the other.
+        ValueError: If it is not JSON, or not an object; or if an object in it repeats a
+            key, because readers disagree on which value counts.
     """
     content = json.loads(
         text, parse_constant=_refuse_constant, object_pairs_hook=_without_doubles
@@ -260,8 +260,8 @@ def read_plain(path: Path) -> bytes:
 def read_csv(path: Path) -> tuple[list[str], list[list[str]]]:
     """Reads the columns and the rows of a CSV file.
 
-    A last line without an end that lacks values is still being written, and is left
-    out.
+    A last line that lacks both values and a newline is still being written; it is
+    skipped.
 
     Raises:
         DamagedFileError: If it is not CSV, or not all rows have as many values as there

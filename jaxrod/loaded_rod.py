@@ -1,8 +1,8 @@
 """A loaded rod: one rod, the effects on it and its method, as a method sees a scene.
 
 `jaxrod.scene.Scene` is a loaded rod that is also a model: it can be stepped and asked
-for its energies. Methods, statics and analyses are below that file and take what is
-here.
+for its energies. Methods, statics and analyses do not import that file; they take
+loaded rods.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ class Evolvable(Protocol):
 
         Args:
             scene: The scene with its schedules; this stepper has it without them.
-            first: Number of steps since time zero at the beginning.
+            first: Number of the first step, counted from time zero.
         """
 
 
@@ -148,7 +148,7 @@ class LoadedRod:
 
     @property
     def stirred(self) -> Self:
-        """Scene with other memories and schedules at their bounds, not initial ones.
+        """Scene with arbitrary memory and with schedules at their bounds.
 
         For checks of effects: a value that is zero now may leave a plane later.
         """
