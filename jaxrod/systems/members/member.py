@@ -140,7 +140,7 @@ class Member(ABC):
     # The state as couplings see it, and its steps.
 
     def held(self, state: Any) -> Vec3 | None:
-        """One per node and axis that a support holds, else zero; `None` for none."""
+        """Flags per node and axis: 1 if held by a support, else 0. `None` for none."""
         return None
 
     @abstractmethod
