@@ -94,8 +94,8 @@ def branched(unroller: Unroller, equation: Any, index: Any, *arrays: Any) -> Any
 def by_platform(unroller: Unroller, equation: Any) -> Any:
     """Index of the default variant of a program that depends on the platform.
 
-    Kernels are for CPUs. A program with a variant of its own for those is refused,
-    because only XLA tells variants apart.
+    Kernels are for CPUs. A program with a separate variant for CPUs is refused, because
+    only XLA selects variants.
     """
     rest = None
     for i, names in enumerate(equation.params["platforms"]):

@@ -28,8 +28,8 @@ _OF_NOTHING = {"add": 0, "mul": 1, "max": -np.inf, "min": np.inf, "and": 1, "or"
 def reduced(unroller: Unroller, equation: Any, array: Any) -> Any:
     """Unrolls a reduction along axes, by pairwise combination of halves.
 
-    So round-off grows with the logarithm of the number of entries, and there is no long
-    chain of dependent operations.
+    So round-off grows only with the logarithm of the number of entries, and there is no
+    long chain of dependent operations.
     """
     graph, kind = unroller.graph, kind_of(equation.outvars[0].aval)
     operation = REDUCTIONS[equation.primitive.name]
