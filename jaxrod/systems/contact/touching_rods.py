@@ -357,7 +357,7 @@ class TouchingRods(PenaltyContact):
         return worst
 
     def stability_bounds(self, parts: AllParts) -> dict[str, StabilityBound]:
-        """Stiffness and drag as if `max_contacts` touched each rod at its worst."""
+        """Stiffness and drag as if `max_contacts` rods touched each at one place."""
         every = [parts[name] for name in self.members]
         return {name: self.bound(parts[name], every) for name in self.members}
 
