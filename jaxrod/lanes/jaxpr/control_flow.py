@@ -111,7 +111,7 @@ def by_platform(unroller: Unroller, equation: Any) -> Any:
 
 @rule("custom_linear_solve")
 def solved(unroller: Unroller, equation: Any, *arrays: Any) -> Any:
-    """Unrolls the solution of linear equations, by the solver that they contain."""
+    """Unrolls the solution of linear equations, with the solver in the equation."""
     lengths = equation.params["const_lengths"]
     begin = lengths.matvec + lengths.vecmat
     consts = arrays[begin : begin + lengths.solve]

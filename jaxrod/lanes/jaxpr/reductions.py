@@ -71,7 +71,7 @@ def accumulated(unroller: Unroller, equation: Any, array: Any) -> Any:
 
 @rule("argmax", "argmin")
 def place_of_extreme(unroller: Unroller, equation: Any, array: Any) -> Any:
-    """Unrolls the index of the largest or smallest entry; the first of equal ones."""
+    """Unrolls the index of the first largest or first smallest entry."""
     graph = unroller.graph
     kind, index_kind = (
         kind_of(equation.invars[0].aval),
