@@ -1,8 +1,8 @@
 """The command line: `jaxrod COMMAND ...`.
 
-Each command is one module of this package, named after it, or a program in the folder
-`benchmarks` of a checkout: those run the published grid and compare with other
-simulators, and are not installed. It has
+Each command is a module of this package, named after it, or a program in the folder
+`benchmarks` of a checkout. Those programs run the published grid and compare with other
+simulators; they are not installed. A module has
 
 - a docstring: a description of the command, shown by `jaxrod COMMAND --help`;
 - `add_arguments(parser)`: declares its arguments, and may set `parser.epilog` to
@@ -107,7 +107,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         args = parser.parse_args(arguments)
         with _warnings_as_sentences(command):
             code = int(args.run(args))
-        # A closed pipe has to show up here, not while the interpreter shuts down.
+        # A closed pipe has to raise here, not while the interpreter shuts down.
         sys.stdout.flush()
         return code
     except KeyboardInterrupt:
@@ -131,8 +131,8 @@ def main(argv: Sequence[str] | None = None) -> int:
                 file=sys.stderr,
             )
             return 2
-        # The content of a run's files is checked where it is read. So this is a fault
-        # of jaxrod, which only its traceback explains.
+        # The content of a run's files is checked when it is read. So this is a fault of
+        # jaxrod, and only the traceback explains it.
         traceback.print_exc()
         words = printable(shlex.join(["jaxrod", *arguments]))
         print(

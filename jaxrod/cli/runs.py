@@ -1,4 +1,4 @@
-"""Opening the runs of `jaxrod train`, with clear errors if something is wrong."""
+"""Opens runs of `jaxrod train`, with clear errors if something is wrong."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ _SCORE_WINDOW = 50
 def score_window(task: str) -> int:
     """Number of last training episodes of a seed whose mean return is the final score.
 
-    As in the paper: 10 in Cases 3 and 4, 50 in the others.
+    As in the paper, it is 10 in Cases 3 and 4 and 50 in the others.
     """
     return _SCORE_WINDOWS.get(task, _SCORE_WINDOW)
 
@@ -189,7 +189,7 @@ def make_task(
 
     here, own = os.getcwd(), ":" in task
     if own and trust is not None:
-        # Checked before this folder is among those from which modules are imported.
+        # The trust is checked before modules can be imported from this folder.
         check_trusted(task, trust)
     if own and here not in sys.path:
         sys.path.insert(0, here)

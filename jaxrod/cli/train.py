@@ -201,8 +201,7 @@ def run(args: argparse.Namespace) -> int:
                 resolve(stored["algorithm"], None, _trust(args))
     if args.like:
         assert stored
-        # So that the folder is named after the task, algorithm and seed that are
-        # trained.
+        # The folder is named after the task, algorithm and seed that are trained.
         args.algorithm = args.algorithm or stored["algorithm"]
         args.seed = stored["seed"] if args.seed is None else args.seed
     algorithm = _chosen(args.algorithm, stored, "algorithm", "ppo")
@@ -214,7 +213,7 @@ def run(args: argparse.Namespace) -> int:
     if args.num_envs is not None:
         words.append(f"num_envs={args.num_envs}")
     said = settings.configure(config, {}, words)
-    # Anything that the user has just typed is trusted, also under its other names.
+    # Anything that the user has just typed is trusted, also under other names.
     trust = _trust(args, said)
     if stored and algorithm == stored["algorithm"]:
         assert source
@@ -223,12 +222,14 @@ def run(args: argparse.Namespace) -> int:
         with reading(source / "config.json"):
             config = settings.configure(config, kept, [], trust)
             if not given:
-                # Otherwise these are not yet the run's settings: `train` checks them.
+                # Otherwise these are not yet the settings of the run, and `train`
+                # checks them.
                 learner.validate(config, 1)
                 check_steps(stored["steps"], updates_of(learner, config))
     config = settings.configure(config, {}, words)
     wanted = getattr(config, "num_envs", 1) if learner.partition else 1
-    # Before a user's own task is imported, which may start computing at once.
+    # This comes before a user's own task is imported, which may start computing at
+    # once.
     jaxrod.configure_cpu(devices_that_fit(wanted, args.devices, available=None))
     processes = (args.coordinator, args.processes, args.process_id)
     if args.distributed:
@@ -247,7 +248,8 @@ def run(args: argparse.Namespace) -> int:
     env = runs.make_task(args.task, options | settings.options(args.option))
     seed = check_seed(_chosen(args.seed, stored, "seed", 0))
     out = _folder(args, getattr(env, "variant", None))
-    # With several processes only the first checks, in `train`: it may have begun.
+    # With several processes only the first checks, in `train`, because it may already
+    # have begun.
     if not args.resume and not args.distributed:
         RunFolder(out).check_replaceable()
         if RunFolder(out).exists and not args.overwrite:
@@ -294,7 +296,7 @@ def run(args: argparse.Namespace) -> int:
         # A regular exit would wait for the lost process, and then abort.
         os._exit(1)
     if args.distributed:
-        # Shut down here, where all processes are: only the first does the rest.
+        # Shut down here, which all processes reach: only the first does the rest.
         try:
             jax.distributed.shutdown()
         except jax.errors.JaxRuntimeError:
@@ -334,7 +336,7 @@ def _trust(args: argparse.Namespace, said: Any = None) -> tuple[str, ...]:
     from jaxrod.envs.importing import canonical_path
 
     typed = (args.task, canonical_path(args.task), args.algorithm or "")
-    # The name of a built-in does not vouch for a module of the same name.
+    # The name of a built-in does not make a module of the same name trusted.
     paths = [word for word in typed if ":" in word]
     return (*args.trust, *paths, *_functions(said))
 
@@ -357,7 +359,7 @@ def _functions(settings: Any) -> list[str]:
 
 
 def _logs(args: argparse.Namespace, out: Path) -> bool:
-    """Whether to keep an event file: as requested, or as in the resumed run."""
+    """Whether to write an event file: as requested, or as in the resumed run."""
     from jaxrod.training import RunFolder
 
     if args.log is None and args.resume:
