@@ -36,7 +36,7 @@ CALLS = 8
 """Number of calls of one program that are compared."""
 
 ALL_BUT_NOTHING = 0.05
-"""Fraction of the memory below which next to nothing is free [1]."""
+"""Fraction of the memory below which almost none counts as free [1]."""
 
 
 @dataclass(frozen=True)
