@@ -305,7 +305,7 @@ class Layout:
         shape: Dims,
         fill: int | None,
     ) -> Rows:
-        """Puts arrays into one, whose axis is a loop, from given indices on."""
+        """Writes arrays into one array, whose axis is a loop, from given indices on."""
         others = {a for array, _ in parts for a in array.loops}
         loops = tuple(sorted(others | {axis}))
         dims = tuple(shape[a] for a in loops)

@@ -112,7 +112,7 @@ class RowPlan:
         return goals
 
     def hoist(self, goals: Sequence[Goal]) -> None:
-        """Writes the function that computes what does not vary from step to step."""
+        """Writes the function that computes values that are the same in all steps."""
         graph = self.graph
         for i, (node, numbers) in enumerate(graph.data.items()):
             kind = graph.kinds[node]

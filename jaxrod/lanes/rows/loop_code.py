@@ -301,7 +301,7 @@ class RowWriter(Writer):
         self._store(self.value(goal.node), place, piece.base, piece.strides, kind)
 
     def _width_of(self, loop: Loop) -> int:
-        """Lanes of the vectors of a loop: as many as fit, and as the row has."""
+        """Lanes of the vectors of a loop: as many as fit, at most the row's length."""
         kinds = {self.graph.kinds[node] for node in (*loop.nodes, *loop.reductions)}
         kinds |= {self.graph.kinds[goal.node] for goal in loop.goals}
         widest = max((BYTES[kind] for kind in kinds), default=4)

@@ -191,7 +191,7 @@ class Schedule:
         return masks
 
     def _after(self, node: int) -> int:
-        """Level from which a stored node can be read, or a number as part of a row."""
+        """Level from which a stored node can be read, or a number used in a row."""
         return 0 if self.is_ready(node) else self._done[node] + 1
 
     def _beside(self, node: int, dims: Dims, mask: int | None = None) -> int:
@@ -341,7 +341,7 @@ class Schedule:
         self._loop(level, ())
 
     def _allocate(self) -> None:
-        """Gives stored nodes places, and uses places again that nobody reads."""
+        """Allocates places for stored nodes, and reuses places that are done with."""
         graph = self.graph
         begins: dict[int, list[int]] = {}
         first_write: dict[int, int] = {}
