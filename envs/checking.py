@@ -1,4 +1,4 @@
-"""Checks of a user's own environments and actions, which report what does not fit."""
+"""Checks of a user's own environments and actions, with clear error messages."""
 
 from __future__ import annotations
 

@@ -1,9 +1,9 @@
 r"""Tasks in which the tip of a soft arm goes to a target: `tracking` and its kin.
 
-`ArmTask` is what all of them share: a step, a reward by the distance of the tip from
-the target, a smooth cost for planners, a picture. `BenchmarkTask` adds the published
-benchmark's arm: couples along it, set by a few control values in every 1.4 ms; a task
-of it says what its targets are and what is observed of them.
+`ArmTask` is their common base: a step, a reward by the distance of the tip from the
+target, a smooth cost for planners, and a picture. `BenchmarkTask` adds the published
+benchmark's arm, with couples along it that a few control values set every 1.4 ms. Each
+of its tasks defines the targets and the observed numbers.
 """
 
 from __future__ import annotations
@@ -110,7 +110,7 @@ class ArmTask(ABC):
             terminated, truncated = crashed, timeout
         else:
             terminated, truncated = jnp.zeros((), bool), timeout | crashed
-        # Nothing is known about a crashed arm, and zero would be the best distance.
+        # A crashed arm has no valid distance, and zero would be the best one.
         sound = freeze(crashed, before.arm, state.arm)
         info = self.scalars(sound, state.target) | {"flagged": crashed}
         return observation, state, reward, terminated, truncated, info
@@ -308,7 +308,7 @@ class BenchmarkTask(ArmTask):
 
     @abstractmethod
     def seen(self, state: ArmState, params: Any) -> tuple[Array, ...]:
-        """Parts of the observation behind points and velocity of the arm."""
+        """Parts of the observation that follow the points and velocity of the arm."""
 
     @property
     def action_size(self) -> int:
@@ -378,8 +378,8 @@ class BenchmarkTask(ArmTask):
         """Predicts the state under one action, see `ArmTask.predict`."""
         if self.largest_rate is None:
             return self.moved(None, state, action, params, control_steps)[0]
-        # One step at a time: control values follow the action in every step, and every
-        # step selects the obstacles in view again.
+        # One step at a time, because control values follow the action in every step,
+        # and every step selects the nearest obstacles again.
         return super().predict(state, action, params, control_steps)
 
     def observe(self, state: ArmState, params: Any) -> Float[Array, " observation"]:
@@ -418,8 +418,9 @@ def tip_residuals(
     r"""Smooth substitute for the reward's distance; the sum of squares is the cost [1].
 
     With $s = |way|/width$ the squares sum to $2\,(width/touching)^2\,(\sqrt{1 + s^2} -
-    1)$. This is about $(|way|/touching)^2$ nearby and linear far away, with a slope
-    everywhere but at the target. The reward's bonuses are steps, which have no slope.
+    1)$. This is about $(|way|/touching)^2$ nearby and linear far away, with a nonzero
+    slope everywhere except at the target. The reward's bonuses are steps, which have no
+    slope.
 
     Args:
         way: Vector from the target to the tip [m].
