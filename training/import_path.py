@@ -63,7 +63,7 @@ def import_path_in(module: str, value: Any) -> str | None:
 
 
 def _path(module: str, name: str, value: Any) -> str | None:
-    if not name.isidentifier():  # Of a class, of a function, or a lambda.
+    if not name.isidentifier():  # Names in a class or function, and lambdas.
         return None
     try:
         found = getattr(sys.modules[module], name)

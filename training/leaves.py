@@ -70,7 +70,7 @@ def is_key(leaf: Any) -> bool:
 
 
 def _hint(apart: list[str]) -> str:
-    """Usual cause if all numbers differ in precision."""
+    """Usual cause, as a hint, if all numbers differ in precision."""
     double = all("float32" in one and "float64" in one for one in apart[:3])
     return " (is JAX_ENABLE_X64 as it was?)" if double else ""
 
