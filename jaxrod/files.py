@@ -41,9 +41,9 @@ def refuse_link(path: Path) -> None:
     """
     if path.is_symlink() or _is_junction(path):
         raise LinkedFileError(
-            f"{path} is a link to {os.readlink(path)}, and nothing is written through "
-            "links that lie in the folder of a run: take the link away, or choose "
-            "another folder"
+            f"{path} is a link to {os.readlink(path)}, and jaxrod does not write "
+            "through links in the folder of a run: remove the link, or choose another "
+            "folder"
         )
 
 
@@ -83,7 +83,7 @@ def open_to_write(path: Path, flags: int) -> int:
         handle = os.open(path, flags, 0o666)
     except OSError as error:
         if error.errno in (errno.ELOOP, errno.ENXIO):
-            raise LinkedFileError(f"{path} is no plain file: take it away") from error
+            raise LinkedFileError(f"{path} is not a plain file: remove it") from error
         raise
     found = os.fstat(handle)
     if not stat.S_ISREG(found.st_mode) or found.st_nlink > 1:
@@ -92,8 +92,8 @@ def open_to_write(path: Path, flags: int) -> int:
         if stat.S_ISREG(found.st_mode):
             what = f"one file with {found.st_nlink} names (hard links)"
         raise LinkedFileError(
-            f"{path} is {what}, and what is written there would show elsewhere: put a "
-            "copy in its place, or take it away"
+            f"{path} is {what}, so writing to it would change another file: replace it "
+            "by a copy, or remove it"
         )
     return handle
 

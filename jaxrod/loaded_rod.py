@@ -173,7 +173,7 @@ class LoadedRod:
         """Raises a `ValueError` if it depends on time."""
         if self.depends_on_time:
             raise ValueError(
-                "this asks about one moment, but a number of the scene's effects is a "
+                "this is defined at one moment, but an effect of the scene has a "
                 "schedule: give scene.at(time)"
             )
 
@@ -193,9 +193,9 @@ def check_scene(scene: Any) -> None:
     """
     if not isinstance(scene, LoadedRod):
         raise TypeError(
-            f"scene must be a jaxrod.Scene, got {type(scene).__name__}: this is known "
-            "of one rod alone, not of several members together. Those can be stepped "
-            "(advance, rollout) and asked for stable_dt, health and their energies; "
+            f"scene must be a jaxrod.Scene, got {type(scene).__name__}: this is "
+            "available for one rod only, not for a system. A system can be stepped "
+            "(advance, rollout) and has stable_dt, health and energies; "
             "jaxrod.systems.settled finds where they come to rest"
         )
     shape = scene.rod.batch_shape
@@ -227,7 +227,7 @@ def check_memory(scene: LoadedRod, state: RodState, name: str = "state") -> None
     if not scene.remembers or given != own:
         raise ValueError(
             f"{name}.memory must be of the effects of this scene: "
-            "dataclasses.replace(state, memory=None) begins anew"
+            "dataclasses.replace(state, memory=None) starts again"
         )
 
 

@@ -94,7 +94,7 @@ def test_unknown_words_exit_with_two(words, capsys):
         (MemoryError("std::bad_alloc"), "fewer environments (--num-envs)", 2),
         (
             RuntimeError("RESOURCE_EXHAUSTED: Out of memory"),
-            "more memory than there",
+            "out of memory: use smaller",
             2,
         ),
     ],

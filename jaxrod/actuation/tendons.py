@@ -150,8 +150,8 @@ class Tendon(Effect):
     def resampled(self, rod: Rod, new_rod: Rod) -> Tendon:
         """Raises ValueError: eyelets belong to certain elements."""
         raise ValueError(
-            "a tendon's eyelets are on certain elements: it has no counterpart on a "
-            "rod with another number of them"
+            "a tendon's eyelets belong to certain elements: it cannot be resampled to "
+            "another number of elements"
         )
 
     def _points(self, motion: Motion) -> tuple[Vec3, Vec3]:
@@ -301,10 +301,11 @@ def tendon(
     """
     check_kind("rod", rod, Rod)
     if (tension is None) == (length is None):
-        raise ValueError("a tendon needs a tension in N or a length in m, one of them")
+        raise ValueError("a tendon needs either a tension in N or a length in m")
     if (length is None) != (stiffness is None):
         raise ValueError(
-            "a tendon with a length needs its stiffness in N/m, and no other has one"
+            "a tendon with a length needs a stiffness in N/m, and one with a tension "
+            "takes none"
         )
     kind, n = rod.rest_lengths.dtype, rod.n_elements
     first, last = (0, n - 1) if elements is None else elements
@@ -312,7 +313,7 @@ def tendon(
     last = check_count("last element", last, first, n - 1)
     pieces = last - first + (anchor is not None)
     if pieces < 1:
-        raise ValueError("a tendon needs two eyelets, or an anchor and one")
+        raise ValueError("a tendon needs two eyelets, or one eyelet and an anchor")
     given = numeric("offsets", offsets, "m")
     count = given.shape[0] if given.ndim > 1 else 1
     held = last - first + 1

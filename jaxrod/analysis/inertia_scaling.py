@@ -84,8 +84,8 @@ def scale_inertia(scene: LoadedRod, dt: Numbers | None = None) -> InertiaScaling
         largest = _other_limit(scene)
         if not is_traced(step, largest) and step >= largest:
             raise ValueError(
-                f"dt must be below {float(largest):.3g} s, where stretch or twist "
-                "limit the step whatever the transverse inertia is, got "
+                f"dt must be below {float(largest):.3g} s, the limit from stretch and "
+                "twist, which transverse inertia does not change, got "
                 f"{float(step):.3g} s"
             )
         unlimited = jnp.full_like(scene.rod.rest_lengths, jnp.inf)

@@ -43,7 +43,7 @@ COMMANDS = {
     "evaluate": "measure the policy of a finished run",
     "render": "draw the learning curve and a replay of a run",
     "optimise": "find actuation by gradients through the simulation",
-    "doctor": "check that this machine computes right",
+    "doctor": "check that this machine computes correctly",
     "reproduce": "run the published benchmark: cases, algorithms, seeds *",
     "tradeoff": "measure what accuracy costs, and find the cheapest setting *",
     "benchmark": "measure rod-steps per second on this machine *",
@@ -125,8 +125,8 @@ def main(argv: Sequence[str] | None = None) -> int:
     except Exception as error:
         if isinstance(error, MemoryError) or "RESOURCE_EXHAUSTED" in str(error):
             print(
-                f"{command}: this needs more memory than there is: smaller networks, "
-                "fewer environments (--num-envs) or fewer elements need less "
+                f"{command}: out of memory: use smaller networks, fewer environments "
+                "(--num-envs) or fewer elements "
                 f"({printable(str(error)[:200])})",
                 file=sys.stderr,
             )
@@ -137,7 +137,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         words = printable(shlex.join(["jaxrod", *arguments]))
         print(
             f"{command}: {type(error).__name__}: {printable(str(error))} (a fault of "
-            f"jaxrod: please report the lines above; it met {words})",
+            f"jaxrod: please report the lines above; the command was {words})",
             file=sys.stderr,
         )
         return BROKEN

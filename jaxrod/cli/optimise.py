@@ -120,26 +120,26 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--solver",
         choices=tuple(SOLVERS),
         default="levenberg-marquardt",
-        help="how knots are found (default: levenberg-marquardt)",
+        help="solver for the knots (default: levenberg-marquardt)",
     )
     parser.add_argument(
         "--iterations",
         type=int,
         metavar="N",
-        help="the most iterations (default: 20, of Adam 150)",
+        help="largest number of iterations (default: 20; 150 for Adam)",
     )
     parser.add_argument(
         "--tolerance",
         type=float,
         default=0.005,
         metavar="M",
-        help="the tip has arrived when it ends this close (default: 0.005 m)",
+        help="largest final distance of the tip from the target (default: 0.005 m)",
     )
     parser.add_argument(
         "--speed-tolerance",
         type=float,
         metavar="V",
-        help="... and is at most this fast [m/s] (default: any speed)",
+        help="largest final speed of the tip [m/s] (default: any speed)",
     )
     parser.add_argument(
         "--learning-rate",
@@ -149,7 +149,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="step size of Adam (default: 0.05)",
     )
     parser.add_argument(
-        "--seed", type=int, default=0, help="of the first guess (default: 0)"
+        "--seed",
+        type=int,
+        default=0,
+        help="random seed of the first guess (default: 0)",
     )
     parser.add_argument(
         "--elements",

@@ -96,9 +96,9 @@ def add_trust(parser: argparse.ArgumentParser) -> None:
         action="append",
         default=[],
         metavar="MODULE",
-        help="import this module, by its whole name, or this .py file, where RUN names "
-        "it; may be given several times. Without it nothing runs but what is built in: "
-        "the folder of a run may be anybody's (docs/runs.md)",
+        help="module (full name) or .py file that may be imported because RUN names "
+        "it; may be given several times. Without it only built-in code runs, "
+        "because the folder of a run may come from anybody (docs/runs.md)",
     )
 
 
@@ -120,8 +120,8 @@ def open_run(path: Path, trust: Collection[str] = ()) -> StoredRun:
     task, options = config["task"], config["env_options"]
     if options is None:
         raise ValueError(
-            f"{file} is of a run in an environment that jaxrod.envs.make did not make "
-            f"and so cannot make again: {config.get('environment', task)}"
+            f"{file} belongs to a run in an environment that jaxrod.envs.make did not "
+            f"make and cannot make again: {config.get('environment', task)}"
         )
     if task not in envs.names():
         env = _made_again(file, task, options, trust)

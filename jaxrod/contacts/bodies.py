@@ -308,7 +308,7 @@ class Plane(Body):
 
     def solid(self) -> Solid:
         """Raises: a plane cannot be a moving body."""
-        raise ValueError("a plane is no rigid body that can move: give it to `contact`")
+        raise ValueError("a plane cannot be a moving rigid body: give it to `contact`")
 
 
 @pytree

@@ -470,8 +470,8 @@ def contact(
     drags = _or_none("friction_drag", drag, "kg/(m s)")
     if rubs is not None and drags is None:
         raise ValueError(
-            "friction needs friction_drag > 0 kg/(m s), what it resists per length "
-            "and speed at the onset of slip (by default the damping), got 0"
+            "friction needs friction_drag > 0 kg/(m s), its resistance per length and "
+            "speed at the onset of slip (by default the damping), got 0"
         )
     return Contact(
         body=body,
@@ -516,7 +516,7 @@ def _gathered(bodies: Body | Sequence[Body]) -> tuple[Body, int | None]:
             raise TypeError(f"bodies must be jaxrod bodies, got {type(body).__name__}")
         if kind != kinds[0]:
             raise TypeError(
-                "bodies of one contact must be of a kind, got "
+                "bodies of one contact must be of one kind, got "
                 f"{type(listed[0]).__name__} and {type(body).__name__}; list a "
                 "contact for each kind in the scene"
             )

@@ -95,8 +95,8 @@ def check_straight_end(rod: Rod, end: End) -> None:
     index = 0 if end == "base" else -1
     if np.any(np.asarray(rod.rest_curvatures[:, index]) != 0):
         raise ValueError(
-            "what holds the end of a rod that is curved at rest there cannot be "
-            "resampled: make it anew for the new rod"
+            "a support of an end that is curved at rest cannot be resampled: make a "
+            "new support for the new rod"
         )
 
 

@@ -150,8 +150,8 @@ def given_options() -> str:
             flags = " ".join(Path(flags).read_text().split())
         except (OSError, ValueError) as error:
             raise ValueError(
-                f"XLA_FLAGS {wanted}, got {flags!r:.80}, which is no file that can be "
-                "read; unset XLA_FLAGS if it is not meant"
+                f"XLA_FLAGS {wanted}, got {flags!r:.80}, which is not a readable file; "
+                "unset XLA_FLAGS if it was set by mistake"
             ) from error
     try:
         words = shlex.split(flags)

@@ -155,8 +155,8 @@ def join_processes(
     if not _last_words:
         _last_words.append(LastWords())
     _last_words[0](
-        f"jaxrod: not all processes of the program came within {within} s, or the "
-        f"first was lost meanwhile; start all of them anew: {GO_ON}"
+        f"jaxrod: not all processes of the program joined within {within} s, or the "
+        f"first was lost; start all of them again: {GO_ON}"
     )
     # This service would take the SIGTERM signal away from programs that want to save
     # first.

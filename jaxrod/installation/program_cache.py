@@ -57,8 +57,8 @@ _WEEK = 7 * 86_400.0
 _LOUD = "0.10.1"
 _LEVEL = "TF_CPP_MIN_LOG_LEVEL"
 _UNCHECKED = (
-    "JAX compresses them by zstandard here, without a checksum, and one that is "
-    "damaged on the disk would be run. Without the package zstandard, and with Python "
+    "JAX compresses them by zstandard here, without a checksum, and a damaged file "
+    "would be executed. Without the package zstandard, and with Python "
     "before 3.14, they are kept"
 )
 
@@ -168,8 +168,8 @@ def keep_programs(
     if why is not None:
         warnings.warn(
             f"compiled programs are neither kept nor taken from the disk: {why}, and "
-            "what lies there is run. Take a folder of your own, with mode 0700, in "
-            f"folders of your own ({VARIABLE}=FOLDER)",
+            f"files there would be executed. Use a folder of your own, with mode 0700, "
+            f"in folders of your own ({VARIABLE}=FOLDER)",
             SharedCacheWarning,
             stacklevel=3,
         )

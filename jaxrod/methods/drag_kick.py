@@ -56,10 +56,7 @@ def drag_on(scene: LoadedRod, motion: Motion) -> Drag | None:
     found = [effect for effect in scene.effects if has_drag(effect)]
     if len(found) > 1:
         names = " and ".join(type(effect).__name__ for effect in found)
-        raise ValueError(
-            "a scene must have one effect with drag at most, whose rates and flow are "
-            f"one, got {names}"
-        )
+        raise ValueError(f"a scene must have at most one effect with drag, got {names}")
     return found[0].drag(scene.rod, motion) if found else None
 
 
@@ -181,6 +178,6 @@ def check_drag(scene: LoadedRod) -> None:
     if limited and found is not None and found.grows_with_speed:
         raise ValueError(
             "drag that grows with the square of the speed has no stable step in "
-            f"{scene.method!r}, which takes it for a load: use consistent(), planar(), "
+            f"{scene.method!r}, which treats it as a load: use consistent(), planar(), "
             "torsion_free() or implicit()"
         )

@@ -79,8 +79,9 @@ class Planar(Method):
             if _places_across(effect, scene.rod, self.plane):
                 axes = "".join(sorted(self.plane))
                 raise ValueError(
-                    f"a scene in the {self.plane} plane needs what is driven to be "
-                    f"free across it, but {type(effect).__name__} holds all axes: "
+                    f"a scene in the {self.plane} plane needs driven ends that are "
+                    f"free along its normal, but {type(effect).__name__} holds all "
+                    "axes: "
                     f'give it axes="{axes}"'
                 )
 

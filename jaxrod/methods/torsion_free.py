@@ -191,7 +191,7 @@ def check_torsion_free(scene: LoadedRod) -> None:
 
 def _refuse(demand: str, found: str) -> None:
     raise ValueError(
-        f"torsion_free() needs {demand}, got {found}; another method has no such needs"
+        f"torsion_free() needs {demand}, got {found}; other methods do not need this"
     )
 
 

@@ -343,8 +343,8 @@ def _radii(radius: Numbers, n: int, dtype: Any) -> Any:
         return radii
     if n == 2:
         raise ValueError(
-            "radius must be one number for a rod of 2 elements: two could be those of "
-            "the elements or, as for every other rod, of base and tip; got "
+            "radius must be one number for a rod of 2 elements: two could be the radii "
+            "of the elements or of base and tip; got "
             f"{radius}. Take 3 elements"
         )
     base, tip = radii

@@ -63,15 +63,15 @@ def check_declared_properties(scene: LoadedRod) -> None:
         if not gap <= tolerance:
             says = "turning_tangent" if has_closed_form(effect) else "reach"
             raise ValueError(
-                "an effect's loads must change with the configuration as it says, but "
-                f"what {name}.{says} says is {float(gap):.2g} of their size off; "
-                "without it they are differentiated as they are"
+                "an effect's loads must change with the configuration as it declares, "
+                f"but {name}.{says} is {float(gap):.2g} of their size off; without "
+                "this declaration they are differentiated automatically"
             )
         if not mixing <= tolerance:
             raise ValueError(
                 "implicit steps and equilibria need effects to hold whole components "
                 "of positions and velocities and whole orientations, but "
-                f"{name} holds parts of some or ties some to others"
+                f"{name} holds some only partly or couples some to others"
             )
 
 

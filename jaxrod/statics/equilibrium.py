@@ -138,8 +138,8 @@ def scene_equilibrium(
     bound, most = search_limits(tolerance, max_iterations, dtype)
     if _is_loose(scene):
         raise ValueError(
-            "scene must hold the rod for an equilibrium: a free rod has none under "
-            "loads, and any number without. Add jaxrod.clamp(state) or "
+            "scene must hold the rod for an equilibrium: a free rod has no equilibrium "
+            "under loads, and infinitely many without. Add jaxrod.clamp(state) or "
             "jaxrod.fixed_end(state)"
         )
     check_declared_properties(scene)

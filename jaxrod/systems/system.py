@@ -108,7 +108,9 @@ class System(Assembly, Model):
     def stable_step(self, safety: ArrayLike, *, state: Any = None) -> StableSystemStep:
         """The largest step at which the system is stable, times a safety factor."""
         if state is not None:
-            raise ValueError("state: of a system the bound is for any state")
+            raise ValueError(
+                "state must be None: the bound of a system holds for any state"
+            )
         factor = as_array("safety", safety, "", positive=True, at_most=1)
         check_single(self)
         return stable_system_dt(self, factor)
@@ -157,8 +159,8 @@ class System(Assembly, Model):
         """Raises a `ValueError` if the system depends on time."""
         if self.depends_on_time:
             raise ValueError(
-                "this asks about one moment, but a number of an effect or a coupling "
-                "is a schedule: give system.at(time)"
+                "this is defined at one moment, but an effect or a coupling has a "
+                "schedule: give system.at(time)"
             )
 
     def kinetic_energy(self, state: Any) -> Float[Array, ""]:
@@ -290,7 +292,8 @@ def _sized(
     """Couplings with room for their neighbours, as counted in a state."""
     if RECORD in system.members:
         raise ValueError(
-            f"no member can be called {RECORD!r}: a state has its record of lists there"
+            f"no member can be called {RECORD!r}: this is the name of the record of "
+            "lists in a state"
         )
     if state is None:
         sizes = [c for c in couplings if c.refresh_every is not None and not c.is_sized]

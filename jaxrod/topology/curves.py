@@ -73,7 +73,7 @@ def nodes_of(name: str, curve: Curve) -> Float[Array, "3 nodes"]:
     if points.ndim != 2 or points.shape[0] != 3 or points.shape[1] < 2:
         raise ValueError(
             f"{name} must be a state, or nodes (3, n + 1) with n >= 1, in metres, got "
-            f"shape {points.shape}; of frames, use jax.vmap"
+            f"shape {points.shape}; for several frames use jax.vmap"
         )
     return as_array(name, points, "m", [points.shape], dtype=_kind(curve))
 

@@ -73,7 +73,7 @@ class Tuned:
         )
         if self.met:
             return f"{found} (allowed: {self.max_error:g})"
-        return f"nothing keeps {self.max_error:g}; the most accurate is {found}"
+        return f"no setting is within {self.max_error:g}; most accurate: {found}"
 
 
 def tune(
@@ -127,7 +127,9 @@ def tune(
     batch = check_count("batch", batch, 1)
     elements = tuple(check_count("elements", n, 2) for n in elements)
     if not elements or any(a >= b for a, b in itertools.pairwise(elements)):
-        raise ValueError(f"elements must be some, increasing, got {elements}")
+        raise ValueError(
+            f"elements must be increasing numbers, at least one, got {elements}"
+        )
     if isinstance(scene, Workload):
         workload = scene
     elif state is None:

@@ -96,7 +96,7 @@ def workload_of(
 
     def build(n_elements: int, law: Law) -> tuple[Scene, RodState]:
         if law != "consistent":
-            raise ValueError("a scene of one's own is tuned with the consistent law")
+            raise ValueError("a scene must have the consistent law to be tuned")
         return resample(plain, state, n_elements)
 
     controls = np.zeros((periods, 0))

@@ -318,7 +318,7 @@ def _save_gif(pictures: Iterator[np.ndarray], rate: float, path: Any) -> None:
 def _save_mp4(pictures: Iterator[np.ndarray], rate: float, path: Any) -> None:
     program = shutil.which("ffmpeg")
     if program is None:
-        raise FileNotFoundError("an MP4 needs ffmpeg, which is not there: take .gif")
+        raise FileNotFoundError("an MP4 needs ffmpeg, which is not installed: use .gif")
     first = next(pictures)
     height, width = first.shape[:2]
     source = f"-f rawvideo -pix_fmt rgb24 -s {width}x{height} -r {rate:g} -i -"

@@ -144,9 +144,9 @@ BROKEN = {
     "what Constant.turning_tangent says": lambda: Constant(ONE),
     "what Backwards.turning_tangent says": lambda: Backwards(ONE),
     "what Drag.turning_tangent says": lambda: Drag(ONE),
-    "Rail holds parts of some": Rail,
-    "Tie holds parts of some": Tie,
-    "Slowed holds parts of some": Slowed,
+    "Rail holds some only partly": Rail,
+    "Tie holds some only partly": Tie,
+    "Slowed holds some only partly": Slowed,
 }
 
 

@@ -74,7 +74,8 @@ def test_bad_input_is_refused():
     with pytest.raises(ValueError, match="max_error must be positive, got 0"):
         jaxrod.tune(scene, state, max_error=0.0)
     with pytest.raises(
-        ValueError, match=r"elements must be some, increasing, got \(8, 8\)"
+        ValueError,
+        match=r"elements must be increasing numbers, at least one, got \(8, 8\)",
     ):
         jaxrod.tune(scene, state, elements=(8, 8))
     with pytest.raises(ValueError, match="state must be given"):

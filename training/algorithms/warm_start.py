@@ -44,13 +44,12 @@ def warm_start(algorithm: Algorithm, policy: MLPPolicy) -> Algorithm:
     """
     if not isinstance(policy, MLPPolicy):
         raise ValueError(
-            f"policy must be an MLPPolicy to begin with, it is a "
-            f"{type(policy).__name__}"
+            f"the initial policy must be an MLPPolicy, got {type(policy).__name__}"
         )
     if (policy.activation, policy.output) != (ACTIVATION, OUTPUT):
         raise ValueError(
             f"policy must have activation {ACTIVATION!r} and output {OUTPUT!r}, as "
-            f"what is learned on policy; got {policy.activation!r} and "
+            f"on-policy learners have; got {policy.activation!r} and "
             f"{policy.output!r}"
         )
 

@@ -84,8 +84,8 @@ class RayCluster:
             if time.monotonic() > until:
                 return Ended(
                     2,
-                    f"it ended well, but {folder.path} does not show it here: with "
-                    "--ray all nodes must share the folder of the sweep",
+                    f"the run finished, but its files in {folder.path} are not visible "
+                    "here: with --ray all nodes must share the folder of the sweep",
                 )
             time.sleep(POLL_SECONDS)
         return ended

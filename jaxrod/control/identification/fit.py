@@ -329,12 +329,13 @@ def _checked(simulate: Simulate, parameters: Parameters, observed: Any) -> Any:
     given: Any = jax.tree.structure(observed)
     if wanted != given:
         raise ValueError(
-            f"observed must be a tree as simulate makes, {wanted}, got {given}"
+            f"observed must have the tree structure that simulate returns, {wanted}, "
+            f"got {given}"
         )
     for y, o in zip(jax.tree.leaves(made), jax.tree.leaves(observed), strict=True):
         if y.shape != jnp.shape(o):
             raise ValueError(
-                f"observed must have the shapes that simulate makes: {y.shape}, got "
+                f"observed must have the shapes that simulate returns: {y.shape}, got "
                 f"{jnp.shape(o)}"
             )
     seen = jax.tree.map(jnp.isfinite, observed)
@@ -353,8 +354,8 @@ def _noise(noise: Any, observed: Any) -> Any:
     if noise is None:
         if len(leaves) > 1:
             raise ValueError(
-                "noise must be given for several kinds of observations, one for each: "
-                "without it, metres would be weighed against newtons"
+                "noise must be given for each kind if there are several kinds of "
+                "observations: without it, metres would be weighed against newtons"
             )
         return jax.tree.map(lambda o: jnp.ones((), jnp.asarray(o).dtype), observed)
     for leaf in jax.tree.leaves(noise):
@@ -364,7 +365,7 @@ def _noise(noise: Any, observed: Any) -> Any:
         full = jax.tree.broadcast(noise, observed)
     except ValueError as error:
         raise ValueError(
-            "noise must be a number, or a tree as observed is or begins, got "
+            "noise must be a number or a tree prefix of observed, got "
             f"{jax.tree.structure(noise)} for {tree}"
         ) from error
     return jax.tree.map(

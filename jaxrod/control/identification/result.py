@@ -223,7 +223,7 @@ def _table(fit: Fit) -> list[str]:
 def _remarks(fit: Fit) -> list[str]:
     if not np.isfinite(float(fit.misfit)):
         return [
-            "NOTHING FOUND: what is simulated at the start is not finite, or its "
+            "NOTHING FOUND: the simulation at the start is not finite, or its "
             "derivatives are not (is the step stable there?)"
         ]
     kinds, _ = jax.tree_util.tree_flatten_with_path(fit.residual_sd)

@@ -198,7 +198,7 @@ def check_finite_floats(name: str, tree: Any) -> None:
             raise ValueError(f"{name} must be of floats, got {leaf.dtype}")
         if not is_traced(leaf) and not np.all(np.isfinite(np.asarray(leaf))):
             raise ValueError(
-                f"{name} must be finite: what was not seen needs a guess here"
+                f"{name} must be finite: unobserved values need a guess here"
             )
 
 

@@ -122,7 +122,7 @@ def make_problem(
     n_intervals = check_count("n_intervals", n_intervals, 1)
     n_controls = check_count("n_controls", n_controls, 1)
     if running is None and final is None:
-        raise ValueError("running or final must be given: nothing costs otherwise")
+        raise ValueError("running or final must be given: there is no cost otherwise")
     if not float(interval) > 0:
         raise ValueError(f"interval must be positive, got {interval!r} s")
     start = jax.tree.map(jnp.asarray, start)

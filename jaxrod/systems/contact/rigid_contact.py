@@ -101,7 +101,7 @@ class RigidContact(PenaltyContact):
             if not CollisionPair.between(groups[a], groups[b], same=a == b):
                 raise ValueError(
                     f"rigid_contact cannot see where {named[a][0]} and {named[b][0]} "
-                    "touch: neither has corners or round ends that it knows; give "
+                    "touch: neither has known corners or round ends; give "
                     "points on the surface of one, points={name: (3, k) [m]}"
                 )
         if not any(True for _ in fitted._pairs(groups)):

@@ -178,7 +178,7 @@ class TouchingRods(PenaltyContact):
         for name in self.members:
             check_named(name, parts)
             if not parts[name].is_rod:
-                raise ValueError(f"rods touch rods here, and {name!r} is rigid")
+                raise ValueError(f"this contact is between rods, and {name!r} is rigid")
 
     def with_ties(self, parts: AllParts, tied: tuple[TiedPair, ...]) -> TouchingRods:
         """The coupling with the tied nodes; elements near them do not touch.

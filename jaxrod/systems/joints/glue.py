@@ -306,14 +306,15 @@ def glue(
     """
     if turning_damping is not None and turning_stiffness is None:
         raise ValueError(
-            "turning_stiffness [N] is needed beside turning_damping: without it glued "
+            "turning_stiffness [N] is needed with turning_damping: without it glued "
             "elements turn freely"
         )
     layouts = layouts_of(state)
     names = [_rods("a", a), _rods("b", b)]
     if len(names[0]) != len(names[1]):
         raise ValueError(
-            f"a and b must be as many rods, got {len(names[0])} and {len(names[1])}"
+            f"a and b must be equally many rods, got {len(names[0])} and "
+            f"{len(names[1])}"
         )
     pairs: list[list[tuple[Any, ...]]] = [[], []]
     listed = _listed(elements, len(names[0]))
@@ -421,7 +422,8 @@ def _glued(
     )
     if not first or len(first) != len(second):
         raise ValueError(
-            f"elements must be as many of both, got {len(first)} and {len(second)}"
+            f"elements must be equally many of both rods, got {len(first)} and "
+            f"{len(second)}"
         )
     return first, second
 

@@ -265,7 +265,7 @@ def pairs(
     first, second = _listed("a", a), _listed("b", b)
     if len(first) != len(second):
         raise ValueError(
-            f"a and b must be as many places, got {len(first)} and {len(second)}"
+            f"a and b must be equally many places, got {len(first)} and {len(second)}"
         )
     return first, second
 

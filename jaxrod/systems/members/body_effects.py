@@ -54,10 +54,12 @@ def check_body_effects(name: str, bodies: Any) -> None:
             if getattr(kind, hook) is not getattr(Effect, hook):
                 raise _unfit(name, effect, f"it has {hook}, which bodies have not")
         if remembers((effect,)):
-            raise _unfit(name, effect, "it remembers, which effects on bodies do not")
+            raise _unfit(
+                name, effect, "it has memory, which effects on bodies cannot have"
+            )
         if kind.damping_rates is not Effect.damping_rates and depends_on_time(effect):
             raise ValueError(
-                f"member {name!r}: damping rates are worked out once, but "
+                f"member {name!r}: damping rates are computed once, but "
                 f"{kind.__name__}, which has some, depends on time"
             )
         _try(name, effect, bodies)

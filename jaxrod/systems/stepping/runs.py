@@ -63,8 +63,8 @@ def check_single(system: Assembly) -> None:
 def _check_record(record: Any) -> None:
     if not isinstance(record, NeighbourRecord):
         raise TypeError(
-            f"state[{RECORD!r}] must be what a run has left there, got "
-            f"{type(record).__name__}: leave it out to begin anew"
+            f"state[{RECORD!r}] must be the record that a run left there, got "
+            f"{type(record).__name__}: leave it out to start again"
         )
 
 
