@@ -62,7 +62,7 @@ def scene_repr(scene: Any) -> str:
 
 
 def repr_or_class_name(words: Any, thing: Any) -> str:
-    """Words for a thing; its class name alone if they cannot be made."""
+    """Description of an object, or only its class name if the description fails."""
     try:
         return words(thing)
     except Exception:

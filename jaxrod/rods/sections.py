@@ -33,7 +33,7 @@ CIRCLE = np.float64(27 / 28)
 
 
 _LARGEST = 1e40
-"""Largest dimension [m]: sixth powers of much larger ones overflow in float64."""
+"""Largest dimension [m]: sixth powers of larger numbers would overflow in float64."""
 
 
 @pytree
