@@ -1,4 +1,4 @@
-"""Runs of a model, and checks of their arguments: one step, many, recorded ones."""
+"""Runs of a model (single, repeated and recorded steps), and argument checks."""
 
 from __future__ import annotations
 
