@@ -121,7 +121,7 @@ def _is_of_jaxrod(kind: type) -> bool:
 
 @functools.cache
 def _slip(kind: type, base: type, noun: str) -> str | None:
-    """The fault in the methods of a class, as a sentence; `None` if there is none."""
+    """Description of a fault in the methods of a class; `None` if there is none."""
     bases = [each for each in kind.__mro__ if issubclass(each, base)]
     hooks = {n for each in bases if _is_of_jaxrod(each) for n in _public(each)}
     own = {n for each in bases if not _is_of_jaxrod(each) for n in _public(each)}

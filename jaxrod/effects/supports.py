@@ -235,7 +235,7 @@ class Hinge(Effect):
 
 
 def pin_support(state: RodState, node: End | int = "base", *, axes: str = "xyz") -> Pin:
-    """Holds a node along world axes where the given state has it; elements may turn.
+    """Holds a node along world axes at its place in a state; elements may turn.
 
     Args:
         state: The state of the rod.
@@ -262,7 +262,7 @@ def pin_support(state: RodState, node: End | int = "base", *, axes: str = "xyz")
 
 
 def hinge_support(state: RodState, axis: Numbers, end: End = "base") -> Hinge:
-    """Holds an end node where the state has it; its element turns about an axis.
+    """Holds an end node at its place in a state; its element turns about an axis.
 
     Args:
         state: The state of the rod, in which the hinge is at rest.

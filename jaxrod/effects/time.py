@@ -349,7 +349,7 @@ class Table(Schedule):
 
 @pytree
 class Time(Schedule):
-    """Time itself [s], for an effect with a formula of its own."""
+    """Time itself [s], for an effect that evaluates its own formula."""
 
     def __call__(self, clock: Clock) -> Array:
         """The time [s]."""
