@@ -337,7 +337,7 @@ def _of_elements(at_nodes: Array) -> Array:
 
 
 def _share(whole: Array, part: Array) -> Array:
-    """Inverse weight of one of three parts, for a bound on the square of their sum."""
+    """Inverse weight of one of three terms, in a bound on the square of their sum."""
     # Proportional to the part plus a small constant, so that the round-off of a part
     # that is zero adds nothing.
     weight = part + _LEAST_WEIGHT * whole
