@@ -393,7 +393,7 @@ def _summed(of_body: Callable[[Body], Any], bodies: list[Body]) -> Any:
 
 MOST_POINTS = 1000
 """Largest number of contact points per element. Each of them is in the compiled
-program; more are taken for a mistake."""
+program, so a larger number must be a mistake."""
 
 
 def contact(
