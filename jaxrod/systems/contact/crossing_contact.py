@@ -98,7 +98,7 @@ class CrossingContact(TouchingRods):
         return self.segments[a].radii
 
     def allowed(self, a: int, b: int, own: Bounds, other: Bounds) -> Any:
-        """Whether pairs may touch: those of two rods, or far apart along one rod."""
+        """Whether pairs may touch: on two rods, or far apart along one rod."""
         share = self.share(a, b, own.elements, other.elements)
         return None if share is None else share > 0
 

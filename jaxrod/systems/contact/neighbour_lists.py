@@ -72,7 +72,7 @@ class FoundNeighbours:
 
 @pytree
 class NeighbourRecord:
-    """Worst cases of what lists of neighbours may have missed since a run began.
+    """Worst shortage and age of neighbour lists since a run began.
 
     It is under the name "neighbours" in the state of a system that has lists, and stays
     until it is removed from the state.

@@ -90,7 +90,7 @@ class RodSegments:
 
     @property
     def is_end(self) -> np.ndarray:
-        """Whether each segment is the last of its rod, and no other rod continues."""
+        """Whether each segment is the last of its rod and no other rod follows."""
         return self.is_last & ~np.isin(np.arange(self.is_last.size), self.continued)
 
     def _rods(self, row: Array) -> Array:

@@ -48,7 +48,7 @@ class Parts:
     count: int = static(default=1)
     """Number of rods, bodies or points."""
     n_elements: int = static(default=1)
-    """Elements of each rod; 1 for others, whose nodes are elements, too."""
+    """Elements of each rod; 1 for bodies and points, whose nodes are also elements."""
     is_rod: bool = static(default=True)
     """Whether the member consists of rods, with one more node than elements."""
     is_rigid: bool = static(default=False)

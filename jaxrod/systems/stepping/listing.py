@@ -26,7 +26,7 @@ from jaxrod.systems.stepping.stepper import SystemStepper
 
 
 def refresh_every(couplings: Sequence[Coupling]) -> int | None:
-    """Steps between searches: the fewest that any coupling asks for."""
+    """Steps between searches: the smallest number of any coupling."""
     asked = [c.refresh_every for c in couplings if c.refresh_every is not None]
     return min(asked) if asked else None
 
@@ -132,7 +132,7 @@ class ListingSystem:
         return {**state, RECORD: self._recorded(carry)}
 
     def _recorded(self, carry: Listing) -> NeighbourRecord:
-        """The record with what the lists may have missed now; it has no derivative."""
+        """The record, updated with the current lists; it has no derivative."""
         carry = jax.lax.stop_gradient(carry)
         couplings = self._listed(carry).couplings
         seen = self._seen(carry.motions)
