@@ -290,7 +290,7 @@ def displaced(motion: Motion, displacement: Vec3) -> Motion:
 
 @jax.custom_jvp
 def implicit_solution(balance: LoadBalance, increment: Increment) -> Increment:
-    """Known increment at which loads balance, as a function of the balance.
+    """Increment that solves the balance of loads, differentiable by its numbers.
 
     The value is `increment` itself. Its derivative is that of the exact solution, by
     the implicit function theorem: one linear solve for any number of iterations.
