@@ -1,4 +1,4 @@
-r"""Curves as polylines: arguments, the completion of their ends, and solid angles.
+r"""Curves as polylines: checks of arguments, completion of ends, and solid angles.
 
 Writhe and link are invariants of closed curves. An open curve is left open, closed by a
 segment, or lengthened by a straight piece at each end. These pieces are so long that
