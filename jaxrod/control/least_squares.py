@@ -39,7 +39,7 @@ from jaxrod.structure import pytree
 FASTER, SLOWER = 3.0, 4.0
 """Divisor of the damping after an accepted step, and factor otherwise."""
 LADDER = (64.0, 16.0, 4.0, 1.0, 1 / 4, 1 / 16)
-"""Dampings that are tried at once, relative to the last one [1]; the largest first."""
+"""Dampings tried at once, relative to the last damping [1]; the largest first."""
 MOST_DAMPING = 1e12
 """Damping at which the search gives up: larger damping gives negligible steps."""
 
