@@ -141,7 +141,7 @@ def _other_limit(scene: LoadedRod) -> Array:
 
 @jax.jit
 def _factors(scene: LoadedRod, dt: Array, largest: Array) -> Array:
-    """Smallest factors, up to the largest ones, with which `dt` is stable."""
+    """Smallest factors with which `dt` is stable, limited to `largest`."""
     eps = jnp.finfo(dt.dtype).eps
     budget = 2 / dt * (1 - 100 * eps)
 
