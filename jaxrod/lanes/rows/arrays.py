@@ -123,7 +123,7 @@ class Layout:
         return Rows(shape, loops, nodes, array.kind)
 
     def looped(self, array: Rows, loops: Dims) -> Rows:
-        """Returns an array with these loops, some of which it may have had unrolled.
+        """Returns the array with the given axes as loops; some may be unrolled before.
 
         Raises:
             AssertionError: The array has a loop that is not among `loops`.
