@@ -215,7 +215,7 @@ def _configurations(
 
 
 def _meant(name: str, sets: Sequence[str], algorithms: Sequence[str]) -> list[str]:
-    """Settings for one algorithm: the common ones, and its own without its name."""
+    """Settings for one algorithm: common ones, and its own without the name prefix."""
     found = []
     for word in sets:
         owner, dot, _ = word.partition("=")[0].rpartition(".")
