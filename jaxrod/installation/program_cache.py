@@ -207,7 +207,7 @@ def _folder_of_this_process(folder: Path) -> Path:
 
 
 def _give_back(own: Path, process: int) -> None:
-    """Moves what a process has added to the others, and removes its folder."""
+    """Moves the programs added by a process to the common folder; removes its own."""
     if os.getpid() != process:
         return
     with suppress(OSError):
