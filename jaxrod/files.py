@@ -27,7 +27,7 @@ class LinkedFileError(ValueError):
 
 
 class UntrustedError(ValueError):
-    """A file names code that is not jaxrod's and that nobody has vouched for."""
+    """A file names code that is neither part of jaxrod nor trusted by the user."""
 
 
 def refuse_link(path: Path) -> None:

@@ -1,4 +1,4 @@
-"""Models: what can be stepped and asked for its energies, and their common interface.
+"""Models, which can be stepped and have energies, and their common interface.
 
 A `Scene` is a model of one rod, a `System` one of several members. `advance`,
 `rollout`, `stable_dt`, `health` and `settled` ask a model, and never what it is.
@@ -78,7 +78,7 @@ class Model(ABC):
 
     @abstractmethod
     def interfaces(self) -> dict[str, Any]:
-        """Its members by name; a scene has one, without a name."""
+        """Its members by name; a scene has a single member, without a name."""
 
     @abstractmethod
     def states_by_name(self, state: Any) -> Mapping[str, Any]:
