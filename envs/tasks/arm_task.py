@@ -1,4 +1,4 @@
-r"""Tasks in which the tip of a soft arm goes to a target: `tracking` and its kin.
+r"""Tasks in which the tip of a soft arm goes to a target, such as `tracking`.
 
 `ArmTask` is their common base: a step, a reward by the distance of the tip from the
 target, a smooth cost for planners, and a picture. `BenchmarkTask` adds the published
@@ -122,7 +122,7 @@ class ArmTask(ABC):
         before: Any,
         params: Any,
     ) -> tuple[Float[Array, " observation"], Bool[Array, ""]]:
-        """The observation shown after a crash, and whether it was one ("paper")."""
+        """The observation to show, and whether a crash ends the episode ("paper")."""
         del before, params
         return jnp.where(crashed, 0, observation), crashed
 
@@ -312,7 +312,7 @@ class BenchmarkTask(ArmTask):
 
     @property
     def action_size(self) -> int:
-        """Control values about d1, then about d2, then about d3 as the task has it."""
+        """Number of control values: about d1, then d2, then d3 if the task has them."""
         return self.n_directions * self.n_controls
 
     def arm(self) -> Arm:
@@ -329,7 +329,7 @@ class BenchmarkTask(ArmTask):
         )
 
     def common_params(self, arm: Arm) -> dict[str, Any]:
-        """Parameters that all tasks have, but the target's, in JAX's precision."""
+        """Parameters that all tasks have, except the target's, in JAX's precision."""
         number = functools.partial(jnp.asarray, dtype=arm.rod.radii.dtype)
         return {
             "arm": arm,
