@@ -87,7 +87,7 @@ def _importable(module: str) -> str | None:
 
 def _import(name: str, path: str) -> Any:
     if _importable("__main__") == name:
-        return sys.modules["__main__"]  # Not a second time, with other objects.
+        return sys.modules["__main__"]  # A second import would make new objects.
     here = os.getcwd()
     sys.path.append(here)
     try:

@@ -10,7 +10,7 @@ import numpy as np
 
 
 def named_leaves(tree: Any, root: str) -> dict[str, Any]:
-    """Leaves by root and path; empty leaves are left out, as they store nothing."""
+    """Leaves by root and path; empty leaves are left out, as they hold no numbers."""
     leaves = jax.tree.leaves_with_path(tree)
     return {_name(root, path): leaf for path, leaf in leaves if leaf.size}
 
