@@ -207,7 +207,7 @@ def check_scene(scene: Any) -> None:
 
 
 def scene_of(scene: AnyScene, state: RodState) -> AnyScene:
-    """Scene with the effects as in a state, for functions of one moment.
+    """Scene whose effects have the memory in a state, for functions of one moment.
 
     Raises:
         TypeError: If the arguments are not a scene and a state.

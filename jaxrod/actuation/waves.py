@@ -119,7 +119,7 @@ class Wave(Schedule):
         return jnp.abs(self.amplitudes)
 
     def resampled_along(self, old: Any, new: Any) -> Wave:
-        """The wave, given at arc lengths `old` [m], resampled at `new` ones [m]."""
+        """The wave resampled from arc lengths `old` to arc lengths `new` [m]."""
         return replace(
             self,
             amplitudes=resampled_along(self.amplitudes, old, new),

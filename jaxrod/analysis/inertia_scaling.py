@@ -127,7 +127,7 @@ def _scaled(scene: LoadedRod, factors: Array) -> LoadedRod:
 
 
 def _reasonable(rod: Rod) -> Array:
-    """Factor by which an element reaches the inertia of a ball of its length."""
+    """Factor by which an element reaches the inertia of a ball of its length, or 1."""
     largest = rod.linear_density * rod.rest_lengths**2 / 4
     return jnp.maximum(largest / jnp.max(rod.rotary_inertia[:-1], axis=0), 1)
 

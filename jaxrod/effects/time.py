@@ -25,7 +25,7 @@ Tree = TypeVar("Tree")
 _DIGIT = 10
 """Bits per digit of the step count."""
 _COARSE = 4096
-"""Number of parts of a period. Its products with a digit are exact in float32."""
+"""Parts of a period. A number of parts times a digit is exact in float32."""
 
 
 @pytree

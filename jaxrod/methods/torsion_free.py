@@ -239,7 +239,7 @@ def _gap(one: Vec3, other: Vec3) -> Array:
 
 
 def _share(part: Array, whole: Vec3) -> Array:
-    """Largest part, relative to the largest component of the whole, or zero."""
+    """Largest part relative to the largest component of the whole; zero for zero."""
     size = jnp.max(jnp.abs(vectors.join(whole)))
     return jnp.max(part) / jnp.where(size > 0, size, 1)
 

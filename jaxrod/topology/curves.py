@@ -160,7 +160,7 @@ def element_lengths(nodes: Float[Array, "3 nodes"]) -> Float[Array, " n"]:
 
 
 def across(directions: Vec3, tangents: Vec3) -> Vec3:
-    """Unit vectors along the components of vectors perpendicular to unit tangents."""
+    """Components of vectors perpendicular to unit tangents, scaled to unit length."""
     along = scale(dot(directions, tangents), tangents)
     return unit(subtract(directions, along))
 

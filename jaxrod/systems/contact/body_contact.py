@@ -92,7 +92,7 @@ class BodyContact(PenaltyContact):
         return replace(self, points_per_element=needed)
 
     def with_free_ends(self, free: Mapping[str, Array]) -> BodyContact:
-        """The coupling with these flags of free ends: other ends have no face."""
+        """The coupling with flags of free ends; only free ends have a face."""
         return replace(self, free_ends=free[self.rod])
 
     def prepared(self, parts: AllParts) -> BodyContact:

@@ -112,7 +112,7 @@ class TouchingRods(PenaltyContact):
         raise _without(self, "weights")
 
     def scales(self, own: Any, other: Elements) -> tuple[Array, Array]:
-        """Radius of a rod that touches itself, and length where its share rises [m]."""
+        """Radius, and length over which the share of self-contact rises [m]."""
         raise _without(self, "scales")
 
     def contact_pairs(
