@@ -83,7 +83,7 @@ def open_to_write(path: Path, flags: int) -> int:
         handle = os.open(path, flags, 0o666)
     except OSError as error:
         if error.errno in (errno.ELOOP, errno.ENXIO):
-            raise LinkedFileError(f"{path} is not a plain file: remove it") from error
+            raise LinkedFileError(f"{path} is no plain file: remove it") from error
         raise
     found = os.fstat(handle)
     if not stat.S_ISREG(found.st_mode) or found.st_nlink > 1:

@@ -113,7 +113,7 @@ def test_a_fault_of_ours_keeps_its_traceback_and_names_the_request(command, caps
     lines = capsys.readouterr().err.splitlines()
     assert lines[0].startswith("Traceback")
     assert lines[-1].startswith("jaxrod train: KeyError: 'leaf' (a fault of jaxrod")
-    assert lines[-1].endswith("it met jaxrod train --steps 3)")
+    assert lines[-1].endswith("the command was jaxrod train --steps 3)")
 
 
 def test_a_warning_is_a_sentence_without_the_line_that_gave_it(command, capsys):

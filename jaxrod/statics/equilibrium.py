@@ -181,7 +181,7 @@ class _RodPlace:
 
     @property
     def driven(self) -> Bool[Array, ""]:
-        """False: the springs against loose modes already balance loads along them."""
+        """False: where loads drive a loose mode, the springs against it yield."""
         return jnp.zeros((), bool)
 
     def at(self, configuration: Motion) -> _RodPlace:

@@ -219,5 +219,5 @@ def test_bad_arguments_are_refused(change, words):
 
 
 def test_several_kinds_need_their_noise():
-    with pytest.raises(ValueError, match="one for each"):
+    with pytest.raises(ValueError, match="given for each kind"):
         control.fit(lambda p: (ring(p), p["rate"]), (np.zeros(40), np.zeros(())), START)

@@ -49,7 +49,7 @@ def test_it_says_so_when_nothing_keeps_the_tolerance():
     assert not found.met
     assert found.error > 0.0006
     assert found.error == min(one.error for one in found.tried)
-    assert "nothing keeps 0.0006" in str(found)
+    assert "no setting is within 0.0006" in str(found)
 
 
 @pytest.mark.slow
