@@ -64,8 +64,8 @@ def check_declared_properties(scene: LoadedRod) -> None:
             says = "turning_tangent" if has_closed_form(effect) else "reach"
             raise ValueError(
                 "an effect's loads must change with the configuration as it declares, "
-                f"but {name}.{says} is {float(gap):.2g} of their size off; without "
-                "this declaration they are differentiated automatically"
+                f"but {name}.{says} is off by {float(gap):.2g} of their size; "
+                "without this declaration they are differentiated automatically"
             )
         if not mixing <= tolerance:
             raise ValueError(
