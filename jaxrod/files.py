@@ -302,7 +302,7 @@ POSITIVE: Kind = (
 
 
 def whole(smallest: int, largest: int = 2**63 - 1) -> Kind:
-    """Kind of an integer within bounds, both allowed."""
+    """Kind for integers between two bounds, inclusive."""
     return (
         f"a whole number from {smallest} to {largest}",
         lambda value: type(value) is int and smallest <= value <= largest,

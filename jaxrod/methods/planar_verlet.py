@@ -6,9 +6,9 @@ $d$ and transverse vector $t = n \times d$ of an element, and $n$ the plane's no
 $$\sigma_t = t\cdot\Delta x/\hat\ell, \quad \sigma_d = d\cdot\Delta x/\hat\ell - 1,
   \quad \kappa = (\theta_{k+1} - \theta_k)/\hat D.$$
 
-Each law has its own planar step, in `planar_laws`. They equal those in space to
-round-off, for a fraction of the arithmetic. Zero components out of the plane stay
-exactly zero, for any number of calls; joint angles have no bound within a call.
+Each law has its own planar step, in `planar_laws`. The planar steps equal the steps in
+space to round-off, for a fraction of the arithmetic. Zero components out of the plane
+stay exactly zero, for any number of calls; joint angles have no bound within a call.
 """
 
 from __future__ import annotations

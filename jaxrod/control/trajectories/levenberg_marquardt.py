@@ -1,4 +1,4 @@
-"""Trajectories, and bodies with them, by damped Gauss-Newton steps on knots in time."""
+"""Optimises trajectories, also together with a body, by damped Gauss-Newton steps."""
 
 from __future__ import annotations
 

@@ -206,7 +206,7 @@ class OneRod(Member):
         return jnp.min(step.dt), step
 
     def rows(self, tree: Any) -> Any:
-        """Fields in one row, divided among the rods."""
+        """Fields given in one row, split by rod."""
         return tree
 
 
@@ -238,7 +238,7 @@ class EqualRods(OneRod):
         return flatten_rods(tree)
 
     def rows(self, tree: Any) -> Any:
-        """Fields in one row, divided among the rods."""
+        """Fields given in one row, split by rod."""
         return unflatten_rods(tree, self.count)
 
     def stepper(

@@ -150,7 +150,7 @@ class RodStepper(MemberStepper):
         return tree
 
     def rows(self, tree: Any) -> Any:
-        """Fields in one row, divided among the rods."""
+        """Fields given in one row, split by rod."""
         return tree
 
 
@@ -170,7 +170,7 @@ class RodsStepper(RodStepper):
         return flatten_rods(tree)
 
     def rows(self, tree: Any) -> Any:
-        """Fields in one row, divided among the rods."""
+        """Fields given in one row, split by rod."""
         return unflatten_rods(tree, self.count)
 
 
