@@ -29,7 +29,8 @@ class Parameters:
     start: dict[str, Any]
     """Values at which a search begins, $p_0$."""
     scales: dict[str, Any]
-    """Scales $s$ of parameters not sought by logarithm: sizes of the start, 1 for 0."""
+    """Scales $s$ of parameters not sought by logarithm: size of the start, or 1 if it
+    is 0."""
     shapes: tuple[tuple[str, tuple[int, ...]], ...] = static()
     """Names in alphabetical order, each with its shape."""
     logarithmic: tuple[str, ...] = static()
@@ -37,7 +38,7 @@ class Parameters:
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Names of all numbers, one after the other, as in `flat`."""
+        """Names of all numbers in the order of `flat`."""
         return tuple(
             name + ("[" + ",".join(map(str, place)) + "]" if shape else "")
             for name, shape in self.shapes
@@ -112,7 +113,7 @@ def make_parameters(
     Args:
         start: Values at which a search begins; numbers or arrays by name.
         logarithmic: Parameters sought by their logarithm, so that they stay positive:
-            names, or all or none.
+            names, or `True` for all, `False` for none.
 
     Raises:
         ValueError: There is no parameter, `logarithmic` has an unknown name, a
