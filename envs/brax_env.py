@@ -48,19 +48,19 @@ class Running:
 
 
 class BraxEnv(Env):
-    """An environment as brax knows it.
+    """An environment with brax's interface.
 
     Under brax's own training wrappers, a batch of it is
     `jaxrod.envs.VectorEnvironment`, restarts included: environment i has the i-th
     random key given to `reset`. Three things follow brax's conventions:
 
-    - brax's `AutoResetWrapper` replays the first episode for ever. It restores the
+    - brax's `AutoResetWrapper` would replay the first episode for ever. It restores the
       start from `info`, so every step puts a fresh start there.
     - brax's `EpisodeWrapper` knows one kind of truncation: its own clock running out.
-      It takes every other end for the task's own. So a step truncated before the time
-      limit advances that clock instead of being `done`, and at the time limit the
-      clock decides. Without the wrapper both are `done`. `info["time_out"]` marks
-      them with and without the wrapper.
+      It treats every other end as a termination by the task. So a step truncated before
+      the time limit advances that clock instead of being `done`, and at the time limit
+      the clock decides. Without the wrapper both are `done`. `info["time_out"]` marks
+      truncations with and without the wrapper.
     - The parameters are `sys`: brax's domain randomisation samples and replaces it.
 
     Attributes:
@@ -254,8 +254,8 @@ def patched_jax() -> Iterator[None]:
 def _device_put_replicated(x: Any, devices: Sequence[jax.Device]) -> Any:
     """A copy of every array for every device, along a new first axis.
 
-    The axis has the name that brax's learners give it. Under another name their first
-    epoch would be compiled for arrays of its own, and the next epoch once more.
+    The axis has the name that brax's learners give it. Under another name the programs
+    would be compiled for the first epoch, and again for the next.
     """
     one_each = NamedSharding(Mesh(np.array(devices), ("i",)), PartitionSpec("i"))
     return jax.tree.map(

@@ -1,4 +1,4 @@
-"""Checks of a user's own environments and actions, which report what does not fit."""
+"""Checks of a user's own environments and actions, with clear error messages."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ def check_facts(env: Any) -> None:
         hash(env)
     except TypeError as error:
         raise ValueError(
-            f"{env.name} must be hashable, a frozen dataclass for one: {error}"
+            f"{env.name} must be hashable, for example a frozen dataclass: {error}"
         ) from None
 
 

@@ -34,7 +34,8 @@ def missing(env: Environment) -> str:
 def snapshots(env: Drawable, states: Any, params: Any) -> Snapshot:
     """Snapshots of many states, along the first axis of every leaf.
 
-    Not compiled, so that every number equals that of a single state's snapshot.
+    They are not compiled, so that every number equals that of a single state's
+    snapshot.
 
     Raises:
         ValueError: The environment returns something other than a `Snapshot`.

@@ -59,7 +59,8 @@ class GymnasiumEnv(gymnasium.Env[np.ndarray, np.ndarray]):
     It is a batch of one of `jaxrod.envs.VectorEnvironment`, up to round-off, and equal
     to the `GymnasiumVectorEnv` of one to the last bit. The seed s starts it with
     `jax.random.key(s)`, and the episode after an ended one is the batch's next episode.
-    `reset` without a seed in mid-episode starts with a new seed drawn from `np_random`.
+    If `reset` is called without a seed in mid-episode, a new seed is drawn from
+    `np_random`.
     """
 
     metadata = METADATA
@@ -138,8 +139,8 @@ class GymnasiumEnv(gymnasium.Env[np.ndarray, np.ndarray]):
         step = self._batch.step(np.asarray(action)[None])
         terminated, truncated = bool(step.terminated[0]), bool(step.truncated[0])
         self._ended = terminated or truncated
-        # The batch has already begun the next episode: the picture shows the last
-        # moment but one of the ended episode.
+        # The batch has already begun the next episode, so the picture shows the ended
+        # episode one step before its end.
         self._shown = before if self._ended else self._batch.packed()
         return (
             observed(step.final_observation[0]),
@@ -174,7 +175,7 @@ class GymnasiumVectorEnv(
     - `SAME_STEP`: at once. The observation is the first of the next episode.
       `infos["final_obs"]` and `infos["final_info"]` are the last of the ended episode,
       where `infos["_final_obs"]` is true.
-    - `NEXT_STEP`: in the next step, which ignores the action and earns nothing.
+    - `NEXT_STEP`: in the next step, which ignores the action and has zero reward.
       Gymnasium's wrappers that normalise observations require it.
     - `DISABLED`: on request, by `reset(options={"reset_mask": ended})`.
     """
@@ -225,7 +226,7 @@ class GymnasiumVectorEnv(
             seed: Seed; equal seeds give equal episodes. None for fresh ones.
             options: `reset_mask`, in the mode `DISABLED`: booleans of shape
                 (num_envs,), true for the environments that start an episode; the others
-                go on.
+                continue.
 
         Returns:
             First observations, shape (num_envs, observation_size), and an empty

@@ -107,8 +107,8 @@ class Batch:
         self._numbers = numbers.pack(self.params)
         self._dtype = np.dtype(state.observation.dtype)
         made_of = batch, self._layout, numbers, self.num_envs == 1
-        # Looked up once, here: in every step it would take a twentieth of one arm's
-        # time.
+        # The programs are looked up once: in every step this would take a twentieth of
+        # the time of one arm.
         self._programs = [_program(*made_of, waits) for waits in (False, True)]
 
     def step(
@@ -118,7 +118,7 @@ class Batch:
 
         Args:
             actions: Shape (num_envs, action_size).
-            waiting: Mask of environments that stay as they are: they earn nothing and
+            waiting: Mask of environments that do not change: they have zero reward and
                 do not end.
         """
         packed = self.packed()
@@ -172,7 +172,7 @@ class Batch:
 
 
 def observed(observation: Array) -> Float[np.ndarray, "..."]:
-    """A private copy of an observation: float32, writable, shared with nobody."""
+    """A private copy of an observation: float32 and writable."""
     return np.array(observation, np.float32)
 
 
@@ -236,8 +236,8 @@ def _program(
 ) -> Program:
     """The compiled control step, shared by all equal batches.
 
-    Batches with waiting environments get their own program: the others do not pay for
-    it.
+    Batches with waiting environments get their own program, so that other batches do
+    not pay for it.
     """
     del waits
     return Program(batch, state, params, in_order)
@@ -320,8 +320,8 @@ class Layout:
     dtypes: tuple[np.dtype, ...]
     """Dtypes of the flat arrays."""
     places: tuple[Place | None, ...]
-    """Position of each leaf. `None` for a leaf that stays unpacked: for example a
-    Python number, whose weak type an array would not keep."""
+    """Position of each leaf. `None` for a leaf that stays unpacked, such as a Python
+    number: an array would lose its weak type."""
 
     def pack(self, tree: PyTree) -> Packed:
         """The packed arrays.

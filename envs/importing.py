@@ -1,9 +1,9 @@
 """A user's own callable, found by `module:callable` or `file.py:callable`.
 
 An import path that the user types is trusted. A path that a file names may come from
-anybody. It is imported only if the user has vouched for its module (`check_trusted`). A
-list of everything too dangerous to call could never be complete, so this is a list of
-what is allowed. It is empty by default.
+anybody. It is imported only if the user trusts its module (`check_trusted`). A list of
+everything that is too dangerous to call could never be complete, so there is a list of
+allowed modules instead. It is empty by default.
 """
 
 from __future__ import annotations
@@ -127,8 +127,8 @@ def check_home(
 ) -> None:
     """Refuses a callable that a trusted module only imports from another package.
 
-    A user's module may well begin with `from os import system`; vouching for the module
-    does not vouch for that function.
+    A user's module may well begin with `from os import system`; trust in the module
+    does not extend to that function.
 
     Args:
         where: The import path.
@@ -176,7 +176,7 @@ def _by_name(name: str) -> ModuleType:
     try:
         return importlib.import_module(name)
     except ModuleNotFoundError as error:
-        # A failed import inside the module itself is another fault.
+        # A failed import inside the module itself is a different error.
         if error.name and (name == error.name or name.startswith(error.name + ".")):
             raise _NotThereError(
                 f"there is no module {error.name!r} where Python looks for modules"
@@ -197,7 +197,7 @@ def _from_file(path: Path) -> ModuleType:
     spec = importlib.util.spec_from_file_location(name, path)
     assert spec and spec.loader
     module = importlib.util.module_from_spec(spec)
-    # Registered before it runs: its dataclasses look themselves up there.
+    # The module is registered before it runs, because its dataclasses look it up there.
     sys.modules[name] = module
     try:
         spec.loader.exec_module(module)

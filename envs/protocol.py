@@ -152,8 +152,8 @@ class Plannable(Environment, Protocol):
     ) -> Float[Array, ""]:
         """Smooth cost of a state and of the action that led there.
 
-        It is least where the reward is greatest, and it has a slope where the reward is
-        a step function without one.
+        It is smallest where the reward is largest. It has a slope even where the reward
+        is a step function, which has none.
 
         Args:
             state: State after the control step.

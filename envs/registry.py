@@ -76,8 +76,8 @@ def origin_of(env: Environment) -> Origin | None:
 _MADE: dict[int, tuple[Callable[[], Any], Origin]] = {}
 """Weak reference to an environment and its recipe, by the environment's identity.
 
-By identity, because an equal environment may have been made by other options, or not by
-`make`.
+The key is the identity, because an equal environment may have been made with other
+options, or without `make`.
 """
 
 
@@ -116,7 +116,7 @@ def _chosen(
     """
     try:
         known = inspect.signature(build).parameters
-    except (TypeError, ValueError):  # Written in C: it checks its own arguments.
+    except (TypeError, ValueError):  # A callable written in C checks its own arguments.
         return dict(options)
     any_name = any(one.kind is one.VAR_KEYWORD for one in known.values())
     named = {
@@ -151,5 +151,5 @@ def _same(a: Any, b: Any) -> bool:
     """Whether two values of an option are the same."""
     try:
         return a is b or (type(a) is type(b) and bool(a == b))
-    except (TypeError, ValueError):  # An array, say.
+    except (TypeError, ValueError):  # For example an array.
         return False

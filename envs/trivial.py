@@ -1,7 +1,7 @@
 """A point on a line that should stay at zero: a task that is solved in seconds.
 
 It exists to test learners. The best policy and its return are known in closed form, an
-episode can end both ways (time limit, running off the line), and a step costs next to
+episode can end both ways (time limit, running off the line), and a step costs almost
 nothing.
 """
 

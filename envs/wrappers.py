@@ -1,4 +1,4 @@
-"""Environments around others: actions held for several steps; a batch that restarts.
+"""Environment wrappers: actions held for several steps, and batches that restart.
 
 Randomness: environment i of a batch has its own key, and step t draws from
 `fold_in(key_i, t)`. So the results of an environment depend neither on its neighbours
@@ -36,7 +36,8 @@ class VectorState:
     episode_return: Float[Array, " num_envs"]
     """Sum of the rewards of the running episode."""
     partial: Bool[Array, " num_envs"]
-    """Whether the running episode began in mid-course, so that it does not count."""
+    """Whether the running episode began in mid-course, so that its return does not
+    count."""
 
 
 @pytree
@@ -152,9 +153,10 @@ class VectorEnvironment:
     ) -> tuple[VectorState, VectorStep]:
         """Advances every environment by one control step.
 
-        If `info` has `"control_steps"` (`jaxrod.envs.ActionRepeat`), by that many. The
-        restart runs in a branch that is taken only when some episode ends, so it costs
-        nothing in other steps (under an outer `vmap` both branches run).
+        It is `info["control_steps"]` steps if there is such an entry
+        (`jaxrod.envs.ActionRepeat`). The restart runs in a branch that is taken only
+        when some episode ends, so it costs nothing in other steps (under an outer
+        `vmap` both branches run).
 
         Args:
             state: State of the batch.
@@ -242,11 +244,11 @@ class EnvironmentWrapper:
     """
 
     env: Environment
-    """The environment within."""
+    """The wrapped environment."""
 
     @property
     def unwrapped(self) -> Environment:
-        """The environment within all wrappers."""
+        """The innermost environment, without wrappers."""
         return getattr(self.env, "unwrapped", self.env)
 
     @property
@@ -286,10 +288,9 @@ class ActionRepeat(EnvironmentWrapper):
     arm. An agent that decides at every step explores with noise that the arm averages
     out, and has to look hundreds of decisions ahead.
 
-    An episode that ends in between ends there: rewards of the remaining control steps
-    do not count. `info` is that of the last step that counts. It also holds
-    `"control_steps"`, the number of steps that counted, for `VectorEnvironment`'s
-    clock.
+    An episode may end in between; rewards of the remaining control steps do not count.
+    `info` is that of the last step that counts. It also holds `"control_steps"`, the
+    number of steps that counted, for `VectorEnvironment`'s clock.
 
     Raises:
         ValueError: If `times` is below 1.

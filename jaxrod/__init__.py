@@ -32,7 +32,7 @@ __version__ = "0.2.0"
 
 
 def _module_of_each_name() -> dict[str, str]:
-    """Modules of all names that the stub beside this file imports."""
+    """Modules of all public names, read from the stub `__init__.pyi`."""
     stub = ast.parse(Path(__file__).with_suffix(".pyi").read_text())
     return {
         alias.name: node.module or ""

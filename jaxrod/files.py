@@ -1,4 +1,4 @@
-"""Files written completely or not at all, and read with their names in every error."""
+"""Atomic writes of files, and reads whose errors name the file."""
 
 from __future__ import annotations
 
@@ -23,15 +23,15 @@ class DamagedFileError(ValueError):
 
 
 class LinkedFileError(ValueError):
-    """Something in a folder leads out of it, and is not written through."""
+    """A link in a folder points outside it; nothing is written through the link."""
 
 
 class UntrustedError(ValueError):
-    """A file names code that is not jaxrod's and that nobody has vouched for."""
+    """A file names code that is neither part of jaxrod nor trusted by the user."""
 
 
 def refuse_link(path: Path) -> None:
-    """Refuses a file or folder that is a link; to be called before writing there.
+    """Raises if a file or folder is a link; call it before writing there.
 
     A folder that was unpacked from an archive may contain links to anywhere. The folder
     that the user names may itself be a link; its content must not be.
@@ -41,18 +41,18 @@ def refuse_link(path: Path) -> None:
     """
     if path.is_symlink() or _is_junction(path):
         raise LinkedFileError(
-            f"{path} is a link to {os.readlink(path)}, and nothing is written through "
-            "links that lie in the folder of a run: take the link away, or choose "
-            "another folder"
+            f"{path} is a link to {os.readlink(path)}, and jaxrod does not write "
+            "through links in the folder of a run: remove the link, or choose another "
+            "folder"
         )
 
 
 def make_folder(path: Path) -> None:
-    """Makes a folder in a given one, if it does not exist.
+    """Makes a folder inside an existing one, unless it is already there.
 
     Raises:
-        LinkedFileError: If it is a link, wherever that leads.
-        OSError: If it cannot be made; with its name.
+        LinkedFileError: If it is a link, whatever its target.
+        OSError: If it cannot be made; the message names it.
     """
     refuse_link(path)
     path.mkdir(parents=True, exist_ok=True)
@@ -61,19 +61,19 @@ def make_folder(path: Path) -> None:
 def open_to_write(path: Path, flags: int) -> int:
     """Opens a file in a given folder, for writing in place.
 
-    It is not truncated: the caller does that, once the file is known to be the right
+    The file is not truncated: the caller does that after checking that it is the right
     one.
 
     Args:
-        path: A plain file, without a second name; made if `flags` say so.
+        path: A plain file with no other hard link; created if `flags` ask for it.
         flags: Flags of `os.open`.
 
     Returns:
         The descriptor of the open file.
 
     Raises:
-        LinkedFileError: If it is a link, has a second name, or is not a plain file.
-        OSError: If it cannot be opened; with its name.
+        LinkedFileError: If it is a link, has other hard links, or is not a plain file.
+        OSError: If it cannot be opened; the message names it.
     """
     refuse_link(path)
     # A pipe in its place must not block the process; Windows has neither flag.
@@ -83,7 +83,7 @@ def open_to_write(path: Path, flags: int) -> int:
         handle = os.open(path, flags, 0o666)
     except OSError as error:
         if error.errno in (errno.ELOOP, errno.ENXIO):
-            raise LinkedFileError(f"{path} is no plain file: take it away") from error
+            raise LinkedFileError(f"{path} is no plain file: remove it") from error
         raise
     found = os.fstat(handle)
     if not stat.S_ISREG(found.st_mode) or found.st_nlink > 1:
@@ -92,8 +92,8 @@ def open_to_write(path: Path, flags: int) -> int:
         if stat.S_ISREG(found.st_mode):
             what = f"one file with {found.st_nlink} names (hard links)"
         raise LinkedFileError(
-            f"{path} is {what}, and what is written there would show elsewhere: put a "
-            "copy in its place, or take it away"
+            f"{path} is {what}, so writing to it would change another file: replace it "
+            "by a copy, or remove it"
         )
     return handle
 
@@ -120,7 +120,7 @@ def write_atomically(
         private: Whether nobody but this user may read it.
 
     Raises:
-        OSError: If it cannot be written; with the name of the file.
+        OSError: If it cannot be written; the message names it.
     """
     target = Path(path)
     if target.is_dir():
@@ -179,7 +179,7 @@ def reading(path: Path) -> Iterator[None]:
 
     Raises:
         DamagedFileError: If anything but an error of the operating system was raised.
-        UntrustedError: If that was raised; the file is not damaged.
+        UntrustedError: Passed on unchanged, because the file is not damaged.
         OSError: If the file cannot be opened.
     """
     try:
@@ -225,8 +225,8 @@ def parse_json(text: str) -> dict[str, Any]:
     """Reads one object from JSON text.
 
     Raises:
-        ValueError: If it is not JSON, or not an object; or if an object in it has a key
-            twice, of which readers take one or the other.
+        ValueError: If it is not JSON, or not an object; or if an object in it repeats a
+            key, because readers disagree on which value counts.
     """
     content = json.loads(
         text, parse_constant=_refuse_constant, object_pairs_hook=_without_doubles
@@ -260,8 +260,8 @@ def read_plain(path: Path) -> bytes:
 def read_csv(path: Path) -> tuple[list[str], list[list[str]]]:
     """Reads the columns and the rows of a CSV file.
 
-    A last line without an end that lacks values is still being written, and is left
-    out.
+    A last line that lacks both values and a newline is still being written; it is
+    skipped.
 
     Raises:
         DamagedFileError: If it is not CSV, or not all rows have as many values as there
@@ -302,7 +302,7 @@ POSITIVE: Kind = (
 
 
 def whole(smallest: int, largest: int = 2**63 - 1) -> Kind:
-    """Kind of an integer within bounds, both allowed."""
+    """Kind for integers between two bounds, inclusive."""
     return (
         f"a whole number from {smallest} to {largest}",
         lambda value: type(value) is int and smallest <= value <= largest,

@@ -1,8 +1,8 @@
 """A loaded rod: one rod, the effects on it and its method, as a method sees a scene.
 
 `jaxrod.scene.Scene` is a loaded rod that is also a model: it can be stepped and asked
-for its energies. Methods, statics and analyses are below that file and take what is
-here.
+for its energies. Methods, statics and analyses do not import that file; they take
+loaded rods.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ class Evolvable(Protocol):
 
         Args:
             scene: The scene with its schedules; this stepper has it without them.
-            first: Number of steps since time zero at the beginning.
+            first: Number of the first step, counted from time zero.
         """
 
 
@@ -148,7 +148,7 @@ class LoadedRod:
 
     @property
     def stirred(self) -> Self:
-        """Scene with other memories and schedules at their bounds, not initial ones.
+        """Scene with arbitrary memory and with schedules at their bounds.
 
         For checks of effects: a value that is zero now may leave a plane later.
         """
@@ -173,7 +173,7 @@ class LoadedRod:
         """Raises a `ValueError` if it depends on time."""
         if self.depends_on_time:
             raise ValueError(
-                "this asks about one moment, but a number of the scene's effects is a "
+                "this is defined at one moment, but an effect of the scene has a "
                 "schedule: give scene.at(time)"
             )
 
@@ -193,9 +193,9 @@ def check_scene(scene: Any) -> None:
     """
     if not isinstance(scene, LoadedRod):
         raise TypeError(
-            f"scene must be a jaxrod.Scene, got {type(scene).__name__}: this is known "
-            "of one rod alone, not of several members together. Those can be stepped "
-            "(advance, rollout) and asked for stable_dt, health and their energies; "
+            f"scene must be a jaxrod.Scene, got {type(scene).__name__}: this is "
+            "available for one rod only, not for a system. A system can be stepped "
+            "(advance, rollout) and has stable_dt, health and energies; "
             "jaxrod.systems.settled finds where they come to rest"
         )
     shape = scene.rod.batch_shape
@@ -207,7 +207,7 @@ def check_scene(scene: Any) -> None:
 
 
 def scene_of(scene: AnyScene, state: RodState) -> AnyScene:
-    """Scene with the effects as in a state, for functions of one moment.
+    """Scene whose effects have the memory in a state, for functions of one moment.
 
     Raises:
         TypeError: If the arguments are not a scene and a state.
@@ -227,7 +227,7 @@ def check_memory(scene: LoadedRod, state: RodState, name: str = "state") -> None
     if not scene.remembers or given != own:
         raise ValueError(
             f"{name}.memory must be of the effects of this scene: "
-            "dataclasses.replace(state, memory=None) begins anew"
+            "dataclasses.replace(state, memory=None) starts again"
         )
 
 

@@ -1,7 +1,8 @@
-"""Models: what can be stepped and asked for its energies, and their common interface.
+"""Models, which can be stepped and have energies, and their common interface.
 
 A `Scene` is a model of one rod, a `System` one of several members. `advance`,
-`rollout`, `stable_dt`, `health` and `settled` ask a model, and never what it is.
+`rollout`, `stable_dt`, `health` and `settled` call methods of a model and never test
+its class.
 """
 
 from __future__ import annotations
@@ -20,8 +21,8 @@ class Stepper(Protocol):
     """An integrator with its constants computed, as `advance` runs it.
 
     `begin` unpacks a state into the carry of the integrator, `cycle` is the body of the
-    loop, `end` finishes and packs the state. Position Verlet's cycle ends where the
-    kick of the next step acts, half a step on, so that neighbouring half drifts are
+    loop, `end` finishes and packs the state. Position Verlet's cycle ends half a step
+    later, where the kick of the next step acts, so that neighbouring half drifts are
     merged: `end(cycle(cycle(begin(state))))` is three steps, the last one finished by
     `end`.
     """
@@ -78,7 +79,7 @@ class Model(ABC):
 
     @abstractmethod
     def interfaces(self) -> dict[str, Any]:
-        """Its members by name; a scene has one, without a name."""
+        """Its members by name; a scene has a single member, without a name."""
 
     @abstractmethod
     def states_by_name(self, state: Any) -> Mapping[str, Any]:
@@ -92,8 +93,8 @@ class Model(ABC):
     def contact_forces(self, state: Any) -> list[tuple[str, Vec3]]:
         """Forces of contact on all nodes of members, world frame [N], for replays.
 
-        Each entry is of one effect or coupling: a member's name, and its nodes in one
-        row.
+        Each entry belongs to one effect or coupling: a member's name, and the forces on
+        its nodes in one row.
         """
 
     @abstractmethod

@@ -1,7 +1,7 @@
 """Folders whose content is executed, and so must belong to this user alone.
 
-Compiled programs and machine code on the disk are as good as programs: whoever can
-change them decides what the process does. The rules are those of `ssh` for its keys.
+Compiled programs and machine code on the disk are executed: whoever can change them
+controls the process. The rules are those of `ssh` for its keys.
 """
 
 from __future__ import annotations

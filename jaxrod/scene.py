@@ -262,12 +262,12 @@ def _check_evolution(scene: Scene) -> None:
         memories = [getattr(effect, field) for field in memory_fields(effect)]
         if depends_on_time(memories):
             raise ValueError(
-                f"what {name} remembers begins with a number, not with a schedule"
+                f"the memory of {name} must begin with a number, not with a schedule"
             )
         if type(effect).damping_rates is not Effect.damping_rates:
             raise ValueError(
-                f"damping rates are worked out once, but {name}, which has some, "
-                "depends on time or remembers"
+                f"damping rates are computed once, but {name}, which has some, "
+                "depends on time or has memory"
             )
     if scene.evolves:
         scene.method.check_evolving(scene)

@@ -36,7 +36,7 @@ def is_traced(*values: Any) -> bool:
 
 
 def knows_constants(function: Callable[Given, Made]) -> Callable[Given, Made]:
-    """Function in which values computed from known values are known, too.
+    """Decorates a function so that values computed from known values stay known.
 
     Inside `jax.jit` JAX traces every operation, even one on arrays that were made
     outside: `float(jnp.min(radii))` fails there although `is_traced(radii)` is false.
@@ -56,7 +56,7 @@ def knows_constants(function: Callable[Given, Made]) -> Callable[Given, Made]:
 
 
 def check_kind(name: str, value: Any, kind: type | tuple[type, ...]) -> None:
-    """Raises unless a value is of a class of jaxrod's, or of one of several.
+    """Raises unless a value is an instance of a jaxrod class, or of one of several.
 
     Raises:
         TypeError: If it is not; the message names argument, class and given type.
@@ -94,7 +94,7 @@ LARGEST_SEED = 2**32 - 1
 
 
 def check_seed(seed: Any, name: str = "seed") -> int:
-    """Returns a seed as an int; raises if another seed has the same random numbers."""
+    """Returns a seed as an int; raises if it is not unique to its random numbers."""
     whole = isinstance(seed, int | np.integer) and not isinstance(seed, bool)
     if not whole or not 0 <= seed <= LARGEST_SEED:
         raise ValueError(
@@ -140,7 +140,7 @@ def check_array(
 ) -> Any:
     """Checks kind, shape, finiteness, sign and size of a number or array of numbers.
 
-    Of values that JAX is tracing it checks kind and shape only.
+    If JAX is tracing the values, only kind and shape are checked.
 
     Args:
         name: The argument's name, for the message.
@@ -293,7 +293,7 @@ def numeric(name: str, value: Any, unit: str = "") -> Any:
 
     Args:
         name: The argument's name, for the message.
-        value: The value given for it.
+        value: The argument's value.
         unit: SI unit, for the message ("" for a pure number).
 
     Returns:

@@ -94,7 +94,7 @@ def test_unknown_words_exit_with_two(words, capsys):
         (MemoryError("std::bad_alloc"), "fewer environments (--num-envs)", 2),
         (
             RuntimeError("RESOURCE_EXHAUSTED: Out of memory"),
-            "more memory than there",
+            "out of memory: use smaller",
             2,
         ),
     ],
@@ -113,7 +113,7 @@ def test_a_fault_of_ours_keeps_its_traceback_and_names_the_request(command, caps
     lines = capsys.readouterr().err.splitlines()
     assert lines[0].startswith("Traceback")
     assert lines[-1].startswith("jaxrod train: KeyError: 'leaf' (a fault of jaxrod")
-    assert lines[-1].endswith("it met jaxrod train --steps 3)")
+    assert lines[-1].endswith("the command was jaxrod train --steps 3)")
 
 
 def test_a_warning_is_a_sentence_without_the_line_that_gave_it(command, capsys):

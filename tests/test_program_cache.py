@@ -213,8 +213,8 @@ def linked(folder):
 @pytest.mark.parametrize(
     ("flags", "said"),
     [
-        ("garbage", "got 'garbage', which is no file that can be read"),
-        ("/nowhere/flags", "got '/nowhere/flags', which is no file"),
+        ("garbage", "got 'garbage', which is not a readable file"),
+        ("/nowhere/flags", "got '/nowhere/flags', which is not a readable file"),
         ("-x=1", "got '-x=1' among them"),
         ("--xla_cpu_enable_fast_math=false garbage", "got 'garbage' among them"),
         ("--xla_dump_to='/tmp", "No closing quotation"),

@@ -72,7 +72,7 @@ def check_nothing(config: Any, num_devices: int) -> None:
 class Algorithm:
     """A learner as a record of pure functions.
 
-    This is all that training, resuming and evaluating know about it. Its train state is
+    Training, resuming and evaluating use nothing else of a learner. Its train state is
     one pytree of arrays with everything that a run needs: numbers of the configuration,
     weights, optimiser, environments, keys. Anything that is not a number (the
     environment, say) is static structure, see `jaxrod.extend.static`. Two states made
@@ -177,7 +177,8 @@ def find_algorithm(name: str, trust: Collection[str] | None = None) -> Algorithm
 def recorded_name(algorithm: Algorithm) -> str:
     """Name by which `find_algorithm` finds an algorithm, if there is one.
 
-    For an algorithm that no module holds, this is its own name, which finds nothing.
+    For an algorithm that is in no module, this is its own name, which `find_algorithm`
+    does not find.
     """
     if algorithm.name in _ALGORITHMS:
         return algorithm.name

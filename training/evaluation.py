@@ -103,7 +103,8 @@ def _episodes(
 ) -> EpisodeRecord:
     batch, acting = VectorEnvironment(env), remembering(policy)
     state = batch.reset(key, episodes, params)
-    # Not restarted where an episode ends: the episodes that follow do not count.
+    # The memory is not reset where an episode ends, because the episodes that follow do
+    # not count.
     memory = acting.init(state.observation, state.states)
     record = EpisodeRecord(
         finished=jnp.zeros(episodes, bool),

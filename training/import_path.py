@@ -63,7 +63,7 @@ def import_path_in(module: str, value: Any) -> str | None:
 
 
 def _path(module: str, name: str, value: Any) -> str | None:
-    if not name.isidentifier():  # Of a class, of a function, or a lambda.
+    if not name.isidentifier():  # Names in a class or function, and lambdas.
         return None
     try:
         found = getattr(sys.modules[module], name)
@@ -87,7 +87,7 @@ def _importable(module: str) -> str | None:
 
 def _import(name: str, path: str) -> Any:
     if _importable("__main__") == name:
-        return sys.modules["__main__"]  # Not a second time, with other objects.
+        return sys.modules["__main__"]  # A second import would make new objects.
     here = os.getcwd()
     sys.path.append(here)
     try:

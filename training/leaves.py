@@ -10,7 +10,7 @@ import numpy as np
 
 
 def named_leaves(tree: Any, root: str) -> dict[str, Any]:
-    """Leaves by root and path; empty leaves are left out, as they store nothing."""
+    """Leaves by root and path; empty leaves are left out, as they hold no numbers."""
     leaves = jax.tree.leaves_with_path(tree)
     return {_name(root, path): leaf for path, leaf in leaves if leaf.size}
 
@@ -43,7 +43,7 @@ def from_array(array: np.ndarray, leaf: Any) -> Any:
     dtype = np.dtype(numbers.dtype)
     array = array.view(dtype) if dtype.kind == "V" else array
     if (array.dtype, array.shape) != (dtype, numbers.shape):
-        raise ValueError(f"an array is {array.dtype}{list(array.shape)} in truth")
+        raise ValueError(f"an array is {array.dtype}{list(array.shape)} in the file")
     if not is_key(leaf):
         return array
     return jax.random.wrap_key_data(jnp.asarray(array), impl=jax.random.key_impl(leaf))
@@ -70,9 +70,9 @@ def is_key(leaf: Any) -> bool:
 
 
 def _hint(apart: list[str]) -> str:
-    """Usual cause if all numbers differ in precision."""
+    """Usual cause, as a hint, if all numbers differ in precision."""
     double = all("float32" in one and "float64" in one for one in apart[:3])
-    return " (is JAX_ENABLE_X64 as it was?)" if double else ""
+    return " (has JAX_ENABLE_X64 changed?)" if double else ""
 
 
 def _name(root: str, path: Any) -> str:

@@ -14,8 +14,8 @@ class RunningMoments:
     """Mean and variance of all samples so far, per component.
 
     The variance is stored, not the sum of squares: it keeps the magnitude of the data
-    however long the run, as float32 requires. Before the first sample the mean is 0 and
-    the variance 1, so that normalising changes nothing.
+    in runs of any length, as float32 requires. Before the first sample the mean is 0
+    and the variance 1, so that normalising changes nothing.
     """
 
     count: Float[Array, ""]

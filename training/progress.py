@@ -1,4 +1,4 @@
-"""Progress on stderr: how far, how fast, result so far, time left."""
+"""Progress on stderr: share done, speed, result so far, time left."""
 
 from __future__ import annotations
 

@@ -53,14 +53,14 @@ class LearnerConfig:
     observation_limit: Scalar = 10.0
     """Bound to which normalised observations are clipped."""
     short_steps: Scalar = 0.0
-    """Control steps from the start of the run during which episodes are cut short: more
-    episodes begin. They are truncated, and do not count for the score."""
+    """Control steps from the start of the run during which episodes are cut short, so
+    that more episodes begin. They are truncated and do not count for the score."""
     short_length: Scalar = 500.0
     """Control steps of an episode that is cut short."""
 
 
 WIDEST_LAYER = 16_384
-"""Largest number of units of a hidden layer: weights between two such layers take 1
+"""Largest number of units of a hidden layer. Weights between two such layers take 1
 GB."""
 
 MOST_LAYERS = 1_000

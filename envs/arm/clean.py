@@ -1,8 +1,9 @@
 """The arm of the `clean` variants: the library's own physics.
 
 It has the consistent elastic law, a wall-accurate clamp, damping integrated exactly,
-and couples per metre instead of per element, with the same sum as the published ones.
-When a numerical health flag rises the arm is frozen at its last sound state. Its energy
+and couples per metre instead of per element, with the same sum as the published
+couples. When a numerical health flag rises the arm is frozen at its last sound state.
+Its energy
 is not checked: the check costs more than another half control step, and it raises no
 flag on sound arms (`tests/envs/test_energy.py`).
 """
@@ -116,8 +117,8 @@ class CleanArm:
 
         Args:
             controls: Control values [1]; `None` for the arm without its muscles.
-            near: State from which the arm is about to move, if obstacles that are not
-                among its `nearest` ones may be left out.
+            near: State from which the arm is about to move. If it is given, obstacles
+                that are not among the `nearest` may be left out.
         """
         obstacles = self.obstacles
         if near is not None and self.nearest is not None:
@@ -160,7 +161,7 @@ def clean_arm(
         axis: Axis along the arm: "y" (Cases 1, 2) or "z" (Cases 3, 4).
         spline: Spline through the control points, in rest arc length.
         published_elements: Number of elements of the published arm, each with a couple
-            of 75 N m: their sum is spread over the length.
+            of 75 N m; the sum of these couples is spread over the length.
         largest_rate: Largest rate of a control value [1/s].
         obstacles: Contact with the obstacles.
         nearest: Number of nearest obstacles that each contact point considers in a

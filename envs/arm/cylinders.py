@@ -20,7 +20,7 @@ class Cylinders:
     starts: Float[Array, "3 m"]
     """Centre of one end of each cylinder [m]."""
     directions: Float[Array, "3 m"]
-    """Unit vectors from there to the other end."""
+    """Unit vectors from `starts` to the other end."""
     normals: Float[Array, "3 m"]
     """Unit vectors; only the published broad phase uses them."""
     lengths: Float[Array, " m"]
@@ -51,7 +51,7 @@ def cylinders(
 
     Args:
         starts: Centre of one end of each cylinder, `(m, 3)` [m].
-        directions: Vectors from there to the other end, of any length, `(m, 3)`.
+        directions: Vectors from `starts` to the other end, of any length, `(m, 3)`.
         normals: Unit vectors `(m, 3)`.
         length: Length of every cylinder [m].
         radius: Radius of every cylinder [m].

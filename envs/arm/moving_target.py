@@ -70,7 +70,7 @@ def bounce(target: Target, params: TargetParams) -> Target:
 def fly(
     target: Target, params: TargetParams, dt: Array | float, n_tests: int
 ) -> Target:
-    """Flies for `n_tests` intervals of `dt` [s], testing the walls after each."""
+    """Flies for `n_tests` intervals of `dt` [s]; the walls are tested after each."""
     # Unrolled: the whole flight is one small kernel, which is cheaper than a loop.
     for _ in range(n_tests):
         moved = Target(target.position + dt * target.velocity, target.velocity)
@@ -85,11 +85,11 @@ def wander(
     chance: Array,
     dt: Array,
 ) -> Target:
-    """One move: away from a wall it has crossed, or possibly in a new direction.
+    """One move: back from a wall that was crossed, or possibly in a new direction.
 
-    The centre may leave the box by one move, and comes back in the next: the walls are
-    tested before a move, not after it. A new heading takes effect with the next move,
-    so the current velocity is that of the last move.
+    The centre may leave the box by one move and returns in the next, because the walls
+    are tested before a move, not after it. A new heading takes effect with the next
+    move, so the current velocity is that of the last move.
 
     Args:
         key: Typed random key; `None` for a move without a new heading.

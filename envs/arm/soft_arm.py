@@ -28,7 +28,7 @@ TORQUE_PER_ELEMENT = 75.0
 REFERENCE_ELEMENTS = 20
 """Elements of the published arm in Cases 1 and 2."""
 COUPLE_DENSITY = TORQUE_PER_ELEMENT * REFERENCE_ELEMENTS / LENGTH
-"""The same couples, spread over the length [N m/m]."""
+"""The couples of all elements, spread over the length [N m/m]."""
 
 
 def published_rod(

@@ -78,7 +78,7 @@ class PublishedArm:
         """
         stepper = self.method.stepper(self.scene(), state, dt)
         if self.muscles.largest_change is None:
-            # Their couples in the first step hold in all steps.
+            # The couples of the first step hold in all steps.
             lengths, new = stepper.begin(state).lengths, jnp.ones((), bool)
             muscles = contract(muscles, controls, lengths, new, self.muscles)
             state = advance(self.scene(muscles.couples), state, dt, n_steps)
@@ -236,7 +236,7 @@ class Muscles:
     move towards them, at most by a given change if there is one. The couples are then
     evaluated on the spline through the control values, at the elements' far ends, in
     the current arc length. Once the commanded values are reached the couples stay
-    constant, whatever the arm does.
+    constant, for any motion of the arm.
     """
 
     applied: Float[Array, "3 n_controls"]

@@ -67,7 +67,8 @@ class PublishedContact(Effect):
         if before.forces is None:
             raise ValueError("PublishedContact needs the forces found so far")
         forces = self._seen(before.forces)
-        # Without the barrier XLA recomputes them wherever the sweep reads them.
+        # Without the barrier XLA recomputes the encounters wherever the sweep reads
+        # them.
         normals, pushes = lax.optimization_barrier(self.encounters(rod, motion))
         after = _sweep(forces, normals, pushes)
         change = [new - old for new, old in zip(after, forces, strict=True)]
@@ -106,7 +107,7 @@ class PublishedContact(Effect):
         return normal, jnp.where(active & (overlap > 0), push, 0)
 
     def _seen(self, vector: Vec3) -> Components:
-        """Components of a vector that matter for contact."""
+        """Components of a vector that contact uses."""
         if self.plane is None:
             return vector
         a, b, _ = PLANES[self.plane]
@@ -115,7 +116,7 @@ class PublishedContact(Effect):
     def _closest_in_plane(
         self, motion: Motion, cylinders: Cylinders
     ) -> tuple[Components, Float[Array, "m n"]]:
-        """`_closest_points` in a plane, where axes are points that all elements see."""
+        """Version of `_closest_points` in a plane, where cylinder axes are points."""
         offset = tuple(
             c[None, :-1] - start[:, None]
             for c, start in zip(motion.position, cylinders.starts, strict=True)

@@ -51,8 +51,9 @@ FRICTION = 0.8
 """[1]"""
 STIFFNESS, DAMPING, FRICTION_DRAG = 4e4, 4.0, 4.0
 """Contact of fingers and ball, per length of a finger [N/m^2], [kg/(m s)], [kg/(m s)].
-Where random actions press the ball into the table, by about 1 N, tips sink into the
-ball by less than 0.8 of their radius. At 5e3 N/m^2 their axis entered it."""
+When random actions press the ball into the table with about 1 N, the tips sink into the
+ball by less than 0.8 of their radius. At 5e3 N/m^2 their centreline entered the
+ball."""
 TABLE_STIFFNESS = 500.0
 """Stiffness of the contact of ball and table [N/m]."""
 SUNK = 4 / 3 * math.pi * BALL**3 * BALL_DENSITY * GRAVITY / TABLE_STIFFNESS

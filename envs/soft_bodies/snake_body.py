@@ -59,11 +59,12 @@ GRAVITY = 9.80665
 FROUDE = 0.1
 """Froude number: ratio of inertial forces to friction at the published period [1]."""
 DAMPING = 2e-3
-"""PyElastica's damping of translation [1/s]; m/J times as much for rotation."""
+"""PyElastica's damping rate of translation [1/s]; the rate of rotation is m/J times
+this."""
 RELAXATION_TIME = 0.05
 """Ratio of viscous to elastic bending stiffness [s]. The lowest free vibration, with a
 period of 0.56 s, has a damping ratio of 0.28. PyElastica's snake has no such damping,
-and a policy would discover that it can be shaken."""
+and a policy would learn to exploit its shaking."""
 DRAG_RATE = 1000.0
 """Largest friction per mass and slip speed [1/s]: the snake creeps at 1.7 mm/s or
 less."""

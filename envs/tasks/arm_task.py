@@ -1,9 +1,9 @@
-r"""Tasks in which the tip of a soft arm goes to a target: `tracking` and its kin.
+r"""Tasks in which the tip of a soft arm goes to a target, such as `tracking`.
 
-`ArmTask` is what all of them share: a step, a reward by the distance of the tip from
-the target, a smooth cost for planners, a picture. `BenchmarkTask` adds the published
-benchmark's arm: couples along it, set by a few control values in every 1.4 ms; a task
-of it says what its targets are and what is observed of them.
+`ArmTask` is their common base: a step, a reward by the distance of the tip from the
+target, a smooth cost for planners, and a picture. `BenchmarkTask` adds the published
+benchmark's arm, with couples along it that a few control values set every 1.4 ms. Each
+of its tasks defines the targets and the observed numbers.
 """
 
 from __future__ import annotations
@@ -110,7 +110,7 @@ class ArmTask(ABC):
             terminated, truncated = crashed, timeout
         else:
             terminated, truncated = jnp.zeros((), bool), timeout | crashed
-        # Nothing is known about a crashed arm, and zero would be the best distance.
+        # A crashed arm has no valid distance, and zero would be the best one.
         sound = freeze(crashed, before.arm, state.arm)
         info = self.scalars(sound, state.target) | {"flagged": crashed}
         return observation, state, reward, terminated, truncated, info
@@ -122,7 +122,7 @@ class ArmTask(ABC):
         before: Any,
         params: Any,
     ) -> tuple[Float[Array, " observation"], Bool[Array, ""]]:
-        """The observation shown after a crash, and whether it was one ("paper")."""
+        """The observation to show, and whether a crash ends the episode ("paper")."""
         del before, params
         return jnp.where(crashed, 0, observation), crashed
 
@@ -308,11 +308,11 @@ class BenchmarkTask(ArmTask):
 
     @abstractmethod
     def seen(self, state: ArmState, params: Any) -> tuple[Array, ...]:
-        """Parts of the observation behind points and velocity of the arm."""
+        """Parts of the observation that follow the points and velocity of the arm."""
 
     @property
     def action_size(self) -> int:
-        """Control values about d1, then about d2, then about d3 as the task has it."""
+        """Number of control values: about d1, then d2, then d3 if the task has them."""
         return self.n_directions * self.n_controls
 
     def arm(self) -> Arm:
@@ -329,7 +329,7 @@ class BenchmarkTask(ArmTask):
         )
 
     def common_params(self, arm: Arm) -> dict[str, Any]:
-        """Parameters that all tasks have, but the target's, in JAX's precision."""
+        """Parameters that all tasks have, except the target's, in JAX's precision."""
         number = functools.partial(jnp.asarray, dtype=arm.rod.radii.dtype)
         return {
             "arm": arm,
@@ -378,8 +378,8 @@ class BenchmarkTask(ArmTask):
         """Predicts the state under one action, see `ArmTask.predict`."""
         if self.largest_rate is None:
             return self.moved(None, state, action, params, control_steps)[0]
-        # One step at a time: control values follow the action in every step, and every
-        # step selects the obstacles in view again.
+        # One step at a time, because control values follow the action in every step,
+        # and every step selects the nearest obstacles again.
         return super().predict(state, action, params, control_steps)
 
     def observe(self, state: ArmState, params: Any) -> Float[Array, " observation"]:
@@ -418,8 +418,9 @@ def tip_residuals(
     r"""Smooth substitute for the reward's distance; the sum of squares is the cost [1].
 
     With $s = |way|/width$ the squares sum to $2\,(width/touching)^2\,(\sqrt{1 + s^2} -
-    1)$. This is about $(|way|/touching)^2$ nearby and linear far away, with a slope
-    everywhere but at the target. The reward's bonuses are steps, which have no slope.
+    1)$. This is about $(|way|/touching)^2$ nearby and linear far away, with a nonzero
+    slope everywhere except at the target. The reward's bonuses are steps, which have no
+    slope.
 
     Args:
         way: Vector from the target to the tip [m].

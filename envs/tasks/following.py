@@ -149,7 +149,7 @@ class Following(ArmTask):
         arm, flagged = params.arm.advance(
             state.arm, state.angles, angles, params.dt, self.substeps
         )
-        # Frozen with the arm: an action that is not a number must not reach the angles.
+        # The angles are frozen with the arm: a NaN action must not reach them.
         angles = jnp.where(flagged, state.angles, angles)
         target = wander(
             key,
@@ -161,7 +161,7 @@ class Following(ArmTask):
         return FollowingState(arm, angles, target, state.steps + 1), flagged
 
     def snapshot(self, state: FollowingState, params: FollowingParams) -> Snapshot:
-        """The arm and the target, as large as what counts as touching."""
+        """The arm, and the target drawn with the radius that counts as touching."""
         return dataclasses.replace(
             super().snapshot(state, params),
             spheres=((state.target.position, params.bonus.touching),),

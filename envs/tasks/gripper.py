@@ -165,7 +165,8 @@ class Gripper:
         aside_key, height_key = jax.random.split(key)
         aside = params.spread * jax.random.uniform(aside_key, (2,), kind, -1.0)
         lowered = params.lowered * jax.random.uniform(height_key, (), kind)
-        # On a straight line to its place around the ball, so it cannot touch the ball.
+        # The start is on a straight line to the place around the ball, so that the
+        # gripper cannot touch the ball.
         top = jnp.asarray([SLACK, 0.0, 0.0, 1.0], kind)
         around = jnp.concatenate([top[:1], aside / ASIDE, -top[3:]])
         controls = top + lowered * (around - top)
@@ -305,7 +306,8 @@ def _score(state: GripperState) -> Float[Array, ""]:
     furthest = jnp.max(vectors.safe_norm(vectors.split(tips.T)))
     lifted = jnp.clip(_height(state) / LIFT, 0, 1)
     near = 1 - jnp.clip((apart - NEAR) / (FAR - NEAR), 0, 1)
-    # Fingers that close above the ball gain nothing: they could not reach around it.
+    # Fingers that close above the ball earn nothing, because they could not reach
+    # around it.
     around = 1 - jnp.clip((apart - NEAR) / BALL, 0, 1)
     closed = jnp.clip(1 - furthest / OPEN, 0, 1)
     grip = around * (closed + _borne(state))

@@ -56,9 +56,9 @@ less than the arm's radius of 5 cm. With half the stiffness, one arm of ten thou
 drawn into a cylinder past its centreline (`benchmarks/extremes`)."""
 FREE_ENDS = (0.0, 0.0)
 """Neither end of the arm has a face in contact ("clean"; see `jaxrod.contacts.ends`). A
-face would count as 10 cm of arm on a tip that weighs as much as 1.25 cm of it. It would
-take 44 steps per control step in the maze and 51 in the nest. Without a face the tip is
-no stiffer for its mass than the rest of the arm."""
+face would count as 10 cm of arm on a tip that weighs as much as 1.25 cm of arm. It
+would require 44 steps per control step in the maze and 51 in the nest. Without a face
+the tip is no stiffer for its mass than the rest of the arm."""
 SMALLEST_STRETCH = 0.15
 LARGEST_STRETCH = 3.0
 """Largest element stretch in "clean" before the arm is flagged [1]. Saturated actions
@@ -184,7 +184,7 @@ class ObstacleTask(BenchmarkTask):
         before: ArmState,
         params: Any,
     ) -> tuple[Float[Array, " observation"], Bool[Array, ""]]:
-        """A number that is not finite ends the episode, and is shown as it was."""
+        """A non-finite number ends the episode, and is shown unchanged."""
         finite = jnp.isfinite(observation)
         shown = jnp.where(finite, observation, self.observe(before, params))
         return shown, ~jnp.all(finite)

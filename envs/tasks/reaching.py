@@ -132,7 +132,7 @@ class Reaching(BenchmarkTask):
         before: ArmState,
         params: Any,
     ) -> tuple[Float[Array, " observation"], Bool[Array, ""]]:
-        """The arm is also broken where a number that is observed is not finite."""
+        """The arm also counts as broken if an observed number is not finite."""
         crashed |= ~jnp.all(jnp.isfinite(observation))
         return super().ended(observation, crashed, before, params)
 

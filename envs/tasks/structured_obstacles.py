@@ -64,8 +64,8 @@ class StructuredObstacles(ObstacleTask):
     contact_points = 1
     nearest_obstacles = 3
     """Number of nearest obstacles kept per point of the arm. No point is nearer than 10
-    cm to a fourth cylinder, so one comes within reach of the arm's radius only if the
-    point moves 5 cm in a control step."""
+    cm to a fourth cylinder. The arm, 5 cm in radius, would touch it only if the point
+    moved 5 cm in a control step."""
 
     @property
     def n_controls(self) -> int:

@@ -88,7 +88,7 @@ class Tracking(BenchmarkTask):
         params: Any,
         control_steps: int = 1,
     ) -> tuple[ArmState, Bool[Array, ""]]:
-        """The state after control steps; without a key, without a new heading."""
+        """The state after some control steps; without a key there is no new heading."""
         state, crashed = super().moved(key, state, action, params, control_steps)
         # The published environment tests the walls after every half step.
         tests = 2 * control_steps * self.substeps

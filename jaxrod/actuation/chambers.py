@@ -111,8 +111,8 @@ class WoundChamber(SectionLoad):
         r = self.radius[:, None]
         load = jnp.pi * jnp.abs(self._pressure)[:, None] * r**2
         push = jnp.broadcast_to(load * jnp.abs(1 - 2 * cot**2), rest.shape)
-        # Second derivatives of the volume by length, by twist and by both. The mixed
-        # one is split between length and twist with the radius as lever.
+        # Second derivatives of the volume by length, by twist and mixed. The mixed one
+        # is split between length and twist with the radius as lever.
         by_length = 6 * load * cot**2 / rest
         by_twist = 6 * load * r**2 * cot**2 / rest
         mixed = 2 * load * r * jnp.abs(cot * (1 - 3 * cot**2)) / rest

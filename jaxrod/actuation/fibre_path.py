@@ -1,8 +1,9 @@
 r"""Paths of fibres inside a rod, and the lengths of the fibres.
 
-At each node a fibre has the offset $x$ from the centreline, in the section. Its segment
-around a node covers half of each neighbouring element, changes by half of the offset's
-change $\delta$ over each, and turns with the joint there:
+At each node a fibre has the offset $x$ from the centreline, in the section. The fibre's
+segment around a node covers half of each neighbouring element. Over each half the
+offset changes by half of its change $\delta$ over the element. The segment turns with
+the joint at the node:
 
 $$u = \tfrac12(\epsilon_{k-1} + \epsilon_k) + \phi\times x + \tfrac12(\delta_{k-1} +
   \delta_k),$$
@@ -93,7 +94,8 @@ class FibrePath:
         return together(
             fibre_bound(rod, slope, t3, across, lever),
             section_bound(rod, **string),
-            # Inclined fibres resist displacement across them, offset ones rotation.
+            # Inclined fibres resist transverse displacement, offset fibres resist
+            # rotation.
             fibre_bound(rod, 2 * tense * across**2, one, one, 0 * one),
             section_bound(rod, turning=_sum(tense * offset**2)),
             cross_bound(rod, _size(_sum(tense * x), _sum(tense * y))),

@@ -124,7 +124,7 @@ class Magnetisation(Effect):
 
     @property
     def twists(self) -> str | None:
-        """None: moments may lie across the rod, and `make_scene` finds out."""
+        """None: moments may be across the rod; `make_scene` tests their values."""
         return None
 
     def resampled(self, rod: Rod, new_rod: Rod) -> Magnetisation:

@@ -21,9 +21,9 @@ $$g(u) = \frac{1 - u}{1 + u/h} \ (0 < u < 1), \qquad
 
 It is zero beyond $u = 1$ and at most $b$ during lengthening. At zero speed it is one.
 
-Force-length curves of muscles: fraction of the full force as a function of stretch.
+A force-length curve gives the fraction of the full force as a function of stretch.
 
-A curve is the fraction $f(\lambda)$, about one at $\lambda = 1$, and its integral
+It is the fraction $f(\lambda)$, about one at $\lambda = 1$, and its integral
 $F(\lambda) = \int_1^\lambda f$, which is the stored energy of a fully active muscle of
 unit force and length. Both are smooth enough for a step: $f$ has a continuous slope.
 """
@@ -126,7 +126,7 @@ _RUN_OUT = 0.05
 
 
 def _outlets() -> tuple[float, float]:
-    """Ends of the cubic, from which parabolas continue to zero within the run-out."""
+    """Stretches at which the cubic ends and parabolas continue it to zero."""
     slope = _CUBIC.deriv()
     before = (2 * _CUBIC - _RUN_OUT * slope).roots()
     after = (2 * _CUBIC + _RUN_OUT * slope).roots()
@@ -150,7 +150,7 @@ class CubicForce(ForceLength):
     def energy(self, stretch: Array) -> Array:
         """Integral of the force fraction from a stretch of 1 [1].
 
-        Over the cubic and the parabolas at its ends; constant beyond them.
+        It covers the cubic and the parabolas at its ends, and is constant beyond them.
         """
         first, last = self._ends
         whole = _CUBIC.integ(lbnd=1.0)
@@ -277,7 +277,8 @@ class Muscle(SectionLoad):
         )
         if self.fastest is None:
             return bound
-        # The slope is largest at zero speed; fibres across have half the rod's speed.
+        # The slope is largest at zero speed; transverse fibres have half the rod's
+        # speed.
         steep = (1 + 1 / HYPERBOLA) * largest * pull / self.fastest
         steep = 0.5 * steep if self.across else steep
         drag = self.path.bound(rod, 0 * pull, steep / rest, pulls=not self.across)

@@ -1,4 +1,4 @@
-r"""Stress that is added to a rod's own: the base of actuation inside a rod.
+r"""Stress added to a rod's elastic stress: the base of actuation inside a rod.
 
 The strains of a rod are the edges of its elements in their material frames,
 $\epsilon_k = R_k^T \Delta x_k$ [m], and the rotations $\phi_k$ [rad] of its joints.
@@ -17,7 +17,7 @@ Joints are at the nodes. An array over nodes, of length `n + 1`, has the joints 
 inner nodes and, at an end with a wall, the joint between the wall and the end element.
 At free ends the rotation is zero, and a moment is left out.
 
-Bounds on the stiffness of actuators inside a rod, for the stability bound.
+The stability bound needs bounds on the stiffness of such actuators.
 
 In small motions about the straight rod, $s$ is the stretch of an element,
 $\gamma = e_\perp - \ell\theta$ its shear (the displacement of its nodes across the rod
@@ -69,7 +69,7 @@ class SectionStrains:
     edges: Vec3
     """Vectors from each node to the next in the element's material frame, `n` [m]."""
     rotations: Vec3
-    """Rotation of the joint at each node, material frame, `n + 1` [rad]; 0 if free."""
+    """Joint rotation at each node, material frame, `n + 1` [rad]; zero at free ends."""
 
 
 @pytree
@@ -79,19 +79,20 @@ class SectionStress:
     force: Vec3 | None = None
     """Force in elements, material frame, positive along d3 in tension, `n` [N]."""
     moment: Vec3 | None = None
-    """Moment in the joint at each node, material frame, `n + 1` [N m]; not if free."""
+    """Joint moment at each node, material frame, `n + 1` [N m]; unused at free ends."""
 
 
 class SectionLoad(Effect):
     """Base of actuators inside a rod.
 
-    A subclass has `stored`, an energy of the strains, or `stress`, without an energy or
-    in closed form. A subclass may promise `reach = "neighbours"` if its moments do not
-    depend on the strains and its forces depend on the element's own strain only.
+    A subclass defines `stored`, an energy of the strains. Without an energy, or for a
+    closed form, it defines `stress`. A subclass may promise `reach = "neighbours"` if
+    its moments do not depend on the strains and its forces depend on the element's own
+    strain only.
     """
 
     walls: Walls = ()
-    """Walls into which it continues; subclasses that support it have it as a field."""
+    """Walls into which it continues; a field in subclasses that support walls."""
 
     def stored(self, rod: Rod, strains: SectionStrains) -> Array:
         """Stored energy [J]."""
@@ -182,7 +183,7 @@ def walls_of(into: Clamp | tuple[Clamp, ...] | None) -> Walls:
 
     Raises:
         TypeError: If they are not clamps.
-        ValueError: If two are at one end.
+        ValueError: If two clamps are at the same end.
     """
     clamps = () if into is None else into if isinstance(into, tuple) else (into,)
     for clamp in clamps:
@@ -205,7 +206,7 @@ def at_nodes(of_elements: Array) -> Array:
 
 
 _LEAST_WEIGHT = 1e-6
-"""Weight of a part of a fibre's elongation beside those of all [1]."""
+"""Smallest weight of one part of a fibre's elongation, relative to all parts [1]."""
 
 
 def section_bound(
@@ -291,7 +292,7 @@ def cross_bound(rod: Rod, coupling: Array) -> StabilityBound:
     """Bound of a coupling of shear and twist, `2 coupling gamma phi` at nodes [N]."""
     inertia = jnp.min(rod.inertias, axis=0)
     rate = jnp.sqrt(4 / inertia / (_moves(rod) + _rocking(rod)))
-    # The shear of both elements next to a node counts for its twist.
+    # The twist at a node is bounded with the shear of both neighbouring elements.
     turned = coupling / jnp.minimum(*_beside_nodes(rate))
     return section_bound(rod, shear=_of_elements(coupling) * rate, turning=turned)
 
@@ -336,9 +337,9 @@ def _of_elements(at_nodes: Array) -> Array:
 
 
 def _share(whole: Array, part: Array) -> Array:
-    """Inverse weight of one of three parts, for a bound on the square of their sum."""
-    # In proportion to the part, and a little for each: so what rounding leaves of a
-    # part that is zero adds nothing.
+    """Inverse weight of one of three terms, in a bound on the square of their sum."""
+    # Proportional to the part plus a small constant, so that the round-off of a part
+    # that is zero adds nothing.
     weight = part + _LEAST_WEIGHT * whole
     there = weight > 0
     most = (1 + 3 * _LEAST_WEIGHT) * whole

@@ -68,7 +68,7 @@ class Tendon(Effect):
 
     @property
     def actual_reach(self) -> Reach:
-        """Far if a length or friction decides about the tension of a cable."""
+        """Reach "any" if a cable's tension depends on its length or on friction."""
         decided_here = self.length is None and self.friction is None
         return "second neighbours" if decided_here else "any"
 
@@ -94,7 +94,7 @@ class Tendon(Effect):
         )
 
     def energy(self, rod: Rod, state: RodState) -> Array:
-        """Energy of the cables [J]; of a constant force, its work from length zero."""
+        """Energy of the cables [J]; for constant tension, its work from length zero."""
         lengths = jnp.sum(_pieces(self._points(motion_of(state))[1])[1], axis=1)
         if self.length is None:
             return jnp.sum(self._tension(lengths) * lengths)
@@ -103,7 +103,7 @@ class Tendon(Effect):
         return 0.5 * self.stiffness * jnp.sum(taut**2)
 
     def stability_bound(self, rod: Rod) -> StabilityBound:
-        """Bound of pieces that turn, of cables that stretch, and of friction.
+        """Bound for turning pieces, stretching cables and friction.
 
         It holds for turns of the cable of up to a quarter of a radian at an eyelet, and
         for the pull of a cable that is as long as the rod.
@@ -150,8 +150,8 @@ class Tendon(Effect):
     def resampled(self, rod: Rod, new_rod: Rod) -> Tendon:
         """Raises ValueError: eyelets belong to certain elements."""
         raise ValueError(
-            "a tendon's eyelets are on certain elements: it has no counterpart on a "
-            "rod with another number of them"
+            "a tendon's eyelets belong to certain elements: it cannot be resampled to "
+            "another number of elements"
         )
 
     def _points(self, motion: Motion) -> tuple[Vec3, Vec3]:
@@ -213,7 +213,8 @@ class Tendon(Effect):
             if self.anchors is not None:
                 speed = jnp.pad(speed, ((0, 0), (1, 0)))
             rates = rates + along[axis] * (speed[:, 1:] - speed[:, :-1])
-        # The far end of the cable is fixed: it slips as the pieces beyond get shorter.
+        # The far end of the cable is fixed, so the cable slips at an eyelet by the
+        # amount that the pieces beyond it shorten.
         beyond = jnp.cumsum(rates[:, ::-1], axis=1)[:, ::-1][:, 1:]
         before = along[0][:, :-1], along[1][:, :-1], along[2][:, :-1]
         after = along[0][:, 1:], along[1][:, 1:], along[2][:, 1:]
@@ -228,7 +229,7 @@ class Tendon(Effect):
         if self.friction_at_rest is None:
             return moving
         still = self.friction_at_rest.reshape(-1, 1)
-        # The limit where both are one, with opposite signs, is the share at rest.
+        # If both are one with opposite signs, the limit is the share at rest.
         tiny = jnp.finfo(moving.dtype).eps
         weight = jnp.maximum(1 + still * moving, tiny)
         return still + moving * (1 - still**2) / weight
@@ -290,7 +291,7 @@ def tendon(
         slip_speed: Speed at which friction is 0.76 of its full size, above 0 [m/s].
         friction_at_rest: Share of friction that remains while the cable rests, one
             number or one per cable `(k,)` from -1 to 1 [1]: 1 after it was pulled in,
-            -1 after it was let out. `equilibrium` takes it into account. None by
+            -1 after it was let out. `equilibrium` takes it into account. Zero by
             default, as if vibration had released the cable.
 
     Raises:
@@ -300,10 +301,11 @@ def tendon(
     """
     check_kind("rod", rod, Rod)
     if (tension is None) == (length is None):
-        raise ValueError("a tendon needs a tension in N or a length in m, one of them")
+        raise ValueError("a tendon needs either a tension in N or a length in m")
     if (length is None) != (stiffness is None):
         raise ValueError(
-            "a tendon with a length needs its stiffness in N/m, and no other has one"
+            "a tendon with a length needs a stiffness in N/m, and one with a tension "
+            "takes none"
         )
     kind, n = rod.rest_lengths.dtype, rod.n_elements
     first, last = (0, n - 1) if elements is None else elements
@@ -311,7 +313,7 @@ def tendon(
     last = check_count("last element", last, first, n - 1)
     pieces = last - first + (anchor is not None)
     if pieces < 1:
-        raise ValueError("a tendon needs two eyelets, or an anchor and one")
+        raise ValueError("a tendon needs two eyelets, or one eyelet and an anchor")
     given = numeric("offsets", offsets, "m")
     count = given.shape[0] if given.ndim > 1 else 1
     held = last - first + 1

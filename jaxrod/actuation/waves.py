@@ -8,7 +8,7 @@ with a plus sign on the element after it and a minus sign on the element before 
 bends an unloaded rod by the curvature $\tau/B$. $r$ rises from 0 to 1 while the wave is
 ramped up.
 
-Clamped uniform cubic B-splines: a shape along a rod from a few coefficients.
+Amplitudes along a rod may be clamped uniform cubic B-splines.
 
 With $K$ coefficients there are $K - 3$ equal pieces. The first and the last coefficient
 are the values at the ends. The curve passes near the others, not through them, and
@@ -119,7 +119,7 @@ class Wave(Schedule):
         return jnp.abs(self.amplitudes)
 
     def resampled_along(self, old: Any, new: Any) -> Wave:
-        """The wave, given at arc lengths `old` [m], resampled at `new` ones [m]."""
+        """The wave resampled from arc lengths `old` to arc lengths `new` [m]."""
         return replace(
             self,
             amplitudes=resampled_along(self.amplitudes, old, new),

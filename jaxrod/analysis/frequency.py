@@ -38,7 +38,7 @@ InertiaFactors = tuple[Array, Array]
 
 KRYLOV_SIZE = 32
 MOST_VECTORS = 10_000
-"""Largest size of the Krylov space; more is taken for a mistake."""
+"""Largest size of the Krylov space; a larger one must be a mistake."""
 _SQUARINGS = 12
 
 
@@ -87,10 +87,10 @@ def natural_frequencies(
     """Angular frequencies of small undamped motions about a state at rest.
 
     They come from the dense eigenvalue problem of all degrees of freedom (`6 n + 3` for
-    a rod), without those that constraints hold. It is for looking at a rod or a system,
-    not for the inside of a loop. A straight rod of round section bends in the same way
-    in two planes and has its bending frequencies twice. A free one starts with the six
-    zeros of rigid motions.
+    a rod), without those that constraints hold. Use it to examine a rod or a system,
+    not inside a loop. A straight rod of round section bends in the same way in two
+    planes and has its bending frequencies twice. The frequencies of a free rod start
+    with the six zeros of rigid motions.
 
     Args:
         scene: The scene in consistent mode, or the system.
@@ -187,8 +187,8 @@ def linearised(
 ) -> Callable[[Array], Array]:
     """Map from motions to their negative accelerations.
 
-    In coordinates scaled by the square root of inertia, in which it is symmetric if the
-    loads have a potential: node displacements first, then rotations.
+    Coordinates are node displacements, then rotations, scaled by the square root of
+    inertia. In them the map is symmetric if the loads have a potential.
     """
     rod = scene.rod
     n = rod.n_elements
@@ -214,7 +214,7 @@ def linearised(
         assert loads.forces is not None and loads.couples is not None
         couples = loads.couples
         if scene.method.has_energy:
-            # Change of couples in rotating frames, symmetrised.
+            # Change of the couples due to rotating frames, symmetrised.
             fixed = vectors.split(lax.stop_gradient(vectors.join(couples)))
             half = vectors.scale(0.5, vectors.cross(turn, fixed))
             couples = vectors.add(couples, half)

@@ -14,7 +14,7 @@ The answer does not depend on the rod's place and orientation, nor on the units,
 round-off of its coordinates. Far from the origin round-off dominates: a coordinate near
 1000 m is a multiple of 6e-5 m in float32 (1e-13 m in float64). That strains an element
 of 5 cm by a thousandth, shakes the rod a little in every step (by an amount given in
-`energy_balance`), and loses motion of less than that per step.
+`energy_balance`), and loses motion of less than 6e-5 m per step.
 """
 
 from __future__ import annotations
@@ -63,8 +63,8 @@ class HealthLimits:
     radius, the distance of a held end from its place and the depth of a node in a
     body."""
     largest_energy_growth: Float[Array, ""] | float = 0.1
-    """Largest unexplained energy, over the rod's own kinetic and elastic energy [1].
-    Sound steps gain up to 0.003 of that in free motion, up to 0.1 in hard impacts."""
+    """Largest unexplained growth, over the rod's own kinetic and elastic energy [1].
+    Valid steps gain up to 0.003 in free motion, and up to 0.1 in hard impacts."""
 
 
 @pytree
@@ -218,8 +218,8 @@ def scene_health(
     speed = _largest_norm(vectors.split(relative.velocities))
     spin = _largest_spin(scene.rod, state)
     norm_error = jnp.max(jnp.abs(jnp.sum(state.orientations**2, axis=0) - 1))
-    # Every number of the state enters one of these, which is cheaper than checking all
-    # of them again.
+    # Every number of the state enters one of these values. Checking them is cheaper
+    # than checking the whole state again.
     measured = jnp.stack([longest, norm_error, speed, spin])
     finite = jnp.all(jnp.isfinite(measured))
     growth, allowed = zero, zero
@@ -332,7 +332,8 @@ class EnergyBalance:
     growth: Float[Array, ""]
     """Growth of the total energy [J]."""
     own: Float[Array, ""]
-    """Energy independent of place: kinetic, elastic, of held ends, of contact [J]."""
+    """Energy that does not depend on place: kinetic, elastic, held ends, contact
+    [J]."""
     rounding: Float[Array, ""]
     """Largest growth that round-off can explain [J]."""
 
@@ -368,7 +369,8 @@ def energy_balance(
     Args:
         scene: The scene.
         state: The state now.
-        relative: The same, with the velocities that count for the rod's own energy.
+        relative: The state now, with the velocities that count for the rod's own
+            energy.
         before: Total energy earlier [J].
         dt: Step size [s].
         n_steps: Number of steps since then.

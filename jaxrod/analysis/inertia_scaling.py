@@ -1,12 +1,12 @@
 r"""Inertia scaling: larger steps for slender rods.
 
 If a rod is much thinner than its elements are long, its fastest motion is the rocking
-of elements against the axis, at $\sqrt{\alpha_c G A/\rho I}$. An irrelevant mode then
-limits the step. Increasing only the transverse rotary inertia slows it; mass and polar
-inertia, which carry axial and torsional waves, do not change. Bending frequencies
-change by the square of the inertia's share in them. That stays within the
-discretisation error while the enlarged radius of gyration is below that of a sphere as
-long as the element.
+of elements against the axis, at $\sqrt{\alpha_c G A/\rho I}$. This physically
+irrelevant mode then limits the step. Increasing only the transverse rotary inertia
+slows it; mass and polar inertia, which carry axial and torsional waves, do not change.
+The change of bending frequencies grows with the square of the radius of gyration. It
+stays within the discretisation error while the enlarged radius of gyration is below
+that of a sphere as long as the element.
 """
 
 from __future__ import annotations
@@ -54,11 +54,11 @@ class InertiaScaling:
 def scale_inertia(scene: LoadedRod, dt: Numbers | None = None) -> InertiaScaling:
     """Enlarges the transverse rotary inertia of a scene's rod for larger steps.
 
-    Without `dt` it is enlarged as far as it helps, that is until stretch or twist limit
-    the step, but never beyond the radius of gyration of a sphere as long as the
-    element. A rod thicker than its elements are long is not changed. With `dt` it is
-    enlarged as far as that step requires, whatever happens to the frequencies;
-    `frequency_changes` gives their changes. Rates of rotational damping act on the
+    Without `dt` the inertia is enlarged until stretch or twist limits the step, but
+    never beyond the radius of gyration of a sphere as long as the element. A rod
+    thicker than its elements are long is not changed. With `dt` it is enlarged as far
+    as that step requires, without regard to the frequencies; `frequency_changes` gives
+    their changes. Rates of rotational damping act on the
     enlarged inertia: the couples that they represent grow with it.
 
     Args:
@@ -84,8 +84,8 @@ def scale_inertia(scene: LoadedRod, dt: Numbers | None = None) -> InertiaScaling
         largest = _other_limit(scene)
         if not is_traced(step, largest) and step >= largest:
             raise ValueError(
-                f"dt must be below {float(largest):.3g} s, where stretch or twist "
-                "limit the step whatever the transverse inertia is, got "
+                f"dt must be below {float(largest):.3g} s, the limit from stretch and "
+                "twist, which transverse inertia does not change, got "
                 f"{float(step):.3g} s"
             )
         unlimited = jnp.full_like(scene.rod.rest_lengths, jnp.inf)
@@ -127,7 +127,7 @@ def _scaled(scene: LoadedRod, factors: Array) -> LoadedRod:
 
 
 def _reasonable(rod: Rod) -> Array:
-    """Factor up to which an element's inertia is at most that of a ball as long."""
+    """Factor by which an element reaches the inertia of a ball of its length, or 1."""
     largest = rod.linear_density * rod.rest_lengths**2 / 4
     return jnp.maximum(largest / jnp.max(rod.rotary_inertia[:-1], axis=0), 1)
 
@@ -141,7 +141,7 @@ def _other_limit(scene: LoadedRod) -> Array:
 
 @jax.jit
 def _factors(scene: LoadedRod, dt: Array, largest: Array) -> Array:
-    """Smallest factors, up to the largest ones, with which `dt` is stable."""
+    """Smallest factors with which `dt` is stable, limited to `largest`."""
     eps = jnp.finfo(dt.dtype).eps
     budget = 2 / dt * (1 - 100 * eps)
 

@@ -18,8 +18,9 @@ def reactions(scene: LoadedRod, state: RodState) -> tuple[Reaction | None, ...]:
     """Forces, couples and power of every support of a scene, in order of its effects.
 
     The force on a held node is its mass times its acceleration minus all other loads on
-    it. Power is that of a driven end on the rod: total energy grows by it, minus the
-    power of damping. If two effects hold one node, each reports the whole force.
+    it. Power is the power of a driven end on the rod: total energy grows at this rate,
+    minus the power of damping. If two effects hold one node, each reports the whole
+    force.
 
     Args:
         scene: The scene, under the consistent law; if it depends on time, the scene at

@@ -3,9 +3,10 @@ r"""The largest safe time step of a scene, and the mode of motion that limits it
 Position Verlet is stable while $h\,\omega_{\max} < 2$. Without a state, the highest
 frequency about the unstressed shape is bounded element by element. Every element shares
 its mass between its nodes. If the stiffness of every element and its joints is at most
-$\lambda$ times its own inertia, that holds for the whole rod. For an element of mass
-$m$, length $\ell$, rotary inertia $J$, shear stiffness $S$ and joints that contribute
-$\beta$ (half of each joint's squared frequency), $\lambda$ is the larger root of
+$\lambda$ times the element's inertia, the same holds for the whole rod. For an element
+of mass $m$, length $\ell$, rotary inertia $J$, shear stiffness $S$ and joints that
+contribute $\beta$ (half of each joint's squared frequency), $\lambda$ is the larger
+root of
 
 $$(\lambda - a)(\lambda - c - \beta) = a c,\qquad
   a = \frac{4 S}{m\,\ell},\quad c = \frac{S\,\ell}{J},$$
@@ -16,13 +17,13 @@ the exact limit. It holds for any taper, curvature and stiffness, and
 
 Frequencies change when the rod is deformed. Under PyElastica's law they grow in inverse
 proportion to the stretch of a compressed rod. Under the consistent law compression by a
-fraction $\varepsilon$ raises the highest by at most $0.6\,\varepsilon$, and never by
-more than 8 %, at a third. A safety factor of 0.9 covers that; one of 0.99 covers rods
-that are never compressed by more than 1.5 %. Violent vibrations of single elements need
+fraction $\varepsilon$ raises the highest frequency by at most the fraction
+$0.6\,\varepsilon$, and never by more than 8 % (at $\varepsilon = 1/3$). A safety factor
+of 0.9 covers this; a factor of 0.99 covers rods that are never compressed by more than
+1.5 %. Violent vibrations of single elements need
 more margin: Verlet has resonances of third and fourth order at $\sqrt3/2$ and
-$\sqrt2/2$ of the limit. Undamped rods with strains of a tenth and joint angles of a
-radian from each element to the next blew up at factors from 0.72 on; at 0.65 none of 64
-did.
+$\sqrt2/2$ of the limit. Undamped rods with strains of 0.1 and joint angles of one
+radian blew up at safety factors of 0.72 and above; at 0.65 none of 64 did.
 
 Damping enters the limit as added inertia. Solved exactly in the kick (consistent mode),
 a rate $g$ turns an inertia $m$ into $m\,\frac{gh}2\coth\frac{gh}2$. As a factor after
@@ -33,15 +34,15 @@ it is 2 is bracketed and then found to round-off.
 
 Four things make the bound smaller than the limit. First, everything that may touch is
 assumed to touch. Second, stiffness and drag are added as if they acted on one motion.
-But friction drags along a surface, and contact is stiff across it. The step that each
-allows alone is up to 1.62 times as large (the golden ratio, if both allow the same).
-Third, in PyElastica mode motions that decay by an exponent of more than 1.28 within a
-step are assumed to decay less. There the bound grows in proportion to the rate, while
-the limit may be infinite. Friction between members is divided between what moves and
-what turns by inertia without damping, so the bound of rods that only rotate with much
-damping is up to five times too small there. Fourth, damping that is solved by itself
-after the kick (`internal_damping`, `short_wave_damping`) is not counted: with much of
-it steps up to 25 times as large were stable.
+But friction acts along a surface, and contact stiffness across it. The step that each
+alone allows is up to 1.62 times as large (the golden ratio, if both allow the same
+step). Third, in PyElastica mode motions that decay by an exponent of more than 1.28
+within a step are assumed to decay less. There the bound grows in proportion to the
+rate, while the limit may be infinite. Friction between members is divided between
+translation and rotation by inertia without damping. So in this mode the bound of rods
+that only rotate with strong damping is up to five times too small. Fourth, damping that
+is solved by itself after the kick (`internal_damping`, `short_wave_damping`) is not
+counted: with strong damping of this kind, steps up to 25 times as large were stable.
 """
 
 from __future__ import annotations
@@ -80,11 +81,12 @@ ROUNDING = 1e-4
 _MOST_ROUNDS = 100
 """Largest number of rounds, far more than needed: bisection alone takes sixty."""
 _DECAY_SLOPE = 0.5
-"""Bound on the inertia that damping adds, over its exponent, if solved exactly."""
+"""Bound on the inertia that exactly solved damping adds, over its exponent."""
 _FACTOR_TURN = 1.2784645427610738
 """Root of 1 + exp x = x exp x."""
 _FACTOR_SLOPE = 1.7955607383343108
-"""Value of (1 + exp x) / 2x there: the same bound for rates multiplied after a kick."""
+"""Value of (1 + exp x) / 2x at this root: the bound for damping applied after a
+kick."""
 
 
 @pytree
@@ -255,7 +257,7 @@ def _measured(scene: LoadedRod, safety: Array, state: RodState) -> StableStep:
 
 @pytree
 class Bracket:
-    """Two places around the zero of a decreasing function, and the next to evaluate.
+    """Two places around the zero of a decreasing function, and the next place to try.
 
     It is narrowed by Chandrupatla's method: inverse quadratic interpolation through the
     last three places if it can be trusted, else bisection. It takes one function value
@@ -322,8 +324,8 @@ def _not_zero(a: Array) -> Array:
 
 
 _Search = tuple[Array, Array, Bracket, Any]
-"""Round, the step without damping, bracket of the logarithm of the step over that, and
-further details."""
+"""Round, step without damping, bracket of the logarithm of the step over the latter,
+and further details."""
 
 
 class _Found(NamedTuple):
@@ -333,7 +335,7 @@ class _Found(NamedTuple):
     undamped: Array
     """Step without damping and drag [s]."""
     uncertainty: Array
-    """Width of the bracket, of which the step is the lower end [1]."""
+    """Width of the bracket; the step is its lower end [1]."""
     details: Any
     """Details of the last measurement."""
 
@@ -343,7 +345,7 @@ _Measure = Callable[[_Model, InertiaFactors], tuple[Array, Any]]
 
 
 def _bounds(model: _Model, factors: InertiaFactors) -> tuple[Array, Array]:
-    """Bound on the highest frequency, and that of every element and motion."""
+    """Bound on the highest frequency, and the bounds of every element and motion."""
     frequencies = frequency_bounds(model[0], factors)
     return jnp.max(frequencies), frequencies
 
@@ -377,8 +379,8 @@ def _largest_step(
     dtype = scene.rod.rest_lengths.dtype
     floor = 16 * float(jnp.finfo(dtype).eps)
 
-    # All in one loop, so that `measure` is compiled once. Round 0 is without damping
-    # and gives the bracket.
+    # Everything is in one loop, so that `measure` is compiled once. Round 0 is without
+    # damping and gives the bracket.
     def unfinished(carry: _Search) -> Array:
         k, _, bracket, _ = carry
         return (k < 2) | ((bracket.width > tolerance) & (k < _MOST_ROUNDS))
@@ -396,7 +398,7 @@ def _largest_step(
         # Numbers of effects may have a wider dtype than those of the rod.
         limit = (2 / frequency).astype(dtype)
         details = jax.tree.map(lambda a, b: a.astype(b.dtype), details, nothing)
-        # If drag takes all inertia away, nothing is stable.
+        # If drag cancels all inertia, no step is stable.
         least = jnp.minimum(jnp.min(raw[0]), jnp.min(raw[1]))
         room = jnp.where(least > floor, jnp.tanh(jnp.log(limit / step)), -1)
         begun = Bracket.between(*_brackets(scene, limit))
@@ -450,9 +452,9 @@ def _largest_step_jvp(
 def _brackets(scene: LoadedRod, undamped: Array) -> tuple[Array, Array]:
     """Logarithms of steps, relative to that without damping, that bracket the step.
 
-    With the largest rate of drag everywhere, and no damping, the balance is a quadratic
-    equation. So it is with the largest rate of damping and no drag. The step must also
-    be below the one that takes all inertia of any node or element away.
+    With the largest rate of drag everywhere and no damping, the balance is a quadratic
+    equation. The same is true with the largest rate of damping and no drag. The step
+    must also be below the step at which drag cancels all inertia of a node or element.
     """
     rates, drags = damping_rates(scene) or (None, None), _drag_rates(scene, None)
     least = _drag_rates(scene, None, whole=False)
@@ -472,7 +474,7 @@ def _brackets(scene: LoadedRod, undamped: Array) -> tuple[Array, Array]:
         )
     lower = 2 / (worst + jnp.sqrt(worst * worst + 4))
     upper = jnp.minimum(0.5 * (slowest + jnp.sqrt(slowest * slowest + 4)), gone)
-    # Apart by more than round-off.
+    # The ends of the bracket differ by more than round-off.
     lower, upper = jnp.log(lower) - 1e-3, jnp.log(upper) + 1e-3
     return lower.astype(undamped.dtype), upper.astype(undamped.dtype)
 
@@ -501,8 +503,8 @@ def _drag_rates(
         scene: The scene.
         dt: Step for whose damped inertias slip is divided between nodes and elements;
             `None` for inertias without damping.
-        whole: Whether both get their parts of slip. If not, both get less than any
-            division gives them.
+        whole: Whether both get their full parts of slip. If not, both get less than any
+            division would give them.
     """
     rod = scene.rod
     transverse, polar = rod.inertias
@@ -536,14 +538,14 @@ def _drag_rates(
 
 
 def _added(scene: LoadedRod) -> Callable[[Array], Array]:
-    """Function that gives what damping adds to inertia, over the inertia."""
+    """Function that returns the relative inertia that damping adds."""
     return _added_by_decay if scene.method.solves_damping else _added_by_factor
 
 
 def _inertia_factors(scene: LoadedRod, dt: Array) -> InertiaFactors:
     """Ratios of effective and true masses and rotary inertias of a rod with damping.
 
-    They are not above zero if nothing is stable, however soft the rod is.
+    They are not positive if no rod is stable at this step, of any stiffness.
     """
     rates, drags = damping_rates(scene) or (None, None), _drag_rates(scene, dt)
     factors = []
@@ -569,7 +571,8 @@ def _added_by_factor(exponent: Array) -> Array:
     """Value of (1 + exp x) / 2 - 1, for rates multiplied by exp(-x) after the kick.
 
     Beyond the minimum of (1 + exp x) / 2x it is replaced by a multiple of x. Then step
-    times frequency grows with the step, with drag or without, and has one balance.
+    times frequency grows with the step, with or without drag, and equals 2 at only one
+    step.
     """
     grown = 0.5 * jnp.expm1(jnp.minimum(exponent, _FACTOR_TURN))
     return jnp.where(exponent < _FACTOR_TURN, grown, _FACTOR_SLOPE * exponent - 1)
@@ -647,9 +650,9 @@ def _larger_root(first: Array, second: Array, coupling: Array) -> Array:
 def _joint_bounds(rod: Rod, transverse: Array, polar: Array) -> tuple[Array, Array]:
     r"""Bounds of joints on each element, in bending and in twist [rad^2/s^2].
 
-    They are half of a joint's squared frequency with half the inertia of either
-    element, for each of the two. In a joint bent by $\theta$ at rest, bending is
-    stiffer by the square of $\frac\theta2/\sin\frac\theta2$ and mixes with twist.
+    Each is half of a joint's squared frequency, computed with half the inertia of
+    either element. In a joint bent by $\theta$ at rest, bending is stiffer by the
+    square of $\frac\theta2/\sin\frac\theta2$ and mixes with twist.
     """
     stiffness = rod.joint_stiffness / rod.joint_lengths[None, :]
     bending = jnp.maximum(stiffness[0], stiffness[1])
@@ -662,7 +665,8 @@ def _joint_bounds(rod: Rod, transverse: Array, polar: Array) -> tuple[Array, Arr
     any_axis = jnp.maximum(bending, stiffness[2]) * mobility[2]
     curved = any_axis / jnp.sinc(half_angle / jnp.pi) ** 2
     mixed = (jnp.sqrt(jnp.maximum(bend, twist)) + half_angle * jnp.sqrt(any_axis)) ** 2
-    # Both bounds hold; without curvature the second is exact and neither mixes.
+    # Both bounds hold; without curvature the second is exact and bending does not mix
+    # with twist.
     straight = half_angle <= jnp.sqrt(jnp.finfo(half_angle.dtype).eps)
     either = jnp.minimum(curved, mixed)
     bend = jnp.where(straight, bend, either)

@@ -16,7 +16,7 @@ from jaxrod.rods.rod import Rod, RodState
 from jaxrod.scene import Scene, make_scene
 
 MOST_RODS = 100_000
-"""Largest number of rods; more are taken for a mistake."""
+"""Largest number of rods; a larger number must be a mistake."""
 
 Made = tuple[Rod, RodState]
 
@@ -26,8 +26,8 @@ def equal_rods(n_elements: int, each: Mapping[str, Any], **rod: Any) -> Made:
 
     Args:
         n_elements: Elements of each rod.
-        each: Arguments of `jaxrod.straight_rod` in which the rods differ, arrays with a
-            leading axis.
+        each: Arguments of `jaxrod.straight_rod` that differ between the rods: arrays
+            with a leading axis.
         **rod: Arguments that all rods share.
     """
 

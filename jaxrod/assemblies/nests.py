@@ -87,7 +87,8 @@ def nest(
     random = np.random.default_rng(check_seed(seed))
     angles = random.uniform(0, np.pi, n_rods)
     ways = np.stack([np.cos(angles), np.sin(angles), 0 * angles], axis=1)
-    # Offset of the middle from the axis, across the rod: as far as both ends fit in.
+    # Offset of the middle from the axis, across the rod, such that both ends fit
+    # inside.
     off = random.uniform(-1, 1, n_rods) * (room**0.5)
     off = np.clip(off, -0.5 * wide, 0.5 * wide)
     half = np.sqrt((wide - 1.1 * thick) ** 2 - off**2) - 0.5 * extent

@@ -1,8 +1,8 @@
 r"""Woven rods: braids around a tube, and nets of two layers.
 
 A strand of length $b$ that winds $N$ times around a tube of radius $R$ and length $L$
-has $b^2 = L^2 + (2\pi N R)^2$: a braid that grows wider grows shorter, as the sleeve of
-a McKibben muscle does.
+has $b^2 = L^2 + (2\pi N R)^2$: a braid that becomes wider becomes shorter, like the
+sleeve of a McKibben muscle.
 """
 
 from __future__ import annotations
@@ -47,8 +47,8 @@ def braid(
     Args:
         strands: Number of strands wound each way, at least 2.
         n_elements: Elements of each strand. Pinned strands have to cross at nodes, so
-            there it is a multiple of `2 * strands * turns`, which has to be a whole
-            number.
+            with `joined="pinned"` it must be a multiple of `2 * strands * turns`, which
+            must be a whole number.
         radius: Radius of the tube, from its axis to the centrelines of the strands
             [m].
         length: Length of the tube [m].
@@ -155,8 +155,8 @@ def net(
         columns: Rods along y, at least 2.
         spacing: Side of a cell [m].
         elements_per_cell: Elements of a rod along a cell.
-        joined: "weld" makes the rods one at a crossing; "tie" pins them, so that they
-            turn freely.
+        joined: "weld" joins the rods firmly at a crossing; "tie" pins them, so that
+            they turn freely.
         effects: Effects on every rod.
         **rod: Section and material, passed to `jaxrod.straight_rod`.
 

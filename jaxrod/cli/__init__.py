@@ -1,8 +1,8 @@
 """The command line: `jaxrod COMMAND ...`.
 
-Each command is one module of this package, named after it, or a program in the folder
-`benchmarks` of a checkout: those run the published grid and compare with other
-simulators, and are not installed. It has
+Each command is a module of this package, named after it, or a program in the folder
+`benchmarks` of a checkout. Those programs run the published grid and compare with other
+simulators; they are not installed. A module has
 
 - a docstring: a description of the command, shown by `jaxrod COMMAND --help`;
 - `add_arguments(parser)`: declares its arguments, and may set `parser.epilog` to
@@ -44,7 +44,7 @@ COMMANDS = {
     "render": "draw the learning curve and a replay of a run",
     "identify": "find the numbers of a real arm from recordings",
     "optimise": "find actuation by gradients through the simulation",
-    "doctor": "check that this machine computes right",
+    "doctor": "check that this machine computes correctly",
     "reproduce": "run the published benchmark: cases, algorithms, seeds *",
     "tradeoff": "measure what accuracy costs, and find the cheapest setting *",
     "benchmark": "measure rod-steps per second on this machine *",
@@ -108,7 +108,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         args = parser.parse_args(arguments)
         with _warnings_as_sentences(command):
             code = int(args.run(args))
-        # A closed pipe has to show up here, not while the interpreter shuts down.
+        # A closed pipe has to raise here, not while the interpreter shuts down.
         sys.stdout.flush()
         return code
     except KeyboardInterrupt:
@@ -126,19 +126,19 @@ def main(argv: Sequence[str] | None = None) -> int:
     except Exception as error:
         if isinstance(error, MemoryError) or "RESOURCE_EXHAUSTED" in str(error):
             print(
-                f"{command}: this needs more memory than there is: smaller networks, "
-                "fewer environments (--num-envs) or fewer elements need less "
+                f"{command}: out of memory: use smaller networks, fewer environments "
+                "(--num-envs) or fewer elements "
                 f"({printable(str(error)[:200])})",
                 file=sys.stderr,
             )
             return 2
-        # The content of a run's files is checked where it is read. So this is a fault
-        # of jaxrod, which only its traceback explains.
+        # The content of a run's files is checked when it is read. So this is a fault of
+        # jaxrod, and only the traceback explains it.
         traceback.print_exc()
         words = printable(shlex.join(["jaxrod", *arguments]))
         print(
             f"{command}: {type(error).__name__}: {printable(str(error))} (a fault of "
-            f"jaxrod: please report the lines above; it met {words})",
+            f"jaxrod: please report the lines above; the command was {words})",
             file=sys.stderr,
         )
         return BROKEN

@@ -2,10 +2,10 @@
 
 Takes the arm of a task, straight and at rest, and finds muscle activity that
 brings its tip to a target at the end of a given time. The whole simulation is
-differentiated with respect to control values at knots in time. Levenberg-Marquardt
-needs a handful of iterations, of the derivatives of the tip's place and velocity; Adam
-follows the gradient of the cost in a hundred or more. TASK is `tracking`, whose arm is
-1 m long, clamped at the origin and points along +y.
+differentiated with respect to control values at knots in time. Levenberg-Marquardt uses
+the derivatives of the tip's position and velocity and needs a handful of iterations;
+Adam follows the gradient of the cost and needs a hundred or more. TASK is `tracking`,
+whose arm is 1 m long, clamped at the origin and points along +y.
 
 The folder gets config.json (the request), history.csv (a row per iteration),
 summary.json, trajectory.npz (knots, controls and the motion), convergence.png, and
@@ -45,7 +45,7 @@ examples:
 
 TASKS = ("tracking",)
 SOLVERS = {"levenberg-marquardt": 20, "adam": 150}
-"""Names of the solvers, and the most iterations of each by default."""
+"""Names of the solvers, and their default limits of iterations."""
 
 SPEED_WEIGHT = 1e-3
 """Cost of the squared speed of the tip at the end [s^2]."""
@@ -120,26 +120,26 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--solver",
         choices=tuple(SOLVERS),
         default="levenberg-marquardt",
-        help="how knots are found (default: levenberg-marquardt)",
+        help="solver for the knots (default: levenberg-marquardt)",
     )
     parser.add_argument(
         "--iterations",
         type=int,
         metavar="N",
-        help="the most iterations (default: 20, of Adam 150)",
+        help="largest number of iterations (default: 20; 150 for Adam)",
     )
     parser.add_argument(
         "--tolerance",
         type=float,
         default=0.005,
         metavar="M",
-        help="the tip has arrived when it ends this close (default: 0.005 m)",
+        help="largest final distance of the tip from the target (default: 0.005 m)",
     )
     parser.add_argument(
         "--speed-tolerance",
         type=float,
         metavar="V",
-        help="... and is at most this fast [m/s] (default: any speed)",
+        help="largest final speed of the tip [m/s] (default: any speed)",
     )
     parser.add_argument(
         "--learning-rate",
@@ -149,7 +149,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="step size of Adam (default: 0.05)",
     )
     parser.add_argument(
-        "--seed", type=int, default=0, help="of the first guess (default: 0)"
+        "--seed",
+        type=int,
+        default=0,
+        help="random seed of the first guess (default: 0)",
     )
     parser.add_argument(
         "--elements",
@@ -188,8 +191,8 @@ def run(args: argparse.Namespace) -> int:
     out: Path = args.out
     folder = OwnedFolder(out, "optimised trajectory", FILES)
     with ExitStack() as stack:
-        # Checked first so that a refusal leaves no trace, and again once nobody else
-        # can change the folder.
+        # The folder is checked first, so that a refusal leaves no trace, and again once
+        # no other process can change it.
         check_folder(folder, args.overwrite)
         stack.enter_context(folder.only_process())
         check_folder(folder, args.overwrite)
@@ -241,7 +244,7 @@ def _solved(problem: Problem, args: argparse.Namespace) -> Solution:
             bar.restart()
         bar.update(iteration + 1, f"cost {cost:.2e} m^2")
 
-    # At that cost the tip is as near, and as slow, as was asked for.
+    # At this cost the tip is as close and as slow as requested.
     enough = args.tolerance**2
     if args.speed_tolerance is not None:
         enough = min(enough, SPEED_WEIGHT * args.speed_tolerance**2)

@@ -70,7 +70,7 @@ def record(
     )
     seen = jax.device_get(snapshots(env, frames.state, params))
     reward, running = np.asarray(frames.reward), np.asarray(frames.running)
-    # A rod that is no longer finite cannot be drawn; the frames before it can.
+    # A rod that is no longer finite cannot be drawn; the frames before can.
     nodes = seen.positions.reshape(len(running), -1)
     sound = running & np.isfinite(nodes).all(axis=1)
     count = len(sound) if sound.all() else int(np.argmin(sound))

@@ -1,4 +1,4 @@
-"""Opening the runs of `jaxrod train`, with clear errors if something is wrong."""
+"""Opens runs of `jaxrod train`, with clear errors if something is wrong."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ _SCORE_WINDOW = 50
 def score_window(task: str) -> int:
     """Number of last training episodes of a seed whose mean return is the final score.
 
-    As in the paper: 10 in Cases 3 and 4, 50 in the others.
+    As in the paper, it is 10 in Cases 3 and 4 and 50 in the others.
     """
     return _SCORE_WINDOWS.get(task, _SCORE_WINDOW)
 
@@ -97,9 +97,9 @@ def add_trust(parser: argparse.ArgumentParser) -> None:
         action="append",
         default=[],
         metavar="MODULE",
-        help="import this module, by its whole name, or this .py file, where RUN names "
-        "it; may be given several times. Without it nothing runs but what is built in: "
-        "the folder of a run may be anybody's (docs/runs.md)",
+        help="module (full name) or .py file that may be imported because RUN names "
+        "it; may be given several times. Without it only built-in code runs, "
+        "because the folder of a run may come from anybody (docs/runs.md)",
     )
 
 
@@ -121,8 +121,8 @@ def open_run(path: Path, trust: Collection[str] = ()) -> StoredRun:
     task, options = config["task"], config["env_options"]
     if options is None:
         raise ValueError(
-            f"{file} is of a run in an environment that jaxrod.envs.make did not make "
-            f"and so cannot make again: {config.get('environment', task)}"
+            f"{file} belongs to a run in an environment that jaxrod.envs.make did not "
+            f"make and cannot make again: {config.get('environment', task)}"
         )
     if task not in envs.names():
         env = _made_again(file, task, options, trust)
@@ -190,7 +190,7 @@ def make_task(
 
     here, own = os.getcwd(), ":" in task
     if own and trust is not None:
-        # Checked before this folder is among those from which modules are imported.
+        # The trust is checked before modules can be imported from this folder.
         check_trusted(task, trust)
     if own and here not in sys.path:
         sys.path.insert(0, here)

@@ -54,7 +54,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         nargs="+",
         default=["ppo"],
         metavar="NAME",
-        help="as of `jaxrod train` (default: ppo)",
+        help="learners, as for `jaxrod train` (default: ppo)",
     )
     parser.add_argument(
         "--seeds",
@@ -70,9 +70,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         nargs="+",
         default=[],
         metavar="NAME=VALUE,...",
-        help="alternatives of a setting, of one algorithm as ALGORITHM.NAME=VALUE,...",
+        help="alternatives of a setting; for one algorithm only: "
+        "ALGORITHM.NAME=VALUE,...",
     )
-    parser.add_argument("--variant", help="of the tasks (default: the first each has)")
+    parser.add_argument(
+        "--variant", help="variant of the tasks (default: the first of each task)"
+    )
     parser.add_argument(
         "--option",
         action="append",
@@ -101,7 +104,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         type=settings.count,
         default=1,
         metavar="N",
-        help="runs side by side, each on its share of the cores (default: 1)",
+        help="runs in parallel, each on its share of the cores (default: 1)",
     )
     where.add_argument(
         "--ray",
@@ -223,7 +226,7 @@ def _check_folders(runs: Sequence[SweepRun], out: Path) -> None:
         how = differs(run, folder)
         if how:
             raise ValueError(
-                f"{folder.path} was run otherwise: {', '.join(how)}; take it away, or "
+                f"{folder.path} was run otherwise: {', '.join(how)}; remove it, or "
                 "choose another folder with --out"
             )
 
@@ -278,7 +281,7 @@ def _train(runs: Sequence[SweepRun], out: Path, place: Place, more: list[str]) -
                 more,
             )
     if interruption.requested:
-        view.say("stopped; the same command goes on")
+        view.say("stopped; the same command continues")
         return 130
     return 1 if failed else 0
 

@@ -40,7 +40,7 @@ EXAMPLES = """\
 examples:
   jaxrod train tracking                                    the paper's, a few minutes
   jaxrod train tracking --variant clean --steps 5M --seed 1 --out runs/clean
-  jaxrod train tracking --resume --out runs/clean          go on after a stop
+  jaxrod train tracking --resume --out runs/clean          continue after a stop
   jaxrod train tracking --like runs/clean --seed 2 --out runs/clean-2
   jaxrod train trivial --steps 200k --num-envs 32 --set rollout_steps=64
   jaxrod train tracking --set learning_rate=3e-4 --set hidden_sizes=128,128
@@ -84,7 +84,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="N",
         help="control steps, such as 500k or 10M (default: 10M)",
     )
-    parser.add_argument("--seed", type=int, help="of all randomness (default: 0)")
+    parser.add_argument("--seed", type=int, help="random seed (default: 0)")
     parser.add_argument(
         "--out",
         type=settings.path,
@@ -95,7 +95,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     existing.add_argument(
         "--resume",
         action="store_true",
-        help="continue the run in DIR; what is not given is as it was",
+        help="continue the run in DIR; options that are not given keep their values",
     )
     existing.add_argument(
         "--overwrite", action="store_true", help="replace the run in DIR"
@@ -105,14 +105,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         type=settings.path,
         metavar="RUN",
         help="begin a new run with the options, settings, steps and seed of the run in "
-        "the folder RUN; what is given besides counts instead",
+        "the folder RUN; options that are given here take precedence",
     )
     runs.add_trust(parser)
     parser.add_argument(
         "--num-envs",
         type=int,
         metavar="N",
-        help="environments side by side; short for --set num_envs=N",
+        help="parallel environments; short for --set num_envs=N",
     )
     parser.add_argument(
         "--set",
@@ -125,14 +125,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--devices",
         type=int,
         metavar="N",
-        help="devices to spread the environments over, of each process "
-        "(default: as many as fit)",
+        help="devices per process for the environments (default: as many as fit)",
     )
     parser.add_argument(
         "--distributed",
         action="store_true",
-        help="this is one of several processes that train together: SLURM, Open MPI "
-        "or Kubernetes say which, or the three options below (docs/cluster.md)",
+        help="this is one of several processes that train together: SLURM, Open MPI, "
+        "Kubernetes or the three options below describe them (docs/cluster.md)",
     )
     parser.add_argument(
         "--coordinator", metavar="HOST:PORT", help="address of the first process"
@@ -141,13 +140,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--processes", type=int, metavar="N", help="number of processes"
     )
     parser.add_argument(
-        "--process-id", type=int, metavar="I", help="number of this one, from 0"
+        "--process-id", type=int, metavar="I", help="index of this process, from 0"
     )
     parser.add_argument(
         "--join-seconds",
         type=int,
         metavar="S",
-        help="with --distributed: time in which all processes have to come "
+        help="with --distributed: time within which all processes must join "
         f"(default: {JOINED_WITHIN})",
     )
     parser.add_argument(
@@ -160,9 +159,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--log",
         choices=("tensorboard", "none"),
-        help="tensorboard: keep the rows of progress.csv in DIR/tensorboard, too, "
-        "where TensorBoard shows them as they come (default: none; with --resume as "
-        'it was); needs pip install "jaxrod[tensorboard]"',
+        help="tensorboard: also write the rows of progress.csv to DIR/tensorboard, "
+        "for TensorBoard (default: none; with --resume as before); "
+        'needs pip install "jaxrod[tensorboard]"',
     )
     parser.add_argument(
         "--no-replay", action="store_true", help="do not write replay.html"
@@ -187,7 +186,7 @@ def run(args: argparse.Namespace) -> int:
 
     stored = None
     if args.resume and args.like:
-        raise ValueError("--like begins a new run, --resume goes on with an old one")
+        raise ValueError("--like begins a new run, --resume continues an old one")
     source = args.like or (_folder(args, None) if args.resume else None)
     if source:
         stored = runs.read_config(source)
@@ -201,8 +200,7 @@ def run(args: argparse.Namespace) -> int:
                 resolve(stored["algorithm"], None, _trust(args))
     if args.like:
         assert stored
-        # So that the folder is named after the task, algorithm and seed that are
-        # trained.
+        # The folder is named after the task, algorithm and seed that are trained.
         args.algorithm = args.algorithm or stored["algorithm"]
         args.seed = stored["seed"] if args.seed is None else args.seed
     algorithm = _chosen(args.algorithm, stored, "algorithm", "ppo")
@@ -214,7 +212,7 @@ def run(args: argparse.Namespace) -> int:
     if args.num_envs is not None:
         words.append(f"num_envs={args.num_envs}")
     said = settings.configure(config, {}, words)
-    # Anything that the user has just typed is trusted, also under its other names.
+    # Anything that the user has just typed is trusted, also under other names.
     trust = _trust(args, said)
     if stored and algorithm == stored["algorithm"]:
         assert source
@@ -223,12 +221,14 @@ def run(args: argparse.Namespace) -> int:
         with reading(source / "config.json"):
             config = settings.configure(config, kept, [], trust)
             if not given:
-                # Otherwise these are not yet the run's settings: `train` checks them.
+                # Otherwise these are not yet the settings of the run, and `train`
+                # checks them.
                 learner.validate(config, 1)
                 check_steps(stored["steps"], updates_of(learner, config))
     config = settings.configure(config, {}, words)
     wanted = getattr(config, "num_envs", 1) if learner.partition else 1
-    # Before a user's own task is imported, which may start computing at once.
+    # This comes before a user's own task is imported, which may start computing at
+    # once.
     jaxrod.configure_cpu(devices_that_fit(wanted, args.devices, available=None))
     processes = (args.coordinator, args.processes, args.process_id)
     if args.distributed:
@@ -247,7 +247,8 @@ def run(args: argparse.Namespace) -> int:
     env = runs.make_task(args.task, options | settings.options(args.option))
     seed = check_seed(_chosen(args.seed, stored, "seed", 0))
     out = _folder(args, getattr(env, "variant", None))
-    # With several processes only the first checks, in `train`: it may have begun.
+    # With several processes only the first checks, in `train`, because it may already
+    # have begun.
     if not args.resume and not args.distributed:
         RunFolder(out).check_replaceable()
         if RunFolder(out).exists and not args.overwrite:
@@ -266,7 +267,7 @@ def run(args: argparse.Namespace) -> int:
         share = devices_that_fit(wanted, args.devices, len(devices))
         if share > len(devices):
             raise ValueError(
-                f"devices must be at most the {len(devices)} there are, got {share}"
+                f"devices must be at most the {len(devices)} available, got {share}"
             )
         devices = devices[:share]
     try:
@@ -294,7 +295,7 @@ def run(args: argparse.Namespace) -> int:
         # A regular exit would wait for the lost process, and then abort.
         os._exit(1)
     if args.distributed:
-        # Shut down here, where all processes are: only the first does the rest.
+        # Shut down here, which all processes reach: only the first does the rest.
         try:
             jax.distributed.shutdown()
         except jax.errors.JaxRuntimeError:
@@ -334,7 +335,7 @@ def _trust(args: argparse.Namespace, said: Any = None) -> tuple[str, ...]:
     from jaxrod.envs.importing import canonical_path
 
     typed = (args.task, canonical_path(args.task), args.algorithm or "")
-    # The name of a built-in does not vouch for a module of the same name.
+    # The name of a built-in does not make a module of the same name trusted.
     paths = [word for word in typed if ":" in word]
     return (*args.trust, *paths, *_functions(said))
 
@@ -357,7 +358,7 @@ def _functions(settings: Any) -> list[str]:
 
 
 def _logs(args: argparse.Namespace, out: Path) -> bool:
-    """Whether to keep an event file: as requested, or as in the resumed run."""
+    """Whether to write an event file: as requested, or as in the resumed run."""
     from jaxrod.training import RunFolder
 
     if args.log is None and args.resume:

@@ -51,7 +51,7 @@ class Body(ABC):
         """Signed distance [m], negative inside, and outward normal at each point."""
 
     def of_ends(self) -> Body:
-        """The body as seen by the first and the last of the points."""
+        """The body as seen by the first and the last point."""
         return self
 
     @property
@@ -74,7 +74,7 @@ class Body(ABC):
     def mesh(self) -> Triangles | None:
         """Triangles of the surface, for drawing.
 
-        By default there are none: the surface is searched by the signed distance.
+        By default there are none: drawing then samples the signed distance.
         """
         return None
 
@@ -85,19 +85,19 @@ class Body(ABC):
 
     @property
     def is_half_space(self) -> bool:
-        """Whether it is all that is below a plane, and so no body that can move."""
+        """Whether it is a half space, which cannot be a moving body."""
         return False
 
     @property
     def centre_of_normals(self) -> Array | None:
-        """Point through which all normals of the surface go [m]; `None` without one."""
+        """Point through which all surface normals pass [m]; `None` if there is none."""
         return None
 
     @property
     def row_of_balls(self) -> tuple[Array, Array, Array] | None:
-        """First and last centre and radius of the balls that fill it, in a row [m].
+        """First centre, last centre and radius of the row of balls that fills it [m].
 
-        It is `None` for bodies that no such row fills.
+        It is `None` for bodies that no row of balls fills.
         """
         return None
 
@@ -307,8 +307,8 @@ class Plane(Body):
         return jnp.full(self.normal.shape[:-1], jnp.inf, self.normal.dtype)
 
     def solid(self) -> Solid:
-        """Raises: a plane is no body that can move."""
-        raise ValueError("a plane is no rigid body that can move: give it to `contact`")
+        """Raises: a plane cannot be a moving body."""
+        raise ValueError("a plane cannot be a moving rigid body: give it to `contact`")
 
 
 @pytree
@@ -382,7 +382,7 @@ class SignedDistance(Body):
 
     @property
     def count(self) -> int | None:
-        """Number of bodies, from the axes beyond those of a single one."""
+        """Number of bodies, from axes beyond those of a single body."""
         leaves = jax.tree.leaves(self.parameters)
         leading = {
             leaf.shape[: leaf.ndim - rank]
@@ -397,7 +397,7 @@ class SignedDistance(Body):
 
     @property
     def is_convex(self) -> bool:
-        """False: the function may be any."""
+        """False: nothing is known about the function."""
         return False
 
 
@@ -434,8 +434,8 @@ def _sign(a: Array) -> Array:
 def _corner(faces: tuple[Array, ...], size: Array) -> tuple[Array, tuple[Array, ...]]:
     """Distance to faces that meet at right angles, and their shares in the normal.
 
-    Beyond several faces the nearest point is on the edge between them. Inside, only the
-    nearest face counts.
+    For a point outside of several faces the nearest point is on the edge between them.
+    For a point inside only the nearest face counts.
 
     Args:
         faces: Distance to each face, negative on its inner side [m].
@@ -591,7 +591,7 @@ def _ends(start: Numbers, end: Numbers) -> tuple[Array, Array]:
 
 
 def _with_length(name: str, value: Numbers, shapes: list[tuple[int, ...]]) -> Array:
-    """Vector of a valid length: one by which it can be divided."""
+    """Vector whose length is valid, so that it can be normalised."""
     checked = check_array(name, value, shapes, "")
     dtype = jnp.result_type(float)
     if not is_traced(checked):

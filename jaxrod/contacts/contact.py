@@ -90,8 +90,8 @@ class Contact(Effect):
     stick_ratio: Float[Array, ""] | None = None
     """Friction at the onset of slip over that of sliding, if it is directional [1]."""
     free_ends: Float[Array, "2"] | None = None
-    """One for each end of the rod that is free, zero where it continues in another rod;
-    both are free by default."""
+    """Flags of the two ends: 1 if free, 0 if the rod continues in another rod. Both are
+    free by default."""
 
     reach: ClassVar[Reach] = "neighbours"
 
@@ -154,8 +154,8 @@ class Contact(Effect):
     def violation(self, rod: Rod, state: RodState) -> Array:
         """Deepest penetration of a node over the radius.
 
-        It is one where the centreline reaches a surface. Contact whose stiffness suits
-        the rest of the rod never lets it come that far.
+        It is one where the centreline reaches a surface. Contact of adequate stiffness
+        never lets it get that deep.
         """
         position = motion_of(state).position
         nodes, bodies = self._in_view(rod)[0]
@@ -170,8 +170,8 @@ class Contact(Effect):
     def force_directions(self, rod: Rod, motion: Motion) -> Vec3:
         """Normals of the bodies, whether the rod touches or not.
 
-        They are zero deep inside: no node gets there, and there the nearest face of a
-        short post is its top or its bottom.
+        They are set to zero deep inside, where no node gets: there the nearest face of
+        a short post is its top or its bottom.
         """
         deepest = jnp.max(rod.radii)
 
@@ -184,18 +184,18 @@ class Contact(Effect):
         return jax.vmap(normals)(self.body)
 
     def resampled(self, rod: Rod, new_rod: Rod) -> Contact:
-        """The contact with all bodies in view again, since the points have changed."""
+        """The contact with all bodies again, since the contact points have changed."""
         return dataclasses.replace(self, near=None, n_near=None)
 
     def with_free_ends(self, free: Float[Array, "2"]) -> Contact:
-        """The contact with these ends free: a continued end has no face."""
+        """The contact with these flags of free ends: a continued end has no face."""
         return dataclasses.replace(self, free_ends=free)
 
     def _points(self, rod: Rod) -> list[Points]:
         return contact_points(rod, self.points_per_element, self.free_ends)
 
     def _in_view(self, rod: Rod) -> list[tuple[Points, list[Body]]]:
-        """The contact points, each group with a list of the bodies it sees."""
+        """Groups of contact points, each with a list of the bodies it sees."""
         points = self._points(rod)
         if self.near is None:
             everything = _one_by_one(self.body, self.n_bodies)
@@ -259,7 +259,7 @@ class Contact(Effect):
                 self.stiffness,
                 self.damping,
             )
-            # Per length: forces, and what turns the section.
+            # Per length: forces, and the friction and lever arm that turn the section.
             pressed, arm, drag = vectors.scale(push, normal), None, None
             if spin is not None:
                 arm = vectors.scale(-radii, normal)
@@ -269,7 +269,7 @@ class Contact(Effect):
                 pressed = vectors.add(pressed, drag)
 
             def counted(lengths: Array, at: Callable[[Array], Array]) -> _Pushed:
-                """Forces on as much length, and couples of friction about the axis."""
+                """Forces and friction couples of the given lengths of rod."""
                 force = vectors.scale(lengths, _each(at, pressed))
                 if drag is None or arm is None:
                     return _Pushed(force, None)
@@ -344,21 +344,21 @@ class _OfBody(NamedTuple):
     """Loads of one body."""
 
     along_rod: _Pushed
-    """On the contact points but the ends."""
+    """Loads on the contact points other than the ends."""
     at_ends: _Pushed | None
-    """On the ends."""
+    """Loads on the ends."""
     beside: Vec3 | None
     """Forces at the places beside the ends [N]."""
 
 
 def _each(change: Callable[[Array], Array], vector: Vec3) -> Vec3:
-    """A change of every component."""
+    """Applies a function to every component."""
     x, y, z = (change(component) for component in vector)
     return x, y, z
 
 
 def _lengths_in_bounds(points: list[Points]) -> tuple[Array, Array, Array]:
-    """Lengths that count for stiffness and drag at nodes, and at elements [m]."""
+    """Contact lengths for the stiffness and drag of nodes, and of elements [m]."""
     stiff, slow, turning = [], [], []
     for some in points:
         bound = longest = some.lengths
@@ -393,7 +393,7 @@ def _summed(of_body: Callable[[Body], Any], bodies: list[Body]) -> Any:
 
 MOST_POINTS = 1000
 """Largest number of contact points per element. Each of them is in the compiled
-program; more are taken for a mistake."""
+program, so a larger number must be a mistake."""
 
 
 def contact(
@@ -470,8 +470,8 @@ def contact(
     drags = _or_none("friction_drag", drag, "kg/(m s)")
     if rubs is not None and drags is None:
         raise ValueError(
-            "friction needs friction_drag > 0 kg/(m s), what it resists per length "
-            "and speed at the onset of slip (by default the damping), got 0"
+            "friction needs friction_drag > 0 kg/(m s), its resistance per length and "
+            "speed at the onset of slip (by default the damping), got 0"
         )
     return Contact(
         body=body,
@@ -491,7 +491,7 @@ def contact(
 def _or_none(
     name: str, value: Numbers, unit: str, shapes: Sequence[tuple[int, ...]] = ((),)
 ) -> Array | None:
-    """One or several numbers as an array, or `None` where they are known to be zero."""
+    """One or several numbers as an array, or `None` if they are known to be zero."""
     dtype = jnp.result_type(float)
     checked = check_array(name, value, shapes, unit, non_negative=True, dtype=dtype)
     known_zero = not is_traced(checked) and not np.any(checked)
@@ -499,7 +499,7 @@ def _or_none(
 
 
 def _gathered(bodies: Body | Sequence[Body]) -> tuple[Body, int | None]:
-    """Bodies as one, with a leading axis if there are several, and their number."""
+    """Bodies merged into one, with a leading axis if several; and their number."""
     if isinstance(bodies, Body):
         return bodies, bodies.count
     if not isinstance(bodies, Sequence):
@@ -516,7 +516,7 @@ def _gathered(bodies: Body | Sequence[Body]) -> tuple[Body, int | None]:
             raise TypeError(f"bodies must be jaxrod bodies, got {type(body).__name__}")
         if kind != kinds[0]:
             raise TypeError(
-                "bodies of one contact must be of a kind, got "
+                "bodies of one contact must be of one kind, got "
                 f"{type(listed[0]).__name__} and {type(body).__name__}; list a "
                 "contact for each kind in the scene"
             )

@@ -8,9 +8,10 @@ continuous at $v_n = 0$:
 $$F_n = k\,\langle p\rangle - c\,s\,v_n \ (v_n < 0), \qquad
   F_n = \frac{(k\langle p\rangle)^2}{k\langle p\rangle + c\,s\,v_n} \ (v_n > 0),$$
 
-The dashpot never resists by more than $c\,|v_n|$, and that is its part of the bounds on
-the step. While it sets in, its force grows with the depth by $c\,|v_n|/w$; but a point
-of that speed is there for $w/|v_n|$ only, and no smaller step is needed.
+The dashpot never resists by more than $c\,|v_n|$, which is its part of the stability
+bound. Within the onset its force also grows with the depth, at the rate $c\,|v_n|/w$. A
+point of that speed crosses the onset in the time $w/|v_n|$, so this needs no smaller
+step.
 
 The onset is smooth over a width $w$: $\langle p\rangle$ rises from zero at $p = -w/2$
 as $(p + w/2)^2/2w$ and meets $p$ at $p = w/2$; $s = d\langle p\rangle/dp$ goes from 0
@@ -70,8 +71,9 @@ def normal_force(
     force = stiffness * spring
     if damping is not None:
         share = jnp.where(full, 1, depth / width)
-        # Depth of the spring over the share of the dashpot. The ratio of their forces
-        # is this length over the distance moved in the time damping / stiffness.
+        # Spring depth divided by the dashpot's share. The ratio of spring force to
+        # dashpot force is this length over the distance moved in the time damping /
+        # stiffness.
         ratio = jnp.where(full, depth - 0.5 * width, 0.5 * depth)
         way = damping / stiffness * jnp.maximum(leaving, 0)
         resisting = damping * share * jnp.minimum(leaving, 0)
@@ -150,7 +152,7 @@ class PenaltyLaw:
         rate: Vec3 | None,
         turning: Vec3 | None = None,
     ) -> tuple[Array, Vec3 | None]:
-        """Size of the normal force, and friction, `None` without.
+        """Size of the normal force, and friction (`None` without friction).
 
         Args:
             depth: Penetration [m].
@@ -183,8 +185,8 @@ def directional_friction_force(
     Args:
         push: Normal force per length [N/m].
         slip: Slip velocity, along the surface [m/s].
-        axis: Unit vector along the surface. It has length zero where it has no
-            direction; there all of the slip counts as sideways.
+        axis: Unit vector along the surface, or zero where it has no direction; there
+            all of the slip counts as sideways.
         friction: Coefficients of sliding: along the axis, against it, across it [1].
         drag: Largest friction per length and speed [kg/(m s)].
         stick_ratio: Coefficients of sticking over those of sliding, at least 1 [1].

@@ -1,25 +1,25 @@
 r"""The ends of a rod in contact: the same law on every grid.
 
-An end has a face, and no neighbouring points share a force on it. If an end stood for
-the half spacing of the trapezoidal rule, it would be the softer under a push along the
-rod the finer the grid is. So the length that a free end stands for depends on how the
-rod meets the surface. Let $p$ be the penetration of the end, $h$ the spacing of the
-points, $a$ the radius, and $m = d\phi/ds \ge 0$ the rise of the distance $\phi$ from
-the end along the rod, which is the sine of the rod's angle to a plane. The length is
+The end face takes forces that no neighbouring point shares. If an end counted only half
+a spacing (the trapezoidal rule), then finer grids would make it softer under a push
+along the rod. So the length that a free end stands for depends on how the rod meets the
+surface. Let $p$ be the penetration of the end, $h$ the spacing of the points, $a$ the
+radius, and $m = d\phi/ds \ge 0$ the rise of the distance $\phi$ from the end along the
+rod, which is the sine of the rod's angle to a plane. The length is
 
 $$\ell = \frac{h}{2}\,\frac{p}{\sqrt[4]{p^4 + (3hm/2)^4}} + 2 a m^2.$$
 
 - A rod that lies on a plane, $m = 0$, is counted by the trapezoidal rule and rests at
   a penetration of $W/kL$. The fourth power keeps it stable there: with squares the
-  energy would fall where a limp rod tilts.
+  energy of a limp rod would fall as it tilts.
 - A rod that stands or leans, $m > 0$, is pushed with $k(2 a m^2 p + p^2/2m)$ on every
   grid. Its face counts as much length as the rod is thick; the rest comes from its
   side.
 
 The energy is proportional to this length. Its derivative with respect to $m$ is a pair
 of forces along the normals at the end and at a place beside it, between which the rise
-is measured. This place is an element or a radius away, whichever is more, but no more
-than half the rod.
+is measured. This place is an element or a radius away, whichever is farther, but at
+most half the rod.
 """
 
 from __future__ import annotations
@@ -35,8 +35,8 @@ from jaxrod.geometry.vectors import Vec3
 from jaxrod.structure import pytree
 
 MOST_RATIO = 1e6
-"""Bound of the ratio 3hm/2p [1]. Its fourth power is finite in single precision, and
-the side of the rod counts next to nothing long before the ratio gets there."""
+"""Bound of the ratio 3hm/2p [1]. Its fourth power is finite in single precision. The
+side of the rod hardly counts at much smaller ratios already."""
 
 
 @pytree
@@ -48,7 +48,7 @@ class Ends:
     radii: Float[Array, " ends"]
     """Radii of the faces [m]."""
     free: Float[Array, " ends"]
-    """One where the end is free, zero where the rod continues in another [1]."""
+    """Flags: 1 where the end is free, 0 where the rod continues in another rod [1]."""
     reaches: Float[Array, " ends"]
     """Rest lengths from the ends to the places beside them [m]."""
     shares: Float[Array, "rods 2 points"]
@@ -159,8 +159,8 @@ def ends_of(
         rest_lengths: Rest lengths of the elements [m].
         radii: Radii of the elements [m].
         per_element: Contact points per element.
-        free: Two numbers, for the first and the last end: one if the end is free, zero
-            where the rod continues in another. Both are free by default.
+        free: Flags of the first and the last end: 1 if the end is free, 0 where the rod
+            continues in another rod. Both are free by default.
     """
 
     def at_start(lengths: Array, radius: Array) -> tuple[Array, Array]:

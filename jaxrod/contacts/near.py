@@ -1,9 +1,9 @@
 """Contact with the nearest bodies only, for a rod among many bodies.
 
 Contact with a dozen bodies costs several times as much as the rod itself, though a
-section touches one or two at a time. The nearest bodies change slowly. Choose them
-every so often, say once in a control step; the steps in between compute with these
-alone.
+section touches one or two at a time. The nearest bodies change slowly. Choose them from
+time to time, say once per control step; the steps in between compute contact with these
+bodies only.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ from jaxrod.validation import check_count, check_kind
 
 @pytree
 class OneForEach(Body):
-    """A separate body for each point: numbers have a trailing axis over points."""
+    """A separate body for each point: its numbers have a trailing axis over points."""
 
     body: Body
     """All bodies, of one kind, as one body with leading and trailing axes."""

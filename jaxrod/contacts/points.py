@@ -77,7 +77,7 @@ class AtNodes:
         return field
 
     def to_elements(self, field: Array) -> Array:
-        """Each element's shares of the couples at its two nodes."""
+        """Couples at the nodes, divided between the elements next to them."""
         return self.share_of_first * field[:-1] + self.share_of_last * field[1:]
 
 
@@ -163,7 +163,7 @@ def check_spacing(inradius: Array | None, rod: Rod, per_element: int) -> None:
     if needed[worst] <= per_element * (1 + 1e-5):
         return
     warnings.warn(
-        f"contact is looked for every {lengths[worst] / per_element:.2g} m along a rod "
+        f"contact points are {lengths[worst] / per_element:.2g} m apart along a rod "
         f"of radius {radii[worst]:.2g} m: a body of radius {body:.2g} m can slip "
         f"through between. Use points_per_element={math.ceil(needed[worst] - 1e-5)}, "
         'or more elements; warnings.simplefilter("error", jaxrod.ThinBodyWarning) '

@@ -12,7 +12,7 @@ are tried as one batch. The best is accepted if the sum of squares falls; otherw
 next six have more damping.
 
 Jacobians are computed by columns in forward mode if there are no more unknowns than
-residuals, and by rows in reverse mode otherwise. The ridge adds to neither, so that six
+residuals, and by rows in reverse mode otherwise. The ridge adds no rows, so that six
 residuals of 132 unknowns take six rows. Everything is one program: `jax.vmap` solves
 many problems at once, and nothing is compiled again for other numbers.
 
@@ -39,9 +39,9 @@ from jaxrod.structure import pytree
 FASTER, SLOWER = 3.0, 4.0
 """Divisor of the damping after an accepted step, and factor otherwise."""
 LADDER = (64.0, 16.0, 4.0, 1.0, 1 / 4, 1 / 16)
-"""Dampings that are tried at once, relative to the last one [1]; the largest first."""
+"""Dampings tried at once, relative to the last damping [1]; the largest first."""
 MOST_DAMPING = 1e12
-"""Damping at which the search gives up: with more of it no step is worth trying."""
+"""Damping at which the search gives up: larger damping gives negligible steps."""
 
 
 @pytree
@@ -57,7 +57,8 @@ class LeastSquares:
     cost: Float[Array, ""]
     """Sum of squares at the solution, with the ridge."""
     converged: Bool[Array, ""]
-    """Whether the last step changed the cost, or the unknowns, by less than asked."""
+    """Whether the last step changed the cost, or the unknowns, by less than the
+    tolerance."""
     iterations: Int[Array, ""]
     """Number of points tried after the start."""
     costs: Float[Array, " iterations"]
@@ -83,7 +84,7 @@ class Search:
     tried: Array
     """Number of points tried, the start included."""
     converged: Array
-    """Whether the last step changed too little to go on."""
+    """Whether the last step changed too little to continue."""
     costs: Array
     """Cost of the best point after each trial, then NaN."""
 
@@ -102,7 +103,7 @@ def levenberg_marquardt_loop(
     A point is accepted if its cost and its derivatives are finite and the cost falls.
 
     Args:
-        evaluate: Takes a point; returns the point (changed where it does not fit), the
+        evaluate: Takes a point; returns the point (corrected where necessary), the
             residuals and derivatives there, any pytree, and the cost.
         propose: Takes the search with its new best point, whether a step was tried, and
             whether it was accepted; returns the damping, the point to try next and, if
@@ -219,7 +220,7 @@ def least_squares(
         The best point; a point whose residuals are not all finite is never accepted.
 
     Raises:
-        ValueError: `mode` is neither, or there is nothing to find.
+        ValueError: `mode` is unknown, or there are no unknowns.
     """
     if mode not in (None, "forward", "reverse"):
         raise ValueError(f'mode must be "forward" or "reverse", got {mode!r}')
@@ -269,8 +270,8 @@ def least_squares(
         if not several:
             mu = next_damping(search, begun, better)
             return {"damping": mu, "candidate": stepped(mu)}
-        # Begin above all dampings that failed. Zero is avoided, because no factor leads
-        # back from it.
+        # Begin above all dampings that failed. Zero is avoided, because no factor would
+        # change it.
         mu = search.damping * jnp.where(begun & ~better, ladder[0], 1)
         dampings = jnp.maximum(mu, jnp.finfo(dtype).eps) * ladder
         candidates = jax.vmap(stepped)(dampings)
@@ -354,13 +355,13 @@ def _step(
     low: Array,
     high: Array,
 ) -> Array:
-    """Returns the damped Gauss-Newton step of the unknowns that no bound holds."""
+    """Returns the damped Gauss-Newton step of the unknowns that are not at a bound."""
     slope = jacobian.T @ residuals + pull
     held = ((point <= low) & (slope > 0)) | ((point >= high) & (slope < 0))
     free = jnp.where(held, 0, 1).astype(point.dtype)
     columns = jacobian * free[None]
     squares = jnp.sum(columns**2, axis=0) + rho
-    # A column of zeros leaves its unknown where it is.
+    # A column of zeros leaves its unknown unchanged.
     none = squares <= jnp.finfo(point.dtype).tiny
     weights = rho + mu * jnp.where(none, 1, squares)
     roots = jnp.sqrt(weights)

@@ -7,8 +7,8 @@ $$B = M^{-1} D^T w D, \qquad r \mathrel{-}= (1 - e^{-gh})\,B^p\,r,$$
 $w$ is a quarter of the mass between two nodes, or of the smaller inertia of two
 elements, so that no eigenvalue of $B$ is above one. A wave of wave number $k$ on a
 uniform rod has the eigenvalue $\sin^2(k\ell/2)$. The wave that alternates from node to
-node decays at the rate $g$; long ones at a fraction of it that falls with the power
-$2p$ of $k$. The rigid-body motion of the rod is removed before and restored afterwards.
+node decays at the rate $g$; long waves decay at a fraction of that rate, proportional
+to $k^{2p}$. The rigid-body motion of the rod is removed before and restored afterwards.
 Momentum, angular momentum and rigid motion therefore do not change, and energy only
 falls.
 """
@@ -165,7 +165,7 @@ class LaplacianFilter(Effect):
 
 
 def short_wave_damping(rate: Numbers, *, order: int = 2) -> ShortWaveDamping:
-    """Damps variation from node to node; keeps momenta, rigid motion and long waves.
+    """Damps variation from node to node, but not momenta, rigid motion or long waves.
 
     It is stable at any rate. Unlike a filter of fixed strength, it has the same effect
     at any step size.

@@ -79,8 +79,8 @@ def linear_damper(
     refuse it when they step.
 
     Args:
-        damping_constant: Decay rate of velocities [1/s]. That of spins is larger by the
-            ratio of an element's mass and inertia, in SI units.
+        damping_constant: Decay rate of velocities [1/s]. The decay rate of spins is
+            this times an element's mass over its inertia, in SI units.
         translational: Drag coefficient of every node [kg/s].
         rotational: Rotational drag coefficient of every element [N m s].
 

@@ -46,7 +46,7 @@ from jaxrod.validation import (
 )
 
 MOST_CONTROLS = 1000
-"""Largest number of controls. More are taken for a mistake: the system is dense."""
+"""Largest number of controls; the linear system is dense, so more must be a mistake."""
 
 
 @pytree

@@ -43,10 +43,10 @@ class StabilityBound:
     """Drag couple on an element per angular velocity, if in `loads` [N m s]."""
     slip_drag: Array | None = None
     """Friction on the surface at a node per speed of slip, perpendicular to what
-    `node_drag` drags [kg/s]. It drags what moves and what turns; each is given its
-    part by inertia, damping included."""
+    `node_drag` drags [kg/s]. It acts on both translation and rotation; `drags` divides
+    it between them by inertia, damping included."""
     slip_couple: Array | None = None
-    """The same about the axes of an element: drag times lever squared [N m s]."""
+    """Friction about the axes of an element: drag times lever squared [N m s]."""
 
     def drags(self, moving: Array, turning: Array) -> tuple[Array | None, Array | None]:
         """Drag on nodes and on elements, slip included.
@@ -75,7 +75,7 @@ def added_bounds(a: StabilityBound | None, b: StabilityBound) -> StabilityBound:
             return y if x is None else x
         return x + y
 
-    # Slip of one may be along what the other drags: they are added.
+    # The slip of one may be in the direction of the other's drag, so they are added.
     even = jnp.asarray(1.0)
     drags = [
         one(*sides)
@@ -118,10 +118,10 @@ class Effect:
     `constrain` after every change of configuration. A support has both constraints.
 
     `reach`, `turning_tangent`, `twists` and `wall` describe `loads` to methods that
-    need to know more than its values. Without them every method is right or refuses
-    the effect. With them implicit steps and equilibria cost less, and a scene without
-    twist knows how the rod is held. A subclass that overrides `loads` does not inherit
-    them, and one that overrides constraints does not inherit `held`.
+    need to know more than its values. Without them every method gives correct results
+    or refuses the effect. With them implicit steps and equilibria cost less, and a
+    scene without twist knows how the rod is held. A subclass that overrides `loads`
+    does not inherit them, and one that overrides constraints does not inherit `held`.
     """
 
     reach: ClassVar[Reach] = "any"
@@ -131,8 +131,8 @@ class Effect:
     depend on nodes and elements `k - 1`, `k` and `k + 1` alone, "second neighbours"
     that they depend on `k - 2` to `k + 2` alone. Then the work of the linear systems of
     implicit steps and of `equilibrium` is in proportion to the number of elements; with
-    "any" they are dense. A broken promise would give a wrong derivative. Both methods
-    therefore test the effect numerically and refuse it if they detect one.
+    "any" they are dense. A false promise would give a wrong derivative. Both methods
+    therefore test the effect numerically and refuse it if the promise does not hold.
     """
 
     @property
@@ -160,7 +160,8 @@ class Effect:
     def obstacle(self) -> tuple[Any, int | None] | None:
         """A fixed `Body` that the rod may touch, for replays; `None` without one.
 
-        With it comes the number of bodies, if its numbers have a leading axis.
+        The second entry is the number of bodies, if the body's numbers have a leading
+        axis.
         """
         return None
 
@@ -233,19 +234,19 @@ class Effect:
         """Bounds on the derivatives of `loads`, for the stability bound.
 
         An effect whose loads depend on the rod's configuration or rates must have
-        this, or `stable_dt` does not know of it. Constant loads need nothing.
+        this hook, or `stable_dt` does not account for it. Constant loads need nothing.
         """
         return None
 
     def energy(self, rod: Rod, state: RodState) -> Array | float:
-        """Potential energy of the effect [J], zero if there is none."""
+        """Potential energy of the effect [J]; zero by default."""
         return 0.0
 
     def violation(self, rod: Rod, state: RodState) -> Array | None:
         """Deviation of a state from the constraint of the effect [1].
 
-        Zero where the constraint is met. No sound simulation exceeds one: then
-        `health` flags the state. `None` for an effect that does not tie the rod to a
+        It is zero where the constraint is met. A valid simulation stays below one;
+        `health` flags states above. `None` for an effect that does not tie the rod to a
         place or orientation.
         """
         return None
@@ -285,7 +286,7 @@ class Effect:
     def resampled(self, rod: Rod, new_rod: Rod) -> Effect:
         """The same influence on the rod with another number of elements.
 
-        An effect that holds numbers per node or element must have this.
+        An effect with numbers per node or element must override this hook.
         """
         return self
 
@@ -296,8 +297,8 @@ class Effect:
         differently from the rest of the rod.
 
         Args:
-            free: One at the first and at the last end if it is free, zero if it is
-                tied; with a leading axis for equal rods.
+            free: One number for each end: 1 if it is free, 0 if it is tied. For equal
+                rods there is a leading axis.
         """
         return self
 
@@ -316,8 +317,8 @@ class Effect:
     def twists(self) -> str | None:
         """Name of the part that twists a rod, or turns with it about its axis.
 
-        A scene without twist refuses such an effect whatever its numbers. Anything that
-        it can find out by calling `loads` need not be declared.
+        A scene without twist refuses such an effect for any of its numbers. Twisting
+        that shows in the values of `loads` need not be declared.
         """
         return None
 

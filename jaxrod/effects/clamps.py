@@ -263,7 +263,7 @@ def clamp(state: RodState, end: End = "base") -> Clamp:
 
 
 def fixed_end(state: RodState, end: End = "base") -> FixedEnd:
-    """Holds one end node and end element where the given state has them."""
+    """Holds one end node and end element at their place in the given state."""
     check_kind("state", state, RodState)
     check_one(state)
     index = 0 if check_end(end) == "base" else -1

@@ -263,7 +263,7 @@ def driven(
     if free_to_turn and holds_element:
         raise ValueError("an end element that is free to turn is not held")
     if axis is None and (is_schedule(angle) or np.any(np.asarray(angle) != 0)):
-        raise ValueError("axis must say what the wall turns about by that angle")
+        raise ValueError("axis must be given with angle: the wall turns about it")
     wall = None
     if not free_to_turn:
         about = unit_vector("axis", (0, 0, 1) if axis is None else axis)

@@ -12,9 +12,8 @@ theory: the rod does not change the flow, and its parts do not interact through 
 Explicit steps of the consistent law solve drag together with the loads
 (`jaxrod.methods.drag_kick`), so it never limits the step.
 
-PyElastica's slender-body drag, for comparisons.
-
-On an element of current length $\ell$ and radius $r$ of a rod of current length $L$,
+PyElastica's slender-body drag is here for comparisons. On an element of current length
+$\ell$ and radius $r$ of a rod of current length $L$,
 
 $$F = -\frac{4\pi\eta\,\ell}{\ln(L/r)}\,(1 - \tfrac12 t t^T)\,v,$$
 
@@ -86,7 +85,7 @@ def flow_field(
     Args:
         function: Pure function from one point `(3,)` [m] and `parameters` to the
             velocity of the fluid there `(3,)`, world frame [m/s]. A program is compiled
-            for each function, so use the same one again.
+            for each function, so reuse the same function.
         parameters: Traced numbers of the flow: any pytree of numbers and schedules,
             such as `jaxrod.schedules.time()`.
 
@@ -141,7 +140,7 @@ class FluidDrag(Effect):
         """Rates of decay along and across the rod."""
 
     def loads(self, rod: Rod, motion: Motion) -> Loads:
-        """Drag as forces and couples, for methods that do not solve it."""
+        """Drag as forces and couples, for methods without a drag solve."""
         return drag_loads(rod, motion, self.drag(rod, motion))
 
     def flow_at(self, motion: Motion) -> Vec3 | None:

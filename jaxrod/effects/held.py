@@ -1,4 +1,4 @@
-"""Degrees of freedom of a rod that supports hold: none is held twice."""
+"""Degrees of freedom held by supports, and a check that none is held twice."""
 
 from __future__ import annotations
 
@@ -66,7 +66,7 @@ def check_held_once(held: Iterable[tuple[str, Held]], n_elements: int) -> None:
 
 
 def _same(one: int | None, other: int | None, size: int) -> int | None:
-    """Place that two indices both mean; `None` if they differ or one is `None`."""
+    """Position that two indices share; `None` if they differ or one is `None`."""
     if one is None or other is None or one % size != other % size:
         return None
     return one % size

@@ -28,7 +28,7 @@ class Buoyancy(Effect):
     """Coefficient of the rod's added mass, which has no weight [1]."""
 
     def lifted(self, rod: Rod) -> Array:
-        """Mass whose weight buoyancy takes off each node [kg]."""
+        """Mass whose weight buoyancy carries at each node [kg]."""
         displaced = self.density * jnp.pi * rod.radii**2
         return on_nodes(rod, (1 + self.added_mass) * displaced)
 

@@ -39,7 +39,7 @@ class Gravity(Effect):
         return Loads(forces=(masses * g[0], masses * g[1], masses * g[2]))
 
     def check(self, rod: Rod) -> None:
-        """Warns of a rod that its own weight would stretch tenfold."""
+        """Warns if its own weight would stretch the rod tenfold."""
         warn_of_weight(rod, self.acceleration)
 
     def turning_tangent(self, rod: Rod, motion: Motion) -> None:
@@ -227,7 +227,7 @@ def end_load(
         end: "base" or "tip".
         follower: Whether force and couple turn with the end element. Then a force
             along d3 stays along the rod, and one along d1 or d2 stays across it. If
-            only one of them shall turn, list two loads.
+            only one of them is to turn, list two loads.
     """
     kind = FollowerEndLoad if follower else EndLoad
     return kind(

@@ -52,7 +52,7 @@ def recalled(effects: tuple[Effect, ...], memory: Memory) -> tuple[Effect, ...]:
 
 
 def stirred(memory: Memory) -> Memory:
-    """Memory with arbitrary values, to test what effects do with it."""
+    """Memory with arbitrary values, to test how effects depend on it."""
 
     def other(leaf: Any) -> Any:
         inexact = jnp.issubdtype(leaf.dtype, jnp.floating)

@@ -19,11 +19,11 @@ from jaxrod.rods.motion import Loads
 from jaxrod.rods.rod import Rod
 
 ALIKE = 0.85
-"""Similarity of two names, by `difflib`, above which one is taken for the other."""
+"""Similarity by `difflib` above which one name counts as a misspelling of another."""
 
 
 def check_own_class(thing: Any, base: type, noun: str) -> None:
-    """Checks the class of an effect or a coupling that is not one of jaxrod's.
+    """Checks the class of an effect or a coupling that a user wrote.
 
     Args:
         thing: The effect or coupling.
@@ -49,7 +49,7 @@ def check_own_class(thing: Any, base: type, noun: str) -> None:
 
 
 def check_own_loads(effect: Effect, rod: Rod) -> None:
-    """Checks type and shapes of the loads of an effect that is not one of jaxrod's.
+    """Checks type and shapes of the loads of an effect that a user wrote.
 
     The loads are traced, not computed. Loads of batches of rods are not checked.
 
@@ -121,7 +121,7 @@ def _is_of_jaxrod(kind: type) -> bool:
 
 @functools.cache
 def _slip(kind: type, base: type, noun: str) -> str | None:
-    """The fault in the methods of a class, as a sentence; `None` if there is none."""
+    """Description of a fault in the methods of a class; `None` if there is none."""
     bases = [each for each in kind.__mro__ if issubclass(each, base)]
     hooks = {n for each in bases if _is_of_jaxrod(each) for n in _public(each)}
     own = {n for each in bases if not _is_of_jaxrod(each) for n in _public(each)}

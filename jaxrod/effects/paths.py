@@ -105,7 +105,8 @@ class Turning(Schedule):
         return Turned(self._turned(angle), still, still)
 
     def _turned(self, angle: Array) -> Array:
-        # Not `rotation_exp`, which allows one whole turn at most: walls wind rods up.
+        # Not `rotation_exp`, which allows one turn at most: walls may wind rods up
+        # further.
         half = 0.5 * angle
         x, y, z = vectors.scale(jnp.sin(half), vectors.split(self.axis))
         start = split_quaternion(self.start)

@@ -95,8 +95,8 @@ def check_straight_end(rod: Rod, end: End) -> None:
     index = 0 if end == "base" else -1
     if np.any(np.asarray(rod.rest_curvatures[:, index]) != 0):
         raise ValueError(
-            "what holds the end of a rod that is curved at rest there cannot be "
-            "resampled: make it anew for the new rod"
+            "a support of an end that is curved at rest cannot be resampled: make a "
+            "new support for the new rod"
         )
 
 
@@ -132,7 +132,7 @@ class Pin(Effect):
         return (Held(self.node, self.axes),)
 
     def check(self, rod: Rod) -> None:
-        """Raises ValueError if the node is missing or the state was another rod's."""
+        """Raises ValueError if there is no such node or the state was another rod's."""
         check_made_for("pin", self.made_for, rod)
         if not 0 <= self.node <= rod.n_elements:
             raise ValueError(
@@ -235,7 +235,7 @@ class Hinge(Effect):
 
 
 def pin_support(state: RodState, node: End | int = "base", *, axes: str = "xyz") -> Pin:
-    """Holds a node along world axes where the given state has it; elements may turn.
+    """Holds a node along world axes at its place in a state; elements may turn.
 
     Args:
         state: The state of the rod.
@@ -262,7 +262,7 @@ def pin_support(state: RodState, node: End | int = "base", *, axes: str = "xyz")
 
 
 def hinge_support(state: RodState, axis: Numbers, end: End = "base") -> Hinge:
-    """Holds an end node where the state has it; its element turns about an axis.
+    """Holds an end node at its place in a state; its element turns about an axis.
 
     Args:
         state: The state of the rod, in which the hinge is at rest.

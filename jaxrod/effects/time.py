@@ -1,4 +1,4 @@
-r"""Numbers of an effect that depend on time, and a clock that stays exact.
+r"""Effect parameters that depend on time, and a clock that stays exact.
 
 A `Schedule` may stand in any field of an effect where a number or an array would. At
 every step it is replaced by its value, so that hooks see plain numbers. Scenes without
@@ -25,7 +25,7 @@ Tree = TypeVar("Tree")
 _DIGIT = 10
 """Bits per digit of the step count."""
 _COARSE = 4096
-"""Parts of a turn. Products of their number with a digit are exact in float32."""
+"""Parts of a period. A number of parts times a digit is exact in float32."""
 
 
 @pytree
@@ -74,7 +74,7 @@ class Clock:
 
 
 def clock_at(time: ArrayLike | Clock, dtype: Any) -> Clock:
-    """A clock that shows a time [s]; one that is given stays as it is."""
+    """A clock that shows a time [s]; a given clock is returned unchanged."""
     if isinstance(time, Clock):
         return time
     seconds = as_array("time", time, "s", dtype=dtype)
@@ -105,8 +105,8 @@ def _product(a: Array, b: Array) -> tuple[Array, Array]:
 class Schedule(ABC):
     """Base of numbers that depend on time; a subclass is a pytree.
 
-    Stability bounds and checks of planes and axes use `largest`: it must be at least
-    as large as any value, component by component.
+    Stability bounds and checks of planes and axes use `largest`. In every component it
+    must be at least as large as any value of the schedule.
     """
 
     @abstractmethod
@@ -130,11 +130,11 @@ class Schedule(ABC):
         """The schedule at other places, if its values are numbers along a rod.
 
         Args:
-            old: Its places along the rod [m].
-            new: Places that take their place [m].
+            old: The present places along the rod [m].
+            new: The new places [m].
 
         Raises:
-            ValueError: If it cannot be made; a subclass may know how.
+            ValueError: If it cannot be resampled; a subclass may override this.
         """
         raise ValueError(
             "a schedule of numbers along a rod has no counterpart on a rod with "
@@ -237,7 +237,7 @@ def as_timed(
 
     Args:
         name: The argument's name, for the message.
-        value: The value given for it.
+        value: The argument's value.
         unit: SI unit, for the message.
         *shapes: Shapes that the value may have.
         **limits: Limits as in `as_array`; for values that do not depend on time.
@@ -349,7 +349,7 @@ class Table(Schedule):
 
 @pytree
 class Time(Schedule):
-    """Time itself [s], for an effect with a formula of its own."""
+    """Time itself [s], for an effect that evaluates its own formula."""
 
     def __call__(self, clock: Clock) -> Array:
         """The time [s]."""

@@ -1,4 +1,4 @@
-"""Warnings of numbers that are hardly meant: ratios, independent of units."""
+"""Warnings about unlikely numbers, found by ratios that do not depend on units."""
 
 from __future__ import annotations
 
@@ -15,11 +15,11 @@ MOST_STRETCH = 9.0
 
 
 class UnlikelyWarning(UserWarning):
-    """Numbers that are hardly meant together, e.g. because some are in other units."""
+    """Numbers that are unlikely together, e.g. because some are in other units."""
 
 
 def warn_of_thickness(rod: Rod) -> None:
-    """Warns of a rod that is thicker than it is long."""
+    """Warns if a rod is thicker than it is long."""
     radii, lengths = rod.radii, rod.rest_lengths
     # Inside jax.jit, values computed from known numbers are traced, too.
     if is_traced(radii, lengths) or lengths.ndim != 1:
@@ -34,7 +34,7 @@ def warn_of_thickness(rod: Rod) -> None:
 
 
 def warn_of_weight(rod: Rod, acceleration: Array) -> None:
-    """Warns of a rod that its own weight would stretch tenfold.
+    """Warns if its own weight would stretch a rod tenfold.
 
     Args:
         rod: The rod.

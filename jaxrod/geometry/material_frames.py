@@ -1,7 +1,7 @@
 """Material frames along a polyline: the orientations that factories give to elements.
 
 They are computed in float64 on the host if the line is known, and with JAX if it is
-traced: the same formulas, with the module `xp` passed as an argument.
+traced. Both use the same formulas, with the module as the argument `xp`.
 """
 
 from __future__ import annotations
@@ -148,7 +148,7 @@ def quaternions(frames: Any) -> Any:
     """Unit quaternions (w, x, y, z), material to world, of directors `(3, 3, n)`."""
     xp = module_for(frames)
     m = xp.swapaxes(frames, 0, 1)
-    # The largest of these four is at least 1: its root is never zero as a divisor.
+    # The largest of these four is at least 1, so division by its root is safe.
     squares = 1 + xp.stack(
         [
             m[0, 0] + m[1, 1] + m[2, 2],

@@ -8,7 +8,7 @@ Exponential and logarithm are evaluated by polynomials in squares. There is no s
 root of zero, no division by an angle and no branch, so automatic differentiation has no
 singularity at the straight rod at rest.
 
-Free rotation of a rigid body by exact rotations: symplectic, second order.
+A rigid body rotates freely by a sequence of exact rotations: symplectic, second order.
 
 The kinetic energy of an angular momentum $P$ (world) is
 $\frac12 P_b\cdot A P_b$ with $P_b = R^T P$ and $A$ the inverse inertia. With the

@@ -35,7 +35,7 @@ def cylinder(half: float, radius: float) -> Triangles:
 
 
 def along(triangles: Triangles, start: np.ndarray, end: np.ndarray) -> Triangles:
-    """Moves a surface around the origin: its z axis to the line between two points."""
+    """Moves a surface such that its z axis becomes the line between two points."""
     corners, faces = triangles
     axis = (end - start) / np.linalg.norm(end - start)
     # The shortest rotation from z; a half turn about x where the axis points to -z.

@@ -1,4 +1,4 @@
-"""CPU settings that make rods fast, measured, in one place.
+"""CPU settings that make rods fast, as measured, in one place.
 
 By default XLA's CPU compiler computes shared subexpressions of a step once per
 output and calls many small kernels per step. Two of its options change that. A second
@@ -21,7 +21,8 @@ from jaxrod.installation.program_cache import asked_for, keep_programs
 from jaxrod.validation import check_count
 
 MOST_DEVICES = 1024
-"""Largest number of devices; more are taken for a mistake, since XLA sets up each."""
+"""Largest number of devices; a larger number must be a mistake, since XLA sets up
+each."""
 
 _BACKEND_OPTIONS = {
     # One kernel computes all outputs that share work.
@@ -31,9 +32,9 @@ _BACKEND_OPTIONS = {
 }
 _LIBRARY_FUSIONS = "--xla_cpu_experimental_ynn_fusion_type"
 """Option that chooses which operations XLA leaves to YNNPACK. Since 0.12 these are all
-reductions with everything that leads to them. The smallest distances of a nest in a
+reductions and the operations that lead to them. The smallest distances of a nest in a
 batch of 256 then take ten times as long as in XLA's own code. XLA ends the process at
-an unknown option, so only releases that are known to have it get it."""
+an unknown option, so it is set only for releases that are known to have it."""
 _LAST_WITH_LIBRARY_FUSIONS = (0, 12)
 
 
@@ -125,7 +126,7 @@ def devices_that_fit(num_envs: int, asked: int | None, available: int | None) ->
     """
     if available is None:
         available = available_cores()
-        # More devices would only split the same cores, without the user being told.
+        # More devices would only split the same cores without any notice to the user.
         asked = asked if asked is None else min(asked, available)
     if asked is not None:
         return asked
@@ -133,7 +134,7 @@ def devices_that_fit(num_envs: int, asked: int | None, available: int | None) ->
 
 
 def given_options() -> str:
-    """Options that `XLA_FLAGS` gives: its text, or that of the file it names.
+    """Options in `XLA_FLAGS`: its text, or the text of the file that it names.
 
     XLA ends the process at the first mistake. Only XLA knows its options, so words that
     look like options are not checked further.
@@ -149,8 +150,8 @@ def given_options() -> str:
             flags = " ".join(Path(flags).read_text().split())
         except (OSError, ValueError) as error:
             raise ValueError(
-                f"XLA_FLAGS {wanted}, got {flags!r:.80}, which is no file that can be "
-                "read; unset XLA_FLAGS if it is not meant"
+                f"XLA_FLAGS {wanted}, got {flags!r:.80}, which is not a readable file; "
+                "unset XLA_FLAGS if it was set by mistake"
             ) from error
     try:
         words = shlex.split(flags)

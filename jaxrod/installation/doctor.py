@@ -36,7 +36,7 @@ CALLS = 8
 """Number of calls of one program that are compared."""
 
 ALL_BUT_NOTHING = 0.05
-"""Fraction of the memory below which next to nothing is free [1]."""
+"""Fraction of the memory below which almost none counts as free [1]."""
 
 
 @dataclass(frozen=True)
@@ -249,7 +249,7 @@ def check_memory(
     detail = f"{limit / 1e9:.1f} GB for JAX ({part}), {used / 1e9:.1f} GB in use"
     advice = ""
     if limit - used < ALL_BUT_NOTHING * limit:
-        advice = "Nearly nothing is free: end what else computes there."
+        advice = "Almost no memory is free: end other programs on this device."
     return Check(f"memory on {platform}", True, detail, advice)
 
 
@@ -274,12 +274,12 @@ def check_repeatability(device: jax.Device) -> Check:
     put = jax.device_put((values, places), device)
     compiled = jax.jit(program)
     different = calls_that_differ(lambda: [np.asarray(x) for x in compiled(*put)])
-    detail = f"{different} of {CALLS} calls of one program gave other bits"
+    detail = f"{different} of {CALLS} calls of one program gave different bits"
     advice = ""
     if different:
         advice = (
-            "Runs repeat up to rounding here, and a resumed run may end otherwise than "
-            "one in one go. For equal bits, slower: "
+            "Runs repeat only up to round-off here, and a resumed run may differ from "
+            "an uninterrupted one. For equal bits, at lower speed: "
             "XLA_FLAGS=--xla_gpu_deterministic_ops=true."
         )
     return Check(f"equal bits on {device.platform}", True, detail, advice)

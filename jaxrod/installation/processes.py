@@ -1,4 +1,4 @@
-"""Joining of this process with the others of one program, on one machine or many."""
+"""Joins this process with the others of one program, on one machine or many."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ LONGEST_WAIT = 604_800
 """Longest time for which processes wait, a week [s]."""
 
 LOST_AFTER = 20
-"""Time without contact after which a process is taken for lost [s]."""
+"""Time without contact after which a process counts as lost [s]."""
 
 PATIENCE = 60
 """Time for which processes wait for each other at the end [s]."""
@@ -86,7 +86,7 @@ class LastWords:
             try:
                 self._to.write(sentence.replace("\n", " ") + "\n")
                 self._to.flush()
-            except OSError:  # The listener was ended: JAX's lines have to do.
+            except OSError:  # The listener was ended, so only JAX's lines appear.
                 faulthandler.disable()
                 self._to = None
 
@@ -101,14 +101,14 @@ def join_processes(
 
     It calls `jax.distributed.initialize`, which knows SLURM, Open MPI and Kubernetes,
     with timeouts after which a lost process is noticed. Without arguments the values
-    come from these. If other processes are lost, JAX writes its own lines and aborts
-    this one. A message after them, on the standard error, then explains that.
+    come from these launchers. If other processes are lost, JAX writes its own lines and
+    aborts this process. A message on the standard error then explains the reason.
 
     Args:
         coordinator: Address and port of the first process, such as "10.0.0.1:1234".
         count: Number of processes.
         index: Index of this process, from 0.
-        within: Time in which all processes must come, a whole number [s]; after it this
+        within: Time in which all processes must join, a whole number [s]; after it this
             process is aborted.
 
     Raises:
@@ -155,10 +155,11 @@ def join_processes(
     if not _last_words:
         _last_words.append(LastWords())
     _last_words[0](
-        f"jaxrod: not all processes of the program came within {within} s, or the "
-        f"first was lost meanwhile; start all of them anew: {GO_ON}"
+        f"jaxrod: not all processes of the program joined within {within} s, or the "
+        f"first was lost; start all of them again: {GO_ON}"
     )
-    # Its handler would take SIGTERM from programs that want to save first.
+    # This service would take the SIGTERM signal away from programs that want to save
+    # first.
     jax.config.update("jax_enable_preemption_service", False)
     try:
         jax.distributed.initialize(
@@ -194,11 +195,12 @@ def _check_port(port: int) -> None:
     both = socket.has_dualstack_ipv6()
     family = socket.AF_INET6 if both else socket.AF_INET
     try:
-        # As a server does it: a connection that has just ended does not prevent it.
+        # Opened as a server would: a connection that has just ended does not prevent
+        # it.
         socket.create_server(("", port), family=family, dualstack_ipv6=both).close()
     except OSError as error:
         if error.errno not in (errno.EADDRINUSE, errno.EACCES):
-            return  # Such as no network: JAX knows more.
+            return  # For example no network: JAX gives a better error.
         raise ValueError(
             f"the coordinator's port {port} cannot be listened on "
             f"({os.strerror(error.errno)}): choose another"

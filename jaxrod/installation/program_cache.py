@@ -1,19 +1,19 @@
 """Compiled programs kept on disk, so that a second process need not compile them.
 
 JAX keeps them (its persistent compilation cache); this module chooses the folder. JAX
-names a file after the program, XLA's options and the releases. The capabilities of the
-processor are not known to be among them, and a home directory may be shared by several
-machines. So there is a folder for every processor.
+names a file after the program, XLA's options and the releases. It is not known whether
+the name includes the capabilities of the processor, and several machines may share a
+home directory. So there is a folder for every processor.
 
-JAX does not write whole files at once. So each process has a folder of its own inside,
-with hard links to all files that are kept. What it adds is moved to the others when the
-process ends: nobody meets half a file, and a process that is killed leaves only its own
-folder, which is removed after a week. Files that were not used for longest are removed
-once all of them take more than `MOST_BYTES`.
+JAX does not write whole files at once. So each process has its own folder inside, with
+hard links to all kept files. Files that it adds are moved to the common folder when the
+process ends. So no process reads half a file, and a killed process leaves only its own
+folder, which is removed after a week. The least recently used files are removed when
+all files together exceed `MOST_BYTES`.
 
-Files compressed by zlib have a checksum: one that the disk damaged is reported and
-compiled again. Files compressed by zstandard have none, and a process that loads a
-damaged one can crash or worse. In that case nothing is kept.
+Files compressed by zlib have a checksum: a damaged file is reported, and its program is
+compiled again. Files compressed by zstandard have no checksum, and a process that loads
+a damaged one can crash or worse. So with zstandard nothing is kept.
 
 Files from the disk are executed. A folder that others can write to is therefore
 refused, and programs are compiled as if there were no cache.
@@ -57,8 +57,8 @@ _WEEK = 7 * 86_400.0
 _LOUD = "0.10.1"
 _LEVEL = "TF_CPP_MIN_LOG_LEVEL"
 _UNCHECKED = (
-    "JAX compresses them by zstandard here, without a checksum, and one that is "
-    "damaged on the disk would be run. Without the package zstandard, and with Python "
+    "JAX compresses them by zstandard here, without a checksum, and a damaged file "
+    "would be executed. Without the package zstandard, and with Python "
     "before 3.14, they are kept"
 )
 
@@ -121,14 +121,15 @@ def keep_programs(
     Args:
         folder: Folder of the programs; by default `default_folder()`, or the one that
             JAX uses already. If it does not exist it is made, for this user alone.
-        asked: Whether somebody asked for it. Otherwise there is neither an error nor a
-            warning where programs cannot be kept.
+        asked: Whether the user asked for it. If not, there is neither an error nor a
+            warning when programs cannot be kept.
 
     Returns:
         The folder; None if nothing is kept.
 
     Raises:
-        ValueError: If it was asked for, and is not a folder and cannot be made.
+        ValueError: If the user asked for a folder that does not exist and cannot be
+            made.
 
     Warns:
         UncheckedCacheWarning: If JAX would keep programs without a checksum.
@@ -157,7 +158,7 @@ def keep_programs(
     except (OSError, ValueError, RuntimeError) as error:
         if not asked:
             return None
-        # From the environment or an argument: in both cases a folder was meant.
+        # The folder comes from the environment or an argument; both name a folder.
         raise ValueError(
             f"the cache of compiled programs must be a folder that can be made, got "
             f"{str(folder or 'the default')!r}: "
@@ -167,8 +168,8 @@ def keep_programs(
     if why is not None:
         warnings.warn(
             f"compiled programs are neither kept nor taken from the disk: {why}, and "
-            "what lies there is run. Take a folder of your own, with mode 0700, in "
-            f"folders of your own ({VARIABLE}=FOLDER)",
+            f"files there would be executed. Use a folder of your own, with mode 0700, "
+            f"in folders of your own ({VARIABLE}=FOLDER)",
             SharedCacheWarning,
             stacklevel=3,
         )
@@ -186,7 +187,7 @@ def keep_programs(
 
 
 def _folder_of_this_process(folder: Path) -> Path:
-    """A new folder with links to all kept programs; files that nobody uses go."""
+    """A new folder with links to all kept programs; unused files are removed."""
     for abandoned in folder.glob(f"{_OWN}*"):
         with suppress(OSError):  # Another process may remove it at the same time.
             if abandoned.stat().st_mtime < time.time() - _WEEK:
@@ -206,7 +207,7 @@ def _folder_of_this_process(folder: Path) -> Path:
 
 
 def _give_back(own: Path, process: int) -> None:
-    """Moves what a process has added to the others, and removes its folder."""
+    """Moves the programs added by a process to the common folder; removes its own."""
     if os.getpid() != process:
         return
     with suppress(OSError):
@@ -230,7 +231,7 @@ def processor_features() -> str:
         lines = Path("/proc/cpuinfo").read_text().splitlines()
     except OSError:
         lines = []
-    # Those of the first core: x86 uses "flags", ARM "Features".
+    # Lines of the first core: x86 uses "flags", ARM "Features".
     wanted = ("model name", "flags", "Features", "CPU part")
     facts = [line for line in lines if line.partition(":")[0].strip() in wanted]
     first = dict(reversed([line.partition(":")[::2] for line in facts]))
@@ -243,10 +244,10 @@ def processor_features() -> str:
 def silence_false_alarms() -> None:
     """Hides XLA's lines about every program loaded from the cache. Call before JAX.
 
-    JAX 0.10.1 writes two error lines for each on an AMD EPYC: it compares the features
-    that LLVM was told to prefer (no gathers, no scatters) with those of the processor.
-    Nothing is hidden with other releases, or if `TF_CPP_MIN_LOG_LEVEL` is set; errors
-    that end the process are always shown.
+    JAX 0.10.1 writes two error lines for each program on an AMD EPYC, because it
+    compares LLVM's tuning preferences (no gathers, no scatters) with the features of
+    the processor. Nothing is hidden with other releases, or if `TF_CPP_MIN_LOG_LEVEL`
+    is set; errors that end the process are always shown.
     """
     if "jaxlib" not in sys.modules and not os.environ.get(_LEVEL) and _is_loud():
         os.environ[_LEVEL] = "3"

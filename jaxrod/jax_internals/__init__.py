@@ -5,8 +5,8 @@
 - `foreign_call`: the binary interface by which XLA calls machine code.
 - `mesh_axes`: the part of an array's type that `jax.shard_map` adds.
 
-There is one more such internal, whether JAX has computed yet. It is next to its only
-user, in `jaxrod.installation.backend`.
+One more such internal, the test whether JAX has computed yet, is next to its only user
+in `jaxrod.installation.backend`.
 
 Nothing here imports `jax.extend`. That would import Pallas, which registers options,
 and when a new option appears JAX compiles again everything that was traced before.

@@ -1,4 +1,4 @@
-"""Equations of jaxprs: their parameters, and the meaning of those.
+"""Equations of jaxprs: their parameters and the meaning of these.
 
 A parameter that is not listed here may change the meaning of an equation. A program
 with such a parameter is left to XLA.
@@ -82,7 +82,7 @@ CALLS = tuple(_CALLS)
 
 
 def unknown_parameter(equation: Any) -> str | None:
-    """Returns the reason why an equation is not understood; `None` if all is known.
+    """Returns the reason why an equation is not understood; `None` if it is.
 
     Args:
         equation: An equation of a jaxpr.

@@ -2,8 +2,8 @@
 
 A handler is a function of one pointer, to a call frame that refers to the buffers. The
 layout of the frame is that of `xla/ffi/api/c_api.h`, which comes with jaxlib. The
-offsets used here are only valid for the structures listed below. So that file is
-checked against them before the first call.
+offsets used here are valid only for the structures listed below. So the header file is
+checked against this list before the first call.
 """
 
 from __future__ import annotations

@@ -30,8 +30,8 @@ class LaneChoice:
     rods: int
     """Number of rods in the batch; 1 without a batch."""
     operations: int = 0
-    """Operations in a step of one rod; for a whole run, those of its beginning and end
-    are included."""
+    """Operations in a step of one rod; for a whole run, the beginning and the end are
+    included."""
     seconds: float = 0.0
     """Time to write and compile the kernel [s]."""
 
@@ -104,7 +104,7 @@ def say_if_slower() -> None:
 
 
 def refused(words: str, rods: int = 1) -> None:
-    """Records that a run is left to XLA, and why."""
+    """Records that a run is left to XLA, and the reason."""
     note(LaneChoice(False, words, rods))
 
 

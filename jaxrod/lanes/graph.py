@@ -87,7 +87,7 @@ class Graph:
         return nodes
 
     def add(self, operation: str, arguments: tuple[int, ...], kind: str) -> int:
-        """Returns the node of an operation; it may be an existing or a folded one."""
+        """Returns the node of an operation, which may exist already or be folded."""
         if OPERATIONS[operation].commutes and arguments[0] > arguments[1]:
             arguments = (arguments[1], arguments[0])
         key = (operation, arguments, kind)

@@ -1,8 +1,9 @@
 """Kernels of runs: from the programs of a run to a call of its machine code.
 
-Lanes take batches of short programs: LLVM compiles their operations one by one, so that
-it takes longer for more elements. Rows take all else: single scenes, small batches and
-long rods. Their programs are loops, whose length does not grow with the elements.
+Lanes are for batches of short programs: LLVM compiles their operations one by one, so
+that compilation takes longer for more elements. Rows are for the rest: single scenes,
+small batches and long rods. Their programs are loops, whose length does not grow with
+the elements.
 """
 
 from __future__ import annotations
@@ -42,8 +43,9 @@ from jaxrod.lanes.rows.kernels import (
 from jaxrod.lanes.run_spec import Ends, LoopBody, RunSpec, adjoint_body, chosen
 
 MOST_OPERATIONS = 60_000
-"""Operations of the longest programs for which lanes are chosen. Longer ones do not fit
-the processor's instruction cache, and take many seconds to compile: rows take them."""
+"""Operations of the longest programs for which lanes are chosen. Longer programs do not
+fit the processor's instruction cache and take many seconds to compile, so rows are
+used."""
 
 
 def lowered_by_lanes(
@@ -228,7 +230,7 @@ def _unrolled_run(
         body: The step.
         ends: Beginning and end of the run.
         shared: Whether each constant is the same for all rods.
-        most: Largest number of operations of all together.
+        most: Largest total number of operations.
 
     Raises:
         NotUnrolled: The run cannot be unrolled, or has more operations.

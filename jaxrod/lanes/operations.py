@@ -1,8 +1,8 @@
-"""Operations of graphs, in one table: what folds their constants, and what runs them.
+"""Operations of graphs in one table, with their constant folders and their code.
 
 An elementary function that the C library has needs one row here, which gives it a
-rule, a constant folder if there is one, and a call from each lane. A vector function
-of its own is added in `jaxrod.lanes.llvm.elementary`.
+rule, a constant folder if there is one, and a call from each lane. A separate vector
+function is added in `jaxrod.lanes.llvm.elementary`.
 """
 
 from __future__ import annotations
@@ -45,7 +45,7 @@ def _library(name: str, operands: int = 1) -> Operation:
 
 
 def _two(name: str, **more: Any) -> Operation:
-    """Returns an operation of two numbers, be they floats or integers."""
+    """Returns an operation of two numbers, floats or integers."""
     return Operation(name, **{"operands": 2, "kinds": "fiu", **more})
 
 

@@ -1,8 +1,8 @@
 """Rules of the primitives for repeated steps: batching, derivatives and lowering.
 
 Under `vmap` an operation stays one operation over a batch. Its reference is written
-once, with JAX's own loops. Lanes replace that at compile time where they can and where
-it pays off.
+once, with JAX's own loops. At compile time lanes replace the reference if they can and
+if that is faster.
 """
 
 from __future__ import annotations

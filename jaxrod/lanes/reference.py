@@ -5,7 +5,7 @@ Their first operands are the number of steps and the constants.
 - `jaxrod_run`: a whole run, from its arguments to its results: beginning, steps, end.
 - `jaxrod_cycles`: the carry after all steps; on request the checkpoints too.
 - `jaxrod_cycles_tangent`: the tangent of that carry; linear in the given tangents.
-- `jaxrod_cycles_adjoint`: the transpose of that, from the checkpoints.
+- `jaxrod_cycles_adjoint`: the transpose of that tangent, from the checkpoints.
 """
 
 from __future__ import annotations
@@ -46,7 +46,7 @@ def _run(spec: RunSpec, steps: Any, *arrays: Any) -> list[Any]:
 
 
 def run_once(step: LoopBody, constants: Sequence[Any], given: Sequence[Any]) -> Any:
-    """Returns the results of a program that `as_step` made a step."""
+    """Returns the results of a program that `as_step` turned into a step."""
     n = len(given)
     results = [jnp.zeros(aval.shape, aval.dtype) for aval in step.avals[n:]]
     spec = RunSpec(step, 1)

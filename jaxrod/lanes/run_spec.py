@@ -114,7 +114,7 @@ class RunSpec:
 def as_step(closed: Any, n_constants: int) -> LoopBody:
     """Returns a program as a step, whose carry is its arguments and its results.
 
-    So a program that runs once has the derivatives of a step, and its kernels.
+    This gives a program that runs once the derivatives and kernels of a step.
     """
     given = operand_types(closed)
     n = len(given)
@@ -129,7 +129,7 @@ def as_step(closed: Any, n_constants: int) -> LoopBody:
 def tangent_body(spec: RunSpec) -> tuple[Any, int]:
     """Returns a step of the carry with its tangent, and its number of constants.
 
-    Those are the constants, followed by the tangents of those that have one.
+    The constants are followed by the tangents of those that have one.
     """
     body, moving = spec.body, spec.moving
     floating = body.floating
@@ -164,8 +164,8 @@ def tangent_body(spec: RunSpec) -> tuple[Any, int]:
 def adjoint_body(spec: RunSpec) -> Any:
     """Returns a step backwards (vector-Jacobian product) as a closed jaxpr.
 
-    It takes constants, the carry before the step and the cotangents of the next carry
-    to the cotangents of the carry, followed by those of the moving constants.
+    It takes constants, the carry before the step and the cotangents of the next carry.
+    It returns the cotangents of the carry, followed by those of the moving constants.
     """
     body, moving, floating = spec.body, spec.moving, spec.body.floating
     avals = operand_types(body.closed)
@@ -196,14 +196,14 @@ def parted(arrays: Sequence[Any], *sizes: int) -> list[Sequence[Any]]:
 
 
 def chosen(things: Sequence[Any], flags: Sequence[bool]) -> list[Any]:
-    """Returns the things whose flag is set."""
+    """Returns the entries whose flag is set."""
     return [thing for thing, flag in zip(things, flags, strict=True) if flag]
 
 
 def filled(
     things: Sequence[Any], flags: Sequence[bool], chosen: Sequence[Any]
 ) -> list[Any]:
-    """Replaces the things whose flag is set by the chosen ones, in order."""
+    """Replaces the entries whose flag is set by the chosen ones, in order."""
     rest = iter(chosen)
     return [
         next(rest) if flag else thing for thing, flag in zip(things, flags, strict=True)

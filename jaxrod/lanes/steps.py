@@ -77,7 +77,7 @@ def try_cycles(integrator: Any, carry: Any, n_times: Any) -> Any:
 
 
 def by_kernel(integrator: Any, name: str, given: Any) -> Any:
-    """Returns the result of a method of an integrator; a kernel computes it if one can.
+    """Returns the result of a method of an integrator, by a kernel if possible.
 
     Args:
         integrator: A pytree.

@@ -12,9 +12,8 @@ solution of $\dot v = f/m - g v$ after a time $s$, and the same for $P$. Drift, 
 drift is position Verlet: symmetric in time, hence of second order. Drag, with different
 rates along the rod and across it, is solved together with the loads (`drag_kick`).
 
-Free rotation of elements whose second moments about d1 and d2 differ.
-
-With the angular momentum $P$ constant in the world frame and $P_i = d_i\cdot P$,
+Elements whose second moments about d1 and d2 differ rotate freely as follows. With the
+angular momentum $P$ constant in the world frame and $P_i = d_i\cdot P$,
 
 $$H = \frac{|P|^2}{2 J_3} + \frac{c_1 P_1^2}{2} + \frac{c_2 P_2^2}{2},
   \qquad c_i = \frac1{J_i} - \frac1{J_3}.$$

@@ -1,4 +1,4 @@
-r"""Kicks with drag: exact for each direction, however large the rates are.
+r"""Kicks with drag: exact along and across the rod, at any decay rate.
 
 At fixed configuration, with the acceleration $a$ by all loads held constant, a
 component of the velocity relative to the fluid obeys $\dot w = a - g w - q |w| w$. Its
@@ -56,10 +56,7 @@ def drag_on(scene: LoadedRod, motion: Motion) -> Drag | None:
     found = [effect for effect in scene.effects if has_drag(effect)]
     if len(found) > 1:
         names = " and ".join(type(effect).__name__ for effect in found)
-        raise ValueError(
-            "a scene must have one effect with drag at most, whose rates and flow are "
-            f"one, got {names}"
-        )
+        raise ValueError(f"a scene must have at most one effect with drag, got {names}")
     return found[0].drag(scene.rod, motion) if found else None
 
 
@@ -122,7 +119,7 @@ def _change(
     if along[1] is None:
         gain, loss = _decay(along[0], dt)
     else:
-        # Not the absolute value: JAX takes its slope at zero to be one.
+        # Not `abs`: JAX gives it the slope one at zero.
         way = jnp.sign(on_rate)
         speed, size = way * on_rate, jnp.sign(on_drive) * on_drive
         gain, loss = _riccati(along, speed, size, way * on_drive, dt)
@@ -181,6 +178,6 @@ def check_drag(scene: LoadedRod) -> None:
     if limited and found is not None and found.grows_with_speed:
         raise ValueError(
             "drag that grows with the square of the speed has no stable step in "
-            f"{scene.method!r}, which takes it for a load: use consistent(), planar(), "
+            f"{scene.method!r}, which treats it as a load: use consistent(), planar(), "
             "torsion_free() or implicit()"
         )

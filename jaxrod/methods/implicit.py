@@ -68,10 +68,10 @@ class Implicit(Method):
     """Newton's method ends after a correction below this many element lengths and
     radians [1]; the remaining error is about its square. `None`: set by precision."""
     max_iterations: int = static(default=20)
-    """Largest number of corrections per stage. A step that needs more is not finite."""
+    """Largest number of corrections per stage. A step that needs more gives NaN."""
 
     def check(self, scene: LoadedRod) -> None:
-        """Raises ValueError if an effect breaks a promise that a step relies on."""
+        """Raises ValueError if an effect does not have a property that it declares."""
         check_declared_properties(scene)
 
     def stepper(self, scene: LoadedRod, state: RodState, dt: Array) -> ImplicitStepper:
@@ -87,10 +87,10 @@ def implicit(
 ) -> Implicit:
     """Steps implicitly: any step size is stable; only accuracy limits it.
 
-    For stiff or slender rods whose relevant motion is slow. A step costs tens of
-    explicit ones. It pays if the stable step is hundreds of times shorter than the
-    motion requires. A step that does not converge yields NaN, which `jaxrod.health`
-    reports.
+    For stiff or slender rods whose relevant motion is slow. A step costs as much as
+    tens of explicit steps. It pays off if the stable step is hundreds of times shorter
+    than the motion requires. A step that does not converge yields NaN, which
+    `jaxrod.health` reports.
 
     Args:
         spectral_radius: Fraction of an infinitely stiff motion that numerical damping
@@ -265,7 +265,7 @@ class EvolvingImplicit:
     scene: LoadedRod
     """The scene with its schedules."""
     first: Int[Array, ""]
-    """Number of steps since time zero at the beginning."""
+    """Number of the first step, counted from time zero."""
 
     def begin(self, state: RodState) -> tuple[Motion, Now]:
         """Unpacks a state and makes it satisfy the scene's constraints."""

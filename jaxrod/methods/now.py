@@ -58,7 +58,7 @@ def _alike(new: Memory, old: Memory) -> Memory:
     """
     before, after = jax.tree.leaves_with_path(old), jax.tree.leaves_with_path(new)
     if [path for path, _ in before] != [path for path, _ in after]:
-        raise TypeError("after_step must keep the structure of what it remembers")
+        raise TypeError("after_step must keep the structure of the memory")
     for (path, was), (_, is_now) in zip(before, after, strict=True):
         name = path[1].key
         if was.shape != is_now.shape:

@@ -79,8 +79,9 @@ class Planar(Method):
             if _places_across(effect, scene.rod, self.plane):
                 axes = "".join(sorted(self.plane))
                 raise ValueError(
-                    f"a scene in the {self.plane} plane needs what is driven to be "
-                    f"free across it, but {type(effect).__name__} holds all axes: "
+                    f"a scene in the {self.plane} plane needs driven ends that are "
+                    f"free along its normal, but {type(effect).__name__} holds all "
+                    "axes: "
                     f'give it axes="{axes}"'
                 )
 
@@ -118,7 +119,7 @@ def planar(plane: PlaneName, law: Consistent | PyElastica | None = None) -> Plan
 
 
 def _places_across(effect: Effect, rod: Rod, plane: PlaneName) -> bool:
-    """Whether an effect places nodes across a plane, at whatever height."""
+    """Whether an effect prescribes node positions normal to a plane."""
     out = PLANES[plane][2]
     touched = []
 
@@ -193,7 +194,7 @@ def _shares_outside(
 
 
 def _oblique_inertia(rod: Rod, oblique: Array) -> Array:
-    """Fraction of the inertia that couples rotation about the normal to others."""
+    """Fraction of the inertia that couples rotation about the normal to the rest."""
     if rod.is_round:
         return jnp.zeros_like(oblique[0])
     inertia = rod.principal_inertias
@@ -201,7 +202,7 @@ def _oblique_inertia(rod: Rod, oblique: Array) -> Array:
 
 
 def _shares_of_state(rod: Rod, method: Planar, state: RodState) -> dict[str, Array]:
-    """Fractions of a state out of the plane."""
+    """Out-of-plane components of a state, relative to its scales."""
     a, b, out = PLANES[method.plane]
     n1, n2, n3 = (axis[out] for axis in state.directors)
     length = jnp.sum(rod.rest_lengths)
@@ -230,7 +231,7 @@ def _shares_of_state(rod: Rod, method: Planar, state: RodState) -> dict[str, Arr
 def _shares_of_effects(
     scene: LoadedRod, method: Planar, state: RodState, n1: Array, n2: Array
 ) -> tuple[Array, Array, Array]:
-    """Fractions out of the plane: forces, couples and directions of possible forces."""
+    """Out-of-plane parts of forces, couples and directions of possible forces."""
     rod = scene.rod
     out = PLANES[method.plane][2]
     stepper = method.stepper(scene, state, jnp.ones_like(rod.rest_lengths[0]))
@@ -275,7 +276,7 @@ def _tilt(effect: Effect, scene: LoadedRod, motion: Motion, out: int) -> Array:
     if effect.force_directions(rod, motion) is None:
         return jnp.zeros_like(length)
     a, b = (k for k in range(3) if k != out)
-    # Odd numbers, which hardly hit the middle of a body.
+    # Irregular numbers, which are unlikely to hit the middle of a body.
     turns = 0.07 + jnp.arange(8) * (jnp.pi / 4)
     reaches = jnp.repeat(jnp.asarray([0.097, 0.31, 1.03]), 8) * length
     steps_a = jnp.append(reaches * jnp.tile(jnp.cos(turns), 3), 0)

@@ -6,9 +6,9 @@ $d$ and transverse vector $t = n \times d$ of an element, and $n$ the plane's no
 $$\sigma_t = t\cdot\Delta x/\hat\ell, \quad \sigma_d = d\cdot\Delta x/\hat\ell - 1,
   \quad \kappa = (\theta_{k+1} - \theta_k)/\hat D.$$
 
-Each law has its own planar step, in `planar_laws`. They equal those in space to
-round-off, for a fraction of the arithmetic. Zero components out of the plane stay
-exactly zero, for any number of calls; joint angles have no bound within a call.
+Each law has its own planar step, in `planar_laws`. The planar steps equal the steps in
+space to round-off, for a fraction of the arithmetic. Zero components out of the plane
+stay exactly zero, for any number of calls; joint angles have no bound within a call.
 """
 
 from __future__ import annotations
@@ -371,7 +371,7 @@ def _in_plane(orientation: Quaternion, normal: Vec2, out: int) -> Quaternion:
 
 
 def _but_for_rounding(component: Array) -> Array:
-    """Mean, or zero if it is round-off: most normals are d1 or d2."""
+    """Mean of a component, or zero if it is round-off: most normals are d1 or d2."""
     mean = jnp.mean(component)
     return jnp.where(jnp.abs(mean) < 64 * jnp.finfo(mean.dtype).eps, 0, mean)
 

@@ -207,7 +207,7 @@ class PyElastica(Method):
 
     @property
     def solves_damping(self) -> bool:
-        """False: rates are multiplied after the kick."""
+        """False: damping multiplies the rates after the kick."""
         return False
 
     def loads(self, scene: LoadedRod, motion: Motion) -> Loads:

@@ -81,10 +81,10 @@ def has_elastic_wall(effect: Effect, rod: Rod) -> bool:
 
 
 def check_structure(scene: LoadedRod) -> None:
-    """Checks, also for traced scenes, that no effect is of a kind that twists.
+    """Checks that no effect is of a kind that twists; traced scenes are checked, too.
 
     Raises:
-        ValueError: If an effect is.
+        ValueError: If an effect is of such a kind.
     """
     held = 0
     for effect in scene.effects:
@@ -143,7 +143,7 @@ def _holds_elements(effect: Effect, rod: Rod) -> bool:
 
 
 def check_torsion_free(scene: LoadedRod) -> None:
-    """Checks that only its own inertia could twist the rod of a scene.
+    """Checks that nothing but its own inertia could twist the rod of a scene.
 
     If values are traced or belong to batches of rods, only the structure is checked.
 
@@ -191,7 +191,7 @@ def check_torsion_free(scene: LoadedRod) -> None:
 
 def _refuse(demand: str, found: str) -> None:
     raise ValueError(
-        f"torsion_free() needs {demand}, got {found}; another method has no such needs"
+        f"torsion_free() needs {demand}, got {found}; other methods do not need this"
     )
 
 
@@ -199,8 +199,8 @@ def _refuse(demand: str, found: str) -> None:
 def _twisting_shares(rod: Rod, effects: tuple[Effect, ...]) -> Array:
     """Fractions of each effect's loads that turn with the elements or twist them.
 
-    Computed on a generic rod, before and after its elements are rotated about their
-    axes. A wall is known not to twist, so it is left out.
+    They are computed on a generic rod, before and after its elements are rotated about
+    their axes. Walls are left out, because they are known not to twist.
     """
     before = trial_motion(rod)
     k = jnp.arange(rod.n_elements, dtype=rod.rest_lengths.dtype)
@@ -239,7 +239,7 @@ def _gap(one: Vec3, other: Vec3) -> Array:
 
 
 def _share(part: Array, whole: Vec3) -> Array:
-    """Largest of parts, over the largest component of the whole; zero if that is."""
+    """Largest part relative to the largest component of the whole; zero for zero."""
     size = jnp.max(jnp.abs(vectors.join(whole)))
     return jnp.max(part) / jnp.where(size > 0, size, 1)
 
@@ -506,7 +506,7 @@ class TorsionFree(Method):
         check_walls_stand(scene)
 
     def check_state(self, scene: LoadedRod, state: RodState) -> None:
-        """Raises as `check` does: a scene may have changed since it was made."""
+        """Repeats `check`, because a scene may have changed since it was made."""
         check_torsion_free(scene)
 
 

@@ -84,7 +84,7 @@ class EvolvingVerlet:
     scene: LoadedRod
     """The scene with its schedules."""
     first: Int[Array, ""]
-    """Number of steps since time zero at the beginning."""
+    """Number of the first step, counted from time zero."""
 
     def begin(self, state: RodState) -> tuple[Any, Now]:
         """Carry in the middle of the first step, from the initial state."""
@@ -102,7 +102,7 @@ class EvolvingVerlet:
         last = self._at(now, 0.0)
         moved = last.drift(kicked, 0.5 * self.verlet.dt)
         if self.scene.depends_on_time:
-            # Driven supports get their rates of now, not those of half a step ago.
+            # Driven supports get their current rates, not those of half a step ago.
             moved = last.constrain_rates(moved)
         state = last.leave(moved)
         return replace(state, memory=now.memory) if any(now.memory) else state

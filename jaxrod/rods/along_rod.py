@@ -50,7 +50,7 @@ def middle_places(rod: Rod) -> Any:
 
 
 def resampled_along(values: Array, old: Any, new: Any) -> Array:
-    """Numbers along a rod, on the last axis, interpolated at other places.
+    """Values along a rod (on the last axis), interpolated at other places.
 
     A single number for all places is returned unchanged.
     """

@@ -63,7 +63,7 @@ def relative_velocity(motion: Motion, drag: Drag) -> Vec3:
 
 
 def drag_loads(rod: Rod, motion: Motion, drag: Drag) -> Loads:
-    """Drag as forces and couples, for methods that do not solve it with the loads."""
+    """Drag as forces and couples, for methods that treat drag as an explicit load."""
     tangent, relative = node_tangents(motion), relative_velocity(motion, drag)
     speed = vectors.dot(tangent, relative)
     across = vectors.subtract(relative, vectors.scale(speed, tangent))

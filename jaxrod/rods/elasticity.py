@@ -12,15 +12,13 @@ therefore conserves energy (to the order of the integrator), and momentum and an
 momentum (to round-off). It stays bounded under loads that make laws without a potential
 diverge.
 
-The elastic law's tangent stiffness, in closed form, block by block.
+The tangent stiffness of this law is also in closed form, block by block. It is the
+derivative of the negative internal loads when nodes are displaced and elements rotated
+by $\psi$ ($R \to e^{[\psi]} R$). Everything is in the world frame, where each element
+and each joint has a single force or couple, of opposite sign on its two sides.
 
-It is the derivative of the negative internal loads when nodes are displaced and
-elements rotated by $\psi$ ($R \to e^{[\psi]} R$). Everything is in the world frame,
-where each element and each joint has a single force or couple, of opposite sign on its
-two sides.
-
-An element of edge $e$ pulls its nodes together with $N$. With $D$ its stiffness over
-its length, rotated into the world frame,
+An element with edge $e$ pulls its nodes together with the force $N$. $D$ is its
+stiffness divided by its length, rotated into the world frame:
 
 $$\delta N = D\,\delta e + K\psi, \quad K = D[e]_\times - [N]_\times, \qquad
   \delta(N\times e) = K^T\delta e - [e]_\times K\psi.$$

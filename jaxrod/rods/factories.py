@@ -31,7 +31,7 @@ from jaxrod.validation import (
 )
 
 MOST_ELEMENTS = 1_000_000
-"""Largest number of elements; more are taken for a mistake."""
+"""Largest number of elements; a larger number must be a mistake."""
 ROUNDED = 0.01
 """Largest spacing of floating-point positions, as a fraction of an element's length."""
 

@@ -139,7 +139,7 @@ class Loads:
     """Couples on the `n` elements, material frame [N m]."""
 
     if TYPE_CHECKING:
-        # For type checkers, which do not count the entries of `tuple(...)`.
+        # Only for type checkers, which do not count the entries of `tuple(...)`.
         def __init__(
             self,
             forces: tuple[Array, ...] | None = None,

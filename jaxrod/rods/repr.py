@@ -62,7 +62,7 @@ def scene_repr(scene: Any) -> str:
 
 
 def repr_or_class_name(words: Any, thing: Any) -> str:
-    """Words for a thing; its class name alone if they cannot be made."""
+    """Description of an object, or only its class name if the description fails."""
     try:
         return words(thing)
     except Exception:
@@ -75,7 +75,7 @@ def _listed(effects: Any) -> tuple[Any, ...]:
 
 
 def _known(leaf: Any) -> np.ndarray | None:
-    """Numbers of a leaf; `None` if it has none that can be read here and now."""
+    """Numbers of a leaf; `None` if they cannot be read without waiting or tracing."""
     import jax
 
     if isinstance(leaf, jax.core.Tracer) or not isinstance(

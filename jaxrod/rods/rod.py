@@ -167,7 +167,7 @@ class Layout:
     count: int
     """Number of rods, bodies or points."""
     n_elements: int = 1
-    """Elements of each rod; 1 for others, whose nodes are elements, too."""
+    """Elements of each rod; 1 for bodies and points, whose nodes are also elements."""
     is_rod: bool = False
     """Whether it is made of rods, with one more node than elements."""
     is_stacked: bool = False

@@ -2,8 +2,8 @@
 
 A shape has an area, second moments, a torsion constant and shear factors. Dimensions
 are one number or one per element. Shear factors are those of Kaneko and of Hutchinson
-(J. Appl. Mech. 68, 2001) at Poisson's ratio 1/2: for circles and tubes 27/28 and less,
-for rectangles 5/6. An ellipse has the circle's.
+(J. Appl. Mech. 68, 2001) at Poisson's ratio 1/2: 27/28 for circles, less for tubes, and
+5/6 for rectangles. An ellipse has that of the circle.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ CIRCLE = np.float64(27 / 28)
 
 
 _LARGEST = 1e40
-"""Largest dimension [m]: sixth powers of much larger ones overflow in float64."""
+"""Largest dimension [m]: sixth powers of larger numbers would overflow in float64."""
 
 
 @pytree
@@ -51,7 +51,7 @@ class Section:
     radius: Any
     """Radius of a circle with the area inside the outline; not for mechanics [m]."""
     is_round: bool = static(default=False)
-    """Whether it is the same about d1 and d2, whatever its numbers."""
+    """Whether it is the same about d1 and d2 for all dimensions."""
 
 
 def _dimension(name: str, value: Numbers) -> Any:
@@ -200,8 +200,8 @@ def rod_of_section(
     Args:
         n: Number of elements.
         rest_lengths: Rest lengths of the elements `(n,)`, checked [m].
-        radius: Radius of round sections: one number, one per element, or those of base
-            and tip [m].
+        radius: Radius of round sections [m]: one number, one per element, or the pair
+            of base and tip radius.
         section: A shape instead of a radius.
         density: Mass density, one number or one per element [kg/m^3].
         youngs_modulus: Young's modulus, one number or one per element [Pa].
@@ -343,8 +343,8 @@ def _radii(radius: Numbers, n: int, dtype: Any) -> Any:
         return radii
     if n == 2:
         raise ValueError(
-            "radius must be one number for a rod of 2 elements: two could be those of "
-            "the elements or, as for every other rod, of base and tip; got "
+            "radius must be one number for a rod of 2 elements: two could be the radii "
+            "of the elements or of base and tip; got "
             f"{radius}. Take 3 elements"
         )
     base, tip = radii

@@ -1,8 +1,8 @@
-"""Checks that effects keep the promises that implicit steps and equilibria rely on.
+"""Checks of effects' declared properties, on which implicit steps and equilibria rely.
 
-These methods rely on an effect's promises for the derivative of its loads, and on a few
-trials for what it holds. A broken promise would silently give a wrong derivative, or
-hold a rod where it is free.
+These methods take the derivative of an effect's loads from its declarations, and find
+the components that it holds by a few trials. A false declaration would silently give a
+wrong derivative, or hold a rod where it is free.
 """
 
 from __future__ import annotations
@@ -39,18 +39,19 @@ from jaxrod.validation import is_traced
 
 
 def check_declared_properties(scene: LoadedRod) -> None:
-    """Checks the promises of effects, unless the scene is traced.
+    """Checks the declared properties of effects, unless the scene is traced.
 
     Effects are tested on a generic rod, and on the same rod shrunk to almost a point.
     Deviations that occur only elsewhere are not detected.
 
     Raises:
         ValueError: If loads do not change as an effect's `turning_tangent` or `reach`
-            declares, or if it holds parts of components, or couples some to others.
+            declares, or if the effect holds components only partly or couples some to
+            others.
     """
     if is_traced(scene) or scene.rod.batch_shape:
         return
-    # Those of the library have tests.
+    # The library's own effects have tests.
     others = [e for e in scene.effects if not type(e).__module__.startswith("jaxrod.")]
     doubtful = tuple(e for e in others if _says(e) or _holds(e))
     if not doubtful:
@@ -62,20 +63,20 @@ def check_declared_properties(scene: LoadedRod) -> None:
         if not gap <= tolerance:
             says = "turning_tangent" if has_closed_form(effect) else "reach"
             raise ValueError(
-                "an effect's loads must change with the configuration as it says, but "
-                f"what {name}.{says} says is {float(gap):.2g} of their size off; "
-                "without it they are differentiated as they are"
+                "an effect's loads must change with the configuration as it declares, "
+                f"but {name}.{says} is off by {float(gap):.2g} of their size; "
+                "without this declaration they are differentiated automatically"
             )
         if not mixing <= tolerance:
             raise ValueError(
                 "implicit steps and equilibria need effects to hold whole components "
                 "of positions and velocities and whole orientations, but "
-                f"{name} holds parts of some or ties some to others"
+                f"{name} holds some only partly or couples some to others"
             )
 
 
 def _says(effect: Effect) -> bool:
-    """Whether an effect makes promises about its loads that may not hold."""
+    """Whether an effect declares properties of its loads that may be false."""
     if type(effect).loads is Effect.loads:
         return False
     return has_closed_form(effect) or effect.actual_reach != "any"
@@ -94,8 +95,8 @@ def _holds(effect: Effect) -> bool:
 def _tried(rod: Rod, effects: tuple[Effect, ...]) -> list[tuple[Array, Array]]:
     """Two errors of each effect, relative; zero where nothing is declared.
 
-    The first is that of its declared tangent or reach against the derivative of its
-    loads. The second is the part of motion that its supports hold only partly.
+    The first compares its declared tangent or reach with the derivative of its loads.
+    The second is the part of the motion that its supports hold only partly.
     """
     zero = jnp.zeros((), rod.rest_lengths.dtype)
     return [
@@ -108,14 +109,14 @@ def _tried(rod: Rod, effects: tuple[Effect, ...]) -> list[tuple[Array, Array]]:
 
 
 def _gap_of_tangent(effect: Effect, rod: Rod) -> Array:
-    """Gap between the true and the promised change of loads, relative to the loads."""
+    """Difference of true and declared change of loads, relative to the loads."""
     step = _any_step(rod)
     nodes, turns = unstack_dofs(step)
     transverse, polar = rod.inertias
     shape = trial_motion(rod)
 
     def gap(size: Array, moved: Array) -> Array:
-        """Gap in a rod shrunk to a size, for changes of places (1) or of rates (0)."""
+        """Difference for a rod shrunk to a size, by changed places (1) or rates (0)."""
         motion = replace(shape, position=vectors.scale(size, shape.position))
 
         def loads(motion: Motion) -> Array:
@@ -211,7 +212,7 @@ def _expected(
     given: Sequence[Array],
     found: Sequence[Array],
 ) -> list[tuple[Array, Array]]:
-    """Components as found, and as expected if an effect holds them fully or not."""
+    """Components as found, and as expected if each is held fully or not at all."""
     parts = zip(free, held, given, found, strict=True)
     return [(d, jnp.where(a == 1, c, b)) for a, b, c, d in parts]
 

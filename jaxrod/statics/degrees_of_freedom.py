@@ -1,8 +1,8 @@
 """Degrees of freedom: free components of positions and rates in a scene.
 
 Fields of a rod are stacked as blocks of a chain: a node and the element that follows
-it. A component is held if `Effect.constrain_rates` gives it the same rate whatever rate
-it had, or if `Effect.constrain` gives it the same place whatever place it had.
+it. A component is held if `Effect.constrain_rates` gives it the same rate for any rate
+before, or if `Effect.constrain` gives it the same place for any place before.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ _TURN = (0.8, 0.36, 0.48, 0.0)
 
 
 def degrees_of_freedom(scene: LoadedRod, motion: Motion) -> tuple[Vec3, Vec3]:
-    """Array that is one for every free component and zero for every held one.
+    """Flags of all components: 1 if free, 0 if held.
 
     Args:
         scene: The scene.
@@ -80,7 +80,7 @@ def _elsewhere(scene: LoadedRod, motion: Motion) -> Motion:
 
 
 def _differ(one: Quaternion, other: Quaternion) -> Array:
-    """Array that is one where any component differs, zero elsewhere."""
+    """Flags: 1 where any component differs, 0 elsewhere."""
     differs = one[0] != other[0]
     for a, b in zip(one[1:], other[1:], strict=True):
         differs |= a != b

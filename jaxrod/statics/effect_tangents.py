@@ -1,9 +1,8 @@
 """Tangent stiffness of effects: derivatives of their loads by the configuration.
 
 An effect may have it in closed form (`Effect.turning_tangent`). Any other effect is
-differentiated. If it promises to depend on neighbours only (`Effect.reach`), three
-colours of directions suffice, and five for second neighbours; otherwise all directions
-are used.
+differentiated. If it depends on neighbours only (`Effect.reach`), three colours of
+directions suffice, and five for second neighbours; otherwise all directions are used.
 """
 
 from __future__ import annotations
@@ -74,7 +73,7 @@ def with_differentiated(
         motion: Configuration of the rod.
         pace: Velocities per displacement [1/s].
         momentum: Derivative of the angular momenta by the rotations.
-        free: One for each component that can move, zero for those the scene holds.
+        free: Flags of the components: 1 if free, 0 if held by the scene.
     """
     others = tuple(effect for effect in scene.effects if not has_closed_form(effect))
     ranges: tuple[Reach, ...] = ("neighbours", "second neighbours", "any")
@@ -82,7 +81,8 @@ def with_differentiated(
         tuple(effect for effect in others if effect.actual_reach == reach)
         for reach in ranges
     )
-    # Fused 18 times with the computation of the motion, it would compile for minutes.
+    # Without a barrier XLA fuses it 18 times with the computation of the motion and
+    # compiles for minutes.
     barrier = lax.optimization_barrier
 
     def push_of(effects: tuple[Effect, ...]) -> Callable[[Array], Array]:
@@ -136,7 +136,7 @@ def change_of_loads(
 def total_loads(
     scene: LoadedRod, motion: Motion, others: Loads
 ) -> Float[Array, "n+1 6"]:
-    """Sum of other loads and those of all effects, with couples in the world frame."""
+    """Sum of given loads and the loads of all effects; couples in the world frame."""
     assert others.forces is not None and others.couples is not None
     loads = external_loads(scene, motion, others.forces, others.couples)
     # Without barriers XLA's CPU compiler takes minutes over the derivative. There is
@@ -154,7 +154,7 @@ def bands_by_colouring(
     like: Float[Array, "n m"],
     reach: int,
 ) -> tuple[Float[Array, "n m m"], ...]:
-    """Bands of the matrix of a linear function of blocks that does not reach far.
+    """Bands of the matrix of a linear function of blocks with a short reach.
 
     Every third block is perturbed at once (colouring), or every fifth for two
     neighbours on either side, so `(2 reach + 1) m` evaluations are enough.

@@ -1,4 +1,4 @@
-"""Statics: equilibria under all loads, and their derivatives; those of a rod."""
+"""Statics: equilibria under all loads and their derivatives; solver for one rod."""
 
 from __future__ import annotations
 
@@ -49,11 +49,11 @@ class Equilibrium:
     couples) it does not exclude instability in motion (flutter).
     """
     loose: Bool[Array, ""]
-    """Whether nothing resists a motion of a rod or a body as a whole, or a rotation of
-    all elements of a rod about their own axes: as on two pins, or on a smooth floor.
+    """Whether nothing resists a rigid motion of a rod or a body (as on a smooth floor),
+    or a rotation of all elements of a rod about their own axes (as on two pins).
 
     The balance of loads does not determine the position along such a mode. Derivatives
-    are those of a rod whose middle does not move along it, and of a system that has no
+    assume that the middle of the rod does not move along it, or that a system has no
     momentum along it. They are not valid for loads that would drive it.
     """
     iterations: Int[Array, ""]
@@ -74,15 +74,15 @@ def equilibrium(
     """Finds an equilibrium of a scene or a system under its loads, from a state.
 
     Works inside jit and vmap. The equilibrium is differentiable in both modes with
-    respect to every number of the model, by the implicit function theorem: one
-    linear solve, whatever the number of iterations.
+    respect to every number of the model, by the implicit function theorem: one linear
+    solve, for any number of iterations.
 
     Loads are those at rest: drag and dashpots are zero, and so is friction, except for
-    a tendon's with `friction_at_rest`. The search goes where loads push, past folds
-    (buckling, snap-through), to an equilibrium that is stable. It finds an unstable one
-    only if it starts there or loads do not push away from it, as with a straight column
-    under an axial load: check `stable`. Where there is none it does not converge: check
-    `converged`.
+    the friction of tendons with `friction_at_rest`. The search follows the direction of
+    the loads, past folds (buckling, snap-through), to a stable equilibrium. It finds an
+    unstable equilibrium only if it starts there or if loads do not push away from it,
+    as for a straight column under an axial load: check `stable`. If no equilibrium
+    exists it does not converge: check `converged`.
 
     The cost of a correction grows with the number of elements for one rod. With effects
     that couple distant parts, and for systems, matrices are dense, with six unknowns
@@ -138,8 +138,8 @@ def scene_equilibrium(
     bound, most = search_limits(tolerance, max_iterations, dtype)
     if _is_loose(scene):
         raise ValueError(
-            "scene must hold the rod for an equilibrium: a free rod has none under "
-            "loads, and any number without. Add jaxrod.clamp(state) or "
+            "scene must hold the rod for an equilibrium: a free rod has no equilibrium "
+            "under loads, and infinitely many without. Add jaxrod.clamp(state) or "
             "jaxrod.fixed_end(state)"
         )
     check_declared_properties(scene)
@@ -181,7 +181,7 @@ class _RodPlace:
 
     @property
     def driven(self) -> Bool[Array, ""]:
-        """False: where loads drive a loose mode, the springs against it give way."""
+        """False: where loads drive a loose mode, the springs against it yield."""
         return jnp.zeros((), bool)
 
     def at(self, configuration: Motion) -> _RodPlace:
@@ -243,7 +243,7 @@ class _RodAtRest:
 
 
 def _six(length: Array, radian: float) -> Float[Array, "1 6"]:
-    """A number for displacements and one for rotations."""
+    """One row of six: a number for displacements and one for rotations."""
     turn = jnp.full_like(length, radian)
     return jnp.stack([length, length, length, turn, turn, turn])[None]
 
@@ -269,7 +269,7 @@ def _equilibrium(
     problem = _RodAtRest(_at_rest(scene, start))
     end = find_rest(*lax.stop_gradient((problem, start, tolerance)), max_iterations)
     found = end.here.configuration
-    # Held components have the values of the state and the scene, with derivatives.
+    # Held components take their values from the state and the scene, with derivatives.
     balance = _at_rest(scene, _keep_held(scene, found, start))
     increment = implicit_solution(balance, _no_increment(found))
     force, couple = unstack_dofs(balance.residual(increment))

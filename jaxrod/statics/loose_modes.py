@@ -1,20 +1,21 @@
 r"""Loose modes: motions of a rod as a whole that nothing resists, in statics.
 
-A rod on two pins can spin about its axis, one on a smooth floor can slide. The tangent
-stiffness $T$ is then singular, and the balance of loads does not determine the position
-along the mode. If the loads do not drive such a mode $m$, $m\cdot r = 0$, then a spring
-that resists it at one place $u$ changes only that position:
+A rod on two pins can spin about its axis, and a rod on a smooth floor can slide. The
+tangent stiffness $T$ is then singular, and the balance of loads does not determine the
+position along the mode. If the loads do not drive such a mode $m$, $m\cdot r = 0$, then
+a spring that resists it at one place $u$ changes only that position:
 
 $$(T + \sigma\,u u^T)\,s = -r \quad\Rightarrow\quad
   \sigma\,(m\cdot u)(u\cdot s) = -m\cdot r = 0 \quad\Rightarrow\quad T s = -r.$$
 
-This is the solution that leaves that place fixed, exactly and whatever the stiffness.
-If the loads do drive the mode, $u\cdot s$ does not vanish. Newton's method then keeps
-moving the rod, and converges only if it reaches a place where they do not.
+This is the solution that leaves that place exactly fixed, for any stiffness of the
+spring. If the loads do drive the mode, $u\cdot s$ does not vanish. Newton's method then
+keeps moving the rod, and converges only if it reaches a position where the loads no
+longer drive the mode.
 
 The modes that are checked are the six rigid-body motions and the rotation of all
-elements about their own axes. A rod of round section that is straight at rest does not
-resist the latter, however it is bent.
+elements about their own axes. A round rod that is straight at rest does not resist this
+rotation, even if it is bent.
 """
 
 from __future__ import annotations
@@ -33,7 +34,8 @@ from jaxrod.statics.effect_tangents import Tangent
 
 _ROUNDINGS = 16
 """Multiple of the machine epsilon up to which a resistance counts as zero. Loose modes
-have 3; modes that pins resist have 3000 in float32 even for n = 100 and L/r = 1000."""
+reach 3; modes resisted by pins exceed 3000 in float32 even for n = 100 and L/r =
+1000."""
 
 
 def loose_modes(
@@ -48,7 +50,7 @@ def loose_modes(
         tangent: The tangent stiffness.
         rod: The rod.
         motion: Its configuration.
-        free: One for each component that can move, zero for those the scene holds.
+        free: Flags of the components: 1 if free, 0 if held by the scene.
 
     Returns:
         Displacements of nodes, in lengths of the rod, and rotations of elements [rad];
@@ -57,7 +59,7 @@ def loose_modes(
     modes, units = _modes_of_the_whole(rod, motion), _units(rod)
     steps = units[None] * modes
     resisted = jax.vmap(tangent.multiply)(free[None] * steps)
-    # Size of the rows without cancellation.
+    # Size of the rows if nothing cancelled.
     sizes = jax.tree.map(jnp.abs, tangent)
     whole = jnp.max(jax.vmap(sizes.multiply)(jnp.abs(steps)), axis=0)
     resisted = (free / jnp.where(whole > 0, whole, 1))[None] * resisted
@@ -83,8 +85,8 @@ def held_in_the_middle(
 ) -> Tangent:
     """Tangent with springs against the modes in the middle of the rod.
 
-    They are as stiff as the rod is in bending. A correction is then about as large as
-    the bending under the loads that drive the mode.
+    The springs are as stiff as the rod in bending. So if loads drive a mode, a
+    correction is about as large as the bending under these loads.
     """
     middle = _middle(rod)
     local = modes[:, middle] / _units(rod)

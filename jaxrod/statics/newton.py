@@ -1,8 +1,9 @@
 """Newton's method for an implicit step of a rod, damped where necessary.
 
-A full correction is tried and judged by the correction that would follow it. If that is
-too large, half of it is tried. This measure of progress depends neither on units nor on
-the ratio of stretching to bending stiffness, so steps stay long for slender rods.
+A full correction is tried and judged by the correction that would follow it. If the
+latter is too large, half of the correction is tried. This measure of progress depends
+neither on units nor on the ratio of stretching to bending stiffness, so steps stay long
+for slender rods.
 """
 
 from __future__ import annotations
@@ -68,7 +69,7 @@ def newton(
         return jnp.sqrt(jnp.sum((step / units[None, :]) ** 2))
 
     def unfinished(search: Search) -> Array:
-        # Written so that a step that is not finite ends the search.
+        # Written so that a non-finite step ends the search.
         going = (search.iterations == 0) | (search.share >= SMALLEST_SHARE)
         going &= size(search.step) < jnp.inf
         return going & ~search.converged & (search.trials < max_iterations)
@@ -79,7 +80,7 @@ def newton(
         residual = balance.residual(increment)
         step = balance.tangent(increment).solve(-residual)
         better = size(step) <= LARGEST_GROWTH * size(search.step)
-        # A guess whose correction is much larger than itself is worse than none.
+        # A guess that needs a correction much larger than itself is worse than none.
         first = search.iterations == 0
         unmoved = share * size(search.step) == 0
         better = jnp.where(first, unmoved | (size(step) <= 2 * size(guess)), better)
@@ -122,5 +123,5 @@ def largest(field: Vec3) -> Array:
 
 
 def default_tolerance(dtype: jnp.dtype) -> float:
-    """Tolerance of a correction whose square is near round-off."""
+    """Tolerance for corrections; its square is near round-off."""
     return 3e-4 if jnp.finfo(dtype).bits <= 32 else 1e-7

@@ -1,10 +1,11 @@
 r"""Search for a configuration at rest: Newton's method, with inertia where needed.
 
 A full correction $K s = f$ of the loads $f$ is tried, and judged by the correction that
-would be left. If that is too large, or if the correction goes against the loads, things
-are given inertia: $(K + \sigma M)\,s = f$ is one implicit step of a motion that stops
-again at once. The factor $\sigma$ shrinks to zero as the corrections become better.
-Such steps follow the way that loads push, past folds, to an equilibrium that is stable.
+would follow it. If the latter is too large, or if the correction goes against the
+loads, inertia is added: $(K + \sigma M)\,s = f$ is one implicit step from rest, after
+which the velocities are set to zero. The factor $\sigma$ shrinks to zero as the
+corrections become better. Such steps move in the direction of the loads, past folds, to
+a stable equilibrium.
 
 Source: pseudo-transient continuation (Kelley and Keyes, SIAM J. Numer. Anal. 35, 1998),
 with a factor that is controlled by how well the linear model predicts the loads.
@@ -26,11 +27,12 @@ LARGEST_TURN = 1.0
 LARGEST_DISPLACEMENT = 1.0
 """Largest displacement in one correction, over the length of the longest rod [1]."""
 LEFT = 0.75
-"""Largest correction that may be left after one that is taken, over this one [1]."""
+"""Largest ratio of the next correction to an accepted correction [1]."""
 LITTLE = 0.1
-"""The same, below which inertia shrinks fast [1]."""
+"""Ratio of the next correction to an accepted one below which inertia shrinks fast
+[1]."""
 STALLED = 10
-"""Multiple of the tolerance below which a search that no longer gets on is done [1]."""
+"""Multiple of the tolerance below which a stalled search counts as converged [1]."""
 FASTEST, SLOWEST = 0.1, 0.75
 """Factors by which inertia shrinks [1]."""
 
@@ -50,7 +52,7 @@ class Place(Protocol):
         """Whether loads drive a motion that nothing resists."""
 
     def at(self, configuration: Any) -> Any:
-        """This place with another configuration: a start, before it is looked at."""
+        """This place with another configuration, before loads are computed there."""
 
     def momentum(self, step: Array) -> Array:
         """The mass times a step [kg m^2]."""
@@ -63,11 +65,11 @@ class Place(Protocol):
 
 
 class RestProblem(Protocol):
-    """A static problem as the search sees it."""
+    """A static problem in the form that the search needs."""
 
     @property
     def element_lengths(self) -> Array:
-        """Size of a scaled step in element lengths and radians, over the step."""
+        """Factor from a scaled step to element lengths and radians."""
 
     @property
     def largest_step(self) -> Array:
@@ -91,11 +93,11 @@ class Search:
     step: Array
     """Full correction."""
     share: Float[Array, ""]
-    """Share of it that is tried [1]."""
+    """Share of the full correction that is tried [1]."""
     inertia: Float[Array, ""]
     """Factor of the mass [1/s^2]."""
     shrinking: Float[Array, ""]
-    """Factor by which it shrinks after a good correction [1]."""
+    """Factor by which inertia shrinks after a good correction [1]."""
     trials: Int[Array, ""]
     """Number of corrections tried."""
     iterations: Int[Array, ""]
@@ -121,7 +123,7 @@ def find_rest(
         return jnp.sqrt(jnp.sum(step * step))
 
     def unfinished(search: Search) -> Array:
-        # Written so that a correction that is not finite ends the search.
+        # Written so that a non-finite correction ends the search.
         going = (search.trials == 0) | (size(search.step) < jnp.inf)
         return going & ~search.converged & (search.trials <= max_iterations)
 
@@ -134,8 +136,8 @@ def find_rest(
         ratio = size(left) / (share * size(step))
         work = jnp.sum(step * before.loads)
         first = search.trials == 0
-        # Below the tolerance what is left may be round-off. So it is a little above it,
-        # where it no longer shrinks.
+        # Near the tolerance the rest may be round-off. So a correction slightly above
+        # the tolerance that no longer shrinks is accepted.
         largest = jnp.max(jnp.abs(share * step) * problem.element_lengths)
         little = (largest <= tolerance) | (
             (largest <= STALLED * tolerance) & (ratio > LEFT)
@@ -147,7 +149,7 @@ def find_rest(
         fast = ratio <= LITTLE
         lower = search.inertia * jnp.where(fast, search.shrinking, 0.5)
         lower = jnp.where(lower * own < 1e-4 * resisted, 0, lower)
-        # Where less inertia was too little, it shrinks more slowly.
+        # If reduced inertia was too small, it shrinks more slowly from now on.
         slower = jnp.minimum(jnp.sqrt(search.shrinking), SLOWEST)
         faster = jnp.maximum(search.shrinking**2, FASTEST)
         shrinking = jnp.where(taken, jnp.where(fast, faster, search.shrinking), slower)
@@ -174,7 +176,7 @@ def find_rest(
         here = problem.place(start)
         return here, here.factors(jnp.zeros_like(tolerance))
 
-    # The first trial is the start itself.
+    # The first trial is the start.
     here, factors = jax.tree.map(
         lambda a: jnp.zeros(a.shape, a.dtype), jax.eval_shape(nothing)
     )

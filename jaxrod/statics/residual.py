@@ -1,10 +1,10 @@
 r"""The balance of loads that an implicit method solves for, and its derivative.
 
 From a base configuration nodes are displaced by $d$ and elements rotated by rotation
-vectors $\theta$ in their material frames. At the pace $w$ (the inverse of a duration;
-zero in statics) they move with velocities $v = w d$ and angular momenta
-$P = R J\,w\theta$. All loads $f, c$, at the displaced configuration and at these rates,
-balance damping and the change from the base rates $v_b, P_b$:
+vectors $\theta$ in their material frames. At the pace $w$ (an inverse duration, zero in
+statics) they move with velocities $v = w d$ and angular momenta $P = R J\,w\theta$. All
+loads $f, c$, at the displaced configuration and at these rates, balance damping and the
+change from the base rates $v_b, P_b$:
 
 $$m\,((w + g_t)\,v - w\,v_b) = f, \qquad (w + g_r)\,P - w\,P_b = c.$$
 """
@@ -106,7 +106,8 @@ class LoadBalance:
             velocity=vectors.scale(self.pace, increment.displacement),
             spin=to_world(directors(orientation), momentum),
         )
-        # Driven components have moved already: their rate is not that of the increment.
+        # Driven components have already moved: their rate does not follow from the
+        # increment.
         return moved if self.at_rest else constrain_rates(self.scene, moved)
 
     def residual(self, increment: Increment) -> Float[Array, "n+1 6"]:
@@ -177,10 +178,9 @@ class LoadBalance:
     ) -> Increment:
         """Increment as in `retract` to first order, but with linearly changing strains.
 
-        Otherwise the nodes of rotated elements of a slender rod would be off by the
-        square of the rotation, which stretches the elements. Stretching is far stiffer
-        than bending, so that would limit Newton's method to small rotations. Therefore
-        the edges turn with the elements.
+        The edges turn with the elements. Otherwise rotations would stretch the elements
+        of a slender rod in proportion to the square of the angle. Stretching is far
+        stiffer than bending, so that would limit Newton's method to small rotations.
         """
         moved = self.retract(increment, step)
         displacement, turn = unstack_dofs(step)
@@ -207,7 +207,7 @@ class LoadBalance:
     def with_held_components(
         self, guess: Float[Array, "n+1 6"], found: Increment
     ) -> Increment:
-        """Increment found, with those of the guess for held components."""
+        """Increment found, with the guess's values for held components."""
         free = Increment(*unstack_dofs(self.free))
         displacement, turn = unstack_dofs(guess)
         own = to_material(directors(self.base.orientation), turn)
@@ -221,7 +221,7 @@ class LoadBalance:
 
     @property
     def free(self) -> Float[Array, "n+1 6"]:
-        """Array that is one for components that can move, zero for held ones."""
+        """Flags of the components: 1 if free, 0 if held."""
         return stack_dofs(*degrees_of_freedom(self.scene, self.base))
 
     @property
@@ -253,7 +253,7 @@ def _coupling(increment: Increment) -> Array:
 def _restricted(
     matrix: BlockTridiagonal, free: Float[Array, "n+1 6"]
 ) -> BlockTridiagonal:
-    """Matrix with rows and columns of held components replaced by the identity's."""
+    """Matrix in which rows and columns of held components are those of the identity."""
     before = jnp.pad(free[:-1], ((1, 0), (0, 0)))
     after = jnp.pad(free[1:], ((0, 1), (0, 0)))
     held = jnp.eye(6, dtype=free.dtype)[None] * (1 - free)[:, :, None]
@@ -290,10 +290,10 @@ def displaced(motion: Motion, displacement: Vec3) -> Motion:
 
 @jax.custom_jvp
 def implicit_solution(balance: LoadBalance, increment: Increment) -> Increment:
-    """Increment that balances, found by other means, as a function of the balance.
+    """Increment that solves the balance of loads, differentiable by its numbers.
 
     The value is `increment` itself. Its derivative is that of the exact solution, by
-    the implicit function theorem: one linear solve, however many iterations it took.
+    the implicit function theorem: one linear solve for any number of iterations.
     Held components change as they do in `increment`.
     """
     return increment
@@ -315,8 +315,8 @@ def assemble_tangent(
 ) -> BlockTridiagonal:
     """Matrix of the whole rod.
 
-    Block `k` is node `k` (its displacement) and element `k` (its rotation); the last
-    node has no element, and zeros in its place.
+    Block `k` has the displacement of node `k` and the rotation of element `k`. The last
+    node has no element; zeros take its place.
 
     Args:
         element: Tangents of the elements.

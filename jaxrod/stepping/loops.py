@@ -1,10 +1,10 @@
-"""Loops that apply a function many times: a traced number, or differentiable.
+"""Loops that apply a function many times, with a traced count or in reverse mode.
 
-On CPUs, batches of some systems run one system after the other. Under `jax.vmap` a
-branch on a number of each system is no longer a branch: both sides are computed for
-all. Contact with neighbour lists skips empty lists by branches, and one such system
-fills a core and its cache. So a batch of them takes longer together than one by one,
-and much longer to compile.
+On CPUs, batches of some systems run one system after the other. Contact with neighbour
+lists skips empty lists by branches. Under `jax.vmap` a branch on each system's own
+number is no branch any more: both sides are computed for all. One such system already
+fills a core and its cache, so a batch takes longer together than one by one, and much
+longer to compile.
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ class _Body:
 
 
 def one_by_one(function: Callable[..., Any], *arguments: Any) -> Any:
-    """Result of a function; under `jax.vmap` it is called for one entry at a time.
+    """Result of a function, which under `jax.vmap` is called for one entry at a time.
 
     On devices other than CPUs a batch stays together. If the function is differentiated
     before it is batched, it is treated like any other function.
@@ -131,7 +131,7 @@ def integrated(integrator: Any, state: Any, n_cycles: int | Array) -> Any:
             `one_by_one` has a method `renewed` too, which is called before every
             `every` cycles, and is not batched with others on a CPU.
         state: Initial state.
-        n_cycles: Number of cycles; an `int` if it is to be differentiated in reverse.
+        n_cycles: Number of cycles; an `int` for reverse-mode differentiation.
     """
     if getattr(integrator, "one_by_one", False):
         if isinstance(n_cycles, int):
@@ -145,7 +145,7 @@ def integrated(integrator: Any, state: Any, n_cycles: int | Array) -> Any:
 
 
 def _in_blocks(integrator: Any, state: Any, n_cycles: int | Array) -> Any:
-    """State after cycles in blocks, before each of which the integrator is renewed."""
+    """State after blocks of cycles; the integrator is renewed before each block."""
     every = integrator.every
 
     def block(carry: Any, length: int | Array) -> Any:
@@ -179,10 +179,10 @@ def repeat_traced(
 def repeat(function: Callable[[Carry], Carry], carry: Carry, n_times: int) -> Carry:
     """Applies a function a static number of times, cheap to differentiate.
 
-    Every application is checkpointed: reverse mode starts from the carries alone. That
+    Every application is checkpointed: reverse mode keeps only the carries. That
     compiles and runs several times faster than storing the intermediate results of a
-    step. Many applications go in two nested loops, so that about `2 sqrt(n_times)`
-    carries are kept instead of `n_times`, for one more forward pass.
+    step. Many applications run in two nested loops. These keep about `2 sqrt(n_times)`
+    carries instead of `n_times`, at the price of one more forward pass.
     """
     remembered = jax.checkpoint(function)
 

@@ -1,4 +1,4 @@
-"""Runs of a model, and checks of their arguments: one step, many, recorded ones."""
+"""Runs of a model (single, repeated and recorded steps), and argument checks."""
 
 from __future__ import annotations
 
@@ -59,7 +59,7 @@ def check_counter(n_steps: Array, name: str = "n_steps") -> None:
 
 
 def check_first(scene: Model, first: int | Array, n_steps: int | Array) -> Array | None:
-    """First step of a run, for a scene that depends on it; `None` for others."""
+    """Number of a run's first step if the scene evolves in time; `None` otherwise."""
     check_model(scene)
     if isinstance(first, jax.Array):
         check_counter(first, "first")
@@ -139,8 +139,9 @@ def advance(
     steps, not in between. Within `jax.jit` it becomes part of that program. With an
     `int` number of steps it is differentiable in reverse mode (memory grows with the
     square root of the number of steps), with a traced one in forward mode. `jax.grad`,
-    `jax.vmap` and the like need no `jax.jit` around them: the transformed program is
-    compiled once for every `int` number of steps, or once for all traced ones.
+    `jax.vmap` and similar transformations need no `jax.jit` around them: the
+    transformed program is compiled once for every `int` number of steps, or once for
+    all traced ones.
 
     Calls with m and with n steps give the same as one call with m + n steps, up to
     round-off. That does not hold if a section or a rigid body, with its attachments, is
@@ -153,7 +154,7 @@ def advance(
         state: The initial state; for a system, a dict by member.
         dt: Step size [s].
         n_steps: Number of steps, from 0 to 2147483647; an array below 0 counts as 0.
-        first: Number of steps since time zero at the beginning, if the scene depends on
+        first: Number of steps between time zero and the start, if the scene depends on
             time: with schedules, call after call, `first += n_steps`.
 
     Returns:
@@ -204,7 +205,7 @@ def rollout(
         dt: Step size [s].
         n_steps: Number of steps, a multiple of `every`.
         every: Number of steps between records, at least 1.
-        first: Number of steps since time zero at the beginning, if the scene depends on
+        first: Number of steps between time zero and the start, if the scene depends on
             time.
 
     Returns:
@@ -263,8 +264,8 @@ def _run_traced(
 ) -> Any:
     """Run with a traced number of steps.
 
-    `lanes`, the mode of their use, is looked up where it matters. As an argument it
-    keeps apart programs that were compiled in different modes.
+    The argument `lanes` is not read here: it keeps programs that were compiled in
+    different modes of `use_lanes` apart.
     """
     state = scene.with_memory(state)
     after = _run(scene, state, dt, n_steps, first)
@@ -295,8 +296,8 @@ def _run(
     return integrated(integrator, state, n_steps - integrator.steps_of_end)
 
 
-# Within another jit these change nothing. With other transformations alone they avoid
-# compiling a run again in every call.
+# Within another jit these change nothing. Under other transformations without jit they
+# avoid compiling a run again in every call.
 _traced_compiled = jax.jit(_run_traced, static_argnames="lanes")
 _static_compiled = jax.jit(_run_static, static_argnames=("n_steps", "lanes"))
 

@@ -47,7 +47,7 @@ def system_angular_momentum(system: Assembly, state: SystemState) -> Float[Array
 def seen_at_rest(
     system: Assembly, state: SystemState
 ) -> tuple[dict[str, Seen], tuple[Any, ...]]:
-    """Members as couplings see them in a state, with their rates; couplings prepared.
+    """Members as couplings see them in a state, and the prepared couplings.
 
     Spins are angular momenta in every method. Neighbours are searched.
     """

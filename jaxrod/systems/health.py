@@ -1,4 +1,4 @@
-"""Numerical health of a system's state: of its members and of its couplings."""
+"""Numerical health of a system's state: its members and its couplings."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ class SystemHealth:
     """Flag: lists were used in a run after a node had moved by more than half their
     skin."""
     neighbours: NeighbourRecord
-    """Record behind both flags; zero without lists."""
+    """Record behind `overflow` and `stale`; zero without lists."""
 
     @property
     def flagged(self) -> Bool[Array, ""]:

@@ -1,4 +1,4 @@
-"""Count of the neighbours in a state, and of the room in lists of neighbours."""
+"""Counts of the neighbours in a state, and of the room in lists of neighbours."""
 
 from __future__ import annotations
 
@@ -27,11 +27,11 @@ class Neighbours:
     occupancy: float
     """Largest fraction of the available room in use; infinite without any room [1]."""
     suggested: NeighbourLists
-    """Lists with at least half as much room again as this state needs."""
+    """Lists with at least 1.5 times the room that this state needs."""
 
 
 def neighbours(system: System, state: Any) -> tuple[Neighbours, ...]:
-    """Counts what lists of neighbours hold in a concrete state.
+    """Counts the entries that lists of neighbours need in a concrete state.
 
     Args:
         system: The system.
@@ -58,7 +58,7 @@ def neighbours(system: System, state: Any) -> tuple[Neighbours, ...]:
 
 def _counted(coupling: Any, seen: Any) -> Neighbours:
     given: NeighbourLists = coupling.lists
-    # A search over all pairs stays one, and so does a grid.
+    # The suggestion keeps the kind of search: over all pairs, or with a grid.
     cells = 0 if given.cell_slots == 0 else None
     bare = replace(given, pairs=None, candidates=None, cell_slots=cells)
     empty = replace(coupling, lists=bare)

@@ -1,15 +1,16 @@
 r"""Rest states of a scene or a system, by adaptive dynamic relaxation.
 
-The motion itself is followed, with its true inertia, and damped at the rate $2\omega$.
+The motion is followed with its true inertia and damped at the rate $2\omega$.
 This is the critical rate for the current frequency of the motion. The frequency is a
 Rayleigh quotient of the velocities $u$ and the change $\Delta a$, over a block of steps
 of total duration $t$, of the accelerations that all loads give at rest:
 
 $$\omega^2 = -\frac{u\cdot M\,\Delta a}{t\; u\cdot M u}.$$
 
-Fast modes die first, and the damping follows the remaining motion down to the slowest
-mode. Where motion gains speed, as in a fall, there is no damping (Underwood, Dynamic
-relaxation, in Computational Methods for Transient Analysis, North-Holland 1983).
+Fast modes decay first, and the damping adapts to the remaining motion down to the
+slowest mode. While the motion gains speed, as in a fall, there is no damping
+(Underwood, Dynamic relaxation, in Computational Methods for Transient Analysis,
+North-Holland 1983).
 
 The distance from rest is measured too. One kick from rest, so short that nothing moves,
 gives the mass times acceleration of every node, with supports and ties taken into
@@ -36,13 +37,13 @@ from jaxrod.structure import pytree
 from jaxrod.validation import as_array, check_count
 
 SHARE = 1e-8
-"""Tolerated force out of balance, over the force that bends a rod by its own size [1].
+"""Tolerated force out of balance, over bending stiffness per length squared [1].
 """
 ROUNDING = 8
 """Tolerated force out of balance, in units of round-off of the stretching stiffness
 [1]."""
 INSTANT = 1e-3
-"""Duration of the kick that measures loads, over a step [1]."""
+"""Duration of the kick that measures loads, as a fraction of a step [1]."""
 
 
 @pytree
@@ -56,9 +57,9 @@ class Settled:
     steps: Int[Array, ""]
     """Number of steps taken."""
     force_residual: Float[Array, ""]
-    """Largest mass times acceleration of a node or a body, when at rest there [N]."""
+    """Largest mass times acceleration of a node or a body released from rest [N]."""
     couple_residual: Float[Array, ""]
-    """Largest rate of angular momentum of an element or body, when at rest there [N m].
+    """Largest rate of angular momentum of an element or body released from rest [N m].
     """
 
 
@@ -74,7 +75,7 @@ def settled(
 ) -> Settled:
     """Follows a scene or a system until it rests: see the module.
 
-    It works for all models that can be stepped, and follows their motion, where
+    It works for all models that can be stepped. It follows their motion, while
     `jaxrod.equilibrium` solves for the balance of loads. It works inside jit and vmap.
     It cannot be differentiated in reverse mode, and does not use the implicit function
     theorem; forward mode follows all steps.
@@ -82,7 +83,7 @@ def settled(
     It finds rest states that are reached by falling. A model that stands exactly on the
     top of a hill, such as a straight column, stays there and has converged. A model
     that nothing holds never converges. Friction of contacts is a drag, which is zero at
-    rest: things come to lie where they would without it.
+    rest: rods and bodies come to rest where they would without friction.
 
     Args:
         scene: The scene or system, without schedules (`.at(time)`).
@@ -184,7 +185,7 @@ def _settled(
 
 
 def _block(scene: Model, way: Way, dt: Array, every: int) -> Way:
-    """One more block of steps, and the damping for the next."""
+    """Takes one more block of steps, and finds the damping for the next."""
     damped = _damped(scene, way.rate)
     moved = advance(damped, _with_memories(scene, way.state, 1), dt, every)
     moved = _with_memories(scene, moved, -1)

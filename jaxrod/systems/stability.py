@@ -1,4 +1,4 @@
-"""The largest stable step of a system: its members, with the bounds of couplings."""
+"""The largest stable step of a system, from its members and the bounds of couplings."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ def stable_system_dt(system: Assembly, safety: ArrayLike = 0.8) -> StableSystemS
     """The largest step at which a system is stable, times a safety factor.
 
     Args:
-        system: The system; its schedules count with the bounds on their size.
+        system: The system; schedules are replaced by the bounds on their size.
         safety: Fraction of the limit to use, in (0, 1].
     """
     system = system.at_largest

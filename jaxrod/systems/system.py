@@ -52,9 +52,9 @@ class System(Assembly, Model):
     """Rods and rigid bodies by name, and the couplings between them.
 
     Structure is static, numbers are traced. Only what is listed is in the compiled
-    program. Build a system with `make_system`. The functions for scenes take it too:
-    `advance`, `rollout`, `stable_dt`, `health`, with a dict of states by member; and it
-    has the same methods, such as `total_energy(state)`.
+    program. Build a system with `make_system`. Functions for scenes (`advance`,
+    `rollout`, `stable_dt`, `health`) take it, too, with a dict of states by member. It
+    has the same methods as a scene, such as `total_energy(state)`.
     """
 
     def states_by_name(self, state: Any) -> dict[str, Any]:
@@ -108,7 +108,9 @@ class System(Assembly, Model):
     def stable_step(self, safety: ArrayLike, *, state: Any = None) -> StableSystemStep:
         """The largest step at which the system is stable, times a safety factor."""
         if state is not None:
-            raise ValueError("state: of a system the bound is for any state")
+            raise ValueError(
+                "state must be None: the bound of a system holds for any state"
+            )
         factor = as_array("safety", safety, "", positive=True, at_most=1)
         check_single(self)
         return stable_system_dt(self, factor)
@@ -123,7 +125,7 @@ class System(Assembly, Model):
         work_input: ArrayLike = 0.0,
         n_steps: ArrayLike = 1000,
     ) -> SystemHealth:
-        """Flags and the measured values behind them; its energy is not examined."""
+        """Flags and the measured values behind them; energies are not examined."""
         check_system_state(self, state)
         self.check_moment()
         return system_health(self, state, dt, limits=limits)
@@ -157,8 +159,8 @@ class System(Assembly, Model):
         """Raises a `ValueError` if the system depends on time."""
         if self.depends_on_time:
             raise ValueError(
-                "this asks about one moment, but a number of an effect or a coupling "
-                "is a schedule: give system.at(time)"
+                "this is defined at one moment, but an effect or a coupling has a "
+                "schedule: give system.at(time)"
             )
 
     def kinetic_energy(self, state: Any) -> Float[Array, ""]:
@@ -258,7 +260,7 @@ def _flat(couplings: Any) -> Any:
 
 
 def _member(name: Any, given: Any) -> Member:
-    """The member that answers for what is given, checked."""
+    """The checked member for an entry of a system."""
     if not isinstance(name, str):
         raise TypeError(f"names of members must be strings, got {name!r}")
     as_member = getattr(given, "as_member", None)
@@ -275,7 +277,7 @@ def _member(name: Any, given: Any) -> Member:
 def _free_ends(
     parts: AllParts, couplings: Sequence[Coupling], dtype: Any
 ) -> dict[str, Array]:
-    """One for each free end of the rods of each member, zero for other ends."""
+    """Flags of the ends of each member's rods: 1 if free, 0 otherwise."""
     held = {node for coupling in couplings for node in coupling.joined_nodes()}
     return {
         name: jnp.asarray(free_ends(name, parts, held), dtype)
@@ -290,7 +292,8 @@ def _sized(
     """Couplings with room for their neighbours, as counted in a state."""
     if RECORD in system.members:
         raise ValueError(
-            f"no member can be called {RECORD!r}: a state has its record of lists there"
+            f"no member can be called {RECORD!r}: this is the name of the record of "
+            "lists in a state"
         )
     if state is None:
         sizes = [c for c in couplings if c.refresh_every is not None and not c.is_sized]
@@ -300,7 +303,7 @@ def _sized(
                 "neighbour_lists, or make_system a state in which to count them"
             )
         return couplings
-    # Without couplings: nothing is searched yet.
+    # Without couplings, because nothing has been searched yet.
     plain = replace(system, couplings=()).at(0.0)
     seen, _ = seen_at_rest(plain, state)
     parts = system.parts()
@@ -315,7 +318,7 @@ def _with_room(coupling: Coupling, parts: Any, seen: Any) -> Coupling:
 
 
 def _check_followers(couplings: Sequence[Coupling]) -> None:
-    """Raises where a node would follow two bodies, or a body and a tie."""
+    """Raises if a node would follow two bodies, or a body and a tie."""
     followers: dict[tuple[str, int], str] = {}
     for coupling in couplings:
         followed = coupling.followed

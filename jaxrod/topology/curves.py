@@ -1,8 +1,8 @@
-r"""Curves as polylines: arguments, the completion of their ends, and solid angles.
+r"""Curves as polylines: checks of arguments, completion of ends, and solid angles.
 
 Writhe and link are invariants of closed curves. An open curve is left open, closed by a
-segment, or lengthened by a straight piece at each end. The pieces are so long that the
-rest of a closure would add little.
+segment, or lengthened by a straight piece at each end. These pieces are so long that
+the rest of a closing curve would add little.
 
 A spherical triangle of unit vectors $a, b, c$ has the signed area
 
@@ -10,10 +10,10 @@ $$\Omega = 2\,\mathrm{atan2}\big(a\cdot(b\times c),\ 1 + a\cdot b + b\cdot c
     + c\cdot a\big)$$
 
 (van Oosterom and Strackee, IEEE Trans. Biomed. Eng. 30, 1983). Seen from all points of
-one segment, another one sweeps a spherical parallelogram: two such triangles. There are
-no arcsines whose argument round-off could put out of range. A vector without direction
-(between points that coincide) subtends no angle and has zero gradient: everything is
-finite and differentiable for any position of the curves.
+one segment, another segment sweeps a spherical parallelogram, which is two such
+triangles. The formula has no arcsine whose argument could leave its range by round-off.
+A zero vector (between points that coincide) subtends no angle and has zero gradient. So
+everything is finite and differentiable for any position of the curves.
 """
 
 from __future__ import annotations
@@ -39,8 +39,8 @@ from jaxrod.validation import Numbers, as_array, numeric
 Ends = Literal["open", "joined", "next_tangent", "end_to_end", "net_tangent"]
 """Treatment of the ends of a curve.
 
-"open": none. "joined": the last node is joined to the first, whether it is at the same
-place (a welded ring) or not. The others add a straight piece at each end, as
+"open": no treatment. "joined": the last node is joined to the first, whether it is at
+the same place (a welded ring) or not. The others add a straight piece at each end, as
 PyElastica's `type_of_additional_segment` does: along the end elements, along the line
 from one end to the other, along the line between the mean nodes of both halves.
 """
@@ -73,7 +73,7 @@ def nodes_of(name: str, curve: Curve) -> Float[Array, "3 nodes"]:
     if points.ndim != 2 or points.shape[0] != 3 or points.shape[1] < 2:
         raise ValueError(
             f"{name} must be a state, or nodes (3, n + 1) with n >= 1, in metres, got "
-            f"shape {points.shape}; of frames, use jax.vmap"
+            f"shape {points.shape}; for several frames use jax.vmap"
         )
     return as_array(name, points, "m", [points.shape], dtype=_kind(curve))
 
@@ -160,7 +160,7 @@ def element_lengths(nodes: Float[Array, "3 nodes"]) -> Float[Array, " n"]:
 
 
 def across(directions: Vec3, tangents: Vec3) -> Vec3:
-    """Unit vectors along the components of vectors perpendicular to unit tangents."""
+    """Components of vectors perpendicular to unit tangents, scaled to unit length."""
     along = scale(dot(directions, tangents), tangents)
     return unit(subtract(directions, along))
 

@@ -1,10 +1,11 @@
 r"""Passages of curves through each other between two moments.
 
 Nodes are assumed to move in straight lines between the moments. The vector from a point
-of one segment to a point of another is then a map of a cube, of two places and time.
-Segments pass through each other where it is zero. The signed number of passages is the
-solid angle of the surface of the cube's image over that of a sphere. It is an integer
-however large the motion. The sum over all pairs is the jump of the Gauss integral.
+of one segment to a point of another is then a map of a cube: two places and time.
+Segments pass through each other where the vector is zero. The signed number of passages
+is the solid angle of the image of the cube's surface over that of a sphere. It is an
+integer for motions of any size. The sum over all pairs is the jump of the Gauss
+integral.
 """
 
 from __future__ import annotations
@@ -23,12 +24,13 @@ def crossings(
     other_before: Curve | None = None,
     other_after: Curve | None = None,
 ) -> Float[Array, "n m"]:
-    """Number of passages of each element of a curve through those of another or itself.
+    """Passages of each element of a curve through elements of another curve or itself.
 
-    They are signed, +1 where the Gauss integral grows, and a half where elements touch
-    at one of the two moments. Between the moments nodes move in straight lines: compare
-    states between which no element rotates by more than a right angle. Elements that
-    share a node do not count. For a rollout, use `jax.vmap` over neighbouring records.
+    They are signed: +1 where the Gauss integral grows, and half of that where elements
+    touch at one of the two moments. Between the moments nodes move in straight lines:
+    compare states between which no element rotates by more than a right angle. Elements
+    that share a node do not count. For a rollout, use `jax.vmap` over neighbouring
+    records.
 
     Args:
         before: A state, or nodes `(3, n + 1)`, at the first moment [m].
@@ -73,7 +75,7 @@ def crossings(
                 )
         return jnp.where(joined, 0, _winding({k: unit(v) for k, v in vector.items()}))
 
-    # Starts and finishes of the elements at the first moment, then at the second.
+    # First and next nodes of the elements at the first moment, then at the second.
     rows = [x[:, k : x.shape[1] - 1 + k].T for x in one for k in (0, 1)]
     return lax.map(seen_from, (rows[0], rows[1], rows[2], rows[3]))
 

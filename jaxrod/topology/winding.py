@@ -1,4 +1,4 @@
-r"""Twist of a ribbon, writhe of a curve, linking number of two, link of a ribbon.
+r"""Twist and link of a ribbon, writhe of a curve, linking number of two curves.
 
 The Gauss integral of two curves is a sum over pairs of their segments, of the signed
 solid angle $\Omega_{ij}$ under which segment j is seen from all points of segment i:
@@ -170,10 +170,11 @@ def link(
     ends: Ends = "open",
     extension: Numbers | None = None,
 ) -> Float[Array, ""]:
-    """Link of a ribbon: of its centreline with a parallel line, offset along d1.
+    """Link of a ribbon: linking number of its centreline and a line offset along d1.
 
-    It is an integer for closed ribbons. With ends other than "joined" it is that of the
-    lengthened pair of lines, near twist plus writhe for a long `extension`.
+    It is an integer for closed ribbons. For other ends than "joined" it is the link of
+    the two lengthened lines, which is close to twist plus writhe for a long
+    `extension`.
 
     Args:
         curve: A state, or nodes `(3, n + 1)` [m].
@@ -216,7 +217,7 @@ def gauss_integral(
     """Sum of the solid angles of all pairs of segments over that of a sphere [1]."""
     starts, finishes = split(second[:, :-1]), split(second[:, 1:])
 
-    # Storing the solid angles' intermediate values would take most of the memory.
+    # Storing intermediate values of the solid angles would take most of the memory.
     @jax.checkpoint
     def seen_from(segment: tuple[Array, Array]) -> Array:
         start, finish = split(segment[0]), split(segment[1])
@@ -229,7 +230,7 @@ def gauss_integral(
 def _directions(
     start: Vec3, finish: Vec3, starts: Vec3, finishes: Vec3
 ) -> tuple[Vec3, Vec3, Vec3, Vec3]:
-    """Corners of the spherical parallelograms of one segment with many."""
+    """Corners of the spherical parallelograms of one segment with many others."""
     return (
         unit(subtract(starts, start)),
         unit(subtract(starts, finish)),

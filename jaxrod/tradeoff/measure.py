@@ -1,6 +1,6 @@
 """Settings, which trade speed for accuracy: their error and their cost.
 
-The error is that against a converged reference.
+Errors are measured against a converged reference.
 """
 
 from __future__ import annotations
@@ -46,8 +46,8 @@ class Setting:
     n_elements: int
     """Number of elements."""
     dt: float | None = None
-    """Step size [s]; `None` for the largest stable one that divides the control period,
-    with the safety factor below."""
+    """Step size [s]; `None` for the largest stable step that divides the control
+    period, times the safety factor below."""
     dtype: str = "float32"
     """Floating-point type, "float32" or "float64"."""
     mode: Law = "consistent"
@@ -91,7 +91,7 @@ def prepare(workload: Workload, setting: Setting) -> Prepared:
 
     Raises:
         ValueError: If the setting does not fit the workload: "planar" without a plane,
-            "untwisted" although something twists, or implicit steps without a step
+            "untwisted" although a load twists the rod, or implicit steps without a step
             size.
     """
     with jax.enable_x64(True):
@@ -149,8 +149,8 @@ class Reference:
     """Length of the rod [m]."""
     error: float
     """Estimated error: root mean square over time, in lengths of the rod. It is a
-    quarter of the difference from a reference of half the resolution, which is how much
-    the next refinement would change it (second order)."""
+    quarter of the difference from a run of half the resolution: the change that the
+    next refinement would cause (second order)."""
     n_elements: int
     """Number of elements."""
     dt: float
@@ -261,7 +261,7 @@ def cost(
         once()
         single = once()
         rounds = max(1, int(seconds / WINDOWS / single))
-        # A run longer than all windows together need not be repeated.
+        # A run that is longer than all windows together is not repeated.
         repeats = WINDOWS if single < seconds else 0
         windows = [sum(once() for _ in range(rounds)) for _ in range(repeats)]
     simulated = rounds * periods * workload.period * batch

@@ -45,8 +45,8 @@ def resample(scene: Scene, state: RodState, n_elements: int) -> tuple[Scene, Rod
         The new scene and state; the given ones if the number does not change.
 
     Raises:
-        ValueError: If `n_elements` is out of range, anything is traced, an effect
-            remembers something, or belongs to certain elements (a tendon).
+        ValueError: If `n_elements` is out of range, anything is traced, or an effect
+            has memory or belongs to certain elements (a tendon).
         TypeError: If `scene` or `state` is of another type.
 
     Example:

@@ -33,7 +33,7 @@ from jaxrod.validation import check_array, check_count, is_traced
 ELEMENTS = (4, 5, 6, 8, 10, 12, 14, 17, 20, 24, 28, 34, 40, 48, 56, 68, 80)
 """Numbers of elements that are tried, in this order."""
 STEPS_FOR_IMPLICIT = 100
-"""Number of explicit steps an implicit one must replace for it to be tried."""
+"""Number of explicit steps that one implicit step must replace to be tried."""
 TRUSTED = 0.2
 """Largest error of the reference, as a fraction of the error allowed."""
 
@@ -43,8 +43,8 @@ class Tuned:
     """Result of `tune`."""
 
     met: bool
-    """Whether the error is allowed. If no setting is, `setting` is the
-    most accurate one that was tried."""
+    """Whether the error is within the allowed error. If no setting is accurate enough,
+    `setting` is the most accurate one tried."""
     setting: Setting
     """The cheapest setting whose error is allowed."""
     error: float
@@ -73,7 +73,7 @@ class Tuned:
         )
         if self.met:
             return f"{found} (allowed: {self.max_error:g})"
-        return f"nothing keeps {self.max_error:g}; the most accurate is {found}"
+        return f"no setting is within {self.max_error:g}; most accurate: {found}"
 
 
 def tune(
@@ -115,8 +115,8 @@ def tune(
     Raises:
         ValueError: If `max_error`, `batch` or `seconds` is not positive, `elements` do
             not increase, `state` is missing or does not fit, or the reference is not
-            converged well enough to judge by. Then the motion depends on details that
-            no resolution captures, or needs a larger `max_error`.
+            converged well enough. Then the motion depends on details that no resolution
+            captures, or `max_error` must be larger.
     """
     if is_traced(scene, state):
         raise ValueError(
@@ -127,7 +127,9 @@ def tune(
     batch = check_count("batch", batch, 1)
     elements = tuple(check_count("elements", n, 2) for n in elements)
     if not elements or any(a >= b for a, b in itertools.pairwise(elements)):
-        raise ValueError(f"elements must be some, increasing, got {elements}")
+        raise ValueError(
+            f"elements must be increasing numbers, at least one, got {elements}"
+        )
     if isinstance(scene, Workload):
         workload = scene
     elif state is None:
@@ -224,7 +226,7 @@ class _Search:
         def error(index: int) -> float:
             return self._error(Setting(self.elements[index], dtype="float64"))[1]
 
-        # The error is inversely proportional to the square: jump to where it suffices.
+        # The error falls with the square of the number: jump to where it suffices.
         last = len(self.elements) - 1
         index = min(int(np.searchsorted(self.elements, 10)), last)
         for _ in range(3):

@@ -70,13 +70,14 @@ def workload_of(
             that vary along the rod are interpolated.
         state: Its initial state.
         duration: Simulated time [s].
-        periods: Number of records of the tip; no step is longer than the time between.
+        periods: Number of records of the tip; no step is longer than the time between
+            records.
         name: Name of the workload.
 
     Raises:
         ValueError: If `duration` is not positive, `scene` is not of the consistent law,
-            `state` is not of its rod or not finite, or something leaves the plane of
-            a planar scene.
+            `state` is not of its rod or not finite, or a part leaves the plane of a
+            planar scene.
         TypeError: If `scene` is not a scene or `state` not a state.
     """
     check_scene_and_state(scene, state)
@@ -95,7 +96,7 @@ def workload_of(
 
     def build(n_elements: int, law: Law) -> tuple[Scene, RodState]:
         if law != "consistent":
-            raise ValueError("a scene of one's own is tuned with the consistent law")
+            raise ValueError("a scene must have the consistent law to be tuned")
         return resample(plain, state, n_elements)
 
     controls = np.zeros((periods, 0))

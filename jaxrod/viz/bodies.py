@@ -57,8 +57,8 @@ def _touches(shape: Body, half: float) -> bool:
 def solid_mesh(body: Body, low: np.ndarray, high: np.ndarray) -> Mesh:
     """Mesh of a fixed body.
 
-    A body with triangles of its own is drawn whole, any other within a box and a
-    margin around it.
+    A body that provides triangles is drawn whole. Any other body is drawn within a box
+    and a margin around it.
     """
     known = body.mesh()
     if known is not None:
@@ -71,7 +71,7 @@ def solid_mesh(body: Body, low: np.ndarray, high: np.ndarray) -> Mesh:
 
 
 def leaning_plane(body: Any, low: np.ndarray, high: np.ndarray) -> Mesh | None:
-    """The part in a box of a plane that is not level; `None` if there is none."""
+    """The part of a tilted plane inside a box; `None` if there is none."""
     normal = np.asarray(body.normal, float)
     normal = normal / np.linalg.norm(normal)
     first = np.cross(normal, np.eye(3)[np.argmin(np.abs(normal))])

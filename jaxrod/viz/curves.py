@@ -80,7 +80,7 @@ def learning_curve(
 
     Raises:
         ValueError: A file lacks the columns, or has neither a finished episode nor
-            rewards; or the runs do not all have the same of the two.
+            rewards; or some runs have only episodes and others only rewards.
     """
     paths = [progress] if isinstance(progress, (str, os.PathLike)) else list(progress)
     if not paths:

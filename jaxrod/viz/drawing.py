@@ -121,8 +121,8 @@ def film(
     Args:
         replay: The replay to draw.
         path: The file to write, ending in .gif or .mp4; its folder must exist.
-        frames_per_second: Pictures per second of the film [Hz]. Closer frames of the
-            replay are left out; none are interpolated.
+        frames_per_second: Pictures per second of the film [Hz]. Additional frames of
+            the replay are dropped; none are interpolated.
         speed: Seconds of the replay per second of the film [1].
         width: Width of the picture [pixels]; even for MP4.
         height: Height of the picture [pixels]; even for MP4.
@@ -294,8 +294,8 @@ def _colourful(pixels: np.ndarray) -> np.ndarray:
 def _save_gif(pictures: Iterator[np.ndarray], rate: float, path: Any) -> None:
     from PIL import Image
 
-    # Maximum coverage: every colour stays close to its own. A palette of the most
-    # frequent colours would drop that of a small target.
+    # Maximum coverage keeps every colour close to the original. A palette of the most
+    # frequent colours would drop the colour of a small target.
     first, *others = (
         Image.fromarray(pixels).quantize(
             160, method=Image.Quantize.MAXCOVERAGE, dither=Image.Dither.NONE
@@ -318,7 +318,7 @@ def _save_gif(pictures: Iterator[np.ndarray], rate: float, path: Any) -> None:
 def _save_mp4(pictures: Iterator[np.ndarray], rate: float, path: Any) -> None:
     program = shutil.which("ffmpeg")
     if program is None:
-        raise FileNotFoundError("an MP4 needs ffmpeg, which is not there: take .gif")
+        raise FileNotFoundError("an MP4 needs ffmpeg, which is not installed: use .gif")
     first = next(pictures)
     height, width = first.shape[:2]
     source = f"-f rawvideo -pix_fmt rgb24 -s {width}x{height} -r {rate:g} -i -"

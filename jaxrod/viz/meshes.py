@@ -30,7 +30,7 @@ class Mesh:
     name: str = "body"
     """Name in the legend."""
     colour: str = ""
-    """Colour as "#rrggbb"; empty for one that differs from the others."""
+    """Colour as "#rrggbb"; empty for an automatic colour."""
 
     @property
     def count(self) -> int:

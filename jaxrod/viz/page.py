@@ -6,7 +6,8 @@ range, that is to within range / 131070 (8 micrometres for 1 m).
 
 The program is the project's own. Existing libraries can draw the same, but the smallest
 bundle of three.js with orbit controls is 572 kB in every page, and it does not bend
-tubes between nodes. That, and reading the recording, would still be our own program.
+tubes between nodes. Bending tubes and reading the recording would still need our own
+program.
 """
 
 from __future__ import annotations

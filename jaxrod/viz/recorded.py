@@ -198,12 +198,12 @@ def _contact_forces(model: Model, states: Any, times: np.ndarray) -> tuple[Arrow
     clock = jnp.asarray(times, next(iter(model.interfaces().values())).dtype)
     by_name = model.states_by_name(states)
     total = {name: np.zeros_like(by_name[name].positions) for name in rods}
-    # Added up here: in one program with the stacking and adding, XLA recomputes a
+    # The forces are added outside of the program: inside it, XLA would recompute a
     # contact for every component of its forces.
     for one in _over_frames(at_frame, model, (states, clock)):
         for name, forces in one.items():
             row = np.stack([np.asarray(part) for part in forces], axis=-2)
-            if row.ndim < total[name].ndim:  # Of equal rods one after the other.
+            if row.ndim < total[name].ndim:  # Equal rods follow one after the other.
                 split = row.reshape(*row.shape[:-1], *total[name].shape[1::2])
                 row = np.moveaxis(split, -2, 1)
             total[name] += row

@@ -25,7 +25,7 @@ class Rods:
     names: tuple[str, ...] = ()
     """Names of the individual rods; empty, or R names."""
     colour: str = ""
-    """Colour as "#rrggbb"; empty for one that differs from the others."""
+    """Colour as "#rrggbb"; empty for an automatic colour."""
     fields: Mapping[str, Float[np.ndarray, "num_frames num_rods num_nodes"]] = (
         dataclasses.field(default_factory=dict)
     )

@@ -185,7 +185,11 @@ def test_a_task_is_trained_resumed_and_evaluated_by_its_import_path(
             "must have what jaxrod.envs.Environment asks for, got a HalfDone without "
             "episode_length, default_params(), step()",
         ),
-        ("{}:Unhashable", [], "trivial must be hashable, a frozen dataclass for one"),
+        (
+            "{}:Unhashable",
+            [],
+            "trivial must be hashable, for example a frozen dataclass",
+        ),
         ("{}:endless", [], "episode_length of trivial must be a positive integer"),
         (
             "{}:wide",

@@ -127,7 +127,7 @@ def test_overwriting_makes_a_new_run_with_new_pictures(trained, run_json, tmp_pa
 def test_a_run_does_not_go_on_in_another_precision(trained, run):
     code, _, err = run("train", "trivial", "--resume", "--out", trained[0])
     assert code == 2
-    assert "holds float32" in err and "is JAX_ENABLE_X64 as it was?" in err
+    assert "holds float32" in err and "has JAX_ENABLE_X64 changed?" in err
 
 
 def test_ctrl_c_saves_and_says_how_to_go_on(run, run_json, tmp_path, monkeypatch):

@@ -205,9 +205,9 @@ def test_arrays_are_parameters_too():
         ({"upper": {"mass": 3.0}}, "upper names mass"),
         ({"lower": {"rate": 3.0}, "upper": {"rate": 2.0}}, "lower must be below"),
         ({"noise": -1.0}, "noise must be positive"),
-        ({"noise": {"film": 1.0}}, "noise must be a number, or a tree"),
-        ({"observed": np.zeros(3)}, "shapes that simulate makes"),
-        ({"observed": {"film": np.zeros(40)}}, "a tree as simulate makes"),
+        ({"noise": {"film": 1.0}}, "noise must be a number or a tree"),
+        ({"observed": np.zeros(3)}, "shapes that simulate returns"),
+        ({"observed": {"film": np.zeros(40)}}, "tree structure that simulate returns"),
         ({"observed": np.full(40, np.nan)}, "at least one finite number"),
     ],
 )
@@ -219,5 +219,5 @@ def test_bad_arguments_are_refused(change, words):
 
 
 def test_several_kinds_need_their_noise():
-    with pytest.raises(ValueError, match="one for each"):
+    with pytest.raises(ValueError, match="given for each kind"):
         control.fit(lambda p: (ring(p), p["rate"]), (np.zeros(40), np.zeros(())), START)

@@ -93,7 +93,7 @@ class Changing:
         (FloatFlag(), "truncated of trivial must be an array of bool of shape ()"),
         (Growing(), "state['time'] was int32 of shape (), and becomes float"),
         (VectorInfo(), "info['x'] of trivial must be an array of shape ()"),
-        (Changing(), "changing must be hashable, a frozen dataclass for one"),
+        (Changing(), "changing must be hashable, for example a frozen dataclass"),
         (Trivial, "must be an object, got the class"),
         ({"n_elements": 20}, "got a dict without name, observation_size"),
         (Trivial(episode_length=0), "episode_length of trivial must be a positive"),

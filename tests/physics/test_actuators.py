@@ -323,7 +323,7 @@ BAD = {
         r, 1.0, 0.1, 0.0
     ),
     "a tension in N or a length in m": lambda r: jaxrod.actuation.tendon(r, (0.1, 0.0)),
-    "needs its stiffness in N/m": lambda r: jaxrod.actuation.tendon(
+    "needs a stiffness in N/m": lambda r: jaxrod.actuation.tendon(
         r, (0.1, 0.0), length=1.0
     ),
     "last element must be at most 3": lambda r: jaxrod.actuation.tendon(
@@ -381,7 +381,7 @@ def test_actuators_are_the_same_on_another_grid():
         wave.resampled(coarse, fine).moments.phases, finer.moments.phases, atol=1e-12
     )
     np.testing.assert_allclose(shape.resampled(coarse, fine).curvature, 1.0)
-    with pytest.raises(ValueError, match="eyelets are on certain elements"):
+    with pytest.raises(ValueError, match="eyelets belong to certain elements"):
         jaxrod.actuation.tendon(coarse, (0.0, 0.0), tension=1.0).resampled(coarse, fine)
 
 

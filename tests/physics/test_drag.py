@@ -209,7 +209,7 @@ BAD = {
     "coefficient must be non-negative": lambda: jaxrod.fluids.with_added_mass(
         ROD, 1.0, -1.0
     ),
-    "one effect with drag at most": lambda: jaxrod.make_scene(
+    "at most one effect with drag": lambda: jaxrod.make_scene(
         ROD, jaxrod.fluids.stokes_drag(1.0, 1.0), jaxrod.fluids.quadratic_drag(1.0)
     ),
     "square of the speed has no stable step": lambda: jaxrod.make_scene(

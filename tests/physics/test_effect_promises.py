@@ -139,14 +139,14 @@ HONEST = {
     "a pin": lambda: Pin(jnp.zeros(3), ONE),
 }
 BROKEN = {
-    "what Nearby.reach says": lambda: tendon(Nearby),
-    "what Crowd.reach says": lambda: Crowd(ONE, 1e-2 * ONE),
-    "what Constant.turning_tangent says": lambda: Constant(ONE),
-    "what Backwards.turning_tangent says": lambda: Backwards(ONE),
-    "what Drag.turning_tangent says": lambda: Drag(ONE),
-    "Rail holds parts of some": Rail,
-    "Tie holds parts of some": Tie,
-    "Slowed holds parts of some": Slowed,
+    "Nearby.reach is off by": lambda: tendon(Nearby),
+    "Crowd.reach is off by": lambda: Crowd(ONE, 1e-2 * ONE),
+    "Constant.turning_tangent is off by": lambda: Constant(ONE),
+    "Backwards.turning_tangent is off by": lambda: Backwards(ONE),
+    "Drag.turning_tangent is off by": lambda: Drag(ONE),
+    "Rail holds some only partly": Rail,
+    "Tie holds some only partly": Tie,
+    "Slowed holds some only partly": Slowed,
 }
 
 

@@ -102,7 +102,9 @@ def test_of_a_schedule_its_largest_size_counts():
 
 def test_a_step_beyond_the_other_limits_is_refused():
     scene, _ = rope()
-    with pytest.raises(ValueError, match=r"dt must be below 0.0002 s, where stretch"):
+    with pytest.raises(
+        ValueError, match=r"dt must be below 0.0002 s, the limit from stretch"
+    ):
         jaxrod.scale_inertia(scene, 3e-4)
     with pytest.raises(ValueError, match="dt must be positive"):
         jaxrod.scale_inertia(scene, 0.0)

@@ -288,7 +288,7 @@ def test_bad_supports_are_refused_in_words():
         ),
         (
             lambda: jaxrod.driven(state, angle=jaxrod.schedules.ramp(0.0, 1.0, 1.0)),
-            "axis must say what the wall turns about",
+            "axis must be given with angle",
         ),
         (
             lambda: jaxrod.make_scene(
@@ -296,7 +296,7 @@ def test_bad_supports_are_refused_in_words():
                 jaxrod.driven(state, displacement=shake),
                 method=jaxrod.planar("zx"),
             ),
-            "needs what is driven to be free across it",
+            "needs driven ends that are free along its normal",
         ),
         (
             lambda: jaxrod.make_scene(

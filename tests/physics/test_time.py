@@ -289,7 +289,7 @@ def test_bad_schedules_are_refused_in_words(rod_and_state):
             lambda: jaxrod.make_scene(
                 rod, Thinning(jaxrod.schedules.ramp(0.0, 1.0, 1.0))
             ),
-            "damping rates are worked out once",
+            "damping rates are computed once",
         ),
         (
             lambda: jaxrod.advance(shaken(rod), state, 1e-4, 1, first=-1),

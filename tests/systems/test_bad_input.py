@@ -268,7 +268,7 @@ def test_a_schedule_of_damping_of_bodies_is_refused(given):
     """Rates are worked out once: the first one would be kept in silence."""
     fading = Fading(jaxrod.schedules.ramp(0.5, 0.0, 1.0))
     ball = replace(given[0]["ball"], effects=(fading,))
-    with pytest.raises(ValueError, match=r"'ball': damping rates are worked out once"):
+    with pytest.raises(ValueError, match=r"'ball': damping rates are computed once"):
         jaxrod.make_system({"ball": ball})
 
 
@@ -346,7 +346,9 @@ def test_a_law_of_contact_without_a_hook_is_named(hook, arguments):
 def test_what_is_known_of_one_rod_alone_says_so(given):
     members, state = given
     system = jaxrod.make_system(members)
-    with pytest.raises(TypeError, match="got System: this is known of one rod alone"):
+    with pytest.raises(
+        TypeError, match="got System: this is available for one rod only"
+    ):
         jaxrod.reactions(system, state)
 
 

@@ -324,7 +324,11 @@ def test_glue_of_equal_rods_may_be_made_where_its_numbers_are_traced(listed):
         (("low", "none"), {}, "no member is called 'none'"),
         (("low", "ball"), {}, "'ball' is rigid"),
         (("low", "short"), {}, "4 and 3 elements: say which"),
-        (("low", "high"), {"elements": ([0], [0, 1])}, "as many of both, got 1 and 2"),
+        (
+            ("low", "high"),
+            {"elements": ([0], [0, 1])},
+            "equally many of both rods, got 1 and 2",
+        ),
         (
             ("low", "high"),
             {"elements": ([4], [0])},
@@ -343,7 +347,11 @@ def test_glue_of_equal_rods_may_be_made_where_its_numbers_are_traced(listed):
             {"elements": [([0], [0]), ([1], [1])]},
             "elements must be a list .* for each of 1 rods",
         ),
-        (("low", "high"), {"elements": ([], [])}, "as many of both, got 0 and 0"),
+        (
+            ("low", "high"),
+            {"elements": ([], [])},
+            "equally many of both rods, got 0 and 0",
+        ),
         (("low", "high"), {"elements": []}, "elements must be a list of .* got"),
         (("low", "high"), {"elements": 3}, "elements must be a list of .* got 3"),
         (("low", "high"), {"elements": [0, 1]}, "elements must be a list of"),

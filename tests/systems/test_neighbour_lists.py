@@ -353,7 +353,7 @@ def test_reserved_name_and_record_of_another_kind():
     system = jaxrod.make_system(
         {"a": scene, "b": scene}, jaxrod.systems.crossing_contact("a", "b", **contact)
     )
-    with pytest.raises(TypeError, match="leave it out to begin anew"):
+    with pytest.raises(TypeError, match="leave it out to start again"):
         jaxrod.advance(system, {"a": state, "b": state, "neighbours": 1.0}, 1e-5, 1)
     without = jaxrod.make_system(
         {"a": scene, "b": scene},

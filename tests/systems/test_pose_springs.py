@@ -221,7 +221,7 @@ def test_the_bound_is_sharp():
     ("options", "words"),
     [
         ({"stiffness": -1.0}, "stiffness must be positive, got -1 N/m"),
-        ({"angle": 0.3}, "axis must say"),
+        ({"angle": 0.3}, "axis must be given with angle"),
         ({"axis": (0, 0, 1), "angle": 0.3}, "turning_stiffness .* is needed"),
         ({"turning_stiffness": 0.0}, "turning_stiffness must be positive, got 0 N m"),
         ({"position": (0, 0)}, r"position must have shape \(3,\)"),

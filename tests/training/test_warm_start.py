@@ -90,7 +90,7 @@ def test_a_good_policy_stays_good_where_chance_has_learned_nothing():
 
 def test_what_cannot_be_begun_with_is_refused():
     given = some_policy()
-    with pytest.raises(ValueError, match="an MLPPolicy to begin with"):
+    with pytest.raises(ValueError, match="the initial policy must be an MLPPolicy"):
         warm_start(PPO, lambda seen: seen)
     with pytest.raises(ValueError, match="activation 'tanh' and output 'clip'"):
         warm_start(PPO, dataclasses.replace(given, activation="relu"))

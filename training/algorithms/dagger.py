@@ -7,8 +7,8 @@ actions so far. The planner sees the whole state and differentiates the
 simulation; the policy is a function of the observation. So the fit averages over
 everything that the planner uses but that is not observed.
 
-A planner knows only its cost, so it cannot teach more. Goals that are in the reward but
-not in the task's cost are not learned; no reward is used.
+The planner minimises the task's cost, so goals that are in the reward but not in the
+cost are not learned; rewards are not used.
 
 Source: Ross, Gordon & Bagnell, "A reduction of imitation learning and structured
 prediction to no-regret online learning", 2011.
@@ -243,7 +243,7 @@ def update(
     plans = config.num_envs * config.rollout_steps * config.plan_iterations
     report |= {
         "fit_error": fitted,
-        # In addition to the acted steps: steps of the model, over all devices.
+        # Steps of the model over all devices, in addition to the acted steps.
         "model_steps": jnp.asarray(plans * PASSES * config.lookahead, fitted.dtype),
     }
     return dataclasses.replace(state, updates=state.updates + 1), Metrics(

@@ -81,15 +81,14 @@ class OffPolicyConfig(LearnerConfig):
     learning_starts: Scalar = 10_000.0
     """Control steps with random actions before learning starts."""
     noise_correlation: Scalar = 0.0
-    """Correlation of the action noise from one decision to the next: white at 0, slow
-    near 1, where it explores further. Below 1."""
+    """Correlation of the action noise from one decision to the next: 0 is white noise;
+    near 1 the noise is slow and explores further. It must be below 1."""
     policy_learning_rate: Scalar = 1e-3
     """Step size of Adam for the policy."""
     critic_learning_rate: Scalar = 1e-3
     """Step size of Adam for the critics."""
     target_rate: Scalar = 0.005
-    """Polyak rate: share by which target weights move towards the weights that they
-    follow."""
+    """Polyak rate: share by which target weights move towards the learned weights."""
 
 
 @pytree

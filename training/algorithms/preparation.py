@@ -2,8 +2,8 @@
 
 Episodes may be cut short in the first part of a run (`restart_phase`): if the first
 moments of an episode decide its outcome, a learner that always waits for the end sees
-few first moments. Half a million control steps are 140 episodes of Case 3. Episodes
-that are cut short are truncated, not terminated, and do not count for the score.
+few of them: half a million control steps are only 140 episodes of Case 3. Episodes that
+are cut short are truncated, not terminated, and do not count for the score.
 """
 
 from __future__ import annotations
@@ -133,7 +133,7 @@ def started(
 
 
 def spread_over_devices(state: Any, **specs: Any) -> Any:
-    """Partition of a train state: what is named is split, everything else replicated.
+    """Partition of a train state: named fields are split, all others are replicated.
 
     Args:
         state: The train state, a dataclass.

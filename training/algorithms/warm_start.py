@@ -1,8 +1,8 @@
 """On-policy learning that starts from an existing policy instead of a random one.
 
-Imitating a planner is limited by what the planner's cost contains and by what is
-observed. Climbing rewards takes long to find the first of them. One after the other has
-neither problem.
+Imitating a planner is limited by the planner's cost and by the observation. Learning
+from rewards alone takes long to find the first rewards. Imitation followed by learning
+from rewards has neither problem.
 """
 
 from __future__ import annotations
@@ -28,9 +28,9 @@ def warm_start(algorithm: Algorithm, policy: MLPPolicy) -> Algorithm:
     """A learner whose initial policy is one that was learned before.
 
     The network, the observation moments and their bound are the policy's. So without
-    noise it acts as before, if actions are held as long. The noise is the
-    configuration's: `initial_log_std` should be far below 0, or the first updates
-    destroy what was learned. The value network starts from scratch.
+    noise it acts as before, if actions are held for the same number of control steps.
+    The noise is the configuration's: `initial_log_std` should be far below 0, or the
+    first updates destroy what was learned. The value network starts from scratch.
 
     Args:
         algorithm: `PPO` or `TRPO`, whose configuration must have the policy's
@@ -39,18 +39,17 @@ def warm_start(algorithm: Algorithm, policy: MLPPolicy) -> Algorithm:
 
     Raises:
         ValueError: The policy is no perceptron, or not of the kind that these
-            algorithms learn. When the run begins: the algorithm is not on-policy, or
-            sizes differ.
+            algorithms learn. It is raised when the run begins if the algorithm is not
+            on-policy or sizes differ.
     """
     if not isinstance(policy, MLPPolicy):
         raise ValueError(
-            f"policy must be an MLPPolicy to begin with, it is a "
-            f"{type(policy).__name__}"
+            f"the initial policy must be an MLPPolicy, got {type(policy).__name__}"
         )
     if (policy.activation, policy.output) != (ACTIVATION, OUTPUT):
         raise ValueError(
             f"policy must have activation {ACTIVATION!r} and output {OUTPUT!r}, as "
-            f"what is learned on policy; got {policy.activation!r} and "
+            f"on-policy learners have; got {policy.activation!r} and "
             f"{policy.output!r}"
         )
 

@@ -1,8 +1,8 @@
 """A command that does not outlive the process that started it.
 
 `python -P child.py WORDS` acts like `jaxrod WORDS`, but it also watches its standard
-input. When this ends, because the process at the other end is gone (for whatever
-reason), it saves and stops as after Ctrl-C.
+input. When standard input ends, because the process at the other end is gone for any
+reason, the command saves and stops as after Ctrl-C.
 """
 
 from __future__ import annotations

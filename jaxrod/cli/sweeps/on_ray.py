@@ -1,13 +1,13 @@
-"""Runs as tasks of a Ray cluster, which finds room for them and retries them elsewhere.
+"""Runs as tasks of a Ray cluster, which places them and retries them elsewhere.
 
 Each task starts the process of its run and waits for it. All data of a run are in its
 folder, on a file system that the nodes share. So a task that is retried, on any node,
 continues from the last checkpoint.
 
-A run has one writer. Its process holds the lock of the folder
-(`jaxrod.training.runs.lock`). It ends when its task does, because it watches the task's
-end of a pipe. If a task is retried while the first process is still alive, it waits
-until the lock is free.
+A run has one writer: its process, which holds the lock of the folder
+(`jaxrod.training.runs.lock`). The process ends when its task ends, because it watches
+the task's end of a pipe. If a task is retried while the first process is still alive,
+it waits until the lock is free.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ _PASSED_ON = ("PYTHONPATH", "JAX_", "JAXROD_", "XLA_")
 
 
 class RayCluster:
-    """Passes all runs to Ray, which trains as many at once as it has room for."""
+    """Passes all runs to Ray, which trains as many at once as resources allow."""
 
     def __init__(self, jobs: int, cores: int, gpus: float) -> None:
         """Sets the resources of the tasks on a connected cluster.
@@ -71,7 +71,7 @@ class RayCluster:
             if kill.is_set():
                 ray.cancel(task, force=True)
             elif stop.is_set() and not told:
-                told = True  # Once more would interrupt the saving.
+                told = True  # A second request would interrupt the saving.
                 ray.cancel(task)
         try:
             ended: Ended = ray.get(task)
@@ -84,8 +84,8 @@ class RayCluster:
             if time.monotonic() > until:
                 return Ended(
                     2,
-                    f"it ended well, but {folder.path} does not show it here: with "
-                    "--ray all nodes must share the folder of the sweep",
+                    f"the run finished, but its files in {folder.path} are not visible "
+                    "here: with --ray all nodes must share the folder of the sweep",
                 )
             time.sleep(POLL_SECONDS)
         return ended

@@ -61,7 +61,7 @@ def differs(
     Args:
         planned: The planned run.
         folder: Folder in which it was started, if it was.
-        stored: Its configuration, if it is not to be read from the folder.
+        stored: The stored configuration; None to read it from the folder.
     """
     if stored is None:
         stored = folder.config() if folder.exists else planned.config
@@ -143,7 +143,7 @@ def plan(
         sets: Settings as NAME=VALUE,VALUE,..., for one algorithm as
             ALGORITHM.NAME=VALUE. Several entries of one name are alternatives, too. For
             a tuple this is the only way to give alternatives.
-        cores: Number of cores of every run; None for those that its process finds.
+        cores: Number of cores of every run; None for all cores that its process finds.
 
     Raises:
         ValueError: A name is unknown or a value is invalid.
@@ -215,7 +215,7 @@ def _configurations(
 
 
 def _meant(name: str, sets: Sequence[str], algorithms: Sequence[str]) -> list[str]:
-    """Settings for one algorithm: the common ones, and its own without its name."""
+    """Settings for one algorithm: common ones, and its own without the name prefix."""
     found = []
     for word in sets:
         owner, dot, _ = word.partition("=")[0].rpartition(".")

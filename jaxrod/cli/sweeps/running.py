@@ -69,7 +69,7 @@ def train_all(
 ) -> None:
     """Trains runs to their ends, as many at once as the place accepts.
 
-    If an interruption is requested, the running ones save and stop, and no other run
+    If an interruption is requested, the active runs save and stop, and no other run
     starts. After any error they are killed.
 
     Args:
@@ -138,7 +138,8 @@ def train_here(
     with open_log(log) as said:
         said.write(f"$ jaxrod {shlex.join(words)}\n")
         said.flush()
-        # Its own session: the terminal's Ctrl-C must reach it only once, from here.
+        # The process has its own session: the terminal's Ctrl-C must reach it only
+        # once, from here.
         process = subprocess.Popen(
             [*LAUNCHER, *words],
             stdin=subprocess.PIPE,
@@ -207,7 +208,7 @@ def wait_for(folders: Iterable[RunFolder], say: Callable[[str], None]) -> None:
     """Waits until no process trains in any of the folders.
 
     Raises:
-        FolderInUseError: A process still does after `WAIT_SECONDS`.
+        FolderInUseError: A process still trains there after `WAIT_SECONDS`.
     """
     until = time.monotonic() + WAIT_SECONDS
     for folder in folders:

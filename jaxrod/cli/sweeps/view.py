@@ -37,7 +37,7 @@ class RunsView:
             self._bars[run.name].update(int(row["env_steps"]), reached(row))
 
     def done(self, run: Planned, result: Mapping[str, Any], quiet: bool) -> None:
-        """Shows that a run has finished; `quiet` if it had before this call."""
+        """Shows that a run has finished; `quiet` if it had already finished before."""
         steps, wall, score = (
             result[name] for name in ("env_steps", "wall_s", "final_score")
         )

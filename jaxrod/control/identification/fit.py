@@ -31,8 +31,8 @@ from jaxrod.validation import is_traced
 Simulate = Callable[..., Any]
 """`parameters -> observations`; observations are any pytree of floats."""
 CLOSED = 1.0
-"""Bound on the change of all residuals by closing the gaps (norm), below which the gaps
-count as closed. What the fit does not contain is of second order in the gaps."""
+"""Gaps count as closed if closing them would change all residuals by less than this
+(norm). The error of the fit is then of second order in the gaps."""
 
 
 def fit(
@@ -71,15 +71,15 @@ def fit(
         multiple_shooting: Windows whose initial states are unknown too.
         noise: Standard deviation of the noise, a number or a tree prefix of `observed`
             (one for each kind). If `None`, it is estimated from the residuals.
-        logarithmic: Parameters that are positive and sought by their logarithm: all,
-            none, or names.
-        scales: Sizes of changes that matter, of parameters that are not sought by their
-            logarithm: less certain than that, one counts as not determined. By default
-            the sizes of the start, and 1 where that is 0.
-        lower: Lower bounds, of all or some parameters. Those sought by their logarithm
-            are bounded by a thousandth of the start by default.
-        upper: Upper bounds; by default a thousand times the start for those sought by
-            their logarithm. An explicit time step must be stable up to them.
+        logarithmic: Positive parameters whose logarithm is sought: all (`True`), none
+            (`False`), or names.
+        scales: Sizes of changes that matter, for parameters that are not sought by their
+            logarithm. A parameter that is less certain than that counts as not
+            determined. By default the sizes of the start, and 1 where that is 0.
+        lower: Lower bounds, of all or some parameters. Parameters sought by their
+            logarithm are bounded by a thousandth of the start by default.
+        upper: Upper bounds; by default a thousand times the start for parameters sought
+            by their logarithm. An explicit time step must be stable up to these bounds.
         iterations: Largest number of points tried after the first.
         initial_damping: Damping of the first step, as a fraction of the diagonal [1];
             by default 1e-3, and 1e-2 for joined windows. More damping makes shorter
@@ -151,7 +151,7 @@ def _fit_windows(
     given = (windows.known, problem.target, problem.seen, noise)
     states = windows.states
     if not windows.joined:
-        # Each window is a trajectory of its own, and ends nowhere.
+        # Each window is a separate trajectory without an end state.
         first = jax.vmap(windows.state, (None, 0, 0))(
             problem.parameters.start, windows.unknowns, windows.known
         )
@@ -211,7 +211,7 @@ class FitProblem(NamedTuple):
     target: Any
     """Observations; zero where there is none."""
     seen: Any
-    """Masks: whether each observation was made."""
+    """Masks of the observations that were made."""
     noise: Any
     """Standard deviations of the observations."""
     low: Array
@@ -269,7 +269,7 @@ def fit_of(problem: FitProblem, found: Any, others: int = 0) -> Fit:
     misfit = squares / jnp.maximum(degrees_of_freedom, 1)
     unit = jnp.ones_like(misfit) if given else jnp.sqrt(misfit)
     safe = jnp.where(unit > 0, unit, 1)
-    # If the start was not finite, the Jacobian is not, and the SVD would not end.
+    # If the start was not finite, neither is the Jacobian, and the SVD would not end.
     sound = jnp.all(jnp.isfinite(found.jacobian)) & jnp.isfinite(squares)
     jacobian = jnp.where(sound, found.jacobian, 0) / safe
     s, ways = _decomposed(jacobian)
@@ -282,7 +282,7 @@ def fit_of(problem: FitProblem, found: Any, others: int = 0) -> Fit:
     low, high = bounds
     at_bound = (point <= low) | (point >= high)
     # The remaining Gauss-Newton step in standard deviations, along directions that the
-    # data determine, of parameters that no bound holds.
+    # data determine, for parameters that are not at a bound.
     pull = (found.residuals / safe) @ jacobian
     pull = jnp.where(sound & ~at_bound, pull, 0)
     left = jnp.where(vague_ways(s), 0, (ways @ pull) * inverse)
@@ -311,7 +311,8 @@ def _decomposed(jacobian: Array) -> tuple[Array, Array]:
         # With fewer observations than unknowns, the missing singular values are zero.
         empty = jnp.zeros((columns - rows, columns), jacobian.dtype)
         jacobian = jnp.concatenate([jacobian, empty])
-    # The triangular factor of a QR decomposition has the same ones, and is small.
+    # The triangular factor of a QR decomposition has the same singular values and is
+    # small.
     triangle = jnp.linalg.qr(jacobian, mode="r")
     _, s, ways = jnp.linalg.svd(triangle, full_matrices=False)
     return s, ways
@@ -335,12 +336,13 @@ def _checked(simulate: Simulate, parameters: Parameters, observed: Any) -> Any:
     given: Any = jax.tree.structure(observed)
     if wanted != given:
         raise ValueError(
-            f"observed must be a tree as simulate makes, {wanted}, got {given}"
+            f"observed must have the tree structure that simulate returns, {wanted}, "
+            f"got {given}"
         )
     for y, o in zip(jax.tree.leaves(made), jax.tree.leaves(observed), strict=True):
         if y.shape != jnp.shape(o):
             raise ValueError(
-                f"observed must have the shapes that simulate makes: {y.shape}, got "
+                f"observed must have the shapes that simulate returns: {y.shape}, got "
                 f"{jnp.shape(o)}"
             )
     seen = jax.tree.map(jnp.isfinite, observed)
@@ -359,8 +361,8 @@ def _noise(noise: Any, observed: Any) -> Any:
     if noise is None:
         if len(leaves) > 1:
             raise ValueError(
-                "noise must be given for several kinds of observations, one for each: "
-                "without it, metres would be weighed against newtons"
+                "noise must be given for each kind if there are several kinds of "
+                "observations: without it, metres would be weighed against newtons"
             )
         return jax.tree.map(lambda o: jnp.ones((), jnp.asarray(o).dtype), observed)
     for leaf in jax.tree.leaves(noise):
@@ -370,7 +372,7 @@ def _noise(noise: Any, observed: Any) -> Any:
         full = jax.tree.broadcast(noise, observed)
     except ValueError as error:
         raise ValueError(
-            "noise must be a number, or a tree as observed is or begins, got "
+            "noise must be a number or a tree prefix of observed, got "
             f"{jax.tree.structure(noise)} for {tree}"
         ) from error
     return jax.tree.map(

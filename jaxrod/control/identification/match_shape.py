@@ -6,9 +6,9 @@ markers $m_k$ of the equilibrium reach their targets $\hat m_k$,
 $$\min_z \sum_k \Big(\frac{m_k(z) - \hat m_k}{\epsilon}\Big)^2 + |z|^2,$$
 
 with a largest error $\epsilon$. The unknowns $z$ are changes of the rest curvatures in
-units of a curvature, or scaled logarithms of stiffness factors. Of the many designs
+units of a curvature, or scaled logarithms of stiffness factors. Among the many designs
 with the same markers, the second term selects the one nearest to the given rod.
-Derivatives are those of `equilibrium`, one linear solve for each number matched.
+Derivatives are those of `equilibrium`: one linear solve for each marker coordinate.
 """
 
 from __future__ import annotations
@@ -76,10 +76,10 @@ def match_shape(
         nodes: Indices of the nodes.
         free: Quantities to find: `"rest_curvature"`, `"stiffness"` or both.
         max_error: Largest accepted distance of a marker from its target [m].
-        curvature: Change of a rest curvature that costs as much as a marker off by
+        curvature: Change of a rest curvature that costs as much as a marker error of
             `max_error` [1/m]; by default 30 radians over the length of the rod.
-        stiffness: Logarithm of a stiffness factor that costs as much as a marker off by
-            `max_error` [1].
+        stiffness: Logarithm of a stiffness factor that costs as much as a marker error
+            of `max_error` [1].
         twist: Whether the rest twist is also sought with `"rest_curvature"`.
         iterations: Largest number of iterations.
 

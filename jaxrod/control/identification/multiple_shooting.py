@@ -1,20 +1,20 @@
 r"""Least squares of trajectories cut into windows, whose gaps close during the search.
 
-The unknowns are those shared by all trajectories, $p$, and those of the first state of
-each trajectory, $s$. The later initial states $x_w$ of windows are iterates with gaps
-between them. Window $w$ has residuals $r_w(p, x_w)$ and an end state $e_w(p, x_w)$;
-with $x_1 = b(p, s)$ and gaps $g_{w+1} = e_w - x_{w+1}$ initial states change, to first
-order, by
+The unknowns are the parameters $p$ shared by all trajectories, and the unknowns $s$ of
+the first state of each trajectory. The initial states $x_w$ of later windows are
+iterates, with gaps between windows. Window $w$ has residuals $r_w(p, x_w)$ and an end
+state $e_w(p, x_w)$; with $x_1 = b(p, s)$ and gaps $g_{w+1} = e_w - x_{w+1}$ initial
+states change, to first order, by
 
 $$\delta x_{w+1} = \frac{\partial e_w}{\partial x} \delta x_w
 + \frac{\partial e_w}{\partial p} \delta p + g_{w+1}
 = A_{w+1} \begin{pmatrix} \delta p \\ \delta s \end{pmatrix} + c_{w+1},$$
 
 which is propagated in forward mode, with a column for each unknown and one for the
-gaps. The cost is that of one run with as many tangents, whatever the size of a state.
+gaps. The cost is that of one run with as many tangents, for states of any size.
 
 A step minimises $\sum_w \| r_w + J_w (\delta p, \delta s) + J_w^x c_w \|^2$ and updates
-all initial states to first order. The own unknowns of each trajectory are eliminated
+all initial states to first order. The trajectory's own unknowns $s$ are eliminated
 first (variable projection): with $S = \partial r / \partial s$ and the damping in rows
 below it,
 
@@ -25,14 +25,14 @@ $$\begin{pmatrix} S \\ \sqrt{\mu D} \end{pmatrix} = Q R, \qquad
 where $P = \partial r / \partial p$ and the sum is over trajectories. The own unknowns
 follow from $R$ by back substitution. The cost is that of one small solve per
 trajectory, not of one solve of all unknowns. The projected $P$ (without damping) is the
-Jacobian of the shared unknowns if the own ones always take their optimum: its singular
-values show how well the data determine $p$.
+Jacobian of the shared unknowns if the own unknowns always take their optimum. Its
+singular values show how well the data determine $p$.
 
 A step is accepted if $\sum_w \| r_w + J_w^x c_w \|^2 + \| J_w^x g_w \|^2$ falls. The
 first term has the residuals after the gaps are closed, to first order; the second
 measures each gap by its effect on the observations of its own window. Otherwise the
 damping rises and the step is halved. Gaps converge quadratically. At the end the
-windows are one run, which was found without the growth of errors along a single run.
+windows form one run, found without the growth of errors along a single run.
 There is no guarantee that a small enough step is accepted: if gaps are so large that
 closing them changes the derivatives, the search stops with open gaps. Trajectories of a
 single window have no gaps.
@@ -66,7 +66,8 @@ from jaxrod.control.least_squares import (
 from jaxrod.structure import pytree
 
 LEAST_DAMPING = 1e-6
-"""Smallest damping: less gains nothing, and costs rejected steps to raise it again."""
+"""Smallest damping. Less would gain nothing, and raising it again would cost rejected
+steps."""
 
 
 @pytree
@@ -85,7 +86,7 @@ class Slopes:
     residuals: Array
     jacobian: Array
     closing: Array
-    """Change of the residuals when all gaps so far are closed, to first order."""
+    """Change of the residuals when all gaps up to here are closed, to first order."""
     jump: Array
     """Change of the residuals due to the gap at the window's own start alone."""
     ways: Array
@@ -112,8 +113,8 @@ class ShootingResult:
     residuals: Float[Array, " residuals"]
     """Residuals of the solution, leaf after leaf, with gaps closed to first order."""
     jacobian: Float[Array, "residuals shared"]
-    """Jacobian by the shared unknowns, projected orthogonally to that of the own
-    unknowns."""
+    """Jacobian by the shared unknowns, projected orthogonally to the Jacobian by the
+    own unknowns."""
     gap: Float[Array, ""]
     """Norm of the change of all residuals when the gaps are closed."""
     iterations: Int[Array, ""]
@@ -259,7 +260,7 @@ def _by_leaves(rows: Array, like: Any) -> Array:
 def _stepped(
     point: Point, slopes: Slopes, mu: Array, share: Array, low: Array, high: Array
 ) -> Point:
-    """Takes a fraction of the damped step from a point, and of closing the gaps."""
+    """Takes a fraction of the damped step, and closes the same fraction of the gaps."""
     step, own_steps = schur_step(
         _rows(slopes.jacobian), _rows(slopes.closed), mu, point.shared, low, high
     )
@@ -310,7 +311,8 @@ def _followed(
         lambda way: jax.jvp(opened, (unknowns,), (way,)), out_axes=(None, 1)
     )(eye)
     states = states.at[0].set(state)
-    # Columns: the unknowns and, if there are gaps, all gaps so far and the last alone.
+    # Columns: the unknowns and, if there are gaps, all gaps up to here and the last
+    # gap.
     gaps = 2 if len(states) > 1 else 0
     shared_ways = jnp.concatenate([eye[:shares], jnp.zeros((shares, gaps), dtype)], 1)
     count = unknowns.size

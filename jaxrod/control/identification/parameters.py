@@ -37,7 +37,7 @@ class Parameters:
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Names of all numbers, one after the other, as in `flat`."""
+        """Names of all numbers in the order of `flat`."""
         return tuple(
             name + ("[" + ",".join(map(str, place)) + "]" if shape else "")
             for name, shape in self.shapes
@@ -114,8 +114,8 @@ def make_parameters(
     Args:
         start: Values at which a search begins; numbers or arrays by name.
         logarithmic: Parameters sought by their logarithm, so that they stay positive:
-            names, or all or none.
-        scales: Sizes of changes that matter, of parameters that are not sought by their
+            names, or `True` for all, `False` for none.
+        scales: Sizes of changes that matter, for parameters that are not sought by their
             logarithm; by default the sizes of the start, and 1 where that is 0.
 
     Raises:

@@ -33,12 +33,12 @@ VAGUE = 1.0
 NEAR = 0.1
 """Largest remaining step of a converged search, in standard deviations."""
 PLAIN = 0.05
-"""Components of a direction below this fraction are left out of its description."""
+"""Fraction below which components of a direction are left out of its description."""
 
 
 @pytree
 class Forecast:
-    """A fit's prediction of observations that were not made."""
+    """A fit's prediction of further observations."""
 
     value: Any
     """Expected observations."""
@@ -80,10 +80,10 @@ class Fit:
     iterations: Int[Array, ""]
     """Number of iterations made."""
     at_bound: Bool[Array, " p"]
-    """Whether each parameter is at a bound; its standard deviation then means
+    """Whether each parameter is at a bound, where its standard deviation means
     little."""
     degrees_of_freedom: Int[Array, ""]
-    """Degrees of freedom: number of observations less number of unknowns."""
+    """Degrees of freedom: number of observations minus number of unknowns."""
     unknowns: Any = None
     """Unknowns of initial states, with multiple shooting."""
     states: Any = None
@@ -182,7 +182,7 @@ def vague_ways(s: Array) -> Array:
 
 
 def smallest_ratio(dtype: Any) -> float:
-    """Ratio to the largest singular value below which one is round-off."""
+    """Ratio to the largest singular value below which a singular value is round-off."""
     return float(jnp.finfo(dtype).eps) ** 0.5
 
 
@@ -223,7 +223,7 @@ def _table(fit: Fit) -> list[str]:
 def _remarks(fit: Fit) -> list[str]:
     if not np.isfinite(float(fit.misfit)):
         return [
-            "NOTHING FOUND: what is simulated at the start is not finite, or its "
+            "NOTHING FOUND: the simulation at the start is not finite, or its "
             "derivatives are not (is the step stable there?)"
         ]
     kinds, _ = jax.tree_util.tree_flatten_with_path(fit.residual_sd)

@@ -1,4 +1,4 @@
-"""Windows of films: many short runs replace a long run (multiple shooting).
+"""Windows of recordings: many short runs replace a long run (multiple shooting).
 
 A long run that leaves the data at a bifurcation (buckling, contact) never returns to
 them, and its sum of squares has many local minima. Windows that begin on the data
@@ -37,23 +37,22 @@ class MultipleShooting:
     Errors of the initial states do not count as errors of the model, and the standard
     deviations of the parameters account for them. A window needs more observations than
     its initial state has unknowns. If an initial state has many unknowns, each observed
-    only a few times, a search may end in a local minimum next to the best, where
+    only a few times, a search may end in a local minimum near the best one, where
     initial states compensate for wrong parameters. Neither the misfit nor the standard
-    deviations show it (docs/identification.md has such a rod). Use the result as a
+    deviations show this (docs/identification.md has such a rod). Use the result as a
     start for joined windows, or test the fit on simulated films.
 
-    Joined windows (with `states`) are those of trajectories, in order, and only the
+    Joined windows (with `states`) follow each other along trajectories, and only the
     first state of each trajectory has unknowns,
 
     $$x_1 = b(p, s), \qquad x_{w+1} = e_w(p, x_w).$$
 
     The minimum, and its standard deviations, are those of one long run of each
     trajectory. During the search windows may leave gaps, so that they follow the data
-    across bifurcations, where a single long run would lose them. It needs first
-    parameters within a few tens of per cent of those sought, and first states as near
-    as the observations show them. One evaluation costs about one run of all windows,
-    one after the other, with a tangent for each parameter and for each unknown of a
-    first state.
+    across bifurcations, where a single long run would lose them. It needs initial
+    parameters within a few tens of per cent of the true ones, and initial states close
+    to the observed ones. One evaluation costs about one run of all windows, one after
+    the other, with a tangent for each parameter and for each unknown of a first state.
     """
 
     unknowns: Any
@@ -99,7 +98,7 @@ class MultipleShooting:
         )
 
     def check(self, run: Any, observed: Any, start: Mapping[str, Any]) -> None:
-        """Checks that everything is stacked alike, and that first values are floats.
+        """Checks that everything is stacked equally, and that first values are floats.
 
         Raises:
             ValueError: Numbers of trajectories or windows differ; first values are not
@@ -192,15 +191,14 @@ def check_finite_floats(name: str, tree: Any) -> None:
     """Checks the first values of a search.
 
     Raises:
-        ValueError: A leaf is not of floats, which have derivatives, or its value is
-            known and not finite.
+        ValueError: A leaf is not floating point, or its value is known and not finite.
     """
     for leaf in map(jnp.asarray, jax.tree.leaves(tree)):
         if not jnp.issubdtype(leaf.dtype, jnp.floating):
             raise ValueError(f"{name} must be of floats, got {leaf.dtype}")
         if not is_traced(leaf) and not np.all(np.isfinite(np.asarray(leaf))):
             raise ValueError(
-                f"{name} must be finite: what was not seen needs a guess here"
+                f"{name} must be finite: unobserved values need a guess here"
             )
 
 

@@ -12,9 +12,9 @@ with the environment's residuals $r$ after every knot's interval, effort $e$ and
 smoothness $s$. Methods:
 
 - `"gauss-newton"`: a Gauss-Newton step within the bounds. The Jacobian of the residuals
-  has few rows, which one batched reverse pass through the rods computes. Of several
-  step sizes the one that lowers the cost most is taken (real-time iteration; Diehl et
-  al., 2005).
+  has few rows, which one batched reverse pass through the rods computes. The step size
+  that lowers the cost most is chosen from several (real-time iteration; Diehl et al.,
+  2005).
 - `"gradient"`: Adam on the environment's smooth cost, with actions clipped to the
   bounds.
 - `"mppi"`: the mean of noisy plans, weighted by exponentials of their costs (Williams
@@ -235,8 +235,8 @@ def mpc(
             by default 0.3.
         samples: Noisy plans in each iteration of `"mppi"`.
         starts: Number of widely spread noisy plans from which the first plan of an
-            episode is made, for tasks in which nearby plans are all bad; with 0 it
-            begins with zero actions.
+            episode is made. Use them for tasks in which all plans near zero actions are
+            bad. With 0 the first plan begins with zero actions.
         seed: Seed of the samples.
 
     Raises:

@@ -28,7 +28,7 @@ def check_model(env: Any, needed: tuple[str, ...], planner: str = "") -> None:
     Args:
         env: The environment.
         needed: Names of the methods.
-        planner: Words for the planner in the error message.
+        planner: Description of the planner for the error message.
     """
     missing = [name for name in needed if not hasattr(env, name)]
     if missing:
@@ -147,7 +147,7 @@ def quadratic_step(
     """Returns knots within the bounds that lower the cost of the linearised problem.
 
     The Hessian is the product of `rows` with themselves plus a small matrix that is the
-    same for each action. So its inverse needs only a matrix of the residuals' size
+    same for each action. So only a matrix of the residuals' size must be inverted
     (Woodbury). Bounds are imposed by the alternating direction method of multipliers.
     """
     count, dtype = cost.knots, knots.dtype
@@ -232,7 +232,7 @@ def by_sampling(
 ) -> tuple[Float[Array, "knots action"], Float[Array, ""]]:
     """Returns knots after `iterations` weighted means of noisy plans, and a cost.
 
-    The cost is the least one of the last samples.
+    The cost is the lowest cost of the last samples.
     """
 
     def again(index: Array, given: tuple[Array, Array]) -> tuple[Array, Array]:
@@ -305,6 +305,6 @@ def shift_weights(
 ) -> Float[np.ndarray, "knots_and_now knots_and_now"]:
     """Returns weights of the plan's value and knots after a shift in time by `by`.
 
-    For steps whose times no longer coincide, the later step is taken.
+    If shifted steps fall between knots, the later step is taken.
     """
     return weights_at(by + spacing * np.arange(knots + 1), knots, spacing, shape)

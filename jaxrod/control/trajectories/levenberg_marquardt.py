@@ -1,4 +1,4 @@
-"""Trajectories, and bodies with them, by damped Gauss-Newton steps on knots in time."""
+"""Optimises trajectories, also together with a body, by damped Gauss-Newton steps."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ def levenberg_marquardt(
 
     Meant for problems with few residuals, such as `reach`. The Jacobian takes a row for
     each residual in reverse mode, or a column for each knot value in forward mode,
-    whichever is fewer. The ridge adds to neither.
+    whichever is fewer. The ridge adds no rows or columns.
 
     Args:
         problem: The problem.

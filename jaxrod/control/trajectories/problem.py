@@ -122,7 +122,7 @@ def make_problem(
     n_intervals = check_count("n_intervals", n_intervals, 1)
     n_controls = check_count("n_controls", n_controls, 1)
     if running is None and final is None:
-        raise ValueError("running or final must be given: nothing costs otherwise")
+        raise ValueError("running or final must be given: there is no cost otherwise")
     if not float(interval) > 0:
         raise ValueError(f"interval must be positive, got {interval!r} s")
     start = jax.tree.map(jnp.asarray, start)
@@ -335,7 +335,7 @@ def within_bounds(
     """Checks given controls, and converts them to the dtype of the problem.
 
     Raises:
-        ValueError: They do not have that shape, are not finite or exceed the bounds.
+        ValueError: They have another shape, are not finite or exceed the bounds.
     """
     values = np.asarray(check_array(name, given, [shape], ""))
     low, high = np.asarray(problem.lower), np.asarray(problem.upper)
@@ -346,7 +346,7 @@ def within_bounds(
             f"{values[beyond].flat[0]:g}"
         )
     dtype = problem.lower.dtype
-    # Clip again after rounding to the dtype of the problem, in which the bounds are.
+    # Clip again after rounding to the dtype of the problem and of the bounds.
     return jnp.clip(
         jnp.asarray(values, dtype), problem.lower[None], problem.upper[None]
     )

@@ -298,7 +298,7 @@ def _checked(arm: Any, target: Numbers) -> np.ndarray:
     if away > length * (1 + 1e-6):
         warnings.warn(
             f"target is {away:.3g} m from the arm's base and the arm is {length:.3g} m "
-            "long: it will only be approached",
+            "long: the tip can only approach it",
             UnreachableTargetWarning,
             stacklevel=3,
         )

@@ -8,15 +8,15 @@ $$\begin{pmatrix} S_{k+1} B_k & S_{k+1} A_k & s_{k+1} \\
 C_k B_k + D_k & C_k A_k & r_k \\ \sqrt\mu & 0 & 0 \end{pmatrix}$$
 
 has the gains in its first rows and $S_k, s_k$ in the next. No squares of matrices are
-formed, so that single precision suffices for stiff rods. Controls held at a bound are
-moved to it and have no gains.
+formed, so that single precision suffices for stiff rods. Controls that are held at a
+bound are set to the bound and have no gains.
 
 The few controls of an interval are kept in their box by projected Newton steps, which
 minimise $|M z + r|^2$ subject to $l \le z \le u$. An unknown at a bound is held there
 if the cost falls towards the bound, or if the Newton step of the free unknowns crosses
 the bound. Several candidates are then compared, and the best is taken: the whole Newton
 step or a part of it, clipped to the box; the step up to the first bound; or one unknown
-moved to its own minimum, which is sure to lower the cost.
+moved to its own minimum, which always lowers the cost.
 
 Source: Y. Tassa, N. Mansard, E. Todorov, Control-limited differential dynamic
 programming, ICRA 2014, section IV; D. P. Bertsekas, Projected Newton methods for
@@ -85,8 +85,8 @@ def backward(
         by_state = jnp.concatenate([square @ a, c @ a, jnp.zeros((m, n), a.dtype)])
         rest = jnp.concatenate([right, r, jnp.zeros((m,), a.dtype)])
         change, held = box_step(by_control, rest, lower - u, upper - u)
-        # Held controls are moved first, and are then no longer unknowns. A row of their
-        # own keeps the decomposition regular.
+        # Held controls are moved first, and are then no longer unknowns. An additional
+        # row for each keeps the decomposition regular.
         moved = rest + by_control @ jnp.where(held, change, 0)
         free = jnp.where(held[None], 0, by_control)
         own = jnp.diag(jnp.where(held, 1, 0).astype(a.dtype))

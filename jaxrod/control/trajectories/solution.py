@@ -43,7 +43,7 @@ class Solution:
     history: dict[str, np.ndarray]
     """Series by name, a number for each iteration; "cost" is what the solver lowers."""
     converged: bool
-    """Whether the solver stopped because there was no more to gain."""
+    """Whether the solver stopped because the cost no longer decreased."""
     reason: str
     """Reason why the solver stopped, in words."""
     iterations: int
@@ -70,7 +70,7 @@ class Solution:
         return np.arange(count + 1) * float(self.problem.interval)
 
     def open_loop(self, state: Any, interval: Int[Array, ""]) -> Array:
-        """Policy that returns the control of an interval, whatever the state is."""
+        """Policy that returns the control of an interval for any state."""
         del state
         return self.controls[interval]
 

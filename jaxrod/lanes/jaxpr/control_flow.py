@@ -94,8 +94,8 @@ def branched(unroller: Unroller, equation: Any, index: Any, *arrays: Any) -> Any
 def by_platform(unroller: Unroller, equation: Any) -> Any:
     """Index of the default variant of a program that depends on the platform.
 
-    Kernels are for CPUs. A program with a variant of its own for those is refused,
-    because only XLA tells variants apart.
+    Kernels are for CPUs. A program with a separate variant for CPUs is refused, because
+    only XLA selects variants.
     """
     rest = None
     for i, names in enumerate(equation.params["platforms"]):
@@ -111,7 +111,7 @@ def by_platform(unroller: Unroller, equation: Any) -> Any:
 
 @rule("custom_linear_solve")
 def solved(unroller: Unroller, equation: Any, *arrays: Any) -> Any:
-    """Unrolls the solution of linear equations, by the solver that they contain."""
+    """Unrolls the solution of linear equations, with the solver in the equation."""
     lengths = equation.params["const_lengths"]
     begin = lengths.matvec + lengths.vecmat
     consts = arrays[begin : begin + lengths.solve]

@@ -1,8 +1,7 @@
 """Unrolling rules for gathers, scatters and dynamic slices.
 
-Known indices are resolved while the program is unrolled. For an index of a dynamic
-slice that varies, all numbers to which it may point are selected from, as long as they
-are few.
+Known indices are resolved while the program is unrolled. A dynamic slice with a varying
+start selects from all numbers to which it may point, as long as these are few.
 """
 
 from __future__ import annotations

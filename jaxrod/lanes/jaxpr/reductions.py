@@ -28,8 +28,8 @@ _OF_NOTHING = {"add": 0, "mul": 1, "max": -np.inf, "min": np.inf, "and": 1, "or"
 def reduced(unroller: Unroller, equation: Any, array: Any) -> Any:
     """Unrolls a reduction along axes, by pairwise combination of halves.
 
-    So round-off grows with the logarithm of the number of entries, and there is no long
-    chain of dependent operations.
+    So round-off grows only with the logarithm of the number of entries, and there is no
+    long chain of dependent operations.
     """
     graph, kind = unroller.graph, kind_of(equation.outvars[0].aval)
     operation = REDUCTIONS[equation.primitive.name]
@@ -71,7 +71,7 @@ def accumulated(unroller: Unroller, equation: Any, array: Any) -> Any:
 
 @rule("argmax", "argmin")
 def place_of_extreme(unroller: Unroller, equation: Any, array: Any) -> Any:
-    """Unrolls the index of the largest or smallest entry; the first of equal ones."""
+    """Unrolls the index of the first largest or first smallest entry."""
     graph = unroller.graph
     kind, index_kind = (
         kind_of(equation.invars[0].aval),

@@ -71,7 +71,7 @@ def stacked(unroller: Unroller, equation: Any, *arrays: Any) -> Any:
 
 @rule("unstack")
 def unstacked(unroller: Unroller, equation: Any, array: Any) -> Any:
-    """Unrolls the separation into slices along an axis, which they lose."""
+    """Unrolls the separation into slices along an axis; the axis is removed."""
     return list(np.moveaxis(array, equation.params["axis"], 0))
 
 

@@ -64,7 +64,7 @@ def _needed_by(operation: str, kind: str) -> set[tuple[str, str]]:
 
 
 def _of_one(operation: str, kind: str) -> str:
-    """Writes the function of one number: the C library's in float64, then rounded."""
+    """Writes the function of one number: the C library's float64 result, rounded."""
     one = TYPES[kind]
     row = OPERATIONS[operation]
     names = ["%a", "%b"][: row.operands]

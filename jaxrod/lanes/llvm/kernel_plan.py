@@ -184,7 +184,7 @@ class KernelPlan:
         )
 
     def module(self, per_block: str, n_operands: int, n_results: int) -> str:
-        """Writes the whole module except for the handler by which XLA calls it."""
+        """Writes the whole module except for the handler through which XLA calls it."""
         kinds = self.transposed
         texts = list(self.functions)
         declared = set(self.declared)
@@ -237,7 +237,7 @@ def goals_in(
 ) -> list[tuple[int, Region, int]]:
     """Lists outputs with their places, ordered along the rod.
 
-    So values of neighbouring elements are computed close together.
+    This way values of neighbouring elements are computed close together.
     """
     ordered = []
     for nodes, entries, place in zip(outputs, arrays, places, strict=True):

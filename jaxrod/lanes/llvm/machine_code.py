@@ -27,10 +27,11 @@ _LIBRARY = (
     *("round", "roundf", "roundeven", "roundevenf", "fmod", "fmodf"),
     *("memcpy", "memset", "memmove"),
 )
-"""Functions of the C library that compiled code may call; after those of the table, the
-ones that LLVM itself may call."""
+"""Functions of the C library that compiled code may call: those of the table, then
+those that LLVM itself may call."""
 _engines: dict[str, Any] = {}
-"""Compiled kernels by name, kept for the life of the process: programs call them."""
+"""Compiled kernels by name, kept for the life of the process because programs call
+them."""
 _lock = threading.Lock()
 
 
@@ -89,7 +90,7 @@ def registered(kernel: Kernel) -> str:
     """Compiles a kernel, unless done before, and registers it with XLA.
 
     Returns:
-        Its name there.
+        The kernel's name in XLA.
     """
     import llvmlite.binding as llvm
 

@@ -1,6 +1,6 @@
 """Memory of a kernel, and its functions, which read and write that memory.
 
-A function runs once, once for each block of rods, or in every step.
+A function runs either once, or once for each block of rods, or in every step.
 
 A kernel's memory has one region that all rods share (single numbers), one for the
 loop-invariant values of a block of rods (a vector for every number), and buffers of

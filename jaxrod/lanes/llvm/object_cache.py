@@ -5,9 +5,9 @@ object code is kept in it too. Its file name is a digest of the kernel's text, o
 processor's features and of LLVM's version. A file begins with a digest of its content:
 a damaged file is ignored and the kernel compiled again. Files are written atomically.
 
-The digest has no key, so that anyone who can write to the folder can have any code run.
-So kernels are neither read from nor written to a folder that others can write to. They
-are compiled again instead, and a warning is logged once.
+The digest has no key, so anyone who can write to the folder could make this process run
+any code. So kernels are neither read from nor written to a folder that others can write
+to. They are compiled again instead, and a warning is logged once.
 """
 
 from __future__ import annotations

@@ -20,8 +20,8 @@ def is_tiled(kind: str, count: int, width: int) -> bool:
 def room_for(kind: str, count: int, width: int) -> int:
     """Number of vectors in a block for rows of `count` numbers: one per number.
 
-    Each vector has that number of `width` rods. For rows that are moved by tiles it is
-    rounded up to a multiple of `width`.
+    Each vector holds one such number of `width` rods. For rows that are moved by tiles
+    it is rounded up to a multiple of `width`.
     """
     return -(-count // width) * width if is_tiled(kind, count, width) else count
 

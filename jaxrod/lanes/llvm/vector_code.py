@@ -186,7 +186,7 @@ class Writer:
         return self._shift(operation, names, kind)
 
     def _divide(self, operation: str, names: list[str], kind: str) -> str:
-        """Divides integers as XLA does, by zero too, and the least integer by -1."""
+        """Divides integers as XLA does, also for division by zero and overflow."""
         many, (number, by) = self.type(kind), names
         signed = kind[0] == "i"
         zero, one = self.literal(0, kind), self.literal(1, kind)

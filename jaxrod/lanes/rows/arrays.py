@@ -1,7 +1,8 @@
 """Arrays as rows: short axes are unrolled, each long axis is a loop.
 
-An array has a node for every index along its unrolled axes. Along the other axes, its
-*loops*, a node has all the numbers. So an array `(3, 50)` is three rows of 50 numbers.
+An array has one node for every index along its unrolled axes. The other axes are its
+*loops*: a node contains all numbers along them. So an array `(3, 50)` is three rows of
+50 numbers.
 """
 
 from __future__ import annotations
@@ -122,7 +123,7 @@ class Layout:
         return Rows(shape, loops, nodes, array.kind)
 
     def looped(self, array: Rows, loops: Dims) -> Rows:
-        """Returns an array with these loops, of which it may have some unrolled.
+        """Returns the array with the given axes as loops; some may be unrolled before.
 
         Raises:
             AssertionError: The array has a loop that is not among `loops`.
@@ -249,10 +250,10 @@ class Layout:
         Args:
             array: The array.
             axis: The axis.
-            low: Numbers before the first; negative ones are cut off.
-            high: Numbers after the last; negative ones are cut off.
-            inner: Numbers between neighbours.
-            fill: Node of those numbers.
+            low: Count of numbers before the first; a negative count cuts off numbers.
+            high: Count of numbers after the last; a negative count cuts off numbers.
+            inner: Count of numbers between neighbours.
+            fill: Node of the inserted numbers.
         """
         n = array.shape[axis]
         low, high, inner = int(low), int(high), int(inner)
@@ -304,7 +305,7 @@ class Layout:
         shape: Dims,
         fill: int | None,
     ) -> Rows:
-        """Puts arrays into one, whose axis is a loop, from given indices on."""
+        """Writes arrays into one array, whose axis is a loop, from given indices on."""
         others = {a for array, _ in parts for a in array.loops}
         loops = tuple(sorted(others | {axis}))
         dims = tuple(shape[a] for a in loops)

@@ -95,7 +95,7 @@ class RowPlan:
         return self.unroller.input(which, aval, rate)
 
     def stand(self, first: int, places: Sequence[Place]) -> None:
-        """Notes where input arrays are stored, from number `first` on."""
+        """Records where input arrays are stored, from number `first` on."""
         for node, (which, _) in self.graph.places.items():
             if first <= which < first + len(places):
                 self.ready[node] = places[which - first]
@@ -112,7 +112,7 @@ class RowPlan:
         return goals
 
     def hoist(self, goals: Sequence[Goal]) -> None:
-        """Writes the function that computes what does not vary from step to step."""
+        """Writes the function that computes values that are the same in all steps."""
         graph = self.graph
         for i, (node, numbers) in enumerate(graph.data.items()):
             kind = graph.kinds[node]
@@ -166,7 +166,7 @@ class RowPlan:
         return place
 
     def lasting_fills(self) -> str:
-        """Writes the function that fills what lies between pieces."""
+        """Writes the function that writes the fill between pieces."""
         graph, lines = self.graph, []
         for node, place in self.lasting.items():
             kind, value = graph.kinds[node], graph.value(graph.arguments[node][-1])
@@ -178,7 +178,7 @@ class RowPlan:
         return f"define internal void @fills(ptr %fixed) noinline {{\n{body}\n}}\n"
 
     def module(self, per_scene: str, n_operands: int, n_results: int) -> str:
-        """Writes the whole module except for the handler by which XLA calls it."""
+        """Writes the whole module except for the handler through which XLA calls it."""
         functions, more = elementary_texts(self.needs)
         self.texts.append(self.lasting_fills())
         texts = [*map(fill_text, sorted(self.fills)), *functions, *self.texts]

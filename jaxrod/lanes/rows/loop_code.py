@@ -1,8 +1,9 @@
 """Loops of a schedule as LLVM IR.
 
 A loop goes through a row in vectors. The last vector of a row ends with the row: it
-begins early and computes some numbers again, so that no load or store is outside. Outer
-axes are loops around it. What does not change in a loop is computed before it.
+begins early and computes some numbers again, so that no load or store is outside the
+row. Outer axes are loops around it. Values that do not change in a loop are computed
+before it.
 """
 
 from __future__ import annotations
@@ -44,7 +45,7 @@ class RowWriter(Writer):
         self.dims: Dims = ()
         self.indices: list[str] = []
         self.fills: set[str] = set()
-        """Types of numbers that are repeated in memory."""
+        """Types of numbers for which a fill function is needed."""
 
     def text(self, name: str, pointers: Sequence[str]) -> str:
         """Writes the whole function."""
@@ -167,7 +168,7 @@ class RowWriter(Writer):
         return self.new(f"icmp ne i8 {found}, 0") if kind == "b1" else found
 
     def _load(self, place: Place, base: int, strides: Dims, kind: str) -> str:
-        """Loads numbers, as far out in the nest of loops as they do not change."""
+        """Loads numbers in the outermost loop in which they do not change."""
         deepest = max(
             (axis for axis, stride in enumerate(strides) if stride), default=-1
         )
@@ -300,7 +301,7 @@ class RowWriter(Writer):
         self._store(self.value(goal.node), place, piece.base, piece.strides, kind)
 
     def _width_of(self, loop: Loop) -> int:
-        """Lanes of the vectors of a loop: as many as fit, and as the row has."""
+        """Lanes of the vectors of a loop: as many as fit, at most the row's length."""
         kinds = {self.graph.kinds[node] for node in (*loop.nodes, *loop.reductions)}
         kinds |= {self.graph.kinds[goal.node] for goal in loop.goals}
         widest = max((BYTES[kind] for kind in kinds), default=4)
@@ -396,7 +397,7 @@ class RowWriter(Writer):
         return [*self.before[0], *inner, *self.behind[0]]
 
     def _anywhere(self, mask: str) -> str:
-        """Returns the name of a truth: whether a mask is true in some lane."""
+        """Returns the name of a boolean: whether a mask is true in some lane."""
         if self.width == 1:
             return mask
         many = self.type("b1")
@@ -503,7 +504,7 @@ class RowWriter(Writer):
         self.width, self.indices = width, indices
 
     def _without_repeats(self, value: str, mark: str, operation: str, kind: str) -> str:
-        """Leaves out the lanes of the last vector that the one before it had."""
+        """Leaves out lanes of the last vector that overlap with the previous vector."""
         many = f"<{self.width} x i64>"
         over = self.new(f"sub i64 %c_{mark}, %i_{mark}")
         first = self.new(f"insertelement {many} poison, i64 {over}, i64 0")
@@ -548,7 +549,7 @@ class RowWriter(Writer):
         return value
 
     def _scatters(self, number: int, loop: Loop) -> Lines:
-        """Writes scatters by the same indices: one number after the other."""
+        """Writes scatters with the same indices, one number after the other."""
         graph, schedule = self.graph, self.schedule
         self.width, self.dims = 1, ()
         self.names, self.spreads, self.indices = {}, {}, []
@@ -626,7 +627,7 @@ class RowWriter(Writer):
         ]
 
     def _stored_number(self, node: int) -> str:
-        """Returns the number of a row at the index of a scatter's loop."""
+        """Returns the number of a row at the index of the scatter's loop."""
         graph = self.graph
         known = graph.value(node)
         if known is not None:

@@ -28,12 +28,12 @@ Dims = tuple[int, ...]
 
 @dataclass(frozen=True)
 class Piece:
-    """A part of a stored node: where in it another node is written."""
+    """A part of a stored node: the places where another node is written."""
 
     base: int
     """Place of the first number, in numbers."""
     strides: Dims
-    """Distance of the places of neighbours along each axis of the other node."""
+    """Distance between the places of neighbours along each axis of the other node."""
     dims: Dims
     """Lengths of the loops that write it."""
 
@@ -54,7 +54,7 @@ class Move:
     """Motion of an axis of a view through the node that it reads."""
 
     axis: int | None
-    """Axis of that node; `None` for one along which the view repeats."""
+    """Axis of that node; `None` for an axis along which the view repeats."""
     step: int = 1
     """Distance of neighbours along that axis."""
 
@@ -165,7 +165,7 @@ class RowGraph(Graph):
         return made
 
     def flat(self, node: int) -> tuple[int, int]:
-        """Returns a stored node, and where in it all numbers of a node begin.
+        """Returns a stored node, and the place in it where the numbers of a node begin.
 
         The numbers follow one another in the order of the node's axes.
         """
@@ -183,7 +183,7 @@ class RowGraph(Graph):
     def joined(
         self, sources: Sequence[int], pieces: Sequence[Piece], dims: Dims, fill: int
     ) -> int:
-        """Returns a stored node put together from pieces; `fill` is between them.
+        """Returns a stored node put together from pieces, with `fill` between them.
 
         Pieces do not overlap.
         """
@@ -228,7 +228,7 @@ class RowGraph(Graph):
 
         Args:
             into: Node of the row.
-            index: Node of the places; one equal to `size` leaves its number out.
+            index: Node of the places; a place equal to `size` drops its number.
             updates: Node of the numbers.
             operation: Operation that combines them, or `set`.
             size: Length of the row.
@@ -246,7 +246,7 @@ class RowGraph(Graph):
         if operation == "add" and self.operations[updates] == "select":
             mask, number, nothing = self.arguments[updates]
             if self.value(nothing) == 0 and self.dims[mask] == (rounds,):
-                # Where nothing is added, nothing need be computed.
+                # Where the mask is false nothing is added, so nothing need be computed.
                 given = into, index, number, mask
         extra = operation, rounds
         return self.place("scatter", given, kind, (size,), extra)
@@ -273,7 +273,7 @@ _IDENTITY = {
 
 
 def identity(operation: str, kind: str) -> object:
-    """Returns the number that changes nothing."""
+    """Returns the identity element of an operation."""
     none = _IDENTITY[operation]
     if kind == "b1":
         return bool(none) if operation in ("and", "or", "xor") else operation == "min"

@@ -62,14 +62,14 @@ def _read(
     start: Sequence[int],
     places: Sequence[tuple[int, Rows]],
 ) -> Rows:
-    """Reads an array at computed places along some axes, at known ones along others.
+    """Reads an array at computed places along some axes, at known places along others.
 
     Args:
         unroller: The unroller.
         array: The array that is read.
         shape: Shape of the result, whose axes are those of the array.
         start: First index along each axis.
-        places: Axes with computed places, and those places, which are inside.
+        places: Axes with computed places, and these places, which must be inside.
     """
     layout, graph = unroller.layout, unroller.graph
     node, base = layout.stored(array)
@@ -143,8 +143,8 @@ def replaced(
 def gathered(unroller: RowUnroller, equation: Any, array: Rows, indices: Rows) -> Rows:
     """Translates a gather along one or more axes.
 
-    Axes of the array of which a whole slice is taken stay as they are: of a table, each
-    column is gathered.
+    Axes of which a whole slice is taken stay as they are: each column of a table is
+    gathered.
     """
     numbers = equation.params["dimension_numbers"]
     sizes = tuple(map(int, equation.params["slice_sizes"]))
@@ -251,14 +251,14 @@ def _index_columns(unroller: RowUnroller, indices: Rows) -> list[Rows]:
 
 
 def _both(unroller: RowUnroller, one: Rows | None, other: Rows) -> Rows:
-    """Returns where both of two conditions hold; the first may be absent."""
+    """Returns the mask where both of two conditions hold; the first may be absent."""
     if one is None:
         return other
     return unroller.each("and", "b1", one, other)
 
 
 def _bounded(unroller: RowUnroller, column: Rows, room: int) -> tuple[Rows, Rows]:
-    """Returns indices between 0 and `room`, and whether they were so before."""
+    """Returns indices clamped to 0 and `room`, and whether they were inside before."""
     kind = column.kind
     if kind not in ("i32", "i64", "u32"):
         raise NotUnrolled(f"rows have no indices of type {DTYPES[kind]}")

@@ -1,7 +1,7 @@
 """Translation of a jaxpr of arrays to a graph of rows.
 
 Rules of arithmetic, calls and branches are those of `jaxrod.lanes.jaxpr`. The rules
-here are for primitives that move numbers, or combine those of one array.
+here are for primitives that move numbers, or combine the numbers of one array.
 """
 
 from __future__ import annotations
@@ -33,8 +33,8 @@ SHARED = (
     *("custom_linear_solve", "closed_call", "custom_jvp_call", "custom_vjp_call"),
     *("jit", "remat2"),
 )
-"""Primitives whose rules know nothing of how arrays are laid out; elementwise
-operations are further ones."""
+"""Primitives whose rules do not depend on the layout of arrays; so are elementwise
+operations."""
 MOST_UNROLLED = 64
 """Largest number of rounds of a loop that is unrolled."""
 
@@ -102,7 +102,7 @@ def result_shape(equation: Any) -> tuple[int, ...]:
 
 
 def straight(array: Rows) -> list[Move]:
-    """Returns the moves of an array that is read as it is."""
+    """Returns the moves of an array that is read unchanged."""
     return [Move(axis) for axis in range(len(array.shape))]
 
 
@@ -174,13 +174,13 @@ def _stacked(unroller: RowUnroller, arrays: Sequence[Rows], axis: int) -> Rows:
 
 @row_rule("unstack")
 def unstacked(unroller: RowUnroller, equation: Any, array: Rows) -> list[Rows]:
-    """Translates the separation into slices along an axis, which they lose."""
+    """Translates the separation into slices along an axis; the axis is removed."""
     axis = equation.params["axis"]
     return [slice_at(unroller, array, axis, i) for i in range(array.shape[axis])]
 
 
 def slice_at(unroller: RowUnroller, array: Rows, axis: int, index: int) -> Rows:
-    """Returns the slice at an index of an axis, which it loses."""
+    """Returns the slice at an index of an axis; the axis is removed."""
     moves = [Move(a) for a in range(len(array.shape)) if a != axis]
     start = [index if a == axis else 0 for a in range(len(array.shape))]
     shape = tuple(n for a, n in enumerate(array.shape) if a != axis)
@@ -285,7 +285,7 @@ def accumulated(unroller: RowUnroller, equation: Any, array: Rows) -> Rows:
 
 @row_rule("argmax", "argmin")
 def place_of_extreme(unroller: RowUnroller, equation: Any, array: Rows) -> Rows:
-    """Translates the index of the largest or smallest entry; the first of equal ones.
+    """Translates the index of the first largest or first smallest entry.
 
     The first NaN wins, as in JAX.
     """

@@ -1,8 +1,8 @@
 """Schedules: which loops compute which nodes, in which order, and what is stored.
 
 Nodes of the same dims are computed in one loop, unless one needs another as a whole: a
-shifted view, a gather or a sum. So nodes get *levels*. A loop computes all nodes of a
-level and of the same dims; what it makes for other loops is stored.
+shifted view, a gather or a sum. So nodes get *levels*. A loop computes all nodes of one
+level with the same dims, and stores those that other loops need.
 """
 
 from __future__ import annotations
@@ -60,7 +60,7 @@ class Fill:
 
 @dataclass
 class Loop:
-    """Nodes that are computed in one loop, or in one line of code if `dims` is ()."""
+    """Nodes that are computed in one loop, or in straight-line code if `dims` is ()."""
 
     level: int
     dims: Dims
@@ -69,9 +69,9 @@ class Loop:
     """Nodes that are written to given places."""
     reductions: list[int] = field(default_factory=list)
     scatters: list[int] = field(default_factory=list)
-    """Nodes of scatters, which have a loop of their own."""
+    """Nodes of scatters, which have a separate loop."""
     mask: int | None = None
-    """Node of a mask; vectors in which it is nowhere true are skipped."""
+    """Node of a mask; vectors in which it is false everywhere are skipped."""
 
 
 class Schedule:
@@ -91,20 +91,20 @@ class Schedule:
             graph: The graph.
             goals: Nodes to be written to given places.
             ready: Places of nodes that are stored already.
-            stored: Nodes that are to be computed, and stored in places that `ready`
-                has too.
+            stored: Nodes that are to be computed and stored; `ready` has their places,
+                too.
             lasting: Function that gives a place to a node whose fill is a constant.
                 Fill is written there once, not in every step.
         """
         self.graph, self.ready = graph, dict(ready)
         self.fresh = set(stored)
         self.places: dict[int, Place] = {}
-        """Places of nodes that are stored on the way."""
+        """Places of nodes that the loops store."""
         self.fills: dict[int, list[Fill]] = {}
         """Fill between pieces, by level."""
         self._lasting = lasting
         self.size = 0
-        """Size of the places of nodes stored on the way [bytes]."""
+        """Total size of the nodes that the loops store [bytes]."""
         self._at: dict[int, int] = {}
         self._done: dict[int, int] = {}
         self._loops: dict[tuple[int, Dims, str], Loop] = {}
@@ -157,9 +157,9 @@ class Schedule:
     def _masked(self) -> dict[int, int]:
         """Returns nodes that matter only where a mask is true, with that mask.
 
-        They are used by scatters under that mask alone, and by other such nodes. Places
-        of gathers are not among them: those must be inside everywhere. Masks are stored
-        before the schedule begins.
+        They are used only by scatters under that mask and by other such nodes. Places
+        of gathers are not among them, because these must be inside everywhere. Masks
+        are stored before the schedule begins.
         """
         graph = self.graph
         users: dict[int, list[tuple[int, int]]] = {}
@@ -191,7 +191,7 @@ class Schedule:
         return masks
 
     def _after(self, node: int) -> int:
-        """Level from which a stored node can be read, or a number as part of a row."""
+        """Level from which a stored node can be read, or a number used in a row."""
         return 0 if self.is_ready(node) else self._done[node] + 1
 
     def _beside(self, node: int, dims: Dims, mask: int | None = None) -> int:
@@ -252,7 +252,7 @@ class Schedule:
         self._take(goal.node, loop)
 
     def _take(self, node: int, loop: Loop) -> None:
-        """Notes that a loop uses a node: it computes it, or reads it."""
+        """Records that a loop uses a node, which it computes or reads."""
         graph = self.graph
         if self.is_ready(node):
             return
@@ -276,14 +276,14 @@ class Schedule:
         self._read[node] = max(self._read.get(node, 0), level)
 
     def _use(self, node: int) -> None:
-        """Puts a node into its loop, and notes what that loop uses."""
+        """Puts a node into its loop, and records the nodes that the loop uses."""
         graph = self.graph
         operation, arguments = graph.operations[node], graph.arguments[node]
         level, dims = self._at[node], graph.dims[node]
         if node in self.fresh and operation not in STORED:
             self._kept.add(node)
         if operation == "view":
-            # It is read where it is used. A view that is stored has a loop.
+            # The node is read where it is used. A view that is stored has a loop.
             if not dims:
                 loop = self._loop(level, ())
                 loop.nodes.append(node)
@@ -341,7 +341,7 @@ class Schedule:
         self._loop(level, ())
 
     def _allocate(self) -> None:
-        """Gives stored nodes places, and uses places again that nobody reads."""
+        """Allocates places for stored nodes, and reuses places that are done with."""
         graph = self.graph
         begins: dict[int, list[int]] = {}
         first_write: dict[int, int] = {}
@@ -422,7 +422,7 @@ def hoisted(graph: RowGraph, goals: Iterable[int], given: Iterable[int]) -> list
 
 
 def operation_is_read(graph: RowGraph, node: int) -> bool:
-    """Whether a node is read or known wherever it is used, and never computed."""
+    """Whether a node is read or known where it is used, and never computed."""
     return graph.operations[node] in ("view", "iota", "constant")
 
 

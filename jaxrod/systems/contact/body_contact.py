@@ -52,15 +52,15 @@ class BodyContact(PenaltyContact):
     touching: Float[Array, ""] | None = None
     """Length of rod that touches a body at a time, for the stability bound [m]."""
     free_ends: Float[Array, "rods 2"] | None = None
-    """One for each free end of the rods, zero for an end that is tied or attached."""
+    """Flags of the rods' ends: 1 if free, 0 if tied or attached."""
     segments: RodSegments | None = None
-    """Points of the rods, once prepared; their lengths are zero at ends."""
+    """Contact points of the rods, set by `prepared`; their lengths are zero at ends."""
     ends: Ends | None = None
-    """Ends of the rods, once prepared."""
+    """Ends of the rods, set by `prepared`."""
     rod: str = static(default="")
-    """Name of the rods."""
+    """Name of the member with the rods."""
     body: str = static(default="")
-    """Name of the bodies."""
+    """Name of the member with the bodies."""
     points_per_element: int | None = static(default=None)
     """Contact points per element; `None` to derive the number from the radii."""
 
@@ -92,7 +92,7 @@ class BodyContact(PenaltyContact):
         return replace(self, points_per_element=needed)
 
     def with_free_ends(self, free: Mapping[str, Array]) -> BodyContact:
-        """The coupling with these free ends: other ends have no face."""
+        """The coupling with flags of free ends; only free ends have a face."""
         return replace(self, free_ends=free[self.rod])
 
     def prepared(self, parts: AllParts) -> BodyContact:
@@ -150,7 +150,7 @@ class BodyContact(PenaltyContact):
     def _force(
         self, points: ContactPoints, body: Posed
     ) -> tuple[Vec3, Vec3 | None, Vec3, Vec3]:
-        """Forces on the points with their couples and places, and forces beside ends.
+        """Contact forces, their couples and places, and the forces beside the ends.
 
         Returns:
             Forces on the points, couples on their sections, the places where the forces
@@ -219,7 +219,7 @@ class BodyContact(PenaltyContact):
     def stability_bounds(self, parts: AllParts) -> dict[str, StabilityBound]:
         """Stiffness and drag as if all of every rod touched every body.
 
-        With `touching` it is only this length of rod. A spring's change of length is
+        With `touching` only that length of rod counts. A spring's change of length is
         the sum of the contributions of node and body. By the Cauchy-Schwarz inequality
         its energy is at most that of all masses together at the squared frequency `k`
         times the sum of the compliances. The compliance of a node is its length over

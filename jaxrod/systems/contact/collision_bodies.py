@@ -1,4 +1,4 @@
-"""Bodies that touch: surfaces at their poses, and balls tested against others."""
+"""Bodies in contact: their surfaces, and balls tested against other surfaces."""
 
 from __future__ import annotations
 
@@ -84,7 +84,8 @@ class CollisionBodies:
     cloud: SphereCloud | None
     """Balls in the bodies' own frame; `None` if only the surface is known."""
     sizes: Array
-    """Half the smallest thickness of each, roughly; infinite for a fixed body [m]."""
+    """Half the smallest thickness of each body, roughly; infinite for fixed bodies
+    [m]."""
     reach: Array
     """Largest distance of the surface from the origin [m]."""
     masses: Array
@@ -103,7 +104,7 @@ class CollisionBodies:
 
     @property
     def is_round(self) -> bool:
-        """Whether the balls are the whole body."""
+        """Whether the balls represent the whole body."""
         return self.cloud is not None and self.cloud.is_round
 
     @property
@@ -176,7 +177,7 @@ def collision_bodies(
 
 
 def _standing(body: Body, balls: int, points_per_edge: int) -> CollisionBodies:
-    """CollisionBodies of a fixed body, in the frame of its axes."""
+    """Collision bodies of a fixed body, in the frame of its axes."""
     shape, centre = body, jnp.zeros(3)
     frame = directors(split_quaternion(jnp.asarray((1.0, 0.0, 0.0, 0.0))))
     if not body.is_half_space:
@@ -203,8 +204,8 @@ def _standing(body: Body, balls: int, points_per_edge: int) -> CollisionBodies:
 
 
 Way = tuple[bool, bool, float]
-"""Whether balls of the first group are tested against the second, whether the reverse,
-and the weight of each ball."""
+"""Whether the first group's balls are tested, whether the second group's are, and the
+weight of each ball."""
 
 
 @pytree
@@ -232,12 +233,12 @@ class CollisionPair:
     def between(
         a: CollisionBodies, b: CollisionBodies, *, same: bool
     ) -> tuple[Way, ...]:
-        """Ways in which two groups are tested against each other.
+        """Directions in which two groups are tested against each other.
 
         Args:
             a: The first group.
             b: The second group, or the same.
-            same: Whether both are the same: then one way covers both.
+            same: Whether both groups are the same; then one direction is enough.
         """
         first, second = (True, False), (False, True)
         if same:
@@ -258,7 +259,7 @@ class CollisionPair:
 
     @staticmethod
     def contacts(a: CollisionBodies, b: CollisionBodies, *, same: bool) -> float:
-        """Largest number of balls, weighted, by which two of their bodies touch."""
+        """Largest weighted number of balls with which two of their bodies touch."""
         total = 0.0
         for first, _, share in CollisionPair.between(a, b, same=same):
             looks, surface = (a, b) if first else (b, a)
@@ -278,14 +279,14 @@ class CollisionPair:
         *,
         same: bool,
     ) -> CollisionPair:
-        """CollisionPair of the balls of one group with the surfaces of another.
+        """Pairs of the balls of one group with the surfaces of another.
 
         Args:
-            a: CollisionBodies with the balls, at one moment.
-            b: CollisionBodies with the surfaces, at one moment.
+            a: Group with the balls, at one moment.
+            b: Group with the surfaces, at one moment.
             share: Weight of each ball [1].
             onset: Width of the onset over the smaller size [1].
-            same: Whether both are the same: a body is not tested against itself.
+            same: Whether both groups are the same; no body is tested against itself.
         """
         cloud, pose, other = a.cloud, a.pose, b.pose
         assert cloud is not None and pose is not None and other is not None

@@ -42,7 +42,7 @@ class ContactPair:
 
     @property
     def arms(self) -> tuple[Vec3, Vec3]:
-        """Vectors from both axes to their common point [m]."""
+        """Vectors from the places on both axes to the common point of contact [m]."""
         overlap = 0.5 * self.depth
         return (
             vectors.scale(overlap - self.radii[0], self.normal),
@@ -67,7 +67,7 @@ def contact_pair(
     radii: tuple[Array, Array],
     onset: Array,
 ) -> ContactPair:
-    """The pair of two places.
+    """Makes the pair of two places.
 
     Args:
         way: Vector from the second place to the first [m].

@@ -4,9 +4,9 @@ A free end has a face; an end that is tied to another node has none.
 
 Contact of rods with rods counts segments minus the nodes between them
 (inclusion-exclusion), so that every place counts once. Where ends of rods are tied, a
-node is between segments that are neighbours in no row. So all nodes but one of a group
-of tied nodes are subtracted too. This is possible for last nodes, which is enough for
-rods welded end to end and for closed rods.
+node lies between segments of different rods. So all nodes but one of a group of tied
+nodes are subtracted, too. Only last nodes can be subtracted, which is enough for rods
+welded end to end and for closed rods.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from jaxrod.systems.sites.coupling import AllParts, TiedPair
 def last_but_continued(
     member: str, parts: AllParts, tied: Sequence[TiedPair]
 ) -> tuple[int, ...]:
-    """Last segments of rods of a member after which another rod continues.
+    """Last segments of a member's rods, where another rod continues.
 
     Args:
         member: Name of the member.
@@ -43,8 +43,8 @@ def last_but_continued(
     for rod in range(parts[member].count):
         here = (member, rod * (n + 1) + n)
         others = fellows.get(here, [])
-        # One node of a group stays: one that is not a last node, else the first by
-        # name.
+        # One node of a group is not subtracted: one that is not a last node, or else
+        # the first by name.
         stays = others and all(map(is_last, others)) and here < min(others)
         if others and not stays:
             found.append(rod * n + n - 1)
@@ -54,7 +54,7 @@ def last_but_continued(
 def free_ends(
     member: str, parts: AllParts, held: Iterable[tuple[str, int]]
 ) -> np.ndarray:
-    """One for each free first or last end of a member's rods, zero for other ends.
+    """Flags of the first and last end of a member's rods: 1 if free, 0 otherwise.
 
     Args:
         member: Name of the member.
@@ -77,7 +77,7 @@ def free_ends(
 def closed_rods(
     member: str, parts: AllParts, tied: Sequence[TiedPair]
 ) -> tuple[int, ...]:
-    """Rods of a member whose last node is tied to their first, and to nothing else.
+    """Rods of a member whose last node is tied to their own first node only.
 
     Args:
         member: Name of the member.

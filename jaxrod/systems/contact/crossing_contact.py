@@ -9,17 +9,18 @@ or $w$ of one segment and the other segment, and of both nodes. Segments are pie
 curves that are smooth at nodes (`jaxrod.systems.contact.smooth_axes`): on polylines,
 rods at rest on each other would slide to nodes, where their energy is lower. By
 inclusion-exclusion over segments and the nodes between them a crossing counts once,
-wherever it is and however long segments are for their radius. It does so smoothly,
-since a node subtracts exactly what both its segments have there. Rods that lie side by
-side also count once, however long the contact is: the law is for nests, nets and knots
-of long elements. Forces are exactly those of the energy, and act at one common point of
-both rods.
+wherever it is and however long segments are compared with their radius. The sum is
+smooth, since a node subtracts exactly the energy that both its segments have there.
+Rods that lie side by side also count once, however long the contact is. The law is
+meant for nests, nets and knots of long elements. Forces are exactly those of the
+energy, and act at one common point of both rods.
 
 Subtracted terms have springs only. Dashpots and friction act at the closest points of
-two segments, reduced by the share of the push that is subtracted. A subtracted dashpot
-would be at another place, which moves differently, and would feed in energy.
-So next to a node they belong to one of its two segments: a rod described from its other
-end has them there a little differently, to first order in the length of a segment.
+two segments and are reduced by the subtracted share of the push. A subtracted dashpot
+would act at another place, which moves differently, and would feed in energy.
+So next to a node they belong to only one of its two segments. If the nodes of a rod are
+numbered in the opposite order, they change there by an amount of first order in the
+length of a segment.
 """
 
 from __future__ import annotations
@@ -75,7 +76,7 @@ class CrossingContact(TouchingRods):
     smooth: ClassVar[bool] = True
 
     def fitted(self, parts: AllParts, tied: tuple[TiedPair, ...]) -> CrossingContact:
-        """The coupling with the tied nodes, near which nothing touches."""
+        """The coupling with the tied nodes; elements near them do not touch."""
         fitted: Any = self.with_ties(parts, tied)
         return fitted
 
@@ -97,12 +98,12 @@ class CrossingContact(TouchingRods):
         return self.segments[a].radii
 
     def allowed(self, a: int, b: int, own: Bounds, other: Bounds) -> Any:
-        """Whether pairs may touch: those of two rods, or far apart along one rod."""
+        """Whether pairs may touch: on two rods, or far apart along one rod."""
         share = self.share(a, b, own.elements, other.elements)
         return None if share is None else share > 0
 
     def scales(self, own: Elements, other: Elements) -> tuple[Array, Array]:
-        """Means of radii and of rest lengths [m]."""
+        """Means of the two radii and of the two rest lengths [m]."""
         assert own.rest_lengths is not None and other.rest_lengths is not None
         return (
             0.5 * (own.radii + other.radii),
@@ -117,7 +118,7 @@ class CrossingContact(TouchingRods):
     def contact_pairs(
         self, own: Elements, other: Elements, weights: Array
     ) -> Iterator[ContactPair]:
-        """Two segments, less a node and a segment (both ways), plus two nodes.
+        """Terms of pairs: two segments, minus node and segment (twice), plus two nodes.
 
         This is the inclusion-exclusion. Two segments touch at their closest points and,
         as far as they are parallel, at their middles.
@@ -212,11 +213,11 @@ class CrossingContact(TouchingRods):
         return from_products(slopes, *lines)
 
     def bound(self, own: Parts, every: list[Parts]) -> StabilityBound:
-        """Stiffness and drag of `max_contacts` rods across every element, at worst.
+        """Largest stiffness and drag of `max_contacts` rods across every element.
 
         A spring's change of length is the sum of the contributions of two rods. Its
         square is at most twice the sum of their squares. Slip has four contributions,
-        so there the factor is four.
+        so its factor is four.
         """
         assert own.radii is not None
         # Each spring acts on six nodes.
@@ -234,17 +235,17 @@ class CrossingContact(TouchingRods):
 
 
 Bulges = tuple[Vec3, Vec3]
-"""Forces on both bulges of elements [N]."""
+"""Forces conjugate to both bulges of elements [N]."""
 
 
 def _conjugate(
     pair: ContactPair, force: Vec3
 ) -> tuple[tuple[Vec3, Vec3, Vec3], tuple[Bulges, Bulges]]:
-    """A force at a pair of places, and its opposite, as forces on what they depend on.
+    """Forces conjugate to the variables on which a pair of places depends.
 
     Returns:
-        Forces on the way between the first nodes and on both edges, and forces on the
-        bulges of both elements.
+        Forces conjugate to the vector between the first nodes and to both edges, and
+        forces conjugate to the bulges of both elements.
     """
     s, t = pair.places
     assert s is not None
@@ -275,7 +276,7 @@ def _turning_nodes(
 def _on_elements(
     force: Vec3, edge: Vec3, turning: tuple[Vec3, Vec3] | None, bulges: Bulges
 ) -> SegmentLoads:
-    """Loads on segments; edges are no variables beside the tangents, but nodes are."""
+    """Loads on segments, whose variables are nodes and tangents, not edges."""
     nexts = vectors.subtract(edge, vectors.add(*bulges))
     return SegmentLoads(
         forces=force, nexts=nexts, turning_nodes=turning, tangents=bulges

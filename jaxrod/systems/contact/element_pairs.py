@@ -35,7 +35,7 @@ class Elements:
     radii: Array
     """Radii [m]."""
     follows: Array
-    """One where another element follows, on this rod or a tied one, else zero [1]."""
+    """Flag: 1 where another element follows on this rod or a tied one, else 0 [1]."""
     first_velocity: Vec3 | None = None
     """Velocities of the first nodes [m/s]; `None` if they are not needed."""
     velocity_change: Vec3 | None = None
@@ -58,7 +58,7 @@ class Elements:
     first_lengths: Array | None = None
     """Rest length of the contact point at the first node [m]."""
     last: Array | None = None
-    """One where an element is the last of its rod, else zero [1]."""
+    """Flag: 1 where an element is the last of its rod, else 0 [1]."""
     bulges: tuple[Vec3, Vec3] | None = None
     """Tangents of a smooth axis minus the edge, at the first node and at the next [m];
     `None` for straight elements."""
@@ -84,8 +84,8 @@ class Elements:
     def spin_at(self, place: Array) -> Vec3:
         """Angular velocity at a place, interpolated between the nodes [rad/s].
 
-        So it is the same for two elements at the node between them, and what is counted
-        twice there cancels.
+        So it is the same for two elements at the node between them, and terms that are
+        counted twice there cancel.
         """
         assert self.first_spin is not None and self.spin_change is not None
         return vectors.add(self.first_spin, vectors.scale(place, self.spin_change))
@@ -150,8 +150,8 @@ def elements_at(
         seen: The member at one moment.
         moves: Whether velocities are needed.
         spins: Whether angular velocities are needed.
-        placed: Whether places along the rod are needed.
-        has_contact_points: Whether contact points, and so places, are needed.
+        placed: Whether arc lengths along the rod are needed.
+        has_contact_points: Whether contact points, and so arc lengths, are needed.
         smooth: Whether elements are pieces of a smooth axis.
     """
     first, edge, bulges = _pieces(segments, seen.motion.position, smooth=smooth)

@@ -2,9 +2,10 @@
 
 A list has pairs of elements of two members that may touch before the list is made
 again: the gap between their surfaces is below a *skin*. The list is valid while no node
-has moved by more than half the skin. The number of entries is static; pairs that find
-no room are counted, so that the loss is never silent. A list is one row of pairs. A
-fixed number of entries for each element would mostly be idle, since contact is uneven.
+has moved by more than half the skin. The number of entries is static; pairs that do not
+fit are counted and reported by `health`. A list is one row of pairs. With a fixed
+number of entries for each element most entries would be unused, since contact is
+uneven.
 """
 
 from __future__ import annotations
@@ -23,7 +24,7 @@ from jaxrod.validation import Numbers, as_array, check_count
 SPARE = 1.5
 """Ratio of allocated entries to entries counted in a state [1]."""
 MOST_IN_CELLS = 10_000
-"""Largest number of elements in three cells; room for more is taken for a mistake."""
+"""Largest number of elements in three cells; a larger number must be a mistake."""
 
 
 @pytree
@@ -71,7 +72,7 @@ class FoundNeighbours:
 
 @pytree
 class NeighbourRecord:
-    """Worst cases of what lists of neighbours may have missed since a run began.
+    """Worst shortage and age of neighbour lists since a run began.
 
     It is under the name "neighbours" in the state of a system that has lists, and stays
     until it is removed from the state.
@@ -106,7 +107,7 @@ def no_record(dtype: Any) -> NeighbourRecord:
 
 
 def with_spare(count: float) -> int:
-    """Number of entries for a count, with some to spare."""
+    """Number of entries to allocate for a count, with some to spare."""
     return math.ceil(SPARE * count) + 16
 
 
@@ -132,12 +133,13 @@ def neighbour_lists(
         skin: Gap between surfaces up to which elements are listed, over the largest
             radius [1]. A larger skin makes lists longer and valid for more steps.
         pairs: Room for pairs of elements of two members (or of one) that may touch; by
-            default half as many again as in the state given to `make_system`, and some.
-        candidates: Room for pairs whose exact distance is computed, some times as many
-            as `pairs`; counted by default too.
+            default somewhat more than 1.5 times the number in the state given to
+            `make_system`.
+        candidates: Room for pairs whose exact distance is computed, several times
+            `pairs`; also counted by default.
         cell_slots: Room for elements in three neighbouring cells of the search grid, or
-            0 to test all pairs instead. By default counted too; members of up to some
-            hundred elements test all pairs.
+            0 to test all pairs instead. By default it is counted, too; members of up to
+            some hundred elements test all pairs.
 
     Returns:
         Settings for the argument `lists` of `rod_contact` and `crossing_contact`.

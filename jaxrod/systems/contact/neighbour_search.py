@@ -37,7 +37,7 @@ CELLS = 1024
 BLOCK = 16_384
 """Number of candidates that are processed at once."""
 MOST_AT_ONCE = 1024
-"""Largest number of second elements that are tested all at once."""
+"""Largest number of second elements for which all pairs are tested at once."""
 _ROUNDING = 1e-3
 """Relative margin of the cell size, so that round-off cannot move an element into a
 non-adjacent cell."""
@@ -74,17 +74,17 @@ class Rows:
     """
 
     begin: Int[Array, "stretches own"]
-    """Begin of each stretch in the order of the second elements."""
+    """Start of each stretch in the order of the second elements."""
     held: Int[Array, "stretches own"]
     """Number of second elements in each stretch."""
     order: Int[Array, " other"]
     """Numbers of the second elements, in order."""
     wide: Int[Array, ""]
-    """Rows of each stretch: the largest number that one holds, at most `slots`."""
+    """Rows of each stretch: the size of the longest stretch, at most `slots`."""
     slots: int = static()
     """Room in a stretch."""
     complete: bool = static(default=False)
-    """Whether there is one stretch, which has all second elements in order."""
+    """Whether there is only one stretch, with all second elements in order."""
 
     @property
     def room(self) -> int:
@@ -97,7 +97,7 @@ class Rows:
         return self.begin.shape[0] * self.wide
 
     def places(self, row: Array, own: Array | slice) -> tuple[Array, Array]:
-        """Places of a row's elements in the order, and whether they exist."""
+        """Positions of a row's elements in `order`, and whether they exist."""
         stretch, slot = row // self.wide, row % self.wide
         place = self.begin[stretch, own] + slot
         most = self.order.shape[0] - 1
@@ -122,7 +122,7 @@ def found_by(
     *,
     once: bool,
 ) -> FoundNeighbours:
-    """Lists of all pairs of members.
+    """Neighbour lists of all pairs of members.
 
     Args:
         how: Settings of the lists, with their sizes.
@@ -130,7 +130,7 @@ def found_by(
         views: Pairs of members.
         allowed: Function for the mask of elements of two members that may touch.
         places: Positions of the members' nodes, to be kept with the lists [m].
-        once: Whether two elements of one member are one pair, not two.
+        once: Whether two elements of the same member are listed as one pair, not two.
     """
     assert how.cell_slots is not None
     lists: list[NeighbourList] = []
@@ -192,9 +192,9 @@ def rows_of_cells(
         own: Elements of the first member.
         other: Elements of the second member.
         slots: Room for elements in three neighbouring cells.
-        once: Whether only one of two elements of one member is to find the other. Then
-            only the cells on one side are searched, and the element's own column,
-            which is the first stretch.
+        once: Whether each pair of elements of the same member is found only once. Then
+            only the cells on one side are searched, and the element's own column, which
+            is the first stretch.
 
     Returns:
         The rows, and the largest number of elements in three neighbouring cells.
@@ -238,7 +238,7 @@ class CandidateList:
         return self.until[-1]
 
     def named(self, number: Array) -> NeighbourList:
-        """List of the candidates with some numbers."""
+        """List of the candidates with the given numbers."""
         until, rows = self.until, self.rows
         column = jnp.minimum(_count(until, number), until.shape[0] - 1)
         before = jnp.where(column > 0, until[column - 1], 0)
@@ -261,8 +261,8 @@ def candidates(
         other: Elements of the second member.
         rows: Second elements to test.
         size: Largest number of candidates that can be listed.
-        once: Whether only one of two elements of one member finds the other. The first
-            stretch has both, and there the one with the lower number does.
+        once: Whether each pair of elements of the same member is listed only once. The
+            first stretch contains both orders; there the lower number comes first.
     """
     x, y, z = own.middle
     reach = _half_length(own) + own.reach
@@ -326,7 +326,7 @@ def pairs_within(
         # updates of a batch at the same index.
         pairs = jnp.stack([listed.own, listed.other], axis=-1)[place]
         # Entries after the last near pair are overwritten by the next block. Once the
-        # list is full, all goes into the part that is cut off at the end.
+        # list is full, further pairs go into the part that is cut off at the end.
         behind = (jnp.minimum(taken, size), jnp.zeros_like(taken))
         kept = lax.dynamic_update_slice(kept, pairs, behind)
         return begin + block, taken + running[-1], kept

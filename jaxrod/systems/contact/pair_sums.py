@@ -5,10 +5,10 @@ gather nor scatter. A list gathers elements and scatters loads, and pays where m
 pairs are far apart. Laws compute both kinds of pairs with the same functions.
 
 A list has more room than entries, and its entries come first. It is processed block by
-block, and blocks without entries are skipped, so a step costs as much as there are
-entries, not as there is room. The number of blocks is static and each has a branch, so
-that sums are differentiable in reverse; under `jax.vmap` both branches are computed.
-There are few blocks, since in reverse each goes through all elements.
+block, and blocks without entries are skipped, so the cost of a step depends on the
+number of entries, not on the room. The number of blocks is static and each has a
+branch, so that sums are differentiable in reverse; under `jax.vmap` both branches are
+computed. There are few blocks, since in reverse each goes through all elements.
 """
 
 from __future__ import annotations
@@ -39,8 +39,8 @@ def sums_over_all(on_own: Any, on_other: Any) -> tuple[Any, Any]:
     """Sums over all pairs, on each element of the first member and of the second.
 
     Args:
-        on_own: Numbers of pairs for their first elements `(others, own)`.
-        on_other: Numbers of pairs for their second elements `(others, own)`.
+        on_own: Values of the pairs for their first elements `(others, own)`.
+        on_other: Values of the pairs for their second elements `(others, own)`.
     """
     return (
         jax.tree.map(lambda field: jnp.sum(field, axis=0), on_own),
@@ -58,7 +58,7 @@ def sums_over_list(
 
     Args:
         work: Function from first elements, second elements and the mask of entries in
-            use to numbers for the first elements and for the second.
+            use to values for the first elements and for the second.
         own: All elements of the first member.
         other: All elements of the second member.
         listed: The list.
@@ -81,8 +81,8 @@ def sums_over_list(
         )
 
     def cut(number: Array) -> NeighbourList:
-        # The last block begins early, so that it ends with the list. Entries that the
-        # block before it had are left out.
+        # The last block begins early, so that it ends with the list. Entries that were
+        # already in the block before are left out.
         due = number * block
         begin = jnp.minimum(due, entries - block)
         some: NeighbourList = jax.tree.map(
@@ -115,7 +115,7 @@ def sums_over_list(
 
 
 def _where(there: Array, tree: Any) -> Any:
-    """Numbers of entries in use; zero for the others, which kernels skip."""
+    """Values of entries in use; zero for the others, which kernels skip."""
     return jax.tree.map(lambda field: jnp.where(there, field, 0), tree)
 
 
@@ -123,9 +123,9 @@ def _where(there: Array, tree: Any) -> Any:
 def _with_rows(total: Array, index: Array, rows: Array) -> Array:
     """A table with rows added at some indices.
 
-    Its derivative uses indices of its own: XLA's CPU compiler (0.10.1, with the fusion
-    that `configure_cpu` asks for) makes one kernel of two such sums by the same indices
-    and aborts the process.
+    Its derivative uses separate indices: XLA's CPU compiler (0.10.1, with the fusion
+    that `configure_cpu` asks for) merges two such sums over the same indices into one
+    kernel and aborts the process.
     """
     return total.at[index].add(rows)
 

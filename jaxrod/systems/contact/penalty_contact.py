@@ -61,7 +61,7 @@ def law_numbers(
     drag = damping if friction_drag is None else friction_drag
     if friction is not None and drag is None:
         raise ValueError(
-            f"friction needs friction_drag > 0 {rate}, what it resists per "
+            f"friction needs friction_drag > 0 {rate}, its resistance per "
             f"{'length and ' if per_length else ''}speed at the onset of slip (by "
             "default the damping), got none"
         )

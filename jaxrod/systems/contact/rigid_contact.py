@@ -50,11 +50,11 @@ class RigidContact(PenaltyContact):
     points: dict[str, Array] | None = None
     """Points on the surfaces of members by name, own frames `(3, points)` [m]."""
     groups: tuple[CollisionBodies, ...] = ()
-    """Members, then fixed bodies, with their balls, once prepared."""
+    """Members, then fixed bodies, with their balls; set by `prepared`."""
     members: tuple[str, ...] = static(default=())
     """Names of the members."""
     balls: tuple[int, ...] = static(default=())
-    """Balls along the axis of each member and fixed body, once fitted."""
+    """Balls along the axis of each member and fixed body; set by `fitted`."""
     balls_per_axis: int | None = static(default=None)
     """Given number of balls along an axis; `None` to derive it from the shape."""
     points_per_edge: int = static(default=2)
@@ -84,7 +84,8 @@ class RigidContact(PenaltyContact):
         """The coupling with the number of balls along axes.
 
         Raises:
-            ValueError: If nothing can meet, or two bodies cannot detect contact.
+            ValueError: If no bodies can meet, or contact of two bodies cannot be
+                detected.
         """
         named = [(repr(name), parts[name].shape) for name in self.members]
         named += [(f"fixed[{k}]", body) for k, body in enumerate(self.fixed)]
@@ -100,7 +101,7 @@ class RigidContact(PenaltyContact):
             if not CollisionPair.between(groups[a], groups[b], same=a == b):
                 raise ValueError(
                     f"rigid_contact cannot see where {named[a][0]} and {named[b][0]} "
-                    "touch: neither has corners or round ends that it knows; give "
+                    "touch: neither has known corners or round ends; give "
                     "points on the surface of one, points={name: (3, k) [m]}"
                 )
         if not any(True for _ in fitted._pairs(groups)):
@@ -318,7 +319,7 @@ def _turns(group: CollisionBodies, rubs: bool) -> bool:
 
 
 def _ease(group: CollisionBodies, rubs: bool) -> Array:
-    """Largest velocity at a place of contact per impulse there [1/kg]."""
+    """Largest mobility at a place of contact: velocity per impulse there [1/kg]."""
     moving = 1 / group.masses
     if not _turns(group, rubs):
         return moving
@@ -326,7 +327,7 @@ def _ease(group: CollisionBodies, rubs: bool) -> Array:
 
 
 def _worst(columns: list[Array], max_contacts: int | None) -> Array:
-    """Sum over all other bodies, or a bound for the most that touch at a time."""
+    """Sum over all other bodies, or a bound for at most `max_contacts` of them."""
     every = jnp.concatenate(columns, axis=1)
     total = jnp.sum(every, axis=1)
     if max_contacts is None:

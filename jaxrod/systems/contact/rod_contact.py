@@ -1,7 +1,7 @@
 r"""Contact between rods, and of rods with themselves: the line law.
 
-Contact points of each rod are tested against the segments of the other, and both ways
-count half. Over the segments $j$ of a rod and the nodes $v$ between them
+Contact points of each rod are tested against the segments of the other, and each
+direction counts half. Over the segments $j$ of a rod and the nodes $v$ between them
 
 $$E = \tfrac12 \sum_a w_a \Big[\sum_j \psi(p_{aj}) - \sum_v \psi(p_{av})\Big]
   + (\text{the rods exchanged}),$$
@@ -61,7 +61,8 @@ class RodContact(TouchingRods):
     """Contact between all rods of some members; see `rod_contact`."""
 
     points_per_element: tuple[int, ...] = static(default=())
-    """Contact points per element of each member, once fitted; or one number for all."""
+    """Contact points per element: one number for all, or, after `fitted`, one per
+    member."""
 
     def fitted(self, parts: AllParts, tied: tuple[TiedPair, ...]) -> RodContact:
         """The coupling with the number of points, and with the tied nodes."""
@@ -88,7 +89,7 @@ class RodContact(TouchingRods):
         return jnp.maximum(self.segments[a].first_radii, self.segments[a].radii)
 
     def allowed(self, a: int, b: int, own: Bounds, other: Bounds) -> Any:
-        """Whether pairs may touch: those of two rods, or far apart along one rod."""
+        """Whether pairs may touch: on two rods, or far apart along one rod."""
         if a != b:
             return None
         one, two = own.elements, other.elements
@@ -108,7 +109,7 @@ class RodContact(TouchingRods):
     def on_list(
         self, a: int, own: Elements, other: Elements, there: Array
     ) -> tuple[ContactPoints, Elements, Array]:
-        """Contact points of listed elements, along a leading axis, and segments."""
+        """Contact points of listed elements, along a leading axis, and the segments."""
         points = points_on(row_vector(own), self.segments[a].per_element)
         return points, row_vector(other), row_vector(there)
 
@@ -126,10 +127,10 @@ class RodContact(TouchingRods):
     def contact_pairs(
         self, own: ContactPoints, other: Elements, weights: Array
     ) -> Iterator[ContactPair]:
-        """Points with their closest points on segments, less those with next nodes.
+        """Points with their closest points on segments, minus points with next nodes.
 
-        The latter make up the inclusion-exclusion: they count negative, and only where
-        another segment follows.
+        The subtraction is the inclusion-exclusion. It is made only where another
+        segment follows.
         """
         apart = vectors.subtract(own.position, other.first)
         square = vectors.dot(other.edge, other.edge)
@@ -172,7 +173,7 @@ class RodContact(TouchingRods):
     def collected(
         self, own: ContactPoints, on_own: SegmentLoads, on_other: SegmentLoads
     ) -> tuple[SegmentLoads, SegmentLoads]:
-        """Loads on listed elements, from those on their points."""
+        """Loads on listed elements, from the loads on their contact points."""
         force, turns = on_own.on_points, on_own.turning_points
         assert force is not None and own.fractions is not None
         nexts = vectors.scale(own.fractions, force)
@@ -189,7 +190,7 @@ class RodContact(TouchingRods):
         )
         one, two = jax.tree.map(lambda leaf: jnp.sum(leaf, axis=0), both)
         assert one.forces is not None
-        # The force on the segment is the opposite one: summed once.
+        # The force on the segment is the opposite one, so it is summed only once.
         return one, replace(two, forces=vectors.scale(-1.0, one.forces))
 
     def bound(self, own: Parts, every: list[Parts]) -> StabilityBound:
@@ -200,7 +201,7 @@ class RodContact(TouchingRods):
         from the velocities and spins of both rods, shared in proportion to inertia.
         """
         assert own.linear_density is not None
-        # Length for which a node stands, from its mass.
+        # Length that a node stands for, from its mass.
         lengths = self.max_contacts * own.node_masses / jnp.min(own.linear_density)
         stiffness = 2 * self.stiffness * lengths
         drag = None if self.damping is None else 2 * self.damping * lengths
@@ -208,7 +209,8 @@ class RodContact(TouchingRods):
             return StabilityBound(nodes=stiffness, node_drag=drag)
         easiest = jnp.max(jnp.stack([_ease(parts) for parts in every]))
         rate = self.max_contacts * self.friction_drag * (_ease(own) + easiest)
-        # Dashpots act across the surfaces, friction along them: the larger one counts.
+        # Dashpots act across the surfaces and friction along them, so the larger one
+        # counts.
         rub = rate * own.node_masses
         return StabilityBound(
             nodes=stiffness,

@@ -90,7 +90,7 @@ class RodSegments:
 
     @property
     def is_end(self) -> np.ndarray:
-        """Whether each segment is the last of its rod, and no other rod continues."""
+        """Whether each segment is the last of its rod and no other rod follows."""
         return self.is_last & ~np.isin(np.arange(self.is_last.size), self.continued)
 
     def _rods(self, row: Array) -> Array:
@@ -108,7 +108,7 @@ class RodSegments:
         return place.reshape(-1), tangent.reshape(-1)
 
     def from_smooth(self, places: Array, tangents: Array) -> Array:
-        """Forces on nodes, from forces on places and tangents of smooth axes."""
+        """Forces on nodes, from forces on the places and tangents of smooth axes."""
         return from_smooth_nodes(
             self._rods(places), self._rods(tangents), self.is_closed
         ).reshape(-1)
@@ -236,12 +236,12 @@ def rod_segments(
 def segments_and_ends(
     parts: Parts, per_element: int, free: Float[Array, "rods 2"]
 ) -> tuple[RodSegments, Ends]:
-    """Segments of a member, whose lengths are zero at ends, and the ends of its rods.
+    """Segments of a member, with zero length at ends, and the ends of its rods.
 
     Args:
         parts: Constants of a member that consists of rods.
         per_element: Contact points per element.
-        free: One for each end that is free, zero where the rod continues in another.
+        free: Flags of the ends: 1 if free, 0 where the rod continues in another rod.
     """
     made = rod_segments(parts, per_element)
     count, n = made.count, made.n_elements
@@ -285,12 +285,12 @@ class ContactPoints:
 
     @property
     def starts(self) -> Array:
-        """The places: points have no extent."""
+        """The places themselves: points have no extent."""
         return self.places
 
     @property
     def ends(self) -> Array:
-        """The places: points have no extent."""
+        """The places themselves: points have no extent."""
         return self.places
 
     def velocity_at(self, place: Any) -> Vec3:
@@ -335,7 +335,7 @@ class SegmentLoads:
     turning_nodes: tuple[Vec3, Vec3] | None = None
     """Couples at the first and at the next nodes of segments [N m]."""
     tangents: tuple[Vec3, Vec3] | None = None
-    """Forces on the tangents at first and at next nodes, for smooth axes [N]."""
+    """Forces conjugate to the tangents at first and next nodes, for smooth axes [N]."""
 
     def added(self, more: SegmentLoads) -> SegmentLoads:
         """Sum of both loads; either may lack some parts."""
@@ -384,7 +384,7 @@ def loads_on_member(segments: RodSegments, seen: Seen, loads: SegmentLoads) -> L
 
 
 def points_needed(coupling: str, name: str, own: Parts, spacing: float) -> int:
-    """Points per element for which neighbours are at most some radii apart.
+    """Points per element for which neighbours are at most `spacing` radii apart.
 
     Args:
         coupling: Name of the factory, for messages.

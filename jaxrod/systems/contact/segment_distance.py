@@ -2,16 +2,16 @@ r"""Closest points of two segments or smooth axes, and middles of parallel segme
 
 The squared distance of the segments $x_1 + s e_1$ and $x_2 + t e_2$ is a quadratic form
 with the determinant $D = |e_1|^2 |e_2|^2 \sin^2\theta$. Its minimum in the unit square
-is where its gradient vanishes, or on the border. Three clips give the former, the four
-ends against the other segment the latter. The nearest of these five candidates is right
-even if round-off spoils one of them (compare Eberly, Robust computation of distance
-between line segments, 2015).
+is where its gradient vanishes, or on the border. Three clips give the interior minimum.
+The four ends, each against the other segment, give the minima on the border. The
+nearest of these five candidates is correct even if round-off spoils one of them
+(compare Eberly, Robust computation of distance between line segments, 2015).
 
 Where segments are parallel the closest points are not unique, and a force there would
-jump from end to end. Below $\sin^2\theta = 10^{-5}$ contact at the closest points gives
-way, linearly in $\sin^2\theta$, to contact at the middles of the overlap of the
-segments; below $10^{-6}$ there is only the latter. The transition is no earlier,
-because segments that touch only at their closest points would not touch at their
+jump from end to end. Below $\sin^2\theta = 10^{-5}$ contact is shifted, linearly in
+$\sin^2\theta$, from the closest points to the middles of the overlap of the segments.
+Below $10^{-6}$ only the middles are in contact. The transition begins at such small
+angles because segments that touch only at their closest points would not touch at their
 middles.
 
 Two pieces of smooth axes take Newton's method in the unit square, started from the
@@ -19,9 +19,9 @@ closest points of the chords. In each step the squared distance is replaced by i
 second-order expansion, again a quadratic form. This form is not convex for pieces that
 bend towards each other and are nearly parallel: their closest points lie on the border,
 and the step goes there in the direction in which the distance falls. Curvature terms
-that halve the second derivative along one piece are left out. Such a piece bends about
-the other with less than twice its distance as radius, and its closest point is hardly
-defined.
+that halve the second derivative along one piece are left out. Such a piece bends around
+the other with a radius of less than twice their distance, so its closest point is
+ill-defined.
 """
 
 from __future__ import annotations
@@ -44,8 +44,8 @@ _FLOOR = 1e-6
 STEPS = 8
 """Number of Newton steps.
 
-Of random pieces at angles from 4 mrad to a right one, 99.9 % converge in eight steps
-and 86 % in three; crossed pieces take two or three."""
+Among random pieces at angles from 4 mrad to 90 degrees, 99.9 % converge in eight steps
+and 86 % in three. Crossed pieces take two or three steps."""
 _CONVEX = 0.5
 """Smallest fraction of the second derivatives of straight pieces that counts as convex
 [1]."""
@@ -53,7 +53,7 @@ _CONVEX = 0.5
 
 @pytree
 class Products:
-    """Scalar products of two edges and of the way between the segments' starts."""
+    """Scalar products of two edges and of the vector between the segments' starts."""
 
     own: Array
     """Square of the length of the first edge [m^2]."""
@@ -62,9 +62,9 @@ class Products:
     mixed: Array
     """Product of both edges [m^2]."""
     own_way: Array
-    """Product of the first edge and the way [m^2]."""
+    """Product of the first edge and the vector between starts [m^2]."""
     other_way: Array
-    """Product of the second edge and the way [m^2]."""
+    """Product of the second edge and the vector between starts [m^2]."""
 
     def on_own(self, fraction: Array | float) -> Array:
         """Point on the first segment closest to a place on the second [1]."""
@@ -87,7 +87,7 @@ def from_products(
         other: Edge of the second segment [m].
 
     Returns:
-        Derivatives by the way, the first edge and the second edge.
+        Derivatives by the vector between starts, the first edge and the second edge.
     """
 
     def sums(*terms: tuple[Array, Vec3]) -> Vec3:
@@ -154,7 +154,7 @@ def nearest_places(way: Vec3, own: Vec3, other: Vec3) -> tuple[Array, Array, Arr
 
 
 def first_guess(have: Products) -> tuple[Array, Array]:
-    """Minimum of the form in the unit square, up to round-off [1]."""
+    """Minimum of the squared distance in the unit square, up to round-off [1]."""
     largest = have.own * have.other
     determinant = jnp.maximum(largest - have.mixed * have.mixed, _FLOOR * largest)
     across = have.mixed * have.other_way - have.other * have.own_way
@@ -191,8 +191,8 @@ def crossedness(have: Products) -> Array:
 def middles(have: Products) -> tuple[Array, Array]:
     """Middles of the overlap of parallel segments [1].
 
-    On each segment it is the middle of the part that the other covers, or, if that
-    covers nothing, the end nearest to it.
+    On each segment it is the middle of the part that overlaps the other segment.
+    Without an overlap it is the end nearest to the other segment.
     """
     return (
         0.5 * (have.on_own(0.0) + have.on_own(1.0)),

@@ -1,24 +1,24 @@
 r"""Smooth axes: curves along rods that are as smooth at nodes as between them.
 
-On a bent polyline the middle of an element is nearer than a node to the lines of the
-rod far away. So a load that slides along the polyline goes up and down, and rests at
-nodes. A curve through the nodes still has this fault. Here each element has the cubic
-Hermite curve with places $y_i$ and tangents $m_i$ at its nodes. With the central
-differences $\mu\delta, \delta^2, \ldots$ of the nodes along the rod they are
+Where a polyline bends, its nodes stick out and the middles of its elements lie inside.
+So a load that slides along the polyline goes up and down, and rests at nodes. A curve
+through the nodes still has this fault. Here each element has the cubic Hermite curve
+with places $y_i$ and tangents $m_i$ at its nodes. With the central differences
+$\mu\delta, \delta^2, \ldots$ of the nodes along the rod they are
 
 $$y = x + \tfrac1{24} \delta^2 x - 0.041\, \delta^4 x, \qquad
   m = \mu\delta x - 0.136\, \mu\delta^3 x.$$
 
-The first number sets how far the curve runs inside the nodes of a bend: so far that a
-load on a limp rope does the same work as on a smooth rope. The other two were fitted so
-that the work of a load on a straight rope under tension is the same wherever along an
-element the load has slid to. For a limp rope it varies by 4e-5 of the load times the
-angle times the length of an element, where a polyline has 6e-2; for a stiff one it
-varies less. Straight rods stay straight. The curve of a rod that turns turns with it,
-so a force on the curve has the same moment as its forces on the nodes.
+The first number sets how far the curve runs inside the nodes of a bend. It is chosen so
+that a load on a limp rope does the same work as on a smooth rope. The other two were
+fitted so that the work of a load on a straight rope under tension is the same wherever
+along an element the load has slid to. For a limp rope it varies by 4e-5 of the load
+times the angle times the length of an element, where a polyline has 6e-2; for a stiff
+one it varies less. Straight rods stay straight. The curve of a rod that turns turns
+with it, so a force on the curve has the same moment as its forces on the nodes.
 
-Rods are continued beyond their ends by point reflection, closed rods by their other
-end.
+Open rods are continued beyond their ends by point reflection, closed rods by the
+elements at the other end.
 """
 
 from __future__ import annotations
@@ -34,9 +34,10 @@ INWARDS, FLAT, TANGENT = 1 / 24, -0.041, -0.136
 """Factors of second and fourth differences in places, and of third differences in
 tangents."""
 FARTHEST = 1.165
-"""Largest displacement of a place on a curve if no node moves by more than one."""
+"""Largest displacement of a place on a curve if every node moves by at most one."""
 _ALIKE = 12
-"""Number of elements of a rod in which all kinds of neighbourhoods of nodes occur."""
+"""Number of elements of a rod that is long enough for all kinds of node
+neighbourhoods."""
 
 
 def smooth_nodes(nodes: Array, closed: np.ndarray) -> tuple[Array, Array]:
@@ -52,7 +53,7 @@ def smooth_nodes(nodes: Array, closed: np.ndarray) -> tuple[Array, Array]:
 
 
 def from_smooth_nodes(places: Array, tangents: Array, closed: np.ndarray) -> Array:
-    """Forces on nodes, from forces on the places and the tangents at them."""
+    """Forces on nodes, from forces conjugate to the places and tangents there."""
     back = jax.linear_transpose(lambda nodes: smooth_nodes(nodes, closed), places)
     (nodes,) = back((places, tangents))
     return nodes

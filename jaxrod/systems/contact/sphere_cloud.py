@@ -1,10 +1,10 @@
 r"""Sphere clouds: balls on a rigid body, tested for contact with another.
 
-A ball is a place in the body's own frame and a radius. A sphere is a single ball at its
-centre, and needs no more. A capsule has several balls along its axis. A box has balls
-of zero radius at its corners. A cylinder has balls along its axis, like a capsule, and
-points on its two rims. The first point of a rim is always its lowest, so that a
-cylinder rolls and stands without knocking.
+A ball is a place in the body's own frame and a radius. A sphere is a single ball. A
+capsule has several balls along its axis. A box has balls of zero radius at its corners.
+A cylinder has balls along its axis, like a capsule, and points on its two rims. The
+first point of a rim is always its lowest, so that a cylinder rolls and stands without
+knocking.
 """
 
 from __future__ import annotations
@@ -29,8 +29,8 @@ from jaxrod.structure import pytree, static
 from jaxrod.validation import is_traced
 
 RIM_POINTS = 4
-"""Number of points on a rim. Three would hold a cylinder up; four hold it equally to
-all sides."""
+"""Number of points on a rim. Three would hold a cylinder up; four hold it equally in
+all directions."""
 MOST_BALLS = 100
 """Largest number of balls along an axis."""
 
@@ -50,7 +50,8 @@ class SphereCloud:
     angles: tuple[float, ...] = static(default=())
     """Angle of each point along its rim, measured from the lowest point [rad]."""
     is_round: bool = static(default=False)
-    """Whether the balls together are the whole body: no corner, no edge."""
+    """Whether the balls together represent the whole body, which has no corner or
+    edge."""
     at_once: int | None = static(default=None)
     """Largest number of balls that touch a convex body at a time; `None` for all."""
 
@@ -178,7 +179,7 @@ def _(shape: Box, balls: int, points_per_edge: int) -> SphereCloud:
 
 
 def given_points(points: Array) -> SphereCloud:
-    """Points at given points on the surface of a body, own frame [m]."""
+    """Balls of zero radius at given points on the surface of a body, own frame [m]."""
     return SphereCloud(points, jnp.zeros_like(points[0]))
 
 

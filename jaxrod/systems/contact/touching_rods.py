@@ -70,25 +70,25 @@ FEW_PAIRS = 40_000
 
 @pytree
 class TouchingRods(PenaltyContact):
-    """Contact between all rods of some members, whatever the law."""
+    """Contact between all rods of some members: the part common to all laws."""
 
     segments: tuple[RodSegments, ...] = ()
-    """Points and segments of each member, once prepared."""
+    """Points and segments of each member, set by `prepared`."""
     lists: NeighbourLists | None = None
     """Settings of lists of neighbours; `None` to test all pairs in every step."""
     found: FoundNeighbours | None = None
-    """The lists, once made."""
+    """The lists; `None` before they are made."""
     members: tuple[str, ...] = static(default=())
     """Names of the members."""
     self_contact: bool = static(default=False)
     """Whether rods touch themselves."""
     tied: tuple[TiedPair, ...] = static(default=())
-    """Pairs of nodes that are tied together; near them nothing touches."""
+    """Pairs of nodes that are tied together; elements near them do not touch."""
     max_contacts: int = static(default=2)
     """Rods that may touch one place at a time, for the stability bound."""
 
     has_contact_points: ClassVar[bool] = False
-    """Whether the first of two elements meets the second with its contact points."""
+    """Whether the first of two elements is tested with its contact points."""
 
     symmetric: ClassVar[bool] = False
     """Whether the law counts two elements of one member as one pair, not two."""
@@ -96,8 +96,8 @@ class TouchingRods(PenaltyContact):
     smooth: ClassVar[bool] = False
     """Whether the law has smooth axes, not polylines."""
 
-    # Hooks of a law. A member's elements meet others themselves, or with what the last
-    # three hooks make of them.
+    # Hooks of a law. A member is tested with its elements, or with the contact points
+    # that the last three hooks make of them.
 
     def allowed(self, a: int, b: int, own: Bounds, other: Bounds) -> Any:
         """Mask of the pairs of elements that may touch; `None` for all."""
@@ -112,7 +112,7 @@ class TouchingRods(PenaltyContact):
         raise _without(self, "weights")
 
     def scales(self, own: Any, other: Elements) -> tuple[Array, Array]:
-        """Radius of a rod that touches itself, and length where its share rises [m]."""
+        """Radius, and length over which the share of self-contact rises [m]."""
         raise _without(self, "scales")
 
     def contact_pairs(
@@ -128,23 +128,23 @@ class TouchingRods(PenaltyContact):
         raise _without(self, "pair_loads")
 
     def bound(self, own: Parts, every: list[Parts]) -> StabilityBound:
-        """Stiffness and drag on one of all members, as if `max_contacts` touched it."""
+        """Stiffness and drag on one member, as if `max_contacts` rods touched it."""
         raise _without(self, "bound")
 
     def in_rows(self, a: int, own: Elements, seen: AllSeen) -> Any:
-        """All that meets others of a member."""
+        """Elements or contact points with which a member is tested."""
         return own
 
     def on_list(
         self, a: int, own: Elements, other: Elements, there: Array
     ) -> tuple[Any, Elements, Array]:
-        """All that meets of listed elements, and the mask of entries in use."""
+        """Listed elements (or their contact points), and the mask of entries in use."""
         return own, other, there
 
     def collected(
         self, own: Any, on_own: SegmentLoads, on_other: SegmentLoads
     ) -> tuple[SegmentLoads, SegmentLoads]:
-        """Loads on listed elements, from loads on what they meet others with."""
+        """Loads on listed elements, from the loads on their contact points."""
         return on_own, on_other
 
     # Methods that use these hooks.
@@ -166,7 +166,7 @@ class TouchingRods(PenaltyContact):
 
     @property
     def places_matter(self) -> bool:
-        """Whether it depends on rods and places along them which pairs touch."""
+        """Whether touching depends on the elements' rods and places along them."""
         return (
             self.self_contact
             or bool(self.tied)
@@ -178,10 +178,10 @@ class TouchingRods(PenaltyContact):
         for name in self.members:
             check_named(name, parts)
             if not parts[name].is_rod:
-                raise ValueError(f"rods touch rods here, and {name!r} is rigid")
+                raise ValueError(f"this contact is between rods, and {name!r} is rigid")
 
     def with_ties(self, parts: AllParts, tied: tuple[TiedPair, ...]) -> TouchingRods:
-        """The coupling with the tied nodes, near which nothing touches.
+        """The coupling with the tied nodes; elements near them do not touch.
 
         Raises:
             ValueError: If there is nothing to touch.
@@ -202,7 +202,7 @@ class TouchingRods(PenaltyContact):
         return replace(self, tied=near, lists=lists)
 
     def member_pairs(self) -> list[tuple[int, int]]:
-        """Numbers of pairs of members whose elements meet."""
+        """Numbers of the pairs of members that are tested."""
         count = len(self.members)
         return [
             (a, b)
@@ -212,7 +212,7 @@ class TouchingRods(PenaltyContact):
         ]
 
     def share(self, a: int, b: int, own: Any, other: Elements) -> Array | None:
-        """Share with which pairs count along rods and near ties [1]; `None` for one."""
+        """Share of each pair's contact near ties and along rods [1]; `None` for one."""
         share: Array | None = None
         if a == b:
             near: Array | float = 0.0
@@ -257,8 +257,8 @@ class TouchingRods(PenaltyContact):
         member, not for each pair of members.
 
         Returns:
-            Number of the first member and numbers of the others, what of the former
-            meets elements of the latter, and weights.
+            Number of the first member, numbers of the others, elements or contact
+            points of the first, elements of the others, and weights.
         """
         met: dict[int, list[int]] = {}
         for a, b in self.member_pairs():
@@ -281,7 +281,7 @@ class TouchingRods(PenaltyContact):
     def _listed(
         self, a: int, b: int, own: Elements, other: Elements, there: Array
     ) -> tuple[Any, Elements, Array]:
-        """All that meets of listed elements, and weights."""
+        """Elements or contact points of listed pairs, and weights."""
         met, other, there = self.on_list(a, own, other, there)
         return met, other, jnp.where(there, self.weights(a, b, met, other), 0)
 
@@ -326,7 +326,7 @@ class TouchingRods(PenaltyContact):
         }
 
     def _all_contact_pairs(self, seen: AllSeen) -> Iterator[ContactPair]:
-        """Pairs of places of all members that meet, from lists if there are any."""
+        """Pairs of places of all tested members, from lists if there are any."""
         elements = self._elements(seen, moves=False)
         if self.found is None:
             for _, _, *pairs in self._rows(elements, seen):
@@ -338,7 +338,7 @@ class TouchingRods(PenaltyContact):
             yield from self.contact_pairs(*self._listed(a, b, own, other, listed.there))
 
     def energy(self, seen: AllSeen) -> Array:
-        """Energy of all contacts [J]; NaN if lists have missed some."""
+        """Energy of all contacts [J]; NaN if lists were too short."""
         total = jnp.zeros((), self.stiffness.dtype)
         for pair in self._all_contact_pairs(seen):
             density = self.law.energy(pair.depth, pair.width)
@@ -357,7 +357,7 @@ class TouchingRods(PenaltyContact):
         return worst
 
     def stability_bounds(self, parts: AllParts) -> dict[str, StabilityBound]:
-        """Stiffness and drag as if `max_contacts` touched each rod at its worst."""
+        """Stiffness and drag as if `max_contacts` rods touched each at one place."""
         every = [parts[name] for name in self.members]
         return {name: self.bound(parts[name], every) for name in self.members}
 
@@ -417,7 +417,7 @@ class TouchingRods(PenaltyContact):
         """
         assert self.lists is not None
         lists, given = self.lists, self.lists
-        # A count is right only if the stage before had enough room.
+        # A count is correct only if the stage before had enough room.
         for _ in range(3):
             trial = replace(
                 lists,

@@ -1,4 +1,4 @@
-"""Anchors: points fixed in elements of rods and in rigid bodies, which take forces.
+"""Anchors: points fixed in elements of rods or in rigid bodies, where forces act.
 
 An anchor on a rod is a node and an offset in the frame of an element there; on a body
 it is an offset in the body's frame. A force at a point near the anchor acts on the
@@ -84,7 +84,7 @@ class Anchors:
 
         Args:
             parts: Constants of the member.
-            reach: Distance by which forces may act beyond the anchors [m].
+            reach: Largest distance of a point of action from its anchor [m].
         """
         masses = parts.node_masses[self.points.nodes.values]
         arm = vectors.safe_norm(vectors.split(self.offsets)) + reach
@@ -131,8 +131,8 @@ def spring_bounds(
 ) -> dict[str, StabilityBound]:
     """Bounds on the stiffness and drag of springs between anchors.
 
-    What a spring of stiffness $k$ sees of the motion of its ends is shared among the
-    nodes and elements there in proportion to their inertia.
+    The elongation of a spring of stiffness $k$ is divided among the nodes and elements
+    at its ends in proportion to their inertia.
 
     Args:
         a: Anchors on a member.
@@ -142,7 +142,7 @@ def spring_bounds(
         drag: Largest force per relative speed, if there is any [kg/s].
 
     Returns:
-        What `Coupling.stability_bounds` returns.
+        The bounds by member, as `Coupling.stability_bounds` returns them.
     """
     sides = [(anchor, parts[anchor.points.member]) for anchor in (a, b)]
     ease = sum(anchor.mobility(own) for anchor, own in sides)

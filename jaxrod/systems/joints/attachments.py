@@ -169,7 +169,7 @@ def _put(field: Vec3, index: Indices, value: Vec3) -> Vec3:
 def attachment(
     places: Sequence[Place], bodies: Sequence[Place], state: Mapping[str, Any]
 ) -> Attachment:
-    """Attachment of nodes to bodies as a state has both.
+    """Attachment of nodes to bodies at their places in a state.
 
     Args:
         places: Nodes of one member.

@@ -9,7 +9,7 @@ half an element of each rod, as springs in series, each about the axes of its se
 $$K^{-1} = \tfrac12 l_a R^T B_a^{-1} R + \tfrac12 l_b B_b^{-1}$$
 
 with $R$ the matrix of $r$, and $l$ and $B$ the length and the bending and twisting
-stiffness of an element. So the joint does not depend on the order of the two members,
+stiffness of an element. So the joint depends neither on the order of the two members
 nor on the axes in which sections are described.
 """
 
@@ -69,7 +69,7 @@ class ElasticJoint(Coupling):
         self.b.check(parts)
 
     def prepared(self, parts: AllParts) -> ElasticJoint:
-        """The joint with the stiffness of the rods it joins, unless one was given."""
+        """The joint with the stiffness of its rods, unless a stiffness was given."""
         if self.stiffness is not None:
             return self
         frames = split_quaternion(self.rest_frames)
@@ -90,7 +90,7 @@ class ElasticJoint(Coupling):
         return rotation, coupling, self._moment(bend)
 
     def _moment(self, bend: Vec3) -> Vec3:
-        """Moments of rotations from rest: the stiffness times them [N m]."""
+        """Moments: the stiffness times the rotations from rest [N m]."""
         assert self.stiffness is not None
         moment = vectors.multiply(vectors.split(self.stiffness), bend)
         if self.mixed_stiffness is None:
@@ -104,7 +104,8 @@ class ElasticJoint(Coupling):
         """Couples of the joints and dashpots on both elements."""
         rotation, coupling, moment = self._rotation(seen)
         odd, even = joint_couples(rotation, coupling, moment)
-        # From the element's frame turned by the rest rotation to the frame itself.
+        # Rotation from the element's frame turned by `rest_frames` to the element's
+        # frame.
         frame = directors(split_quaternion(self.rest_frames))
         on_a = to_world(frame, vectors.add(odd, even))
         on_b = vectors.subtract(even, odd)
@@ -200,11 +201,11 @@ def _half_compliance(own: Parts, points: Points) -> Vec3 | None:
 def _inverse(matrix: Matrix) -> tuple[Array, Array]:
     """Diagonal and off-diagonal entries of the inverse of positive definite matrices.
 
-    Computed from the factors $L D L^T$. They are exact to round-off for flat sections
-    too, whose stiffnesses differ by orders of magnitude.
+    It is computed from the factors $L D L^T$. These are exact to round-off even for
+    flat sections, whose stiffnesses differ by orders of magnitude.
     """
     (a, b, c), (_, d, e), (_, _, f) = matrix
-    # Rows of L, and D.
+    # Rows of L, and the diagonal D.
     l21, l31 = b / a, c / a
     second = d - l21 * b
     l32 = (e - l31 * b) / second
@@ -222,19 +223,19 @@ def _inverse(matrix: Matrix) -> tuple[Array, Array]:
 
 
 def orientation_at(seen: Seen, points: Points) -> Quaternion:
-    """Orientations of some elements."""
+    """Orientations of the elements at some points."""
     w, x, y, z = (gather(c, points.elements) for c in seen.motion.orientation)
     return w, x, y, z
 
 
 def spin_at(seen: Seen, points: Points) -> Vec3:
-    """Angular velocities of some elements, world frame [rad/s]."""
+    """Angular velocities of the elements at some points, world frame [rad/s]."""
     x, y, z = (gather(c, points.elements) for c in seen.angular_velocities)
     return x, y, z
 
 
 def least_inertia(parts: Parts, points: Points) -> Array:
-    """Smallest moment of inertia of each of some elements [kg m^2]."""
+    """Smallest moment of inertia of each element at some points [kg m^2]."""
     return jnp.min(parts.inertias, axis=0)[points.elements.values]
 
 

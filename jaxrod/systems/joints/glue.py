@@ -1,4 +1,4 @@
-r"""Glue: rods side by side, joined all along by a line of springs.
+r"""Glue: rods side by side, joined along their whole length by a line of springs.
 
 Each pair of elements shares a point midway between their surfaces, fixed in both
 elements. With $g$ the gap between the two copies of this point and $\phi$ the relative
@@ -100,7 +100,7 @@ class GluedSide:
         return 0.25 / first + 0.25 / following + turning
 
     def bound(self, parts: Parts, rate: Array, slow: Array | None) -> StabilityBound:
-        """Bound on one side: squared frequency and rate of drag, times inertia.
+        """Bounds on one side: squared frequency and drag rate, each times inertia.
 
         Args:
             parts: Constants of the member.
@@ -132,7 +132,7 @@ class GluedSide:
 def between_surfaces(
     a: GluedSide, b: GluedSide, thicker: Array
 ) -> tuple[GluedSide, GluedSide]:
-    """Glue moved from midway between the axes of rods to midway between their surfaces.
+    """Glue moved from midway between two axes to midway between the surfaces.
 
     Args:
         a: Elements of the first rod.
@@ -169,7 +169,7 @@ class Glue(Coupling):
     turning_damping: Float[Array, ""] | Float[Array, " pairs"] | None = None
     """Couple per length and relative angular velocity [N s]."""
     lengths: Float[Array, " pairs"] | None = None
-    """Length of glue of each pair, once prepared [m]."""
+    """Length of glue of each pair, set by `prepared` [m]."""
 
     def check(self, parts: AllParts) -> None:
         """Raises ValueError if a member is missing, too small or rigid."""
@@ -300,19 +300,21 @@ def glue(
 
     Raises:
         ValueError: If there are no such rods or elements, their numbers differ, a
-            number is out of range, or there is a turning damping alone.
+            number is out of range, or a turning damping is given without a turning
+            stiffness.
         TypeError: If a rod is not given by its name.
     """
     if turning_damping is not None and turning_stiffness is None:
         raise ValueError(
-            "turning_stiffness [N] is needed beside turning_damping: without it glued "
+            "turning_stiffness [N] is needed with turning_damping: without it glued "
             "elements turn freely"
         )
     layouts = layouts_of(state)
     names = [_rods("a", a), _rods("b", b)]
     if len(names[0]) != len(names[1]):
         raise ValueError(
-            f"a and b must be as many rods, got {len(names[0])} and {len(names[1])}"
+            f"a and b must be equally many rods, got {len(names[0])} and "
+            f"{len(names[1])}"
         )
     pairs: list[list[tuple[Any, ...]]] = [[], []]
     listed = _listed(elements, len(names[0]))
@@ -357,7 +359,7 @@ def glue(
 
 
 def _listed(elements: Any, count: int) -> list[Any]:
-    """Two lists of glued elements for each pair of rods; `None` to glue them all."""
+    """Two lists of glued elements for each pair of rods; `None` if all are glued."""
     if elements is None:
         return [None] * count
     words = (
@@ -420,7 +422,8 @@ def _glued(
     )
     if not first or len(first) != len(second):
         raise ValueError(
-            f"elements must be as many of both, got {len(first)} and {len(second)}"
+            f"elements must be equally many of both rods, got {len(first)} and "
+            f"{len(second)}"
         )
     return first, second
 

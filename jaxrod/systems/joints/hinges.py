@@ -1,8 +1,8 @@
 r"""Hinges and fixed joints of finite stiffness between members.
 
 A hinge adds the energy $k_t (1 - a\cdot b)$ to a ball joint, where $a$ and $b$ are the
-directions of its axis as fixed in the first and in the second member. Motors act about
-the mean of both, dashpots about any axis.
+directions of its axis, one fixed in the first and one in the second member. Motors act
+about the mean of both, dashpots about any axis.
 """
 
 from __future__ import annotations
@@ -117,7 +117,7 @@ def hinge_joint(
     motor: Timed | None = None,
     at: Numbers | None = None,
 ) -> tuple[Coupling, ...]:
-    """A hinge between two members: they turn about one axis that both carry.
+    """A hinge between two members: they turn about an axis that is fixed in both.
 
     Args:
         a: A place on the first member.

@@ -88,7 +88,7 @@ class PoseSpring(Coupling):
         return a - x, b - y, c - z
 
     def _angle(self, own: Seen) -> Vec3:
-        """Rotation vector from the target, the same in both frames [rad]."""
+        """Rotation vector from the target, which is the same in both frames [rad]."""
         q = _one_quaternion(self._turned.orientation)
         here = orientation_at(own, self.anchor.points)
         return rotation_log(multiply_quaternions(conjugate(q), here))
@@ -256,13 +256,15 @@ def pose_spring(
         start = quaternion / jnp.sqrt(jnp.sum(quaternion * quaternion))
     turns = is_schedule(angle) or is_traced(angle) or bool(np.any(np.asarray(angle)))
     if turns and axis is None:
-        raise ValueError("axis must say what the orientation turns about by that angle")
+        raise ValueError(
+            "axis must be given with angle: the orientation turns about it"
+        )
     if (turns or orientation is not None or turning_damping is not None) and (
         turning_stiffness is None
     ):
         raise ValueError(
-            "turning_stiffness [N m] is needed to turn what has a spring: without it "
-            "it turns freely"
+            "turning_stiffness [N m] is needed to turn the place: without it the place "
+            "turns freely"
         )
     about = jnp.asarray(unit_vector("axis", (0, 0, 1) if axis is None else axis))
     path: Any = Path(origin, schedule_of("displacement", displacement, "m", (3,)))

@@ -1,4 +1,4 @@
-r"""Closed rods: a rod whose last node is its first, and the joint that closes it.
+r"""Closed rods: a rod whose last node coincides with its first, and the closing joint.
 
 A closed rod is an open rod whose ends are tied, with one more elastic joint from its
 last element to its first, like the joints between all other elements. No place on it is
@@ -67,8 +67,8 @@ def ring(
             counterclockwise.
         turns: Turns by which one end was twisted about the rod before it was joined to
             the other, evenly spread (the link of the ring). Need not be whole [1].
-        straight_at_rest: Whether the rod was straight before it was bent to the ring;
-            else the circle is its stress-free shape.
+        straight_at_rest: Whether the stress-free shape of the rod is straight;
+            otherwise it is the circle.
         name: Name of the member in the system.
         dtype: float32 or float64; by default JAX's default.
         **rod: Section and material, passed to `jaxrod.rod_along`: `radius` or
@@ -95,11 +95,11 @@ def ring(
     link = float(check_array("turns", turns, [()], ""))
     frame = straight_frame(unit_vector("normal", normal), None)
     angles = 2 * np.pi * np.arange(n + 1) / n
-    # In the plane of the first two axes, around the third.
+    # The circle lies in the plane of the first two axes.
     along, beside, up = frame[0][:, None], frame[1][:, None], frame[2][:, None]
     outwards = np.cos(angles) * along + np.sin(angles) * beside
     places = middle[:, None] + around / (2 * n * np.sin(np.pi / n)) * outwards
-    # Exactly one place: round-off would leave a gap.
+    # Both ends are exactly at one place: round-off would leave a gap.
     places[:, -1] = places[:, 0]
     tangents = np.diff(places, axis=1)
     tangents /= np.linalg.norm(tangents, axis=0)
@@ -135,7 +135,7 @@ def _closure(
     joint = ElasticJoint(
         points_of("a", [resolved("a", last, layouts)]),
         points_of("b", [resolved("b", first, layouts)]),
-        # Turned back by the twist, the last element continues evenly in the first.
+        # Turned back by the twist, the last element continues evenly into the first.
         join_quaternion(_about_axis(np.array([-turn]), dtype)),
         jnp.asarray(bend, dtype)[:, None],
     )

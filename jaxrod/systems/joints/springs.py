@@ -2,7 +2,7 @@ r"""Springs between members, and ball joints, which are springs of zero rest len
 
 A spring between anchors at $x_a$ and $x_b$ stores $\frac12 k (|x_b - x_a| - d)^2$. Its
 force and the force of its dashpot act on both members at the point halfway between the
-anchors. So force and reaction have no moment together, whatever the gap.
+anchors. So force and reaction together have no moment, for any gap.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-r"""Ties: nodes of rods that share one place for ever, exactly.
+r"""Ties: nodes of rods that always share one place, exactly.
 
 Tied nodes with masses $m_i$ have one velocity, $\sum m_i v_i / \sum m_i$ after every
 kick. The constraint is linear in the positions, so this projection is the constrained
@@ -57,7 +57,7 @@ class Tie(Coupling):
                 )
 
     def constrain(self, seen: AllSeen) -> dict[str, Motion]:
-        """Puts each group at one place: equal velocities alone leave round-off."""
+        """Puts each group at one place, because equal velocities leave round-off."""
         return self._together(seen, "position")
 
     def constrain_rates(self, seen: AllSeen) -> dict[str, Motion]:
@@ -112,7 +112,7 @@ class Tie(Coupling):
         ]
 
     def _shared(self, seen: AllSeen, field: str, axis: int) -> Any:
-        """A component of a field of each tied node's group, member by member.
+        """One component of a field, shared within each group, for each tied node.
 
         It is the mean weighted by mass or, if a support holds some of the nodes, the
         mean of these.
@@ -261,11 +261,11 @@ def _tie_of(
 def pairs(
     a: Place | Sequence[Place], b: Place | Sequence[Place]
 ) -> tuple[list[Place], list[Place]]:
-    """Places as two lists of equal length."""
+    """Pairs of places as two lists of equal length."""
     first, second = _listed("a", a), _listed("b", b)
     if len(first) != len(second):
         raise ValueError(
-            f"a and b must be as many places, got {len(first)} and {len(second)}"
+            f"a and b must be equally many places, got {len(first)} and {len(second)}"
         )
     return first, second
 

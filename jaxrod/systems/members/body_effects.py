@@ -1,9 +1,9 @@
-"""Effects on rigid bodies: a check, before the first step, of which ones are possible.
+"""Check that effects can act on rigid bodies, made before the first step.
 
-A body is one node and one element. Bodies support four hooks of an effect, `loads`,
-`energy`, `damping_rates` and `stability_bound`, and only have masses. An effect that
-asks for more, such as lengths or radii, or returns loads for the nodes of a rod, does
-not act on them.
+A body is one node and one element. Bodies support four hooks of an effect: `loads`,
+`energy`, `damping_rates` and `stability_bound`. The only data of a rod that they have
+are masses. Effects that ask for lengths or radii, or that return loads for the nodes of
+a rod, are refused.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ _OF_RODS = (
 
 
 def check_body_effects(name: str, bodies: Any) -> None:
-    """Checks that bodies have what their effects ask for.
+    """Checks that bodies have all data that their effects use.
 
     Args:
         name: Name of the member, for messages.
@@ -54,10 +54,12 @@ def check_body_effects(name: str, bodies: Any) -> None:
             if getattr(kind, hook) is not getattr(Effect, hook):
                 raise _unfit(name, effect, f"it has {hook}, which bodies have not")
         if remembers((effect,)):
-            raise _unfit(name, effect, "it remembers, which effects on bodies do not")
+            raise _unfit(
+                name, effect, "it has memory, which effects on bodies cannot have"
+            )
         if kind.damping_rates is not Effect.damping_rates and depends_on_time(effect):
             raise ValueError(
-                f"member {name!r}: damping rates are worked out once, but "
+                f"member {name!r}: damping rates are computed once, but "
                 f"{kind.__name__}, which has some, depends on time"
             )
         _try(name, effect, bodies)
@@ -84,7 +86,7 @@ def _try(name: str, effect: Effect, bodies: Any) -> None:
     try:
         loads, energy, rates, bound = jax.eval_shape(asked, bodies)
     except Exception as error:
-        # Any exception: an effect may ask for anything that a rod has.
+        # Any exception counts: an effect may use any attribute of a rod.
         raise _unfit(name, effect, f"{type(error).__name__}: {error}") from error
     for what, found in (("forces", loads.forces), ("couples", loads.couples)):
         shapes = {jnp.shape(component) for component in found or ()}

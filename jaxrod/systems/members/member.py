@@ -1,9 +1,9 @@
-"""The interface of a member: everything that a system asks of a rod or of bodies.
+"""The interface of a member: everything that a system uses of a rod or of bodies.
 
-A system holds things that have a method `as_member`: scenes, each of one rod or of
-equal rods with a leading axis, rigid bodies, and classes of your own. It returns a
-`Member`, which answers for them, so that nothing else has to know what they are. A new
-kind of member is a pytree that is a `Member`, its state, and its `MemberStepper`.
+A system holds objects that have a method `as_member`: scenes of one rod, scenes of
+equal rods with a leading axis, rigid bodies, and classes of your own. The method
+returns a `Member`, so that no other code depends on their kind. A new kind of member
+needs three pytrees: the `Member`, its state, and its `MemberStepper`.
 
 Its state is a pytree with `positions` `(3, nodes)`, `orientations` `(4, elements)`,
 `velocities`, `rates`, `with_rates` and a `layout`, as `RodState` and `BodyState` have.
@@ -31,14 +31,13 @@ from jaxrod.validation import check_kind
 class Member(ABC):
     """Part of a system: one rod, equal rods, rigid bodies, or a kind of your own.
 
-    Hooks are pure. Those that are not abstract fit a member without rods, memory and
-    supports.
+    Hooks are pure. The defaults are for members without rods, memory and supports.
     """
 
-    # What it is made of.
+    # Structure and parameters.
 
     def as_member(self) -> Member:
-        """The member itself: a system asks what it is given for its member."""
+        """The member itself: a system calls this method of every entry."""
         return self
 
     @property
@@ -63,7 +62,7 @@ class Member(ABC):
 
     @abstractmethod
     def parts(self) -> Parts:
-        """Constants, as couplings see them, without what holds the member."""
+        """Constants, as couplings see them, without the flags of supports."""
 
     def check(self, name: str) -> None:
         """Raises an error if it cannot be a member; `make_system` calls it.
@@ -75,7 +74,7 @@ class Member(ABC):
             check_kind(f"member {name!r}: effect", effect, Effect)
 
     def check_statics(self, name: str) -> None:
-        """Raises a ValueError if it has no equilibria, as its loads have no energy.
+        """Raises a ValueError if it has no equilibria because its loads have no energy.
 
         Args:
             name: Name of the member, for messages.
@@ -86,17 +85,18 @@ class Member(ABC):
     def check_state(self, name: str, state: Any, dtype: Any) -> None:
         """Raises a TypeError or a ValueError if a state is not of this member."""
 
-    # Copies of its entry in `System.members`: a scene, bodies, or the member itself.
+    # These return copies of its entry in `System.members`: a scene, bodies, or the
+    # member itself.
 
     def each(self, function: Callable[..., Any], *given: Any) -> Any:
-        """Result of a function of its entry and of other arguments.
+        """Calls a function with its entry and other arguments.
 
-        For equal rods it is called for each of them, with its part of the arguments.
+        For equal rods it is called for each rod, with that rod's part of the arguments.
         """
         return function(self, *given)
 
     def with_effect(self, effect: Effect) -> Any:
-        """Copy of its entry with one more effect: `settled` damps all members."""
+        """Copy of its entry with one more effect, such as the damping of `settled`."""
         raise NotImplementedError(f"{type(self).__name__} takes no effects")
 
     def in_own_type(self, name: str) -> Any:
@@ -111,10 +111,10 @@ class Member(ABC):
         return self
 
     def with_free_ends(self, free: Array) -> Any:
-        """Copy of its entry whose effects know which ends of its rods are free.
+        """Copy of its entry whose effects have flags of the free ends of its rods.
 
         Args:
-            free: One for each free end of its rods, zero for others, `(rods, 2)`.
+            free: Flags of the ends of its rods `(rods, 2)`: 1 if free, 0 otherwise.
         """
         return self
 
@@ -137,15 +137,15 @@ class Member(ABC):
         """Memory of its effects in a state; empty if there is none."""
         return ()
 
-    # A state, as couplings see it, and its steps.
+    # The state as couplings see it, and its steps.
 
     def held(self, state: Any) -> Vec3 | None:
-        """One per node and axis that a support holds, else zero; `None` for none."""
+        """Flags per node and axis: 1 if held by a support, else 0. `None` for none."""
         return None
 
     @abstractmethod
     def motion(self, state: Any) -> Motion:
-        """Positions and rates in a state, as couplings see them, spins as momenta."""
+        """Positions and rates in a state as couplings see them; spins are momenta."""
 
     @abstractmethod
     def stepper(
@@ -181,7 +181,7 @@ class Member(ABC):
 
     @abstractmethod
     def momenta(self, state: Any) -> tuple[Array, Array]:
-        """Momenta of nodes or bodies [kg m/s], angular ones of elements [kg m^2/s]."""
+        """Momenta of nodes [kg m/s], and angular momenta of elements [kg m^2/s]."""
 
     @abstractmethod
     def kinetic_energy(self, state: Any) -> Array:
@@ -233,7 +233,7 @@ def check_fields(
 def check_axes(
     name: str, what: str, shape: tuple[int, ...], *allowed: tuple[str, ...]
 ) -> None:
-    """Raises a ValueError if an array of a member has other axes than those allowed."""
+    """Raises a ValueError if an array of a member has axes that are not allowed."""
     if len(shape) in map(len, allowed):
         return
     wanted = " or ".join(f"({', '.join(axes)})" for axes in allowed)

@@ -44,11 +44,11 @@ class Parts:
     shape: Body | None = None
     """Surface of bodies, in their own frame."""
     held: Vec3 | None = None
-    """One for each node and axis along which a support holds the node, else zero."""
+    """Flags per node and axis: 1 where a support holds the node, else 0."""
     count: int = static(default=1)
     """Number of rods, bodies or points."""
     n_elements: int = static(default=1)
-    """Elements of each rod; 1 for others, whose nodes are elements, too."""
+    """Elements of each rod; 1 for bodies and points, whose nodes are also elements."""
     is_rod: bool = static(default=True)
     """Whether the member consists of rods, with one more node than elements."""
     is_rigid: bool = static(default=False)
@@ -56,7 +56,7 @@ class Parts:
     joint_mean: str = static(default="arithmetic")
     """Kind of mean by which a joint of a rod gets its stiffness from two elements."""
 
-    # `Motion.angular_velocities` asks a rod for these.
+    # `Motion.angular_velocities` uses these attributes of a rod.
     @property
     def is_round(self) -> bool:
         """Whether elements have one inertia for d1 and d2."""
@@ -64,7 +64,7 @@ class Parts:
 
     @property
     def principal_inertias(self) -> Array:
-        """Moments of inertia about all three axes, for elements not round [kg m^2]."""
+        """Moments of inertia about d1, d2 and d3, for non-round elements [kg m^2]."""
         return self.inertias
 
     @property
@@ -115,8 +115,8 @@ class Seen:
     parts: Parts
     """Constants of the member."""
     motion: Motion
-    """Positions and rates, with all nodes and all elements in one row; for bodies those
-    of their own origins."""
+    """Positions and rates, with all nodes and all elements in one row. For bodies they
+    are those of the origins of their frames."""
     inverse_inertia: Matrix | None = None
     """Inverse inertia, in their own frames, of bodies that carry attached masses
     [1/(kg m^2)]."""
@@ -125,7 +125,7 @@ class Seen:
     def angular_velocities(self) -> Vec3:
         """Angular velocities of the elements, world frame [rad/s]."""
         if self.parts.is_rod:
-            # `Motion` asks the rod only for its inertias.
+            # `Motion` uses only the inertias of the rod.
             rod: Any = self.parts
             return self.motion.angular_velocities(rod)
         frame = directors(self.motion.orientation)

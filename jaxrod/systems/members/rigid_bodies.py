@@ -75,10 +75,10 @@ class RigidBodies(Member):
     shape: Body | None = None
     """Surface in the body's own frame, the same for all; `None` for no surface."""
     effects: tuple[Effect, ...] = ()
-    """Effects on the bodies: only those that ask for nothing but masses and rates."""
+    """Effects on the bodies: only those that use masses and rates alone."""
 
-    # Effects ask for these of the member on which they act: a body is one node and one
-    # element.
+    # Effects use these attributes of the member on which they act: a body is one node
+    # and one element.
     @property
     def n_elements(self) -> int:
         """Number of bodies."""
@@ -100,7 +100,7 @@ class RigidBodies(Member):
         return jnp.shape(self.masses)
 
     def check(self, name: str) -> None:
-        """Raises a ValueError or TypeError for a batch, or an effect of rods alone."""
+        """Raises a ValueError or TypeError for a batch, or effects that need rods."""
         check_axes(name, "masses", self.array_shape, ("bodies",))
         check_body_effects(name, self)
 
@@ -109,7 +109,7 @@ class RigidBodies(Member):
         return replace(self, effects=(*self.effects, effect))
 
     def in_own_type(self, name: str) -> RigidBodies:
-        """The bodies, with the numbers of their effects in their type."""
+        """The bodies, with the numbers of their effects converted to their dtype."""
         where = f"effects of {name!r}"
         return replace(self, effects=in_type(self.dtype, where, self.effects))
 

@@ -1,8 +1,8 @@
 r"""State and steps of rigid bodies: free flight and exact rotation between kicks.
 
-Nodes of rods that are attached to a body move with it. The body also has their masses:
+Nodes of rods that are attached to a body move with it. The body carries their masses:
 its centre of mass and its inertia are those of body and nodes together. Outside of this
-file forces and positions refer to the body's own origin.
+file forces and positions refer to the origin of the body's own frame.
 """
 
 from __future__ import annotations
@@ -127,7 +127,7 @@ class RigidStepper:
         )
 
     def enter(self, state: BodyState) -> Motion:
-        """Motion of a state: of the common centre of mass, with angular momentum."""
+        """Motion of the common centre of mass in a state, with angular momentum."""
         orientation = split_quaternion(state.orientations)
         rate = vectors.split(state.angular_velocities)
         position, velocity = (

@@ -78,7 +78,7 @@ class OneRod(Member):
         return self.model
 
     def with_free_ends(self, free: Array) -> Any:
-        """The scene, whose effects know which ends of its rods are free."""
+        """The scene, whose effects have flags of the free ends of its rods."""
         if not self.effects or bool(jnp.all(free)):
             return self.model
         own = self.of_rods(free)
@@ -86,7 +86,7 @@ class OneRod(Member):
         return replace(self.model, effects=effects)
 
     def of_rods(self, numbers: Array) -> Array:
-        """Numbers of every rod, as the scene has them: without the axis of rods."""
+        """Numbers of every rod in the shape of the scene: without the axis of rods."""
         return numbers[0]
 
     @property
@@ -133,7 +133,7 @@ class OneRod(Member):
         return parts_of(self.model.rod)
 
     def held(self, state: Any) -> Vec3 | None:
-        """One for each node along each axis where a support holds it, else zero."""
+        """Flags per node and axis: 1 where a support holds the node, else 0."""
         if not self.model.effects:
             return None
         x, y, z = self.row(self.each(_free_rates, state))
@@ -167,7 +167,7 @@ class OneRod(Member):
         return forces
 
     def momenta(self, state: Any) -> tuple[Array, Array]:
-        """Momenta of nodes and angular momenta of elements, components next to last."""
+        """Momenta of nodes, and angular momenta of elements, `(..., 3, n)`."""
         masses = self.model.rod.node_masses
         return masses[..., None, :] * state.velocities, state.angular_momenta
 
@@ -206,7 +206,7 @@ class OneRod(Member):
         return jnp.min(step.dt), step
 
     def rows(self, tree: Any) -> Any:
-        """Fields in one row, divided among the rods."""
+        """Fields given in one row, split by rod."""
         return tree
 
 
@@ -219,7 +219,7 @@ class EqualRods(OneRod):
         return int(self.array_shape[0])
 
     def each(self, function: Callable[..., Any], *given: Any) -> Any:
-        """Result of a function of a scene and of other things, for every rod."""
+        """Result of a function of a scene and of other arguments, for every rod."""
         return jax.vmap(function)(self.model, *given)
 
     def parts(self) -> Parts:
@@ -230,7 +230,7 @@ class EqualRods(OneRod):
         return parts
 
     def of_rods(self, numbers: Array) -> Array:
-        """Numbers of every rod, as the scenes have them."""
+        """Numbers of every rod in the shape of the scenes: with an axis of rods."""
         return numbers
 
     def row(self, tree: Any) -> Any:
@@ -238,7 +238,7 @@ class EqualRods(OneRod):
         return flatten_rods(tree)
 
     def rows(self, tree: Any) -> Any:
-        """Fields in one row, divided among the rods."""
+        """Fields given in one row, split by rod."""
         return unflatten_rods(tree, self.count)
 
     def stepper(
@@ -271,5 +271,5 @@ def _free_rates(scene: LoadedRod, state: RodState) -> Vec3:
 
 
 def member_of_rod(scene: LoadedRod) -> OneRod:
-    """The member that answers for a scene, or for equal rods if it is stacked."""
+    """The member for a scene, or for equal rods if the scene is stacked."""
     return EqualRods(scene) if scene.rod.batch_shape else OneRod(scene)

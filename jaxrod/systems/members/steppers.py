@@ -23,8 +23,8 @@ class MemberStepper(ABC):
     """One member's part of a step, a pytree.
 
     Motions have the stepper's own form: a leading axis for equal rods, the common
-    centre of mass for bodies. Hooks that are not abstract fit a member without
-    supports, ties and effects.
+    centre of mass for bodies. The defaults are for members without supports, ties and
+    effects.
     """
 
     @abstractmethod
@@ -52,7 +52,7 @@ class MemberStepper(ABC):
         return motion
 
     def moved_as(self, motion: Any, seen: Motion) -> Any:
-        """The member's motion with the changes made in a couplings' view of it."""
+        """The member's motion with the changes that couplings made to `seen`."""
         raise NotImplementedError(f"{type(self).__name__}: nodes cannot follow others")
 
     def pushed(self, motion: Any, impulses: Loads) -> Any:
@@ -60,7 +60,7 @@ class MemberStepper(ABC):
         raise NotImplementedError(f"{type(self).__name__}: nothing can be attached")
 
     def at(self, model: Any, memory: Any, clock: Clock) -> MemberStepper:
-        """The stepper with the member as it is at a time.
+        """The stepper with the member's numbers at a time.
 
         Args:
             model: Entry of the member in the system, with its schedules.
@@ -79,8 +79,8 @@ class RodStepper(MemberStepper):
     """Stepper of a scene: one rod and its effects."""
 
     verlet: Any
-    """The stepper of the scene; of equal rods, with a leading axis. It has the methods
-    of `Verlet`, with motions that couplings understand."""
+    """The stepper of the scene, with a leading axis for equal rods. It has the methods
+    of `Verlet`, on motions that couplings can read."""
     parts: Parts
     """Constants of the rod, or of all rods in one row."""
 
@@ -124,7 +124,7 @@ class RodStepper(MemberStepper):
         return changed
 
     def at(self, model: Any, memory: Any, clock: Clock) -> RodStepper:
-        """The stepper with the scene as it is at a time."""
+        """The stepper with the scene's numbers at a time."""
         if not model.evolves:
             return self
 
@@ -150,7 +150,7 @@ class RodStepper(MemberStepper):
         return tree
 
     def rows(self, tree: Any) -> Any:
-        """Fields in one row, divided among the rods."""
+        """Fields given in one row, split by rod."""
         return tree
 
 
@@ -162,7 +162,7 @@ class RodsStepper(RodStepper):
     """Number of rods."""
 
     def each(self, function: Callable[..., Any], *given: Any) -> Any:
-        """Result of a function of a stepper and of other things, for every rod."""
+        """Result of a function of a stepper and of other arguments, for every rod."""
         return jax.vmap(function)(self.verlet, *given)
 
     def row(self, tree: Any) -> Any:
@@ -170,7 +170,7 @@ class RodsStepper(RodStepper):
         return flatten_rods(tree)
 
     def rows(self, tree: Any) -> Any:
-        """Fields in one row, divided among the rods."""
+        """Fields given in one row, split by rod."""
         return unflatten_rods(tree, self.count)
 
 
@@ -198,7 +198,7 @@ class BodiesStepper(MemberStepper):
         return self.rigid.kick(motion, loads)
 
     def seen(self, motion: Motion) -> Seen:
-        """The bodies at their origins."""
+        """The bodies as couplings see them, at their origins."""
         return self.rigid.seen(motion)
 
     def pushed(self, motion: Motion, impulses: Loads) -> Motion:

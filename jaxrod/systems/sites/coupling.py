@@ -36,7 +36,7 @@ class Coupling:
         """Raises a `ValueError` if the coupling does not fit the members."""
 
     def fitted(self, parts: AllParts, tied: tuple[TiedPair, ...]) -> Coupling:
-        """The coupling with structure that follows from the members.
+        """The coupling with the structure that depends on the members.
 
         `make_system` calls it.
 
@@ -59,12 +59,12 @@ class Coupling:
     def tied_pairs(self) -> tuple[TiedPair, ...]:
         """Pairs of nodes that it gives one place exactly, each in both orders.
 
-        Couplings that have some come last, and are merged to one.
+        Couplings with such pairs are merged into one, which is applied last.
         """
         return ()
 
     def merged(self, others: Sequence[Any]) -> Coupling:
-        """One coupling in place of this one and of others with tied pairs."""
+        """One coupling that replaces this one and others with tied pairs."""
         # Not abstract: couplings without tied pairs are never asked.
         raise NotImplementedError(f"{type(self).__name__} cannot be merged")
 
@@ -75,7 +75,7 @@ class Coupling:
 
     @property
     def lists(self) -> Any:
-        """Settings of its `NeighbourLists`; `None` if it has no lists to be counted."""
+        """Settings of its `NeighbourLists`; `None` if it has no such lists."""
         return None
 
     def reaction(self, seen: AllSeen) -> Reaction | None:
@@ -86,9 +86,9 @@ class Coupling:
         """The coupling with the given free ends of rods; other ends continue.
 
         Args:
-            free: For each member, numbers for the first and the last end of each of its
-                rods: one if the end is free, zero if it is tied to a node or attached
-                to a body, `(rods, 2)`.
+            free: For each member, flags of the first and the last end of each of its
+                rods `(rods, 2)`: 1 if the end is free, 0 if it is tied to a node or
+                attached to a body.
         """
         return self
 
@@ -128,7 +128,7 @@ class Coupling:
 
     def moved(self, seen: AllSeen) -> Array:
         """Displacement of members since the last search, over the allowed one [1]."""
-        # As above.
+        # Not abstract, for the same reason.
         raise NotImplementedError(f"{type(self).__name__} has no moved")
 
     def loads(self, seen: AllSeen) -> dict[str, Loads]:
@@ -143,7 +143,7 @@ class Coupling:
         return 0.0
 
     def constrain(self, seen: AllSeen) -> dict[str, Motion]:
-        """Motions of members whose nodes follow others, with these put in place."""
+        """Motions of members whose nodes follow others, with the nodes put in place."""
         return {}
 
     def exchange(self, before: AllSeen, after: AllSeen) -> dict[str, Loads]:

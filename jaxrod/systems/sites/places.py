@@ -58,7 +58,7 @@ class Points:
     nodes: Indices = static()
     """Nodes, or bodies."""
     elements: Indices = static()
-    """Elements that turn with them, or bodies."""
+    """Elements that turn with the nodes, or bodies."""
 
     def check(self, parts: AllParts) -> None:
         """Raises a `ValueError` if the member is missing or too small."""
@@ -198,7 +198,7 @@ def position_of(name: str, place: Place, state: Mapping[str, Any]) -> Pose:
     own, layout = state[member], layouts[member]
     positions, orientations = own.positions, own.orientations
     if not is_traced(positions, orientations):
-        # On the host: this is little work, and compiling it would take long.
+        # On the host: this is little work, but it would take long to compile.
         positions, orientations = map(np.asarray, (positions, orientations))
     positions, orientations = layout.row(positions), layout.row(orientations)
     x = positions[:, node]

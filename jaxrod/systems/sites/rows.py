@@ -5,7 +5,7 @@ So sums are the same in every run, on every device. Stretches of consecutive ind
 sliced and inserted as a whole, at a cost in proportion to their length. A few other
 indices are compared one by one. More of them are compared with all entries at once,
 which fuses with the surrounding program and has the same form when it is transposed.
-Very many go through a table.
+For a very large number of indices a table is used.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ that `configure_cpu` asks for) gives up on some programs that gather entries."""
 
 
 def gather(row: Array, index: Indices) -> Array:
-    """Entries of a row at some indices (gather)."""
+    """Entries of a row at the given indices (gather)."""
     size = row.shape[0]
     stretches = _stretches(index)
     if stretches is not None:
@@ -49,7 +49,7 @@ def gather(row: Array, index: Indices) -> Array:
 
 
 def scatter_set(row: Array, index: Indices, values: Array) -> Array:
-    """A row with new entries at some indices, which must be distinct."""
+    """A row with new entries at the given indices, which must be distinct."""
     size = row.shape[0]
     if _stretches(index) is None and len(index) <= FEW:
         numbers = np.arange(size)
@@ -103,7 +103,7 @@ def _stretches(index: Indices) -> tuple[tuple[int, int, int], ...] | None:
 
 @functools.lru_cache(maxsize=256)
 def _same(index: Indices, size: int) -> np.ndarray:
-    """Whether each index equals the number of each entry, `(indices, size)`."""
+    """Mask of equal pairs of an index and an entry's number, `(indices, size)`."""
     return index.values[:, None] == np.arange(size)[None, :]
 
 

@@ -32,7 +32,7 @@ from jaxrod.systems.stepping.listing import with_shortage
 from jaxrod.systems.stepping.stepper import Motions
 
 _SPARE = 16
-"""Multiple of what disturbs the stiffness up to which it may be negative [1]."""
+"""Multiple of the stiffness error down to which eigenvalues may be negative [1]."""
 
 
 @pytree
@@ -42,11 +42,11 @@ class _SystemPlace:
     linear: Linear
     """The problem about the configuration."""
     stiffness: Float[Array, "m m"]
-    """Stiffness, regular for rates that are not allowed and for loose motions [J]."""
+    """Stiffness, made regular along barred rates and loose motions [J]."""
     loose: Float[Array, "modes m"]
-    """Motions that nothing resists; zeros in place of others."""
+    """Loose motions, which nothing resists; zeros in unused rows."""
     driven: Bool[Array, ""]
-    """Whether loads drive one of them."""
+    """Whether loads drive a loose motion."""
 
     @property
     def loads(self) -> Float[Array, " m"]:
@@ -74,7 +74,7 @@ class _SystemPlace:
 
 @pytree
 class _SystemAtRest:
-    """The static problem of a system, as the search sees it."""
+    """The static problem of a system, in the form that the solver needs."""
 
     problem: StaticProblem
     """The problem."""
@@ -132,7 +132,7 @@ def system_equilibrium(
     converged = end.converged
     together = _with_memory(system, rest, state)
     if RECORD in state:
-        # Contact that lists had no room for is not balanced.
+        # Contacts that did not fit into the lists are not balanced.
         couplings = problem.listed(here.linear.motions).stepper.couplings
         together[RECORD] = lax.stop_gradient(with_shortage(state[RECORD], couplings))
         converged &= ~together[RECORD].overflow
@@ -153,8 +153,8 @@ def system_equilibrium(
 def _last_correction(problem: StaticProblem, found: Motions, step: Array) -> Array:
     """Correction, in scaled rates, that ends the search.
 
-    It is what Newton's method would do next, too small to matter. Its derivative is
-    that of the exact equilibrium, by the implicit function theorem: one linear solve.
+    It is the next step of Newton's method, too small to matter. Its derivative is that
+    of the exact equilibrium by the implicit function theorem: one linear solve.
     """
     return step
 
@@ -162,7 +162,7 @@ def _last_correction(problem: StaticProblem, found: Motions, step: Array) -> Arr
 @_last_correction.defjvp
 def _last_correction_jvp(primals: Any, tangents: Any) -> tuple[Array, Array]:
     problem, found, step = primals
-    # With derivatives of its own, where derivatives of derivatives are asked for.
+    # The correction has derivatives itself, for second derivatives.
     correction = _last_correction(problem, found, step)
     there = by_kernel(problem, "moved_after", (found, correction))
     here = problem.linear(there)
@@ -192,8 +192,8 @@ def _with_memory(
 def _is_positive(here: _SystemPlace, rounding: Array) -> Array:
     """Whether the symmetric part of the stiffness is positive definite.
 
-    What round-off, or loads that are not quite in balance, can do to it is not counted:
-    a whole that can turn has a stiffness against that of the size of these loads.
+    Negative eigenvalues within the effect of round-off and of residual loads are
+    tolerated: residual loads alone give a free rotation a stiffness of their size.
     """
     matrix = 0.5 * (here.stiffness + here.stiffness.T)
     spare = rounding * jnp.max(jnp.abs(matrix)) + jnp.max(jnp.abs(here.loads))

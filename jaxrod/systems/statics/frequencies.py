@@ -12,8 +12,7 @@ from jaxrod.systems.stepping.assembly import Assembly, SystemState
 def squared_frequencies(system: Assembly, state: SystemState) -> np.ndarray:
     """Squares of all angular frequencies, increasing [rad^2/s^2].
 
-    Of the rates that supports, ties and attachments allow, a basis is taken; all others
-    are left out.
+    They are computed in a basis of the rates that supports, ties and attachments allow.
 
     Raises:
         ValueError: If a number is traced.

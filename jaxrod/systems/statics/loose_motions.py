@@ -1,10 +1,10 @@
-r"""Loose motions of a system: those that nothing resists, in statics.
+r"""Loose motions of a system: motions that no load resists in statics.
 
-A ball on a smooth floor can slide, a rod of round section between two pins can turn
-about itself. The stiffness $K$ is then singular, and the balance of loads does not
-determine the place along such a motion $m$. If the loads do not drive it, a spring
-against its momentum $u = M m$ changes nothing but that place, which is then the one
-where the motion has no momentum, exactly and whatever its stiffness:
+A ball on a smooth floor can slide, and a round rod between two pins can turn about its
+axis. The stiffness $K$ is then singular: the balance of loads does not determine the
+position along such a motion $m$. Suppose that the loads do not drive it. Then a spring
+against its momentum $u = M m$ only selects this position. For any stiffness of the
+spring the step $r$ has exactly no momentum along the motion:
 
 $$(K + \sigma\,u u^T)\,r = g, \quad m\cdot g = 0 \quad\Rightarrow\quad
   u\cdot r = 0, \quad K r = g.$$
@@ -25,21 +25,22 @@ _ROUNDINGS = 64
 """Multiple of the machine epsilon up to which a resistance counts as zero."""
 
 _DRIVEN = 1024
-"""The same for loads along a loose motion, which sum up round-off of all elements."""
+"""Multiple of the machine epsilon up to which loads along a loose motion count as zero.
+It is larger because these loads sum up the round-off of all elements."""
 
 _LEAST = 0.01
-"""Size of a sum of motions, over theirs, up to which it is none [1]."""
+"""Relative size of a combination of motions up to which it counts as zero [1]."""
 
 
 def loose_motions(problem: StaticProblem, here: Linear) -> Float[Array, "modes m"]:
-    """Independent motions that nothing resists, in scaled rates, of size one.
+    """Independent loose motions, in scaled rates, normalised.
 
     Returns:
-        As many as there are rigid motions; zeros in place of those that are resisted.
+        As many rows as there are rigid motions; zeros for motions that are resisted.
     """
     whole = by_kernel(problem, "motions_of_the_whole", here.motions)
     resisted = here.stiffness @ whole.T
-    # Size of the rows without cancellation.
+    # Size of the rows if nothing cancelled.
     sizes = jnp.max(jnp.abs(here.stiffness) @ jnp.abs(whole.T), axis=1, keepdims=True)
     resisted = resisted / jnp.where(sizes > 0, sizes, 1)
     barred = whole.T - here.projection @ whole.T
@@ -47,8 +48,8 @@ def loose_motions(problem: StaticProblem, here: Linear) -> Float[Array, "modes m
     _, resistance, mixtures = jnp.linalg.svd(both, full_matrices=False)
     none = resistance <= _ROUNDINGS * problem.rounding(here.motions)
     found = jnp.where(none[:, None], mixtures, 0) @ whole
-    # Candidates may depend on each other: the turn of a straight rod about its axis,
-    # less that of all its elements about theirs, is nothing but round-off.
+    # Candidates may be dependent: the rotation of a straight rod about its axis minus
+    # the rotation of all its elements about theirs is nothing but round-off.
     _, sizes, independent = jnp.linalg.svd(found, full_matrices=False)
     return jnp.where((sizes > _LEAST)[:, None], independent, 0)
 
@@ -66,7 +67,7 @@ def are_driven(
 def held(
     problem: StaticProblem, here: Linear, motions: Float[Array, "modes m"]
 ) -> Float[Array, "m m"]:
-    """Stiffness with springs along loose motions, and against barred rates."""
+    """Stiffness plus springs against loose motions and barred rates."""
     momenta = motions @ here.mass
     inertia = jnp.sum(momenta * motions, axis=1)
     free = inertia > 0

@@ -1,16 +1,16 @@
 r"""The static problem of a system: its loads as a function of its configuration.
 
-The stepper of a system already knows everything that statics asks for. A kick from
-rest, so short that nothing moves, gives the accelerations $a$ that all loads cause at a
-configuration, with supports, ties and attachments taken into account. Rates $r$ that
-these allow are $P r$, and moving at such rates for a second leads to another
+The stepper of a system provides everything that statics needs. A kick from rest, so
+short that nothing moves, gives the accelerations $a$ that all loads cause at a
+configuration, with supports, ties and attachments taken into account. $P r$ is the part
+of rates $r$ that these allow, and moving at such rates for a second leads to another
 configuration. The kinetic energy $T(P r)$ is quadratic, and its matrix $M$ is the mass.
 Loads out of balance, forces on nodes and couples on elements, and their stiffness are
 
 $$g = M a, \qquad K r = -M \frac{\partial a}{\partial r}\,P r.$$
 
-So a coupling, an effect or a member of your own needs nothing further to be brought to
-rest. Loads are those at rest: friction, dashpots and drag are zero.
+So an equilibrium needs no further hook of a coupling, an effect or a member of your
+own. Loads are those at rest: friction, dashpots and drag are zero.
 
 The matrices are dense. They are computed column by column, by one compiled kernel.
 """
@@ -42,13 +42,13 @@ from jaxrod.systems.stepping.stepper import Motions, SystemStepper
 INSTANT = 1e-9
 """Duration of the kick that measures loads, over the time in which a rod bends [1]."""
 ANCHOR, ROUNDINGS = 1e-8, 100
-"""Weight that leaves rods that nothing holds in place when gaps are closed [1], and the
-least multiple of the machine epsilon that it may be."""
+"""Weight that keeps free rods in place when gaps are closed [1], and the smallest
+multiple of the machine epsilon for this weight."""
 
 
 @pytree
 class Scales:
-    """Units of a system, from its rods."""
+    """Units in which a system is scaled, from its rods."""
 
     length: Float[Array, ""]
     """Length of the longest rod [m]."""
@@ -61,7 +61,7 @@ class Scales:
 
 
 def scales_of(system: Assembly) -> Scales:
-    """Units of a system; ones if it has no rods."""
+    """Units in which a system is scaled; ones if it has no rods."""
     lengths, elements, energies, times = [], [], [], []
     for own in system.parts().values():
         if not own.is_rod:
@@ -105,7 +105,7 @@ class Linear:
 
     @property
     def barred(self) -> Float[Array, "m m"]:
-        """Square of the projection on rates that are not allowed."""
+        """Square of the projection on barred rates, which are not allowed."""
         rest = jnp.eye(len(self.loads), dtype=self.mass.dtype) - self.projection
         return rest.T @ rest
 
@@ -119,7 +119,7 @@ class StaticProblem:
     stepper: SystemStepper
     """Its stepper."""
     scales: Scales
-    """Its units."""
+    """The units of its unknowns."""
 
     # Methods for kernels: each takes one argument.
 
@@ -187,12 +187,12 @@ class StaticProblem:
         )
 
     def moved_with_gaps(self, given: tuple[Motions, Any]) -> tuple[Motions, Array]:
-        """Configuration after a second at rates, and what its edges lack.
+        """Configuration after a second at rates, and the gaps of its edges.
 
-        Strains should change linearly. Moving at rates stretches the edges of rods by
-        the square of the rotation of their elements, and stretching is far stiffer
-        than bending. Gaps are the differences of displacements that undo this, axis by
-        axis, of all elements of all rods [m].
+        Strains should change linearly. But moving at rates stretches the edges of rods
+        in proportion to the square of the rotation of their elements, and stretching is
+        far stiffer than bending. The gaps are the relative displacements of the nodes
+        of each element that undo this, axis by axis [m].
         """
         motions, rates = given
         moved = self.moved(given)
@@ -211,11 +211,11 @@ class StaticProblem:
         return moved, jnp.concatenate(gaps)
 
     def placed(self, given: tuple[Motions, Any]) -> Motions:
-        """Configuration after a second at rates, with what follows others in place."""
+        """Configuration after a second at rates, with following nodes put in place."""
         return at_rest(self.stepper.supported(self.moved(given)))
 
     def entered(self, state: SystemState) -> Motions:
-        """Configuration of a state, with what is held and what follows in place."""
+        """Configuration of a state, with held and following nodes put in place."""
         return self.placed(_still(self.stepper.enter(state)))
 
     def moved_after(self, given: tuple[Motions, Array]) -> Motions:
@@ -232,10 +232,10 @@ class StaticProblem:
         return self.scaled(moved, self.accelerations(moved))
 
     def with_held(self, given: tuple[Motions, Motions]) -> Motions:
-        """Configuration found, with what supports hold as it was at the start.
+        """Configuration found, with held nodes and elements as they were at the start.
 
-        Members are held where they were at the start, or where the numbers of a
-        support say: both have derivatives, while what was found has none.
+        Members are held at their initial places or at the places in a support's
+        parameters. Both have derivatives, while the configuration found has none.
         """
         found, start = given
         together = {}
@@ -282,13 +282,13 @@ class StaticProblem:
     # Matrices and vectors of scaled rates.
 
     def rounding(self, motions: Motions) -> Float[Array, ""]:
-        """Round-off of places over the size of the system: larger far away [1]."""
+        """Round-off of positions over system size; larger far from the origin [1]."""
         places = [c for motion in motions.values() for c in motion.position]
         far = jnp.max(jnp.stack([jnp.max(jnp.abs(place)) for place in places]))
         return jnp.finfo(far.dtype).eps * jnp.maximum(1, far / self.scales.length)
 
     def listed(self, motions: Motions) -> StaticProblem:
-        """The problem with neighbours as they are found at a configuration."""
+        """The problem with the lists of neighbours at a configuration."""
         seen = self.stepper.seen(motions)
         found = lax.stop_gradient(searched(self.stepper.couplings, seen))
         couplings = with_found(self.stepper.couplings, found)
@@ -322,7 +322,7 @@ class StaticProblem:
         return ravel_pytree(found)[0]
 
     def scaled_momenta(self, motions: Motions, momenta: Any) -> Float[Array, " m"]:
-        """Gradient by scaled rates, from that by rates."""
+        """Gradient by scaled rates, from the gradient by rates."""
         length = self.scales.length
         found = {
             name: (vectors.scale(length, moving), self._spins(motions, name, turning))
@@ -348,7 +348,7 @@ class StaticProblem:
 
         here, projection, mass, change = lax.map(column, numbers)
         mass = 0.5 * (mass + mass.T)
-        # Some members do not turn: nothing resists it, and nothing moves.
+        # Some members cannot turn: their rotations have neither stiffness nor mass.
         moves = jnp.diagonal(mass) > 0
         return Linear(
             motions=motions,
@@ -363,8 +363,8 @@ class StaticProblem:
     ) -> Motions:
         """Configuration after scaled rates, to first order; strains change linearly.
 
-        Displacements close the gaps of the edges, in the sense of least squares where
-        ties and supports leave no other way.
+        Displacements close the gaps of the edges, in the least-squares sense where ties
+        and supports do not allow more.
 
         Args:
             here: The configuration before.
@@ -388,7 +388,7 @@ class StaticProblem:
         closing = jax.scipy.linalg.solve(matrix, along.T @ gaps, assume_a="pos")
         momenta = loose @ here.mass
         inertia = momenta @ loose.T
-        # Heavy and light ones alike, and one for those that are zeros.
+        # The same weight for heavy and light motions, and one for rows of zeros.
         own = jnp.diagonal(inertia)
         size = jnp.sqrt(jnp.where(own > 0, own, 1))
         inertia = inertia / size[:, None] / size[None, :]
@@ -399,7 +399,7 @@ class StaticProblem:
         return closed
 
     def _places_of_edges(self, motions: Motions) -> tuple[np.ndarray, np.ndarray]:
-        """Places of the two nodes of each gap, among all unknowns."""
+        """Indices of the two nodes of each gap among all unknowns."""
         leaves, tree = jax.tree.flatten(rates_of(motions))
         ends = np.cumsum([leaf.size for leaf in leaves])
         places = [
@@ -448,7 +448,7 @@ def at_rest(motions: Motions) -> Motions:
 
 
 def is_displacement(motions: Motions) -> Bool[Array, " m"]:
-    """Whether an unknown is a displacement, and not a rotation."""
+    """Whether an unknown is a displacement or a rotation."""
     flags = {
         k: (
             jax.tree.map(jnp.ones_like, motion.velocity),

@@ -28,7 +28,7 @@ def rigid_motions(own: Seen, length: Array) -> Iterator[tuple[Vec3, Vec3]]:
     centred = []
     for component in own.motion.position:
         rows = component.reshape(count, -1)
-        # From the first node, which loses no digits far from the origin.
+        # Relative to the first node, so that no digits are lost far from the origin.
         rows = rows - rows[:, :1]
         centred.append((rows - jnp.mean(rows, axis=1, keepdims=True)).reshape(-1))
     arm: Vec3 = (centred[0], centred[1], centred[2])
@@ -68,7 +68,8 @@ def spins(own: Seen, turning: Vec3) -> Vec3:
         moving = replace(own, motion=replace(own.motion, spin=spin))
         columns.append(moving.angular_velocities)
     matrix = matrices.transpose((columns[0], columns[1], columns[2]))
-    # Of the size of one: products of three inertias would underflow in float32.
+    # Scaled to the size of one, because products of three inertias would underflow in
+    # float32.
     size = matrix[0][0] + matrix[1][1] + matrix[2][2]
     a, b, c = matrices.scale(1 / size, matrix)
     cofactors = vectors.cross(b, c), vectors.cross(c, a), vectors.cross(a, b)

@@ -39,10 +39,10 @@ class Assembly:
     couplings: tuple[Coupling, ...] = ()
     """Couplings between them."""
     shapes: tuple[tuple[int, ...], ...] = static(default=())
-    """Shapes of each member's elements or bodies, as the system was made."""
+    """Shapes of each member's elements or bodies when the system was made."""
 
     def interfaces(self) -> dict[str, Member]:
-        """The members, by name, behind their common interface."""
+        """The members by name, each through the interface `Member`."""
         return {name: held.as_member() for name, held in self.members.items()}
 
     @property
@@ -75,7 +75,7 @@ class Assembly:
 
     @property
     def at_largest(self) -> Self:
-        """The system with every schedule at the bound on its size."""
+        """The system with every schedule replaced by the bound on its size."""
         return self._replaced(at_largest) if self.depends_on_time else self
 
     def _replaced(self, function: Callable[[Any], Any]) -> Self:
@@ -106,7 +106,7 @@ class Assembly:
         return replace(self, members=members)
 
     def parts(self) -> dict[str, Parts]:
-        """Constants of all members as couplings see them, without what holds them."""
+        """Constants of all members as couplings see them, without flags of supports."""
         return {name: member.parts() for name, member in self.interfaces().items()}
 
     def stepper(self, state: SystemState, dt: Array) -> SystemStepper:
@@ -130,14 +130,14 @@ class Assembly:
 
 def member_shapes(members: Mapping[str, Any]) -> tuple[tuple[int, ...], ...]:
     """Shapes of the members' elements or bodies, in the order of their names."""
-    # JAX puts a dict in the order of its keys: names, not as they were given.
+    # JAX sorts a dict by its keys, so the order given by the user is lost.
     return tuple(members[name].as_member().array_shape for name in sorted(members))
 
 
 def held_parts(system: Assembly, state: SystemState) -> dict[str, Parts]:
-    """Constants of all members, with what supports hold of their nodes at time 0."""
+    """Constants of all members, with the flags of nodes held by supports at time 0."""
     parts = system.parts()
-    # What is held does not depend on the place to which it is driven.
+    # The flags do not depend on the place to which a node is driven.
     for name, member in system.at(0.0).interfaces().items():
         held = member.held(state[name])
         if held is not None:

@@ -34,8 +34,8 @@ class SystemNow:
 class EvolvingSystem:
     """Position Verlet of a system that depends on time or has memory.
 
-    As for a scene, loads and rates are those of the middle of a step, and supports are
-    where they are at the end of a drift.
+    As for a scene, loads and rates are those of the middle of a step. Driven supports
+    have their positions at the end of a drift.
     """
 
     steps_of_end: ClassVar[int] = 1

@@ -1,8 +1,9 @@
-"""Steps of a system that searches for neighbours every so often.
+"""Steps of a system that searches for neighbours at regular intervals.
 
 Lists are carried from step to step together with the motions and the age of the lists
-in steps. This age depends on no number of the system. So under `jax.vmap` it is the
-same for all systems, and the search stays a branch that is taken once in a while.
+in steps. This age does not depend on the numbers of a system. So under `jax.vmap` it is
+the same for all systems, and the search stays a branch that is taken only when it is
+due.
 """
 
 from __future__ import annotations
@@ -25,7 +26,7 @@ from jaxrod.systems.stepping.stepper import SystemStepper
 
 
 def refresh_every(couplings: Sequence[Coupling]) -> int | None:
-    """Steps between searches: the fewest that any coupling asks for."""
+    """Steps between searches: the smallest number of any coupling."""
     asked = [c.refresh_every for c in couplings if c.refresh_every is not None]
     return min(asked) if asked else None
 
@@ -55,7 +56,7 @@ def searched(couplings: Sequence[Coupling], seen: Any) -> tuple[Any, ...]:
 def with_shortage(
     record: NeighbourRecord, couplings: Sequence[Coupling]
 ) -> NeighbourRecord:
-    """The record, with what the last searches of couplings had no room for."""
+    """The record, updated with the shortage of entries in the last searches."""
     missed, used = record.missed, record.used
     for coupling in couplings:
         if coupling.refresh_every is not None:
@@ -72,7 +73,7 @@ class Listing:
     motions: Any
     """Carry of the system's own stepper."""
     found: tuple[Any, ...]
-    """Lists of each coupling that has some."""
+    """Lists of each coupling that searches."""
     age: Int[Array, ""]
     """Steps since the lists were made."""
     record: NeighbourRecord
@@ -105,7 +106,7 @@ class ListingSystem:
         return searched(self.stepper.couplings, self._seen(motions))
 
     def renewed(self, carry: Listing) -> Listing:
-        """The carry with lists that are young enough for the next steps."""
+        """The carry with new lists, valid for the next steps."""
         found = jax.lax.cond(
             carry.age >= self.every,
             lambda _: by_kernel(self, "search", carry.motions),
@@ -126,12 +127,12 @@ class ListingSystem:
         return by_kernel(self, "ended", carry)
 
     def ended(self, carry: Listing) -> dict[str, Any]:
-        """The end of the last step, and the record of the run."""
+        """State at the end of the last step, with the record of the run."""
         state = self._listed(carry).end(carry.motions)
         return {**state, RECORD: self._recorded(carry)}
 
     def _recorded(self, carry: Listing) -> NeighbourRecord:
-        """The record with what the lists may have missed now; it has no derivative."""
+        """The record, updated with the current lists; it has no derivative."""
         carry = jax.lax.stop_gradient(carry)
         couplings = self._listed(carry).couplings
         seen = self._seen(carry.motions)

@@ -63,8 +63,8 @@ def check_single(system: Assembly) -> None:
 def _check_record(record: Any) -> None:
     if not isinstance(record, NeighbourRecord):
         raise TypeError(
-            f"state[{RECORD!r}] must be what a run has left there, got "
-            f"{type(record).__name__}: leave it out to begin anew"
+            f"state[{RECORD!r}] must be the record that a run left there, got "
+            f"{type(record).__name__}: leave it out to start again"
         )
 
 
@@ -95,7 +95,7 @@ def _own_stepper(
 def system_with_memory(system: Assembly, state: SystemState) -> dict[str, Any]:
     """The state with the initial memories of effects, where it has none.
 
-    A system with lists of neighbours also gets a record of contacts that they miss.
+    A system with lists of neighbours also gets a record of the contacts that they miss.
     """
     own = {
         name: member.with_memory(state[name])

@@ -1,8 +1,8 @@
 """Steps of a system: its members drift and are kicked together.
 
-One step is position Verlet, as for a single rod: half a drift of every member;
-attached and tied nodes are put in place; loads of all members and couplings at this
-configuration; kicks; exchange of impulses between attached members; half a drift.
+One step is position Verlet, as for a single rod: half a drift of every member; placing
+of attached and tied nodes; loads of all members and couplings at this configuration;
+kicks; exchange of impulses between attached members; half a drift.
 """
 
 from __future__ import annotations
