@@ -100,8 +100,8 @@ class Frame:
     axes: Any = None
     """Matrix that turns recorded vectors into the arm's frame; `None`: not known."""
     origin: str | tuple[float, float, float] = (0.0, 0.0, 0.0)
-    """Recorded point that is the base of the arm [m]; or the name of a marker, whose
-    recorded place is taken to be where the drawing has it."""
+    """Recorded point that is the base of the arm [m]; or the name of a marker that does
+    not move, and is where the drawing of the straight arm has it."""
     scale: float = 1.0
     """Length of a recorded unit [m]."""
 

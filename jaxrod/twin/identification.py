@@ -379,12 +379,19 @@ def _registered(
     point = parameters.searched({name: values[name] for name in arm.unknown})
     made = []
     for recording in ready:
-        made.append(_evaluated(arm, point, _prepared(arm, recording))[0])
+        made.append(np.array(_evaluated(arm, point, _prepared(arm, recording))[0]))
         if not np.all(np.isfinite(made[-1])):
             raise ValueError(
                 f"{recording.name}: the arm as drawn has no equilibrium under these "
                 "inputs, or its run is not finite: is a unit wrong?"
             )
+    if arm.origin is not None:
+        # It stays where it is drawn: neither the arm nor what is known of the camera
+        # by now moves it.
+        _, straight = arm.scene(arm.start, lambda numbers: jnp.zeros(len(numbers)))
+        place = np.asarray(arm.points(straight, arm.start))[arm.origin]
+        for points in made:
+            points[:, arm.origin] = place
     axes = None if arm.frame.axes is None else np.asarray(arm.frame.axes, float)
     shift = None
     if axes is not None and arm.origin is None:

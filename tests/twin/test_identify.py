@@ -148,6 +148,29 @@ def test_a_shuffled_log_of_poses_is_found(arm):
 
 
 @pytest.mark.slow
+def test_a_recording_read_again_is_compared_as_in_the_fit():
+    """Registered with the twin or with the drawing, its frame is the same."""
+    arm = drawing(youngs_modulus=0.3, shift=0.01, turn=0.1)
+    still = (twin.Marker("base", 0.0, (0.03, 0.0, 0.0)), *arm.markers)
+    arm = replace(arm, markers=still, frame=replace(arm.frame, origin="base"))
+    rng = np.random.default_rng(2)
+    truth = arm.start | {
+        "shift": jnp.asarray([0.004, -0.003, 0.002]), "turn": jnp.full(3, 0.05)
+    }  # fmt: skip
+    _, straight = arm.scene(arm.start, lambda numbers: jnp.zeros(len(numbers)))
+    films = []
+    for pulls in POSES:
+        film = filmed(arm, truth, replace(pose(*pulls), points=np.zeros((40, 5, 3))))
+        film.points[:, 0] = arm.points(straight, arm.start)[0]
+        moved = film.points + rng.uniform(-1, 1, 3)
+        order = rng.permutation(5)
+        films.append(replace(film, points=moved[:, order], labelled=False))
+    found = twin.identify(arm, films[:4], noise=1e-4)
+    for one in found.compare(films):
+        assert np.max(one.errors[1:]) < 1e-6
+
+
+@pytest.mark.slow
 def test_twenty_logs_with_motions_are_calibrated():
     arm = drawing(
         axes=None, youngs_modulus=0.3, density=0.1, tendon_angles=0.05, shift=0.05,

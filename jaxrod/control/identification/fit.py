@@ -73,8 +73,8 @@ def fit(
             (one for each kind). If `None`, it is estimated from the residuals.
         logarithmic: Positive parameters whose logarithm is sought: all (`True`), none
             (`False`), or names.
-        scales: Sizes of changes that matter, for parameters that are not sought by their
-            logarithm. A parameter that is less certain than that counts as not
+        scales: Sizes of changes that matter, for parameters that are not sought by
+            their logarithm. A parameter that is less certain than that counts as not
             determined. By default the sizes of the start, and 1 where that is 0.
         lower: Lower bounds, of all or some parameters. Parameters sought by their
             logarithm are bounded by a thousandth of the start by default.

@@ -115,8 +115,8 @@ def make_parameters(
         start: Values at which a search begins; numbers or arrays by name.
         logarithmic: Parameters sought by their logarithm, so that they stay positive:
             names, or `True` for all, `False` for none.
-        scales: Sizes of changes that matter, for parameters that are not sought by their
-            logarithm; by default the sizes of the start, and 1 where that is 0.
+        scales: Sizes of changes that matter, for parameters that are not sought by
+            their logarithm; by default the sizes of the start, and 1 where that is 0.
 
     Raises:
         ValueError: There is no parameter, `logarithmic` or `scales` has an unknown
