@@ -1,8 +1,8 @@
 """Write the policy of a run for a controller.
 
 --c writes a C99 header that needs math.h alone, --onnx a model for ONNX runtimes.
-Beside each FILE is its contract, FILE.json: entries and units of observation and action,
-the rate, the normalisation, how memory starts, the sha256 of FILE.
+Beside each FILE is its contract, FILE.json: entries and units of observation and
+action, the rate, the normalisation, how memory starts, the sha256 of FILE.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ examples:
   jaxrod export runs/first --c policy.h          declares policy_act(observation, action)
   jaxrod export runs/first --onnx policy.onnx    needs pip install "jaxrod[onnx]"
   jaxrod export runs/first --c arm.h --onnx arm.onnx --overwrite
-  jaxrod export runs/arm --c arm.h --trust my_module   a run of your own task or network
+  jaxrod export runs/arm --c arm.h --trust my_module  a run of your own task or network
 """
 
 

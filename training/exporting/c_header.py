@@ -101,7 +101,9 @@ class _Body:
         kept = [value for value in self.program.results if value.places.size]
         for name, value in zip(outputs, kept, strict=True):
             self._copy(value, f"{name}[k]")
-        first = [f"  static {TYPES[k]} scratch_{k}[{n}];" for k, n in self.sizes.items()]
+        first = [
+            f"  static {TYPES[k]} scratch_{k}[{n}];" for k, n in self.sizes.items()
+        ]
         index = ["  int k;"] if any("k++" in line for line in self.lines) else []
         if any("j++" in line for line in self.lines):
             index = ["  int i, j, k;"]
@@ -162,7 +164,9 @@ class _Body:
             return f"{name}[{table}[k]]"
         first, apart = value.stride
         index = "k" if apart == 1 else f"{apart} * k"
-        return f"{name}[{at + first}]" if apart == 0 else f"{name}[{at + first} + {index}]"
+        return (
+            f"{name}[{at + first}]" if apart == 0 else f"{name}[{at + first} + {index}]"
+        )
 
     def _pointer(self, value: Value) -> str:
         """The address of a whole buffer."""

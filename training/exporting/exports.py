@@ -46,9 +46,9 @@ def export_c(
 
         void policy_act(const float observation[], float action[]);
 
-    For a policy with memory there is a struct `policy_memory` besides, of which the
-    caller has one for each episode, and `policy_start(memory, observation)`, which is
-    called first.
+    For a policy with memory there is also a struct `policy_memory`, which belongs to
+    the caller and is the first argument of `policy_act`. `policy_start(memory,
+    observation)` begins an episode.
 
     Args:
         policy: A `Policy`, or a policy with memory (`jaxrod.envs.MemoryPolicy`) that
@@ -90,10 +90,10 @@ def export_onnx(
 ) -> dict[str, Any]:
     """Writes a policy as an ONNX model, and its contract.
 
-    The model has the input `observation` and the output `action`, in float32 and without
-    a batch axis. Normalisation of observations and clipping of actions are part of it.
-    A policy with memory has the inputs `memory_0`, ... and the outputs `next_memory_0`,
-    ... besides; the contract has their values at the start of an episode.
+    The model has the input `observation` and the output `action`, in float32 and
+    without a batch axis. Normalisation of observations and clipping of actions are part
+    of it. A policy with memory also has inputs `memory_0`, ... and outputs
+    `next_memory_0`, ...; the contract has their values at the start of an episode.
 
     Args:
         policy: A policy, as for `export_c`. Its memory must start with constants.
@@ -237,7 +237,7 @@ def _facts(
 
 
 def _vector(env: Environment, name: str) -> dict[str, Any]:
-    """Size and entries of an observation or an action, as far as the task knows them."""
+    """Size and entries of an observation or an action, if the task knows them."""
     size = getattr(env, f"{name}_size")
     channels = getattr(env, f"{name}_channels", None)
     if channels is None:
@@ -278,7 +278,9 @@ def _as_lines(name: str, facts: Mapping[str, Any]) -> Sequence[str]:
             lines[-1] += ", which the task does not describe"
         for entry in entries or ():
             last = entry["first"] + entry["size"] - 1
-            lines.append(f"  {entry['first']}..{last}  {entry['name']} [{entry['unit']}]")
+            lines.append(
+                f"  {entry['first']}..{last}  {entry['name']} [{entry['unit']}]"
+            )
     lines.append("Actions are clipped to [-1, 1].")
     scaling = facts["observation"].get("normalisation")
     if scaling is not None:

@@ -164,7 +164,9 @@ class _Graph:
         key = str(array.dtype), array.shape, array.tobytes()
         if key not in self.known:
             name = self.known[key] = f"c{len(self.known)}"
-            tensor = self.onnx.numpy_helper.from_array(np.ascontiguousarray(array), name)
+            tensor = self.onnx.numpy_helper.from_array(
+                np.ascontiguousarray(array), name
+            )
             self.initializers.append(tensor)
         return self.known[key]
 

@@ -57,6 +57,9 @@ OPERATIONS = {
     ),
     "pow": Operation("powf(a, b)", "Pow"),
     "erf": Operation("erff(a)", "Erf"),
+    "erfc": Operation(
+        "erfcf(a)", lambda node, a: node("Sub", node.number(1), node("Erf", a))
+    ),
     **{
         name: Operation(f"{name}f(a)", name.capitalize())
         for name in (

@@ -104,12 +104,12 @@ class _Walk:
             return [_constant(array, array.dtype) for array in made]
         if len(self.steps) > MOST_STEPS:
             raise _refusal(f"its loops make more than {MOST_STEPS} steps")
-        if words := unknown_parameter(equation):
-            raise _refusal(words)
         if name not in RULES:
             raise _refusal(
                 f"its program has the primitive {name!r}, for which there is no rule"
             )
+        if words := unknown_parameter(equation):
+            raise _refusal(words)
         results = RULES[name](self, equation, *values)
         return results if isinstance(results, list) else [results]
 
@@ -208,6 +208,11 @@ def _same(walk: _Walk, equation: Any, *values: Value) -> Value:
     return walk.each(equation.primitive.name, equation.outvars[0].aval.dtype, *values)
 
 
+@_rule("copy", "stop_gradient")
+def _unchanged(walk: _Walk, equation: Any, value: Value) -> Value:
+    return value
+
+
 @_rule("square")
 def _squared(walk: _Walk, equation: Any, value: Value) -> Value:
     return walk.each("mul", value.buffer.dtype, value, value)
@@ -220,9 +225,7 @@ def _powered(walk: _Walk, equation: Any, value: Value) -> Value:
     result, square = _constant(1, dtype), value
     for digit in reversed(f"{abs(exponent):b}"):
         if digit == "1":
-            result = (
-                square if result.known else walk.each("mul", dtype, result, square)
-            )
+            result = square if result.known else walk.each("mul", dtype, result, square)
         square = walk.each("mul", dtype, square, square)
     one = _constant(1, dtype)
     return result if exponent > 0 else walk.each("div", dtype, one, result)
@@ -277,7 +280,7 @@ def _converted(walk: _Walk, equation: Any, value: Value) -> Value:
 
 _DATA = {
     **dict.fromkeys(
-        ("broadcast_in_dim", "copy", "expand_dims", "reshape", "rev", "slice"), (0,)
+        ("broadcast_in_dim", "expand_dims", "reshape", "rev", "slice"), (0,)
     ),
     **dict.fromkeys(("split", "squeeze", "tile", "transpose", "unstack"), (0,)),
     **dict.fromkeys(("gather", "dynamic_slice"), (0,)),
@@ -370,7 +373,10 @@ def _scanned(walk: _Walk, equation: Any, *values: Value) -> list[Value]:
     """A loop of known length, unrolled."""
     scan = scan_of(equation)
     first = scan.n_constants + scan.n_carry
-    constants, carry = values[: scan.n_constants], list(values[scan.n_constants : first])
+    constants, carry = (
+        values[: scan.n_constants],
+        list(values[scan.n_constants : first]),
+    )
     rows: list[Any] = [None] * scan.length
     order = range(scan.length)
     for i in reversed(order) if scan.backwards else order:
