@@ -14,7 +14,7 @@ from jaxrod.cli import runs, settings
 
 EXAMPLES = """\
 examples:
-  jaxrod export runs/first --c policy.h          declares policy_act(observation, action)
+  jaxrod export runs/first --c policy.h          declares policy_act
   jaxrod export runs/first --onnx policy.onnx    needs pip install "jaxrod[onnx]"
   jaxrod export runs/first --c arm.h --onnx arm.onnx --overwrite
   jaxrod export runs/arm --c arm.h --trust my_module  a run of your own task or network

@@ -217,8 +217,30 @@ def rounds(weights, seen):
     return last[..., :2] + before[1]
 
 
+def convolutions(weights, seen):
+    """With strides, dilation, padding and groups, along one axis and two."""
+    along = lambda *words: dict(zip(("window_strides", "padding"), words, strict=True))
+    batch = seen.reshape(-1, 7)
+    kernel = weights[:3, :4].reshape(3, 1, 4)
+    hidden = jax.lax.conv_general_dilated(
+        batch[..., None], kernel, (1,), "SAME", dimension_numbers=("NHC", "HIO", "NHC")
+    )
+    hidden = jax.lax.conv_general_dilated(
+        jnp.tanh(hidden),
+        weights[:6, :8].reshape(3, 2, 8),
+        **along((2,), [(2, 1)]),
+        rhs_dilation=(2,),
+        feature_group_count=2,
+        dimension_numbers=("NHC", "HIO", "NHC"),
+    )
+    image = jnp.tanh(hidden).reshape(len(batch), 1, -1, 8)
+    last = jax.lax.conv(image, weights[:2, :6].reshape(2, 1, 2, 3), (1, 2), "VALID")
+    return last.mean((2, 3)).reshape(*seen.shape[:-1], 2)
+
+
 @pytest.mark.parametrize(
-    "network", [attention, activations, layer_norm, moved_about, rounds]
+    "network",
+    [attention, activations, layer_norm, moved_about, rounds, convolutions],
 )
 def test_any_network_of_these_primitives_acts_as_in_jax(tmp_path, network):
     policy = jax.tree_util.Partial(network, weights(8, 8))

@@ -125,11 +125,12 @@ class _Body:
     def product(self, step: Product) -> None:
         """Row by row; the columns of a row side by side."""
         batch, m, k, n = step.sizes
-        left, right = (self._pointer(value) for value in step.operands)
+        left, right = step.operands
         name, at = self.where[step.out]
         for row in range(batch * m):
             out = f"{name}[{at + row * n} + j]"
-            a, b = f"{left} + {row * k}", f"{right} + {row // m * k * n}"
+            a = self._pointer(left, row * k)
+            b = self._pointer(right, row // m * k * n)
             self.lines += [
                 f"  {{ const float *x = {a}, *w = {b};",
                 f"    for (j = 0; j < {n}; j++) {out} = 0.0f;",
@@ -168,12 +169,12 @@ class _Body:
             f"{name}[{at + first}]" if apart == 0 else f"{name}[{at + first} + {index}]"
         )
 
-    def _pointer(self, value: Value) -> str:
-        """The address of a whole buffer."""
+    def _pointer(self, value: Value, first: int) -> str:
+        """The address of a number in a whole buffer."""
         if value.known:
-            return self._constant(value.numbers, value.buffer.kind)
+            return f"{self._constant(value.numbers, value.buffer.kind)} + {first}"
         name, at = self.where[value.buffer]
-        return f"{name} + {at}"
+        return f"{name} + {at + first}"
 
     def _constant(self, numbers: np.ndarray, kind: str) -> str:
         return self._table(TYPES[kind], numbers.ravel(), lambda x: _literal(x, kind))

@@ -61,7 +61,8 @@ class Value:
         if not self.known or not self.places.size:
             return False
         numbers = self.numbers.ravel()
-        return bool(np.all(numbers == numbers[0]) or np.all(numbers != numbers))
+        bits = numbers.view(f"u{numbers.itemsize}")  # zeros have a sign
+        return bool(np.all(bits == bits[0]))
 
     @property
     def whole(self) -> bool:

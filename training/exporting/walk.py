@@ -368,6 +368,48 @@ def _contracted(walk: _Walk, equation: Any, left: Value, right: Value) -> Value:
     return Value(made.buffer, made.places.reshape(shape))
 
 
+@_rule("conv_general_dilated")
+def _convolved(walk: _Walk, equation: Any, left: Value, right: Value) -> Value:
+    """A convolution, as a product of the matrix of all windows with the weights."""
+    given, groups = equation.params, equation.params["feature_group_count"]
+    if given["batch_group_count"] != 1 or any(n != 1 for n in given["lhs_dilation"]):
+        raise _refusal("it has a transposed convolution")
+    if any(n < 0 for pair in given["padding"] for n in pair):
+        raise _refusal("it has a convolution with negative padding")
+    order = given["dimension_numbers"]
+    inputs, zero = walk.together([left, _constant(0, left.buffer.dtype)])
+    windows = np.pad(
+        np.transpose(inputs.places, order.lhs_spec),
+        ((0, 0), (0, 0), *given["padding"]),
+        constant_values=int(zero.places),
+    )
+    kernel = np.transpose(right.places, order.rhs_spec)
+    outputs, channels, *taps = kernel.shape
+    positions = []
+    # Every axis becomes two: positions of the window, and its taps.
+    for axis, (tap, stride, apart) in enumerate(
+        zip(taps, given["window_strides"], given["rhs_dilation"], strict=True)
+    ):
+        at = 2 + 2 * axis
+        count = (windows.shape[at] - apart * (tap - 1) - 1) // stride + 1
+        places = stride * np.arange(count)[:, None] + apart * np.arange(tap)
+        windows = np.take(windows, places, axis=at)
+        positions.append(count)
+    batch = len(windows)
+    windows = windows.reshape(batch, groups, channels, *windows.shape[2:])
+    space = range(len(taps))
+    windows = windows.transpose(
+        1, 0, *(3 + 2 * i for i in space), 2, *(4 + 2 * i for i in space)
+    )
+    rows = windows.reshape(groups, batch * int(np.prod(positions)), -1)
+    columns = kernel.reshape(groups, outputs // groups, -1).transpose(0, 2, 1)
+    made = walk.product(Value(inputs.buffer, rows), Value(right.buffer, columns))
+    places = made.places.reshape(groups, batch, *positions, outputs // groups)
+    places = np.moveaxis(np.moveaxis(places, 0, 1), -1, 2)
+    places = places.reshape(batch, outputs, *positions)
+    return Value(made.buffer, places.transpose(np.argsort(order.out_spec)))
+
+
 @_rule("scan")
 def _scanned(walk: _Walk, equation: Any, *values: Value) -> list[Value]:
     """A loop of known length, unrolled."""
