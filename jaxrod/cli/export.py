@@ -17,7 +17,7 @@ examples:
   jaxrod export runs/first --c policy.h          declares policy_act
   jaxrod export runs/first --onnx policy.onnx    needs pip install "jaxrod[onnx]"
   jaxrod export runs/first --c arm.h --onnx arm.onnx --overwrite
-  jaxrod export runs/arm --c arm.h --trust my_module  a run of your own task or network
+  jaxrod export runs/arm --c arm.h --trust my_module   a run of your own task
 """
 
 

@@ -123,17 +123,18 @@ def test_all_algorithms_make_such_policies():
 
 
 SMALL = {
+    "dagger": {"num_envs": 8, "lookahead": 4, "gradient_steps": 16},
     "ppo": {"num_envs": 8, "rollout_steps": 64, "minibatches": 2},
-    "trpo": {"num_envs": 8, "rollout_steps": 64},
     "shac": {"num_envs": 8, "rollout_steps": 8},
-    "dagger": {"num_envs": 8},
+    "trpo": {"num_envs": 8, "rollout_steps": 64},
 }
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("algorithm", algorithm_names())
 def test_the_policy_of_every_algorithm_acts_as_in_jax(tmp_path, algorithm):
-    env = make("following", n_elements=10) if algorithm == "dagger" else make("snake")
+    plannable = algorithm in ("dagger", "shac")
+    env = make("following", n_elements=10) if plannable else make("snake")
     kind = find_algorithm(algorithm).config_type
     config = kind(**SMALL.get(algorithm, {"num_envs": 8}))
     run = tmp_path / "run"
