@@ -72,7 +72,7 @@ def _harmless(line: str) -> str:
 
 
 def _fields(arrays: Sequence[Buffer]) -> tuple[dict[Buffer, str], list[str]]:
-    """Where each array of the memory is, and the fields of its struct."""
+    """Names of the arrays of the memory, and the fields of its struct."""
     named = {buffer: f"memory->m{i}" for i, buffer in enumerate(arrays) if buffer.size}
     fields = [
         f"  {TYPES[buffer.kind]} {name.partition('->')[2]}[{buffer.size}];"

@@ -17,8 +17,7 @@ import jax.numpy as jnp
 import numpy as np
 
 import jaxrod
-from jaxrod.envs import Environment, held_for
-from jaxrod.envs.memory_policy import OneEpisode
+from jaxrod.envs import Environment, OneEpisode, held_for
 from jaxrod.files import DamagedFileError, read_json, write_atomically
 from jaxrod.training.exporting import c_header, onnx_file
 from jaxrod.training.exporting.program import Program
@@ -212,7 +211,7 @@ def _export(
 def _facts(
     policy: Any, env: Environment, about: Mapping[str, Any] | None
 ) -> dict[str, Any]:
-    """What a controller has to know."""
+    """Facts that a controller needs."""
     held = held_for(policy)
     period = getattr(env, "control_period", None)
     decides = None if period is None else held * float(period)
