@@ -20,6 +20,8 @@ from jaxrod.training.exporting.program import (
 
 TYPES = {"f": "float", "i": "long", "b": "unsigned char"}
 """C types by kind of number. `long` has 32 bits or more everywhere."""
+BLOCK = 8
+"""Number of terms of a product that are added to each other first."""
 _BEYOND = {"inf": "INFINITY", "-inf": "(-INFINITY)", "nan": "NAN"}
 
 
@@ -123,10 +125,17 @@ class _Body:
         self._loop(step.out.size, f"{{ {taken}; {name}[{at} + k] = {expression}; }}")
 
     def product(self, step: Product) -> None:
-        """Row by row; the columns of a row side by side."""
+        """Row by row; the columns of a row side by side, terms added in blocks.
+
+        So round-off grows with a fraction of their number.
+        """
         batch, m, k, n = step.sizes
         left, right = step.operands
         name, at = self.where[step.out]
+        block = " + ".join(
+            f"(x[{i}] * w[{i * n} + j] + x[{i + 1}] * w[{(i + 1) * n} + j])"
+            for i in range(0, BLOCK, 2)
+        )
         for row in range(batch * m):
             out = f"{name}[{at + row * n} + j]"
             a = self._pointer(left, row * k)
@@ -134,10 +143,16 @@ class _Body:
             self.lines += [
                 f"  {{ const float *x = {a}, *w = {b};",
                 f"    for (j = 0; j < {n}; j++) {out} = 0.0f;",
-                f"    for (i = 0; i < {k}; i++, w += {n}) {{",
-                "      const float a = x[i];",
-                f"      for (j = 0; j < {n}; j++) {out} += a * w[j]; }} }}",
             ]
+            loops = (k // BLOCK, BLOCK, block), (k % BLOCK, 1, "x[0] * w[j]")
+            for rounds, taken, terms in loops:
+                if rounds:
+                    ahead = f"x += {taken}, w += {taken * n}"
+                    self.lines += [
+                        f"    for (i = 0; i < {rounds}; i++, {ahead})",
+                        f"      for (j = 0; j < {n}; j++) {out} += {terms};",
+                    ]
+            self.lines.append("  }")
 
     def join(self, step: Join) -> None:
         """A loop for every operand."""

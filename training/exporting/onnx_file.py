@@ -153,7 +153,7 @@ class _Graph:
 
     def number(self, value: float) -> str:
         """One constant number."""
-        return self.constant(np.float32([value]))
+        return self.constant(np.array([value], np.float32))
 
     def integers(self, numbers: Any) -> str:
         """Constant indices or a shape."""
