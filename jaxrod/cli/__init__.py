@@ -42,6 +42,7 @@ COMMANDS = {
     "sweep": "train many: tasks, algorithms, settings, seeds",
     "evaluate": "measure the policy of a finished run",
     "render": "draw the learning curve and a replay of a run",
+    "export": "write the policy of a run for a controller: C, ONNX",
     "optimise": "find actuation by gradients through the simulation",
     "doctor": "check that this machine computes correctly",
     "reproduce": "run the published benchmark: cases, algorithms, seeds *",
@@ -57,6 +58,7 @@ EXTRAS = {
     "brax": "brax",
     "ray": "ray",
     "tensorboardX": "tensorboard",
+    "onnx": "onnx",
 }
 
 PROGRAMS = {
