@@ -124,7 +124,7 @@ def linearise(
 
 
 def checked_control(
-    control: Any, with_control: WithControl | None, dtype: Any
+    control: Any, with_control: WithControl | None, dtype: Any, name: str = "control"
 ) -> Array | None:
     """The control as an array, or `None` for a model without.
 
@@ -138,8 +138,8 @@ def checked_control(
         raise ValueError(f"{missing} must be given, too, if {given} is")
     if control is None:
         return None
-    numbers = numeric("control", control)
-    return as_array("control", numbers, "", [numbers.shape], dtype=dtype)
+    numbers = numeric(name, control)
+    return as_array(name, numbers, "", [numbers.shape], dtype=dtype)
 
 
 def period(

@@ -241,9 +241,10 @@ def coordinates_under(
     count = _count(model, state)
 
     def tangents(change: np.ndarray) -> np.ndarray:
-        changed = _moved(model, state, jnp.asarray(change, step.dtype))
-        made = tangent_map(model, changed, instant, 1, 0, control, with_control)[1]
-        return np.asarray(made, np.float64)[:, :count]
+        made = tangent_map(
+            model, state, instant, 1, 0, control, with_control, change=change
+        )
+        return np.asarray(made[1], np.float64)[:, :count]
 
     allowed = tangents(np.zeros(count))
     free = _free(allowed / float(instant))
@@ -260,9 +261,8 @@ def coordinates_under(
     chosen = found._chosen(state)
     others = np.setdiff1d(np.arange(count), chosen)
     noise = np.random.default_rng(0).normal(size=len(chosen))
-    following = tangents(_shaking(model, state) * allowed[:, chosen] @ noise)[
-        np.ix_(others, chosen)
-    ]
+    shaken = tangents(_shaking(model, state) * allowed[:, chosen] @ noise)
+    following = shaken[np.ix_(others, chosen)]
     # Loads of an instant are no constraint: they are small.
     return replace(found, follow=bool(np.any(np.abs(following) > STILL**0.5)))
 
@@ -378,6 +378,8 @@ def tangent_map(
     first: ArrayLike,
     control: Array | None,
     with_control: WithControl | None,
+    *,
+    change: Any = None,
 ) -> tuple[Any, Float[Array, "components inputs"]]:
     """State after a run, and derivatives of all its components.
 
@@ -391,21 +393,29 @@ def tangent_map(
         first: Number of steps since time zero.
         control: Control that is held during the run, or `None`.
         with_control: `(model, control) -> model` under the control.
+        change: Change of all components of the state, at which derivatives are taken by
+            them; none by default.
 
     Returns:
         The state, and the derivatives by all components of the initial state and then
         by the numbers of the control.
     """
-    count, begin = (jnp.asarray(number, jnp.int32) for number in (n_steps, first))
+    steps, begin = (jnp.asarray(number, jnp.int32) for number in (n_steps, first))
     state = with_memory(model, state)
-    dt = jnp.asarray(dt, dt.dtype)
-    return _tangent_map(model, state, dt, count, begin, control, with_control)
+    if change is None:
+        change = np.zeros(_count(model, state))
+    point = jnp.asarray(change, dt.dtype)
+    made: tuple[Any, Array] = _tangent_map(
+        model, state, point, dt, steps, begin, control, with_control
+    )
+    return made
 
 
 @jax.jit(static_argnames="with_control")
 def _tangent_map(
     model: Model,
     state: Any,
+    point: Array,
     dt: Array,
     n_steps: Array,
     first: Array,
@@ -413,7 +423,8 @@ def _tangent_map(
     with_control: WithControl | None,
 ) -> tuple[Any, Array]:
     count = _count(model, state)
-    none = jnp.zeros(count + (0 if control is None else control.size), dt.dtype)
+    if control is not None:
+        point = jnp.concatenate([point, jnp.zeros(control.size, dt.dtype)])
 
     def run(change: Array) -> tuple[dict[str, Fields], Any]:
         driven = model
@@ -425,16 +436,13 @@ def _tangent_map(
         return fields(model, after), after
 
     def column(way: Array) -> tuple[Any, Array]:
-        here, change, after = jax.jvp(run, (none,), (way,), has_aux=True)
+        here, change, after = jax.jvp(run, (point,), (way,), has_aux=True)
         near = jax.jvp(lambda there: differences(here, there), (here,), (change,))[1]
         return after, ravel_pytree(near)[0]
 
-    ways = jnp.eye(none.size, dtype=none.dtype)
+    ways = jnp.eye(point.size, dtype=dt.dtype)
     made: tuple[Any, Array] = jax.vmap(column, out_axes=(None, -1))(ways)
     return made
-
-
-_moved = jax.jit(moved_by)
 
 
 def _vector(field: Array) -> Vec3:
