@@ -4,7 +4,6 @@ from jaxrod import actuation as actuation
 from jaxrod import assemblies as assemblies
 from jaxrod import control as control
 from jaxrod import envs as envs
-from jaxrod import estimation as estimation
 from jaxrod import extend as extend
 from jaxrod import fluids as fluids
 from jaxrod import geometry as geometry
@@ -24,10 +23,6 @@ from jaxrod.analysis.health import freeze as freeze
 from jaxrod.analysis.health import health as health
 from jaxrod.analysis.inertia_scaling import frequency_changes as frequency_changes
 from jaxrod.analysis.inertia_scaling import scale_inertia as scale_inertia
-from jaxrod.analysis.linearisation import Linearisation as Linearisation
-from jaxrod.analysis.linearisation import linearise as linearise
-from jaxrod.analysis.local_coordinates import LocalCoordinates as LocalCoordinates
-from jaxrod.analysis.local_coordinates import local_coordinates as local_coordinates
 from jaxrod.analysis.reactions import reactions as reactions
 from jaxrod.analysis.stability import StableStep as StableStep
 from jaxrod.analysis.stability import stable_dt as stable_dt

@@ -1,8 +1,8 @@
 """State estimation: an extended Kalman filter, and estimation over a window."""
 
-from jaxrod.estimation.horizon import Horizon, moving_horizon
-from jaxrod.estimation.kalman import Update, predict, update
-from jaxrod.estimation.process import (
+from jaxrod.control.estimation.horizon import Horizon, moving_horizon
+from jaxrod.control.estimation.kalman import Update, predict, update
+from jaxrod.control.estimation.process import (
     Estimate,
     Process,
     first_estimate,

@@ -26,9 +26,9 @@ from jax.flatten_util import ravel_pytree
 from jax.scipy.linalg import solve_triangular
 from jaxtyping import Array, Bool, Float
 
+from jaxrod.control.estimation.kalman import check_observed, lower_root
+from jaxrod.control.estimation.process import Estimate, Process, check_estimate
 from jaxrod.control.least_squares import least_squares
-from jaxrod.estimation.kalman import check_observed, lower_root
-from jaxrod.estimation.process import Estimate, Process, check_estimate
 from jaxrod.stepping.runs import advance
 from jaxrod.structure import pytree
 from jaxrod.validation import as_array, check_count
@@ -43,7 +43,7 @@ class Horizon:
     states: Any
     """States at the beginning and after each period, stacked in front."""
     disturbances: Float[Array, "periods ..."] | None
-    """What was unknown of the control of each period; `None` without control."""
+    """Unknown part of the control of each period; `None` without control."""
     square: Float[Array, ""]
     """Sum of all squares; its mean is the number of numbers that were measured."""
     converged: Bool[Array, ""]

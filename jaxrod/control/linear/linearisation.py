@@ -18,7 +18,7 @@ import jax.numpy as jnp
 from jax.flatten_util import ravel_pytree
 from jaxtyping import Array, ArrayLike, Float
 
-from jaxrod.analysis.local_coordinates import (
+from jaxrod.control.linear.local_coordinates import (
     LocalCoordinates,
     WithControl,
     coordinates_under,
@@ -30,7 +30,7 @@ from jaxrod.structure import pytree
 from jaxrod.validation import as_array, check_count, check_kind, is_traced, numeric
 
 Measure = Callable[[Any, Any], Array]
-"""`(model, state) -> array`: what sensors show of a state."""
+"""`(model, state) -> array`: a measurement of a state."""
 
 
 @pytree
@@ -90,7 +90,7 @@ def linearise(
         TypeError: If the model or the state is of another type.
 
     Example:
-        >>> arm = jaxrod.linearise(scene, state, dt, 20, measure=tip)
+        >>> arm = control.linearise(scene, state, dt, 20, measure=tip)
         >>> jnp.abs(jnp.linalg.eigvals(arm.state_matrix)).max()
     """
     check_model(model)

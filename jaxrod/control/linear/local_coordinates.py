@@ -233,7 +233,7 @@ def coordinates_under(
     if is_traced(model, state, dt):
         raise ValueError(
             "local coordinates need numbers that are known, not traced by jax.jit, "
-            "grad or vmap: make jaxrod.local_coordinates outside; they hold for other "
+            "grad or vmap: make jaxrod.control.local_coordinates outside; they hold for other "
             "numbers, too"
         )
     step = model.check_run(state, dt, check_first(model, 0, 1))

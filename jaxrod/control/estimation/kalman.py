@@ -25,8 +25,8 @@ import jax.numpy as jnp
 from jax.scipy.linalg import solve_triangular
 from jaxtyping import Array, Float, Int
 
-from jaxrod.analysis.linearisation import measured, period
-from jaxrod.estimation.process import Estimate, Process, check_estimate
+from jaxrod.control.estimation.process import Estimate, Process, check_estimate
+from jaxrod.control.linear.linearisation import measured, period
 from jaxrod.structure import pytree
 
 
