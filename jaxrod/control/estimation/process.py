@@ -25,7 +25,6 @@ from jaxrod.control.linear.local_coordinates import (
     WithControl,
     coordinates_under,
 )
-from jaxrod.model import Model, check_model
 from jaxrod.stepping.runs import check_step, with_memory
 from jaxrod.structure import pytree, static
 from jaxrod.validation import (
@@ -48,7 +47,7 @@ class Process:
     Numbers are traced: a batch of processes is a `jax.vmap`.
     """
 
-    model: Model
+    model: Any
     """The scene or system."""
     coordinates: LocalCoordinates
     """Local coordinates of its states."""
@@ -67,7 +66,7 @@ class Process:
     with_control: WithControl | None = static()
     """Function that makes the model under a control."""
 
-    def at(self, steps: ArrayLike) -> Model:
+    def at(self, steps: ArrayLike) -> Any:
         """The model after a number of steps, with schedules replaced by values."""
         if not self.model.depends_on_time:
             return self.model
@@ -113,7 +112,7 @@ class Estimate:
 
 @knows_constants
 def make_process(
-    model: Model,
+    model: Any,
     state: Any,
     dt: ArrayLike,
     n_steps: int,
@@ -148,7 +147,6 @@ def make_process(
         ValueError: If an argument is out of range or shapes do not fit.
         TypeError: If the model or the state is of another type.
     """
-    check_model(model)
     n_steps = check_count("n_steps", n_steps, 1)
     unknown = checked_control(
         control_noise, with_control, jnp.result_type(float), "control_noise"

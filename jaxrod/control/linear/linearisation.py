@@ -24,7 +24,6 @@ from jaxrod.control.linear.local_coordinates import (
     coordinates_under,
     tangent_map,
 )
-from jaxrod.model import Model, check_model
 from jaxrod.stepping.runs import check_first, check_step
 from jaxrod.structure import pytree
 from jaxrod.validation import as_array, check_count, check_kind, is_traced, numeric
@@ -53,7 +52,7 @@ class Linearisation:
 
 
 def linearise(
-    model: Model,
+    model: Any,
     state: Any,
     dt: ArrayLike,
     n_steps: int = 1,
@@ -93,7 +92,6 @@ def linearise(
         >>> arm = control.linearise(scene, state, dt, 20, measure=tip)
         >>> jnp.abs(jnp.linalg.eigvals(arm.state_matrix)).max()
     """
-    check_model(model)
     begin = check_first(model, first, check_count("n_steps", n_steps, 1))
     step = model.check_run(state, dt, begin)
     if not is_traced(model, state, step):
@@ -144,7 +142,7 @@ def checked_control(
 
 def period(
     coordinates: LocalCoordinates,
-    model: Model,
+    model: Any,
     state: Any,
     ways: Array,
     dt: Array,
@@ -177,7 +175,7 @@ def period(
 @jax.jit(static_argnames="measure")
 def measured(
     coordinates: LocalCoordinates,
-    model: Model,
+    model: Any,
     state: Any,
     ways: Array,
     measure: Measure,

@@ -42,7 +42,6 @@ from jaxrod.geometry.rotations import (
     to_world,
 )
 from jaxrod.geometry.vectors import Vec3
-from jaxrod.model import Model, check_model
 from jaxrod.stepping.runs import advance, check_first, with_memory
 from jaxrod.structure import pytree, static
 from jaxrod.validation import Numbers, as_array, is_traced, knows_constants
@@ -78,7 +77,7 @@ class LocalCoordinates:
     the order of `names`, then their rates [m/s], [rad/s] in the same order.
     """
 
-    model: Model
+    model: Any
     """The scene or system."""
     instant: Float[Array, ""]
     """Duration of a step in which nothing moves [s]."""
@@ -199,7 +198,7 @@ class LocalCoordinates:
 
 
 @knows_constants
-def local_coordinates(model: Model, state: Any, dt: ArrayLike) -> LocalCoordinates:
+def local_coordinates(model: Any, state: Any, dt: ArrayLike) -> LocalCoordinates:
     """Local coordinates of the states near a state: those that nothing holds.
 
     Which components are free is structure, and found from a state that is known. It is
@@ -222,21 +221,21 @@ def local_coordinates(model: Model, state: Any, dt: ArrayLike) -> LocalCoordinat
 
 
 def coordinates_under(
-    model: Model,
+    model: Any,
     state: Any,
     dt: ArrayLike,
     control: Array | None,
     with_control: WithControl | None,
 ) -> LocalCoordinates:
     """Local coordinates, found by the program that `tangent_map` runs for a control."""
-    check_model(model)
+    begin = check_first(model, 0, 1)
     if is_traced(model, state, dt):
         raise ValueError(
             "local coordinates need numbers that are known, not traced by jax.jit, "
-            "grad or vmap: make jaxrod.control.local_coordinates outside; they hold for other "
-            "numbers, too"
+            "grad or vmap: make jaxrod.control.local_coordinates outside; they hold "
+            "for other numbers, too"
         )
-    step = model.check_run(state, dt, check_first(model, 0, 1))
+    step = model.check_run(state, dt, begin)
     instant = INSTANT * step
     count = _count(model, state)
 
@@ -287,7 +286,7 @@ def _free(rates_of_change: np.ndarray) -> list[int]:
     return sorted(free)
 
 
-def _shaking(model: Model, state: Any) -> float:
+def _shaking(model: Any, state: Any) -> float:
     """Size of changes that leave no component of a state special, [m] and [rad]."""
     edges = [
         np.min(np.linalg.norm(np.diff(np.asarray(own.positions)), axis=-2))
@@ -297,7 +296,7 @@ def _shaking(model: Model, state: Any) -> float:
     return _SHAKEN * min([*map(float, edges), 1.0])
 
 
-def _names(model: Model, state: Any) -> Iterator[str]:
+def _names(model: Any, state: Any) -> Iterator[str]:
     """Names of all displacements and rotations, in their order."""
     for name, own in sorted(jax.eval_shape(lambda: fields(model, state)).items()):
         for what, axes, field in (
@@ -310,13 +309,13 @@ def _names(model: Model, state: Any) -> Iterator[str]:
                 yield f"{name}: {inside}{words}" if name else inside + words
 
 
-def _count(model: Model, state: Any) -> int:
+def _count(model: Any, state: Any) -> int:
     """Number of components of displacements, rotations and their rates."""
     states = model.states_by_name(state).values()
     return sum(2 * (own.velocities.size + own.rates[1].size) for own in states)
 
 
-def fields(model: Model, state: Any) -> dict[str, Fields]:
+def fields(model: Any, state: Any) -> dict[str, Fields]:
     """Numbers of the states of all members, by name."""
     members = model.interfaces()
     found = {}
@@ -345,7 +344,7 @@ def differences(here: dict[str, Fields], there: dict[str, Fields]) -> Any:
     return places, rates
 
 
-def moved_by(model: Model, state: Any, changes: Float[Array, " components"]) -> Any:
+def moved_by(model: Any, state: Any, changes: Float[Array, " components"]) -> Any:
     """State after changes of all components, whether they are free or not."""
     here = fields(model, state)
     places, rates = ravel_pytree(differences(here, here))[1](changes)
@@ -371,7 +370,7 @@ def moved_by(model: Model, state: Any, changes: Float[Array, " components"]) -> 
 
 
 def tangent_map(
-    model: Model,
+    model: Any,
     state: Any,
     dt: Array,
     n_steps: ArrayLike,
@@ -413,7 +412,7 @@ def tangent_map(
 
 @jax.jit(static_argnames="with_control")
 def _tangent_map(
-    model: Model,
+    model: Any,
     state: Any,
     point: Array,
     dt: Array,
