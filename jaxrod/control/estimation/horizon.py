@@ -117,7 +117,11 @@ def _solved(
         return coordinates.moved(state, ways, root @ own)
 
     def disturbance(unknown: Any) -> Any:
-        return None if controls is None else process.control_noise * unknown["control"]
+        return (
+            None
+            if controls is None
+            else process.control_noise[None] * unknown["control"]
+        )
 
     def motion(unknown: Any) -> tuple[Any, Any]:
         """States of the window, and misses of the measurements."""

@@ -130,10 +130,8 @@ def checked_control(
         ValueError: If one of the two is missing, or it is not of finite numbers.
     """
     if (control is None) != (with_control is None):
-        given, missing = ("control", "with_control")[
-            :: 1 if with_control is None else -1
-        ]
-        raise ValueError(f"{missing} must be given, too, if {given} is")
+        missing = "with_control" if with_control is None else name
+        raise ValueError(f"{name} and with_control go together, but {missing} is None")
     if control is None:
         return None
     numbers = numeric(name, control)
