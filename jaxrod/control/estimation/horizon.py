@@ -80,14 +80,13 @@ def moving_horizon(
     count = check_count("number of periods", jnp.shape(observed)[0], 1)
     shape = (count, *process.noise.shape)
     seen = check_observed(process, observed, shape)
-    if controls is None:
-        nothing = process.control(None)
-        known = None if nothing is None else jnp.stack([nothing] * count)
-    else:
-        one = process.control(None)
-        if one is None:
-            process.control(controls)
-        wanted = (count, *jnp.shape(one))
+    # A process without controls refuses any, and has none.
+    nothing = process.control(None if process.control_noise is not None else controls)
+    known = None
+    if nothing is not None:
+        known = jnp.stack([nothing] * count)
+    if nothing is not None and controls is not None:
+        wanted = (count, *nothing.shape)
         known = as_array("controls", controls, "", [wanted], dtype=process.dt.dtype)
     return _solved(process, arrival, seen, known, iterations=iterations)
 
@@ -117,11 +116,9 @@ def _solved(
         return coordinates.moved(state, ways, root @ own)
 
     def disturbance(unknown: Any) -> Any:
-        return (
-            None
-            if controls is None
-            else process.control_noise[None] * unknown["control"]
-        )
+        if process.control_noise is None:
+            return None
+        return process.control_noise[None] * unknown["control"]
 
     def motion(unknown: Any) -> tuple[Any, Any]:
         """States of the window, and misses of the measurements."""
@@ -133,7 +130,7 @@ def _solved(
                 model = process.with_control(model, control)
             after = advance(model, state, process.dt, process.n_steps, first=begin)
             end = begin + process.n_steps
-            if push is not None:
+            if process.state_root is not None:
                 after = moved(after, process.state_root, push, end)
             made = process.measure(process.at(end).recalling(after), after)
             miss = jnp.where(there, target - made, 0) / process.noise
