@@ -39,8 +39,8 @@ def muscled():
 
 
 def touching():
-    ball = jaxrod.shapes.sphere((0.3, 0.0, -0.06), 0.05)
-    touch = jaxrod.contact([ball], stiffness=1e3, damping=1.0, points_per_element=2)
+    ball = jaxrod.shapes.sphere((0.3, 0.0, -0.075), 0.05)
+    touch = jaxrod.contact([ball], stiffness=5e3, damping=5.0, points_per_element=2)
     scene, state = clamped(touch, jaxrod.gravity(), direction=(1.0, 0.0, 0.0))
     return scene, state, pushed, jnp.array([0.0, 0.3, -3.0])
 
