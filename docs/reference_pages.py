@@ -28,6 +28,7 @@ PACKAGES = {
     "jaxrod.actuation": "Actuation",
     "jaxrod.assemblies": "Assemblies of rods",
     "jaxrod.control": "Control",
+    "jaxrod.control.estimation": "Estimation of states",
     "jaxrod.envs": "Environments",
     "jaxrod.extend": "Effects, couplings, methods and members of your own",
     "jaxrod.fluids": "Fluids",
