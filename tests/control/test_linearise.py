@@ -177,6 +177,7 @@ def free_arm():
     return jaxrod.make_scene(rod, jaxrod.clamp(state)), state
 
 
+@pytest.mark.slow
 def test_eigenvalues_are_those_of_natural_frequencies():
     """A Verlet step turns a motion of frequency w by 2 asin(w dt / 2)."""
     scene, state = free_arm()
