@@ -1,0 +1,338 @@
+r"""Cameras: markers on a rod, in the world and in an image, and depth images.
+
+A pin-hole camera has the axes x to the right, y down and z forward. With $(X, Y, Z)$ a
+point in its frame [m], the focal length $f$ and the principal point $c$ [pixels],
+
+$$u = c_1 + f X/Z, \qquad v = c_2 + f Y/Z.$$
+
+A depth image has at each pixel the depth $Z$ of the nearest point of the rod on the ray
+through the pixel's centre. The rod is the union of capsules: an element is a cylinder
+with half a ball at each end.
+"""
+
+from __future__ import annotations
+
+from typing import ClassVar
+
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool, Float
+
+from jaxrod.geometry import vectors
+from jaxrod.geometry.material_frames import module_for, quaternions, unit_vector
+from jaxrod.geometry.rotations import (
+    directors,
+    split_quaternion,
+    to_material,
+    to_world,
+)
+from jaxrod.geometry.vectors import Vec3
+from jaxrod.loaded_rod import LoadedRod, scene_of
+from jaxrod.rods.motion import motion_of
+from jaxrod.rods.rod import RodState
+from jaxrod.sensors.sensor import (
+    Sensor,
+    as_offsets,
+    as_stations,
+    in_section,
+    placed,
+    stations_of,
+)
+from jaxrod.structure import pytree, static
+from jaxrod.validation import (
+    Numbers,
+    as_array,
+    check_array,
+    check_count,
+    check_kind,
+)
+
+MOST_PIXELS = 10_000
+"""Largest width and height of an image; more are taken for a mistake."""
+_LEAST_ANGLE = 1e-3
+"""Smallest angle between the optical axis and what is up [rad]."""
+
+
+@pytree
+class Camera:
+    """A pin-hole camera without distortion; see `camera`."""
+
+    position: Float[Array, "3"]
+    """Position of the pin-hole, world frame [m]."""
+    orientation: Float[Array, "4"]
+    """Unit quaternion (w, x, y, z), camera to world."""
+    focal_length: Float[Array, ""]
+    """Focal length [pixels]."""
+    principal_point: Float[Array, "2"]
+    """Place of the optical axis in the image, from the left and from the top
+    [pixels]."""
+
+    def project(self, points: Float[Array, "3 *k"]) -> Float[Array, "2 *k"]:
+        """Image of points of the world [pixels].
+
+        It is NaN for points that are not in front of the camera, where its derivative
+        is zero. Points may be outside the image.
+
+        Args:
+            points: Points, world frame [m].
+        """
+        x, y, depth = self._seen(points)
+        ahead = depth > 0
+        scale = self.focal_length / jnp.where(ahead, depth, 1)
+        image = jnp.stack([scale * x, scale * y])
+        centre = self.principal_point.reshape(2, *(1 for _ in depth.shape))
+        return jnp.where(ahead, centre + image, jnp.nan)
+
+    def in_front(self, points: Float[Array, "3 *k"]) -> Bool[Array, "*k"]:
+        """Whether points of the world [m] are in front of the camera."""
+        return self._seen(points)[2] > 0
+
+    def rays(self, width: int, height: int) -> Vec3:
+        """Directions through the centres of pixels, world frame, one deep [1].
+
+        Each component is `(height, width)`.
+        """
+        dtype = self.focal_length.dtype
+        u = jnp.arange(width, dtype=dtype) + 0.5 - self.principal_point[0]
+        v = jnp.arange(height, dtype=dtype) + 0.5 - self.principal_point[1]
+        x, y = jnp.meshgrid(u / self.focal_length, v / self.focal_length)
+        return to_world(self._axes, (x, y, jnp.ones_like(x)))
+
+    def _seen(self, points: Array) -> Vec3:
+        """Coordinates of points in the frame of the camera [m]."""
+        apart = vectors.subtract(vectors.split(points), vectors.split(self.position))
+        return to_material(self._axes, apart)
+
+    @property
+    def _axes(self) -> tuple[Vec3, Vec3, Vec3]:
+        return directors(split_quaternion(self.orientation))
+
+
+@pytree
+class Markers(Sensor):
+    """Positions of points on a rod; see `markers`."""
+
+    unit: ClassVar[str] = "m"
+    arc_length: Float[Array, "*k"]
+    """Arc length of the stations [m]."""
+    offsets: Float[Array, "2 _"]
+    """Offsets of the markers along d1 and d2 [m]."""
+    name: str = static(default="markers")
+
+    def read(self, scene: LoadedRod, state: RodState) -> Float[Array, "3 *k"]:
+        """Positions of the markers, world frame."""
+        scene, motion = scene_of(scene, state), motion_of(state)
+        stations = stations_of(scene.rod, self.arc_length)
+        centre = stations.nodes.of_vectors(motion.position)
+        frame = directors(stations.orientation(motion))
+        arm = to_world(frame, in_section(self.offsets, centre[0]))
+        return placed(vectors.add(centre, arm), self.arc_length)
+
+
+@pytree
+class ImageMarkers(Sensor):
+    """Images of points on a rod; see `image_markers`."""
+
+    unit: ClassVar[str] = "pixel"
+    camera: Camera
+    """The camera."""
+    markers: Markers
+    """The markers."""
+    name: str = static(default="image markers")
+
+    def read(self, scene: LoadedRod, state: RodState) -> Float[Array, "2 *k"]:
+        """Images of the markers, from the left and from the top; NaN if behind."""
+        return self.camera.project(self.markers.read(scene, state))
+
+
+@pytree
+class DepthImage(Sensor):
+    """Depth of the rod's surface at each pixel; see `depth_image`."""
+
+    unit: ClassVar[str] = "m"
+    camera: Camera
+    """The camera."""
+    max_range: Float[Array, ""] | None = None
+    """Largest depth, which is also read where there is no rod; `None`: infinite [m]."""
+    width: int = static(default=64)
+    """Width of the image [pixels]."""
+    height: int = static(default=48)
+    """Height of the image [pixels]."""
+    name: str = static(default="depth image")
+
+    def read(self, scene: LoadedRod, state: RodState) -> Float[Array, "height width"]:
+        """Depth of the nearest point of the rod along the optical axis."""
+        scene, motion = scene_of(scene, state), motion_of(state)
+        nodes = vectors.subtract(motion.position, vectors.split(self.camera.position))
+        x, y, z = (part[:-1] for part in nodes)
+        rays = self.camera.rays(self.width, self.height)
+        a, b, c = (part[:, :, None] for part in rays)
+        depth = _nearest((a, b, c), (x, y, z), motion.edges, nodes, scene.rod.radii)
+        return depth if self.max_range is None else jnp.minimum(depth, self.max_range)
+
+
+def _nearest(ray: Vec3, start: Vec3, axis: Vec3, nodes: Vec3, radii: Array) -> Array:
+    """Smallest multiple of each ray at which it enters a capsule; infinite without one.
+
+    Args:
+        ray: Rays from the origin `(h, w, 1)`.
+        start: First end of each axis `(n,)`.
+        axis: Vectors along the axes `(n,)`.
+        nodes: Ends of all axes `(n + 1,)`.
+        radii: Radii of the capsules `(n,)`.
+    """
+    square = vectors.dot(axis, axis)
+
+    def across(vector: Vec3) -> Vec3:
+        """Part of a vector perpendicular to each axis."""
+        along = vectors.dot(vector, axis) / square
+        return vectors.subtract(vector, vectors.scale(along, axis))
+
+    entry, hit = _entry(across(ray), across(start), radii)
+    there = vectors.subtract(vectors.scale(entry, ray), start)
+    along = vectors.dot(there, axis)
+    hit = hit & (along >= 0) & (along <= square)
+    depth = jnp.min(jnp.where(hit, entry, jnp.inf), axis=-1)
+    # A ball at a node is as thick as the thicker of the elements there.
+    wide = jnp.pad(radii, (1, 1), mode="edge")
+    entry, hit = _entry(ray, nodes, jnp.maximum(wide[1:], wide[:-1]))
+    return jnp.minimum(depth, jnp.min(jnp.where(hit, entry, jnp.inf), axis=-1))
+
+
+def _entry(ray: Vec3, centre: Vec3, radius: Array) -> tuple[Array, Array]:
+    """Multiple of a ray at which it enters a ball, and whether it does.
+
+    In a plane across an axis the ball is a cylinder.
+    """
+    square = vectors.dot(ray, ray)
+    # A ray along the axis never enters through the side.
+    crossing = square > jnp.finfo(square.dtype).eps * 1e-3
+    safe = jnp.where(crossing, square, 1)
+    middle = vectors.dot(ray, centre) / safe
+    miss = vectors.subtract(centre, vectors.scale(middle, ray))
+    inside = (radius * radius - vectors.dot(miss, miss)) / safe
+    hit = crossing & (inside > 0)
+    entry = middle - jnp.sqrt(jnp.where(hit, inside, 1))
+    hit = hit & (entry > 0)
+    return jnp.where(hit, entry, 0), hit
+
+
+def camera(
+    position: Numbers,
+    target: Numbers,
+    *,
+    focal_length: Numbers,
+    principal_point: Numbers,
+    up: Numbers = (0.0, 0.0, 1.0),
+) -> Camera:
+    """A pin-hole camera that looks at a point.
+
+    Args:
+        position: Position of the pin-hole, world frame `(3,)` [m].
+        target: Point on the optical axis, world frame `(3,)` [m].
+        focal_length: Focal length, above 0 [pixels].
+        principal_point: Place of the optical axis in the image, from the left and from
+            the top `(2,)` [pixels]; half the width and half the height, as a rule. The
+            centre of the first pixel is at (0.5, 0.5).
+        up: Direction that is up in the image, of any length `(3,)`.
+
+    Raises:
+        ValueError: If a number is out of range, the target is at the position, or `up`
+            is along the optical axis.
+    """
+    here = check_array("position", position, [(3,)], "m")
+    aim = check_array("target", target, [(3,)], "m")
+    forward = unit_vector("the way from position to target", aim - here)
+    upwards = unit_vector("up", up)
+    xp = module_for(forward, upwards)
+    across = xp.cross(forward, upwards)
+    size = xp.sqrt(xp.sum(across**2))
+    if xp is np and size < _LEAST_ANGLE:
+        raise ValueError("up must not be along the optical axis, to the target")
+    right = across / size
+    axes = xp.stack([right, xp.cross(forward, right), forward])
+    orientation = quaternions(axes[:, :, None])[:, 0]
+    return Camera(
+        position=as_array("position", here, "m", [(3,)]),
+        orientation=jnp.asarray(orientation, jnp.result_type(float)),
+        focal_length=as_array("focal_length", focal_length, "pixels", positive=True),
+        principal_point=as_array("principal_point", principal_point, "pixels", [(2,)]),
+    )
+
+
+def markers(arc_length: Numbers, offsets: Numbers = (0.0, 0.0)) -> Markers:
+    """Points that are fixed to sections of a rod, as motion capture sees them.
+
+    Args:
+        arc_length: Arc length of the station in the unstressed rod, one number or
+            `(k,)` [m].
+        offsets: Offset from the centreline along d1 and d2 `(2,)`, or one per station
+            `(k, 2)` [m].
+
+    Returns:
+        A sensor that reads three coordinates per station, world frame [m].
+
+    Raises:
+        ValueError: If a number is out of range or of the wrong shape.
+    """
+    stations = as_stations(arc_length)
+    return Markers(stations, as_offsets(offsets, stations))
+
+
+def image_markers(
+    camera: Camera, arc_length: Numbers, offsets: Numbers = (0.0, 0.0)
+) -> ImageMarkers:
+    """Points that are fixed to sections of a rod, as a camera sees them.
+
+    Nothing hides a marker: it is seen through the rod.
+
+    Args:
+        camera: The camera.
+        arc_length: Arc length of the station, one number or `(k,)` [m].
+        offsets: Offset along d1 and d2, as for `markers` [m].
+
+    Returns:
+        A sensor that reads two coordinates per station, from the left and from the top
+        [pixels]; NaN for markers that are not in front of the camera.
+
+    Raises:
+        ValueError: If a number is out of range or of the wrong shape.
+        TypeError: If `camera` is not a `Camera`.
+    """
+    check_kind("camera", camera, Camera)
+    return ImageMarkers(camera, markers(arc_length, offsets))
+
+
+def depth_image(
+    camera: Camera, width: int, height: int, *, max_range: Numbers | None = None
+) -> DepthImage:
+    """Depth image of a rod: the distance along the optical axis, by casting rays.
+
+    It is differentiable by the state and the camera but at the rod's outline, where
+    depth jumps. A camera inside the rod sees its own capsule from the outside only.
+    Obstacles and other rods are not seen.
+
+    Args:
+        camera: The camera.
+        width: Width of the image [pixels].
+        height: Height of the image [pixels].
+        max_range: Largest depth, above 0, which is also read where there is no rod [m];
+            infinite by default.
+
+    Returns:
+        A sensor that reads `(height, width)` depths [m].
+
+    Raises:
+        ValueError: If a number is out of range.
+        TypeError: If `camera` is not a `Camera`.
+    """
+    check_kind("camera", camera, Camera)
+    most = None
+    if max_range is not None:
+        most = as_array("max_range", max_range, "m", positive=True)
+    return DepthImage(
+        camera,
+        most,
+        check_count("width", width, 1, MOST_PIXELS),
+        check_count("height", height, 1, MOST_PIXELS),
+    )
