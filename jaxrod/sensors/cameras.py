@@ -27,15 +27,15 @@ from jaxrod.geometry.rotations import (
     to_world,
 )
 from jaxrod.geometry.vectors import Vec3
-from jaxrod.loaded_rod import LoadedRod, scene_of
+from jaxrod.loaded_rod import LoadedRod
 from jaxrod.rods.motion import motion_of
 from jaxrod.rods.rod import RodState
 from jaxrod.sensors.sensor import (
     Sensor,
+    StationSensor,
     as_offsets,
     as_stations,
     in_section,
-    placed,
     stations_of,
 )
 from jaxrod.structure import pytree, static
@@ -109,7 +109,7 @@ class Camera:
 
 
 @pytree
-class Markers(Sensor):
+class Markers(StationSensor):
     """Positions of points on a rod; see `markers`."""
 
     unit: ClassVar[str] = "m"
@@ -119,14 +119,14 @@ class Markers(Sensor):
     """Offsets of the markers along d1 and d2 [m]."""
     name: str = static(default="markers")
 
-    def read(self, scene: LoadedRod, state: RodState) -> Float[Array, "3 *k"]:
+    def measure(self, scene: LoadedRod, state: RodState) -> Float[Array, "3 *k"]:
         """Positions of the markers, world frame."""
-        scene, motion = scene_of(scene, state), motion_of(state)
+        motion = motion_of(state)
         stations = stations_of(scene.rod, self.arc_length)
         centre = stations.nodes.of_vectors(motion.position)
         frame = directors(stations.orientation(motion))
         arm = to_world(frame, in_section(self.offsets, centre[0]))
-        return placed(vectors.add(centre, arm), self.arc_length)
+        return self.placed(vectors.add(centre, arm))
 
 
 @pytree
@@ -140,9 +140,13 @@ class ImageMarkers(Sensor):
     """The markers."""
     name: str = static(default="image markers")
 
-    def read(self, scene: LoadedRod, state: RodState) -> Float[Array, "2 *k"]:
+    def check(self, scene: LoadedRod) -> None:
+        """Raises a ValueError if a marker is known to be beyond the end of the rod."""
+        self.markers.check(scene)
+
+    def measure(self, scene: LoadedRod, state: RodState) -> Float[Array, "2 *k"]:
         """Images of the markers, from the left and from the top; NaN if behind."""
-        return self.camera.project(self.markers.read(scene, state))
+        return self.camera.project(self.markers.measure(scene, state))
 
 
 @pytree
@@ -160,27 +164,31 @@ class DepthImage(Sensor):
     """Height of the image [pixels]."""
     name: str = static(default="depth image")
 
-    def read(self, scene: LoadedRod, state: RodState) -> Float[Array, "height width"]:
+    def measure(
+        self, scene: LoadedRod, state: RodState
+    ) -> Float[Array, "height width"]:
         """Depth of the nearest point of the rod along the optical axis."""
-        scene, motion = scene_of(scene, state), motion_of(state)
+        motion = motion_of(state)
         nodes = vectors.subtract(motion.position, vectors.split(self.camera.position))
-        x, y, z = (part[:-1] for part in nodes)
         rays = self.camera.rays(self.width, self.height)
-        a, b, c = (part[:, :, None] for part in rays)
-        depth = _nearest((a, b, c), (x, y, z), motion.edges, nodes, scene.rod.radii)
+        depth = _nearest(rays, nodes, motion.edges, scene.rod.radii)
         return depth if self.max_range is None else jnp.minimum(depth, self.max_range)
 
 
-def _nearest(ray: Vec3, start: Vec3, axis: Vec3, nodes: Vec3, radii: Array) -> Array:
+def _nearest(rays: Vec3, nodes: Vec3, axes: Vec3, radii: Array) -> Array:
     """Smallest multiple of each ray at which it enters a capsule; infinite without one.
 
     Args:
-        ray: Rays from the origin `(h, w, 1)`.
-        start: First end of each axis `(n,)`.
-        axis: Vectors along the axes `(n,)`.
-        nodes: Ends of all axes `(n + 1,)`.
+        rays: Rays from the origin `(h, w)`.
+        nodes: Ends of the axes of the capsules `(n + 1,)`.
+        axes: Vectors along the axes `(n,)`.
         radii: Radii of the capsules `(n,)`.
     """
+    a, b, c = (part[:, :, None] for part in rays)
+    x, y, z = (part[None, None, :] for part in nodes)
+    u, v, w = (part[None, None, :] for part in axes)
+    ray, axis, start = (a, b, c), (u, v, w), (x[..., :-1], y[..., :-1], z[..., :-1])
+    wide = radii[None, None, :]
     square = vectors.dot(axis, axis)
 
     def across(vector: Vec3) -> Vec3:
@@ -188,14 +196,14 @@ def _nearest(ray: Vec3, start: Vec3, axis: Vec3, nodes: Vec3, radii: Array) -> A
         along = vectors.dot(vector, axis) / square
         return vectors.subtract(vector, vectors.scale(along, axis))
 
-    entry, hit = _entry(across(ray), across(start), radii)
+    entry, hit = _entry(across(ray), across(start), wide)
     there = vectors.subtract(vectors.scale(entry, ray), start)
     along = vectors.dot(there, axis)
     hit = hit & (along >= 0) & (along <= square)
     depth = jnp.min(jnp.where(hit, entry, jnp.inf), axis=-1)
     # A ball at a node is as thick as the thicker of the elements there.
-    wide = jnp.pad(radii, (1, 1), mode="edge")
-    entry, hit = _entry(ray, nodes, jnp.maximum(wide[1:], wide[:-1]))
+    wide = jnp.pad(wide, ((0, 0), (0, 0), (1, 1)), mode="edge")
+    entry, hit = _entry(ray, (x, y, z), jnp.maximum(wide[..., 1:], wide[..., :-1]))
     return jnp.minimum(depth, jnp.min(jnp.where(hit, entry, jnp.inf), axis=-1))
 
 
@@ -309,8 +317,8 @@ def depth_image(
     """Depth image of a rod: the distance along the optical axis, by casting rays.
 
     It is differentiable by the state and the camera but at the rod's outline, where
-    depth jumps. A camera inside the rod sees its own capsule from the outside only.
-    Obstacles and other rods are not seen.
+    depth jumps. The camera has to be outside the rod. Obstacles and other rods are not
+    seen.
 
     Args:
         camera: The camera.

@@ -28,16 +28,15 @@ from jaxrod.geometry.rotations import (
     to_world,
 )
 from jaxrod.geometry.vectors import Vec3
-from jaxrod.loaded_rod import LoadedRod, scene_of
+from jaxrod.loaded_rod import LoadedRod
 from jaxrod.rods.motion import Motion, motion_of
 from jaxrod.rods.rod import RodState
 from jaxrod.sensors.sensor import (
-    Sensor,
     Stations,
+    StationSensor,
     as_offsets,
     as_stations,
     in_section,
-    placed,
     stations_of,
 )
 from jaxrod.structure import pytree, static
@@ -46,8 +45,21 @@ from jaxrod.validation import Numbers
 IDENTITY = (1.0, 0.0, 0.0, 0.0)
 
 
+class InertialSensor(StationSensor):
+    """Base of sensors of motion that are mounted on a section."""
+
+    def check(self, scene: LoadedRod) -> None:
+        """Raises a ValueError for methods whose elements do not turn as these see."""
+        super().check(scene)
+        if not (scene.method.has_energy and scene.method.twist):
+            raise ValueError(
+                f"the sensor {self.name!r} needs the consistent law with twist, got "
+                f"{scene.method!r}"
+            )
+
+
 @pytree
-class Accelerometer(Sensor):
+class Accelerometer(InertialSensor):
     """Specific force at stations; see `accelerometer`."""
 
     unit: ClassVar[str] = "m/s^2"
@@ -59,10 +71,10 @@ class Accelerometer(Sensor):
     """Mounting: unit quaternion (w, x, y, z), sensor to section."""
     name: str = static(default="accelerometer")
 
-    def read(self, scene: LoadedRod, state: RodState) -> Float[Array, "3 *k"]:
+    def measure(self, scene: LoadedRod, state: RodState) -> Float[Array, "3 *k"]:
         """Acceleration minus that of free fall, in the sensor's frame."""
-        scene, motion = _moving(scene, state, "an accelerometer")
-        rod, stations = scene.rod, stations_of(scene.rod, self.arc_length)
+        rod, motion = scene.rod, motion_of(state)
+        stations = stations_of(rod, self.arc_length)
         change = rates_of_change(scene, motion)
         spins, faster = jax.jvp(
             lambda moved: moved.angular_velocities(rod), (motion,), (change,)
@@ -80,11 +92,11 @@ class Accelerometer(Sensor):
             if field is not None:
                 force = vectors.subtract(force, vectors.split(field))
         seen = _mounted(self.orientation, stations, motion, force)
-        return placed(seen, self.arc_length)
+        return self.placed(seen)
 
 
 @pytree
-class Gyroscope(Sensor):
+class Gyroscope(InertialSensor):
     """Angular velocity at stations; see `gyroscope`."""
 
     unit: ClassVar[str] = "rad/s"
@@ -94,23 +106,13 @@ class Gyroscope(Sensor):
     """Mounting: unit quaternion (w, x, y, z), sensor to section."""
     name: str = static(default="gyroscope")
 
-    def read(self, scene: LoadedRod, state: RodState) -> Float[Array, "3 *k"]:
+    def measure(self, scene: LoadedRod, state: RodState) -> Float[Array, "3 *k"]:
         """Angular velocity of the section, in the sensor's frame."""
-        scene, motion = _moving(scene, state, "a gyroscope")
+        motion = motion_of(state)
         stations = stations_of(scene.rod, self.arc_length)
         spin = stations.elements.of_vectors(motion.angular_velocities(scene.rod))
         seen = _mounted(self.orientation, stations, motion, spin)
-        return placed(seen, self.arc_length)
-
-
-def _moving(scene: LoadedRod, state: RodState, noun: str) -> tuple[LoadedRod, Motion]:
-    """Scene at the moment of a state, and the motion; raises for other methods."""
-    scene = scene_of(scene, state)
-    if not (scene.method.has_energy and scene.method.twist):
-        raise ValueError(
-            f"{noun} needs the consistent law with twist, got {scene.method!r}"
-        )
-    return scene, motion_of(state)
+        return self.placed(seen)
 
 
 def _mounted(

@@ -13,7 +13,7 @@ from jaxrod.analysis.reactions import reactions
 from jaxrod.effects.base import Reaction
 from jaxrod.effects.ends import End, check_end
 from jaxrod.geometry import vectors
-from jaxrod.loaded_rod import LoadedRod, scene_of
+from jaxrod.loaded_rod import LoadedRod
 from jaxrod.rods.elasticity import elastic_law, internal_loads
 from jaxrod.rods.motion import Loads, accumulate, motion_of
 from jaxrod.rods.rod import RodState
@@ -31,7 +31,7 @@ class SupportForce(Sensor):
     """The end that is held."""
     name: str = static(default="support force")
 
-    def read(self, scene: LoadedRod, state: RodState) -> Float[Array, "3"]:
+    def measure(self, scene: LoadedRod, state: RodState) -> Float[Array, "3"]:
         """Force of the supports at the end on the rod, world frame."""
         held = _reactions_at(self.end, scene, state)
         return jnp.sum(jnp.stack([reaction.force for reaction in held]), axis=0)
@@ -46,7 +46,7 @@ class SupportCouple(Sensor):
     """The end that is held."""
     name: str = static(default="support couple")
 
-    def read(self, scene: LoadedRod, state: RodState) -> Float[Array, "3"]:
+    def measure(self, scene: LoadedRod, state: RodState) -> Float[Array, "3"]:
         """Couple of the supports at the end on the rod, world frame."""
         held = _reactions_at(self.end, scene, state)
         return jnp.sum(jnp.stack([reaction.couple for reaction in held]), axis=0)
@@ -82,9 +82,8 @@ class TendonLength(Sensor):
     """Number of the tendon among the effects of the scene."""
     name: str = static(default="tendon length")
 
-    def read(self, scene: LoadedRod, state: RodState) -> Float[Array, "k"]:
+    def measure(self, scene: LoadedRod, state: RodState) -> Float[Array, "k"]:
         """Length of each cable, from its anchor or first eyelet to its last."""
-        scene = scene_of(scene, state)
         return _tendon(scene, self.effect).cable_lengths(motion_of(state))
 
 
@@ -97,9 +96,8 @@ class TendonTension(Sensor):
     """Number of the tendon among the effects of the scene."""
     name: str = static(default="tendon tension")
 
-    def read(self, scene: LoadedRod, state: RodState) -> Float[Array, "k"]:
+    def measure(self, scene: LoadedRod, state: RodState) -> Float[Array, "k"]:
         """Tension of each cable at its base."""
-        scene = scene_of(scene, state)
         return _tendon(scene, self.effect).cable_tensions(motion_of(state))
 
 
@@ -112,11 +110,9 @@ class ChamberPressure(Sensor):
     """Number of the chamber among the effects of the scene."""
     name: str = static(default="chamber pressure")
 
-    def read(self, scene: LoadedRod, state: RodState) -> Float[Array, "k"]:
+    def measure(self, scene: LoadedRod, state: RodState) -> Float[Array, "k"]:
         """Pressure in each chamber above that outside."""
-        scene = scene_of(scene, state)
-        kinds = Chamber, WoundChamber
-        chosen = _effect(scene, self.effect, kinds)
+        chosen = _effect(scene, self.effect, (Chamber, WoundChamber))
         return jnp.broadcast_to(chosen.pressure, (chosen.path.count,))
 
 
@@ -143,9 +139,8 @@ class ContactForce(Sensor):
     """Whether forces are on each node, or their sum."""
     name: str = static(default="contact force")
 
-    def read(self, scene: LoadedRod, state: RodState) -> Float[Array, "3 *nodes"]:
+    def measure(self, scene: LoadedRod, state: RodState) -> Float[Array, "3 *nodes"]:
         """Force of the bodies on the rod, world frame."""
-        scene = scene_of(scene, state)
         motion, rod = motion_of(state), scene.rod
         internal = internal_loads(elastic_law(rod), motion)
         forces, couples = internal.forces, internal.couples

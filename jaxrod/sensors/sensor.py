@@ -25,7 +25,7 @@ from jaxrod.geometry.rotations import (
     rotation_exp,
 )
 from jaxrod.geometry.vectors import Vec3
-from jaxrod.loaded_rod import LoadedRod
+from jaxrod.loaded_rod import LoadedRod, scene_of
 from jaxrod.rods.along_rod import middle_places, node_places
 from jaxrod.rods.elasticity import joint_rotations
 from jaxrod.rods.motion import Motion, state_of
@@ -49,7 +49,6 @@ class Sensor(ABC):
     unit: ClassVar[str]
     """SI unit of the reading."""
 
-    @abstractmethod
     def read(self, scene: LoadedRod, state: RodState) -> Array:
         """Reading in a state, in `unit`.
 
@@ -59,15 +58,31 @@ class Sensor(ABC):
             state: The state.
 
         Raises:
-            ValueError: If the scene depends on time, or the sensor is beyond the end of
-                the rod. Where that is traced, the reading is NaN.
+            ValueError: If the scene depends on time, has not what the sensor measures,
+                or the sensor is beyond the end of the rod. Where that is traced, the
+                reading is NaN.
             TypeError: If `scene` or `state` is of another type.
         """
+        scene = scene_of(scene, state)
+        self.check(scene)
+        return _read(self, scene, state)
+
+    @abstractmethod
+    def measure(self, scene: LoadedRod, state: RodState) -> Array:
+        """Reading in a state; `read` checks arguments first, and compiles it."""
+
+    def check(self, scene: LoadedRod) -> None:  # noqa: B027
+        """Raises if the scene has not what the sensor measures; most need nothing."""
 
     def shape(self, scene: LoadedRod) -> tuple[int, ...]:
         """Shape of the reading; nothing is computed."""
         state = jax.eval_shape(lambda: state_of(trial_motion(scene.rod)))
         return jax.eval_shape(lambda given: self.read(scene, given), state).shape
+
+
+@jax.jit
+def _read(sensor: Sensor, scene: LoadedRod, state: RodState) -> Array:
+    return sensor.measure(scene, state)
 
 
 @pytree
@@ -87,8 +102,8 @@ class Weights:
         Without any place the value is zero.
         """
         if values.shape[-1] > 1:
-            first = jnp.sum(jnp.where(self.before, values[:-1], 0), axis=1)
-            last = jnp.sum(jnp.where(self.before, values[1:], 0), axis=1)
+            first = jnp.sum(jnp.where(self.before, values[None, :-1], 0), axis=1)
+            last = jnp.sum(jnp.where(self.before, values[None, 1:], 0), axis=1)
             found = first + self.share * (last - first)
         else:
             found = jnp.broadcast_to(jnp.sum(values), self.valid.shape)
@@ -107,12 +122,13 @@ def _weights(rod: Rod, stations: Array, places: Array) -> Weights:
     if places.shape[0] < 2:
         nowhere = jnp.zeros((stations.shape[0], 0), bool)
         return Weights(nowhere, jnp.zeros_like(stations), valid)
-    inner = places[1:-1]
+    row = places[None, :]
+    inner = row[:, 1:-1]
     from_here = jnp.pad(here >= inner, ((0, 0), (1, 0)), constant_values=True)
     to_here = jnp.pad(here < inner, ((0, 0), (0, 1)), constant_values=True)
     before = from_here & to_here
-    start = jnp.sum(jnp.where(before, places[:-1], 0), axis=1)
-    length = jnp.sum(jnp.where(before, places[1:] - places[:-1], 0), axis=1)
+    start = jnp.sum(jnp.where(before, row[:, :-1], 0), axis=1)
+    length = jnp.sum(jnp.where(before, row[:, 1:] - row[:, :-1], 0), axis=1)
     # NaN is in no interval.
     safe = jnp.where(valid, length, 1)
     return Weights(before, (stations - start) / safe, valid)
@@ -139,7 +155,7 @@ class Stations:
         before, share = self.elements.before, self.elements.share
 
         def chosen(part: Array) -> Array:
-            return jnp.sum(jnp.where(before, part, 0), axis=1)
+            return jnp.sum(jnp.where(before, part[None, :], 0), axis=1)
 
         w, x, y, z = (chosen(part[:-1]) for part in q)
         a, b, c = (share * chosen(part) for part in turn)
@@ -148,30 +164,36 @@ class Stations:
         return w, x, y, z
 
 
-def stations_of(rod: Rod, arc_length: Array) -> Stations:
-    """Stations at arc lengths `()` or `(k,)` of a rod [m].
+class StationSensor(Sensor):
+    """Base of sensors at stations along a rod."""
 
-    Raises:
-        ValueError: If one is known to be beyond the end of the rod.
-    """
-    length = rod.length
-    if not is_traced(arc_length, length):
-        most = np.max(np.asarray(arc_length))
+    arc_length: Float[Array, "*k"]
+    """Arc length of the stations [m]."""
+
+    def check(self, scene: LoadedRod) -> None:
+        """Raises a ValueError if a station is known to be beyond the end of the rod."""
+        length = scene.rod.length
+        if is_traced(self.arc_length, length):
+            return
+        most = np.max(np.asarray(self.arc_length))
         if most > (1 + _BEYOND) * float(length):
             raise ValueError(
                 f"arc_length must be at most the rod's length, {float(length):g} m, "
                 f"got {most:g} m"
             )
+
+    def placed(self, reading: Vec3) -> Array:
+        """A vector reading at stations `(3, k)`, or `(3,)` at a single one."""
+        return vectors.join(reading).reshape(3, *self.arc_length.shape)
+
+
+def stations_of(rod: Rod, arc_length: Array) -> Stations:
+    """Stations at arc lengths `()` or `(k,)` of a rod [m]."""
     stations = jnp.ravel(arc_length)
     middles = jnp.asarray(middle_places(rod))
     joints = 0.5 * (middles[1:] + middles[:-1])
     nodes = jnp.asarray(node_places(rod))
     return Stations(*(_weights(rod, stations, p) for p in (nodes, middles, joints)))
-
-
-def placed(reading: Vec3, arc_length: Array) -> Array:
-    """A vector reading at stations `(3, k)`, or `(3,)` at a single one."""
-    return vectors.join(reading).reshape(3, *arc_length.shape)
 
 
 def as_stations(arc_length: Numbers) -> Array:

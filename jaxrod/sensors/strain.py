@@ -18,17 +18,16 @@ from jaxtyping import Array, Float
 
 from jaxrod.geometry import vectors
 from jaxrod.geometry.vectors import Vec3
-from jaxrod.loaded_rod import LoadedRod, scene_of
+from jaxrod.loaded_rod import LoadedRod
 from jaxrod.rods.elasticity import elastic_law, joint_rotations, shear_stretch
 from jaxrod.rods.motion import motion_of
 from jaxrod.rods.rod import RodState
 from jaxrod.sensors.sensor import (
-    Sensor,
     Stations,
+    StationSensor,
     as_offsets,
     as_stations,
     in_section,
-    placed,
     stations_of,
 )
 from jaxrod.structure import pytree, static
@@ -44,7 +43,7 @@ def _strains(scene: LoadedRod, state: RodState) -> tuple[Vec3, Vec3]:
 
 
 @pytree
-class StrainGauge(Sensor):
+class StrainGauge(StationSensor):
     """Strain along fibres; see `strain_gauge`."""
 
     unit: ClassVar[str] = "1"
@@ -54,9 +53,8 @@ class StrainGauge(Sensor):
     """Offsets of the fibres along d1 and d2 [m]."""
     name: str = static(default="strain gauge")
 
-    def read(self, scene: LoadedRod, state: RodState) -> Float[Array, "*k"]:
+    def measure(self, scene: LoadedRod, state: RodState) -> Float[Array, "*k"]:
         """Elongation of the fibres over their length in the unstressed rod."""
-        scene = scene_of(scene, state)
         stations = stations_of(scene.rod, self.arc_length)
         strain, curvature = _strains(scene, state)
         rest = (
@@ -78,7 +76,7 @@ class StrainGauge(Sensor):
 
 
 @pytree
-class SectionCurvature(Sensor):
+class SectionCurvature(StationSensor):
     """Curvature and twist at stations; see `section_curvature`."""
 
     unit: ClassVar[str] = "1/m"
@@ -86,16 +84,15 @@ class SectionCurvature(Sensor):
     """Arc length of the stations [m]."""
     name: str = static(default="curvature")
 
-    def read(self, scene: LoadedRod, state: RodState) -> Float[Array, "3 *k"]:
+    def measure(self, scene: LoadedRod, state: RodState) -> Float[Array, "3 *k"]:
         """Curvature about d1 and d2, and twist, material frame."""
-        scene = scene_of(scene, state)
         stations = stations_of(scene.rod, self.arc_length)
         _, curvature = _strains(scene, state)
-        return placed(stations.joints.of_vectors(curvature), self.arc_length)
+        return self.placed(stations.joints.of_vectors(curvature))
 
 
 @pytree
-class SectionForce(Sensor):
+class SectionForce(StationSensor):
     """Force through sections; see `section_force`."""
 
     unit: ClassVar[str] = "N"
@@ -103,20 +100,19 @@ class SectionForce(Sensor):
     """Arc length of the stations [m]."""
     name: str = static(default="section force")
 
-    def read(self, scene: LoadedRod, state: RodState) -> Float[Array, "3 *k"]:
+    def measure(self, scene: LoadedRod, state: RodState) -> Float[Array, "3 *k"]:
         """Shear forces along d1 and d2, and tension, material frame."""
-        scene = scene_of(scene, state)
         stations = stations_of(scene.rod, self.arc_length)
         law = elastic_law(scene.rod)
         strain, _ = _strains(scene, state)
         stress = vectors.multiply(
             law.shear_stretch, vectors.subtract(strain, law.rest_strains)
         )
-        return placed(stations.elements.of_vectors(stress), self.arc_length)
+        return self.placed(stations.elements.of_vectors(stress))
 
 
 @pytree
-class SectionMoment(Sensor):
+class SectionMoment(StationSensor):
     """Moment through sections; see `section_moment`."""
 
     unit: ClassVar[str] = "N m"
@@ -124,15 +120,14 @@ class SectionMoment(Sensor):
     """Arc length of the stations [m]."""
     name: str = static(default="section moment")
 
-    def read(self, scene: LoadedRod, state: RodState) -> Float[Array, "3 *k"]:
+    def measure(self, scene: LoadedRod, state: RodState) -> Float[Array, "3 *k"]:
         """Bending moments about d1 and d2, and torque, material frame."""
-        scene = scene_of(scene, state)
         stations = stations_of(scene.rod, self.arc_length)
         rod = scene.rod
         _, curvature = _strains(scene, state)
         bent = vectors.subtract(curvature, vectors.split(rod.rest_curvatures))
         moment = vectors.multiply(vectors.split(rod.joint_stiffness), bent)
-        return placed(stations.joints.of_vectors(moment), self.arc_length)
+        return self.placed(stations.joints.of_vectors(moment))
 
 
 def strain_gauge(arc_length: Numbers, offsets: Numbers = (0.0, 0.0)) -> StrainGauge:
