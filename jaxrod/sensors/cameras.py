@@ -76,8 +76,8 @@ class Camera:
         Args:
             points: Points, world frame [m].
         """
-        x, y, depth = self._seen(points)
-        ahead = depth > 0
+        x, y, depth = seen = self._seen(points)
+        ahead = _is_ahead(seen)
         scale = self.focal_length / jnp.where(ahead, depth, 1)
         image = jnp.stack([scale * x, scale * y])
         centre = self.principal_point.reshape(2, *(1 for _ in depth.shape))
@@ -85,7 +85,7 @@ class Camera:
 
     def in_front(self, points: Float[Array, "3 *k"]) -> Bool[Array, "*k"]:
         """Whether points of the world [m] are in front of the camera."""
-        return self._seen(points)[2] > 0
+        return _is_ahead(self._seen(points))
 
     def rays(self, width: int, height: int) -> Vec3:
         """Directions through the centres of pixels, world frame, one deep [1].
@@ -106,6 +106,12 @@ class Camera:
     @property
     def _axes(self) -> tuple[Vec3, Vec3, Vec3]:
         return directors(split_quaternion(self.orientation))
+
+
+def _is_ahead(seen: Vec3) -> Array:
+    """Whether points are in front, by more than the rounding of their coordinates."""
+    x, y, depth = seen
+    return depth > 1e-6 * (jnp.abs(x) + jnp.abs(y))
 
 
 @pytree

@@ -97,10 +97,7 @@ class Weights:
     """Whether the station is on the rod."""
 
     def of(self, values: Array) -> Array:
-        """Values `(m,)` at the stations `(k,)`; NaN for stations off the rod.
-
-        Without any place the value is zero.
-        """
+        """Values `(m,)` at the stations `(k,)`; NaN for stations off the rod."""
         if values.shape[-1] > 1:
             first = jnp.sum(jnp.where(self.before, values[None, :-1], 0), axis=1)
             last = jnp.sum(jnp.where(self.before, values[None, 1:], 0), axis=1)
@@ -148,9 +145,6 @@ class Stations:
     def orientation(self, motion: Motion) -> Quaternion:
         """Orientation of the section at each station, material to world."""
         q = motion.orientation
-        if q[0].shape[0] < 2:
-            w, x, y, z = (self.elements.of(part) for part in q)
-            return w, x, y, z
         turn, _ = joint_rotations(q)
         before, share = self.elements.before, self.elements.share
 
