@@ -10,6 +10,7 @@ from dataclasses import replace
 
 import jax
 import jax.numpy as jnp
+from jax import lax
 
 from jaxrod.geometry import vectors
 from jaxrod.geometry.rotations import (
@@ -59,7 +60,8 @@ def rates_of_change(scene: LoadedRod, motion: Motion) -> Motion:
     Damping that is solved separately counts with its rate in an infinitesimal step. A
     filter that takes off the same in every step, however short, has no such rate.
     """
-    total = total_loads(scene, motion)
+    # A barrier: without it XLA's CPU compiler fuses the loads with all that follows.
+    total = lax.optimization_barrier(total_loads(scene, motion))
     assert total.forces is not None and total.couples is not None
     change = Motion(
         position=motion.velocity,

@@ -48,7 +48,7 @@ from jaxrod.validation import (
 )
 
 MOST_PIXELS = 10_000
-"""Largest width and height of an image; more are taken for a mistake."""
+"""Largest number of rows and columns of an image; more are taken for a mistake."""
 _LEAST_ANGLE = 1e-3
 """Smallest angle between the optical axis and what is up [rad]."""
 
@@ -87,14 +87,14 @@ class Camera:
         """Whether points of the world [m] are in front of the camera."""
         return _is_ahead(self._seen(points))
 
-    def rays(self, width: int, height: int) -> Vec3:
+    def rays(self, rows: int, columns: int) -> Vec3:
         """Directions through the centres of pixels, world frame, one deep [1].
 
-        Each component is `(height, width)`.
+        Each component is `(rows, columns)`.
         """
         dtype = self.focal_length.dtype
-        u = jnp.arange(width, dtype=dtype) + 0.5 - self.principal_point[0]
-        v = jnp.arange(height, dtype=dtype) + 0.5 - self.principal_point[1]
+        u = jnp.arange(columns, dtype=dtype) + 0.5 - self.principal_point[0]
+        v = jnp.arange(rows, dtype=dtype) + 0.5 - self.principal_point[1]
         x, y = jnp.meshgrid(u / self.focal_length, v / self.focal_length)
         return to_world(self._axes, (x, y, jnp.ones_like(x)))
 
@@ -164,19 +164,19 @@ class DepthImage(Sensor):
     """The camera."""
     max_range: Float[Array, ""] | None = None
     """Largest depth, which is also read where there is no rod; `None`: infinite [m]."""
-    width: int = static(default=64)
-    """Width of the image [pixels]."""
-    height: int = static(default=48)
+    rows: int = static(default=48)
     """Height of the image [pixels]."""
+    columns: int = static(default=64)
+    """Width of the image [pixels]."""
     name: str = static(default="depth image")
 
     def measure(
         self, scene: LoadedRod, state: RodState
-    ) -> Float[Array, "height width"]:
+    ) -> Float[Array, "rows columns"]:
         """Depth of the nearest point of the rod along the optical axis."""
         motion = motion_of(state)
         nodes = vectors.subtract(motion.position, vectors.split(self.camera.position))
-        rays = self.camera.rays(self.width, self.height)
+        rays = self.camera.rays(self.rows, self.columns)
         depth = _nearest(rays, nodes, motion.edges, scene.rod.radii)
         return depth if self.max_range is None else jnp.minimum(depth, self.max_range)
 
@@ -318,7 +318,7 @@ def image_markers(
 
 
 def depth_image(
-    camera: Camera, width: int, height: int, *, max_range: Numbers | None = None
+    camera: Camera, rows: int, columns: int, *, max_range: Numbers | None = None
 ) -> DepthImage:
     """Depth image of a rod: the distance along the optical axis, by casting rays.
 
@@ -328,13 +328,13 @@ def depth_image(
 
     Args:
         camera: The camera.
-        width: Width of the image [pixels].
-        height: Height of the image [pixels].
+        rows: Height of the image [pixels].
+        columns: Width of the image [pixels].
         max_range: Largest depth, above 0, which is also read where there is no rod [m];
             infinite by default.
 
     Returns:
-        A sensor that reads `(height, width)` depths [m].
+        A sensor that reads `(rows, columns)` depths [m].
 
     Raises:
         ValueError: If a number is out of range.
@@ -347,6 +347,6 @@ def depth_image(
     return DepthImage(
         camera,
         most,
-        check_count("width", width, 1, MOST_PIXELS),
-        check_count("height", height, 1, MOST_PIXELS),
+        check_count("rows", rows, 1, MOST_PIXELS),
+        check_count("columns", columns, 1, MOST_PIXELS),
     )

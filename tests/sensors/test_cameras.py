@@ -46,7 +46,7 @@ def test_points_behind_the_camera_are_flagged_and_have_no_derivative():
 
 
 def depths(eye, state, scene, **more):
-    image = sensors.depth_image(eye, 24, 16, **more)
+    image = sensors.depth_image(eye, 16, 24, **more)
     return np.asarray(image.read(scene, state))
 
 

@@ -104,9 +104,10 @@ def test_a_driven_end_has_the_acceleration_of_its_path(holds_element):
     [
         pytest.param((3.0, 1.0), 1e-6, 1e-4, id="by rates"),
         # Its steps are of first order in the step.
-        pytest.param(2e-3, 1e-7, 1e-3, id="internal", marks=pytest.mark.slow),
+        pytest.param(2e-3, 1e-7, 1e-3, id="internal"),
     ],
 )
+@pytest.mark.slow
 def test_the_reading_is_the_second_difference_of_a_marker(damping, dt, rtol):
     """An arm far from balance, along two short steps."""
     inside = isinstance(damping, float)

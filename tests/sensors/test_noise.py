@@ -51,6 +51,14 @@ def test_without_noise_the_reading_is_unchanged_and_derivatives_pass():
     np.testing.assert_array_equal(slope, [1, 0, 1])
 
 
+def test_its_numbers_may_be_traced():
+    key, reading = jax.random.key(5), jnp.linspace(0, 1, 6)
+    numbers = {"deviation": 0.2, "bias": 0.1, "resolution": 0.05, "dropout": 0.3}
+    traced = jax.jit(lambda given: noisy(key, reading, **given))(numbers)
+    np.testing.assert_array_equal(traced, noisy(key, reading, **numbers))
+    assert 0 < np.sum(np.isnan(traced)) < 6
+
+
 def test_one_number_for_each_of_the_reading():
     found = noisy(jax.random.key(4), jnp.zeros((2, 3)), bias=jnp.ones((2, 3)))
     np.testing.assert_array_equal(found, 1)

@@ -100,7 +100,7 @@ def arm(unit=1.0, turn=(1.0, 0.0, 0.0, 0.0)):
         sensors.contact_force(per_node=True),
         sensors.markers(stations, beside),
         sensors.image_markers(eye, stations, beside),
-        sensors.depth_image(eye, 16, 20, max_range=5.0 * unit),
+        sensors.depth_image(eye, 20, 16, max_range=5.0 * unit),
     ]
     return scene, state, kinds
 
@@ -160,6 +160,7 @@ def test_readings_turn_with_the_world_or_stay_as_they_are():
         close(other, np.asarray(wanted), 1e-9)
 
 
+@pytest.mark.slow
 def test_derivatives_in_both_modes_are_central_differences():
     scene, state, kinds = arm()
     key = jax.random.split(jax.random.key(0), len(jax.tree.leaves(state)))
@@ -193,6 +194,7 @@ def test_derivatives_in_both_modes_are_central_differences():
     np.testing.assert_allclose(pair(back, way), pair(weights, slopes), rtol=1e-9)
 
 
+@pytest.mark.slow
 def test_a_batch_is_a_loop_and_a_straight_rod_has_finite_derivatives():
     scene, state, kinds = arm()
     rod = scene.rod
