@@ -35,9 +35,9 @@ def test_readings_are_multiples_of_the_resolution_and_lose_its_variance():
 
 
 def test_numbers_are_lost_as_often_as_stated():
-    found = drawn(2, dropout=0.03)
+    found = drawn(2, dropout=0.3)
     lost = np.mean(np.isnan(found))
-    assert abs(lost - 0.03) < 5 * np.sqrt(0.03 * 0.97 / DRAWS)
+    assert abs(lost - 0.3) < 5 * np.sqrt(0.3 * 0.7 / DRAWS)
     np.testing.assert_array_equal(found[~np.isnan(found)], 3.0)
 
 
