@@ -53,6 +53,7 @@ def test_a_mounting_turns_the_readings():
         np.testing.assert_allclose(mounted, expected, atol=1e-12)
 
 
+@pytest.mark.slow
 def test_a_clamped_rod_at_rest_feels_gravity_upwards():
     rod, state = straight(direction=(1.0, 0.0, 0.0), normal=(0.0, 0.0, 1.0))
     scene = jaxrod.make_scene(rod, jaxrod.clamp(state), G)
