@@ -33,6 +33,7 @@ PACKAGES = {
     "jaxrod.extend": "Effects, couplings, methods and members of your own",
     "jaxrod.fluids": "Fluids",
     "jaxrod.schedules": "Schedules",
+    "jaxrod.sensors": "Sensors",
     "jaxrod.shapes": "Shapes",
     "jaxrod.systems": "Systems of rods and bodies",
     "jaxrod.topology": "Twist, writhe, link",
