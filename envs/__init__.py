@@ -11,7 +11,13 @@ from jaxrod.envs.memory_policy import (
     held_for,
     remembering,
 )
-from jaxrod.envs.protocol import Drawable, Environment, Plannable, Snapshot
+from jaxrod.envs.protocol import (
+    Channel,
+    Drawable,
+    Environment,
+    Plannable,
+    Snapshot,
+)
 from jaxrod.envs.registry import make, names
 from jaxrod.envs.rollout import Rollout, rollout
 from jaxrod.envs.wrappers import (
@@ -24,6 +30,7 @@ from jaxrod.envs.wrappers import (
 
 __all__ = [
     "ActionRepeat",
+    "Channel",
     "Drawable",
     "Environment",
     "EpisodeRecord",

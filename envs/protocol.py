@@ -13,7 +13,7 @@ later; `jaxrod.envs.wrappers.VectorEnvironment` does so to spread the phases of 
 from __future__ import annotations
 
 import dataclasses
-from typing import Any, Literal, Protocol
+from typing import Any, Literal, NamedTuple, Protocol
 
 from jaxtyping import Array, Bool, Float, Key
 
@@ -165,6 +165,21 @@ class Plannable(Environment, Protocol):
         self, state: State, action: Float[Array, " action"], params: Params
     ) -> Float[Array, " residuals"]:
         """Residuals whose squares sum to the cost; arguments as in `cost`."""
+
+
+class Channel(NamedTuple):
+    """Consecutive entries of an observation or of an action, for those who wire them.
+
+    An environment may have `observation_channels` and `action_channels`, tuples of
+    these in order. Policies that are exported carry them along.
+    """
+
+    size: int
+    """Number of entries."""
+    name: str
+    """Description of the entries, with their order."""
+    unit: str
+    """Quantity that an entry of one stands for, "1" if it has no unit."""
 
 
 Number = Float[Array, ""] | float

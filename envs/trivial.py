@@ -14,7 +14,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float, Int, Key
 
 from jaxrod.envs.checking import action_of_size
-from jaxrod.envs.protocol import Step
+from jaxrod.envs.protocol import Channel, Step
 from jaxrod.structure import pytree
 
 
@@ -51,6 +51,9 @@ class Trivial:
     name: str = "trivial"
     observation_size: int = 1
     action_size: int = 1
+
+    observation_channels = (Channel(1, "position", "m"),)
+    action_channels = (Channel(1, "share of the largest stride, 0.2 m", "1"),)
 
     @property
     def optimal_return(self) -> float:

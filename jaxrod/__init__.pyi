@@ -8,6 +8,7 @@ from jaxrod import extend as extend
 from jaxrod import fluids as fluids
 from jaxrod import geometry as geometry
 from jaxrod import schedules as schedules
+from jaxrod import sensors as sensors
 from jaxrod import shapes as shapes
 from jaxrod import systems as systems
 from jaxrod import topology as topology

@@ -7,6 +7,7 @@ NAMESPACES = (
     jaxrod.actuation,
     jaxrod.fluids,
     jaxrod.schedules,
+    jaxrod.sensors,
     jaxrod.shapes,
     jaxrod.systems,
     jaxrod.topology,

@@ -25,6 +25,7 @@ try:
     from jaxrod.training.algorithms.trpo import TRPO, TRPOConfig
     from jaxrod.training.algorithms.warm_start import warm_start
     from jaxrod.training.evaluation import Evaluation, evaluate
+    from jaxrod.training.exporting.exports import export_c, export_onnx
     from jaxrod.training.networks import NetworkPolicy
     from jaxrod.training.policy import MLPPolicy, Policy
     from jaxrod.training.policy_files import load_policy, save_policy
@@ -71,6 +72,8 @@ __all__ = [
     "TRPOConfig",
     "algorithm_names",
     "evaluate",
+    "export_c",
+    "export_onnx",
     "find_algorithm",
     "load_policy",
     "mean_over_devices",

@@ -22,7 +22,7 @@ from jaxrod.actuation import control_spline
 from jaxrod.envs.arm.clean import clean_arm
 from jaxrod.envs.arm.soft_arm import CONTROL_PERIOD, LENGTH, REFERENCE_ELEMENTS
 from jaxrod.envs.checking import action_of_size, check_variant
-from jaxrod.envs.protocol import Snapshot, Step
+from jaxrod.envs.protocol import Channel, Snapshot, Step
 from jaxrod.envs.published.arm import published_arm
 from jaxrod.methods.planar_verlet import PlaneName
 from jaxrod.structure import pytree
@@ -311,6 +311,32 @@ class BenchmarkTask(ArmTask):
         """Parts of the observation that follow the points and velocity of the arm."""
 
     @property
+    @abstractmethod
+    def seen_channels(self) -> tuple[Channel, ...]:
+        """Description of `seen`."""
+
+    @property
+    def observation_channels(self) -> tuple[Channel, ...]:
+        """Description of the observation."""
+        return (
+            Channel(
+                3 * OBSERVED_NODES,
+                "points of the arm, base to tip: x of each, then y, then z",
+                "m",
+            ),
+            *speed_channels("the tip"),
+            *self.seen_channels,
+        )
+
+    @property
+    def action_channels(self) -> tuple[Channel, ...]:
+        """Description of the action."""
+        return tuple(
+            Channel(self.n_controls, f"control values about {axis}, base to tip", "1")
+            for axis in ("d1", "d2", "d3")[: self.n_directions]
+        )
+
+    @property
     def action_size(self) -> int:
         """Number of control values: about d1, then d2, then d3 if the task has them."""
         return self.n_directions * self.n_controls
@@ -445,6 +471,14 @@ def speed_and_direction(velocity: Float[Array, "3"]) -> Float[Array, "4"]:
     speed = jnp.where(moving, jnp.sqrt(jnp.where(moving, squared, 1)), 0)
     direction = velocity / jnp.where(moving, speed, 1)
     return jnp.concatenate([speed[None], direction])
+
+
+def speed_channels(whose: str) -> tuple[Channel, ...]:
+    """Description of `speed_and_direction`."""
+    return (
+        Channel(1, f"speed of {whose}", "m/s"),
+        Channel(3, f"direction of the velocity of {whose}: x, y, z", "1"),
+    )
 
 
 def checked_sizes(

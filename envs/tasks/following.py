@@ -38,7 +38,7 @@ from jaxrod import RodState
 from jaxrod.envs.arm import moving_target
 from jaxrod.envs.arm.moving_target import Target, TargetParams, wander
 from jaxrod.envs.checking import action_of_size, check_variant
-from jaxrod.envs.protocol import Snapshot
+from jaxrod.envs.protocol import Channel, Snapshot
 from jaxrod.envs.soft_bodies.curved_arm import N_SEGMENTS, CurvedArm, curved_arm
 from jaxrod.envs.tasks.arm_task import ArmTask, Bonus
 from jaxrod.structure import pytree
@@ -103,6 +103,22 @@ class Following(ArmTask):
 
     action_size = 2 * N_SEGMENTS
     """Changes of five angles about d1, then of five about d2."""
+
+    observation_channels = (
+        Channel(3 * N_SEGMENTS, "ends of the segments: x, then y, then z", "m"),
+        Channel(3 * N_SEGMENTS, "velocities of these ends: x, then y, then z", "m/s"),
+        Channel(2 * N_SEGMENTS, "angles of the segments: about d1, then d2", "rad"),
+        Channel(3, "position of the target: x, y, z", "m"),
+        Channel(3, "velocity of the target: x, y, z", "m/s"),
+        Channel(3, "vector from the tip to the target: x, y, z", "m"),
+    )
+    action_channels = (
+        Channel(
+            2 * N_SEGMENTS,
+            "changes of the segments' angles: about d1, then d2",
+            f"{LARGEST_CHANGE} rad",
+        ),
+    )
 
     def default_params(self) -> FollowingParams:
         """Numbers of the task, in JAX's default precision."""

@@ -50,7 +50,7 @@ from jaxtyping import Array, Float, Int, Key
 
 from jaxrod.actuation import limit_rate
 from jaxrod.envs.checking import action_of_size, check_variant
-from jaxrod.envs.protocol import Snapshot, Step
+from jaxrod.envs.protocol import Channel, Snapshot, Step
 from jaxrod.envs.soft_bodies.gripper_body import (
     BALL,
     HIGHEST,
@@ -142,6 +142,32 @@ class Gripper:
 
     action_size = 4
     """Pressure, and position of the wrist along three axes: 4 numbers."""
+
+    observation_channels = (
+        Channel(
+            3,
+            "offset of the ball's centre from the middle of the line between fingers",
+            f"{BALL:g} m",
+        ),
+        Channel(3, "velocity of the ball: x, y, z", f"{BALL_SPEED:g} m/s"),
+        Channel(1, "height of the ball above its start", f"{LIFT:g} m"),
+        Channel(4, "current control values", "1"),
+        Channel(
+            3 * N_FINGERS,
+            "finger by finger, position of the tip from the ball's centre",
+            f"{BALL:g} m",
+        ),
+        Channel(
+            3 * N_FINGERS,
+            "finger by finger, position of the middle from the ball's centre",
+            f"{BALL:g} m",
+        ),
+    )
+    action_channels = (
+        Channel(1, "pressure, from -25 kPa (-1) to 125 kPa (1)", "1"),
+        Channel(2, "position of the wrist along x and y", "0.02 m"),
+        Channel(1, "height of the wrist, from 0.11 m (-1) to 0.2 m (1)", "1"),
+    )
 
     control_period = CONTROL_PERIOD
     """Time between actions [s]."""

@@ -23,7 +23,7 @@ from jaxrod.contacts.bodies import Body
 from jaxrod.envs.arm.clean import clean_arm
 from jaxrod.envs.arm.cylinders import OBSERVED_POINTS, Cylinders, points_along
 from jaxrod.envs.arm.soft_arm import CONTROL_PERIOD, LENGTH
-from jaxrod.envs.protocol import Snapshot
+from jaxrod.envs.protocol import Channel, Snapshot
 from jaxrod.envs.published.arm import published_arm
 from jaxrod.envs.tasks.arm_task import (
     OBSERVED_NODES,
@@ -192,6 +192,15 @@ class ObstacleTask(BenchmarkTask):
     def seen(self, state: ArmState, params: Any) -> tuple[Array, ...]:
         """Position of the target, points of the obstacles."""
         return state.target.position, params.shown
+
+    @property
+    def seen_channels(self) -> tuple[Channel, ...]:
+        """Description of `seen`."""
+        points = f"{OBSERVED_POINTS} points along each obstacle, start first: x, y, z"
+        return (
+            Channel(3, "position of the target: x, y, z", "m"),
+            Channel(3 * OBSERVED_POINTS * self.n_obstacles, points, "m"),
+        )
 
     def snapshot(self, state: ArmState, params: Any) -> Snapshot:
         """The arm, the target and the obstacles."""

@@ -35,7 +35,7 @@ from jaxtyping import Array, Float, Int, Key
 
 from jaxrod.actuation import limit_rate
 from jaxrod.envs.checking import action_of_size, check_variant
-from jaxrod.envs.protocol import Snapshot, Step
+from jaxrod.envs.protocol import Channel, Snapshot, Step
 from jaxrod.envs.soft_bodies.octopus_body import (
     HEAD,
     LENGTH,
@@ -112,6 +112,30 @@ class Octopus:
 
     action_size = 2 * N_ARMS
     """Curvature sideways and upwards of every arm: 16 numbers."""
+
+    observation_channels = (
+        Channel(
+            3,
+            "velocity of the head: along the heading, to its left, up",
+            f"{SPEED:g} m/s",
+        ),
+        Channel(3, "angular velocity of the head, in the same axes", "rad/s"),
+        Channel(4, "x axis, then z axis of the head: along the heading, left", "1"),
+        Channel(1, "height of the head above its start", f"{HEAD:g} m"),
+        Channel(
+            3 * N_ARMS,
+            "arm by arm, position of the tip from the head's centre, in the same axes",
+            f"{LENGTH:g} m",
+        ),
+        Channel(2 * N_ARMS, "current control values", "1"),
+    )
+    action_channels = (
+        Channel(
+            2 * N_ARMS,
+            "arm by arm, curvature of the muscles: sideways, upwards",
+            "15 1/m",
+        ),
+    )
 
     control_period = CONTROL_PERIOD
     """Time between actions [s]."""

@@ -38,6 +38,7 @@ from jaxtyping import Array, Bool, Float, Key
 
 from jaxrod import RodState
 from jaxrod.envs.arm.soft_arm import REFERENCE_ELEMENTS
+from jaxrod.envs.protocol import Channel
 from jaxrod.envs.tasks.arm_task import (
     COST_WIDTH,
     OBSERVED_NODES,
@@ -47,6 +48,7 @@ from jaxrod.envs.tasks.arm_task import (
     Variant,
     checked_sizes,
     distance_reward,
+    speed_channels,
     squared_distance,
 )
 from jaxrod.structure import pytree
@@ -169,6 +171,13 @@ class Reaching(BenchmarkTask):
         # The goal's velocity is zero; it is observed as in Case 1.
         still = jnp.zeros_like(goal.orientation)
         return tip_frame(state.arm), goal.position, still, goal.orientation
+
+    seen_channels = (
+        Channel(4, "orientation of the tip: w, x, y, z, w at least 0", "1"),
+        Channel(3, "position of the goal: x, y, z", "m"),
+        *speed_channels("the goal, which is 0"),
+        Channel(4, "orientation of the goal: w, x, y, z, w at least 0", "1"),
+    )
 
 
 def random_goal(key: Key[Array, ""], params: GoalParams) -> Goal:

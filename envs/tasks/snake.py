@@ -43,7 +43,7 @@ from jaxrod import RodState, angular_velocities
 from jaxrod.actuation import limit_rate
 from jaxrod.actuation.waves import b_spline_basis
 from jaxrod.envs.checking import action_of_size, check_variant
-from jaxrod.envs.protocol import Snapshot, Step
+from jaxrod.envs.protocol import Channel, Snapshot, Step
 from jaxrod.envs.soft_bodies.snake_body import LENGTH, PERIOD, SnakeBody, snake_body
 from jaxrod.envs.tasks.headings import along_heading, check_turn, drawn_heading
 from jaxrod.structure import pytree
@@ -140,6 +140,26 @@ class Snake:
 
     action_size = N_CONTROLS
     """A control value at each control point, from tail to head."""
+
+    observation_channels = (
+        Channel(
+            2,
+            "velocity of the centre of mass: along the heading, to its left",
+            f"{SPEED:g} m/s",
+        ),
+        Channel(2, "cosine and sine of the angle from the heading to the body", "1"),
+        Channel(1, "turning rate of the body", "rad/s"),
+        Channel(N_CONTROLS, "curvatures to the left, tail to head", f"{BEND:g} 1/m"),
+        Channel(N_CONTROLS, "rates of these curvatures", f"{BEND_RATE:.3g} 1/(m s)"),
+        Channel(N_CONTROLS, "current control values", "1"),
+    )
+    action_channels = (
+        Channel(
+            N_CONTROLS,
+            "moments of the muscles, tail to head",
+            f"{1e3 * STRONGEST:g} mN m",
+        ),
+    )
 
     control_period = CONTROL_PERIOD
     """Time between actions [s]."""

@@ -29,6 +29,7 @@ from jaxtyping import Array, Bool, Float, Key
 from jaxrod.envs.arm import moving_target
 from jaxrod.envs.arm.moving_target import Target, TargetParams
 from jaxrod.envs.arm.soft_arm import REFERENCE_ELEMENTS
+from jaxrod.envs.protocol import Channel
 from jaxrod.envs.tasks.arm_task import (
     OBSERVED_NODES,
     ArmParams,
@@ -37,6 +38,7 @@ from jaxrod.envs.tasks.arm_task import (
     Variant,
     checked_sizes,
     speed_and_direction,
+    speed_channels,
 )
 
 SIZES: dict[Variant, tuple[int, int]] = {
@@ -104,6 +106,11 @@ class Tracking(BenchmarkTask):
         """Position of the target, then its speed and direction."""
         target = state.target
         return target.position, speed_and_direction(target.velocity)
+
+    seen_channels = (
+        Channel(3, "position of the target: x, y, z", "m"),
+        *speed_channels("the target"),
+    )
 
 
 def tracking(

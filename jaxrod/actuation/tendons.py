@@ -95,12 +95,20 @@ class Tendon(Effect):
 
     def energy(self, rod: Rod, state: RodState) -> Array:
         """Energy of the cables [J]; for constant tension, its work from length zero."""
-        lengths = jnp.sum(_pieces(self._points(motion_of(state))[1])[1], axis=1)
+        lengths = self.cable_lengths(motion_of(state))
         if self.length is None:
             return jnp.sum(self._tension(lengths) * lengths)
         taut, _ = self._taut(lengths)
         assert self.stiffness is not None
         return 0.5 * self.stiffness * jnp.sum(taut**2)
+
+    def cable_lengths(self, motion: Motion) -> Float[Array, "k"]:
+        """Length of each cable, from its anchor or first eyelet to its last [m]."""
+        return jnp.sum(_pieces(self._points(motion)[1])[1], axis=1)
+
+    def cable_tensions(self, motion: Motion) -> Float[Array, "k"]:
+        """Tension of each cable at its base [N]."""
+        return self._tension(self.cable_lengths(motion))
 
     def stability_bound(self, rod: Rod) -> StabilityBound:
         """Bound for turning pieces, stretching cables and friction.

@@ -5,11 +5,9 @@ from __future__ import annotations
 import jax
 import jax.numpy as jnp
 
+from jaxrod.analysis.accelerations import total_loads
 from jaxrod.effects.base import Reaction
-from jaxrod.geometry import vectors
-from jaxrod.geometry.rotations import directors, to_material
-from jaxrod.loaded_rod import LoadedRod, damping_rates, external_loads, scene_of
-from jaxrod.rods.elasticity import elastic_law, internal_loads
+from jaxrod.loaded_rod import LoadedRod, scene_of
 from jaxrod.rods.motion import Loads, motion_of
 from jaxrod.rods.rod import RodState
 
@@ -44,19 +42,9 @@ def reactions(scene: LoadedRod, state: RodState) -> tuple[Reaction | None, ...]:
 @jax.jit
 def _reactions(scene: LoadedRod, state: RodState) -> tuple[Reaction | None, ...]:
     rod, motion = scene.rod, motion_of(state)
-    internal = internal_loads(elastic_law(rod), motion)
-    assert internal.forces is not None and internal.couples is not None
-    total = external_loads(scene, motion, internal.forces, internal.couples)
+    total = total_loads(scene, motion)
     assert total.forces is not None and total.couples is not None
-    forces, couples = total.forces, total.couples
-    rates = damping_rates(scene)
-    if rates is not None:
-        frame = directors(motion.orientation)
-        drag = vectors.scale(rates[0] * rod.node_masses, motion.velocity)
-        forces = vectors.subtract(forces, drag)
-        spin = to_material(frame, vectors.scale(rates[1], motion.spin))
-        couples = vectors.subtract(couples, spin)
-    x, y, z = (jnp.negative(component) for component in forces)
-    a, b, c = (jnp.negative(component) for component in couples)
+    x, y, z = (jnp.negative(component) for component in total.forces)
+    a, b, c = (jnp.negative(component) for component in total.couples)
     needed = Loads((x, y, z), (a, b, c))
     return tuple(effect.reaction(rod, motion, needed) for effect in scene.effects)

@@ -42,6 +42,7 @@ COMMANDS = {
     "sweep": "train many: tasks, algorithms, settings, seeds",
     "evaluate": "measure the policy of a finished run",
     "render": "draw the learning curve and a replay of a run",
+    "export": "write the policy of a run for a controller: C, ONNX",
     "identify": "find the numbers of a real arm from recordings",
     "optimise": "find actuation by gradients through the simulation",
     "doctor": "check that this machine computes correctly",
@@ -58,6 +59,7 @@ EXTRAS = {
     "brax": "brax",
     "ray": "ray",
     "tensorboardX": "tensorboard",
+    "onnx": "onnx",
 }
 
 PROGRAMS = {

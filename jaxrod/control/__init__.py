@@ -1,11 +1,17 @@
-"""Differentiable control: problems, and solvers by gradients and by sampling."""
+"""Differentiable control: problems, solvers, linear models, identification, filters."""
 
+from jaxrod.control import estimation
 from jaxrod.control.identification.fit import fit
 from jaxrod.control.identification.match_shape import ShapeMatch, match_shape
 from jaxrod.control.identification.parameters import Parameters, make_parameters
 from jaxrod.control.identification.result import Fit, Forecast
 from jaxrod.control.identification.windows import MultipleShooting, shots, windows
 from jaxrod.control.least_squares import LeastSquares, least_squares
+from jaxrod.control.linear.linearisation import Linearisation, linearise
+from jaxrod.control.linear.local_coordinates import (
+    LocalCoordinates,
+    local_coordinates,
+)
 from jaxrod.control.planning.mpc import PlanningPolicy, mpc
 from jaxrod.control.trajectories.adam import adam
 from jaxrod.control.trajectories.ilqr import ilqr
@@ -33,6 +39,8 @@ __all__ = [
     "Fit",
     "Forecast",
     "LeastSquares",
+    "Linearisation",
+    "LocalCoordinates",
     "MultipleShooting",
     "Parameters",
     "PlanningPolicy",
@@ -45,10 +53,13 @@ __all__ = [
     "adam",
     "codesign",
     "cross_entropy",
+    "estimation",
     "fit",
     "ilqr",
     "least_squares",
     "levenberg_marquardt",
+    "linearise",
+    "local_coordinates",
     "make_parameters",
     "make_problem",
     "match_shape",

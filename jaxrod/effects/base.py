@@ -6,8 +6,10 @@ it needs; the others cost nothing in the compiled step.
 
 from __future__ import annotations
 
+from functools import partial
 from typing import Any, ClassVar, Literal, get_args
 
+import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
@@ -187,6 +189,33 @@ class Effect:
     def constrain_rates(self, rod: Rod, motion: Motion) -> Motion:
         """Constrains velocities and spins."""
         return motion
+
+    def constrain_accelerations(
+        self, rod: Rod, motion: Motion, change: Motion
+    ) -> Motion:
+        """Derivative of the motion by time, with the accelerations of what is held.
+
+        By default it is the derivative of `constrain_rates` with the numbers of the
+        effect fixed. A support that moves, with velocities that depend on time, must
+        have this, or accelerometers see no acceleration there.
+
+        Args:
+            rod: The rod.
+            motion: Its configuration and rates; spins are angular momenta.
+            change: Derivative of each of its parts by time, from all loads.
+        """
+        if type(self).constrain_rates is Effect.constrain_rates:
+            return change
+        _, held = jax.jvp(partial(self.constrain_rates, rod), (motion,), (change,))
+        return held
+
+    @property
+    def gravitational_field(self) -> Array | None:
+        """Acceleration of free fall, world frame [m/s^2]; `None` if it has none.
+
+        It is what an accelerometer does not see.
+        """
+        return None
 
     def dissipate(self, scene: Any, motion: Motion, dt: Array) -> Motion:
         """Motion after rates have decayed for one step, at this configuration.

@@ -133,6 +133,20 @@ class Driven(Effect):
         velocity = at_node(motion.velocity, self.place.velocity, node, self.axes)
         return replace(motion, velocity=velocity)
 
+    def constrain_accelerations(
+        self, rod: Rod, motion: Motion, change: Motion
+    ) -> Motion:
+        """Gives the end node the path's acceleration, and a held element the wall's."""
+        if self.holds_element:
+            x, y, z = (
+                replace_end(a, b, self.end)
+                for a, b in zip(change.spin, self._rate_of_momentum(rod), strict=True)
+            )
+            change = replace(change, spin=(x, y, z))
+        node = end_node(rod, self.end)
+        faster = at_node(change.velocity, self.place.acceleration, node, self.axes)
+        return replace(change, velocity=faster)
+
     def _turning_element(self, rod: Rod) -> tuple[Vec3, Vec3]:
         """Rates of rotation of an element that the wall holds.
 
@@ -212,11 +226,16 @@ class Driven(Effect):
         index = 0 if self.end == "base" else -1
         a, b, c = (component[index] for component in needed.couples)
         frame = directors(at_end(motion.orientation, self.end))
+        return vectors.add(to_world(frame, (a, b, c)), self._rate_of_momentum(rod))
+
+    def _rate_of_momentum(self, rod: Rod) -> Vec3:
+        """Rate of the held element's angular momentum, world frame [N m]."""
+        frame = directors(split_quaternion(self.turn.orientation))
         faster = to_material(frame, vectors.split(self.turn.angular_acceleration))
-        local = vectors.add((a, b, c), vectors.multiply(self._inertia(rod), faster))
+        own = to_world(frame, vectors.multiply(self._inertia(rod), faster))
         _, momentum = self._turning_element(rod)
         turning = vectors.split(self.turn.angular_velocity)
-        return vectors.add(to_world(frame, local), vectors.cross(turning, momentum))
+        return vectors.add(own, vectors.cross(turning, momentum))
 
 
 def driven(

@@ -32,6 +32,11 @@ class Gravity(Effect):
     acceleration: Float[Array, "3"]
     """Gravitational acceleration, world frame [m/s^2]."""
 
+    @property
+    def gravitational_field(self) -> Array:
+        """The acceleration."""
+        return self.acceleration
+
     def loads(self, rod: Rod, motion: Motion) -> Loads:
         """Weight of the nodes."""
         masses = rod.node_masses

@@ -26,13 +26,13 @@ def module_for(*values: Any) -> ModuleType:
     return jnp if is_traced(values) else np
 
 
-def unit_vector(name: str, value: Numbers) -> Any:
-    """A given direction, of any length but zero, scaled to unit length.
+def unit_vector(name: str, value: Numbers, size: int = 3) -> Any:
+    """A given direction or quaternion, of any length but zero, scaled to unit length.
 
     Raises:
-        ValueError: If it is not a vector, or the zero vector.
+        ValueError: If it is not a vector of this size, or the zero vector.
     """
-    vector = check_array(name, value, [(3,)], "")
+    vector = check_array(name, value, [(size,)], "")
     xp = module_for(vector)
     # First divided by the largest component, because its square may overflow.
     largest = xp.max(xp.abs(vector))

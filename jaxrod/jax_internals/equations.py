@@ -38,6 +38,8 @@ _PARAMETERS: dict[str, str] = {
     # Reductions.
     **dict.fromkeys(("argmax", "argmin"), "axes index_dtype"),
     **dict.fromkeys(("cumsum", "cumprod", "cummax", "cummin"), "axis reverse"),
+    "conv_general_dilated": "batch_group_count dimension_numbers feature_group_count "
+    "lhs_dilation padding precision preferred_element_type rhs_dilation window_strides",
     "dot_general": "dimension_numbers precision preferred_element_type",
     **dict.fromkeys(
         (f"reduce_{name}" for name in ("sum", "prod", "max", "min", "and", "or")),

@@ -26,6 +26,13 @@ MATERIAL = {
 }
 BENT = [[0.0, 0.1, 0.1, 0.3], [0.0, 0.0, 1.0, 1.2], [0.0, 1.0, 1.1, 2.0]]
 
+LENS = {
+    "position": [0.1, -2.0, 0.3],
+    "target": [0.2, 0.1, 0.4],
+    "focal_length": 100.0,
+    "principal_point": [30.0, 40.0],
+}
+
 MAY_BE_NONE = {
     ("straight_rod", "shear_modulus"),
     ("straight_rod", "shear_correction"),
@@ -68,6 +75,7 @@ MAY_BE_NONE = {
     ("body_contact", "damping"),
     ("body_contact", "friction"),
     ("body_contact", "friction_drag"),
+    ("depth_image", "max_range"),
 }
 
 MAY_BE_WILD = {("limit_rate", "applied"), ("limit_rate", "commanded")}
@@ -109,6 +117,7 @@ def things(dtype: Any) -> dict[str, Any]:
         "function": beside,
         "shape": jaxrod.shapes.box((-0.1, -0.2, -0.3), (0.1, 0.2, 0.3)),
         "pair of states": {"one": state, "two": state},
+        "camera": jaxrod.sensors.camera(**LENS),
     }
 
 
@@ -312,6 +321,20 @@ NUMERIC: dict[str, dict[str, Any]] = {
         "onset": 0.02,
     },
     "scale_inertia": {"scene": ..., "dt": 1e-3},
+    "strain_gauge": {"arc_length": 0.3, "offsets": [0.01, 0.02]},
+    "markers": {"arc_length": 0.3, "offsets": [0.01, 0.02]},
+    "section_curvature": {"arc_length": [0.3, 0.4]},
+    "section_force": {"arc_length": [0.3, 0.4]},
+    "section_moment": {"arc_length": [0.3, 0.4]},
+    "accelerometer": {
+        "arc_length": 0.3,
+        "offsets": [0.01, 0.02],
+        "orientation": [1.0, 0.2, 0.3, 0.4],
+    },
+    "gyroscope": {"arc_length": 0.3, "orientation": [1.0, 0.2, 0.3, 0.4]},
+    "camera": {**LENS, "up": [0.1, 0.2, 1.0]},
+    "image_markers": {"camera": ..., "arc_length": 0.3, "offsets": [0.01, 0.02]},
+    "depth_image": {"camera": ..., "rows": 2, "columns": 3, "max_range": 4.0},
 }
 """Functions of numbers, with good values; `...` stands for what `things` has."""
 
@@ -334,6 +357,10 @@ COUNTED: dict[str, dict[str, Any]] = {
     "implicit": {"max_iterations": ...},
     "control_spline": {"controls": ...},
     "near_contact": {"contact": ..., "rod": ..., "state": ..., "count": ...},
+    "depth_image": {"camera": ..., "rows": ..., "columns": ...},
+    "tendon_length": {"effect": ...},
+    "tendon_tension": {"effect": ...},
+    "chamber_pressure": {"effect": ...},
     "highest_frequency": {"scene": ..., "state": ..., "size": ...},
     "natural_frequencies": {"scene": ..., "state": ..., "n_modes": ...},
     "resample": {"scene": ..., "state": ..., "n_elements": ...},
@@ -379,6 +406,9 @@ COUNT_NAMES = {
     "devices",
     "order",
     "max_contacts",
+    "rows",
+    "columns",
+    "effect",
 }
 
 OF_KINDS: dict[str, dict[str, Any]] = {
@@ -388,6 +418,8 @@ OF_KINDS: dict[str, dict[str, Any]] = {
     "hinge_support": {"state": ..., "axis": (0.0, 1.0, 0.0)},
     "driven": {"state": ...},
     "reactions": {"scene": ..., "state": ...},
+    "image_markers": {"camera": ..., "arc_length": 0.3},
+    "depth_image": {"camera": ..., "rows": 2, "columns": 3},
     "compensated": {"state": ...},
     "make_scene": {"rod": ...},
     "muscle": {"rod": ..., "force": 1.0},

@@ -106,7 +106,8 @@ def wrong_cases() -> list[Case]:
                 cases += [Case(function, argument, k, SCALARS[k]) for k in WRONG]
     for function in ("straight_rod", "rod_along", "control_spline"):
         cases += [Case(function, "dtype", k, v) for k, v in DTYPES.items()]
-    for function in ("clamp", "fixed_end", "end_load", "hinge_support", "driven"):
+    ended = ("clamp", "fixed_end", "end_load", "hinge_support", "driven")
+    for function in (*ended, "support_force", "support_couple"):
         cases += [Case(function, "end", k, v) for k, v in WORDS.items()]
     cases += [Case("make_scene", "method", k, v) for k, v in KINDS.items()]
     cases += [Case("planar", "plane", k, v) for k, v in WORDS.items()]
@@ -153,6 +154,8 @@ def call(case: Case) -> Any:
             "driven": {"state": ...},
             "make_scene": {"rod": ...},
             "planar": {"plane": "xy"},
+            "support_force": {},
+            "support_couple": {},
         }[case.function]
     if case.function in NUMERIC and case.argument in NUMERIC[case.function]:
         arguments = NUMERIC[case.function] | (

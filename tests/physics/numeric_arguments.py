@@ -34,7 +34,28 @@ TOUCH = {
     "onset": 0.02,
 }
 
+STATION = {"arc_length": (0.2, 0.5), "offsets": ((0.01, 0.02), (0.03, -0.01))}
+LENS = {
+    "position": (0.1, -2.0, 0.3),
+    "target": (0.2, 0.1, 0.4),
+    "focal_length": 100.0,
+    "principal_point": (30.0, 40.0),
+    "up": (0.1, 0.2, 1.0),
+}
+EYE = jaxrod.sensors.camera(**LENS)
+
 FACTORIES = {
+    **{
+        name: [{"arc_length": (0.2, 0.5)}]
+        for name in ("section_curvature", "section_force", "section_moment")
+    },
+    "strain_gauge": [STATION],
+    "markers": [STATION],
+    "accelerometer": [{**STATION, "orientation": (1.0, 0.2, 0.3, 0.4)}],
+    "gyroscope": [{"arc_length": 0.3, "orientation": (1.0, 0.2, 0.3, 0.4)}],
+    "camera": [LENS],
+    "image_markers": [{"camera": EYE, **STATION}],
+    "depth_image": [{"camera": EYE, "rows": 2, "columns": 3, "max_range": 4.0}],
     "straight_rod": [
         {
             "n_elements": 3,

@@ -1,0 +1,22 @@
+"""State estimation: an extended Kalman filter, and estimation over a window."""
+
+from jaxrod.control.estimation.horizon import Horizon, moving_horizon
+from jaxrod.control.estimation.kalman import Update, predict, update
+from jaxrod.control.estimation.process import (
+    Estimate,
+    Process,
+    first_estimate,
+    make_process,
+)
+
+__all__ = [
+    "Estimate",
+    "Horizon",
+    "Process",
+    "Update",
+    "first_estimate",
+    "make_process",
+    "moving_horizon",
+    "predict",
+    "update",
+]

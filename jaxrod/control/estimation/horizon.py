@@ -1,0 +1,175 @@
+r"""Moving-horizon estimation: the likeliest motion of a window, by least squares.
+
+Unknown are the state at the beginning of the window, and all that is unknown of the
+control and of the state in its periods,
+
+$$\min_{\xi, w, v}\ |\xi|^2 + \sum_k |w_k|^2 + |v_k|^2 + \Big|\frac{y_k - h(x_k)}{r}
+\Big|^2, \quad x_0 = \bar x \oplus L \xi, \quad x_{k+1} = f(x_k, u_k + s\,w_k) \oplus
+R\,v_k,$$
+
+in units of their standard deviations, so that covariances may be singular. The first
+term is the arrival cost: the estimate $(\bar x, L L^T)$ of all that came before. For a
+linear model the result is the Kalman filter's.
+
+Source: C. V. Rao, J. B. Rawlings, D. Q. Mayne, Constrained state estimation for
+nonlinear discrete-time systems, IEEE Trans. Automatic Control 48, 2003.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+from jax import lax
+from jax.flatten_util import ravel_pytree
+from jax.scipy.linalg import solve_triangular
+from jaxtyping import Array, Bool, Float
+
+from jaxrod.control.estimation.kalman import check_observed, lower_root
+from jaxrod.control.estimation.process import Estimate, Process, check_estimate
+from jaxrod.control.least_squares import least_squares
+from jaxrod.stepping.runs import advance
+from jaxrod.structure import pytree
+from jaxrod.validation import as_array, check_count
+
+
+@pytree
+class Horizon:
+    """The likeliest motion of a window; see `moving_horizon`."""
+
+    estimate: Estimate
+    """Estimate at the end of the window."""
+    states: Any
+    """States at the beginning and after each period, stacked in front."""
+    disturbances: Float[Array, "periods ..."] | None
+    """Unknown part of the control of each period; `None` without control."""
+    square: Float[Array, ""]
+    """Sum of all squares; its mean is the number of numbers that were measured."""
+    converged: Bool[Array, ""]
+    """Whether the last step of the search changed too little to go on."""
+
+
+def moving_horizon(
+    process: Process,
+    arrival: Estimate,
+    observed: Any,
+    controls: Any = None,
+    *,
+    iterations: int = 20,
+) -> Horizon:
+    """Finds the likeliest motion of a window of measurements. Pure.
+
+    It costs as many motions as there are unknowns, a batch, in every iteration: keep
+    the window short, and let a filter run behind it for the arrival.
+
+    Args:
+        process: The process.
+        arrival: The estimate at the beginning of the window, of all that came before.
+        observed: Measurements at the ends of all periods, stacked in front. Numbers
+            that are not finite count as missing.
+        controls: Known controls of all periods, stacked in front; zeros by default.
+        iterations: Largest number of iterations.
+
+    Raises:
+        ValueError: If shapes do not fit.
+        TypeError: If `process` or `arrival` is of another type.
+    """
+    check_estimate(process, arrival, "arrival")
+    iterations = check_count("iterations", iterations, 1)
+    count = check_count("number of periods", jnp.shape(observed)[0], 1)
+    shape = (count, *process.noise.shape)
+    seen = check_observed(process, observed, shape)
+    # A process without controls refuses any, and has none.
+    nothing = process.control(None if process.control_noise is not None else controls)
+    known = None
+    if nothing is not None:
+        known = jnp.stack([nothing] * count)
+    if nothing is not None and controls is not None:
+        wanted = (count, *nothing.shape)
+        known = as_array("controls", controls, "", [wanted], dtype=process.dt.dtype)
+    return _solved(process, arrival, seen, known, iterations=iterations)
+
+
+@jax.jit(static_argnames="iterations")
+def _solved(
+    process: Process,
+    arrival: Estimate,
+    observed: Array,
+    controls: Array | None,
+    *,
+    iterations: int,
+) -> Horizon:
+    coordinates, dtype = process.coordinates, process.dt.dtype
+    count = len(observed)
+    there = jnp.isfinite(observed)
+    target = jnp.where(there, observed, 0)
+    unknowns = {"start": jnp.zeros(arrival.root.shape[1], dtype)}
+    if controls is not None:
+        unknowns["control"] = jnp.zeros_like(controls)
+    if process.state_root is not None:
+        unknowns["state"] = jnp.zeros((count, coordinates.size), dtype)
+    numbers = arrival.steps + process.n_steps * jnp.arange(count, dtype=jnp.int32)
+
+    def moved(state: Any, root: Array, own: Array, steps: Array) -> Any:
+        ways = coordinates.directions(state, first=steps)
+        return coordinates.moved(state, ways, root @ own)
+
+    def disturbance(unknown: Any) -> Any:
+        if process.control_noise is None:
+            return None
+        return process.control_noise[None] * unknown["control"]
+
+    def motion(unknown: Any) -> tuple[Any, Any]:
+        """States of the window, and misses of the measurements."""
+
+        def one(state: Any, given: Any) -> tuple[Any, Any]:
+            begin, control, push, target, there = given
+            model = process.model
+            if control is not None and process.with_control is not None:
+                model = process.with_control(model, control)
+            after = advance(model, state, process.dt, process.n_steps, first=begin)
+            end = begin + process.n_steps
+            if process.state_root is not None:
+                after = moved(after, process.state_root, push, end)
+            made = process.measure(process.at(end).recalling(after), after)
+            miss = jnp.where(there, target - made, 0) / process.noise
+            return after, (after, miss)
+
+        start = moved(arrival.state, arrival.root, unknown["start"], arrival.steps)
+        driven = disturbance(unknown)
+        total = None if driven is None else controls + driven
+        given = numbers, total, unknown.get("state"), target, there
+        _, (states, misses) = lax.scan(one, start, given)
+        whole = jax.tree.map(
+            lambda first, rest: jnp.concatenate([first[None], rest]), start, states
+        )
+        return whole, misses
+
+    def residuals(unknown: Any) -> Any:
+        return unknown, motion(unknown)[1]
+
+    found = least_squares(residuals, unknowns, iterations=iterations, mode="forward")
+    states, _ = motion(found.solution)
+    last = jax.tree.map(lambda leaf: leaf[-1], states)
+    point, unravel = ravel_pytree(found.solution)
+
+    def ends(point: Array) -> Array:
+        whole, _ = motion(unravel(point))
+        return coordinates.difference(last, jax.tree.map(lambda leaf: leaf[-1], whole))
+
+    # Unknowns have the covariance (J'J)^-1, and J = Q U.
+    triangle = jnp.linalg.qr(found.jacobian, mode="r")
+    by_unknowns = jax.vmap(lambda way: jax.jvp(ends, (point,), (way,))[1], out_axes=1)(
+        jnp.eye(point.size, dtype=dtype)
+    )
+    wide = solve_triangular(triangle, by_unknowns.T, trans="T").T
+    return Horizon(
+        estimate=Estimate(
+            last, lower_root(wide), arrival.steps + count * process.n_steps
+        ),
+        states=states,
+        disturbances=disturbance(found.solution),
+        square=found.cost,
+        converged=found.converged,
+    )

@@ -1,0 +1,257 @@
+r"""A process that is estimated: a model with unknown influences, seen by sensors.
+
+In a period $k$ the control $u_k$ is held, and unknown influences add to it and to the
+state; sensors show the state at the end of the period with noise:
+
+$$x_{k+1} = f(x_k, u_k + w_k) \oplus v_k, \qquad y_k = h(x_k) + e_k,$$
+
+$w \sim N(0, \mathrm{diag}(s^2))$, $v \sim N(0, Q)$, $e \sim N(0, \mathrm{diag}(r^2))$,
+with $v$ in local coordinates. An estimate is a state and a covariance $P$ of local
+coordinates about it, kept as a root $L$, $P = L L^T$: rounding never makes it
+indefinite.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, ArrayLike, Float, Int
+
+from jaxrod.control.linear.linearisation import Measure, checked_control
+from jaxrod.control.linear.local_coordinates import (
+    LocalCoordinates,
+    WithControl,
+    coordinates_under,
+)
+from jaxrod.stepping.runs import check_step, with_memory
+from jaxrod.structure import pytree, static
+from jaxrod.validation import (
+    as_array,
+    check_count,
+    check_kind,
+    is_traced,
+    knows_constants,
+    numeric,
+)
+
+ROUNDING = 100
+"""Multiple of the machine epsilon up to which a negative variance is round-off."""
+
+
+@pytree
+class Process:
+    """A model with unknown influences, seen by sensors; make it with `make_process`.
+
+    Numbers are traced: a batch of processes is a `jax.vmap`.
+    """
+
+    model: Any
+    """The scene or system."""
+    coordinates: LocalCoordinates
+    """Local coordinates of its states."""
+    dt: Float[Array, ""]
+    """Step size [s]."""
+    noise: Float[Array, "..."]
+    """Standard deviations of the measurement, in its shape."""
+    state_root: Float[Array, "size size"] | None
+    """Root of the covariance that a period adds to the state; `None` for none."""
+    control_noise: Float[Array, "..."] | None
+    """Standard deviations of what is unknown of the control, in its shape."""
+    n_steps: int = static()
+    """Number of steps in a period."""
+    measure: Measure = static()
+    """Function that makes a measurement of a state."""
+    with_control: WithControl | None = static()
+    """Function that makes the model under a control."""
+
+    def at(self, steps: ArrayLike) -> Any:
+        """The model after a number of steps, with schedules replaced by values."""
+        if not self.model.depends_on_time:
+            return self.model
+        return self.model.at(jnp.asarray(steps) * self.dt)
+
+    def control(self, control: Any) -> Array | None:
+        """Checks a control; `None` is a control of zeros, if the process has one.
+
+        Raises:
+            ValueError: If it has another shape, or the process takes none.
+        """
+        if self.control_noise is None or self.with_control is None:
+            if control is not None:
+                raise ValueError("control: this process has none (with_control)")
+            return None
+        if control is None:
+            return jnp.zeros_like(self.control_noise)
+        shape = self.control_noise.shape
+        return as_array("control", control, "", [shape], dtype=self.dt.dtype)
+
+
+@pytree
+class Estimate:
+    """A state, and the covariance of local coordinates about it."""
+
+    state: Any
+    """The estimated state."""
+    root: Float[Array, "size size"]
+    """Root of the covariance."""
+    steps: Int[Array, ""]
+    """Number of steps since time zero."""
+
+    @property
+    def covariance(self) -> Float[Array, "size size"]:
+        """Covariance of the true state's local coordinates about the estimate."""
+        return self.root @ jnp.swapaxes(self.root, -1, -2)
+
+    @property
+    def deviations(self) -> Float[Array, " size"]:
+        """Standard deviations of local coordinates."""
+        return jnp.sqrt(jnp.sum(self.root**2, axis=-1))
+
+
+@knows_constants
+def make_process(
+    model: Any,
+    state: Any,
+    dt: ArrayLike,
+    n_steps: int,
+    *,
+    measure: Measure,
+    noise: Any,
+    state_noise: Any = None,
+    with_control: WithControl | None = None,
+    control_noise: Any = None,
+) -> Process:
+    """Makes a process from checked arguments.
+
+    An unknown force is a control that nobody knows: `with_control` puts it in the
+    model, `control_noise` says how large it is, and its known part is zero.
+
+    Args:
+        model: The scene or system, without controls.
+        state: A state of it, from which free components are found.
+        dt: Step size [s].
+        n_steps: Number of steps in a period, from one measurement to the next.
+        measure: `(model, state) -> array`: a measurement without noise.
+        noise: Standard deviations of the measurement's noise, a number or an array like
+            it.
+        state_noise: Covariance that every period adds to the state in local
+            coordinates: variances `(size,)` or a matrix `(size, size)`.
+        with_control: `(model, control) -> model`: the model under a control.
+        control_noise: Standard deviations of what is unknown of the control, held for a
+            period and independent in each: an array in the control's shape, zero for
+            what is known. It must be given if `with_control` is.
+
+    Raises:
+        ValueError: If an argument is out of range or shapes do not fit.
+        TypeError: If the model or the state is of another type.
+    """
+    n_steps = check_count("n_steps", n_steps, 1)
+    unknown = checked_control(
+        control_noise, with_control, jnp.result_type(float), "control_noise"
+    )
+    coordinates = coordinates_under(model, state, dt, unknown, with_control)
+    step = jnp.asarray(dt, coordinates.instant.dtype)
+    check_step(model.recalling(state), step, state)
+    if unknown is not None:
+        shape = unknown.shape
+        unknown = as_array(
+            "control_noise", control_noise, "", [shape], non_negative=True,
+            dtype=step.dtype,
+        )  # fmt: skip
+    now = model.at(0.0).recalling(state)
+    shape = np.shape(measure(now, state))
+    spread = as_array("noise", noise, "", [(), shape], positive=True, dtype=step.dtype)
+    root = None
+    if state_noise is not None:
+        root = root_of("state_noise", state_noise, coordinates)
+    return Process(
+        model=model,
+        coordinates=coordinates,
+        dt=step,
+        noise=jnp.broadcast_to(spread, shape),
+        state_root=root,
+        control_noise=unknown,
+        n_steps=n_steps,
+        measure=measure,
+        with_control=with_control,
+    )
+
+
+def first_estimate(
+    process: Process, state: Any, covariance: Any, *, steps: ArrayLike = 0
+) -> Estimate:
+    """Estimate with which a filter begins.
+
+    Args:
+        process: The process.
+        state: The state that is taken to be most likely.
+        covariance: Covariance of local coordinates about it: variances `(size,)` or a
+            matrix `(size, size)`, which may be singular.
+        steps: Number of steps since time zero.
+
+    Raises:
+        ValueError: If the covariance has another shape, or is not symmetric and
+            positive semidefinite.
+        TypeError: If `process` is not a `Process`.
+
+    Example:
+        >>> loose = process.coordinates.filled(velocity=0.1, angular_velocity=1.0)
+        >>> estimate = first_estimate(process, state, loose**2)
+    """
+    check_process(process)
+    process.model.check_run(state, process.dt, None)
+    return Estimate(
+        state=with_memory(process.model, state),
+        root=root_of("covariance", covariance, process.coordinates),
+        steps=jnp.asarray(steps, jnp.int32),
+    )
+
+
+def root_of(
+    name: str, covariance: Any, coordinates: LocalCoordinates
+) -> Float[Array, "size size"]:
+    """Root of a covariance of local coordinates.
+
+    Raises:
+        ValueError: If it has another shape, or is not symmetric and positive
+            semidefinite.
+    """
+    size, dtype = coordinates.size, coordinates.instant.dtype
+    given = numeric(name, covariance)
+    if given.ndim == 1:
+        variances = as_array(name, given, "", [(size,)], non_negative=True, dtype=dtype)
+        return jnp.diag(jnp.sqrt(variances))
+    matrix = as_array(name, given, "", [(size,), (size, size)], dtype=dtype)
+    # In units of each coordinate, which differ by orders of magnitude.
+    units = jnp.sqrt(jnp.abs(jnp.diagonal(matrix)))
+    units = jnp.where(units > 0, units, 1)
+    scaled = matrix / units[:, None] / units[None]
+    least = ROUNDING * float(jnp.finfo(dtype).eps) * size
+    if not is_traced(scaled) and float(jnp.max(jnp.abs(scaled - scaled.T))) > least:
+        raise ValueError(f"{name} must be symmetric")
+    values, ways = jnp.linalg.eigh(0.5 * (scaled + scaled.T))
+    if not is_traced(values) and float(values[0]) < -least * max(float(values[-1]), 1):
+        raise ValueError(
+            f"{name} must be positive semidefinite, got an eigenvalue of "
+            f"{float(values[0]):.3g} in units of its variances"
+        )
+    return units[:, None] * ways * jnp.sqrt(jnp.maximum(values, 0))[None]
+
+
+def check_process(process: Any) -> None:
+    """Raises a `TypeError` unless `process` is a `Process`."""
+    check_kind("process", process, Process)
+
+
+def check_estimate(process: Process, estimate: Any, name: str = "estimate") -> None:
+    """Raises unless an argument is an estimate of a process."""
+    check_process(process)
+    check_kind(name, estimate, Estimate)
+    size = process.coordinates.size
+    if estimate.root.shape != (size, size):
+        raise ValueError(
+            f"{name}.root must have shape {(size, size)}, as the process has {size} "
+            f"local coordinates, got {estimate.root.shape}"
+        )

@@ -1,0 +1,1 @@
+"""Linear models of a period, in local coordinates of states."""

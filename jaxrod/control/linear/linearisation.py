@@ -1,0 +1,196 @@
+r"""Linear models of a control period: what small changes of state and control become.
+
+In local coordinates $z$ about a state, with a control $u$ that is held for a period,
+
+$$z_{k+1} = A z_k + B\,\delta u_k, \qquad \delta y_k = C z_k,$$
+
+with $z_{k+1}$ about the state at the end of the period. The derivatives are exact, of
+the steps themselves: one batch in forward mode, one column for each coordinate.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+from jax.flatten_util import ravel_pytree
+from jaxtyping import Array, ArrayLike, Float
+
+from jaxrod.control.linear.local_coordinates import (
+    LocalCoordinates,
+    WithControl,
+    coordinates_under,
+    tangent_map,
+)
+from jaxrod.stepping.runs import check_first, check_step
+from jaxrod.structure import pytree
+from jaxrod.validation import as_array, check_count, check_kind, is_traced, numeric
+
+Measure = Callable[[Any, Any], Array]
+"""`(model, state) -> array`: a measurement of a state."""
+
+
+@pytree
+class Linearisation:
+    """A linear model of one control period; see `linearise`."""
+
+    state_matrix: Float[Array, "size size"]
+    """Matrix A: local coordinates after the period by those before it."""
+    input_matrix: Float[Array, "size controls"] | None
+    """Matrix B: local coordinates after the period by the control; `None` without."""
+    output_matrix: Float[Array, "measured size"] | None
+    """Matrix C: measurement of the first state by its local coordinates; `None` without
+    a measurement."""
+    state: Any
+    """State after the period."""
+    measured: Array | None
+    """Measurement of the first state; `None` without."""
+    coordinates: LocalCoordinates
+    """The local coordinates: names, and the ways to states and back."""
+
+
+def linearise(
+    model: Any,
+    state: Any,
+    dt: ArrayLike,
+    n_steps: int = 1,
+    *,
+    control: Any = None,
+    with_control: WithControl | None = None,
+    measure: Measure | None = None,
+    first: int | Array = 0,
+    coordinates: LocalCoordinates | None = None,
+) -> Linearisation:
+    """Linear model of one control period about a state and a control.
+
+    It is exact for the steps that are taken, with damping, contact and drag. Where
+    contact begins or ends, derivatives are those of one side. Functions are structure:
+    define them at module level, and a program is compiled once for each.
+
+    Args:
+        model: The scene or the system.
+        state: State at the beginning of the period.
+        dt: Step size [s].
+        n_steps: Number of steps in the period.
+        control: Control that is held during the period, an array.
+        with_control: `(model, control) -> model`: the model under a control.
+        measure: `(model, state) -> array`: a measurement, such as places of markers.
+        first: Number of steps since time zero, if the model depends on time.
+        coordinates: Local coordinates of this model, needed inside `jax.jit`.
+
+    Returns:
+        The matrices, in local coordinates, and the state after the period.
+
+    Raises:
+        ValueError: If an argument is out of range, one of `control` and `with_control`
+            is missing, or anything is traced and `coordinates` are not given.
+        TypeError: If the model or the state is of another type.
+
+    Example:
+        >>> arm = control.linearise(scene, state, dt, 20, measure=tip)
+        >>> jnp.abs(jnp.linalg.eigvals(arm.state_matrix)).max()
+    """
+    begin = check_first(model, first, check_count("n_steps", n_steps, 1))
+    step = model.check_run(state, dt, begin)
+    if not is_traced(model, state, step):
+        check_step(model.recalling(state), step, state)
+    given = checked_control(control, with_control, step.dtype)
+    if coordinates is None:
+        coordinates = coordinates_under(model, state, step, given, with_control)
+    check_kind("coordinates", coordinates, LocalCoordinates)
+    start = jnp.zeros((), jnp.int32) if begin is None else begin
+    ways = coordinates.directions(
+        state, first=start, control=given, with_control=with_control
+    )
+    after, by_state, by_control = period(
+        coordinates, model, state, ways, step, n_steps, start, given, with_control
+    )
+    seen: Any = (None, None)
+    if measure is not None:
+        now = model.at(start * step) if model.depends_on_time else model
+        seen = measured(coordinates, now, state, ways, measure)
+    return Linearisation(
+        state_matrix=by_state,
+        input_matrix=None if given is None else by_control,
+        output_matrix=seen[1],
+        state=after,
+        measured=seen[0],
+        coordinates=coordinates,
+    )
+
+
+def checked_control(
+    control: Any, with_control: WithControl | None, dtype: Any, name: str = "control"
+) -> Array | None:
+    """The control as an array, or `None` for a model without.
+
+    Raises:
+        ValueError: If one of the two is missing, or it is not of finite numbers.
+    """
+    if (control is None) != (with_control is None):
+        missing = "with_control" if with_control is None else name
+        raise ValueError(f"{name} and with_control go together, but {missing} is None")
+    if control is None:
+        return None
+    numbers = numeric(name, control)
+    return as_array(name, numbers, "", [numbers.shape], dtype=dtype)
+
+
+def period(
+    coordinates: LocalCoordinates,
+    model: Any,
+    state: Any,
+    ways: Array,
+    dt: Array,
+    n_steps: ArrayLike,
+    first: ArrayLike,
+    control: Array | None,
+    with_control: WithControl | None,
+) -> tuple[Any, Array, Array]:
+    """State after a period, and its derivatives by local coordinates and control.
+
+    Args:
+        coordinates: The local coordinates.
+        model: The scene or system, without the control.
+        state: State at the beginning.
+        ways: Directions of the coordinates there.
+        dt: Step size [s].
+        n_steps: Number of steps.
+        first: Number of steps since time zero.
+        control: Control, or `None`.
+        with_control: `(model, control) -> model` under the control.
+    """
+    after, tangents = tangent_map(
+        model, state, dt, n_steps, first, control, with_control
+    )
+    chosen = coordinates.chosen(state, tangents)
+    count = len(ways)
+    return after, chosen[:, :count] @ ways, chosen[:, count:]
+
+
+@jax.jit(static_argnames="measure")
+def measured(
+    coordinates: LocalCoordinates,
+    model: Any,
+    state: Any,
+    ways: Array,
+    measure: Measure,
+) -> tuple[Array, Array]:
+    """Measurement of a state, and the derivatives of all its numbers by coordinates."""
+    now = model.recalling(state)
+
+    def seen(step: Array) -> tuple[Array, Array]:
+        made = measure(now, coordinates.moved(state, ways, step))
+        return ravel_pytree(made)[0], made
+
+    def column(way: Array) -> tuple[Array, Array]:
+        _, change, made = jax.jvp(seen, (jnp.zeros_like(way),), (way,), has_aux=True)
+        return made, change
+
+    size = coordinates.size
+    made: tuple[Array, Array] = jax.vmap(column, out_axes=(None, -1))(
+        jnp.eye(size, dtype=ways.dtype)
+    )
+    return made

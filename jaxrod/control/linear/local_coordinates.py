@@ -1,0 +1,456 @@
+r"""Local coordinates: the states near a state, in as many numbers as it has freedoms.
+
+A state near another is given by displacements $d$ of nodes, rotation vectors $\theta$
+of elements, and changes of velocities $v$ and angular velocities $\omega$,
+
+$$x \mapsto x + d, \quad q \mapsto q\,e^{\theta}, \quad v \mapsto v + \delta v, \quad
+\omega \mapsto \omega + \delta\omega,$$
+
+with $\theta$ and $\omega$ in the frames of the elements. Not all of them are free. A
+step so short that nothing moves puts a state where supports, ties, attachments and the
+method allow it to be. Its Jacobian $T$ therefore has all allowed directions as its
+columns, and the displacements that rates cause in it have all allowed displacements.
+A component that no rate moves is held. Among those that move together, as the
+coordinates of tied nodes do, one is chosen, and the others follow it: with $S$ the
+choice of free components, directions are the columns of $B = T (S T)^{-1}$, so that
+$S B = 1$.
+
+A method, a coupling or an effect of your own needs nothing further for that.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import replace
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax.flatten_util import ravel_pytree
+from jaxtyping import Array, ArrayLike, Float
+
+from jaxrod.geometry.rotations import (
+    Quaternion,
+    conjugate,
+    directors,
+    multiply_quaternions,
+    normalise,
+    rotation_exp,
+    rotation_log,
+    to_material,
+    to_world,
+)
+from jaxrod.geometry.vectors import Vec3
+from jaxrod.stepping.runs import advance, check_first, with_memory
+from jaxrod.structure import pytree, static
+from jaxrod.validation import Numbers, as_array, is_traced, knows_constants
+
+WithControl = Callable[[Any, Array], Any]
+"""`(model, control) -> model`: the model under a control, held for a while."""
+INSTANT = 1e-6
+"""Duration of the step in which nothing moves, over the time step [1]."""
+STILL = 1e-6
+"""Displacement per unit of its own rate below which a component counts as held [1]."""
+_SHAKEN = 0.1
+"""Size of the random change of a state that shows which components follow [1]."""
+
+
+class Fields(NamedTuple):
+    """Numbers of a member's state in which neighbours are measured."""
+
+    position: Array
+    """Node positions [m]."""
+    orientation: Array
+    """Orientations of elements."""
+    velocity: Array
+    """Node velocities [m/s]."""
+    turning: Array
+    """Angular velocities of elements, material frame [rad/s]."""
+
+
+@pytree
+class LocalCoordinates:
+    """Local coordinates of the states of a model; make them with `local_coordinates`.
+
+    A vector of coordinates has `size` numbers: displacements [m] and rotations [rad] in
+    the order of `names`, then their rates [m/s], [rad/s] in the same order.
+    """
+
+    model: Any
+    """The scene or system."""
+    instant: Float[Array, ""]
+    """Duration of a step in which nothing moves [s]."""
+    names: tuple[str, ...] = static()
+    """Free components in words, such as "node 3 along x" and "element 2 about d1"."""
+    free: tuple[int, ...] = static()
+    """Their places among all displacements and rotations."""
+    follow: bool = static()
+    """Whether components that are not free may follow free ones."""
+
+    @property
+    def size(self) -> int:
+        """Number of coordinates."""
+        return 2 * len(self.free)
+
+    def filled(
+        self,
+        *,
+        displacement: Numbers = 0.0,
+        rotation: Numbers = 0.0,
+        velocity: Numbers = 0.0,
+        angular_velocity: Numbers = 0.0,
+    ) -> Float[Array, " size"]:
+        """Vector of coordinates with one number for each kind.
+
+        Args:
+            displacement: Number in place of displacements of nodes.
+            rotation: Number in place of rotations of elements.
+            velocity: Number in place of velocities of nodes.
+            angular_velocity: Number in place of angular velocities of elements.
+        """
+        turns = np.array([" about " in name for name in self.names], bool)
+        given = [
+            as_array(name, number, "", dtype=self.instant.dtype)
+            for name, number in (
+                ("displacement", displacement),
+                ("rotation", rotation),
+                ("velocity", velocity),
+                ("angular_velocity", angular_velocity),
+            )
+        ]
+        moved, turned, moving, turning = given
+        return jnp.concatenate(
+            [jnp.where(turns, turned, moved), jnp.where(turns, turning, moving)]
+        )
+
+    def directions(
+        self,
+        state: Any,
+        *,
+        first: ArrayLike = 0,
+        control: Array | None = None,
+        with_control: WithControl | None = None,
+    ) -> Float[Array, "components size"]:
+        """Changes of all components that go with each coordinate.
+
+        Args:
+            state: State about which they are taken.
+            first: Number of steps since time zero, if the model depends on time.
+            control: Control, or `None`, for the same program as that of a run.
+            with_control: `(model, control) -> model` under the control.
+        """
+        chosen = self._chosen(state)
+        if not self.follow:
+            return jnp.eye(_count(self.model, state), dtype=self.instant.dtype)[
+                :, chosen
+            ]
+        tangents = tangent_map(
+            self.model, state, self.instant, 1, first, control, with_control
+        )[1]
+        allowed = tangents[:, chosen]
+        inverse = jnp.linalg.inv(allowed[chosen])
+        return jnp.sum(allowed[:, :, None] * inverse[None], axis=1)
+
+    def retract(self, state: Any, step: Array, *, first: int | Array = 0) -> Any:
+        """State at given coordinates from another.
+
+        Args:
+            state: State about which coordinates are taken.
+            step: Coordinates `(size,)`.
+            first: Number of steps since time zero, if the model depends on time.
+
+        Raises:
+            ValueError: If there are more or fewer coordinates.
+        """
+        self.check_size("step", step)
+        return self.moved(state, self.directions(state, first=first), step)
+
+    def moved(self, state: Any, directions: Array, step: Array) -> Any:
+        """State at given coordinates, along directions that are known."""
+        return moved_by(self.model, state, jnp.sum(directions * step[None], axis=1))
+
+    def difference(self, state: Any, other: Any) -> Float[Array, " size"]:
+        """Coordinates of another state from a state.
+
+        Args:
+            state: State about which coordinates are taken.
+            other: The other state.
+        """
+        here, there = fields(self.model, state), fields(self.model, other)
+        return ravel_pytree(differences(here, there))[0][self._chosen(state)]
+
+    def chosen(self, state: Any, changes: Array) -> Array:
+        """Rows of the free components out of those of all components."""
+        return changes[self._chosen(state)]
+
+    def check_size(self, name: str, step: Any) -> None:
+        """Raises a `ValueError` unless an argument is a vector of coordinates."""
+        if jnp.shape(step) != (self.size,):
+            raise ValueError(
+                f"{name} must have shape {(self.size,)}, one number for each local "
+                f"coordinate, got {jnp.shape(step)}"
+            )
+
+    def _chosen(self, state: Any) -> np.ndarray:
+        places = np.array(self.free, int)
+        return np.concatenate([places, places + _count(self.model, state) // 2])
+
+
+@knows_constants
+def local_coordinates(model: Any, state: Any, dt: ArrayLike) -> LocalCoordinates:
+    """Local coordinates of the states near a state: those that nothing holds.
+
+    Which components are free is structure, and found from a state that is known. It is
+    the same for all states with the same supports. Memory of effects, such as the
+    anchors of friction, has no coordinates: it stays as it is.
+
+    Args:
+        model: The scene or the system.
+        state: A state of it.
+        dt: Step size of its runs [s].
+
+    Returns:
+        The coordinates, for `linearise` inside `jax.jit`, and for filters.
+
+    Raises:
+        ValueError: If nothing is free, or anything is traced.
+        TypeError: If the model or the state is of another type.
+    """
+    return coordinates_under(model, state, dt, None, None)
+
+
+def coordinates_under(
+    model: Any,
+    state: Any,
+    dt: ArrayLike,
+    control: Array | None,
+    with_control: WithControl | None,
+) -> LocalCoordinates:
+    """Local coordinates, found by the program that `tangent_map` runs for a control."""
+    begin = check_first(model, 0, 1)
+    if is_traced(model, state, dt):
+        raise ValueError(
+            "local coordinates need numbers that are known, not traced by jax.jit, "
+            "grad or vmap: make jaxrod.control.local_coordinates outside; they hold "
+            "for other numbers, too"
+        )
+    step = model.check_run(state, dt, begin)
+    instant = INSTANT * step
+    count = _count(model, state)
+
+    def tangents(change: np.ndarray) -> np.ndarray:
+        made = tangent_map(
+            model, state, instant, 1, 0, control, with_control, change=change
+        )
+        return np.asarray(made[1], np.float64)[:, :count]
+
+    allowed = tangents(np.zeros(count))
+    free = _free(allowed / float(instant))
+    if not free:
+        raise ValueError("local coordinates need a state that can change: all is held")
+    names = list(_names(model, state))
+    found = LocalCoordinates(
+        model=model,
+        instant=instant,
+        names=tuple(names[k] for k in free),
+        free=tuple(free),
+        follow=False,
+    )
+    chosen = found._chosen(state)
+    others = np.setdiff1d(np.arange(count), chosen)
+    noise = np.random.default_rng(0).normal(size=len(chosen))
+    shaken = tangents(_shaking(model, state) * allowed[:, chosen] @ noise)
+    following = shaken[np.ix_(others, chosen)]
+    # Loads of an instant are no constraint: they are small.
+    return replace(found, follow=bool(np.any(np.abs(following) > STILL**0.5)))
+
+
+def _free(rates_of_change: np.ndarray) -> list[int]:
+    """Places of free components, as many as displacements are independent."""
+    half = len(rates_of_change) // 2
+    moved = rates_of_change[:half, half:]
+    own = np.flatnonzero(np.abs(np.diagonal(moved)) > STILL)
+    rows = moved[np.ix_(own, own)]
+    lengths = np.linalg.norm(rows, axis=1)
+    free: list[int] = []
+    # Gram and Schmidt's method: the longest row that is left is the next.
+    while len(free) < len(own):
+        left = np.linalg.norm(rows, axis=1) / lengths
+        best = int(np.argmax(left > 0.999 * np.max(left)))
+        if left[best] < STILL:
+            break
+        way = rows[best] / np.linalg.norm(rows[best])
+        rows = rows - np.outer(rows @ way, way)
+        free.append(int(own[best]))
+    return sorted(free)
+
+
+def _shaking(model: Any, state: Any) -> float:
+    """Size of changes that leave no component of a state special, [m] and [rad]."""
+    edges = [
+        np.min(np.linalg.norm(np.diff(np.asarray(own.positions)), axis=-2))
+        for own in model.states_by_name(state).values()
+        if own.positions.shape[-1] > 1
+    ]
+    return _SHAKEN * min([*map(float, edges), 1.0])
+
+
+def _names(model: Any, state: Any) -> Iterator[str]:
+    """Names of all displacements and rotations, in their order."""
+    for name, own in sorted(jax.eval_shape(lambda: fields(model, state)).items()):
+        for what, axes, field in (
+            ("node {} along {}", "xyz", own.position),
+            ("element {} about d{}", "123", own.turning),
+        ):
+            for *rod, axis, place in np.ndindex(field.shape):
+                words = what.format(place, axes[axis])
+                inside = "".join(f"rod {k}, " for k in rod)
+                yield f"{name}: {inside}{words}" if name else inside + words
+
+
+def _count(model: Any, state: Any) -> int:
+    """Number of components of displacements, rotations and their rates."""
+    states = model.states_by_name(state).values()
+    return sum(2 * (own.velocities.size + own.rates[1].size) for own in states)
+
+
+def fields(model: Any, state: Any) -> dict[str, Fields]:
+    """Numbers of the states of all members, by name."""
+    members = model.interfaces()
+    found = {}
+    for name, own in model.states_by_name(state).items():
+        velocities, spins = own.rates
+        frame = directors(_quaternion(own.orientations))
+        turning = _joined(to_material(frame, _vector(spins)))
+        rod = members[name].rod
+        if rod is not None:
+            turning = turning / rod.principal_inertias
+        found[name] = Fields(own.positions, own.orientations, velocities, turning)
+    return found
+
+
+def differences(here: dict[str, Fields], there: dict[str, Fields]) -> Any:
+    """Changes of all components: displacements and rotations, then their rates."""
+    places, rates = {}, {}
+    for name, one in here.items():
+        other = there[name]
+        turned = multiply_quaternions(
+            conjugate(_quaternion(one.orientation)), _quaternion(other.orientation)
+        )
+        rotation = _joined(rotation_log(turned))
+        places[name] = other.position - one.position, rotation
+        rates[name] = other.velocity - one.velocity, other.turning - one.turning
+    return places, rates
+
+
+def moved_by(model: Any, state: Any, changes: Float[Array, " components"]) -> Any:
+    """State after changes of all components, whether they are free or not."""
+    here = fields(model, state)
+    places, rates = ravel_pytree(differences(here, here))[1](changes)
+    members, states, moved = model.interfaces(), model.states_by_name(state), {}
+    for name, own in here.items():
+        displacement, rotation = places[name]
+        turned = normalise(
+            multiply_quaternions(
+                _quaternion(own.orientation), rotation_exp(_vector(rotation))
+            )
+        )
+        velocity, turning = own.velocity + rates[name][0], own.turning + rates[name][1]
+        rod = members[name].rod
+        if rod is not None:
+            turning = turning * rod.principal_inertias
+        spins = _joined(to_world(directors(turned), _vector(turning)))
+        moved[name] = replace(
+            states[name].with_rates(velocity, spins),
+            positions=own.position + displacement,
+            orientations=jnp.stack(turned, axis=-2),
+        )
+    return model.with_states(state, moved)
+
+
+def tangent_map(
+    model: Any,
+    state: Any,
+    dt: Array,
+    n_steps: ArrayLike,
+    first: ArrayLike,
+    control: Array | None,
+    with_control: WithControl | None,
+    *,
+    change: Any = None,
+) -> tuple[Any, Float[Array, "components inputs"]]:
+    """State after a run, and derivatives of all its components.
+
+    Numbers of steps are traced, so that one program serves every run.
+
+    Args:
+        model: The scene or system.
+        state: Initial state.
+        dt: Step size [s].
+        n_steps: Number of steps.
+        first: Number of steps since time zero.
+        control: Control that is held during the run, or `None`.
+        with_control: `(model, control) -> model` under the control.
+        change: Change of all components of the state, at which derivatives are taken by
+            them; none by default.
+
+    Returns:
+        The state, and the derivatives by all components of the initial state and then
+        by the numbers of the control.
+    """
+    steps, begin = (jnp.asarray(number, jnp.int32) for number in (n_steps, first))
+    state = with_memory(model, state)
+    if change is None:
+        change = np.zeros(_count(model, state))
+    point = jnp.asarray(change, dt.dtype)
+    made: tuple[Any, Array] = _tangent_map(
+        model, state, point, dt, steps, begin, control, with_control
+    )
+    return made
+
+
+@jax.jit(static_argnames="with_control")
+def _tangent_map(
+    model: Any,
+    state: Any,
+    point: Array,
+    dt: Array,
+    n_steps: Array,
+    first: Array,
+    control: Array | None,
+    with_control: WithControl | None,
+) -> tuple[Any, Array]:
+    count = _count(model, state)
+    if control is not None:
+        point = jnp.concatenate([point, jnp.zeros(control.size, dt.dtype)])
+
+    def run(change: Array) -> tuple[dict[str, Fields], Any]:
+        driven = model
+        if control is not None and with_control is not None:
+            more = change[count:].reshape(control.shape)
+            driven = with_control(model, control + more)
+        begun = moved_by(model, state, change[:count])
+        after = advance(driven, begun, dt, n_steps, first=first)
+        return fields(model, after), after
+
+    def column(way: Array) -> tuple[Any, Array]:
+        here, change, after = jax.jvp(run, (point,), (way,), has_aux=True)
+        near = jax.jvp(lambda there: differences(here, there), (here,), (change,))[1]
+        return after, ravel_pytree(near)[0]
+
+    ways = jnp.eye(point.size, dtype=dt.dtype)
+    made: tuple[Any, Array] = jax.vmap(column, out_axes=(None, -1))(ways)
+    return made
+
+
+def _vector(field: Array) -> Vec3:
+    return field[..., 0, :], field[..., 1, :], field[..., 2, :]
+
+
+def _quaternion(field: Array) -> Quaternion:
+    return field[..., 0, :], field[..., 1, :], field[..., 2, :], field[..., 3, :]
+
+
+def _joined(vector: Vec3) -> Array:
+    return jnp.stack(vector, axis=-2)

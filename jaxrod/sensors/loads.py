@@ -1,0 +1,256 @@
+"""Sensors of what acts on a rod: supports, tendons, chambers, contact."""
+
+from __future__ import annotations
+
+from typing import Any, ClassVar
+
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from jaxrod.actuation.chambers import Chamber, WoundChamber
+from jaxrod.actuation.tendons import Tendon
+from jaxrod.analysis.reactions import reactions
+from jaxrod.effects.base import Reaction
+from jaxrod.effects.ends import End, check_end
+from jaxrod.geometry import vectors
+from jaxrod.loaded_rod import LoadedRod
+from jaxrod.rods.elasticity import elastic_law, internal_loads
+from jaxrod.rods.motion import Loads, accumulate, motion_of
+from jaxrod.rods.rod import RodState
+from jaxrod.sensors.sensor import Sensor
+from jaxrod.structure import pytree, static
+from jaxrod.validation import check_count, check_kind
+
+
+@pytree
+class SupportForce(Sensor):
+    """Force of a support; see `support_force`."""
+
+    unit: ClassVar[str] = "N"
+    end: End = static(default="base")
+    """The end that is held."""
+    name: str = static(default="support force")
+
+    def measure(self, scene: LoadedRod, state: RodState) -> Float[Array, "3"]:
+        """Force of the supports at the end on the rod, world frame."""
+        held = _reactions_at(self.end, scene, state)
+        return jnp.sum(jnp.stack([reaction.force for reaction in held]), axis=0)
+
+
+@pytree
+class SupportCouple(Sensor):
+    """Couple of a support; see `support_couple`."""
+
+    unit: ClassVar[str] = "N m"
+    end: End = static(default="base")
+    """The end that is held."""
+    name: str = static(default="support couple")
+
+    def measure(self, scene: LoadedRod, state: RodState) -> Float[Array, "3"]:
+        """Couple of the supports at the end on the rod, world frame."""
+        held = _reactions_at(self.end, scene, state)
+        return jnp.sum(jnp.stack([reaction.couple for reaction in held]), axis=0)
+
+
+def _reactions_at(end: End, scene: LoadedRod, state: RodState) -> list[Reaction]:
+    """Reactions of all supports at an end."""
+    found = reactions(scene, state)
+    index = 0 if end == "base" else -1
+    rod = scene.rod
+    node, element = index % (rod.n_elements + 1), index % rod.n_elements
+    held = [
+        reaction
+        for effect, reaction in zip(scene.effects, found, strict=True)
+        if reaction is not None
+        and any(
+            (part.node is not None and part.node % (rod.n_elements + 1) == node)
+            or (part.element is not None and part.element % rod.n_elements == element)
+            for part in effect.held(rod)
+        )
+    ]
+    if not held:
+        raise ValueError(f"the scene has no support at the {end} of the rod")
+    return held
+
+
+@pytree
+class TendonLength(Sensor):
+    """Lengths of cables; see `tendon_length`."""
+
+    unit: ClassVar[str] = "m"
+    effect: int = static(default=0)
+    """Number of the tendon among the effects of the scene."""
+    name: str = static(default="tendon length")
+
+    def measure(self, scene: LoadedRod, state: RodState) -> Float[Array, "k"]:
+        """Length of each cable, from its anchor or first eyelet to its last."""
+        return _tendon(scene, self.effect).cable_lengths(motion_of(state))
+
+
+@pytree
+class TendonTension(Sensor):
+    """Tensions of cables; see `tendon_tension`."""
+
+    unit: ClassVar[str] = "N"
+    effect: int = static(default=0)
+    """Number of the tendon among the effects of the scene."""
+    name: str = static(default="tendon tension")
+
+    def measure(self, scene: LoadedRod, state: RodState) -> Float[Array, "k"]:
+        """Tension of each cable at its base."""
+        return _tendon(scene, self.effect).cable_tensions(motion_of(state))
+
+
+@pytree
+class ChamberPressure(Sensor):
+    """Pressures in chambers; see `chamber_pressure`."""
+
+    unit: ClassVar[str] = "Pa"
+    effect: int = static(default=0)
+    """Number of the chamber among the effects of the scene."""
+    name: str = static(default="chamber pressure")
+
+    def measure(self, scene: LoadedRod, state: RodState) -> Float[Array, "k"]:
+        """Pressure in each chamber above that outside."""
+        chosen = _effect(scene, self.effect, (Chamber, WoundChamber))
+        return jnp.broadcast_to(chosen.pressure, (chosen.path.count,))
+
+
+def _effect(scene: LoadedRod, number: int, kinds: type | tuple[type, ...]) -> Any:
+    """Effect of a scene by its number; raises if there is none, or of another kind."""
+    check_count("effect", number, 0, len(scene.effects) - 1)
+    chosen = scene.effects[number]
+    check_kind(f"effect {number} of the scene", chosen, kinds)
+    return chosen
+
+
+def _tendon(scene: LoadedRod, number: int) -> Tendon:
+    """Tendon of a scene, by its number among the effects."""
+    chosen: Tendon = _effect(scene, number, Tendon)
+    return chosen
+
+
+@pytree
+class ContactForce(Sensor):
+    """Force of all bodies that a rod touches; see `contact_force`."""
+
+    unit: ClassVar[str] = "N"
+    per_node: bool = static(default=False)
+    """Whether forces are on each node, or their sum."""
+    name: str = static(default="contact force")
+
+    def measure(self, scene: LoadedRod, state: RodState) -> Float[Array, "3 *nodes"]:
+        """Force of the bodies on the rod, world frame."""
+        motion, rod = motion_of(state), scene.rod
+        internal = internal_loads(elastic_law(rod), motion)
+        forces, couples = internal.forces, internal.couples
+        assert forces is not None and couples is not None
+        none = jnp.zeros_like(rod.node_masses)
+        touching, found = (none, none, none), False
+        # Contact may depend on the loads of the effects listed before it.
+        for effect in scene.effects:
+            loads = effect.loads_after(rod, motion, Loads(forces, couples))
+            if effect.obstacle is not None:
+                touching, found = accumulate(touching, loads.forces), True
+            forces = accumulate(forces, loads.forces)
+            couples = accumulate(couples, loads.couples)
+        if not found:
+            raise ValueError("the scene has no contact")
+        each = vectors.join(touching)
+        return each if self.per_node else jnp.sum(each, axis=1)
+
+
+def support_force(end: End = "base") -> SupportForce:
+    """Force with which supports hold an end: a force sensor under the base.
+
+    It is the force on the end node of `jaxrod.reactions`: that of a clamp, a fixed end,
+    a pin, a hinge or a driven end.
+
+    Args:
+        end: The end that is held.
+
+    Returns:
+        A sensor that reads three components, world frame [N]. It needs the consistent
+        law and a support at that end.
+
+    Raises:
+        ValueError: If `end` is neither "base" nor "tip".
+    """
+    return SupportForce(check_end(end))
+
+
+def support_couple(end: End = "base") -> SupportCouple:
+    """Couple with which supports hold an end: a torque sensor under the base.
+
+    Args:
+        end: The end that is held.
+
+    Returns:
+        A sensor that reads three components, world frame [N m]. It needs the consistent
+        law and a support at that end.
+
+    Raises:
+        ValueError: If `end` is neither "base" nor "tip".
+    """
+    return SupportCouple(check_end(end))
+
+
+def tendon_length(effect: int) -> TendonLength:
+    """Length of the cables of a tendon: an encoder on the winch.
+
+    Args:
+        effect: Number of the tendon among the effects of the scene.
+
+    Returns:
+        A sensor that reads one number per cable [m]. Reading it raises a `TypeError` if
+        that effect is not a `tendon`.
+
+    Raises:
+        ValueError: If `effect` is not a number of an effect.
+    """
+    return TendonLength(check_count("effect", effect, 0))
+
+
+def tendon_tension(effect: int) -> TendonTension:
+    """Tension of the cables of a tendon at its base: a load cell on the cable.
+
+    Args:
+        effect: Number of the tendon among the effects of the scene.
+
+    Returns:
+        A sensor that reads one number per cable [N]. Reading it raises a `TypeError` if
+        that effect is not a `tendon`.
+
+    Raises:
+        ValueError: If `effect` is not a number of an effect.
+    """
+    return TendonTension(check_count("effect", effect, 0))
+
+
+def chamber_pressure(effect: int) -> ChamberPressure:
+    """Pressure in chambers above that outside.
+
+    Args:
+        effect: Number of the chamber among the effects of the scene.
+
+    Returns:
+        A sensor that reads one number per chamber [Pa]. Reading it raises a `TypeError`
+        if that effect is not a `chamber` or `wound_chamber`.
+
+    Raises:
+        ValueError: If `effect` is not a number of an effect.
+    """
+    return ChamberPressure(check_count("effect", effect, 0))
+
+
+def contact_force(*, per_node: bool = False) -> ContactForce:
+    """Force of all bodies that the rod touches, normal forces and friction.
+
+    Args:
+        per_node: Whether to read the force on each node, as a skin does, or the sum.
+
+    Returns:
+        A sensor that reads three components, or `(3, n + 1)`, world frame [N]. Reading
+        it raises a `ValueError` if the scene has no contact.
+    """
+    return ContactForce(bool(per_node))

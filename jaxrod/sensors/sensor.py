@@ -1,0 +1,215 @@
+r"""The base of all sensors, and interpolation along a rod at their stations.
+
+A station is an arc length $s$ of the unstressed rod. Between the places $s_j$ where a
+field has its values (nodes, middles of elements, joints) it is linear in $s$, and so it
+is beyond the first and the last of them. Orientations go along the rotation vector of
+the joint, $q(s) = q_j\,e^{\lambda\phi_j}$. Both are second order in the length of the
+elements, and exact in an arc of a circle (orientation) and under constant strain.
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from typing import ClassVar
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool, Float
+
+from jaxrod.effects.trial_motion import trial_motion
+from jaxrod.geometry import vectors
+from jaxrod.geometry.rotations import (
+    Quaternion,
+    multiply_quaternions,
+    rotation_exp,
+)
+from jaxrod.geometry.vectors import Vec3
+from jaxrod.loaded_rod import LoadedRod, scene_of
+from jaxrod.rods.along_rod import middle_places, node_places
+from jaxrod.rods.elasticity import joint_rotations
+from jaxrod.rods.motion import Motion, state_of
+from jaxrod.rods.rod import Rod, RodState
+from jaxrod.structure import pytree
+from jaxrod.validation import Numbers, as_array, is_traced, numeric
+
+_BEYOND = 1e-5
+"""Distance over the rod's length by which a station may be beyond the end [1]."""
+
+
+class Sensor(ABC):
+    """Base of all sensors: what it reads in a state of a scene.
+
+    A sensor is a frozen pytree. `read` is a pure function: `jax.vmap` of it reads a
+    batch or a recording, and both modes of differentiation go through it.
+    """
+
+    name: str
+    """Name of the sensor."""
+    unit: ClassVar[str]
+    """SI unit of the reading."""
+
+    def read(self, scene: LoadedRod, state: RodState) -> Array:
+        """Reading in a state, in `unit`.
+
+        Args:
+            scene: The scene of one rod; if it depends on time, the scene at the time of
+                the state, `scene.at(time)`.
+            state: The state.
+
+        Raises:
+            ValueError: If the scene depends on time, has not what the sensor measures,
+                or the sensor is beyond the end of the rod. Where that is traced, the
+                reading is NaN.
+            TypeError: If `scene` or `state` is of another type.
+        """
+        scene = scene_of(scene, state)
+        self.check(scene)
+        return _read(self, scene, state)
+
+    @abstractmethod
+    def measure(self, scene: LoadedRod, state: RodState) -> Array:
+        """Reading in a state; `read` checks arguments first, and compiles it."""
+
+    def check(self, scene: LoadedRod) -> None:  # noqa: B027
+        """Raises if the scene has not what the sensor measures; most need nothing."""
+
+    def shape(self, scene: LoadedRod) -> tuple[int, ...]:
+        """Shape of the reading; nothing is computed."""
+        state = jax.eval_shape(lambda: state_of(trial_motion(scene.rod)))
+        return jax.eval_shape(lambda given: self.read(scene, given), state).shape
+
+
+@jax.jit
+def _read(sensor: Sensor, scene: LoadedRod, state: RodState) -> Array:
+    return sensor.measure(scene, state)
+
+
+@pytree
+class Weights:
+    """Weights of linear interpolation from places along a rod to stations."""
+
+    before: Bool[Array, "k m-1"]
+    """Whether a station is in each interval between two places."""
+    share: Float[Array, "k"]
+    """Position within the interval, from 0 to 1; outside beyond the end places [1]."""
+    valid: Bool[Array, "k"]
+    """Whether the station is on the rod."""
+
+    def of(self, values: Array) -> Array:
+        """Values `(m,)` at the stations `(k,)`; NaN for stations off the rod."""
+        if values.shape[-1] > 1:
+            first = jnp.sum(jnp.where(self.before, values[None, :-1], 0), axis=1)
+            last = jnp.sum(jnp.where(self.before, values[None, 1:], 0), axis=1)
+            found = first + self.share * (last - first)
+        else:
+            found = jnp.broadcast_to(jnp.sum(values), self.valid.shape)
+        return jnp.where(self.valid, found, jnp.nan)
+
+    def of_vectors(self, field: Vec3) -> Vec3:
+        """Vectors at the stations."""
+        return self.of(field[0]), self.of(field[1]), self.of(field[2])
+
+
+def _weights(rod: Rod, stations: Array, places: Array) -> Weights:
+    """Weights for stations `(k,)` from increasing places `(m,)`, all in [m]."""
+    stations = stations.astype(rod.rest_lengths.dtype)
+    valid = (stations >= 0) & (stations <= (1 + _BEYOND) * rod.length)
+    here = stations[:, None]
+    if places.shape[0] < 2:
+        nowhere = jnp.zeros((stations.shape[0], 0), bool)
+        return Weights(nowhere, jnp.zeros_like(stations), valid)
+    row = places[None, :]
+    inner = row[:, 1:-1]
+    from_here = jnp.pad(here >= inner, ((0, 0), (1, 0)), constant_values=True)
+    to_here = jnp.pad(here < inner, ((0, 0), (0, 1)), constant_values=True)
+    before = from_here & to_here
+    start = jnp.sum(jnp.where(before, row[:, :-1], 0), axis=1)
+    length = jnp.sum(jnp.where(before, row[:, 1:] - row[:, :-1], 0), axis=1)
+    # NaN is in no interval.
+    safe = jnp.where(valid, length, 1)
+    return Weights(before, (stations - start) / safe, valid)
+
+
+@pytree
+class Stations:
+    """Interpolation at stations of a rod, from each kind of place."""
+
+    nodes: Weights
+    """From the nodes."""
+    elements: Weights
+    """From the middles of the elements."""
+    joints: Weights
+    """From the joints: each is in the middle between the middles of two elements."""
+
+    def orientation(self, motion: Motion) -> Quaternion:
+        """Orientation of the section at each station, material to world."""
+        q = motion.orientation
+        turn, _ = joint_rotations(q)
+        before, share = self.elements.before, self.elements.share
+
+        def chosen(part: Array) -> Array:
+            return jnp.sum(jnp.where(before, part[None, :], 0), axis=1)
+
+        w, x, y, z = (chosen(part[:-1]) for part in q)
+        a, b, c = (share * chosen(part) for part in turn)
+        turned = multiply_quaternions((w, x, y, z), rotation_exp((a, b, c)))
+        w, x, y, z = (jnp.where(self.elements.valid, p, jnp.nan) for p in turned)
+        return w, x, y, z
+
+
+class StationSensor(Sensor):
+    """Base of sensors at stations along a rod."""
+
+    arc_length: Float[Array, "*k"]
+    """Arc length of the stations [m]."""
+
+    def check(self, scene: LoadedRod) -> None:
+        """Raises a ValueError if a station is known to be beyond the end of the rod."""
+        length = scene.rod.length
+        if is_traced(self.arc_length, length):
+            return
+        most = np.max(np.asarray(self.arc_length))
+        if most > (1 + _BEYOND) * float(length):
+            raise ValueError(
+                f"arc_length must be at most the rod's length, {float(length):g} m, "
+                f"got {most:g} m"
+            )
+
+    def placed(self, reading: Vec3) -> Array:
+        """A vector reading at stations `(3, k)`, or `(3,)` at a single one."""
+        return vectors.join(reading).reshape(3, *self.arc_length.shape)
+
+
+def stations_of(rod: Rod, arc_length: Array) -> Stations:
+    """Stations at arc lengths `()` or `(k,)` of a rod [m]."""
+    stations = jnp.ravel(arc_length)
+    middles = jnp.asarray(middle_places(rod))
+    joints = 0.5 * (middles[1:] + middles[:-1])
+    nodes = jnp.asarray(node_places(rod))
+    return Stations(*(_weights(rod, stations, p) for p in (nodes, middles, joints)))
+
+
+def as_stations(arc_length: Numbers) -> Array:
+    """Arc lengths of stations, checked: one number or `(k,)` [m]."""
+    given = numeric("arc_length", arc_length, "m")
+    shapes = [(), (given.size,)]
+    return as_array("arc_length", given, "m", shapes, non_negative=True)
+
+
+def as_offsets(offsets: Numbers, arc_length: Array) -> Array:
+    """Offsets along d1 and d2, checked: `(2,)` or one per station `(k, 2)` [m].
+
+    Returns:
+        The offsets, components first: `(2, 1)` or `(2, k)`.
+    """
+    shapes: list[tuple[int, ...]] = [(2,)]
+    if arc_length.ndim:
+        shapes.append((arc_length.shape[0], 2))
+    return as_array("offsets", offsets, "m", shapes).reshape(-1, 2).T
+
+
+def in_section(offsets: Array, like: Array) -> Vec3:
+    """Offsets as vectors of the section's frame, in the type of other numbers."""
+    x, y = (jnp.broadcast_to(part, like.shape).astype(like.dtype) for part in offsets)
+    return x, y, jnp.zeros_like(x)
