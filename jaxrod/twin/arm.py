@@ -310,7 +310,9 @@ class Arm:
 
     def _weights(self, masses: Array, pull: Array) -> MarkerWeights:
         offsets = jnp.asarray([m.offset for m in self.markers], pull.dtype)
-        return MarkerWeights(masses[:, None] * offsets, pull, self._placed)
+        return MarkerWeights(
+            masses[:, None] * offsets, pull, jnp.asarray(self._placed, pull.dtype)
+        )
 
     @property
     def _middles(self) -> np.ndarray:
@@ -381,10 +383,8 @@ class MarkerWeights(Effect):
         """Energy of the weights, less that of the same masses on the axis [J]."""
         x, y, z = (jnp.sum(self.placed * row[:, None], 0) for row in self.levers.T)
         moved = to_world(directors(split_quaternion(state.orientations)), (x, y, z))
-        height = sum(
-            a * jnp.sum(m) for a, m in zip(self.acceleration, moved, strict=True)
-        )
-        return -height
+        places = jnp.stack([jnp.sum(part) for part in moved])
+        return -jnp.sum(self.acceleration * places)
 
 
 def read_arm(path: str | Path) -> Arm:

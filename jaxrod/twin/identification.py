@@ -14,7 +14,7 @@ coordinate is what is left over: fits are repeated until it agrees with the resi
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from typing import Any, NamedTuple
@@ -276,8 +276,7 @@ def _searched(
             damping *= SLOWER
         if abs(cost - cost_there) <= default_tolerance(float) * cost:
             break
-    arrays = (jnp.asarray(part) for part in (point, rows, slopes))
-    return _Found(*arrays, iterations=jnp.asarray(tried))
+    return _Found(*map(jnp.asarray, (point, rows, slopes, tried)))
 
 
 def _problem(arm: Arm, data: Sequence[tuple[_Layout, _Group]]) -> FitProblem:
@@ -477,8 +476,8 @@ def _steps(arm: Arm, inputs: np.ndarray, duration: float) -> tuple[_Layout, floa
     for name, sign in (("youngs_modulus", 3), ("density", -3), ("tension", 3)):
         stiff[name] = start[name] * np.exp(sign * arm.unknown.get(name, 0.0))
     pulls = jnp.max(arm.tensions(stiff, inputs), axis=0)
-    scene, state = arm.scene(stiff, lambda numbers: pulls[numbers])
-    stable = float(stable_dt(scene, state).dt)
+    scene, _ = arm.scene(stiff, lambda numbers: pulls[numbers])
+    stable = float(stable_dt(scene).dt)
     every = max(1, int(RECORDS / stable))
     records = max(1, int(np.ceil(duration / (stable * every))))
     # A little less than the stable step, so that records end with the recording.

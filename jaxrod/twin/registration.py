@@ -150,7 +150,7 @@ def _moments(recording: Recording, predicted: np.ndarray) -> _Moments:
 
 @dataclass(frozen=True)
 class _Known:
-    """What is known of the frame of the camera; see `register`."""
+    """Known parts of the frame of the camera; see `register`."""
 
     axes: np.ndarray | None
     shift: np.ndarray | None

@@ -101,6 +101,10 @@ def test_weights_of_markers_are_those_of_their_energy():
                 heights.append(float(height(moved)))
             slope = (heights[0] - heights[1]) / 2e-6
             assert np.isclose(-slope, own[axis][element], atol=1e-9, rtol=1e-6)
+    onto_axis = [replace(marker, offset=(0.0, 0.0, 0.0)) for marker in arm.markers]
+    axis = replace(arm, markers=tuple(onto_axis)).points(rest, arm.start)[:, 2]
+    both = float(height(rest)) - 9.81 * float(jnp.sum(masses * axis))
+    assert np.isclose(float(weights.energy(scene.rod, rest)), both, rtol=1e-9)
     added = scene.rod.element_masses - bare.rod.element_masses
     assert np.isclose(jnp.sum(added), jnp.sum(masses))
 
