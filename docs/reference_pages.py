@@ -39,6 +39,7 @@ PACKAGES = {
     "jaxrod.topology": "Twist, writhe, link",
     "jaxrod.tradeoff": "Speed for accuracy",
     "jaxrod.training": "Learners",
+    "jaxrod.twin": "Twins from recordings",
     "jaxrod.viz": "Drawing",
 }
 

@@ -14,6 +14,7 @@ from jaxrod import systems as systems
 from jaxrod import topology as topology
 from jaxrod import tradeoff as tradeoff
 from jaxrod import training as training
+from jaxrod import twin as twin
 from jaxrod import validation as validation
 from jaxrod import viz as viz
 from jaxrod.analysis.frequency import highest_frequency as highest_frequency

@@ -43,6 +43,7 @@ COMMANDS = {
     "evaluate": "measure the policy of a finished run",
     "render": "draw the learning curve and a replay of a run",
     "export": "write the policy of a run for a controller: C, ONNX",
+    "identify": "find the numbers of a real arm from recordings",
     "optimise": "find actuation by gradients through the simulation",
     "doctor": "check that this machine computes correctly",
     "reproduce": "run the published benchmark: cases, algorithms, seeds *",

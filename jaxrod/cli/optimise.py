@@ -27,11 +27,11 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from jaxrod.cli import settings
+from jaxrod.cli.runs import check_folder
 
 if TYPE_CHECKING:
     from jaxrod.control import ActuatedArm, Problem, Reach, Solution
     from jaxrod.envs import Environment
-    from jaxrod.training.runs.owned_folder import OwnedFolder
 
 EXAMPLES = """\
 examples:
@@ -193,9 +193,9 @@ def run(args: argparse.Namespace) -> int:
     with ExitStack() as stack:
         # The folder is checked first, so that a refusal leaves no trace, and again once
         # no other process can change it.
-        _check_folder(folder, args.overwrite)
+        check_folder(folder, args.overwrite)
         stack.enter_context(folder.only_process())
-        _check_folder(folder, args.overwrite)
+        check_folder(folder, args.overwrite)
         stack.enter_context(jax.enable_x64(args.double))
         options = {} if args.elements is None else {"n_elements": args.elements}
         arm = arm_of(envs.make(args.task, variant="clean", **options))
@@ -257,16 +257,6 @@ def _solved(problem: Problem, args: argparse.Namespace) -> Solution:
         seed=args.seed,
         log=log,
     )
-
-
-def _check_folder(folder: OwnedFolder, overwrite: bool) -> None:
-    """Raises ValueError with the reason if the folder cannot be used."""
-    folder.check_replaceable()
-    if folder.exists and not overwrite:
-        raise ValueError(
-            f"{folder.path} holds a result already: replace it with --overwrite, or "
-            "choose another folder with --out"
-        )
 
 
 def arm_of(env: Environment) -> ActuatedArm:

@@ -15,6 +15,7 @@ from jaxrod.files import UntrustedError, read_json, reading
 if TYPE_CHECKING:
     from jaxrod.envs import Environment
     from jaxrod.training import Policy
+    from jaxrod.training.runs.owned_folder import OwnedFolder
 
 _SCORE_WINDOWS = {"structured": 10, "unstructured": 10}
 _SCORE_WINDOW = 50
@@ -219,3 +220,17 @@ def printable(text: str) -> str:
         sign if sign.isprintable() else sign.encode("unicode_escape").decode()
         for sign in line
     )
+
+
+def check_folder(folder: OwnedFolder, overwrite: bool) -> None:
+    """Refuses a folder that must not, or was not asked to, be replaced.
+
+    Raises:
+        ValueError: The folder cannot be used; with the reason.
+    """
+    folder.check_replaceable()
+    if folder.exists and not overwrite:
+        raise ValueError(
+            f"{folder.path} holds a result already: replace it with --overwrite, or "
+            "choose another folder with --out"
+        )

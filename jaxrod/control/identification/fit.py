@@ -43,6 +43,7 @@ def fit(
     multiple_shooting: MultipleShooting | None = None,
     noise: Any = None,
     logarithmic: bool | Iterable[str] = True,
+    scales: Mapping[str, Any] | None = None,
     lower: Mapping[str, Any] | None = None,
     upper: Mapping[str, Any] | None = None,
     iterations: int = 50,
@@ -72,6 +73,9 @@ def fit(
             (one for each kind). If `None`, it is estimated from the residuals.
         logarithmic: Positive parameters whose logarithm is sought: all (`True`), none
             (`False`), or names.
+        scales: Sizes of changes that matter, for parameters that are not sought by
+            their logarithm. A parameter that is less certain than that counts as not
+            determined. By default the sizes of the start, and 1 where that is 0.
         lower: Lower bounds, of all or some parameters. Parameters sought by their
             logarithm are bounded by a thousandth of the start by default.
         upper: Upper bounds; by default a thousand times the start for parameters sought
@@ -103,7 +107,9 @@ def fit(
     else:
         windows.check(simulate, observed, start)
         whole = windows.simulation(simulate)
-    problem = make_fit_problem(whole, observed, start, noise, logarithmic, lower, upper)
+    problem = make_fit_problem(
+        whole, observed, start, noise, logarithmic, lower, upper, scales
+    )
     damping = initial_damping
     if damping is None:
         damping = 1e-2 if windows is not None and windows.joined else 1e-3
@@ -225,13 +231,14 @@ def make_fit_problem(
     logarithmic: bool | Iterable[str],
     lower: Mapping[str, Any] | None,
     upper: Mapping[str, Any] | None,
+    scales: Mapping[str, Any] | None = None,
 ) -> FitProblem:
     """Checks the arguments of `fit`.
 
     Raises:
         ValueError: An argument is invalid, as in `fit`.
     """
-    parameters = make_parameters(start, logarithmic)
+    parameters = make_parameters(start, logarithmic, scales)
     _check_names("lower", lower, parameters)
     _check_names("upper", upper, parameters)
     seen = _checked(simulate, parameters, observed)

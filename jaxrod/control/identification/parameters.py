@@ -12,7 +12,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from jaxrod.structure import pytree, static
-from jaxrod.validation import is_traced
+from jaxrod.validation import as_array, is_traced
 
 FARTHEST = 1e3
 """Default bound of parameters sought by their logarithm, as a factor of the start."""
@@ -29,8 +29,7 @@ class Parameters:
     start: dict[str, Any]
     """Values at which a search begins, $p_0$."""
     scales: dict[str, Any]
-    """Scales $s$ of parameters not sought by logarithm: size of the start, or 1 if it
-    is 0."""
+    """Scales $s$ of parameters that are not sought by their logarithm."""
     shapes: tuple[tuple[str, tuple[int, ...]], ...] = static()
     """Names in alphabetical order, each with its shape."""
     logarithmic: tuple[str, ...] = static()
@@ -106,7 +105,9 @@ class Parameters:
 
 
 def make_parameters(
-    start: Mapping[str, Any], logarithmic: bool | Iterable[str] = True
+    start: Mapping[str, Any],
+    logarithmic: bool | Iterable[str] = True,
+    scales: Mapping[str, Any] | None = None,
 ) -> Parameters:
     """Makes named parameters from checked arguments.
 
@@ -114,9 +115,12 @@ def make_parameters(
         start: Values at which a search begins; numbers or arrays by name.
         logarithmic: Parameters sought by their logarithm, so that they stay positive:
             names, or `True` for all, `False` for none.
+        scales: Sizes of changes that matter, for parameters that are not sought by
+            their logarithm; by default the sizes of the start, and 1 where that is 0.
 
     Raises:
-        ValueError: There is no parameter, `logarithmic` has an unknown name, a
+        ValueError: There is no parameter, `logarithmic` or `scales` has an unknown
+            name, a scale is not positive, a
             parameter sought by its logarithm is not positive, or a parameter is not
             finite.
     """
@@ -141,6 +145,13 @@ def make_parameters(
                 f"start of {name} must be positive to be sought by its logarithm, got "
                 f"{start[name]!r}: leave it out of logarithmic"
             )
-    scales = jax.tree.map(lambda a: jnp.where(a == 0, 1, jnp.abs(a)), first)
+    sizes = jax.tree.map(lambda a: jnp.where(a == 0, 1, jnp.abs(a)), first)
+    for name, scale in (scales or {}).items():
+        if name not in first:
+            raise ValueError(
+                f"scales names {name}, which start does not: it has {', '.join(start)}"
+            )
+        given = as_array(f"scale of {name}", scale, "", positive=True, dtype=dtype)
+        sizes[name] = jnp.broadcast_to(given, jnp.shape(first[name]))
     shapes = tuple((name, np.shape(first[name])) for name in sorted(first))
-    return Parameters(first, scales, shapes, tuple(sorted(names)))
+    return Parameters(first, sizes, shapes, tuple(sorted(names)))

@@ -1,0 +1,136 @@
+"""A twin of a real arm with two tendons, from the recordings of its makers.
+
+FOLDER holds the recordings: CSV files of frames, times and the coordinates of five
+markers whose order differs from file to file, named after the torques on the two
+pulleys (m1_u015: 0.15 N m on the first). They are those of the folder
+paper_results/secVa_system_identification/data of tud-phi/soromox on GitHub.
+
+Eight poses, one tendon pulled, are fitted, as their makers did; all others are
+forecast. Labels are found, not read. Where FOLDER has markers.csv, which knows them,
+they are compared with it. Writes a table into docs/twin.md, and with --report the page
+of the twin.
+"""
+
+from __future__ import annotations
+
+import argparse
+import csv
+import time
+from collections.abc import Sequence
+from pathlib import Path
+
+import jax
+import numpy as np
+
+from benchmarks.shared.files import ROOT
+from benchmarks.shared.page_tables import measured_table
+from jaxrod import twin
+from jaxrod.twin.report import save_report
+
+PAGE = ROOT / "docs" / "twin.md"
+ARM = Path(__file__).with_name("arm.toml")
+FITTED = tuple(f"m{k}_u{u}" for k in (1, 2) for u in ("01", "015", "02", "025"))
+"""Poses that the makers of the arm fitted."""
+MARKERS = 5
+THEIRS = (11.3, 18.4, 19.2, 35.6)
+"""Errors of the makers' model over the fitted poses, by marker [mm]."""
+HEAD = (
+    "| recordings | first | second | third | tip | all four |\n"
+    "|---|---:|---:|---:|---:|---:|"
+)
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declares the arguments."""
+    parser.add_argument("folder", type=Path, metavar="FOLDER", help="the recordings")
+    parser.add_argument(
+        "--report", type=Path, metavar="FILE", help="HTML page to write"
+    )
+    parser.add_argument("--dry", action="store_true", help="leave the page as it is")
+
+
+def torques(name: str) -> tuple[float, float]:
+    """Torques on the two pulleys, from the name of a recording [N m].
+
+    `m1_u015` has 0.15 on the first, and `m12_u00100005` 0.10 and 0.05 on both;
+    `m12_u001002` has 0.1 and 0.2, and `m12_u001` has 0.1 twice.
+    """
+    motors, digits = name.removeprefix("m").split("_u")
+    if motors != "12":
+        torque = int(digits) / 10 ** (len(digits) - 1)
+        return (torque, 0.0) if motors == "1" else (0.0, torque)
+    half = len(digits) if len(digits) < 6 else len(digits) // 2
+    first, second = digits[:half], digits[-half:]
+    return int(first) / 10 ** (half - 2), int(second) / 10 ** (half - 2)
+
+
+def recordings(folder: Path) -> list[twin.Recording]:
+    """All recordings of a folder, without labels."""
+    found = []
+    for path in sorted(folder.glob("m*_u*.csv")):
+        table = np.genfromtxt(path, delimiter=",")
+        rising = np.concatenate(
+            [[True], np.diff(np.maximum.accumulate(table[:, 1])) > 0]
+        )
+        table = table[rising]
+        points = table[:, 2 : 2 + 3 * MARKERS].reshape(-1, MARKERS, 3)
+        inputs = np.broadcast_to(torques(path.stem), (len(table), 2))
+        found.append(twin.Recording(path.stem, table[:, 1], inputs, points, False))
+    return found
+
+
+def known_orders(folder: Path) -> dict[str, list[int]]:
+    """Orders of the markers as the folder has them, if it does."""
+    path = folder / "markers.csv"
+    if not path.exists():
+        return {}
+    with path.open(newline="") as file:
+        _, *rows = csv.reader(file)
+    return {Path(row[0]).stem: [int(word) for word in row[1:]] for row in rows}
+
+
+def _row(title: str, compared: Sequence[twin.Comparison]) -> str:
+    """Root mean square errors of the four markers that are not the origin [mm]."""
+    errors = 1000 * np.array([one.errors[1:] for one in compared])
+    each = np.sqrt(np.mean(errors**2, axis=0))
+    cells = " | ".join(f"{e:.1f}" for e in each)
+    return f"| {title} | {cells} | {np.sqrt(np.mean(errors**2)):.1f} |"
+
+
+def run(args: argparse.Namespace) -> int:
+    """Fits, forecasts, prints and writes the table."""
+    every = recordings(args.folder)
+    poses = [one for one in every if one.name in FITTED]
+    others = [one for one in every if one.name not in FITTED]
+    with jax.enable_x64(True):
+        wall, busy = time.perf_counter(), time.process_time()
+        found = twin.identify(twin.read_arm(ARM), poses)
+        wall, busy = time.perf_counter() - wall, time.process_time() - busy
+        fitted = found.compare(found.recordings)
+        forecasts = found.compare(others)
+        if args.report is not None:
+            save_report(args.report, found, forecasts)
+    print(found)
+    known = known_orders(args.folder)
+    orders = dict(zip((p.name for p in poses), found.registration.orders, strict=True))
+    wrong = [
+        n for n, order in orders.items() if list(order) != known.get(n, list(order))
+    ]
+    print(f"labels: {len(orders) - len(wrong)} of {len(orders)} right")
+    print(f"first call: {wall:.1f} s, {busy:.1f} s of processor time")
+    one = [c for c in forecasts if not c.recording.name.startswith("m12")]
+    two = [c for c in forecasts if c.recording.name.startswith("m12")]
+    theirs = " | ".join(f"{e:.1f}" for e in THEIRS)
+    rows = [
+        f"| eight poses, the makers' model | {theirs} "
+        f"| {np.sqrt(np.mean(np.square(THEIRS))):.1f} |",
+        _row("eight poses, fitted", fitted),
+        _row(f"{len(one)} others, one tendon, forecast", one),
+        _row(f"{len(two)} others, both tendons, forecast", two),
+        _row(f"all {len(forecasts)} others", forecasts),
+    ]
+    measured_table(PAGE, "tentacle", HEAD, lambda: rows, dry=args.dry)
+    for compared in (*fitted, *forecasts):
+        errors = " ".join(f"{1000 * e:5.1f}" for e in compared.errors[1:])
+        print(f"{compared.recording.name:>16}  {errors}")
+    return 0

@@ -1,0 +1,155 @@
+"""Find the numbers of a measured arm from recordings of its markers.
+
+The arm is a TOML file: its rod, tendons and markers as drawn, and a standard deviation
+of each number that is not known exactly. Recordings are CSV files with a time, the
+inputs of the tendons, and the coordinates of the markers, in any order (docs/twin.md
+has both). An arm that rests gives a pose, one that moves a motion.
+
+The folder gets twin.json (the numbers with their standard deviations, and the errors of
+all recordings) and report.html. With --forecast, recordings that are not fitted are
+predicted, which is the test that counts.
+
+Exits with 1 when the search did not converge.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from jaxrod.cli import settings
+from jaxrod.cli.runs import check_folder
+
+if TYPE_CHECKING:
+    from jaxrod.twin import Comparison, Twin
+
+EXAMPLES = """\
+examples:
+  jaxrod identify poses/*.csv --arm arm.toml --out runs/twin
+  jaxrod identify poses/*.csv --arm arm.toml --forecast others/*.csv
+  jaxrod identify log.csv --arm arm.toml --robust 3       markers that jump count less
+"""
+
+FILES = ("twin.json", "report.html")
+"""Files that are written, in addition to config.json."""
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declares the arguments of `jaxrod identify`."""
+    parser.epilog = EXAMPLES
+    parser.add_argument(
+        "recordings", nargs="+", type=Path, metavar="LOG", help="recordings to fit: CSV"
+    )
+    parser.add_argument(
+        "--arm", type=Path, required=True, metavar="FILE", help="the arm as drawn: TOML"
+    )
+    parser.add_argument(
+        "--forecast",
+        nargs="+",
+        type=Path,
+        default=[],
+        metavar="LOG",
+        help="recordings to predict with the result",
+    )
+    parser.add_argument(
+        "--noise",
+        type=float,
+        metavar="M",
+        help="noise of a coordinate [m] (default: what the arm cannot explain)",
+    )
+    parser.add_argument(
+        "--robust",
+        type=float,
+        metavar="SD",
+        help="markers farther off than this many standard deviations count less",
+    )
+    parser.add_argument(
+        "--out",
+        type=settings.path,
+        default=Path("runs/twin"),
+        metavar="DIR",
+        help="folder for the result (default: runs/twin)",
+    )
+    parser.add_argument(
+        "--overwrite", action="store_true", help="replace the result in DIR"
+    )
+    parser.add_argument(
+        "--json", action="store_true", help="print twin.json instead of text"
+    )
+
+
+def run(args: argparse.Namespace) -> int:
+    """Fits, writes the folder, and prints the result."""
+    import jaxrod
+
+    jaxrod.configure_cpu(1)
+    import jax
+
+    from jaxrod import twin
+    from jaxrod.files import write_atomically
+    from jaxrod.training.runs.owned_folder import OwnedFolder
+    from jaxrod.twin.report import save_report
+
+    arm = twin.read_arm(args.arm)
+    recordings = [twin.read_recording(path, arm) for path in args.recordings]
+    others = [twin.read_recording(path, arm) for path in args.forecast]
+    folder = OwnedFolder(args.out, "twin", FILES)
+    check_folder(folder, args.overwrite)
+    with folder.only_process(), jax.enable_x64(True):
+        check_folder(folder, args.overwrite)
+        found = twin.identify(arm, recordings, noise=args.noise, robust=args.robust)
+        forecasts = found.compare(others)
+        content = _content(found, found.compare(found.recordings), forecasts)
+        folder.begin({"arm": str(args.arm), "recordings": _names(args.recordings)})
+        write_atomically(
+            args.out / "twin.json", (json.dumps(content, indent=2) + "\n").encode()
+        )
+        save_report(args.out / "report.html", found, forecasts)
+    if args.json:
+        print(json.dumps(content, indent=2))
+    else:
+        print(found)
+        for title, rows in (("fitted", "recordings"), ("forecast", "forecasts")):
+            if content[rows]:
+                print(f"{title}: {content[rows]['root mean square [mm]']:.2f} mm")
+        print(args.out / "report.html")
+    return 0 if bool(found.fit.converged) else 1
+
+
+def _names(paths: list[Path]) -> list[str]:
+    return [str(path) for path in paths]
+
+
+def _content(
+    found: Twin, fitted: list[Comparison], forecasts: list[Comparison]
+) -> dict[str, Any]:
+    """Content of twin.json."""
+    import numpy as np
+
+    def errors(rows: list[Comparison]) -> dict[str, Any]:
+        if not rows:
+            return {}
+        every = np.array([row.errors for row in rows])
+        return {
+            "root mean square [mm]": 1000 * float(np.sqrt(np.nanmean(every**2))),
+            "markers": [marker.name for marker in found.arm.markers],
+            "errors [mm]": {
+                row.recording.name: [round(1000 * float(e), 3) for e in row.errors]
+                for row in rows
+            },
+        }
+
+    fit = found.fit
+    return {
+        "values": {k: np.asarray(v).tolist() for k, v in fit.values.items()},
+        "standard_deviations": {
+            k: np.asarray(v).tolist() for k, v in fit.standard_deviations.items()
+        },
+        "noise [m]": found.noise,
+        "converged": bool(fit.converged),
+        "known from the drawing alone": list(found.undetermined),
+        "recordings": errors(fitted),
+        "forecasts": errors(forecasts),
+    }

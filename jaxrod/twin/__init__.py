@@ -1,0 +1,22 @@
+"""Twins of real arms: drawings and recordings in, calibrated arms and forecasts out."""
+
+from jaxrod.twin.arm import UNKNOWNS, Arm, Frame, Marker, TendonDrawing, read_arm
+from jaxrod.twin.identification import Comparison, Twin, identify
+from jaxrod.twin.recordings import Recording, read_recording
+from jaxrod.twin.registration import Registration, register
+
+__all__ = [
+    "UNKNOWNS",
+    "Arm",
+    "Comparison",
+    "Frame",
+    "Marker",
+    "Recording",
+    "Registration",
+    "TendonDrawing",
+    "Twin",
+    "identify",
+    "read_arm",
+    "read_recording",
+    "register",
+]

@@ -1,0 +1,456 @@
+"""A measured arm: its drawing, what is uncertain about it, and the scene it makes.
+
+The drawing is a TOML file (`read_arm`, docs/twin.md): a rod, its tendons, the markers
+on it, the frame of the camera, and a standard deviation for every number that is
+not known exactly.
+"""
+
+from __future__ import annotations
+
+import tomllib
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any, ClassVar
+
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from jaxrod.actuation import tendon
+from jaxrod.effects.base import Effect, Reach
+from jaxrod.effects.clamps import clamp
+from jaxrod.effects.loads import exponential_damping, gravity
+from jaxrod.files import reading
+from jaxrod.geometry import vectors
+from jaxrod.geometry.rotations import (
+    directors,
+    rotation_exp,
+    split_quaternion,
+    to_material,
+    to_world,
+)
+from jaxrod.rods.factories import straight_rod
+from jaxrod.rods.motion import Loads, Motion
+from jaxrod.rods.rod import Rod, RodState
+from jaxrod.scene import Scene, make_scene
+from jaxrod.structure import pytree
+from jaxrod.validation import check_array, check_count
+
+LOGARITHMIC = (
+    "damping",
+    "density",
+    "eyelet_distance",
+    "tension",
+    "youngs_modulus",
+)
+"""Unknowns that are positive: their standard deviations are those of logarithms."""
+
+UNKNOWNS = {
+    "damping": "decay rate of velocities, of motions alone [1/s]",
+    "delay": "time by which the arm lags behind the recorded inputs [s]",
+    "density": "mass per volume [kg/m^3]",
+    "eyelet_distance": "factor of the distances of the eyelets from the axis [1]",
+    "eyelet_slope": "further change of these distances with arc length [1]",
+    "friction": "coefficient of friction at the eyelets [1]",
+    "marker_masses": "mass of each marker [kg]",
+    "modulus_slope": "logarithm of the modulus at the tip over that at the base [1]",
+    "poisson_ratio": "Poisson's ratio [1]",
+    "rest_curvature": "curvatures about d1 and d2 without loads [1/m]",
+    "shift": "place of the frame of the camera in that of the arm [m]",
+    "tendon_angles": "change of the angle of each tendon around the axis [rad]",
+    "tension": "factor of all tensions [1]",
+    "turn": "rotation of the frame of the camera, as a vector [rad]",
+    "youngs_modulus": "Young's modulus, halfway along the arm [Pa]",
+}
+"""Every number that a fit may seek, with its unit."""
+
+
+@dataclass(frozen=True)
+class TendonDrawing:
+    """One tendon, as drawn."""
+
+    input: str
+    """Name of the recorded number that pulls it."""
+    angle: float
+    """Angle around the axis, from d1 towards d2 [rad]."""
+    distance: Any
+    """Distance from the axis: a number, or pairs of arc length and distance [m]."""
+    pulley_radius: float | None = None
+    """Radius of the pulley, if the input is a torque [m]; else it is a tension."""
+    until: float | None = None
+    """Arc length at which the tendon ends [m]; the tip by default."""
+
+
+@dataclass(frozen=True)
+class Marker:
+    """A point that moves with a section of the arm."""
+
+    name: str
+    at: float
+    """Arc length of the section [m]."""
+    offset: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    """Offset from the axis along d1, d2, d3 [m]."""
+
+
+@dataclass(frozen=True)
+class Frame:
+    """Frame of the recorded coordinates."""
+
+    axes: Any = None
+    """Matrix that turns recorded vectors into the arm's frame; `None`: not known."""
+    origin: str | tuple[float, float, float] = (0.0, 0.0, 0.0)
+    """Recorded point that is the base of the arm [m]; or the name of a marker that does
+    not move, and is where the drawing of the straight arm has it."""
+    scale: float = 1.0
+    """Length of a recorded unit [m]."""
+
+
+@dataclass(frozen=True, eq=False)
+class Arm:
+    """An arm as it was drawn, and what is uncertain about it; see `read_arm`.
+
+    Values of the unknowns are given by name, as in `start`.
+    """
+
+    elements: int
+    length: float
+    """Length of the rod [m]."""
+    radius: Any
+    """Radius: a number, or pairs of arc length and radius [m]."""
+    density: float
+    """Mass per volume [kg/m^3]."""
+    youngs_modulus: float
+    """Young's modulus [Pa]."""
+    poisson_ratio: float
+    """Poisson's ratio [1]."""
+    direction: tuple[float, float, float]
+    """Direction from base to tip, in the arm's frame."""
+    normal: tuple[float, float, float]
+    """Direction of d1."""
+    gravity: tuple[float, float, float]
+    """Acceleration [m/s^2]."""
+    tendons: tuple[TendonDrawing, ...]
+    markers: tuple[Marker, ...]
+    unknown: Mapping[str, float]
+    """Standard deviation of each unknown before anything is measured: of its logarithm
+    if it is in `LOGARITHMIC`, else in its unit."""
+    damping: float = 1.0
+    """Decay rate of velocities in motions [1/s]."""
+    friction: float = 0.0
+    """Coefficient of friction at the eyelets [1]."""
+    frame: Frame = field(default_factory=Frame)
+
+    def __post_init__(self) -> None:
+        """Checks all numbers.
+
+        Raises:
+            ValueError: If a number is out of range, or a name is not known.
+        """
+        check_count("elements", self.elements, 3)
+        for name in ("length", "density", "youngs_modulus"):
+            check_array(name, getattr(self, name), [()], "", positive=True)
+        for name in ("damping", "friction"):
+            check_array(name, getattr(self, name), [()], "", non_negative=True)
+        for name in ("direction", "normal", "gravity"):
+            check_array(name, getattr(self, name), [(3,)], "")
+        self._along("radius", self.radius)
+        if not self.markers:
+            raise ValueError("an arm needs at least one marker, to be seen at all")
+        names = [marker.name for marker in self.markers]
+        if len(set(names)) < len(names):
+            raise ValueError(f"markers must have different names, got {names}")
+        for marker in self.markers:
+            self._check_place(f"marker {marker.name!r}: at", marker.at)
+            check_array(f"marker {marker.name!r}: offset", marker.offset, [(3,)], "m")
+        for tendon_ in self.tendons:
+            self._along("distance of a tendon", tendon_.distance)
+            if tendon_.until is not None:
+                self._check_place("until of a tendon", tendon_.until)
+        for name, sd in self.unknown.items():
+            if name not in UNKNOWNS:
+                raise ValueError(
+                    f"unknown {name!r} is not one of {', '.join(sorted(UNKNOWNS))}"
+                )
+            check_array(f"standard deviation of {name}", sd, [()], "", positive=True)
+        origin = self.frame.origin
+        if isinstance(origin, str) and origin not in names:
+            raise ValueError(f"origin of the frame is {origin!r}, no marker's name")
+
+    @property
+    def inputs(self) -> tuple[str, ...]:
+        """Names of the recorded numbers that pull the tendons, each once, in order."""
+        return tuple(dict.fromkeys(t.input for t in self.tendons))
+
+    @property
+    def start(self) -> dict[str, Array]:
+        """Every unknown as drawn."""
+        numbers = {
+            "damping": self.damping,
+            "delay": 0.0,
+            "density": self.density,
+            "eyelet_distance": 1.0,
+            "eyelet_slope": 0.0,
+            "friction": self.friction,
+            "marker_masses": np.zeros(len(self.markers)),
+            "modulus_slope": 0.0,
+            "poisson_ratio": self.poisson_ratio,
+            "rest_curvature": np.zeros(2),
+            "shift": np.zeros(3),
+            "tendon_angles": np.zeros(len(self.tendons)),
+            "tension": 1.0,
+            "turn": np.zeros(3),
+            "youngs_modulus": self.youngs_modulus,
+        }
+        return {name: jnp.asarray(value, float) for name, value in numbers.items()}
+
+    @property
+    def origin(self) -> int | None:
+        """Number of the marker at the recorded origin, if it is a marker."""
+        names = [marker.name for marker in self.markers]
+        given = self.frame.origin
+        return names.index(given) if isinstance(given, str) else None
+
+    def scene(
+        self, values: Mapping[str, Any], tensions: Callable[..., Any]
+    ) -> tuple[Scene, RodState]:
+        """The arm hanging straight, under its weight and its tendons.
+
+        Args:
+            values: Unknowns by name, as in `start`.
+            tensions: Takes the numbers of some tendons; returns their tensions, or a
+                schedule of them [N].
+        """
+        middles = self._middles
+        rod, state = straight_rod(
+            self.elements,
+            length=self.length,
+            radius=self._along("radius", self.radius),
+            density=values["density"],
+            youngs_modulus=values["youngs_modulus"]
+            * jnp.exp(values["modulus_slope"] * (middles / self.length - 0.5)),
+            poisson_ratio=values["poisson_ratio"],
+            direction=self.direction,
+            normal=self.normal,
+        )
+        bent = jnp.pad(values["rest_curvature"], (0, 1))[:, None]
+        masses = values["marker_masses"] @ self._placed
+        rod = replace(
+            rod,
+            rest_curvatures=rod.rest_curvatures + bent,
+            linear_density=rod.linear_density + masses / rod.rest_lengths,
+        )
+        pull = jnp.asarray(self.gravity, rod.rest_lengths.dtype)
+        effects: list[Any] = [clamp(state), gravity(pull)]
+        effects.append(exponential_damping(values["damping"]))
+        if "marker_masses" in self.unknown:
+            effects.append(self._weights(values["marker_masses"], pull))
+        ends = [self._last_eyelet(drawn) for drawn in self.tendons]
+        for last in sorted(set(ends)):
+            alike = [k for k, end in enumerate(ends) if end == last]
+            effects.append(self._tendons(rod, alike, last, values, tensions))
+        return make_scene(rod, *effects), state
+
+    def points(
+        self, state: RodState, values: Mapping[str, Any]
+    ) -> Float[Array, "markers 3"]:
+        """Places of the markers, as the camera has them once turned [m]."""
+        frame = state.directors
+        rows = []
+        for marker, k, share in zip(self.markers, *self._places, strict=True):
+            nodes = state.positions[:, k : k + 2]
+            axis = nodes[:, 0] * (1 - share) + nodes[:, 1] * share
+            lever = sum(o * frame[j, :, k] for j, o in enumerate(marker.offset))
+            rows.append(axis + lever)
+        turn = rotation_exp(vectors.split(values["turn"]))
+        x, y, z = to_world(directors(turn), vectors.split(jnp.stack(rows, axis=1)))
+        return jnp.stack([x, y, z], axis=1) + values["shift"][None]
+
+    def tensions(self, values: Mapping[str, Any], inputs: Any) -> Any:
+        """Tensions of the tendons `(..., tendons)` from recorded inputs [N]."""
+        columns = [self.inputs.index(t.input) for t in self.tendons]
+        given = [t.pulley_radius for t in self.tendons]
+        radii = [1.0 if radius is None else radius for radius in given]
+        drawn = jnp.stack(
+            [inputs[..., k] / radius for k, radius in zip(columns, radii, strict=True)],
+            axis=-1,
+        )
+        return values["tension"] * drawn
+
+    def _last_eyelet(self, drawn: TendonDrawing) -> int:
+        """Number of the element at which a tendon ends."""
+        end = self.length if drawn.until is None else drawn.until
+        return max(1, int(np.sum(self._middles < end)) - 1)
+
+    def _tendons(
+        self,
+        rod: Rod,
+        numbers: list[int],
+        last: int,
+        values: Mapping[str, Any],
+        tensions: Callable[..., Any],
+    ) -> Effect:
+        """Tendons that end at the same element."""
+        drawn = [self.tendons[k] for k in numbers]
+        distances = [self._along("distance of a tendon", t.distance) for t in drawn]
+        distance = values["eyelet_distance"] * np.stack(distances)[:, : last + 1]
+        distance += values["eyelet_slope"] * self._middles[None, : last + 1]
+        angles = np.array([t.angle for t in drawn])
+        angles = (angles + values["tendon_angles"][np.array(numbers)])[:, None]
+        offsets = [jnp.cos(angles) * distance, jnp.sin(angles) * distance]
+        rubs = self.friction > 0 or "friction" in self.unknown
+        return tendon(
+            rod,
+            jnp.stack(offsets, axis=1),
+            tension=tensions(np.array(numbers)),
+            elements=(0, last),
+            friction=values["friction"] if rubs else None,
+            friction_at_rest=1.0 if rubs else None,
+        )
+
+    def _weights(self, masses: Array, pull: Array) -> MarkerWeights:
+        offsets = jnp.asarray([m.offset for m in self.markers], pull.dtype)
+        return MarkerWeights(
+            masses[:, None] * offsets, pull, jnp.asarray(self._placed, pull.dtype)
+        )
+
+    @property
+    def _middles(self) -> np.ndarray:
+        """Arc lengths of the middles of the elements [m]."""
+        return (np.arange(self.elements) + 0.5) * self.length / self.elements
+
+    @property
+    def _places(self) -> tuple[list[int], list[float]]:
+        """Element of each marker, and where on it, as a fraction of its length."""
+        along = [m.at / self.length * self.elements for m in self.markers]
+        elements = [min(int(x), self.elements - 1) for x in along]
+        return elements, [x - k for x, k in zip(along, elements, strict=True)]
+
+    @property
+    def _placed(self) -> np.ndarray:
+        """Matrix of ones where a marker (row) is on an element (column)."""
+        return np.eye(self.elements)[self._places[0]]
+
+    def _along(self, name: str, given: Any) -> np.ndarray:
+        """Numbers of all elements, from one number or from pairs with arc lengths."""
+        table = np.asarray(given, float)
+        if table.ndim == 0:
+            table = np.array([[0.0, float(table)]])
+        if table.ndim != 2 or table.shape[1] != 2 or not np.isfinite(table).all():
+            raise ValueError(
+                f"{name} must be a number, or pairs of arc length and number in m, got "
+                f"{given!r}"
+            )
+        if not np.all(np.diff(table[:, 0]) > 0):
+            raise ValueError(f"arc lengths of {name} must rise, got {given!r}")
+        if not np.all(table[:, 1] > 0):
+            raise ValueError(f"{name} must be positive everywhere, got {given!r}")
+        return np.interp(self._middles, table[:, 0], table[:, 1])
+
+    def _check_place(self, name: str, value: float) -> None:
+        check_array(name, value, [()], "m", non_negative=True)
+        if value > self.length:
+            raise ValueError(
+                f"{name} must be on the arm of {self.length} m, got {value} m"
+            )
+
+
+@pytree
+class MarkerWeights(Effect):
+    """Couples of the weights of markers beside the axis.
+
+    The weights themselves are those of their elements, whose mass includes them.
+    """
+
+    reach: ClassVar[Reach] = "neighbours"
+
+    levers: Float[Array, "markers 3"]
+    """Mass times offset along d1, d2, d3 [kg m]."""
+    acceleration: Float[Array, "3"]
+    """Acceleration of gravity [m/s^2]."""
+    placed: Float[Array, "markers n"]
+    """One where a marker is on an element, else zero."""
+
+    def loads(self, rod: Rod, motion: Motion) -> Loads:
+        """Couples on the elements."""
+        x, y, z = (jnp.sum(self.placed * row[:, None], 0) for row in self.levers.T)
+        n = rod.n_elements
+        pull = vectors.split(jnp.broadcast_to(self.acceleration[:, None], (3, n)))
+        turned = to_material(directors(motion.orientation), pull)
+        return Loads(couples=vectors.cross((x, y, z), turned))
+
+    def energy(self, rod: Rod, state: RodState) -> Array:
+        """Energy of the weights, less that of the same masses on the axis [J]."""
+        x, y, z = (jnp.sum(self.placed * row[:, None], 0) for row in self.levers.T)
+        moved = to_world(directors(split_quaternion(state.orientations)), (x, y, z))
+        places = jnp.stack([jnp.sum(part) for part in moved])
+        return -jnp.sum(self.acceleration * places)
+
+
+def read_arm(path: str | Path) -> Arm:
+    """Reads the drawing of an arm from a TOML file.
+
+    Args:
+        path: The file; docs/twin.md has one, with all its entries.
+
+    Raises:
+        DamagedFileError: If the file is not TOML, lacks an entry, has one that is not
+            known, or a number is out of range; with the name of the file.
+        OSError: If it cannot be opened.
+    """
+    file = Path(path)
+    with reading(file):
+        content = tomllib.loads(file.read_text(encoding="utf-8"))
+        return _arm(content)
+
+
+def _arm(content: dict[str, Any]) -> Arm:
+    rod = _taken(
+        content.get("rod", {}),
+        "rod",
+        needed=(
+            "elements", "length", "radius", "density", "youngs_modulus",
+            "poisson_ratio", "direction", "normal",
+        ),
+        allowed=("damping", "friction", "gravity"),
+    )  # fmt: skip
+    rod.setdefault("gravity", (0.0, 0.0, -9.81))
+    tendons = []
+    for entry in content.get("tendons", []):
+        made = _taken(
+            entry, "tendons", ("input", "angle", "distance"), ("pulley_radius", "until")
+        )
+        made["angle"] = float(np.radians(made["angle"]))
+        tendons.append(TendonDrawing(**made))
+    markers = [
+        Marker(**_taken(entry, "markers", ("name", "at"), ("offset",)))
+        for entry in content.get("markers", [])
+    ]
+    frame = _taken(content.get("frame", {}), "frame", (), ("axes", "origin", "scale"))
+    _taken(content, "the file", ("rod", "markers", "unknown"), ("tendons", "frame"))
+    return Arm(
+        **rod,
+        tendons=tuple(tendons),
+        markers=tuple(markers),
+        unknown=dict(content["unknown"]),
+        frame=Frame(**frame),
+    )
+
+
+def _taken(
+    content: Mapping[str, Any],
+    where: str,
+    needed: tuple[str, ...],
+    allowed: tuple[str, ...],
+) -> dict[str, Any]:
+    """Entries of a table, all of them known."""
+    for name in needed:
+        if name not in content:
+            raise ValueError(f"{where} has no {name!r}")
+    for name in content:
+        if name not in needed + allowed:
+            raise ValueError(
+                f"{where} has {name!r}, which is none of "
+                f"{', '.join(sorted(needed + allowed))}"
+            )
+    return dict(content)
