@@ -11,6 +11,7 @@ import math
 from collections.abc import Callable, Sequence
 
 from jaxrod.lanes.llvm.vector_code import BYTES, TYPES, Writer, literal
+from jaxrod.lanes.rows.recurrences import write_recurrence
 from jaxrod.lanes.rows.row_graph import Dims, RowGraph, identity, row_major
 from jaxrod.lanes.rows.schedule import Fill, Goal, Loop, Place, Schedule
 
@@ -248,6 +249,8 @@ class RowWriter(Writer):
     def _loop(self, number: int, loop: Loop) -> Lines:
         if loop.scatters:
             return self._scatters(number, loop)
+        if loop.recurrence is not None:
+            return write_recurrence(self, number, loop.recurrence)
         if not loop.dims:
             return self._straight(loop)
         return self._nest(number, loop)
@@ -588,14 +591,14 @@ class RowWriter(Writer):
         self.dims, self.indices = (rounds,), [f"%i_{mark}"]
         mask = graph.arguments[loop.scatters[0]][3:]
         if mask:
-            there = self._stored_number(mask[0])
+            there = self.stored_number(mask[0])
             body.append(f"br i1 {there}, label %{mark}_go, label %{mark}_skip")
             body.append(f"{mark}_go:")
-        at = self._stored_number(index)
+        at = self.stored_number(index)
         for node in loop.scatters:
             kind, operation = graph.kinds[node], graph.extras[node][0]
             update = graph.arguments[node][2]
-            number_ = self._stored_number(update)
+            number_ = self.stored_number(update)
             place = schedule.place(node)
             assert place is not None
             one = "i8" if kind == "b1" else TYPES[kind]
@@ -625,8 +628,8 @@ class RowWriter(Writer):
             f"{mark}_done:",
         ]
 
-    def _stored_number(self, node: int) -> str:
-        """Returns the number of a row at the index of a scatter's loop."""
+    def stored_number(self, node: int) -> str:
+        """Returns the number of a row at the index of a loop around it."""
         graph = self.graph
         known = graph.value(node)
         if known is not None:
