@@ -68,20 +68,16 @@ class ChainOfPairs:
         more = len(self.element_weights[0]) - n
         half = n // 2
         joints, elements = (_padded(side, more) for side in (joints, elements))
-        # In the second half of the rod joints and elements are in the reverse order.
-        own = _triangle(
-            self.joints, _either(self.before, self.after, half), self.elements
-        )
-        towards = (
-            _either(transpose(self.across_elements), self.across_elements, half),
-            transpose(_either(self.after, self.before, half)),
-            _either(transpose(self.across_nodes), self.across_nodes, half),
-        )
         weights = [*self.joint_weights, *self.element_weights]
-        given = (weights, own, [*joints, *elements])
-        rounds = jax.tree.map(lambda row: _ends(row, half), (*given, towards))
+        right = [*joints, *elements]
+        # Seen from the last joint on, before is after.
+        rounds = jax.tree.map(
+            lambda first, last: jnp.stack([first[:half], last[::-1][:half]], axis=1),
+            (weights, self._own(self.before), right, self._onwards),
+            (weights, self._own(self.after), right, self._backwards),
+        )
         none = jnp.zeros(2, elements[0].dtype)
-        rest = jax.tree.map(lambda _: none, given[1:])
+        rest = jax.tree.map(lambda _: none, (self._own(self.before), right))
         if half:
             rest, kept = lax.scan(_eliminate_round, rest, rounds)
         first, last, element = self._middle(half, joints, elements, rest)
@@ -94,6 +90,28 @@ class ChainOfPairs:
             _in_order(n + 1, found[:3], first, last),
             _in_order(n, found[3:], element),
         )
+
+    def _own(self, between: Matrix) -> _Triangle:
+        """Couplings of joints and elements next to them with themselves."""
+        joints = [list(self.joints[i][: i + 1]) for i in range(3)]
+        return joints + [[*between[i], *self.elements[i][: i + 1]] for i in range(3)]
+
+    @property
+    def _onwards(self) -> tuple[Matrix, Matrix, Matrix]:
+        """Couplings of the next joint with this one and with the element between them.
+
+        The third are those of the next element with that element.
+        """
+        return (
+            transpose(self.across_elements),
+            transpose(self.after),
+            transpose(self.across_nodes),
+        )
+
+    @property
+    def _backwards(self) -> tuple[Matrix, Matrix, Matrix]:
+        """The same for a joint, element and next joint in the reverse order."""
+        return self.across_elements, transpose(self.before), self.across_nodes
 
     def _middle(
         self, at: int, joints: Vec3, elements: Vec3, rest: Any
@@ -130,27 +148,6 @@ class ChainOfPairs:
         kept, _, _ = _eliminate([*first, *last, *element], right, weights)
         found = _solve(kept, [])
         return found[:3], found[3:6], found[6:]
-
-
-def _triangle(joints: Matrix, between: Matrix, elements: Matrix) -> _Triangle:
-    """Couplings of a joint and an element next to it with themselves."""
-    rows = [list(joints[i][: i + 1]) for i in range(3)]
-    return rows + [[*between[i], *elements[i][: i + 1]] for i in range(3)]
-
-
-def _either(first: Matrix, last: Matrix, half: int) -> Matrix:
-    """Couplings of the first half of a rod, and other ones of the last."""
-    is_first = jnp.arange(len(first[0][0])) < half
-    (a, b, c) = (
-        tuple(jnp.where(is_first, one, other) for one, other in zip(*rows, strict=True))
-        for rows in zip(first, last, strict=True)
-    )
-    return a, b, c
-
-
-def _ends(row: Array, half: int) -> Array:
-    """Entries from the first one on, and beside them those from the last one on."""
-    return jnp.stack([row[:half], row[::-1][:half]], axis=1)
 
 
 def _padded(a: Vec3, after: int) -> Vec3:
