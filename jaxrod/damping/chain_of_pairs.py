@@ -121,7 +121,9 @@ class ChainOfPairs:
             jax.tree.map(lambda c, k=k: c[k], rest) for k in range(2)
         )
         threes = range(3)
-        first = [[self.joints[i][j][at] + one[i][j] for j in range(i + 1)] for i in threes]
+        first = [
+            [self.joints[i][j][at] + one[i][j] for j in range(i + 1)] for i in threes
+        ]
         last = [
             [self.across_elements[j][i][at] for j in threes]
             + [self.joints[i][j][at + 1] + other[i][j] for j in range(i + 1)]
@@ -170,9 +172,7 @@ def _eliminate_round(rest: Any, given: Any) -> tuple[Any, Any]:
     weights, own, right, (to_joint, past_element, to_element) = given
     matrix, right = jax.tree.map(jnp.add, (own, right), rest)
     zeros = [[0.0] * (i + 1) for i in range(3)]
-    matrix = matrix + [
-        [*to_joint[i], *past_element[i], *zeros[i]] for i in range(3)
-    ]
+    matrix = matrix + [[*to_joint[i], *past_element[i], *zeros[i]] for i in range(3)]
     joint, matrix, right = _eliminate(matrix, [*right, *zeros[2]], weights[:3])
     matrix = matrix + [[*to_element[i], *zeros[2], *zeros[i]] for i in range(3)]
     element, matrix, right = _eliminate(matrix, [*right, *zeros[2]], weights[3:])
@@ -203,7 +203,10 @@ def _eliminate(
         kept.append((pivot * right[0], parts))
         right = [r - part * right[0] for r, part in zip(right[1:], parts, strict=True)]
         matrix = [
-            [entry - part * other for entry, other in zip(row[1:], column, strict=False)]
+            [
+                entry - part * other
+                for entry, other in zip(row[1:], column, strict=False)
+            ]
             for row, part in zip(matrix[1:], parts, strict=True)
         ]
     return kept, matrix, right

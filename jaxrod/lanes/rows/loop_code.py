@@ -147,8 +147,8 @@ class RowWriter(Writer):
     def _at(self, place: Place) -> str:
         return self.new(f"getelementptr i8, ptr {place.pointer}, i64 {place.offset}")
 
-    def _address(self, place: Place, base: int, strides: Dims, kind: str) -> str:
-        """Writes the address of the first lane, where the body of the loop begins."""
+    def address(self, place: Place, base: int, strides: Dims, kind: str) -> str:
+        """Writes the address of the first lane at the indices of the loops."""
         size = BYTES[kind]
         at = self.new(
             f"getelementptr i8, ptr {place.pointer}, i64 {place.offset + base * size}"
@@ -173,7 +173,7 @@ class RowWriter(Writer):
             (axis for axis, stride in enumerate(strides) if stride), default=-1
         )
         lines, self.lines = self.lines, self.before[deepest + 1]
-        at = self._address(place, base, strides, kind)
+        at = self.address(place, base, strides, kind)
         inner = strides[-1] if strides else 0
         if inner == 0 or self.width == 1:
             name = self.spread(self._load_one(at, kind), kind)
@@ -200,7 +200,7 @@ class RowWriter(Writer):
     def _store(
         self, name: str, place: Place, base: int, strides: Dims, kind: str
     ) -> None:
-        at = self._address(place, base, strides, kind)
+        at = self.address(place, base, strides, kind)
         inner = strides[-1] if strides else 1
         many = self.type(kind)
         if kind == "b1":
@@ -437,7 +437,7 @@ class RowWriter(Writer):
             self.lines = lines
         if depth - 1 not in axes:
             assert place is not None
-            at = self._address(place, 0, strides, kind)
+            at = self.address(place, 0, strides, kind)
             many = self._memory_type(kind)
             old = self._from_memory(
                 self.new(f"load {many}, ptr {at}, align {BYTES[kind]}"), kind
@@ -469,7 +469,7 @@ class RowWriter(Writer):
             if outer:
                 width, self.width = self.width, 1
                 indices, self.indices = self.indices, self.indices[:-1]
-                at = self._address(place, 0, outside, kind)
+                at = self.address(place, 0, outside, kind)
                 before = self._load_one(at, kind)
                 total = self._combined(operation, before, total, kind)
                 self.width, self.indices = width, indices
@@ -498,7 +498,7 @@ class RowWriter(Writer):
         assert place is not None
         width, self.width = self.width, 1
         indices, self.indices = self.indices, self.indices[: len(strides)]
-        at = self._address(place, 0, strides, kind)
+        at = self.address(place, 0, strides, kind)
         if kind == "b1":
             name = self.new(f"zext i1 {name} to i8")
         one = "i8" if kind == "b1" else TYPES[kind]

@@ -18,7 +18,7 @@ from jaxrod.lanes.graph import VARYING
 from jaxrod.lanes.jaxpr.unroll import kind_of
 from jaxrod.lanes.llvm.vector_code import BYTES, TYPES, Writer
 from jaxrod.lanes.operations import OPERATIONS
-from jaxrod.lanes.rows.arrays import SHORTEST_LOOP, Rows, long_axes
+from jaxrod.lanes.rows.arrays import Rows, long_axes
 from jaxrod.lanes.rows.row_graph import Move, RowGraph
 
 Lines = list[str]
@@ -182,7 +182,7 @@ def write_recurrence(writer: Any, number: int, node: int) -> Lines:
         places.setdefault(made.outputs[output], []).append(made.stored_at(output))
 
     def store(name: str, at: int, strides: tuple[int, ...]) -> None:
-        to = writer._address(place, at, strides, made.kind)
+        to = writer.address(place, at, strides, made.kind)
         writer.lines.append(f"store {many} {name}, ptr {to}, align {BYTES[made.kind]}")
 
     def kept(entry: int) -> None:
@@ -239,7 +239,7 @@ def _vector(writer: Any, nodes: Sequence[int], many: str) -> str:
         beside = [(base + i, strides) for i in range(len(nodes))]
         if views == beside and graph.dims[nodes[0]]:
             place = writer.schedule.place(sources.pop()[0])
-            at = writer._address(place, base, strides, kind)
+            at = writer.address(place, base, strides, kind)
             return writer.new(f"load {many}, ptr {at}, align {BYTES[kind]}")
     name = "poison"
     for lane, node in enumerate(nodes):
