@@ -1,14 +1,14 @@
-r"""Linear systems along a rod, whose unknowns are threes of joints and elements in turn.
+r"""Linear systems along a rod with unknowns of joints and of elements in turn.
 
-On a rod of $N$ elements they are $\kappa_0, s_0, \kappa_1, \dots, s_{N-1}, \kappa_N$:
-joint $k$ is before element $k$. Each three is coupled with the next two. The couplings
-$S$ are symmetric and positive semidefinite, the weights $W \ge 0$ diagonal, and
+On a rod of $N$ elements they are in threes: $\kappa_0, s_0, \kappa_1, \dots,
+s_{N-1}, \kappa_N$; joint $k$ is before element $k$. Each three is coupled with the next
+two. The couplings $S$ are symmetric and positive semidefinite, the weights $W \ge 0$ diagonal, and
 
 $$p = (1 + W S)^{-1} W b = (W^{-1} + S)^{-1} b.$$
 
 Elimination of the second form without pivoting ($L D L^T$) needs only the inverses of
-the pivots. They are $w/(1 + w\sigma)$, where $\sigma$ is what is left of the diagonal of
-$S$: weights may be zero, and may be huge.
+the pivots. They are $w/(1 + w\sigma)$, where $\sigma$ is what is left of the diagonal
+of $S$: weights may be zero, and may be huge.
 
 It goes from both ends to the middle at once, so that all operations are on two numbers.
 """
@@ -30,7 +30,7 @@ from jaxrod.structure import pytree
 _Triangle = list[list[Any]]
 """A symmetric matrix: the entries of each row up to the diagonal."""
 _Kept = list[tuple[Array, list[Array]]]
-"""Eliminated unknowns: each is the first number minus parts of the unknowns after it."""
+"""Eliminated unknowns: each is a number minus parts of the unknowns after it."""
 
 
 @pytree
@@ -80,7 +80,10 @@ class ChainOfPairs:
         rest = jax.tree.map(lambda _: none, (self._own(self.before), right))
         if half:
             rest, kept = lax.scan(_eliminate_round, rest, rounds)
-        first, last, element = self._middle(half, joints, elements, rest)
+        # Without barriers, XLA works much out again, and compiles for long.
+        joints, elements, rest = lax.optimization_barrier((joints, elements, rest))
+        middle = self._middle(half, joints, elements, rest)
+        first, last, element = lax.optimization_barrier(middle)
         found = [jnp.zeros((0, 2), elements[0].dtype)] * 6
         if half:
             following = [jnp.stack(both) for both in zip(first, last, strict=True)]
@@ -174,6 +177,7 @@ def _eliminate_round(rest: Any, given: Any) -> tuple[Any, Any]:
     zeros = [[0.0] * (i + 1) for i in range(3)]
     matrix = matrix + [[*to_joint[i], *past_element[i], *zeros[i]] for i in range(3)]
     joint, matrix, right = _eliminate(matrix, [*right, *zeros[2]], weights[:3])
+    matrix, right = lax.optimization_barrier((matrix, right))
     matrix = matrix + [[*to_element[i], *zeros[2], *zeros[i]] for i in range(3)]
     element, matrix, right = _eliminate(matrix, [*right, *zeros[2]], weights[3:])
     return (matrix, right), (joint, element)

@@ -62,7 +62,9 @@ class InternalDamping(Effect):
         spin = motion.spin
         if not motion.spin_is_velocity:
             spin = vectors.multiply(inverse_inertias, to_material(pairs.frame, spin))
-        chain = pairs.chain(*_mobility(scene, motion, inverse_masses, inverse_inertias))
+        mobility = _mobility(scene, motion, inverse_masses, inverse_inertias)
+        # XLA would work out the frames again for each coupling, and compile for long.
+        chain = lax.optimization_barrier(pairs.chain(*mobility))
         joints, elements = pairs.strain_rates(motion.velocity, spin)
         pushes, turns = pairs.loads(*chain.solve(joints, elements))
         if motion.spin_is_velocity:
@@ -190,7 +192,7 @@ def _pairs(scene: LoadedRod, motion: Motion, duration: Array) -> _Pairs:
             )
     before, after = _joint_axes(scene, motion.orientation, frame)
     shear = vectors.split(rod.shear_stretch_stiffness / rod.rest_lengths[None, :])
-    return _Pairs(
+    pairs = _Pairs(
         frame=frame,
         edges=motion.edges,
         axes_before=_with_walls(before),
@@ -198,6 +200,7 @@ def _pairs(scene: LoadedRod, motion: Motion, duration: Array) -> _Pairs:
         joint_drag=vectors.scale(duration, (x, y, z)),
         element_drag=vectors.scale(duration, shear),
     )
+    return lax.optimization_barrier(pairs)
 
 
 def _joint_axes(
