@@ -76,7 +76,7 @@ def recurrence(unroller: Any, scan: Scan, arrays: Sequence[Rows]) -> list[Rows] 
     loops = tuple(range(len(shape)))
     one = [1] * len(shape)
     given = [Rows(shape, loops, np.full(one, node), kind) for node in inputs]
-    outputs = []
+    outputs: list[int] = []
     for array in inside.run(body, given):
         nodes = set(array.nodes.reshape(-1).tolist())
         if len(nodes) != 1:
