@@ -2,7 +2,8 @@ r"""Linear systems along a rod with unknowns of joints and of elements in turn.
 
 On a rod of $N$ elements they are in threes: $\kappa_0, s_0, \kappa_1, \dots,
 s_{N-1}, \kappa_N$; joint $k$ is before element $k$. Each three is coupled with the next
-two. The couplings $S$ are symmetric and positive semidefinite, the weights $W \ge 0$ diagonal, and
+two. The couplings $S$ are symmetric and positive semidefinite. The weights $W \ge 0$
+are diagonal, and
 
 $$p = (1 + W S)^{-1} W b = (W^{-1} + S)^{-1} b.$$
 

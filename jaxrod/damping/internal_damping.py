@@ -10,8 +10,8 @@ fixed configuration. It solves for the impulses $p$ of the pair forces and coupl
 
 $$(1 + h D\,G M^{-1} G^T)\,p = -h D\,G\,r, \qquad M\,\Delta r = G^T p.$$
 
-This is one block-tridiagonal system (`chain_of_pairs.py`). Components are along the axes
-of elements and joints, where $D$ is diagonal. Impulses in pairs keep momentum and
+This is one block-tridiagonal system (`chain_of_pairs.py`). Components are along the
+axes of elements and joints, where $D$ is diagonal. Impulses in pairs keep momentum and
 angular momentum to round-off, whatever the accuracy of $p$. The step only adds inertia
 to that in the bound of `stable_dt`, $M + h G^T D G$: $\tau$ has no bound. The error is
 of first order in $h\tau\omega^2$, which is small for all motion that lasts more than a
