@@ -10,11 +10,12 @@ fixed configuration. It solves for the impulses $p$ of the pair forces and coupl
 
 $$(1 + h D\,G M^{-1} G^T)\,p = -h D\,G\,r, \qquad M\,\Delta r = G^T p.$$
 
-This is one block-tridiagonal system. Impulses in pairs keep momentum and angular
-momentum to round-off, whatever the accuracy of $p$. The step only adds inertia to that
-in the bound of `stable_dt`, $M + h G^T D G$: $\tau$ has no bound. The error is of first
-order in $h\tau\omega^2$, which is small for all motion that lasts more than a few
-steps.
+This is one block-tridiagonal system (`chain_of_pairs.py`). Components are along the
+axes of elements and joints, where $D$ is diagonal. Impulses in pairs keep momentum and
+angular momentum to round-off, whatever the accuracy of $p$. The step only adds inertia
+to that in the bound of `stable_dt`, $M + h G^T D G$: $\tau$ has no bound. The error is
+of first order in $h\tau\omega^2$, which is small for all motion that lasts more than a
+few steps.
 """
 
 from __future__ import annotations
@@ -22,26 +23,27 @@ from __future__ import annotations
 from dataclasses import replace
 
 import jax.numpy as jnp
+from jax import lax
 from jaxtyping import Array, Float
 
+from jaxrod.damping.chain_of_pairs import ChainOfPairs
 from jaxrod.effects.base import Effect
 from jaxrod.effects.directions import frame_along
-from jaxrod.geometry import vectors
-from jaxrod.geometry.matrices import stacked, turned_diagonal
+from jaxrod.geometry import matrices, vectors
+from jaxrod.geometry.matrices import Matrix
 from jaxrod.geometry.rotations import (
     Quaternion,
+    conjugate,
     directors,
+    multiply_quaternions,
     normalise,
     to_material,
+    to_world,
 )
+from jaxrod.geometry.vectors import Vec3
 from jaxrod.loaded_rod import LoadedRod
 from jaxrod.rods.motion import Motion
-from jaxrod.statics.block_matrices import BlockTridiagonal
-from jaxrod.statics.degrees_of_freedom import (
-    free_velocity_mask,
-    stack_dofs,
-    unstack_dofs,
-)
+from jaxrod.statics.degrees_of_freedom import free_velocity_mask
 from jaxrod.structure import pytree
 from jaxrod.validation import Numbers, as_array
 
@@ -55,158 +57,229 @@ class InternalDamping(Effect):
 
     def dissipate(self, scene: LoadedRod, motion: Motion, dt: Array) -> Motion:
         """Motion after strain rates have decayed for a step."""
-        rod = scene.rod
-        frame = directors(motion.orientation)
-        rates = stack_dofs(motion.velocity, motion.angular_velocities(rod))
         pairs = _pairs(scene, motion, self.relaxation_time * dt)
-        mobility = _mobility(scene, motion)
-        pushes, turns = unstack_dofs(pairs.impulses(mobility, rates))
-        inverse_masses = 1 / rod.node_masses
+        inverse_masses = 1 / scene.rod.node_masses
+        inverse_inertias = vectors.split(1 / scene.rod.principal_inertias)
+        spin = motion.spin
+        if not motion.spin_is_velocity:
+            spin = vectors.multiply(inverse_inertias, to_material(pairs.frame, spin))
+        mobility = _mobility(scene, motion, inverse_masses, inverse_inertias)
+        # XLA would work out the frames again for each coupling, and compile for long.
+        chain = lax.optimization_barrier(pairs.chain(*mobility))
+        joints, elements = pairs.strain_rates(motion.velocity, spin)
+        pushes, turns = pairs.loads(*chain.solve(joints, elements))
         if motion.spin_is_velocity:
-            inertia = vectors.split(rod.principal_inertias)
-            a, b, c = to_material(frame, turns)
-            turns = a / inertia[0], b / inertia[1], c / inertia[2]
+            turns = vectors.multiply(inverse_inertias, to_material(pairs.frame, turns))
         return replace(
             motion,
-            velocity=vectors.add(
+            velocity=vectors.subtract(
                 motion.velocity, vectors.scale(inverse_masses, pushes)
             ),
-            spin=vectors.add(motion.spin, turns),
+            spin=vectors.subtract(motion.spin, turns),
         )
 
 
 @pytree
 class _Pairs:
-    """Strain rates as sums over neighbouring blocks of rates, and their drag.
+    """Pairs of forces at elements and of couples at joints, which strain rates drive.
 
-    There are six per interval: three of an element's strain, three of the joint after
-    it.
+    Joint `k` of `n + 1` is before element `k`; the first and the last are to walls.
+    Components are along the axes of the element, or of the joint.
     """
 
-    own: Float[Array, "n 6 6"]
-    """Derivatives of the strain rates (rows) by the rates of the first block."""
-    next: Float[Array, "n 6 6"]
-    """Derivatives of the strain rates by the rates of the second block."""
-    drag: Float[Array, "n 6"]
-    """Impulse of a step per strain rate [N s^2/m or N m s]."""
+    frame: Matrix
+    """Axes of the elements, world frame."""
+    edges: Vec3
+    """Vectors from each node to the next, world frame [m]."""
+    axes_before: Matrix
+    """Axes of the joints, in components of the element before."""
+    axes_after: Matrix
+    """Axes of the joints, in components of the element after."""
+    joint_drag: Vec3
+    """Impulse of a step per rate of a joint [N m s]."""
+    element_drag: Vec3
+    """Impulse of a step per strain rate of an element, times its length [N s^2/m]."""
 
-    def impulses(
-        self, mobility: Float[Array, "n+1 6 6"], rates: Float[Array, "n+1 6"]
-    ) -> Float[Array, "n+1 6"]:
-        """Impulses of a step on nodes and elements, world frame."""
-        # A wall before the first element is a block that does not move.
-        extra = self.own.shape[0] + 1 - rates.shape[0]
-        rates = jnp.pad(rates, ((extra, 0), (0, 0)))
-        mobility = jnp.pad(mobility, ((extra, 0), (0, 0), (0, 0)))
-        first, second = mobility[:-1], mobility[1:]
-        moved_own, moved_next = _product(self.own, first), _product(self.next, second)
-        weight = self.drag[:, :, None]
-        diagonal = _times_transposed(moved_own, self.own)
-        diagonal += _times_transposed(moved_next, self.next)
-        upper = _times_transposed(moved_next[:-1], self.own[1:])
-        lower = weight[1:] * jnp.swapaxes(upper, 1, 2)
-        pad = ((0, 0), (0, 0))
-        system = BlockTridiagonal(
-            lower=jnp.pad(lower, ((1, 0), *pad)),
-            diagonal=jnp.eye(6, dtype=weight.dtype)[None] + weight * diagonal,
-            upper=jnp.pad(weight[:-1] * upper, ((0, 1), *pad)),
+    def strain_rates(self, velocity: Vec3, spin: Vec3) -> tuple[Vec3, Vec3]:
+        """Rates of joints and of elements, from material angular velocities."""
+        before, after = (_padded(spin, *ends) for ends in ((1, 0), (0, 1)))
+        joints = vectors.subtract(
+            to_material(self.axes_after, after), to_material(self.axes_before, before)
         )
-        strain_rates = _times(self.own, rates[:-1]) + _times(self.next, rates[1:])
-        each = system.solve(-self.drag * strain_rates)[:, :, None]
-        own = jnp.sum(each * self.own, axis=1)
-        following = jnp.sum(each * self.next, axis=1)
-        total = jnp.pad(own, ((0, 1), (0, 0))) + jnp.pad(following, ((1, 0), (0, 0)))
-        return total[extra:]
+        lever = to_material(self.frame, self.edges)
+        stretched = to_material(self.frame, vectors.inner_difference(velocity))
+        return joints, vectors.add(stretched, vectors.cross(lever, spin))
+
+    def loads(self, joints: Vec3, elements: Vec3) -> tuple[Vec3, Vec3]:
+        """Forces on nodes and couples on elements that do work on the strain rates.
+
+        World frame. Each is in a pair with its opposite, digit by digit.
+        """
+        n = len(self.edges[0])
+        force = to_world(self.frame, elements)
+        x, y, z = (c[1:] for c in to_world(self.axes_before, joints))
+        couple = to_world(self.frame, (x, y, z))
+        x, y, z = (vectors.pad(c[:1], 0, n - 1) for c in joints)
+        wall = to_world(self.frame, (x, y, z))
+        x, y, z = (c[:n] for c in vectors.difference(couple))
+        turns = vectors.subtract(vectors.cross(force, self.edges), (x, y, z))
+        x, y, z = (-c for c in vectors.difference(force))
+        return (x, y, z), vectors.add(turns, wall)
+
+    def chain(self, moving: Array, partly: Vec3, turning: Vec3) -> ChainOfPairs:
+        """Response of the strain rates to the pairs, with drag as weights.
+
+        Args:
+            moving: Inverse masses of the nodes that are free.
+            partly: Inverse masses of the other nodes along each axis.
+            turning: Inverse inertias of the elements about their own axes.
+        """
+        # An element without drag makes their number odd.
+        more = 1 - len(self.edges[0]) % 2
+        frame = _padded_rows(self.frame, 0, more)
+        lever = _padded(to_material(self.frame, self.edges), 0, more)
+        moving, partly = vectors.pad(moving, 0, more), _padded(partly, 0, more)
+        first, second = (
+            _padded_rows(axes, 0, more) for axes in (self.axes_before, self.axes_after)
+        )
+        turned_first = _scaled_columns(first, _padded(turning, 1, more))
+        turned_second = _scaled_columns(second, _padded(turning, 0, 1 + more))
+        first_next, turned_next = _part(first, 1, None), _part(turned_first, 1, None)
+        turned_here = _part(turned_second, None, -1)
+        x, y, z = lever
+        a, b, c = _padded(turning, 0, more)
+        levered = (
+            (b * z * z + c * y * y, -c * x * y, -b * x * z),
+            (-c * x * y, a * z * z + c * x * x, -a * y * z),
+            (-b * x * z, -a * y * z, a * y * y + b * x * x),
+        )
+        u, v, w = (c[:-1] + c[1:] for c in partly)
+        pushed = _products(_scaled_columns(frame, (u, v, w)), frame)
+        elements = matrices.add(
+            matrices.add(levered, pushed),
+            matrices.scaled_identity(moving[:-1] + moving[1:]),
+        )
+        i, j, k = (-(c + moving)[1:-1] for c in partly)
+        nodes = _scaled_columns(_part(frame, None, -1), (i, j, k))
+        return ChainOfPairs(
+            joint_weights=_padded(self.joint_drag, 0, more),
+            element_weights=_padded(self.element_drag, 0, more),
+            joints=matrices.add(
+                _products(turned_first, first), _products(turned_second, second)
+            ),
+            elements=elements,
+            before=matrices.transpose(
+                matrices.scale(-1, matrices.cross_rows(turned_here, lever))
+            ),
+            after=matrices.transpose(matrices.cross_rows(turned_next, lever)),
+            across_elements=matrices.scale(-1, _products(turned_here, first_next)),
+            across_nodes=_products(nodes, _part(frame, 1, None)),
+        )
 
 
 def _pairs(scene: LoadedRod, motion: Motion, duration: Array) -> _Pairs:
-    """Pairs for a configuration; `duration` is relaxation time times step [s^2].
-
-    A fixed wall is joined to an end element by the joint after the last interval's
-    element, or by the joint of an interval before the first.
-    """
+    """Pairs for a configuration; `duration` is relaxation time times step [s^2]."""
     rod = scene.rod
     frame = directors(motion.orientation)
-    zero = jnp.zeros_like(rod.rest_lengths)
-    none = (zero, zero, zero)
-    rows = []
-    for axis in frame:
-        # The rate along d is d . dv plus the angular velocity times d x edge.
-        lever = vectors.cross(axis, motion.edges)
-        rows.append(((*vectors.scale(-1, axis), *lever), (*axis, *none)))
-    joints = jnp.pad(rod.joint_stiffness / rod.joint_lengths[None, :], ((0, 0), (0, 1)))
-    walls = [w for e in scene.effects if (w := e.wall(rod)) is not None]
-    walls = [wall for wall in walls if wall.stiffness is not None]
-    for k, axis in enumerate(directors(_between(scene, motion.orientation))):
-        x, y, z = (vectors.pad(c, 0, 1) for c in axis)
-        # After the last element the joint is to a wall, about the element's own axes.
-        both = zip((x, y, z), frame[k], strict=True)
-        back_x, back_y, back_z = (-c.at[-1].set(d[-1]) for c, d in both)
-        rows.append(((*none, back_x, back_y, back_z), (*none, x, y, z)))
-    own, following = (
-        jnp.stack([jnp.stack(row[k], axis=-1) for row in rows], axis=1) for k in (0, 1)
+    drag = vectors.split(rod.joint_stiffness / rod.joint_lengths[None, :])
+    x, y, z = _padded(drag, 1, 1)
+    for effect in scene.effects:
+        wall = effect.wall(rod)
+        if wall is not None and wall.stiffness is not None:
+            index = 0 if wall.end == "base" else -1
+            x, y, z = (
+                c.at[index].add(k)
+                for c, k in zip((x, y, z), wall.stiffness, strict=True)
+            )
+    before, after = _joint_axes(scene, motion.orientation, frame)
+    shear = vectors.split(rod.shear_stretch_stiffness / rod.rest_lengths[None, :])
+    pairs = _Pairs(
+        frame=frame,
+        edges=motion.edges,
+        axes_before=_with_walls(before),
+        axes_after=_with_walls(after),
+        joint_drag=vectors.scale(duration, (x, y, z)),
+        element_drag=vectors.scale(duration, shear),
     )
-    drag = jnp.concatenate(
-        [rod.shear_stretch_stiffness / rod.rest_lengths[None, :], joints]
-    ).T
-    for wall in walls:
-        assert wall.stiffness is not None
-        if wall.end == "tip":
-            drag = drag.at[-1, 3:].add(wall.stiffness)
-            continue
-        axes = jnp.stack([jnp.stack([c[0] for c in axis]) for axis in frame])
-        drag = jnp.pad(drag, ((1, 0), (0, 0))).at[0, 3:].set(wall.stiffness)
-        own = jnp.pad(own, ((1, 0), (0, 0), (0, 0)))
-        following = jnp.pad(following, ((1, 0), (0, 0), (0, 0)))
-        following = following.at[0, 3:, 3:].set(axes)
-    return _Pairs(own, following, duration * drag)
+    return lax.optimization_barrier(pairs)
 
 
-def _mobility(scene: LoadedRod, motion: Motion) -> Float[Array, "n+1 6 6"]:
-    """Inverse masses and rotary inertias, world frame; zero for held components."""
-    rod = scene.rod
-    frame = directors(motion.orientation)
-    matrices = turned_diagonal(frame, vectors.split(1 / rod.principal_inertias))
-    turning = jnp.pad(stacked(matrices), ((0, 1), (3, 0), (3, 0)))
-    identity = jnp.eye(3, dtype=turning.dtype)[None]
-    moving = (1 / rod.node_masses)[:, None, None] * identity
-    free = (stack_dofs(*free_velocity_mask(scene, motion)) != 0).astype(turning.dtype)
-    both = free[:, :, None] * free[:, None, :]
-    return both * (jnp.pad(moving, ((0, 0), (0, 3), (0, 3))) + turning)
-
-
-def _product(a: Array, b: Array) -> Array:
-    """Matrix products, as sums."""
-    return jnp.sum(a[:, :, :, None] * b[:, None, :, :], axis=2)
-
-
-def _times_transposed(a: Array, b: Array) -> Array:
-    """Products with transposed matrices."""
-    return jnp.sum(a[:, :, None, :] * b[:, None, :, :], axis=3)
-
-
-def _times(rows: Array, vector: Array) -> Array:
-    """Products of matrices and vectors."""
-    return jnp.sum(rows * vector[:, None, :], axis=2)
-
-
-def _between(scene: LoadedRod, q: Quaternion) -> Quaternion:
-    """Orientations of the joints."""
+def _joint_axes(
+    scene: LoadedRod, q: Quaternion, frame: Matrix
+) -> tuple[Matrix, Matrix]:
+    """Axes of the joints in components of the element before, and of that after."""
     if scene.method.twist:
-        return _middle(q)
+        w, x, y, z = (c[:-1] for c in q)
+        back = conjugate((w, x, y, z))
+        w, x, y, z = (c[1:] for c in q)
+        w, x, y, z = multiply_quaternions(back, (w, x, y, z))
+        # Half of the relative rotation, the shorter way around.
+        way = jnp.where(w < 0, -1, 1)
+        half = normalise((1 + way * w, way * x, way * y, way * z))
+        axes = directors(half)
+        return axes, matrices.transpose(axes)
     # The d1 and d2 of an element are unrelated to those of the next.
-    x, y, z = (c[:-1] + c[1:] for c in directors(q)[2])
+    x, y, z = (c[:-1] + c[1:] for c in frame[2])
     length = jnp.maximum(vectors.safe_norm((x, y, z)), 1e-6)
-    return frame_along((x / length, y / length, z / length))
+    axes = directors(frame_along((x / length, y / length, z / length)))
+    first, second = _part(frame, None, -1), _part(frame, 1, None)
+    return _products(axes, first), _products(axes, second)
 
 
-def _middle(q: Quaternion) -> Quaternion:
-    """Orientations halfway between neighbours."""
-    before, after = [c[:-1] for c in q], [c[1:] for c in q]
-    cosine = sum(a * b for a, b in zip(before, after, strict=True))
-    way = jnp.where(cosine < 0, -1, 1)
-    w, x, y, z = (a + way * b for a, b in zip(before, after, strict=True))
-    return normalise((w, x, y, z))
+def _mobility(
+    scene: LoadedRod, motion: Motion, inverse_masses: Array, inverse_inertias: Vec3
+) -> tuple[Array, Vec3, Vec3]:
+    """Mobilities of what is not held: see `_Pairs.chain`."""
+    nodes, elements = free_velocity_mask(scene, motion)
+    x, y, z = (c != 0 for c in nodes)
+    everywhere = x & y & z
+    moving = jnp.where(everywhere, inverse_masses, 0)
+    i, j, k = (jnp.where(c & ~everywhere, inverse_masses, 0) for c in (x, y, z))
+    a, b, c = (c != 0 for c in elements)
+    turning = a | b | c
+    u, v, w = (jnp.where(turning, c, 0) for c in inverse_inertias)
+    return moving, (i, j, k), (u, v, w)
+
+
+def _with_walls(axes: Matrix) -> Matrix:
+    """Axes of the inner joints, and before and after them those of the end element."""
+    one = jnp.ones((), axes[0][0].dtype)
+    ends = [(1, 1, 0)]
+    (a, b, c), (d, e, f), (g, h, i) = (
+        [lax.pad(c, one * (i == j), ends) for j, c in enumerate(row)]
+        for i, row in enumerate(axes)
+    )
+    return (a, b, c), (d, e, f), (g, h, i)
+
+
+def _padded(a: Vec3, before: int, after: int) -> Vec3:
+    """Vectors with zeros before the first and after the last."""
+    x, y, z = (vectors.pad(c, before, after) for c in a)
+    return x, y, z
+
+
+def _padded_rows(a: Matrix, before: int, after: int) -> Matrix:
+    """Matrices with zeros before the first and after the last."""
+    x, y, z = (_padded(row, before, after) for row in a)
+    return x, y, z
+
+
+def _part(matrix: Matrix, first: int | None, last: int | None) -> Matrix:
+    """Matrices from `first` up to `last`."""
+    (a, b, c), (d, e, f), (g, h, i) = ([c[first:last] for c in row] for row in matrix)
+    return (a, b, c), (d, e, f), (g, h, i)
+
+
+def _scaled_columns(a: Matrix, factors: Vec3) -> Matrix:
+    """Products with diagonal matrices."""
+    x, y, z = (vectors.multiply(row, factors) for row in a)
+    return x, y, z
+
+
+def _products(a: Matrix, b: Matrix) -> Matrix:
+    """Products with transposed matrices: scalar products of rows."""
+    x, y, z = (to_material(b, row) for row in a)
+    return x, y, z
 
 
 def internal_damping(relaxation_time: Numbers) -> InternalDamping:
@@ -216,7 +289,7 @@ def internal_damping(relaxation_time: Numbers) -> InternalDamping:
     `relaxation_time w^2 / 2`. It is stable at any relaxation time. The wall joint of
     `clamp` is damped as the rod is, as if its wall did not move.
 
-    A step costs about as much as an implicit one: see the module.
+    A step takes some three to ten times as long as without it: see docs/material.md.
 
     Args:
         relaxation_time: Viscous over elastic stiffness [s].

@@ -40,3 +40,44 @@ def test_sums_over_the_entries_in_use_are_those_of_xla(used, dtype):
         assert mode == "never" or lane_choices()[-1].taken
     tolerance = {"float32": 1e-5, "float64": 1e-13}[dtype]
     np.testing.assert_allclose(*found, rtol=tolerance, atol=tolerance)
+
+
+def falling(above, below, backwards):
+    """A loop forwards along pairs of numbers, and one back along what it keeps."""
+
+    def eliminate(carry, row):
+        one, two = row
+        pivot = one / (1 + one * carry[0])
+        carry = [two - pivot * carry[1], carry[1] * pivot + 0.5]
+        return carry, (pivot, carry[1] * two)
+
+    def substitute(after, row):
+        found = row[0] - row[1] * after
+        return found, found
+
+    pairs = jnp.stack([above, below[::-1]], axis=1), jnp.stack([below, above], axis=1)
+    first = [jnp.ones(2, above.dtype), 0.5 * jnp.ones(2, above.dtype)]
+    last, kept = jax.lax.scan(eliminate, first, pairs, reverse=backwards)
+    _, found = jax.lax.scan(substitute, last[0], kept, reverse=not backwards)
+    return [found[:, 0] + found[::-1, 1] * last[1][0], below]
+
+
+@pytest.mark.parametrize("length", [1, 2, 7, 100])
+@pytest.mark.parametrize("dtype", ["float32", "float64"])
+def test_a_scan_of_pairs_is_a_loop(length, dtype):
+    """Longer than loops that are unrolled; the code is as long for any length."""
+    rng = np.random.default_rng(length)
+    given = [jnp.asarray(rng.uniform(0.5, 1, length), dtype) for _ in range(2)]
+    step = lambda above, below: falling(above, below, length % 2 == 1)
+    body = LoopBody(jax.make_jaxpr(step)(*given), 0)
+    if length > 1:
+        text = cycles_kernel(body, (), checkpoints=False).text
+        assert text.count("fdiv") == 1
+    found = []
+    for mode in ("rows", "never"):
+        use_lanes(mode)
+        run = jax.jit(lambda *a: cycles_p.bind(*a, spec=RunSpec(body, 3)))
+        found.append(run(jnp.int32(3), *given)[0])
+        assert mode == "never" or lane_choices()[-1].taken
+    tolerance = {"float32": 1e-4, "float64": 1e-12}[dtype]
+    np.testing.assert_allclose(*found, rtol=tolerance, atol=tolerance)

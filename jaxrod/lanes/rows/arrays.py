@@ -62,7 +62,7 @@ class Layout:
         """Returns the array of a stored node, in the order of its axes."""
         base = self.graph.flat(node)
         loops = long_axes(shape)
-        return self._views(base, shape, loops, kind)
+        return self.views(base, shape, loops, kind)
 
     def full(self, node: int, shape: Dims, kind: str) -> Rows:
         """Returns an array of one number, repeated."""
@@ -222,7 +222,7 @@ class Layout:
         parts = [self._flat(array, index) for index in np.ndindex(*array.shape[:lead])]
         loops = tuple(lead + axis for axis in long_axes(rest))
         inner = tuple(axis - lead for axis in loops)
-        rows = [self._views(part, rest, inner, array.kind).nodes for part in parts]
+        rows = [self.views(part, rest, inner, array.kind).nodes for part in parts]
         nodes = np.array(rows, np.int64).reshape(_unrolled(shape, loops))
         return Rows(shape, loops, nodes, array.kind)
 
@@ -394,9 +394,10 @@ class Layout:
             node = self.graph.place("joined", (node,), array.kind, (size,), ())
         return self.graph.flat(node)
 
-    def _views(
+    def views(
         self, stored: tuple[int, int], shape: Dims, loops: Dims, kind: str
     ) -> Rows:
+        """Returns an array stored in a node from some place on."""
         node, base = stored
         strides = row_major(shape)
         nodes = np.empty(_unrolled(shape, loops), np.int64)

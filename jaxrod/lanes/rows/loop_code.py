@@ -12,6 +12,7 @@ import math
 from collections.abc import Callable, Sequence
 
 from jaxrod.lanes.llvm.vector_code import BYTES, TYPES, Writer, literal
+from jaxrod.lanes.rows.recurrences import write_recurrence
 from jaxrod.lanes.rows.row_graph import Dims, RowGraph, identity, row_major
 from jaxrod.lanes.rows.schedule import Fill, Goal, Loop, Place, Schedule
 
@@ -147,8 +148,8 @@ class RowWriter(Writer):
     def _at(self, place: Place) -> str:
         return self.new(f"getelementptr i8, ptr {place.pointer}, i64 {place.offset}")
 
-    def _address(self, place: Place, base: int, strides: Dims, kind: str) -> str:
-        """Writes the address of the first lane, where the body of the loop begins."""
+    def address(self, place: Place, base: int, strides: Dims, kind: str) -> str:
+        """Writes the address of the first lane at the indices of the loops."""
         size = BYTES[kind]
         at = self.new(
             f"getelementptr i8, ptr {place.pointer}, i64 {place.offset + base * size}"
@@ -173,7 +174,7 @@ class RowWriter(Writer):
             (axis for axis, stride in enumerate(strides) if stride), default=-1
         )
         lines, self.lines = self.lines, self.before[deepest + 1]
-        at = self._address(place, base, strides, kind)
+        at = self.address(place, base, strides, kind)
         inner = strides[-1] if strides else 0
         if inner == 0 or self.width == 1:
             name = self.spread(self._load_one(at, kind), kind)
@@ -200,7 +201,7 @@ class RowWriter(Writer):
     def _store(
         self, name: str, place: Place, base: int, strides: Dims, kind: str
     ) -> None:
-        at = self._address(place, base, strides, kind)
+        at = self.address(place, base, strides, kind)
         inner = strides[-1] if strides else 1
         many = self.type(kind)
         if kind == "b1":
@@ -249,6 +250,8 @@ class RowWriter(Writer):
     def _loop(self, number: int, loop: Loop) -> Lines:
         if loop.scatters:
             return self._scatters(number, loop)
+        if loop.recurrence is not None:
+            return write_recurrence(self, number, loop.recurrence)
         if not loop.dims:
             return self._straight(loop)
         return self._nest(number, loop)
@@ -435,7 +438,7 @@ class RowWriter(Writer):
             self.lines = lines
         if depth - 1 not in axes:
             assert place is not None
-            at = self._address(place, 0, strides, kind)
+            at = self.address(place, 0, strides, kind)
             many = self._memory_type(kind)
             old = self._from_memory(
                 self.new(f"load {many}, ptr {at}, align {BYTES[kind]}"), kind
@@ -467,7 +470,7 @@ class RowWriter(Writer):
             if outer:
                 width, self.width = self.width, 1
                 indices, self.indices = self.indices, self.indices[:-1]
-                at = self._address(place, 0, outside, kind)
+                at = self.address(place, 0, outside, kind)
                 before = self._load_one(at, kind)
                 total = self._combined(operation, before, total, kind)
                 self.width, self.indices = width, indices
@@ -496,7 +499,7 @@ class RowWriter(Writer):
         assert place is not None
         width, self.width = self.width, 1
         indices, self.indices = self.indices, self.indices[: len(strides)]
-        at = self._address(place, 0, strides, kind)
+        at = self.address(place, 0, strides, kind)
         if kind == "b1":
             name = self.new(f"zext i1 {name} to i8")
         one = "i8" if kind == "b1" else TYPES[kind]
@@ -589,14 +592,14 @@ class RowWriter(Writer):
         self.dims, self.indices = (rounds,), [f"%i_{mark}"]
         mask = graph.arguments[loop.scatters[0]][3:]
         if mask:
-            there = self._stored_number(mask[0])
+            there = self.stored_number(mask[0])
             body.append(f"br i1 {there}, label %{mark}_go, label %{mark}_skip")
             body.append(f"{mark}_go:")
-        at = self._stored_number(index)
+        at = self.stored_number(index)
         for node in loop.scatters:
             kind, operation = graph.kinds[node], graph.extras[node][0]
             update = graph.arguments[node][2]
-            number_ = self._stored_number(update)
+            number_ = self.stored_number(update)
             place = schedule.place(node)
             assert place is not None
             one = "i8" if kind == "b1" else TYPES[kind]
@@ -626,8 +629,8 @@ class RowWriter(Writer):
             f"{mark}_done:",
         ]
 
-    def _stored_number(self, node: int) -> str:
-        """Returns the number of a row at the index of the scatter's loop."""
+    def stored_number(self, node: int) -> str:
+        """Returns the number of a row at the index of a loop around it."""
         graph = self.graph
         known = graph.value(node)
         if known is not None:

@@ -8,6 +8,7 @@ that move numbers are
 - `joined`: a stored node, put together from pieces;
 - `gather`: reads a stored node at computed places;
 - `scatter`: a stored node to which numbers are added at computed places;
+- `recurrence`: a stored node of what a loop along rows makes;
 - `reduce`: a node reduced along some of its axes;
 - `iota`: the index along an axis.
 """

@@ -24,6 +24,7 @@ from jaxrod.lanes.jaxpr.unroll import (
     rule,
 )
 from jaxrod.lanes.rows.arrays import Layout, Rows, long_axes
+from jaxrod.lanes.rows.recurrences import recurrence
 from jaxrod.lanes.rows.row_graph import Move, RowGraph, identity
 
 SHARED = (
@@ -346,8 +347,11 @@ def product(unroller: RowUnroller, equation: Any, left: Rows, right: Rows) -> Ro
 
 @row_rule("scan")
 def scanned(unroller: RowUnroller, equation: Any, *arrays: Rows) -> list[Rows]:
-    """Unrolls a short loop of known length."""
+    """Translates a loop of known length; it is unrolled if it is no recurrence."""
     scan = scan_of(equation)
+    looped = recurrence(unroller, scan, arrays)
+    if looped is not None:
+        return looped
     if scan.length > MOST_UNROLLED or not scan.length:
         raise NotUnrolled(f"rows have no loop of {scan.length} rounds")
     n_carry, first_row = scan.n_carry, scan.n_constants + scan.n_carry

@@ -17,7 +17,7 @@ from jaxrod.lanes.graph import VARYING
 from jaxrod.lanes.llvm.vector_code import BYTES
 from jaxrod.lanes.rows.row_graph import Dims, Piece, RowGraph
 
-STORED = frozenset({"joined", "scatter", "reduce", "input", "data"})
+STORED = frozenset({"joined", "scatter", "recurrence", "reduce", "input", "data"})
 """Operations of nodes that are not computed in a loop over their own numbers."""
 ALIGNMENT = 64
 """Alignment of stored nodes [bytes]."""
@@ -69,7 +69,9 @@ class Loop:
     """Nodes that are written to given places."""
     reductions: list[int] = field(default_factory=list)
     scatters: list[int] = field(default_factory=list)
-    """Nodes of scatters, which have a separate loop."""
+    """Nodes of scatters, which have a loop of their own."""
+    recurrence: int | None = None
+    """Node of a recurrence, which is a loop of its own."""
     mask: int | None = None
     """Node of a mask; vectors in which it is false everywhere are skipped."""
 
@@ -217,7 +219,7 @@ class Schedule:
             mask = self._masks.get(node)
             at = self._beside(arguments[1], dims, mask)
             level = max(self._after(arguments[0]), at)
-        elif operation == "scatter":
+        elif operation in ("scatter", "recurrence"):
             level = max(self._after(a) for a in arguments)
         elif operation == "joined":
             level = self._after(arguments[-1])
@@ -304,12 +306,11 @@ class Schedule:
             rounds, mask = graph.extras[node][1], arguments[3:]
             loop = self._loop(level, (), f"scatter {arguments[1]} {rounds} {mask}")
             loop.scatters.append(node)
-            self._kept.add(node)
-            for argument in arguments:
-                if graph.operations[argument] == "view" and graph.dims[argument]:
-                    self._keep(graph.arguments[argument][0], level)
-                elif graph.dims[argument]:
-                    self._keep(argument, level)
+            self._read_as_stored(node)
+            return
+        if operation == "recurrence":
+            self._loop(level, (), f"recurrence {node}").recurrence = node
+            self._read_as_stored(node)
             return
         if operation == "reduce":
             source = arguments[0]
@@ -327,6 +328,16 @@ class Schedule:
             return
         for argument in arguments:
             self._take(argument, loop)
+
+    def _read_as_stored(self, node: int) -> None:
+        """Notes that a stored node is made of stored ones, and of single numbers."""
+        graph, level = self.graph, self._at[node]
+        self._kept.add(node)
+        for argument in graph.arguments[node]:
+            if graph.operations[argument] == "view" and graph.dims[argument]:
+                self._keep(graph.arguments[argument][0], level)
+            elif graph.dims[argument]:
+                self._keep(argument, level)
 
     def _fill(self, node: int, level: int) -> None:
         fills = fills_of(self.graph, node)
