@@ -10,12 +10,14 @@ $$\sum_k \rho\Big(\frac{|m_k(x) - \hat m_k|}{\sigma}\Big)
 with $\rho(r) = r^2$, or $2 c^2 (\sqrt{1 + r^2/c^2} - 1)$ for a robust fit, in which
 distances beyond $c$ standard deviations count linearly. The noise $\sigma$ of a
 coordinate is what is left over: fits are repeated until it agrees with the residuals.
+Labels and the frame of the camera follow from the drawing, then from the arm that was
+found, until they stay.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any, NamedTuple
 
@@ -50,6 +52,8 @@ HIGHEST = {"friction": 2.0, "poisson_ratio": 0.5}
 """Bounds of unknowns, in their units."""
 FITS = 6
 """Largest number of fits until the noise agrees with the residuals."""
+REGISTRATIONS = 4
+"""Largest number of times that labels are found, each followed by a fit."""
 SMALL_PART = 0.2
 """Parts of a combination below this fraction of its largest are not named."""
 SURE = 0.02
@@ -198,13 +202,33 @@ def identify(
         check_array("robust", robust, [()], "", positive=True)
     if not jax.config.jax_enable_x64:
         raise ValueError("identify needs float64: with jax.enable_x64(): ...")
-    ready, registration = _registered(arm, arm.start, recordings, None)
-    data = [_prepared(arm, recording) for recording in ready]
+    values = arm.start
+    for _ in range(REGISTRATIONS):
+        ready, registration = _registered(arm, values, recordings, None)
+        found, sigma = _fitted(arm, ready, noise, robust, iterations)
+        # The arm that was found predicts labels better than the drawing does.
+        seen_as = {"shift": arm.start["shift"], "turn": arm.start["turn"]}
+        values = arm.start | found.values | seen_as
+        again = _registered(arm, values, recordings, None)[1]
+        if np.array_equal(again.orders, registration.orders):
+            break
+    return Twin(arm, found, sigma, replace(registration, margin=again.margin), ready)
+
+
+def _fitted(
+    arm: Arm,
+    recordings: Sequence[Recording],
+    noise: float | None,
+    robust: float | None,
+    iterations: int,
+) -> tuple[Fit, float]:
+    """The fit to registered recordings, and the noise of a coordinate [m]."""
+    data = [_prepared(arm, recording) for recording in recordings]
     problem = _problem(arm, data)
+    drawn = _drawn(arm, problem.parameters)
 
     def residuals(point: np.ndarray, sigma: float) -> tuple[np.ndarray, np.ndarray]:
-        rows, slopes = [point / _drawn(arm, problem.parameters)], []
-        slopes.append(np.diag(1 / _drawn(arm, problem.parameters)))
+        rows, slopes = [point / drawn], [np.diag(1 / drawn)]
         for layout, group in data:
             made, moved = _evaluated(arm, point, (layout, group))
             there = np.isfinite(group.seen)
@@ -227,7 +251,7 @@ def identify(
         found = fitted(sigma, np.asarray(found.parameters.searched(found.values)))
         if abs(sigma / before - 1) < SURE:
             break
-    return Twin(arm, found, sigma, registration, tuple(ready))
+    return found, sigma
 
 
 class _Found(NamedTuple):
@@ -371,7 +395,7 @@ def _registered(
     values: Mapping[str, Any],
     recordings: Sequence[Recording],
     known: Registration | None,
-) -> tuple[list[Recording], Registration]:
+) -> tuple[tuple[Recording, ...], Registration]:
     """Recordings with labels and in the arm's frame."""
     ready = [r.averaged() if r.is_at_rest(arm.length) else r for r in recordings]
     parameters = _problem(arm, ()).parameters
@@ -399,7 +423,7 @@ def _registered(
         axes = known.rotation
         shift = known.shifts[0] if arm.origin is None else None
     found = register(ready, made, axes=axes, shift=shift, origin=arm.origin)
-    return [found.apply(r, k) for k, r in enumerate(ready)], found
+    return tuple(found.apply(r, k) for k, r in enumerate(ready)), found
 
 
 class _Layout(NamedTuple):
