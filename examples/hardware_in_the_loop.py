@@ -14,7 +14,11 @@ from pathlib import Path
 
 import numpy as np
 
+import jaxrod
+
 RATE = 50.0  # [Hz]
+LOCAL = ("127.0.0.1", 0)  # Any port that is free.
+CONTROLLER = "import sys, hardware_in_the_loop as h; h.control(*sys.argv[1:])"
 SOURCE = '#include "policy.h"\nvoid act(const float*o, float*a) { policy_act(o, a); }\n'
 
 
@@ -66,10 +70,11 @@ def simulate(env, line, seconds):
 
 
 def run(policy, env, seconds):
-    with tempfile.TemporaryDirectory() as name, socket.create_server(("", 0)) as door:
+    with tempfile.TemporaryDirectory() as name, socket.create_server(LOCAL) as door:
         library = compiled(policy, env, Path(name))
         words = [door.getsockname()[1], library, env.observation_size, env.action_size]
-        controller = subprocess.Popen([sys.executable, __file__, *map(str, words)])
+        words = [sys.executable, "-c", CONTROLLER, *map(str, words)]
+        controller = subprocess.Popen(words, cwd=Path(__file__).parent)
         line, _ = door.accept()
         with line:
             line.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
@@ -79,20 +84,17 @@ def run(policy, env, seconds):
 
 
 def main():
+    jaxrod.configure_cpu()
     from own_task import make_task
 
-    import jaxrod
     from jaxrod.training import PPOConfig, train
 
-    jaxrod.configure_cpu()
     env, config = make_task(), PPOConfig(num_envs=16, rollout_steps=64)
     policy = train(env, "ppo", steps=20_000, config=config).policy
     for name, times in zip(("latency", "jitter"), run(policy, env, 10), strict=True):
         middle, high, worst = 1e6 * np.percentile(times, [50, 99, 100])
-        print(
-            f"{name}: median {middle:.0f} us, 99 % {high:.0f} us, worst {worst:.0f} us"
-        )
+        print(f"{name} [us]: median {middle:.0f}, 99 % {high:.0f}, worst {worst:.0f}")
 
 
 if __name__ == "__main__":
-    control(*sys.argv[1:]) if sys.argv[1:] else main()
+    main()

@@ -26,7 +26,8 @@ PUBLIC = {
 @pytest.mark.parametrize("file", sorted(FOLDER.glob("*.py")), ids=lambda f: f.stem)
 def test_examples_are_short_and_use_public_names_only(file):
     source = file.read_text()
-    assert len(source.splitlines()) <= (120 if file.stem == "gallery" else 80)
+    longer = {"gallery": 120, "hardware_in_the_loop": 100}
+    assert len(source.splitlines()) <= longer.get(file.stem, 80)
     for node in ast.walk(ast.parse(source)):
         if isinstance(node, ast.ImportFrom) and node.module.startswith("jaxrod"):
             public = {*PUBLIC[node.module].__all__}

@@ -7,7 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from examples.loading import FOLDER, load
+from examples.loading import load
 from jaxrod.envs import make
 
 pytestmark = pytest.mark.default_precision
@@ -42,6 +42,3 @@ def test_a_policy_acts_fifty_times_a_second():
     assert 0 < np.median(latencies) < 0.01
     assert -1e-6 < delays.min() and np.median(delays) < 0.01
 
-
-def test_the_example_is_short():
-    assert len((FOLDER / "hardware_in_the_loop.py").read_text().splitlines()) < 100
