@@ -41,4 +41,3 @@ def test_a_policy_acts_fifty_times_a_second():
     assert np.ptp(actions) > 0.5
     assert 0 < np.median(latencies) < 0.01
     assert -1e-6 < delays.min() and np.median(delays) < 0.01
-
