@@ -203,6 +203,7 @@ def test_a_compiled_program_has_the_same_matrices():
     close(made.input_matrix, found.input_matrix, 1e-12)
 
 
+@pytest.mark.slow
 def test_states_and_coordinates_are_each_others_inverses():
     scene, state = free_arm()
     near = control.local_coordinates(scene, state, DT)

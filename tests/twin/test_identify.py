@@ -195,8 +195,7 @@ def test_twenty_logs_with_motions_are_calibrated():
 
 
 def test_bad_input_is_refused_in_words(tmp_path):
-    arm = drawing(youngs_modulus=0.3)
-    film = filmed(arm, arm.start, pose(1.0, 0.0))
+    arm, film = drawing(youngs_modulus=0.3), pose(1.0, 0.0)
     with pytest.raises(ValueError, match="at least one recording"):
         twin.identify(arm, [])
     with pytest.raises(ValueError, match="noise must be positive"):
