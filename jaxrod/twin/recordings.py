@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -58,19 +59,20 @@ class Recording:
         Args:
             length: Length of the arm [m].
         """
-        moved = np.nanpercentile(self.points, 95, axis=0) - np.nanpercentile(
-            self.points, 5, axis=0
-        )
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", RuntimeWarning)  # A marker never seen.
+            low, high = np.nanpercentile(self.points, [5, 95], axis=0)
+        moved = (high - low)[np.isfinite(high - low)]
         constant = bool(np.all(self.inputs == self.inputs[:1]))
-        return constant and bool(np.nanmax(moved) < 10 * STILL * length)
+        return constant and bool(np.all(moved < 10 * STILL * length))
 
     def averaged(self) -> Recording:
         """One frame: the median of each marker over all frames."""
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", RuntimeWarning)  # A marker never seen.
+            points = np.nanmedian(self.points, axis=0)[None]
         return replace(
-            self,
-            times=self.times[:1],
-            inputs=self.inputs[:1],
-            points=np.nanmedian(self.points, axis=0)[None],
+            self, times=self.times[:1], inputs=self.inputs[:1], points=points
         )
 
 

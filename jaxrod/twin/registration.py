@@ -84,6 +84,9 @@ def register(
     """
     count = predictions[0].shape[1]
     same = np.arange(count)[None]
+    known = _Known(axes, shift, origin)
+    if known.whole and all(r.labelled for r in recordings):
+        return _as_known(recordings, predictions, known)
     if all(r.labelled for r in recordings):
         every = same
     elif count > MOST_MARKERS:
@@ -95,7 +98,6 @@ def register(
         every = np.array(list(itertools.permutations(range(count))))
     moments = [_moments(r, p) for r, p in zip(recordings, predictions, strict=True)]
     options = [same if r.labelled else every for r in recordings]
-    known = _Known(axes, shift, origin)
     frames = [
         f for m, o in zip(moments, options, strict=True) for f in known.likely(m, o)
     ]
@@ -156,6 +158,11 @@ class _Known:
     shift: np.ndarray | None
     origin: int | None
 
+    @property
+    def whole(self) -> bool:
+        """Whether nothing of the frame has to be found."""
+        return self.axes is not None and not (self.shift is self.origin is None)
+
     def likely(
         self, moments: _Moments, options: np.ndarray
     ) -> list[tuple[np.ndarray, np.ndarray]]:
@@ -188,6 +195,36 @@ class _Known:
             return moments.made[self.origin] - _turned(turn, seen)
         shift = found if self.shift is None else self.shift
         return np.broadcast_to(shift, (len(options), 3))
+
+
+def _as_known(
+    recordings: Sequence[Recording], predictions: Sequence[np.ndarray], known: _Known
+) -> Registration:
+    """Registration where labels and frame are known; any marker may be missing."""
+    assert known.axes is not None
+    shifts, squares = [], []
+    for recording, predicted in zip(recordings, predictions, strict=True):
+        turned = _turned(known.axes, recording.points)
+        shift = known.shift
+        if known.origin is not None:
+            seen = turned[:, known.origin]
+            seen = seen[np.isfinite(seen).all(axis=1)]
+            if len(seen) == 0:
+                raise ValueError(
+                    f"{recording.name}: the marker at the origin was never seen"
+                )
+            shift = predicted[0, known.origin] - seen.mean(axis=0)
+        assert shift is not None
+        shifts.append(shift)
+        away = np.sum((turned + shift - predicted) ** 2, axis=-1)
+        squares.append(away[np.isfinite(away)])
+    return Registration(
+        orders=np.tile(np.arange(predictions[0].shape[1]), (len(recordings), 1)),
+        rotation=known.axes,
+        shifts=np.array(shifts),
+        distance=float(np.sqrt(np.mean(np.concatenate(squares)))),
+        margin=np.inf,
+    )
 
 
 def _improved(

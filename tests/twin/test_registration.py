@@ -106,6 +106,25 @@ def test_frames_with_a_missing_marker_are_left_out():
         twin.register(recorded, made)
 
 
+@pytest.mark.parametrize("origin", [None, 0])
+def test_a_marker_that_is_never_seen_is_left_out_where_labels_are_known(origin):
+    rng = np.random.default_rng(8)
+    (turn, shift), made = a_camera(rng), shapes(rng)
+    recorded = [
+        seen(p, (turn, shift), np.arange(4), 0, rng, labelled=True) for p in made
+    ]
+    recorded[1].points[:, 2] = np.nan
+    known = {"shift": shift} if origin is None else {"origin": 0}
+    found = twin.register(recorded, made, axes=turn, **known)
+    assert np.abs(found.shifts - shift).max() < 1e-12 and found.distance < 1e-12
+    assert np.isfinite(recorded[1].averaged().points).sum() == 9
+    assert recorded[1].is_at_rest(0.3)
+    recorded[1].points[:, 0] = np.nan
+    if origin is not None:
+        with pytest.raises(ValueError, match="at the origin was never seen"):
+            twin.register(recorded, made, axes=turn, **known)
+
+
 def test_too_many_markers_need_names():
     points = np.zeros((2, 8, 3))
     recording = twin.Recording("x", np.arange(2.0), np.zeros((2, 0)), points, False)
