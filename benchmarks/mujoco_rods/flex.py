@@ -22,7 +22,8 @@ import sys
 import time
 from typing import Any, NamedTuple
 
-# Run by an interpreter of its own, which has MuJoCo 4 and no jaxrod.
+# MuJoCo is imported late everywhere else, because it is optional. This program is run
+# by an interpreter of its own, which has MuJoCo 4 and no jaxrod.
 import mujoco  # noqa: TID253
 import numpy as np
 

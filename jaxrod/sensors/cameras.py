@@ -119,10 +119,8 @@ class Markers(StationSensor):
     """Positions of points on a rod; see `markers`."""
 
     unit: ClassVar[str] = "m"
-    arc_length: Float[Array, "*k"]
-    """Arc length of the stations [m]."""
-    offsets: Float[Array, "2 _"]
-    """Offsets of the markers along d1 and d2 [m]."""
+    offsets: Float[Array, "2 _"] | Float[Array, "3 _"]
+    """Offsets of the markers along d1, d2 and, if any, d3 [m]."""
     name: str = static(default="markers")
 
     def measure(self, scene: LoadedRod, state: RodState) -> Float[Array, "3 *k"]:
@@ -280,8 +278,8 @@ def markers(arc_length: Numbers, offsets: Numbers = (0.0, 0.0)) -> Markers:
     Args:
         arc_length: Arc length of the station in the unstressed rod, one number or
             `(k,)` [m].
-        offsets: Offset from the centreline along d1 and d2 `(2,)`, or one per station
-            `(k, 2)` [m].
+        offsets: Offset from the centreline along d1 and d2 `(2,)`, or also along d3
+            `(3,)`, or one per station `(k, 2)` or `(k, 3)` [m].
 
     Returns:
         A sensor that reads three coordinates per station, world frame [m].
@@ -290,7 +288,7 @@ def markers(arc_length: Numbers, offsets: Numbers = (0.0, 0.0)) -> Markers:
         ValueError: If a number is out of range or of the wrong shape.
     """
     stations = as_stations(arc_length)
-    return Markers(stations, as_offsets(offsets, stations))
+    return Markers(stations, as_offsets(offsets, stations, (2, 3)))
 
 
 def image_markers(
@@ -303,7 +301,7 @@ def image_markers(
     Args:
         camera: The camera.
         arc_length: Arc length of the station, one number or `(k,)` [m].
-        offsets: Offset along d1 and d2, as for `markers` [m].
+        offsets: Offsets, as for `markers` [m].
 
     Returns:
         A sensor that reads two coordinates per station, from the left and from the top

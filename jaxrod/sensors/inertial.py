@@ -63,8 +63,6 @@ class Accelerometer(InertialSensor):
     """Specific force at stations; see `accelerometer`."""
 
     unit: ClassVar[str] = "m/s^2"
-    arc_length: Float[Array, "*k"]
-    """Arc length of the stations [m]."""
     offsets: Float[Array, "2 _"]
     """Offsets of the sensors along d1 and d2 [m]."""
     orientation: Float[Array, "4"]
@@ -100,8 +98,6 @@ class Gyroscope(InertialSensor):
     """Angular velocity at stations; see `gyroscope`."""
 
     unit: ClassVar[str] = "rad/s"
-    arc_length: Float[Array, "*k"]
-    """Arc length of the stations [m]."""
     orientation: Float[Array, "4"]
     """Mounting: unit quaternion (w, x, y, z), sensor to section."""
     name: str = static(default="gyroscope")

@@ -158,6 +158,7 @@ class Stations:
         return w, x, y, z
 
 
+@pytree
 class StationSensor(Sensor):
     """Base of sensors at stations along a rod."""
 
@@ -197,19 +198,30 @@ def as_stations(arc_length: Numbers) -> Array:
     return as_array("arc_length", given, "m", shapes, non_negative=True)
 
 
-def as_offsets(offsets: Numbers, arc_length: Array) -> Array:
-    """Offsets along d1 and d2, checked: `(2,)` or one per station `(k, 2)` [m].
+def as_offsets(
+    offsets: Numbers, arc_length: Array, components: tuple[int, ...] = (2,)
+) -> Array:
+    """Offsets along d1, d2 (and d3), checked: `(2,)` or one per station `(k, 2)` [m].
+
+    Args:
+        offsets: The offsets.
+        arc_length: Arc lengths of the stations.
+        components: Allowed numbers of components.
 
     Returns:
         The offsets, components first: `(2, 1)` or `(2, k)`.
     """
-    shapes: list[tuple[int, ...]] = [(2,)]
+    given = numeric("offsets", offsets, "m")
+    shapes: list[tuple[int, ...]] = [(count,) for count in components]
     if arc_length.ndim:
-        shapes.append((arc_length.shape[0], 2))
-    return as_array("offsets", offsets, "m", shapes).reshape(-1, 2).T
+        shapes += [(arc_length.shape[0], count) for count in components]
+    checked = as_array("offsets", given, "m", shapes)
+    return checked.reshape(-1, checked.shape[-1]).T
 
 
 def in_section(offsets: Array, like: Array) -> Vec3:
     """Offsets as vectors of the section's frame, in the type of other numbers."""
-    x, y = (jnp.broadcast_to(part, like.shape).astype(like.dtype) for part in offsets)
-    return x, y, jnp.zeros_like(x)
+    x, y, *rest = (
+        jnp.broadcast_to(part, like.shape).astype(like.dtype) for part in offsets
+    )
+    return x, y, rest[0] if rest else jnp.zeros_like(x)

@@ -47,8 +47,6 @@ class StrainGauge(StationSensor):
     """Strain along fibres; see `strain_gauge`."""
 
     unit: ClassVar[str] = "1"
-    arc_length: Float[Array, "*k"]
-    """Arc length of the stations [m]."""
     offsets: Float[Array, "2 _"]
     """Offsets of the fibres along d1 and d2 [m]."""
     name: str = static(default="strain gauge")
@@ -80,8 +78,6 @@ class SectionCurvature(StationSensor):
     """Curvature and twist at stations; see `section_curvature`."""
 
     unit: ClassVar[str] = "1/m"
-    arc_length: Float[Array, "*k"]
-    """Arc length of the stations [m]."""
     name: str = static(default="curvature")
 
     def measure(self, scene: LoadedRod, state: RodState) -> Float[Array, "3 *k"]:
@@ -96,8 +92,6 @@ class SectionForce(StationSensor):
     """Force through sections; see `section_force`."""
 
     unit: ClassVar[str] = "N"
-    arc_length: Float[Array, "*k"]
-    """Arc length of the stations [m]."""
     name: str = static(default="section force")
 
     def measure(self, scene: LoadedRod, state: RodState) -> Float[Array, "3 *k"]:
@@ -116,8 +110,6 @@ class SectionMoment(StationSensor):
     """Moment through sections; see `section_moment`."""
 
     unit: ClassVar[str] = "N m"
-    arc_length: Float[Array, "*k"]
-    """Arc length of the stations [m]."""
     name: str = static(default="section moment")
 
     def measure(self, scene: LoadedRod, state: RodState) -> Float[Array, "3 *k"]:

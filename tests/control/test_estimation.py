@@ -319,6 +319,24 @@ def test_numbers_that_are_missing_say_nothing(small):
     )
 
 
+def hidden_markers(model, state):
+    """As a camera has markers that are behind it."""
+    return markers(model, state).at[:, 1].set(jnp.nan)
+
+
+def test_what_is_expected_nowhere_is_not_compared(small):
+    process, start = small
+    seen = np.array(process.measure(process.model, start.state)) + 1e-3
+    behind = dataclasses.replace(process, measure=hidden_markers)
+    found = estimation.update(behind, start, seen)
+    seen[:, 1] = np.nan
+    same = estimation.update(process, start, seen)
+    assert found.count == same.count == seen.size - 3
+    np.testing.assert_array_equal(
+        found.estimate.state.positions, same.estimate.state.positions
+    )
+
+
 def test_a_covariance_stays_one_whatever_the_rounding(small):
     process, start = small
     exact = dataclasses.replace(process, noise=1e-12 * jnp.ones_like(process.noise))

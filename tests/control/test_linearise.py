@@ -162,7 +162,7 @@ def test_matrices_are_those_of_central_differences(make):
 @pytest.mark.slow
 @pytest.mark.parametrize("make", [torsion_free, welded, weighted])
 def test_two_periods_are_one_of_twice_the_length(make):
-    """Where components follow others, directions change from period to period."""
+    """Directions change from period to period if components follow others."""
     model, state, _, _ = moving(make)
     first = control.linearise(model, state, DT, 50)
     near = first.coordinates

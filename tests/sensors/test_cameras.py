@@ -31,6 +31,10 @@ def test_markers_turn_with_their_section():
     np.testing.assert_allclose(
         found, [[0.5, 1.0], [0.0, -0.02], [0.01, 0.0]], atol=1e-14
     )
+    ahead = sensors.markers([0.5, 1.0], [(0.01, 0.0, 0.0), (0.0, 0.02, 0.03)])
+    np.testing.assert_allclose(
+        ahead.read(scene, state), [[0.5, 1.03], [0.0, -0.02], [0.01, 0.0]], atol=1e-14
+    )
     seen = sensors.image_markers(EYE, [0.5, 1.0]).read(scene, state)
     np.testing.assert_allclose(seen, [[75, 100], [40, 40]], rtol=1e-12)
 

@@ -41,7 +41,7 @@ KINDS = [
 
 @dataclasses.dataclass(frozen=True)
 class Sized:
-    """As much of an environment as a policy is exported for."""
+    """The part of an environment that an export needs."""
 
     observation_size: int = 7
     action_size: int = 2

@@ -1,4 +1,4 @@
-"""Twins of made-up arms: what was put in is found, as surely as is said."""
+"""Twins of made-up arms have the true numbers, within their standard deviations."""
 
 from dataclasses import replace
 

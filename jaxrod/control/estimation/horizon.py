@@ -133,7 +133,8 @@ def _solved(
             if process.state_root is not None:
                 after = moved(after, process.state_root, push, end)
             made = process.measure(process.at(end).recalling(after), after)
-            miss = jnp.where(there, target - made, 0) / process.noise
+            seen = there & jnp.isfinite(made)
+            miss = jnp.where(seen, target - made, 0) / process.noise
             return after, (after, miss)
 
         start = moved(arrival.state, arrival.root, unknown["start"], arrival.steps)

@@ -87,7 +87,8 @@ def update(process: Process, estimate: Estimate, observed: Any) -> Update:
     Args:
         process: The process.
         estimate: The estimate at the time of the measurement.
-        observed: The measurement. Numbers that are not finite count as missing.
+        observed: The measurement. Numbers that are not finite, or not expected to be,
+            count as missing.
 
     Returns:
         The corrected estimate, and the innovations.
@@ -139,9 +140,10 @@ def _updated(
     coordinates, state, root = process.coordinates, estimate.state, estimate.root
     now = process.at(estimate.steps)
     expected, by_state = measured(coordinates, now, state, ways, process.measure)
-    there = jnp.ravel(jnp.isfinite(observed))
-    known = jnp.where(there, jnp.ravel(observed), 0)
-    innovations = jnp.where(there, known - jnp.ravel(expected), 0)
+    observed_here, expected_here = jnp.ravel(observed), jnp.ravel(expected)
+    # A marker that is expected behind the camera has no expectation to compare with.
+    there = jnp.isfinite(observed_here) & jnp.isfinite(expected_here)
+    innovations = jnp.where(there, observed_here - expected_here, 0)
     # A number that is missing is one that does not depend on the state.
     seen = jnp.where(there[:, None], by_state, 0) @ root
     count, size = seen.shape

@@ -82,7 +82,7 @@ class LocalCoordinates:
     instant: Float[Array, ""]
     """Duration of a step in which nothing moves [s]."""
     names: tuple[str, ...] = static()
-    """Free components in words, such as "node 3 along x" and "element 2 about d1"."""
+    """Names of the free components: "node 3 along x", "element 2 about d1"."""
     free: tuple[int, ...] = static()
     """Their places among all displacements and rotations."""
     follow: bool = static()
