@@ -87,9 +87,15 @@ def measured(env: Any, envs_per_core: int) -> tuple[float, float]:
 
 
 def stepping(
-    env: Any, envs_per_device: int, devices: Sequence[jax.Device]
+    env: Any, envs_per_device: int, devices: Sequence[jax.Device], least: int = 1
 ) -> tuple[int, Callable[[], float]]:
     """Function that steps a batch spread over devices, under random actions.
+
+    Args:
+        env: The environment.
+        envs_per_device: Number of environments on each device.
+        devices: The devices.
+        least: Least number of control steps that each environment makes in a call.
 
     Returns:
         Control steps of a call, and the call, which returns the share that was
@@ -99,7 +105,7 @@ def stepping(
     params = env.default_params()
     mesh = device_mesh(devices)
     spread, whole = PartitionSpec(DEVICE_AXIS), PartitionSpec()
-    steps = max(1, round(MOTION / env.control_period / envs_per_device))
+    steps = max(least, round(MOTION / env.control_period / envs_per_device))
 
     @jax.jit
     @partial(

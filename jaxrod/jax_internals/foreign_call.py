@@ -41,6 +41,13 @@ _BEGINNINGS = {
     ),
 }
 """First fields of structures that may have more fields."""
+_FUNCTIONS = (
+    *("Error_Create", "Error_GetDetails", "Error_Destroy", "Handler_Register"),
+    "Stream_Get",
+)
+"""First functions of the interface."""
+_STREAM = ("struct_size", "extension_start", "ctx", "stream")
+"""Fields of the structure in which a call asks for its stream."""
 
 
 @cache
@@ -77,6 +84,17 @@ def unknown_layout() -> str | None:
     return None
 
 
+@cache
+def unknown_stream() -> str | None:
+    """Returns the reason why a call's stream cannot be asked for; `None` if it can."""
+    functions = [f.partition("(")[2] for f in _fields("XLA_FFI_Api")[4:9]]
+    if functions != [f"XLA_FFI_{name})" for name in _FUNCTIONS]:
+        return "jaxlib's XLA_FFI_Api has another layout than the one known"
+    if _fields("XLA_FFI_Stream_Get_Args") != _STREAM:
+        return "jaxlib's XLA_FFI_Stream_Get_Args has another layout than the one known"
+    return None
+
+
 def api_version() -> tuple[int | None, int | None]:
     """Returns the major and minor version of the interface, read from the header."""
     numbers: list[int | None] = []
@@ -92,8 +110,90 @@ def handler_text(name: str, n_operands: int, n_results: int) -> str:
     It answers XLA's query of its version when it is registered, refuses a call with
     another number of buffers than the kernel has, and otherwise calls `@kernel`.
     """
+    work = """
+call void @kernel(ptr %operands, ptr %results)
+ret ptr null
+"""
+    return _handler(name, n_operands, n_results, work)
+
+
+def launcher_text(
+    name: str,
+    n_operands: int,
+    n_results: int,
+    *,
+    launch: int,
+    function: int,
+    blocks: int,
+    threads: int,
+    shared: int,
+) -> str:
+    """Writes a handler that launches a kernel on the stream of the call.
+
+    Args:
+        name: Name of the handler.
+        n_operands: Number of operands of the kernel.
+        n_results: Number of its results.
+        launch: Address of CUDA's `cuLaunchKernel`.
+        function: Address of the loaded kernel.
+        blocks: Number of blocks.
+        threads: Threads of a block.
+        shared: Shared memory of a block [bytes].
+    """
+    n = n_operands + n_results
+    lines = []
+    for array, first, count in (
+        ("operands", 0, n_operands),
+        ("results", n_operands, n_results),
+    ):
+        for i in range(count):
+            mark = f"%{array}{i}"
+            lines.append(
+                f"{mark}p = getelementptr ptr, ptr %{array}, i64 {i}\n"
+                f"{mark}b = load ptr, ptr {mark}p\n"
+                f"{mark}d = getelementptr i8, ptr {mark}b, i64 24\n"
+                f"{mark}s = getelementptr ptr, ptr %given, i64 {first + i}\n"
+                f"store ptr {mark}d, ptr {mark}s\n"
+            )
+    work = f"""
+%asked_for = alloca [32 x i8], align 8
+store i64 32, ptr %asked_for
+%sx = getelementptr i8, ptr %asked_for, i64 8
+store ptr null, ptr %sx
+%pctx = getelementptr i8, ptr %frame, i64 24
+%ctx = load ptr, ptr %pctx
+%sc = getelementptr i8, ptr %asked_for, i64 16
+store ptr %ctx, ptr %sc
+%ss = getelementptr i8, ptr %asked_for, i64 24
+store ptr null, ptr %ss
+%wapi = getelementptr i8, ptr %frame, i64 16
+%api_ = load ptr, ptr %wapi
+%pget = getelementptr i8, ptr %api_, i64 80
+%get = load ptr, ptr %pget
+%trouble = call ptr %get(ptr %asked_for)
+%fine = icmp eq ptr %trouble, null
+br i1 %fine, label %go, label %no_stream
+no_stream:
+ret ptr %trouble
+go:
+%stream = load ptr, ptr %ss
+%given = alloca [{n} x ptr], align 8
+{"".join(lines)}
+%status = call i32 inttoptr (i64 {launch} to ptr)(
+    ptr inttoptr (i64 {function} to ptr), i32 {blocks}, i32 1, i32 1,
+    i32 {threads}, i32 1, i32 1, i32 {shared}, ptr %stream, ptr %given, ptr null)
+%launched = icmp eq i32 %status, 0
+br i1 %launched, label %done, label %refuse
+done:
+ret ptr null
+"""
+    return _handler(name, n_operands, n_results, work)
+
+
+def _handler(name: str, n_operands: int, n_results: int, work: str) -> str:
+    """Writes a handler; `work` is its code for a call with the right buffers."""
     major, minor = api_version()
-    words = f"jaxrod: a kernel of {n_operands} operands was called with others"
+    words = f"jaxrod: a kernel of {n_operands} operands could not be called"
     return f"""
 @words = private constant [{len(words) + 1} x i8] c"{words}\\00"
 define ptr @{name}(ptr %frame) nounwind {{
@@ -148,8 +248,7 @@ work:
 %operands = load ptr, ptr %poperands
 %presults = getelementptr i8, ptr %frame, i64 112
 %results = load ptr, ptr %presults
-call void @kernel(ptr %operands, ptr %results)
-ret ptr null
+{work}
 }}
 """
 

@@ -97,14 +97,16 @@ def define(
     mlir.register_lowering(primitive, mlir.lower_fun(reference, multiple_results=True))
 
 
-def lower_on_cpus(
+def lower_on(
+    platform: str,
     primitive: Any,
     reference: Program,
     choose: Callable[[str | None, Sequence[Any], Mapping[str, Any]], Program | None],
 ) -> None:
-    """Registers a special program for a primitive on CPUs.
+    """Registers a special program for a primitive on one platform.
 
     Args:
+        platform: `"cpu"` or `"cuda"`.
         primitive: A defined primitive.
         reference: Program that is lowered if `choose` returns `None`.
         choose: Function that returns the program to compile, or `None`. It takes the
@@ -128,7 +130,7 @@ def lower_on_cpus(
             return by_xla(context, *operands, **parameters)
         return mlir.lower_fun(program, multiple_results=True)(alone, *operands)
 
-    mlir.register_lowering(primitive, rule, platform="cpu")
+    mlir.register_lowering(primitive, rule, platform=platform)
 
 
 def no_kernels_in(context: Any) -> str | None:

@@ -11,6 +11,7 @@ from functools import cache
 import jax
 
 from jaxrod.lanes.llvm.machine_code import llvm_is_installed, not_here
+from jaxrod.lanes.warps.cuda import not_here as no_warps_here
 
 AUTO, ALWAYS, ROWS, NEVER = "auto", "always", "rows", "never"
 MODES = (AUTO, ALWAYS, ROWS, NEVER)
@@ -42,7 +43,8 @@ _choices: deque[LaneChoice] = deque(maxlen=100)
 def use_lanes(mode: str) -> None:
     """Sets when programs that are compiled from now on use lanes.
 
-    Lanes are for CPUs. Other devices have none: XLA runs there.
+    Lanes are for CPUs. NVIDIA's GPUs have warps instead, in every mode but `"never"`.
+    XLA runs on other devices.
 
     Args:
         mode: `"auto"` (whichever is faster), `"always"` (lanes wherever they are
@@ -73,19 +75,30 @@ def lane_mode() -> str:
 
 def lanes_wanted() -> bool:
     """Whether runs are built in the form that lanes can take."""
-    on_cpu = jax.default_backend() == "cpu"
-    return lane_mode() != NEVER and on_cpu and not_here() is None
+    return lane_mode() != NEVER and no_kernels_here() is None
+
+
+def no_kernels_here() -> str | None:
+    """Returns the reason why the default device has no kernels; `None` if it has."""
+    device = jax.default_backend()
+    if device == "cpu":
+        return not_here()
+    if device == "gpu":
+        return no_warps_here()
+    return f"there are no kernels for {device}"
 
 
 def slower() -> str | None:
-    """Returns the reason why batches on CPUs are slower than they could be.
+    """Returns the reason why batches are slower than they could be.
 
     Returns:
-        One sentence, or `None` if batches run in lanes.
+        One sentence, or `None` if batches run in lanes, or on a GPU in warps.
     """
-    reason = "the mode is 'never'" if lane_mode() == NEVER else not_here()
+    reason = "the mode is 'never'" if lane_mode() == NEVER else no_kernels_here()
     if reason is None:
         return None
+    if jax.default_backend() != "cpu":
+        return f"Batches run in XLA, not in kernels of warps, because {reason}."
     return (
         "Lanes are off: batches on CPUs run in XLA, about a fifth as fast, because "
         f"{reason}."
@@ -95,11 +108,11 @@ def slower() -> str | None:
 @cache
 def say_if_slower() -> None:
     """Logs one line, once, if lanes are installed but cannot be used."""
-    reason = not_here()
-    if reason is None or jax.default_backend() != "cpu":
+    reason = no_kernels_here()
+    if reason is None:
         return
     refused(reason)
-    if llvm_is_installed():
+    if llvm_is_installed() and jax.default_backend() == "cpu":
         _log.warning("jaxrod: %s", slower())
 
 

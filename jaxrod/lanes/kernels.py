@@ -41,6 +41,10 @@ from jaxrod.lanes.rows.kernels import (
     whole_run_kernel,
 )
 from jaxrod.lanes.run_spec import Ends, LoopBody, RunSpec, adjoint_body, chosen
+from jaxrod.lanes.warps.cuda import device, launch_for, slower_than_xla
+from jaxrod.lanes.warps.cuda import not_here as no_warps_here
+from jaxrod.lanes.warps.cuda import registered as registered_on_gpu
+from jaxrod.lanes.warps.kernels import kernel_of_warps
 
 MOST_OPERATIONS = 60_000
 """Operations of the longest programs for which lanes are chosen. Longer programs do not
@@ -87,7 +91,43 @@ def lowered_by_lanes(
     seconds = time.perf_counter() - begun
     words = f"{'rows' if by_rows else 'lanes'} of {vector_bytes()} bytes"
     note(LaneChoice(True, words, rods, kernel.operations, seconds))
-    return _call(target, kernel, spec, rods, results)
+    # Kernels align their workspace to 64 bytes themselves.
+    room = kernel.room + 64 + kernel.kept * spec.every
+    return _program(target, room, spec, rods, results)
+
+
+def lowered_by_warps(
+    name: str, spec: RunSpec, results: Sequence[Any]
+) -> Callable[..., Any] | None:
+    """Returns the program of a primitive on a GPU, or `None` to leave it to XLA.
+
+    Arguments as in `lowered_by_lanes`.
+    """
+    rods = spec.batch.size if spec.batch is not None else 1
+    mode = lane_mode()
+    if mode == NEVER or no_warps_here() is not None or rods == 0:
+        return None
+    begun = time.perf_counter()
+    try:
+        kernel = kernel_of_warps(name, spec)
+        every = spec.every if kernel.kept else 0
+        launch = launch_for(kernel, rods, every, device())
+        words = slower_than_xla(kernel, launch, rods, device())
+        if words is not None and mode == AUTO:
+            refused(words, rods)
+            return None
+        target = registered_on_gpu(kernel, launch)
+    except Exception as error:
+        if mode in (ALWAYS, ROWS) and type(error) is not NotUnrolled:
+            raise
+        first_line = str(error).partition("\n")[0]
+        refused(f"no kernel: {type(error).__name__}: {first_line}", rods)
+        return None
+    seconds = time.perf_counter() - begun
+    place = "shared memory" if launch.in_shared else "the workspace"
+    words = f"warps with {kernel.room} bytes each in {place}"
+    note(LaneChoice(True, words, rods, kernel.operations, seconds))
+    return _program(target, launch.workspace(kernel), spec, rods, results)
 
 
 def _of_lanes(name: str, spec: RunSpec, most: int) -> tuple[Kernel | None, str]:
@@ -122,14 +162,12 @@ def _of_rows(name: str, spec: RunSpec) -> tuple[Kernel | None, str]:
         return None, str(reason)
 
 
-def _call(
-    target: str, kernel: Kernel, spec: RunSpec, rods: int, results: Sequence[Any]
+def _program(
+    target: str, room: int, spec: RunSpec, rods: int, results: Sequence[Any]
 ) -> Callable[..., Any]:
-    """Returns a function that calls a kernel from JAX."""
+    """Returns a function that calls a kernel with a workspace of `room` bytes."""
     kept = spec.n_kept if spec.keeps else 0
     every = spec.every if kept else 2**31 - 1
-    # Kernels align their workspace to 64 bytes themselves.
-    room = kernel.room + 64 + kernel.kept * spec.every
     shapes = [jax.ShapeDtypeStruct(made.shape, made.dtype) for made in results]
     call = jax.ffi.ffi_call(target, [*shapes, jax.ShapeDtypeStruct((room,), jnp.uint8)])
 

@@ -21,11 +21,11 @@ from jaxrod.jax_internals.primitives import (
     filled_in,
     is_linear_input,
     is_zero,
-    lower_on_cpus,
+    lower_on,
     no_tangent,
 )
 from jaxrod.lanes.choice import lanes_wanted, refused
-from jaxrod.lanes.kernels import lowered_by_lanes
+from jaxrod.lanes.kernels import lowered_by_lanes, lowered_by_warps
 from jaxrod.lanes.reference import (
     REFERENCES,
     adjoint_p,
@@ -253,13 +253,14 @@ def _jvp_of_reference(primitive: Any) -> Callable[..., Any]:
     return jvp
 
 
-def _kernels(primitive: Any) -> Callable[..., Any]:
-    """Returns the choice of a program on CPUs: a kernel, or `None`."""
+def _kernels(primitive: Any, platform: str) -> Callable[..., Any]:
+    """Returns the choice of a program on a platform: a kernel, or `None`."""
 
     def choose(unfit: str | None, results: Any, parameters: Any) -> Any:
         spec = parameters["spec"]
         if unfit is None:
-            return lowered_by_lanes(primitive.name, spec, results)
+            lowered = lowered_by_lanes if platform == "cpu" else lowered_by_warps
+            return lowered(primitive.name, spec, results)
         if lanes_wanted():
             refused(unfit, spec.batch.size if spec.batch is not None else 1)
         return None
@@ -280,7 +281,13 @@ for _primitive, _reference in REFERENCES.items():
         transpose=_TRANSPOSES.get(_primitive),
     )
 for _primitive in (run_p, cycles_p, adjoint_p):
-    lower_on_cpus(_primitive, REFERENCES[_primitive], _kernels(_primitive))
+    for _platform in ("cpu", "cuda"):
+        lower_on(
+            _platform,
+            _primitive,
+            REFERENCES[_primitive],
+            _kernels(_primitive, _platform),
+        )
 
 
 __all__ = ["adjoint_p", "cycles_p", "run_once", "run_p", "tangent_p"]

@@ -38,6 +38,15 @@ def squared(unroller: Unroller, equation: Any, array: Any) -> Any:
     return unroller.each("mul", kind_of(equation.outvars[0].aval), array, array)
 
 
+@rule("one_minus_square")
+def one_minus_squared(unroller: Unroller, equation: Any, array: Any) -> Any:
+    """Unrolls `(1 + x) (1 - x)`, which derivatives contain since JAX 0.12."""
+    kind = kind_of(equation.outvars[0].aval)
+    one = unroller.full(1, array.shape, kind)
+    above = unroller.each("add", kind, one, array)
+    return unroller.each("mul", kind, above, unroller.each("sub", kind, one, array))
+
+
 @rule("integer_pow")
 def powered(unroller: Unroller, equation: Any, array: Any) -> Any:
     """Unrolls an integer power, by repeated squaring."""

@@ -55,7 +55,7 @@ def _of_vector(operation: str, kind: str, width: int) -> tuple[str, set[str]]:
         return _exponential(kind, width)
     if (operation, kind) == ("tanh", "f32"):
         return _hyperbolic_tangent(width)
-    return _lane_by_lane(operation, kind, width, operation), set()
+    return lane_by_lane(operation, kind, width, operation), set()
 
 
 def _needed_by(operation: str, kind: str) -> set[tuple[str, str]]:
@@ -85,7 +85,15 @@ def _of_one(operation: str, kind: str) -> str:
     return f"define internal {one} @{operation}_{kind}_one({given}) {{\n{body}\n}}\n"
 
 
-def _lane_by_lane(operation: str, kind: str, width: int, name: str) -> str:
+def lane_by_lane(operation: str, kind: str, width: int, name: str) -> str:
+    """Writes a function of a vector that calls the function of one number.
+
+    Args:
+        operation: The operation.
+        kind: Kind of the numbers.
+        width: Lanes of the vector.
+        name: Beginning of the function's name.
+    """
     one, many = TYPES[kind], f"<{width} x {TYPES[kind]}>"
     given = ["%x", "%y"][: OPERATIONS[operation].operands]
     lines, made = [], "poison"
@@ -194,7 +202,7 @@ def _circular(operation: str, kind: str, width: int) -> tuple[str, set[str]]:
     turned = code.new(f"icmp ne {whole} {bit}, {_whole(width, 0)}")
     minus = code.new(f"fneg {many} {made}")
     result = code.new(f"select {truth} {turned}, {many} {minus}, {many} {made}")
-    slow_text = _lane_by_lane(operation, kind, width, f"{operation}_slow")
+    slow_text = lane_by_lane(operation, kind, width, f"{operation}_slow")
     text, declared = _finished(code, operation, kind, result)
     return slow_text + text, declared
 

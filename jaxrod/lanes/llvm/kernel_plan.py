@@ -253,13 +253,18 @@ def entry_text(n_operands: int, n_results: int) -> str:
     """Writes code that loads the data pointers of all buffers, and the counts."""
     loads = [_pointer(f"%in{i}", "%operands", i) for i in range(n_operands)]
     loads += [_pointer(f"%out{i}", "%results", i) for i in range(n_results)]
+    return "".join(loads) + counts_text()
+
+
+def counts_text() -> str:
+    """Writes code that loads the counts from the first operand."""
     counts = [
         f"%{name}at = getelementptr i32, ptr %in0, i64 {i}\n"
         f"%{name}32 = load i32, ptr %{name}at\n"
         f"%{name} = sext i32 %{name}32 to i64\n"
         for i, name in enumerate(("steps", "every", "rods", "kept"))
     ]
-    return "".join([*loads, *counts])
+    return "".join(counts)
 
 
 def _pointer(name: str, array: str, index: int) -> str:

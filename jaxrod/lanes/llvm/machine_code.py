@@ -92,24 +92,35 @@ def registered(kernel: Kernel) -> str:
     Returns:
         The kernel's name in XLA.
     """
-    import llvmlite.binding as llvm
-
     digest = hashlib.sha256((processor() + kernel.text).encode()).hexdigest()[:24]
     name = f"jaxrod_lanes_{digest}"
     with _lock:
         if name in _engines:
             return name
         text = kernel.text + handler_text(name, kernel.n_operands, kernel.n_results)
-        module = llvm.parse_assembly(text)
-        module.verify()
-        machine = _target_machine()
-        engine = llvm.create_mcjit_compiler(module, machine)
-        keeps_objects(engine, f"{processor()} {OPTIMISATION} {text}")
-        engine.finalize_object()
-        address = engine.get_function_address(name)
-        _engines[name] = engine
-        jax.ffi.register_ffi_target(name, _capsule(address), platform="cpu")
+        _engines[name], address = native_function(text, name)
+        jax.ffi.register_ffi_target(name, capsule(address), platform="cpu")
     return name
+
+
+def native_function(text: str, name: str) -> tuple[Any, int]:
+    """Compiles a module, or reads it from the cache on disk.
+
+    Args:
+        text: LLVM IR.
+        name: Name of a function in it.
+
+    Returns:
+        The engine that owns the code, and the address of the function.
+    """
+    import llvmlite.binding as llvm
+
+    module = llvm.parse_assembly(text)
+    module.verify()
+    engine = llvm.create_mcjit_compiler(module, _target_machine())
+    keeps_objects(engine, f"{processor()} {OPTIMISATION} {text}")
+    engine.finalize_object()
+    return engine, engine.get_function_address(name)
 
 
 def _target_machine() -> Any:
@@ -145,7 +156,8 @@ def _name_library() -> str | None:
     return None
 
 
-def _capsule(address: int) -> Any:
+def capsule(address: int) -> Any:
+    """Returns the address of a handler in the form in which XLA takes it."""
     make = ctypes.pythonapi.PyCapsule_New
     make.restype = ctypes.py_object
     make.argtypes = [ctypes.c_void_p, ctypes.c_char_p, ctypes.c_void_p]

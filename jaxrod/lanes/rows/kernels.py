@@ -33,17 +33,23 @@ MOST_LINES = 400_000
 """Length of the longest program that is compiled."""
 
 
-class _Region:
+class Storage:
     """A region of the workspace that holds arrays one after the other."""
 
-    def __init__(self, pointer: str) -> None:
-        self.pointer, self.size = pointer, 0
+    def __init__(self, pointer: str, alignment: int = ALIGNMENT) -> None:
+        """Makes an empty region.
+
+        Args:
+            pointer: Name of its pointer.
+            alignment: Alignment of its arrays [bytes].
+        """
+        self.pointer, self.alignment, self.size = pointer, alignment, 0
 
     def give(self, kind: str, count: int) -> Place:
         """Allocates an array."""
         place = Place(self.pointer, self.size)
         size = max(count, 1) * BYTES[kind]
-        self.size += -(-size // ALIGNMENT) * ALIGNMENT
+        self.size += -(-size // self.alignment) * self.alignment
         return place
 
     def all(self, avals: Sequence[Any]) -> list[Place]:
@@ -53,6 +59,9 @@ class _Region:
 
 class RowPlan:
     """Memory and functions of a kernel of rows."""
+
+    alignment = ALIGNMENT
+    """Alignment of arrays in memory [bytes]."""
 
     def __init__(self, body: LoopBody, batched: Sequence[bool]) -> None:
         """Translates a step.
@@ -67,13 +76,12 @@ class RowPlan:
         n = self.n_constants = body.n_constants
         self.constants, self.carry = avals[:n], avals[n:]
         self.batched = list(batched)
-        self.fixed, self.now = _Region("%fixed"), _Region("%now")
+        self.fixed, self.now = self.storage("%fixed"), self.storage("%now")
         self.ready: dict[int, Place] = {}
         self.inputs = [
-            self.input(i, aval, FIXED if i < n else VARYING)
-            for i, aval in enumerate(avals)
+            self.input(i, aval, self.rate(i)) for i, aval in enumerate(avals)
         ]
-        self.constant_places = self.fixed.all(self.constants)
+        self.constant_places = self.places_of_constants()
         self.carry_places = self.now.all(self.carry)
         self.stand(0, [*self.constant_places, *self.carry_places])
         self.made = self.unroller.run(body.closed, self.inputs)
@@ -89,6 +97,18 @@ class RowPlan:
         self.needs: set[tuple[str, str, int]] = set()
         self.fills: set[str] = set()
         self.lines = 0
+
+    def storage(self, pointer: str) -> Storage:
+        """Returns an empty region."""
+        return Storage(pointer, self.alignment)
+
+    def rate(self, which: int) -> int:
+        """Returns the rate at which operand number `which` of the step changes."""
+        return FIXED if which < self.n_constants else VARYING
+
+    def places_of_constants(self) -> list[Place]:
+        """Returns the places from which constants are read."""
+        return self.fixed.all(self.constants)
 
     def input(self, which: int, aval: Any, rate: int) -> Rows:
         """Returns the array of operand number `which`."""
@@ -114,6 +134,21 @@ class RowPlan:
     def hoist(self, goals: Sequence[Goal]) -> None:
         """Writes the function that computes values that are the same in all steps."""
         graph = self.graph
+        self.know_data()
+        nodes = hoisted(graph, [goal.node for goal in goals], self.ready)
+        for node in nodes:
+            self.ready[node] = self.room_for(node, self.fixed)
+        self.function("fixed", [], ["%fixed"], nodes)
+
+    def room_for(self, node: int, storage: Storage) -> Place:
+        """Allocates a place for a node."""
+        graph = self.graph
+        more = 1 if graph.operations[node] == "scatter" else 0
+        return storage.give(graph.kinds[node], math.prod(graph.dims[node]) + more)
+
+    def know_data(self) -> None:
+        """Writes known arrays as constants of the module."""
+        graph = self.graph
         for i, (node, numbers) in enumerate(graph.data.items()):
             kind = graph.kinds[node]
             one = "i8" if kind == "b1" else TYPES[kind]
@@ -125,12 +160,6 @@ class RowPlan:
                 f"align {ALIGNMENT}\n"
             )
             self.ready[node] = Place(f"@data{i}", 0)
-        nodes = hoisted(graph, [goal.node for goal in goals], self.ready)
-        for node in nodes:
-            more = 1 if graph.operations[node] == "scatter" else 0
-            count = math.prod(graph.dims[node]) + more
-            self.ready[node] = self.fixed.give(graph.kinds[node], count)
-        self.function("fixed", [], ["%fixed"], nodes)
 
     def function(
         self,
@@ -144,9 +173,11 @@ class RowPlan:
         Raises:
             NotUnrolled: It is too long.
         """
-        lasting = None if stored or name == "fixed" else self.lasting_place
-        schedule = Schedule(self.graph, goals, self.ready, stored, lasting)
-        writer = RowWriter(self.graph, schedule, vector_bytes())
+        lasting = self.lasting_place if goals else None
+        schedule = Schedule(
+            self.graph, goals, self.ready, stored, lasting, self.alignment
+        )
+        writer = self.writer(schedule)
         self.texts.append(writer.text(name, ["%scratch", *pointers]))
         self.scratch = max(self.scratch, schedule.size)
         self.declared |= writer.declared
@@ -156,26 +187,35 @@ class RowPlan:
         if self.lines > MOST_LINES:
             raise NotUnrolled(f"a program of more than {MOST_LINES} lines is too long")
 
+    def writer(self, schedule: Schedule) -> RowWriter:
+        """Returns the writer of a function."""
+        return RowWriter(self.graph, schedule, vector_bytes())
+
     def lasting_place(self, node: int) -> Place:
         """Returns the place of a node whose fill is written once for each scene."""
         place = self.lasting.get(node)
         if place is None:
-            kind = self.graph.kinds[node]
-            place = self.fixed.give(kind, math.prod(self.graph.dims[node]))
+            place = self.room_for(node, self.fixed)
             self.lasting[node] = place
         return place
 
     def lasting_fills(self) -> str:
         """Writes the function that writes the fill between pieces."""
+        body = "\n".join(["entry:", *self.fill_calls(""), "ret void"])
+        return f"define internal void @fills(ptr %fixed) noinline {{\n{body}\n}}\n"
+
+    def fill_calls(self, given: str) -> list[str]:
+        """Writes calls that write the fill; `given` is their first arguments."""
         graph, lines = self.graph, []
         for node, place in self.lasting.items():
             kind, value = graph.kinds[node], graph.value(graph.arguments[node][-1])
             self.fills.add("i8" if kind == "b1" else TYPES[kind])
             number = str(int(value)) if kind == "b1" else literal(value, kind)
-            for fill in fills_of(graph, node):
-                lines.append(fill_call(number, place, kind, fill))
-        body = "\n".join(["entry:", *lines, "ret void"])
-        return f"define internal void @fills(ptr %fixed) noinline {{\n{body}\n}}\n"
+            lines += [
+                fill_call(number, place, kind, fill, given)
+                for fill in fills_of(graph, node)
+            ]
+        return lines
 
     def module(self, per_scene: str, n_operands: int, n_results: int) -> str:
         """Writes the whole module except for the handler through which XLA calls it."""
@@ -257,7 +297,7 @@ def cycles_kernel(
 ) -> Kernel:
     """Writes the kernel that repeats a step; see `lanes.llvm.kernel.step_kernel`."""
     plan = RowPlan(body, batched)
-    goals = _next_carry(plan)
+    goals = next_carry(plan)
     plan.hoist(goals)
     plan.function("step", goals, ["%fixed", "%now", "%then"])
     n_carry, first = len(plan.carry), 1 + plan.n_constants
@@ -296,7 +336,7 @@ def whole_run_kernel(body: LoopBody, ends: Ends, batched: tuple[bool, ...]) -> K
     plan = RowPlan(body, batched)
     n = plan.n_constants
     avals = ends.given[n:]
-    given, made = _Region("%given"), _Region("%made")
+    given, made = Storage("%given"), Storage("%made")
     first_given = n + len(plan.carry)
     arguments = [
         plan.input(first_given + i, aval, VARYING) for i, aval in enumerate(avals)
@@ -305,7 +345,7 @@ def whole_run_kernel(body: LoopBody, ends: Ends, batched: tuple[bool, ...]) -> K
     plan.stand(first_given, given_places)
     begun = plan.unroller.run(ends.begin, [*plan.inputs[:n], *arguments])
     ended = plan.unroller.run(ends.end, plan.inputs)
-    step = _next_carry(plan)
+    step = next_carry(plan)
     start = [Place("%then", place.offset) for place in plan.carry_places]
     begin, end = plan.goals(begun, start), plan.goals(ended, made_places)
     plan.hoist([*step, *begin, *end])
@@ -343,7 +383,7 @@ def back_kernel(
     closed = adjoint_body(RunSpec(body, 0, tuple(moving)))
     avals = result_types(closed)
     n_seeds = sum(body.floating)
-    before, after = _Region("%before"), _Region("%after")
+    before, after = Storage("%before"), Storage("%after")
     first = n + len(plan.carry)
     given = [plan.input(first + i, aval, VARYING) for i, aval in enumerate(avals)]
     before_places, after_places = before.all(avals), after.all(avals)
@@ -353,7 +393,7 @@ def back_kernel(
         plan.unroller.each("add", old.kind, old, new)
         for old, new in zip(given[n_seeds:], made[n_seeds:], strict=True)
     ]
-    step = _next_carry(plan)
+    step = next_carry(plan)
     back = plan.goals([*made[:n_seeds], *totals], after_places)
     plan.hoist([*step, *back])
     plan.function("step", step, ["%fixed", "%now", "%then"])
@@ -386,7 +426,8 @@ call void @llvm.memset.p0.i64(ptr %back0, i8 0, i64 {before.size}, i1 false)
     return Kernel(module, n_operands, n_results, room, size, plan.lines)
 
 
-def _next_carry(plan: RowPlan) -> list[Goal]:
+def next_carry(plan: RowPlan) -> list[Goal]:
+    """Returns the goals that write the next carry."""
     then = [Place("%then", place.offset) for place in plan.carry_places]
     return plan.goals(plan.made, then)
 

@@ -23,6 +23,10 @@ class RowWriter(Writer):
     """Writer of a function that runs the loops of a schedule."""
 
     graph: RowGraph
+    attributes = "noinline nounwind alignstack(64)"
+    """Attributes of the function."""
+    given = ""
+    """First arguments of the functions that it calls."""
 
     def __init__(self, graph: RowGraph, schedule: Schedule, vector_bytes: int) -> None:
         """Begins a function.
@@ -53,11 +57,26 @@ class RowWriter(Writer):
         whole: Lines = []
         for number, loop in enumerate(self.schedule.loops):
             whole += self._loop(number, loop)
+        return self.function(name, pointers, whole)
+
+    def function(self, name: str, pointers: Sequence[str], lines: Lines) -> str:
+        """Writes a function with these lines."""
         given = ", ".join(f"ptr noalias nocapture {p}" for p in pointers)
-        head = f"define internal void @{name}({given}) noinline nounwind "
-        return f"{head}alignstack(64) {{\nentry:\n" + "\n".join(
-            [*whole, "ret void", "}", ""]
-        )
+        head = f"define internal void @{name}({given}) {self.attributes} {{"
+        return "\n".join([head, "entry:", *lines, "ret void", "}", ""])
+
+    def synchronise(self) -> None:
+        """Appends a line that waits until all stores before it can be read."""
+
+    def one_by_one(self, name: str, write: Callable[[], None]) -> None:
+        """Writes code that changes numbers in memory which it also reads.
+
+        Args:
+            name: Beginning of the labels of the code.
+            write: Function that writes it.
+        """
+        del name
+        write()
 
     def new(self, text: str) -> str:
         """Appends a line that computes a value, and returns its name."""
@@ -288,7 +307,7 @@ class RowWriter(Writer):
         if kind == "b1":
             number, one = self.new(f"zext i1 {number} to i8"), "i8"
         self.fills.add(one)
-        self.lines.append(fill_call(number, place, kind, fill))
+        self.lines.append(fill_call(number, place, kind, fill, self.given))
 
     def _computed(self, node: int) -> str:
         operation = self.graph.operations[node]
@@ -361,24 +380,8 @@ class RowWriter(Writer):
         if rounds == 1:
             inner = [*body, *self.behind[depth]]
         else:
-            last = dims[-1] - self.width
-            inner = [
-                f"br label %{mark}_pre",
-                f"{mark}_pre:",
-                f"br label %{mark}",
-                f"{mark}:",
-                f"%c_{mark} = phi i64 [0, %{mark}_pre], [%d_{mark}, %{latch}]",
-                *phis,
-                f"%i_{mark} = call i64 @llvm.smin.i64(i64 %c_{mark}, i64 {last})"
-                if dims[-1] % self.width
-                else f"%i_{mark} = add i64 %c_{mark}, 0",
-                *body,
-                f"%d_{mark} = add i64 %c_{mark}, {self.width}",
-                f"%m_{mark} = icmp slt i64 %d_{mark}, {dims[-1]}",
-                f"br i1 %m_{mark}, label %{mark}, label %{mark}_done",
-                f"{mark}_done:",
-                *self.behind[depth],
-            ]
+            inner = [*self.innermost(mark, latch, dims[-1], phis, body)]
+            inner += self.behind[depth]
         for axis in range(depth - 2, -1, -1):
             mark = marks[axis]
             inner = [
@@ -398,6 +401,50 @@ class RowWriter(Writer):
                 f"{mark}_done:",
             ]
         return [*self.before[0], *inner, *self.behind[0]]
+
+    def innermost(
+        self, mark: str, latch: str, length: int, phis: Lines, body: Lines
+    ) -> Lines:
+        """Writes the loop over a row.
+
+        Args:
+            mark: Label of the loop.
+            latch: Label of the last block of its body.
+            length: Length of the row.
+            phis: Lines that begin each round.
+            body: Lines of a round, after them.
+        """
+        return [
+            f"br label %{mark}_pre",
+            f"{mark}_pre:",
+            f"br label %{mark}",
+            f"{mark}:",
+            f"%c_{mark} = phi i64 [0, %{mark}_pre], [%d_{mark}, %{latch}]",
+            *phis,
+            f"%i_{mark} = call i64 @llvm.smin.i64(i64 %c_{mark}, "
+            f"i64 {length - self.width})"
+            if length % self.width
+            else f"%i_{mark} = add i64 %c_{mark}, 0",
+            *body,
+            f"%d_{mark} = add i64 %c_{mark}, {self.width}",
+            f"%m_{mark} = icmp slt i64 %d_{mark}, {length}",
+            f"br i1 %m_{mark}, label %{mark}, label %{mark}_done",
+            f"{mark}_done:",
+        ]
+
+    def latch(self, mark: str) -> str:
+        """Returns the label of the last block of a loop that has reductions."""
+        return mark
+
+    def after_loop(self, before: str, after: str) -> str:
+        """Returns the name of a total once the loop over a row is done.
+
+        Args:
+            before: Total before the last round.
+            after: Total after it.
+        """
+        del before
+        return after
 
     def _anywhere(self, mask: str) -> str:
         """Returns the name of a boolean: whether a mask is true in some lane."""
@@ -435,6 +482,7 @@ class RowWriter(Writer):
             size = math.prod(graph.dims[node])
             lines, self.lines = self.lines, self.before[0]
             self._call_fill(literal(none, kind), place, kind, Fill(node, 0, size))
+            self.synchronise()
             self.lines = lines
         if depth - 1 not in axes:
             assert place is not None
@@ -453,13 +501,14 @@ class RowWriter(Writer):
             made = self._combined(operation, old, value, kind)
             phis.append(
                 f"{old} = phi {self.type(kind)} [{start}, %{mark}_pre], "
-                f"[{made}, %{mark}]"
+                f"[{made}, %{self.latch(mark)}]"
             )
+            made = self.after_loop(old, made)
         else:
             made = value
 
         def ending() -> None:
-            total = self._across(operation, made, kind)
+            total = self.across(operation, made, kind, rounds)
             if depth == 1:
                 self.numbers[node] = total
                 if node in schedule.fresh:
@@ -468,17 +517,25 @@ class RowWriter(Writer):
             outside = strides[:-1]
             assert place is not None
             if outer:
-                width, self.width = self.width, 1
-                indices, self.indices = self.indices, self.indices[:-1]
-                at = self.address(place, 0, outside, kind)
-                before = self._load_one(at, kind)
-                total = self._combined(operation, before, total, kind)
-                self.width, self.indices = width, indices
-            self._one_lane_store(total, place, outside, kind)
+                self.one_by_one(f"{mark}_{node}", lambda: add(total))
+            else:
+                self._one_lane_store(total, place, outside, kind)
             if not graph.dims[node]:
                 lines, self.lines = self.lines, self.behind[0]
+                self.synchronise()
                 self.numbers[node] = self._load_one(self._at(place), kind)
                 self.lines = lines
+
+        def add(total: str) -> None:
+            assert place is not None
+            outside = strides[:-1]
+            width, self.width = self.width, 1
+            indices, self.indices = self.indices, self.indices[:-1]
+            at = self.address(place, 0, outside, kind)
+            before = self._load_one(at, kind)
+            total = self._combined(operation, before, total, kind)
+            self.width, self.indices = width, indices
+            self._one_lane_store(total, place, outside, kind)
 
         finish.append(ending)
 
@@ -526,8 +583,16 @@ class RowWriter(Writer):
             return self._float(operation, [a, b], kind)
         return self._whole(operation, [a, b], kind)
 
-    def _across(self, operation: str, value: str, kind: str) -> str:
-        """Combines the lanes of a vector, halves with halves."""
+    def across(self, operation: str, value: str, kind: str, rounds: int) -> str:
+        """Combines the lanes of a vector, halves with halves.
+
+        Args:
+            operation: Operation that combines two numbers.
+            value: The vector.
+            kind: Kind of the numbers.
+            rounds: Number of vectors in the loop.
+        """
+        del rounds
         width = self.width
         while self.width > 1:
             many, half = self.type(kind), self.width // 2
@@ -578,16 +643,13 @@ class RowWriter(Writer):
             assert source is not None
             size = count * BYTES[kind]
             source = Place(source.pointer, source.offset + begin * BYTES[kind])
-            to, of = self._at(place), self._at(source)
-            self.declared.add("declare void @llvm.memcpy.p0.p0.i64(ptr, ptr, i64, i1)")
-            lines.append(
-                f"call void @llvm.memcpy.p0.p0.i64(ptr {to}, ptr {of}, i64 {size}, "
-                "i1 false)"
-            )
+            self.copy(self._at(place), self._at(source), size)
         index = graph.arguments[loop.scatters[0]][1]
         rounds = graph.extras[loop.scatters[0]][1]
         mark = f"g{number}"
         body: Lines = []
+        numbers = dict(self.numbers)
+        self.synchronise()
         self.lines, self.before = body, [lines, body]
         self.dims, self.indices = (rounds,), [f"%i_{mark}"]
         mask = graph.arguments[loop.scatters[0]][3:]
@@ -613,21 +675,37 @@ class RowWriter(Writer):
             self.lines.append(
                 f"store {one} {number_}, ptr {target}, align {BYTES[kind]}"
             )
-        return [
-            *lines,
-            f"br label %{mark}_pre",
-            f"{mark}_pre:",
-            f"br label %{mark}",
-            f"{mark}:",
-            f"%i_{mark} = phi i64 [0, %{mark}_pre], [%d_{mark}, %{mark}_skip]",
-            *body,
-            f"br label %{mark}_skip",
-            f"{mark}_skip:",
-            f"%d_{mark} = add i64 %i_{mark}, 1",
-            f"%m_{mark} = icmp slt i64 %d_{mark}, {rounds}",
-            f"br i1 %m_{mark}, label %{mark}, label %{mark}_done",
-            f"{mark}_done:",
-        ]
+        # A number loaded in a round that may be skipped is not known after it.
+        self.numbers = numbers
+        self.lines = lines
+        self.one_by_one(
+            mark,
+            lambda: lines.extend(
+                [
+                    f"br label %{mark}_pre",
+                    f"{mark}_pre:",
+                    f"br label %{mark}",
+                    f"{mark}:",
+                    f"%i_{mark} = phi i64 [0, %{mark}_pre], [%d_{mark}, %{mark}_skip]",
+                    *body,
+                    f"br label %{mark}_skip",
+                    f"{mark}_skip:",
+                    f"%d_{mark} = add i64 %i_{mark}, 1",
+                    f"%m_{mark} = icmp slt i64 %d_{mark}, {rounds}",
+                    f"br i1 %m_{mark}, label %{mark}, label %{mark}_done",
+                    f"{mark}_done:",
+                ]
+            ),
+        )
+        return lines
+
+    def copy(self, to: str, source: str, size: int) -> None:
+        """Writes a copy of memory; `size` is in bytes."""
+        self.declared.add("declare void @llvm.memcpy.p0.p0.i64(ptr, ptr, i64, i1)")
+        self.lines.append(
+            f"call void @llvm.memcpy.p0.p0.i64(ptr {to}, ptr {source}, i64 {size}, "
+            "i1 false)"
+        )
 
     def stored_number(self, node: int) -> str:
         """Returns the number of a row at the index of a loop around it."""
@@ -638,12 +716,20 @@ class RowWriter(Writer):
         return self._read(node) if graph.dims[node] else self._number(node)
 
 
-def fill_call(number: str, place: Place, kind: str, fill: Fill) -> str:
-    """Writes a call that repeats a number in memory; booleans are bytes already."""
+def fill_call(number: str, place: Place, kind: str, fill: Fill, given: str = "") -> str:
+    """Writes a call that repeats a number in memory; booleans are bytes already.
+
+    Args:
+        number: Name of the number, or its text.
+        place: Place of the array.
+        kind: Kind of the number.
+        fill: Part of the array that is filled.
+        given: First arguments of the function.
+    """
     one, size = ("i8", 1) if kind == "b1" else (TYPES[kind], BYTES[kind])
     at = place.offset + fill.first * size
     return (
-        f"call void @fill_{one}(ptr {place.pointer}, i64 {at}, {one} {number}, "
+        f"call void @fill_{one}({given}ptr {place.pointer}, i64 {at}, {one} {number}, "
         f"i64 {fill.count}, i64 {fill.runs}, i64 {fill.stride})"
     )
 

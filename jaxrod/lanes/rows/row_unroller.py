@@ -28,7 +28,16 @@ from jaxrod.lanes.rows.recurrences import recurrence
 from jaxrod.lanes.rows.row_graph import Move, RowGraph, identity
 
 SHARED = (
-    *("add_any", "square", "integer_pow", "sign", "logistic", "round", "is_finite"),
+    *(
+        "add_any",
+        "square",
+        "one_minus_square",
+        "integer_pow",
+        "sign",
+        "logistic",
+        "round",
+        "is_finite",
+    ),
     *("clamp", "select_n", "convert_element_type", "copy", "stop_gradient"),
     *("optimization_barrier", "pvary", "reshard", "cond", "while", "platform_index"),
     *("custom_linear_solve", "closed_call", "custom_jvp_call", "custom_vjp_call"),

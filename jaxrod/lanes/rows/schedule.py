@@ -20,7 +20,7 @@ from jaxrod.lanes.rows.row_graph import Dims, Piece, RowGraph
 STORED = frozenset({"joined", "scatter", "recurrence", "reduce", "input", "data"})
 """Operations of nodes that are not computed in a loop over their own numbers."""
 ALIGNMENT = 64
-"""Alignment of stored nodes [bytes]."""
+"""Alignment of stored nodes, unless another is given [bytes]."""
 
 
 @dataclass(frozen=True)
@@ -86,6 +86,7 @@ class Schedule:
         ready: dict[int, Place],
         stored: Iterable[int] = (),
         lasting: Callable[[int], Place] | None = None,
+        alignment: int = ALIGNMENT,
     ) -> None:
         """Makes a schedule.
 
@@ -97,7 +98,9 @@ class Schedule:
                 too.
             lasting: Function that gives a place to a node whose fill is a constant.
                 Fill is written there once, not in every step.
+            alignment: Alignment of the nodes that the loops store [bytes].
         """
+        self.alignment = alignment
         self.graph, self.ready = graph, dict(ready)
         self.fresh = set(stored)
         self.places: dict[int, Place] = {}
@@ -375,7 +378,8 @@ class Schedule:
             for node in sorted(begins[level]):
                 more = 1 if graph.operations[node] == "scatter" else 0
                 count = math.prod(graph.dims[node]) + more
-                size = -(-count * BYTES[graph.kinds[node]] // ALIGNMENT) * ALIGNMENT
+                size = count * BYTES[graph.kinds[node]]
+                size = -(-size // self.alignment) * self.alignment
                 spare = free.get(size)
                 if spare:
                     offset = spare.pop()

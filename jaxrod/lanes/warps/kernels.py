@@ -1,0 +1,455 @@
+"""Kernels of warps: all steps of a batch, as LLVM IR for a GPU.
+
+A warp takes one scene after the other. What changes in a step is kept in the memory
+that the threads of a block share, if there is room. What all scenes share is computed
+once by every warp, into the same place: all of them write the same numbers.
+
+The text is the same for every machine that has threads. `cuda.py` has the functions
+`@wait` and `@exchange` of a GPU.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import Any
+
+from jaxrod.jax_internals.equations import result_types
+from jaxrod.lanes.graph import FIXED, UNIFORM, VARYING
+from jaxrod.lanes.jaxpr.unroll import kind_of
+from jaxrod.lanes.llvm.kernel import backward_loops, forward_loops
+from jaxrod.lanes.llvm.kernel_plan import counts_text
+from jaxrod.lanes.llvm.vector_code import BYTES
+from jaxrod.lanes.rows.kernels import RowPlan, next_carry
+from jaxrod.lanes.rows.loop_code import RowWriter
+from jaxrod.lanes.rows.schedule import Goal, Loop, Place, Schedule, hoisted
+from jaxrod.lanes.run_spec import Ends, LoopBody, RunSpec, adjoint_body
+from jaxrod.lanes.warps.warp_code import (
+    THREADS,
+    WAIT,
+    WarpWriter,
+    copy_call,
+    copy_text,
+    warp_fill_text,
+)
+
+REGIONS = ("%scratch", "%uniform", "%own")
+"""Pointers that all functions of a kernel take first."""
+
+
+@dataclass(frozen=True)
+class WarpKernel:
+    """A program in LLVM IR for the threads of a warp, and the memory that it needs.
+
+    Its operands and results are those of `jaxrod.lanes.llvm.kernel.Kernel`. The
+    function `@run` takes the thread, the warp, the number of warps, a pointer to the
+    memory of the warp, another to its kept carries, and all buffers.
+    """
+
+    text: str
+    """LLVM IR without the functions of the machine."""
+    needs: frozenset[tuple[str, str, int]]
+    """Elementary functions that it calls: operation, kind and lanes of each; 1 for
+    single numbers."""
+    n_operands: int
+    """Number of operands, with the counts."""
+    n_results: int
+    """Number of results, with the workspace."""
+    room: int
+    """Memory of a warp [bytes]."""
+    uniform: int
+    """Memory that all warps share, at the beginning of the workspace [bytes]."""
+    kept: int
+    """Size of each recomputed carry of a warp in the workspace [bytes]."""
+    operations: int
+    """Number of lines that compute something."""
+    rounds: int
+    """Rounds of loops that a thread runs in a step, one after the other."""
+    work: int
+    """Operations on single numbers in a step of one scene."""
+
+
+class WarpPlan(RowPlan):
+    """Memory and functions of a kernel of warps."""
+
+    alignment = 16
+    """Alignment of arrays: threads read single numbers, so that less is lost."""
+
+    def __init__(self, body: LoopBody, batched: Sequence[bool]) -> None:
+        """Translates a step; arguments as in `RowPlan`."""
+        self.uniform = self.storage("%uniform")
+        self.rounds = self.work = 0
+        super().__init__(body, batched)
+        self.fixed.pointer = "%own"
+        self.buffers: list[str] = []
+
+    def rate(self, which: int) -> int:
+        """Returns the rate at which operand number `which` of the step changes."""
+        if which >= self.n_constants:
+            return VARYING
+        return FIXED if self.batched[which] else UNIFORM
+
+    def places_of_constants(self) -> list[Place]:
+        """Returns the places from which constants are read: where XLA put them."""
+        return [
+            Place(f"%{'row' if batched else 'in'}{1 + i}", 0)
+            for i, batched in enumerate(self.batched)
+        ]
+
+    def hoist(self, goals: Sequence[Goal]) -> None:
+        """Writes the functions of values that are the same in all steps."""
+        graph = self.graph
+        self.know_data()
+        nodes = hoisted(graph, [goal.node for goal in goals], self.ready)
+        uniform = [node for node in nodes if graph.rates[node] < FIXED]
+        own = [node for node in nodes if graph.rates[node] == FIXED]
+        for node in uniform:
+            self.ready[node] = self.room_for(node, self.uniform)
+        self.function("shared", [], [], uniform)
+        for node in own:
+            self.ready[node] = self.room_for(node, self.fixed)
+        self.function("fixed", [], [], own)
+
+    def function(
+        self,
+        name: str,
+        goals: Sequence[Goal],
+        pointers: Sequence[str],
+        stored: Sequence[int] = (),
+    ) -> None:
+        """Writes a function that computes goals; every function has all buffers."""
+        whole = [*REGIONS[1:], *pointers, *self.buffers]
+        super().function(name, goals, whole, stored)
+
+    def writer(self, schedule: Schedule) -> RowWriter:
+        """Returns the writer of a function."""
+        self.rounds = max(self.rounds, sum(map(self._rounds, schedule.loops)))
+        self.work = max(self.work, sum(map(_work, schedule.loops)))
+        return WarpWriter(self.graph, schedule, 4)
+
+    def _rounds(self, loop: Loop) -> int:
+        graph = self.graph
+        if loop.scatters:
+            return int(graph.extras[loop.scatters[0]][1])
+        if loop.recurrence is not None:
+            return int(graph.extras[loop.recurrence].length)
+        if not loop.dims:
+            return 1
+        return math.prod(loop.dims[:-1]) * -(-loop.dims[-1] // THREADS)
+
+    def call(self, name: str, *pointers: str) -> str:
+        """Writes a call of a function."""
+        whole = [*REGIONS, *pointers, *self.buffers]
+        given = ", ".join(f"ptr {pointer}" for pointer in whole)
+        return f"call void @{name}(i64 %thread, {given})\n"
+
+    @property
+    def given(self) -> str:
+        """First arguments of the functions that a loop over steps calls."""
+        return ", ".join(["i64 %thread", *(f"ptr {p}" for p in REGIONS)])
+
+    def name_buffers(self, n_given: int, n_made: int) -> None:
+        """Names the buffers that functions read and write.
+
+        Args:
+            n_given: Number of arrays, after the constants, that each scene has.
+            n_made: Number of results that functions write.
+        """
+        self.buffers = [place.pointer for place in self.constant_places]
+        first = 1 + self.n_constants
+        self.buffers += [f"%row{first + i}" for i in range(n_given)]
+        self.buffers += [f"%made{i}" for i in range(n_made)]
+
+    def rows(self, given: Sequence[Any] = (), made: Sequence[Any] = ()) -> str:
+        """Writes pointers to the rows of a scene in operands and results."""
+        first = 1 + self.n_constants
+        arrays = [
+            (f"row{1 + i}", f"in{1 + i}", aval)
+            for i, aval in enumerate(self.constants)
+            if self.batched[i]
+        ]
+        arrays += [
+            (f"row{first + i}", f"in{first + i}", aval) for i, aval in enumerate(given)
+        ]
+        arrays += [(f"made{i}", f"out{i}", aval) for i, aval in enumerate(made)]
+        return "".join(row_text(row, whole, aval) for row, whole, aval in arrays)
+
+    def fetch_row(self, to: str, place: Place, source: str, aval: Any) -> str:
+        """Writes a copy of an array from a pointer into a region."""
+        at = f"{to}_{place.offset}"
+        return (
+            f"{at} = getelementptr i8, ptr {to}, i64 {place.offset}\n"
+            f"{copy_call(at, source, size_of(aval))}\n"
+        )
+
+    def bring_row(self, to: str, region: str, place: Place, aval: Any) -> str:
+        """Writes a copy of an array from a region to a pointer."""
+        at = f"{to}_from"
+        return (
+            f"{at} = getelementptr i8, ptr {region}, i64 {place.offset}\n"
+            f"{copy_call(to, at, size_of(aval))}\n"
+        )
+
+    def finished(
+        self,
+        per_scene: str,
+        n_operands: int,
+        n_results: int,
+        spaces: dict[str, int],
+        kept: int = 0,
+    ) -> WarpKernel:
+        """Writes the function `@run` around the code of one scene.
+
+        Args:
+            per_scene: Code of one scene.
+            n_operands: Number of operands, with the counts.
+            n_results: Number of results, with the workspace.
+            spaces: Sizes of the regions of a warp after `%own`, by name [bytes].
+            kept: Size of each recomputed carry [bytes].
+        """
+        fills = "\n".join(self.fill_calls("i64 %thread, "))
+        sizes = {"scratch": self.scratch, "own": self.fixed.size, **spaces}
+        start, lines = 0, []
+        for name, size in sizes.items():
+            lines.append(f"%{name} = getelementptr i8, ptr %room, i64 {start}\n")
+            start += size
+        ins = [f"%in{i}" for i in range(n_operands)]
+        outs = [f"%out{i}" for i in range(n_results)]
+        buffers = ", ".join(f"ptr {name}" for name in (*ins, *outs))
+        # Functions that do not depend on a scene take any pointer for its rows.
+        absent = "".join(
+            f"%{name[1:]}_none = getelementptr i8, ptr %out{n_results - 1}, i64 0\n"
+            for name in self.buffers
+            if not name.startswith("%in")
+        )
+        shared = self.call("shared")
+        for name in self.buffers:
+            if not name.startswith("%in"):
+                shared = shared.replace(f"ptr {name},", f"ptr {name}_none,")
+                shared = shared.replace(f"ptr {name})", f"ptr {name}_none)")
+        main = f"""
+define internal void @run(i64 %thread, i64 %warp, i64 %warps, ptr %room, ptr %kept0,
+    {buffers}) alwaysinline {{
+entry:
+{counts_text()}
+{"".join(lines)}
+%uniform = getelementptr i8, ptr %out{n_results - 1}, i64 0
+{absent}
+{shared}
+br label %scenes_test
+scenes_test:
+%scene = phi i64 [%warp, %entry], [%following, %scene_done]
+%inside = icmp slt i64 %scene, %rods
+br i1 %inside, label %scenes, label %done
+scenes:
+{per_scene.replace("{fills}", fills)}
+{WAIT}
+br label %scene_done
+scene_done:
+%following = add i64 %scene, %warps
+br label %scenes_test
+done:
+ret void
+}}
+"""
+        declared = {d for d in self.declared if "memcpy" not in d and "memset" not in d}
+        texts = [
+            *sorted(declared),
+            copy_text(8),
+            copy_text(32),
+            *map(warp_fill_text, sorted(self.fills | {"i8", "i32"})),
+            *self.texts,
+            main,
+        ]
+        return WarpKernel(
+            "\n".join(texts),
+            frozenset(self.needs),
+            n_operands,
+            n_results,
+            start,
+            self.uniform.size,
+            kept,
+            self.lines,
+            self.rounds,
+            self.work,
+        )
+
+
+def _work(loop: Loop) -> int:
+    return math.prod(loop.dims) * (len(loop.nodes) + len(loop.goals))
+
+
+def row_text(row: str, whole: str, aval: Any, index: str = "%scene") -> str:
+    """Writes a pointer to the row of an array at an index."""
+    return (
+        f"%{row}_at = mul i64 {index}, {size_of(aval)}\n"
+        f"%{row} = getelementptr i8, ptr %{whole}, i64 %{row}_at\n"
+    )
+
+
+def size_of(aval: Any) -> int:
+    """Size of an array [bytes]."""
+    return math.prod(aval.shape) * BYTES[kind_of(aval)]
+
+
+@lru_cache(maxsize=64)
+def cycles_by_warps(
+    body: LoopBody, batched: tuple[bool, ...], *, checkpoints: bool
+) -> WarpKernel:
+    """Writes the kernel that repeats a step; see `lanes.llvm.kernel.step_kernel`."""
+    plan = WarpPlan(body, batched)
+    n_carry, first = len(plan.carry), 1 + plan.n_constants
+    plan.name_buffers(0, 0)
+    goals = next_carry(plan)
+    plan.hoist(goals)
+    plan.function("step", goals, ["%now", "%then"])
+    carry = list(zip(plan.carry, plan.carry_places, strict=True))
+    fetches = "".join(
+        plan.fetch_row("%now0", place, f"%row{first + i}", aval)
+        for i, (aval, place) in enumerate(carry)
+    )
+    marks = ""
+    if checkpoints:
+        marks = f"{WAIT}\n%mark0 = mul i64 %scene, %kept\n%mark = add i64 %mark0, %j\n"
+        for i, (aval, place) in enumerate(carry):
+            marks += row_text(f"mark_row{i}", f"out{n_carry + i}", aval, "%mark")
+            marks += plan.bring_row(f"%mark_row{i}", "%now1", place, aval)
+    brings = "".join(
+        plan.bring_row(f"%made{i}", "%now1", place, aval)
+        for i, (aval, place) in enumerate(carry)
+    )
+    text = f"""{plan.rows(plan.carry, plan.carry)}
+{plan.call("fixed")}
+{{fills}}
+{fetches}
+{WAIT}
+{with_buffers(plan, forward_loops("scenes", plan.given, marks), ("step",))}
+{brings}"""
+    n_results = n_carry * (2 if checkpoints else 1) + 1
+    spaces = {"now0": plan.now.size, "then0": plan.now.size}
+    return plan.finished(text, first + n_carry, n_results, spaces)
+
+
+@lru_cache(maxsize=64)
+def run_by_warps(body: LoopBody, ends: Ends, batched: tuple[bool, ...]) -> WarpKernel:
+    """Writes the kernel of a whole run; see `lanes.llvm.kernel.run_kernel`."""
+    plan = WarpPlan(body, batched)
+    n = plan.n_constants
+    avals = ends.given[n:]
+    first = n + len(plan.carry)
+    arguments = [plan.input(first + i, aval, VARYING) for i, aval in enumerate(avals)]
+    plan.stand(first, [Place(f"%row{1 + n + i}", 0) for i in range(len(avals))])
+    plan.name_buffers(len(avals), len(ends.made))
+    begun = plan.unroller.run(ends.begin, [*plan.inputs[:n], *arguments])
+    ended = plan.unroller.run(ends.end, plan.inputs)
+    step = next_carry(plan)
+    start = [Place("%then", place.offset) for place in plan.carry_places]
+    begin = plan.goals(begun, start)
+    end = plan.goals(ended, [Place(f"%made{i}", 0) for i in range(len(ends.made))])
+    plan.hoist([*step, *begin, *end])
+    plan.function("step", step, ["%now", "%then"])
+    plan.function("begin", begin, ["%then"])
+    plan.function("end", end, ["%now"])
+    text = f"""{plan.rows(avals, ends.made)}
+{plan.call("fixed")}
+{{fills}}
+{WAIT}
+{plan.call("begin", "%now0")}
+{with_buffers(plan, forward_loops("scenes", plan.given), ("step",))}
+{plan.call("end", "%now1")}"""
+    spaces = {"now0": plan.now.size, "then0": plan.now.size}
+    return plan.finished(text, 1 + n + len(avals), len(ends.made) + 1, spaces)
+
+
+@lru_cache(maxsize=64)
+def back_by_warps(
+    body: LoopBody, moving: tuple[bool, ...], batched: tuple[bool, ...]
+) -> WarpKernel:
+    """Writes the kernel of the reverse pass; see `lanes.llvm.kernel.adjoint_kernel`."""
+    plan = WarpPlan(body, batched)
+    n, n_carry = plan.n_constants, len(plan.carry)
+    closed = adjoint_body(RunSpec(body, 0, tuple(moving)))
+    avals = result_types(closed)
+    n_seeds = sum(body.floating)
+    before, after = plan.storage("%before"), plan.storage("%after")
+    first = n + n_carry
+    given = [plan.input(first + i, aval, VARYING) for i, aval in enumerate(avals)]
+    before_places, after_places = before.all(avals), after.all(avals)
+    plan.stand(first, before_places)
+    plan.name_buffers(0, 0)
+    made = plan.unroller.run(closed, [*plan.inputs, *given[:n_seeds]])
+    totals = [
+        plan.unroller.each("add", old.kind, old, new)
+        for old, new in zip(given[n_seeds:], made[n_seeds:], strict=True)
+    ]
+    step = next_carry(plan)
+    back = plan.goals([*made[:n_seeds], *totals], after_places)
+    plan.hoist([*step, *back])
+    plan.function("step", step, ["%now", "%then"])
+    plan.function("adjoint", back, ["%now", "%before", "%after"])
+    first_mark, first_seed = 1 + n, 1 + n + n_carry
+    marks = f"{WAIT}\n%mark0 = mul i64 %scene, %kept\n%mark = add i64 %mark0, %j\n"
+    for i, (aval, place) in enumerate(zip(plan.carry, plan.carry_places, strict=True)):
+        marks += row_text(f"mark_row{i}", f"in{first_mark + i}", aval, "%mark")
+        marks += plan.fetch_row("%kept0", place, f"%mark_row{i}", aval)
+    marks += WAIT
+    seeds = "".join(
+        row_text(f"seed{i}", f"in{first_seed + i}", aval)
+        + plan.fetch_row("%back0", place, f"%seed{i}", aval)
+        for i, (aval, place) in enumerate(
+            zip(avals[:n_seeds], before_places[:n_seeds], strict=True)
+        )
+    )
+    brings = "".join(
+        plan.bring_row(f"%made{i}", "%back1", place, aval)
+        for i, (aval, place) in enumerate(zip(avals, before_places, strict=True))
+    )
+    loops = backward_loops("scenes", plan.given, plan.now.size, marks)
+    text = f"""{plan.rows((), avals)}
+{plan.call("fixed")}
+{{fills}}
+call void @fill_i8(i64 %thread, ptr %back0, i64 0, i8 0, i64 {before.size}, i64 1,
+    i64 0)
+{WAIT}
+{seeds}
+{WAIT}
+{with_buffers(plan, loops, ("step", "adjoint"))}
+{brings}"""
+    spaces = {"back0": before.size, "other0": before.size}
+    return plan.finished(
+        text, first_seed + n_seeds, len(avals) + 1, spaces, plan.now.size
+    )
+
+
+def kernel_of_warps(name: str, spec: RunSpec) -> WarpKernel:
+    """Returns the kernel of a primitive.
+
+    Args:
+        name: Name of the primitive.
+        spec: Structure of the operation.
+
+    Raises:
+        NotUnrolled: It cannot be written.
+    """
+    body = spec.body
+    batched = (False,) * body.n_constants
+    if spec.batch is not None:
+        batched = tuple(spec.batch.rows[: body.n_constants])
+    if spec.ends is not None:
+        return run_by_warps(body, spec.ends, batched)
+    if name == "jaxrod_cycles":
+        return cycles_by_warps(body, batched, checkpoints=spec.keeps)
+    return back_by_warps(body, spec.moving, batched)
+
+
+def with_buffers(plan: WarpPlan, text: str, names: Sequence[str]) -> str:
+    """Appends the buffers to the arguments of calls in a loop over steps."""
+    buffers = "".join(f", ptr {name}" for name in plan.buffers)
+    lines = []
+    for line in text.splitlines():
+        if any(line.startswith(f"call void @{name}(") for name in names):
+            line = f"{line.removesuffix(')')}{buffers})"
+        lines.append(line)
+    return "\n".join(lines)

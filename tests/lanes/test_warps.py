@@ -1,0 +1,423 @@
+"""Kernels of warps, in threads of the processor and as text for the driver."""
+
+import ctypes
+from dataclasses import replace
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from jax import lax
+
+import jaxrod
+from jaxrod.jax_internals.foreign_call import launcher_text
+from jaxrod.lanes import kernels, primitives
+from jaxrod.lanes.choice import lane_choices, slower, use_lanes
+from jaxrod.lanes.llvm.machine_code import native_function
+from jaxrod.lanes.primitives import cycles_p
+from jaxrod.lanes.run_spec import LoopBody, RunSpec
+from jaxrod.lanes.warps import cuda, warp_code
+from jaxrod.lanes.warps.kernels import cycles_by_warps
+from lanes import warp_machine
+from lanes.scenes import random_scene
+from lanes.test_runs import apart, hanging, shaken
+from lanes.warp_machine import lowered_to_threads, taken
+
+H100 = cuda.Device(architecture=90, processors=132, shared=232448)
+POINTER = ctypes.c_void_p
+
+
+@pytest.fixture
+def threads(monkeypatch):
+    """Runs what would be lanes in threads, as one warp."""
+    monkeypatch.setattr(primitives, "lowered_by_lanes", lowered_to_threads)
+    taken.clear()
+
+
+def both(program, *given):
+    """Results of a program in rows, and in threads if these are in use."""
+    found = []
+    for lowered in (kernels.lowered_by_lanes, lowered_to_threads):
+        primitives.lowered_by_lanes = lowered
+        use_lanes("rows")
+        compiled = jax.jit(lambda *arguments: program(*arguments))
+        found.append(jax.block_until_ready(compiled(*given)))
+    return found
+
+
+def repeated(cycle, *carry, times=2):
+    """Results of a cycle in XLA, and in threads."""
+    avals = [jax.ShapeDtypeStruct(c.shape[1:], c.dtype) for c in carry]
+    spec = RunSpec(LoopBody(jax.make_jaxpr(cycle)(*avals), 0), None)
+
+    def run(*arrays):
+        return cycles_p.bind(jnp.int32(times), *arrays, spec=spec)
+
+    found = []
+    for mode in ("rows", "never"):
+        use_lanes(mode)
+        found.append(jax.jit(jax.vmap(lambda *arrays: run(*arrays)))(*carry))
+    assert len(taken) == 1
+    return found
+
+
+def close(found, expected):
+    for a, b in zip(found, expected, strict=True):
+        np.testing.assert_allclose(a, b, rtol=1e-12, atol=1e-12)
+
+
+def test_a_rod_longer_than_a_warp_moves_as_in_rows(threads):
+    scene, state, dt = hanging(40)
+    many = shaken(state, 3, 0)
+    rows, warps = both(jax.vmap(lambda s: jaxrod.advance(scene, s, dt, 4)), many)
+    assert taken == [("jaxrod_run", 3)]
+    assert apart(warps, rows) < 1e-12
+
+
+def test_derivatives_of_a_cycle_are_those_of_xla(threads):
+    numbers = jnp.asarray(np.random.default_rng(4).normal(size=(2, 40)))
+    cycle = lambda gain, x: [jnp.tanh(gain * x) + jnp.mean(x[::-1]) * x]
+    number, row = jax.ShapeDtypeStruct((), float), jax.ShapeDtypeStruct((40,), float)
+    body = LoopBody(jax.make_jaxpr(cycle)(number, row), 1)
+
+    def total(gain, x):
+        (made,) = cycles_p.bind(jnp.int32(5), gain, x, spec=RunSpec(body, 5))
+        return jnp.sum(made**3)
+
+    found = []
+    for mode in ("rows", "never"):
+        use_lanes(mode)
+        slope = jax.vmap(jax.grad(total, argnums=(0, 1)), in_axes=(None, 0))
+        found.append(jax.jit(lambda *a, slope=slope: slope(*a))(0.7, numbers))
+    assert {name for name, _ in taken} == {"jaxrod_cycles", "jaxrod_cycles_adjoint"}
+    close(*found)
+
+
+@pytest.mark.slow
+def test_gradients_are_those_of_rows(threads):
+    scene, state, dt = hanging(9)
+
+    def height(speed):
+        begun = replace(state, velocities=state.velocities + speed)
+        return jaxrod.advance(scene, begun, dt, 10).positions[1, -1]
+
+    speeds = jnp.linspace(-0.5, 0.5, 2)
+    rows, warps = both(jax.vmap(jax.grad(height)), speeds)
+    assert {name for name, _ in taken} == {"jaxrod_cycles", "jaxrod_cycles_adjoint"}
+    np.testing.assert_allclose(warps, rows, rtol=1e-12)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", [1, 2, 4, 6, 7, 8, 9, 11, 12, 13])
+def test_scenes_move_as_in_rows_and_their_gradients_are_the_same(threads, seed):
+    try:
+        scene, state, dt, name = random_scene(seed)
+    except ValueError as refusal:
+        assert "needs" in str(refusal)
+        return
+    many = shaken(state, 2, seed)
+    rows, warps = both(jax.vmap(lambda s: jaxrod.advance(scene, s, dt, 5)), many)
+    assert apart(warps, rows) < 1e-11, name
+
+    def energy(speed):
+        begun = replace(state, velocities=state.velocities + speed)
+        ended = jaxrod.advance(scene, begun, dt, 5)
+        return jnp.sum(ended.positions**2) + jnp.sum(ended.velocities**2)
+
+    rows, warps = both(jax.vmap(jax.grad(energy)), jnp.linspace(-0.1, 0.1, 2))
+    np.testing.assert_allclose(warps, rows, rtol=1e-9, atol=1e-12)
+
+
+def test_sums_over_tables_wait_for_what_they_are_added_to(threads):
+    table = np.random.default_rng(0).normal(size=(2, 7, 40))
+
+    def cycle(x):
+        along, across = jnp.sum(x, axis=0), jnp.sum(x, axis=1)
+        whole = jnp.sum(x * x)
+        return [0.1 * x + jnp.tanh(along)[None] + jnp.max(across) + jnp.cos(whole)]
+
+    close(*repeated(cycle, jnp.asarray(table)))
+
+
+def test_numbers_added_at_equal_places_are_all_counted(threads):
+    rng = np.random.default_rng(1)
+    numbers = jnp.asarray(rng.normal(size=(2, 100)))
+    places = jnp.asarray(rng.integers(0, 9, size=(2, 100)), jnp.int32)
+
+    def cycle(x, where):
+        sums = jnp.zeros(9).at[where].add(x)
+        return [0.5 * x + sums[where], (where + 1) % 9]
+
+    close(*repeated(cycle, numbers, places))
+
+
+@pytest.mark.parametrize("shared", [0, 3_000, 232_448])
+def test_warps_of_many_blocks_keep_to_their_own_memory(threads, monkeypatch, shared):
+    """In workspace, one warp of a block in shared memory, and two."""
+    monkeypatch.setattr(warp_machine, "GPU", [cuda.Device(90, 1, shared)])
+    monkeypatch.setattr(cuda, "_RESIDENT", 2)
+    numbers = jnp.asarray(np.random.default_rng(5).normal(size=(7, 60)))
+    number, row = jax.ShapeDtypeStruct((), float), jax.ShapeDtypeStruct((60,), float)
+    cycle = lambda gain, x: [gain * jnp.sin(x) + jnp.mean(x[::-1]) * x]
+    body = LoopBody(jax.make_jaxpr(cycle)(number, row), 1)
+
+    def total(gain, x):
+        (made,) = cycles_p.bind(jnp.int32(5), gain, x, spec=RunSpec(body, 5))
+        return jnp.sum(made**3)
+
+    found = []
+    for mode in ("rows", "never"):
+        use_lanes(mode)
+        slope = jax.vmap(jax.value_and_grad(total, argnums=(0, 1)))
+        given = jnp.linspace(0.5, 0.9, 7), numbers
+        found.append(jax.tree.leaves(jax.jit(lambda *a, f=slope: f(*a))(*given)))
+    assert {name for name, _ in taken} == {"jaxrod_cycles", "jaxrod_cycles_adjoint"}
+    close(*found)
+
+
+def test_a_recurrence_longer_than_a_warp_is_the_same(threads):
+    numbers = jnp.asarray(np.random.default_rng(2).normal(size=(2, 70)))
+
+    def cycle(x):
+        _, made = lax.scan(lambda c, r: (0.5 * c + r, c - r), x[0], x)
+        return [jnp.tanh(made)]
+
+    close(*repeated(cycle, numbers))
+
+
+def test_a_missing_wait_is_seen(threads, monkeypatch):
+    """The machine of the tests sees races; otherwise they would prove nothing."""
+    monkeypatch.setattr(warp_code, "WAIT", "; nothing")
+    cycles_by_warps.cache_clear()
+    numbers = jnp.asarray(np.random.default_rng(3).normal(size=(2, 500)))
+    shifted = [jnp.sin, jnp.cos, jnp.tanh, jnp.abs]
+
+    def cycle(x):
+        for function in shifted:
+            x = function(x) + x[::-1]
+        return [0.1 * x]
+
+    found, expected = repeated(cycle, numbers, times=50)
+    cycles_by_warps.cache_clear()
+    assert not np.allclose(found[0], expected[0], rtol=1e-9)
+
+
+def a_kernel(rows=40, dtype=jnp.float32):
+    """A kernel with a sum, and an elementary function in it."""
+    cycle = lambda x: [jnp.sin(x) + jnp.sum(x[::-1])]
+    aval = jax.ShapeDtypeStruct((rows,), dtype)
+    return cycles_by_warps(
+        LoopBody(jax.make_jaxpr(cycle)(aval), 0), (), checkpoints=False
+    )
+
+
+@pytest.mark.parametrize("architecture", [70, 80, 90])
+@pytest.mark.parametrize("dtype", [jnp.float32, jnp.float64])
+def test_ptx_is_written_for_every_architecture(monkeypatch, architecture, dtype):
+    monkeypatch.setattr(cuda, "_libdevice", lambda: LIBDEVICE)
+    for rows, shared in ((40, True), (40_000, False)):
+        kernel = a_kernel(rows, dtype)
+        launch = cuda.launch_for(kernel, 64, 0, H100)
+        assert launch.in_shared == shared
+        text = cuda.ptx(kernel, launch, architecture)
+        assert ".visible .entry kernel" in text and f"sm_{architecture}" in text
+        assert ("st.shared" in text) == shared
+        assert "bar.warp.sync" in text and "shfl.sync.bfly" in text
+        assert ".maxnreg 128" in text
+
+
+LIBDEVICE = """
+define float @__nv_sinf(float %x) { ret float %x }
+define double @__nv_sin(double %x) { ret double %x }
+"""
+
+
+@pytest.fixture(autouse=True)
+def text_for_bitcode(monkeypatch):
+    """Reads libdevice as text, which the tests write themselves."""
+    import llvmlite.binding as llvm
+
+    monkeypatch.setattr(llvm, "parse_bitcode", llvm.parse_assembly)
+
+
+def test_launches_have_memory_and_warps_for_every_batch():
+    kernel = a_kernel()
+    for rods in (1, 2, 3, 1000, 10**7):
+        launch = cuda.launch_for(kernel, rods, 0, H100)
+        assert 0 < launch.blocks <= -(-rods // launch.warps)
+        assert launch.shared(kernel) <= H100.shared
+        assert launch.workspace(kernel) >= kernel.uniform
+    far = a_kernel(40_000)
+    launch = cuda.launch_for(far, 10**6, 0, H100)
+    warps = launch.blocks * launch.warps
+    assert launch.shared(far) == 0 and launch.workspace(far) >= warps * far.room
+
+
+def test_a_scene_too_large_for_a_warp_is_left_to_xla_in_words():
+    short, long, far = a_kernel(), a_kernel(15_000), a_kernel(100_000)
+    for rods in (1, 1000):
+        launch = cuda.launch_for(short, rods, 0, H100)
+        assert cuda.slower_than_xla(short, launch, rods, H100) is None
+    launch = cuda.launch_for(long, 1, 0, H100)
+    assert "32 threads" in cuda.slower_than_xla(long, launch, 1, H100)
+    launch = cuda.launch_for(far, 1, 0, H100)
+    assert "do not fit" in cuda.slower_than_xla(far, launch, 1, H100)
+
+
+@pytest.fixture
+def gpu(monkeypatch):
+    """Makes the choice of kernels believe that there is a GPU."""
+    registered = []
+    monkeypatch.setattr(kernels, "no_warps_here", lambda: None)
+    monkeypatch.setattr(kernels, "device", lambda: H100)
+
+    def register(kernel, launch):
+        registered.append((kernel, launch))
+        return "jaxrod_warps_of_a_test"
+
+    monkeypatch.setattr(kernels, "registered_on_gpu", register)
+    return registered
+
+
+def lowered_for_cuda(n, rods):
+    scene, state, dt = hanging(n)
+    many = shaken(state, rods, 0)
+    run = jax.jit(jax.vmap(lambda s: jaxrod.advance(scene, s, dt, 3)))
+    return run.trace(many).lower(lowering_platforms=("cuda",)).as_text()
+
+
+def test_a_batch_on_a_gpu_is_one_call_of_a_kernel(gpu):
+    use_lanes("auto")
+    text = lowered_for_cuda(6, 1000)
+    assert text.count("jaxrod_warps_of_a_test") == 1 and "while" not in text
+    last = lane_choices()[-1]
+    assert last.taken and last.rods == 1000 and "shared memory" in last.why
+    ((kernel, launch),) = gpu
+    assert launch.warps * launch.blocks == 1000 and kernel.needs == frozenset()
+
+
+def test_a_gpu_in_mode_never_runs_xla(gpu):
+    use_lanes("never")
+    assert "jaxrod_warps" not in lowered_for_cuda(6, 1000)
+    assert gpu == []
+
+
+def test_a_kernel_that_the_driver_refuses_is_left_to_xla(gpu, monkeypatch):
+    def refuse(kernel, launch):
+        raise RuntimeError("CUDA did not compile a kernel: invalid PTX\nmore")
+
+    monkeypatch.setattr(kernels, "registered_on_gpu", refuse)
+    use_lanes("auto")
+    assert "while" in lowered_for_cuda(6, 1000)
+    last = lane_choices()[-1]
+    assert not last.taken and last.why.endswith("invalid PTX")
+    use_lanes("always")
+    with pytest.raises(RuntimeError, match="invalid PTX"):
+        lowered_for_cuda(6, 1001)
+
+
+def test_without_a_driver_the_reason_is_given(monkeypatch):
+    cuda.not_here.cache_clear()
+    cuda._driver.cache_clear()
+    cuda.device.cache_clear()
+
+    def no_library(name):
+        raise OSError(f"{name}: no such file")
+
+    monkeypatch.setattr(ctypes, "CDLL", no_library)
+    assert "no CUDA driver: libcuda.so.1" in cuda.not_here()
+    monkeypatch.setattr(jax, "default_backend", lambda: "gpu")
+    use_lanes("auto")
+    assert "no CUDA driver" in slower()
+    cuda.not_here.cache_clear()
+
+
+class Frame:
+    """A call of a handler as XLA makes it."""
+
+    LAUNCH = ctypes.CFUNCTYPE(
+        ctypes.c_int,
+        POINTER,
+        *[ctypes.c_uint] * 7,
+        POINTER,
+        ctypes.POINTER(POINTER),
+        POINTER,
+    )
+
+    def __init__(self, n_operands, n_results, status=0):
+        self.launched, self.words = [], []
+        self.arrays = [np.zeros(1) for _ in range(n_operands + n_results)]
+        buffers = [
+            (ctypes.c_uint64 * 6)(48, 0, 0, a.ctypes.data, 0, 0) for a in self.arrays
+        ]
+        self.kept = [buffers]
+        operands = self._pointers(buffers[:n_operands])
+        results = self._pointers(buffers[n_operands:])
+
+        def launch(function, gx, gy, gz, bx, by, bz, shared, stream, given, extra):
+            count = n_operands + n_results
+            data = [
+                ctypes.cast(given[i], ctypes.POINTER(POINTER))[0] for i in range(count)
+            ]
+            self.launched.append(((gx, gy, gz), (bx, by, bz), shared, stream, data))
+            return status
+
+        def create(error):
+            text = ctypes.cast(error + 16, ctypes.POINTER(ctypes.c_char_p))[0]
+            self.words.append(text.decode())
+            return 4321
+
+        def stream(asked):
+            fields = ctypes.cast(asked, ctypes.POINTER(ctypes.c_uint64))
+            assert fields[0] == 32 and fields[2] == 555
+            fields[3] = 777
+            return 0
+
+        self.launch = self.LAUNCH(launch)
+        one = ctypes.CFUNCTYPE(ctypes.c_uint64, ctypes.c_uint64)
+        self.create, self.stream = one(create), one(stream)
+        table = [0] * 20
+        table[6] = ctypes.cast(self.create, POINTER).value
+        table[10] = ctypes.cast(self.stream, POINTER).value
+        api = (ctypes.c_uint64 * 20)(*table)
+        frame = [0] * 16
+        frame[2], frame[3], frame[4] = ctypes.addressof(api), 555, 3
+        frame[7], frame[9] = n_operands, ctypes.addressof(operands)
+        frame[12], frame[14] = n_results, ctypes.addressof(results)
+        self.frame = (ctypes.c_uint64 * 16)(*frame)
+        self.kept += [operands, results, api]
+
+    def _pointers(self, buffers):
+        return (ctypes.c_uint64 * len(buffers))(*map(ctypes.addressof, buffers))
+
+    def call(self, n_operands, n_results):
+        text = launcher_text(
+            "jaxrod_warps_here",
+            n_operands,
+            n_results,
+            launch=ctypes.cast(self.launch, POINTER).value,
+            function=99,
+            blocks=7,
+            threads=64,
+            shared=1000,
+        )
+        engine, address = native_function(text, "jaxrod_warps_here")
+        handler = ctypes.CFUNCTYPE(ctypes.c_uint64, POINTER)(address)
+        made = handler(ctypes.addressof(self.frame))
+        del engine
+        return made
+
+
+def test_the_handler_launches_on_the_stream_of_the_call_with_all_buffers():
+    frame = Frame(3, 2)
+    assert frame.call(3, 2) == 0
+    data = [a.ctypes.data for a in frame.arrays]
+    assert frame.launched == [((7, 1, 1), (64, 1, 1), 1000, 777, data)]
+
+
+def test_the_handler_refuses_other_buffers_and_reports_a_launch_that_failed():
+    frame = Frame(3, 2)
+    assert frame.call(4, 2) == 4321 and frame.launched == []
+    assert "4 operands" in frame.words[0]
+    frame = Frame(3, 2, status=701)
+    assert frame.call(3, 2) == 4321 and len(frame.words) == 1
