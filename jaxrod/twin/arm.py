@@ -18,24 +18,15 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from jaxrod.actuation import tendon
-from jaxrod.effects.base import Effect, Reach
+from jaxrod.effects.base import Reach
 from jaxrod.effects.clamps import clamp
 from jaxrod.effects.loads import exponential_damping, gravity
+from jaxrod.extend import Effect, Loads, Motion, pytree, rotations, vectors
 from jaxrod.files import reading
-from jaxrod.geometry import vectors
-from jaxrod.geometry.rotations import (
-    directors,
-    rotation_exp,
-    split_quaternion,
-    to_material,
-    to_world,
-)
 from jaxrod.rods.factories import straight_rod
-from jaxrod.rods.motion import Loads, Motion
 from jaxrod.rods.rod import Rod, RodState
 from jaxrod.scene import Scene, make_scene
 from jaxrod.sensors import markers
-from jaxrod.structure import pytree
 from jaxrod.validation import check_array, check_count
 
 LOGARITHMIC = (
@@ -301,9 +292,9 @@ class Arm:
         """Places of the markers in the registered frame of the camera [m]."""
         places = [marker.at for marker in self.markers]
         sensor = markers(places, [marker.offset for marker in self.markers])
-        turn = rotation_exp(vectors.split(values["turn"]))
+        turn = rotations.rotation_exp(vectors.split(values["turn"]))
         seen = vectors.split(sensor.measure(scene, state))
-        x, y, z = to_world(directors(turn), seen)
+        x, y, z = rotations.to_world(rotations.directors(turn), seen)
         return jnp.stack([x, y, z], axis=1) + values["shift"][None]
 
     @property
@@ -435,13 +426,14 @@ class MarkerWeights(Effect):
         x, y, z = (jnp.sum(self.placed * row[:, None], 0) for row in self.levers.T)
         n = rod.n_elements
         pull = vectors.split(jnp.broadcast_to(self.acceleration[:, None], (3, n)))
-        turned = to_material(directors(motion.orientation), pull)
+        turned = rotations.to_material(rotations.directors(motion.orientation), pull)
         return Loads(couples=vectors.cross((x, y, z), turned))
 
     def energy(self, rod: Rod, state: RodState) -> Array:
         """Energy of the weights, less that of the same masses in the middles [J]."""
         x, y, z = (jnp.sum(self.placed * row[:, None], 0) for row in self.levers.T)
-        moved = to_world(directors(split_quaternion(state.orientations)), (x, y, z))
+        frame = rotations.directors(rotations.split_quaternion(state.orientations))
+        moved = rotations.to_world(frame, (x, y, z))
         places = jnp.stack([jnp.sum(part) for part in moved])
         return -jnp.sum(self.acceleration * places)
 

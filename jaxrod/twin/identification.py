@@ -37,9 +37,9 @@ from jaxrod.control.least_squares import (
     default_tolerance,
 )
 from jaxrod.effects.time import table
+from jaxrod.extend import pytree
 from jaxrod.statics.equilibrium import equilibrium
 from jaxrod.stepping.runs import rollout
-from jaxrod.structure import pytree
 from jaxrod.twin.arm import LOGARITHMIC, Arm
 from jaxrod.twin.recordings import Recording
 from jaxrod.twin.registration import Registration, register
