@@ -261,7 +261,7 @@ def read_csv(path: Path) -> tuple[list[str], list[list[str]]]:
     """Reads the columns and the rows of a CSV file.
 
     A last line that lacks both values and a newline is still being written; it is
-    skipped.
+    skipped, and so are blank lines at the end and a byte order mark.
 
     Raises:
         DamagedFileError: If it is not CSV, or not all rows have as many values as there
@@ -269,10 +269,12 @@ def read_csv(path: Path) -> tuple[list[str], list[list[str]]]:
         OSError: If the file cannot be opened.
     """
     with reading(path):
-        text = read_plain(path).decode()
+        text = read_plain(path).decode("utf-8-sig")
         lines = csv.reader(io.StringIO(text, newline=""), strict=True)
         columns, rows = next(lines, []), list(lines)
         if rows and len(rows[-1]) < len(columns) and not text.endswith("\n"):
+            rows.pop()
+        while rows and not rows[-1]:
             rows.pop()
         for number, row in enumerate(rows, 1):
             if len(row) != len(columns):

@@ -10,7 +10,7 @@ import argparse
 import json
 import time
 
-from jaxrod.cli import runs, settings
+from jaxrod.cli import runs
 
 EXAMPLES = """\
 examples:
@@ -24,10 +24,7 @@ examples:
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declares the arguments of `jaxrod evaluate`."""
     parser.epilog = EXAMPLES
-    parser.add_argument(
-        "run_folder", type=settings.path, metavar="RUN", help="folder of a run"
-    )
-    runs.add_trust(parser)
+    runs.add_run(parser)
     parser.add_argument(
         "--episodes", type=int, default=32, metavar="N", help="how many (default: 32)"
     )

@@ -19,8 +19,7 @@ import json
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from jaxrod.cli import settings
-from jaxrod.cli.runs import check_folder
+from jaxrod.cli.runs import add_out, check_folder
 
 if TYPE_CHECKING:
     from jaxrod.twin import Comparison, Twin
@@ -57,7 +56,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--noise",
         type=float,
         metavar="M",
-        help="noise of a coordinate [m] (default: what the arm cannot explain)",
+        help="noise of a coordinate of a frame, or of the median of a pose [m] "
+        "(default: the residuals)",
     )
     parser.add_argument(
         "--robust",
@@ -65,16 +65,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="SD",
         help="markers farther off than this many standard deviations count less",
     )
-    parser.add_argument(
-        "--out",
-        type=settings.path,
-        default=Path("runs/twin"),
-        metavar="DIR",
-        help="folder for the result (default: runs/twin)",
-    )
-    parser.add_argument(
-        "--overwrite", action="store_true", help="replace the result in DIR"
-    )
+    add_out(parser, "runs/twin")
     parser.add_argument(
         "--json", action="store_true", help="print twin.json instead of text"
     )
@@ -100,20 +91,29 @@ def run(args: argparse.Namespace) -> int:
     with folder.only_process(), jax.enable_x64(True):
         check_folder(folder, args.overwrite)
         found = twin.identify(arm, recordings, noise=args.noise, robust=args.robust)
-        forecasts = found.compare(others)
-        content = _content(found, found.compare(found.recordings), forecasts)
-        folder.begin({"arm": str(args.arm), "recordings": _names(args.recordings)})
-        write_atomically(
-            args.out / "twin.json", (json.dumps(content, indent=2) + "\n").encode()
+        folder.begin(
+            {
+                "arm": str(args.arm),
+                "recordings": _names(args.recordings),
+                "forecast": _names(args.forecast),
+            }
         )
-        save_report(args.out / "report.html", found, forecasts)
+        fitted = found.compare(found.recordings)
+        # The fit is kept, whatever becomes of the forecasts.
+        for predicted in ([], others) if others else ([],):
+            forecasts = found.compare(predicted)
+            content = _content(found, fitted, forecasts)
+            words = json.dumps(content, indent=2, allow_nan=False)
+            write_atomically(args.out / "twin.json", (words + "\n").encode())
+            save_report(args.out / "report.html", found, forecasts)
     if args.json:
         print(json.dumps(content, indent=2))
     else:
         print(found)
         for title, rows in (("fitted", "recordings"), ("forecast", "forecasts")):
-            if content[rows]:
-                print(f"{title}: {content[rows]['root mean square [mm]']:.2f} mm")
+            error = content[rows].get("root mean square [mm]")
+            if error is not None:
+                print(f"{title}: {error:.2f} mm")
         print(args.out / "report.html")
     return 0 if bool(found.fit.converged) else 1
 
@@ -128,28 +128,41 @@ def _content(
     """Content of twin.json."""
     import numpy as np
 
+    from jaxrod.twin.identification import root_mean_square
+
+    def numbers(values: Any) -> Any:
+        """Lists of numbers; null for those that are not finite."""
+        array = np.asarray(values, float).astype(object)
+        array[~np.isfinite(values)] = None
+        return array.tolist()
+
     def errors(rows: list[Comparison]) -> dict[str, Any]:
         if not rows:
             return {}
-        every = np.array([row.errors for row in rows])
+        every = np.array([1000 * row.errors for row in rows])
         return {
-            "root mean square [mm]": 1000 * float(np.sqrt(np.nanmean(every**2))),
+            "root mean square [mm]": numbers(root_mean_square(np.ravel(every))),
             "markers": [marker.name for marker in found.arm.markers],
-            "errors [mm]": {
-                row.recording.name: [round(1000 * float(e), 3) for e in row.errors]
-                for row in rows
-            },
+            "errors [mm]": [
+                {"recording": row.recording.name, "errors": numbers(one.round(3))}
+                for row, one in zip(rows, every, strict=True)
+            ],
         }
 
     fit = found.fit
     return {
-        "values": {k: np.asarray(v).tolist() for k, v in fit.values.items()},
+        "values": {name: numbers(value) for name, value in fit.values.items()},
         "standard_deviations": {
-            k: np.asarray(v).tolist() for k, v in fit.standard_deviations.items()
+            name: numbers(sd) for name, sd in fit.standard_deviations.items()
         },
         "noise [m]": found.noise,
         "converged": bool(fit.converged),
-        "known from the drawing alone": list(found.undetermined),
+        "remarks": list(found.remarks),
+        "frame": {
+            "rotation": numbers(found.registration.rotation),
+            "shifts [m]": numbers(found.registration.shifts),
+            "orders": found.registration.orders.tolist(),
+        },
         "recordings": errors(fitted),
         "forecasts": errors(forecasts),
     }

@@ -26,8 +26,7 @@ from contextlib import ExitStack
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from jaxrod.cli import settings
-from jaxrod.cli.runs import check_folder
+from jaxrod.cli.runs import add_out, check_folder
 
 if TYPE_CHECKING:
     from jaxrod.control import ActuatedArm, Problem, Reach, Solution
@@ -89,16 +88,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar=("X", "Y", "Z"),
         help="where the tip should end [m] (default: 0.4 0.6 0.2)",
     )
-    parser.add_argument(
-        "--out",
-        type=settings.path,
-        default=Path("runs/optimise"),
-        metavar="DIR",
-        help="folder for the result (default: runs/optimise)",
-    )
-    parser.add_argument(
-        "--overwrite", action="store_true", help="replace the result in DIR"
-    )
+    add_out(parser, "runs/optimise")
     parser.add_argument(
         "--duration",
         type=float,

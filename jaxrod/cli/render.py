@@ -34,10 +34,7 @@ examples:
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declares the arguments of `jaxrod render`."""
     parser.epilog = EXAMPLES
-    parser.add_argument(
-        "run_folder", type=settings.path, metavar="RUN", help="folder of a run"
-    )
-    runs.add_trust(parser)
+    runs.add_run(parser)
     parser.add_argument(
         "--out",
         type=settings.path,

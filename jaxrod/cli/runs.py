@@ -10,6 +10,7 @@ from collections.abc import Collection, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from jaxrod.cli import settings
 from jaxrod.files import UntrustedError, read_json, reading
 
 if TYPE_CHECKING:
@@ -88,6 +89,14 @@ class StoredRun:
                 f"{self.env.name} has {wanted[0]} and {wanted[1]}"
             )
         return policy
+
+
+def add_run(parser: argparse.ArgumentParser) -> None:
+    """Declares the folder of a run, and `--trust`."""
+    parser.add_argument(
+        "run_folder", type=settings.path, metavar="RUN", help="folder of a run"
+    )
+    add_trust(parser)
 
 
 def add_trust(parser: argparse.ArgumentParser) -> None:
@@ -219,6 +228,20 @@ def printable(text: str) -> str:
     return "".join(
         sign if sign.isprintable() else sign.encode("unicode_escape").decode()
         for sign in line
+    )
+
+
+def add_out(parser: argparse.ArgumentParser, default: str) -> None:
+    """Declares `--out` and `--overwrite`, for commands that write a result."""
+    parser.add_argument(
+        "--out",
+        type=settings.path,
+        default=Path(default),
+        metavar="DIR",
+        help=f"folder for the result (default: {default})",
+    )
+    parser.add_argument(
+        "--overwrite", action="store_true", help="replace the result in DIR"
     )
 
 

@@ -55,19 +55,22 @@ class SupportCouple(Sensor):
 def _reactions_at(end: End, scene: LoadedRod, state: RodState) -> list[Reaction]:
     """Reactions of all supports at an end."""
     found = reactions(scene, state)
-    index = 0 if end == "base" else -1
-    rod = scene.rod
-    node, element = index % (rod.n_elements + 1), index % rod.n_elements
-    held = [
-        reaction
-        for effect, reaction in zip(scene.effects, found, strict=True)
-        if reaction is not None
-        and any(
-            (part.node is not None and part.node % (rod.n_elements + 1) == node)
-            or (part.element is not None and part.element % rod.n_elements == element)
-            for part in effect.held(rod)
-        )
-    ]
+    index, rod = 0 if end == "base" else -1, scene.rod
+    here = {index % (rod.n_elements + 1)}, {index % rod.n_elements}
+    held = []
+    for effect, reaction in zip(scene.effects, found, strict=True):
+        parts = effect.held(rod)
+        nodes = {p.node % (rod.n_elements + 1) for p in parts if p.node is not None}
+        elements = {p.element % rod.n_elements for p in parts if p.element is not None}
+        if reaction is None or not (nodes & here[0] or elements & here[1]):
+            continue
+        if not (nodes <= here[0] and elements <= here[1]):
+            raise ValueError(
+                f"{type(effect).__name__} holds the {end} of the rod and another "
+                "place, so the share of the end in its reaction is not known: use one "
+                "effect for each place"
+            )
+        held.append(reaction)
     if not held:
         raise ValueError(f"the scene has no support at the {end} of the rod")
     return held
@@ -171,7 +174,7 @@ def support_force(end: End = "base") -> SupportForce:
 
     Returns:
         A sensor that reads three components, world frame [N]. It needs the consistent
-        law and a support at that end.
+        law and a support at that end, which holds no other place.
 
     Raises:
         ValueError: If `end` is neither "base" nor "tip".
@@ -187,7 +190,7 @@ def support_couple(end: End = "base") -> SupportCouple:
 
     Returns:
         A sensor that reads three components, world frame [N m]. It needs the consistent
-        law and a support at that end.
+        law and a support at that end, which holds no other place.
 
     Raises:
         ValueError: If `end` is neither "base" nor "tip".

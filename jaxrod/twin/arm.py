@@ -18,23 +18,15 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from jaxrod.actuation import tendon
-from jaxrod.effects.base import Effect, Reach
+from jaxrod.effects.base import Reach
 from jaxrod.effects.clamps import clamp
 from jaxrod.effects.loads import exponential_damping, gravity
+from jaxrod.extend import Effect, Loads, Motion, pytree, rotations, vectors
 from jaxrod.files import reading
-from jaxrod.geometry import vectors
-from jaxrod.geometry.rotations import (
-    directors,
-    rotation_exp,
-    split_quaternion,
-    to_material,
-    to_world,
-)
 from jaxrod.rods.factories import straight_rod
-from jaxrod.rods.motion import Loads, Motion
 from jaxrod.rods.rod import Rod, RodState
 from jaxrod.scene import Scene, make_scene
-from jaxrod.structure import pytree
+from jaxrod.sensors import markers
 from jaxrod.validation import check_array, check_count
 
 LOGARITHMIC = (
@@ -44,7 +36,7 @@ LOGARITHMIC = (
     "tension",
     "youngs_modulus",
 )
-"""Unknowns that are positive: their standard deviations are those of logarithms."""
+"""Unknowns whose standard deviations are those of their logarithms."""
 
 UNKNOWNS = {
     "damping": "decay rate of velocities, of motions alone [1/s]",
@@ -57,10 +49,10 @@ UNKNOWNS = {
     "modulus_slope": "logarithm of the modulus at the tip over that at the base [1]",
     "poisson_ratio": "Poisson's ratio [1]",
     "rest_curvature": "curvatures about d1 and d2 without loads [1/m]",
-    "shift": "place of the frame of the camera in that of the arm [m]",
+    "shift": "place of the arm in the registered frame of the camera [m]",
     "tendon_angles": "change of the angle of each tendon around the axis [rad]",
     "tension": "factor of all tensions [1]",
-    "turn": "rotation of the frame of the camera, as a vector [rad]",
+    "turn": "rotation of the arm in that frame, as a vector [rad]",
     "youngs_modulus": "Young's modulus, halfway along the arm [Pa]",
 }
 """Every number that a fit may seek, with its unit."""
@@ -95,15 +87,46 @@ class Marker:
 
 @dataclass(frozen=True)
 class Frame:
-    """Frame of the recorded coordinates."""
+    """Frame of the recorded coordinates.
+
+    Raises:
+        ValueError: If a number is out of range, or an origin is given without axes.
+    """
 
     axes: Any = None
-    """Matrix that turns recorded vectors into the arm's frame; `None`: not known."""
-    origin: str | tuple[float, float, float] = (0.0, 0.0, 0.0)
-    """Recorded point that is the base of the arm [m]; or the name of a marker that does
-    not move, and is where the drawing of the straight arm has it."""
+    """Rotation that turns recorded vectors into the arm's frame `(3, 3)`; `None` if it
+    is not known."""
+    origin: str | tuple[float, float, float] | None = None
+    """Recorded point that is the base of the arm, in recorded units; or the name of a
+    marker that does not move, and is where the drawing of the straight arm has it;
+    `None` if it is not known."""
     scale: float = 1.0
     """Length of a recorded unit [m]."""
+
+    def __post_init__(self) -> None:
+        """Checks all numbers."""
+        check_array("scale of the frame", self.scale, [()], "m", positive=True)
+        if self.axes is not None:
+            axes = np.asarray(
+                check_array("axes of the frame", self.axes, [(3, 3)], ""), float
+            )
+            products = np.sum(axes[:, None] * axes[None], axis=-1)
+            if not np.allclose(products, np.eye(3), atol=1e-3):
+                raise ValueError(
+                    "axes of the frame must be three unit vectors at right angles, got "
+                    f"{self.axes!r}"
+                )
+            if np.linalg.det(axes) < 0:
+                raise ValueError(
+                    "axes of the frame must be a rotation, and these are a mirror: "
+                    f"{self.axes!r}"
+                )
+        if self.origin is not None and not isinstance(self.origin, str):
+            check_array("origin of the frame", self.origin, [(3,)], "recorded units")
+            if self.axes is None:
+                raise ValueError(
+                    "an origin of the frame needs its axes, unless it is a marker"
+                )
 
 
 @dataclass(frozen=True, eq=False)
@@ -157,7 +180,16 @@ class Arm:
         self._along("radius", self.radius)
         if not self.markers:
             raise ValueError("an arm needs at least one marker, to be seen at all")
+        if not -1 < self.poisson_ratio <= 0.5:
+            raise ValueError(
+                f"poisson_ratio must be above -1 and at most 0.5, got "
+                f"{self.poisson_ratio!r}"
+            )
+        if "damping" in self.unknown and self.damping == 0:
+            raise ValueError("damping is unknown: it must be above 0 1/s, got 0.0 1/s")
         names = [marker.name for marker in self.markers]
+        if not all(isinstance(name, str) and name for name in names):
+            raise ValueError(f"names of markers must be text, got {names}")
         if len(set(names)) < len(names):
             raise ValueError(f"markers must have different names, got {names}")
         for marker in self.markers:
@@ -165,6 +197,9 @@ class Arm:
             check_array(f"marker {marker.name!r}: offset", marker.offset, [(3,)], "m")
         for tendon_ in self.tendons:
             self._along("distance of a tendon", tendon_.distance)
+            if tendon_.pulley_radius is not None:
+                radius = tendon_.pulley_radius
+                check_array("pulley_radius", radius, [()], "m", positive=True)
             if tendon_.until is not None:
                 self._check_place("until of a tendon", tendon_.until)
         for name, sd in self.unknown.items():
@@ -252,22 +287,35 @@ class Arm:
         return make_scene(rod, *effects), state
 
     def points(
-        self, state: RodState, values: Mapping[str, Any]
+        self, scene: Scene, state: RodState, values: Mapping[str, Any]
     ) -> Float[Array, "markers 3"]:
-        """Places of the markers, as the camera has them once turned [m]."""
-        frame = state.directors
-        rows = []
-        for marker, k, share in zip(self.markers, *self._places, strict=True):
-            nodes = state.positions[:, k : k + 2]
-            axis = nodes[:, 0] * (1 - share) + nodes[:, 1] * share
-            lever = sum(o * frame[j, :, k] for j, o in enumerate(marker.offset))
-            rows.append(axis + lever)
-        turn = rotation_exp(vectors.split(values["turn"]))
-        x, y, z = to_world(directors(turn), vectors.split(jnp.stack(rows, axis=1)))
+        """Places of the markers in the registered frame of the camera [m]."""
+        places = [marker.at for marker in self.markers]
+        sensor = markers(places, [marker.offset for marker in self.markers])
+        turn = rotations.rotation_exp(vectors.split(values["turn"]))
+        seen = vectors.split(sensor.measure(scene, state))
+        x, y, z = rotations.to_world(rotations.directors(turn), seen)
         return jnp.stack([x, y, z], axis=1) + values["shift"][None]
+
+    @property
+    def straight(self) -> Float[np.ndarray, "markers 3"]:
+        """Places of the markers of the straight arm, as drawn [m]."""
+        scene, state = self.scene(self.start, lambda numbers: jnp.zeros(len(numbers)))
+        return np.asarray(self.points(scene, state, self.start))
+
+    @property
+    def shift(self) -> np.ndarray | None:
+        """Place of the recorded origin in the arm's frame, if it is known [m]."""
+        axes, origin = self.frame.axes, self.frame.origin
+        if axes is None or origin is None or self.origin is not None:
+            return None
+        point = self.frame.scale * np.asarray(origin, float)
+        return -np.sum(np.asarray(axes, float) * point, axis=-1)
 
     def tensions(self, values: Mapping[str, Any], inputs: Any) -> Any:
         """Tensions of the tendons `(..., tendons)` from recorded inputs [N]."""
+        if not self.tendons:
+            return jnp.zeros((*inputs.shape[:-1], 0))
         columns = [self.inputs.index(t.input) for t in self.tendons]
         given = [t.pulley_radius for t in self.tendons]
         radii = [1.0 if radius is None else radius for radius in given]
@@ -309,10 +357,12 @@ class Arm:
         )
 
     def _weights(self, masses: Array, pull: Array) -> MarkerWeights:
-        offsets = jnp.asarray([m.offset for m in self.markers], pull.dtype)
-        return MarkerWeights(
-            masses[:, None] * offsets, pull, jnp.asarray(self._placed, pull.dtype)
-        )
+        """Couples of the weights about the middles of the markers' elements."""
+        offsets = np.array([marker.offset for marker in self.markers], float)
+        ahead = (np.array(self._places[1]) - 0.5) * self.length / self.elements
+        offsets[:, 2] += ahead
+        placed = jnp.asarray(self._placed, pull.dtype)
+        return MarkerWeights(masses[:, None] * offsets, pull, placed)
 
     @property
     def _middles(self) -> np.ndarray:
@@ -357,9 +407,9 @@ class Arm:
 
 @pytree
 class MarkerWeights(Effect):
-    """Couples of the weights of markers beside the axis.
+    """Couples of the weights of markers about the middles of their elements.
 
-    The weights themselves are those of their elements, whose mass includes them.
+    The weights themselves are those of the elements, whose mass includes them.
     """
 
     reach: ClassVar[Reach] = "neighbours"
@@ -376,13 +426,14 @@ class MarkerWeights(Effect):
         x, y, z = (jnp.sum(self.placed * row[:, None], 0) for row in self.levers.T)
         n = rod.n_elements
         pull = vectors.split(jnp.broadcast_to(self.acceleration[:, None], (3, n)))
-        turned = to_material(directors(motion.orientation), pull)
+        turned = rotations.to_material(rotations.directors(motion.orientation), pull)
         return Loads(couples=vectors.cross((x, y, z), turned))
 
     def energy(self, rod: Rod, state: RodState) -> Array:
-        """Energy of the weights, less that of the same masses on the axis [J]."""
+        """Energy of the weights, less that of the same masses in the middles [J]."""
         x, y, z = (jnp.sum(self.placed * row[:, None], 0) for row in self.levers.T)
-        moved = to_world(directors(split_quaternion(state.orientations)), (x, y, z))
+        frame = rotations.directors(rotations.split_quaternion(state.orientations))
+        moved = rotations.to_world(frame, (x, y, z))
         places = jnp.stack([jnp.sum(part) for part in moved])
         return -jnp.sum(self.acceleration * places)
 
@@ -415,6 +466,9 @@ def _arm(content: dict[str, Any]) -> Arm:
         allowed=("damping", "friction", "gravity"),
     )  # fmt: skip
     rod.setdefault("gravity", (0.0, 0.0, -9.81))
+    for name in ("tendons", "markers"):
+        if not isinstance(content.get(name, []), list):
+            raise ValueError(f"{name} must be tables of a list: write [[{name}]]")
     tendons = []
     for entry in content.get("tendons", []):
         made = _taken(
@@ -422,7 +476,7 @@ def _arm(content: dict[str, Any]) -> Arm:
         )
         made["angle"] = float(np.radians(made["angle"]))
         tendons.append(TendonDrawing(**made))
-    markers = [
+    seen = [
         Marker(**_taken(entry, "markers", ("name", "at"), ("offset",)))
         for entry in content.get("markers", [])
     ]
@@ -431,7 +485,7 @@ def _arm(content: dict[str, Any]) -> Arm:
     return Arm(
         **rod,
         tendons=tuple(tendons),
-        markers=tuple(markers),
+        markers=tuple(seen),
         unknown=dict(content["unknown"]),
         frame=Frame(**frame),
     )
@@ -444,6 +498,8 @@ def _taken(
     allowed: tuple[str, ...],
 ) -> dict[str, Any]:
     """Entries of a table, all of them known."""
+    if not isinstance(content, Mapping):
+        raise ValueError(f"{where} must be a table, got {content!r}")
     for name in needed:
         if name not in content:
             raise ValueError(f"{where} has no {name!r}")

@@ -37,9 +37,9 @@ from jaxrod.control.least_squares import (
     default_tolerance,
 )
 from jaxrod.effects.time import table
+from jaxrod.extend import pytree
 from jaxrod.statics.equilibrium import equilibrium
 from jaxrod.stepping.runs import rollout
-from jaxrod.structure import pytree
 from jaxrod.twin.arm import LOGARITHMIC, Arm
 from jaxrod.twin.recordings import Recording
 from jaxrod.twin.registration import Registration, register
@@ -54,6 +54,13 @@ FITS = 6
 """Largest number of fits until the noise agrees with the residuals."""
 REGISTRATIONS = 4
 """Largest number of times that labels are found, each followed by a fit."""
+CERTAIN = 1.5
+"""Ratio of the distance with the second best labels to that with the best, above which
+labels are taken as certain [1]."""
+FINEST = 1e-6
+"""Smallest noise that is estimated, as a fraction of the arm's length."""
+MOST_LENGTHS = 3.0
+"""Largest extent of the markers in recorded coordinates, in lengths of the arm."""
 SMALL_PART = 0.2
 """Parts of a combination below this fraction of its largest are not named."""
 SURE = 0.02
@@ -69,12 +76,28 @@ class Comparison:
     """Places of the markers [m]."""
     sd: Float[np.ndarray, "frames markers 3"]
     """Their standard deviations, due to those of the unknowns [m]."""
+    origin: int | None = None
+    """Number of the marker at the recorded origin: it is exact, not predicted."""
 
     @property
     def errors(self) -> Float[np.ndarray, " markers"]:
-        """Root mean square distance of each marker [m]."""
+        """Root mean square distance of each marker [m].
+
+        NaN for markers that were never seen, and for the one at the recorded origin.
+        """
         away = np.sum((self.predicted - self.recording.points) ** 2, axis=-1)
-        return np.sqrt(np.nanmean(away, axis=0))
+        if self.origin is not None:
+            away[:, self.origin] = np.nan
+        return root_mean_square(np.sqrt(away))
+
+
+def root_mean_square(errors: Any) -> np.ndarray:
+    """Root mean square of finite errors over the first axis; NaN where none is."""
+    rows = np.asarray(errors)
+    seen = np.isfinite(rows)
+    sums = np.sum(np.where(seen, rows, 0) ** 2, axis=0)
+    counts = np.sum(seen, axis=0)
+    return np.where(counts > 0, np.sqrt(sums / np.maximum(counts, 1)), np.nan)
 
 
 @dataclass(frozen=True)
@@ -85,7 +108,8 @@ class Twin:
     fit: Fit
     """Unknowns with their standard deviations; print it."""
     noise: float
-    """Standard deviation of a coordinate of a marker [m]."""
+    """Standard deviation of a coordinate of a marker, in a frame of a motion or in the
+    median of a pose [m]."""
     registration: Registration
     recordings: tuple[Recording, ...]
     """The recordings of the fit, with labels and in the arm's frame."""
@@ -99,7 +123,10 @@ class Twin:
 
     @property
     def undetermined(self) -> tuple[str, ...]:
-        """Combinations of which the recordings say less than the drawing, in words."""
+        """Combinations of unknowns that the drawing knows better than the recordings.
+
+        Each has its largest parts, in standard deviations of the drawing.
+        """
         drawn = _drawn(self.arm, self.fit.parameters)
         ways = np.asarray(self.fit.directions) * drawn
         total = (ways.T * np.asarray(self.fit.singular_values) ** 2) @ ways
@@ -123,7 +150,13 @@ class Twin:
         return _registered(self.arm, self.values, [recording], self.registration)[0][0]
 
     def compare(self, recordings: Sequence[Recording]) -> list[Comparison]:
-        """Predicts recordings; those that are not of the fit are registered first."""
+        """Predicts recordings; those that are not of the fit are registered first.
+
+        Raises:
+            ValueError: If a recording cannot be registered, the arm has no equilibrium
+                under its inputs, or the precision is not float64.
+        """
+        _check_precision()
         known = {id(one) for one in self.recordings}
         ready = [r if id(r) in known else self.registered(r) for r in recordings]
         # Along directions that the drawing alone knows, it says how far.
@@ -134,7 +167,7 @@ class Twin:
         for recording in ready:
             made, slopes = _evaluated(self.arm, point, _prepared(self.arm, recording))
             sd = np.sqrt(np.sum(np.tensordot(ways, slopes, 1) ** 2, axis=0))
-            found.append(Comparison(recording, made, sd))
+            found.append(Comparison(recording, made, sd, self.arm.origin))
         return found
 
     def __str__(self) -> str:
@@ -151,17 +184,23 @@ class Twin:
             share = left / drawn[name]
             lines.append(f"{name:<{width}}  {value:>12.5g} {sd:>10.2g}  {share:.0%}")
         lines.append(f"noise of a coordinate: {1000 * self.noise:.2f} mm")
-        if not bool(fit.converged):
-            lines.append("NOT CONVERGED")
-        lines += [
-            f"{name} is at its bound"
-            for name, held in zip(fit.names, np.asarray(fit.at_bound), strict=True)
-            if held
-        ]
-        lines += [
-            f"known from the drawing alone: {words}" for words in self.undetermined
-        ]
-        return "\n".join(lines)
+        return "\n".join([*lines, *self.remarks])
+
+    @property
+    def remarks(self) -> tuple[str, ...]:
+        """Sentences on the search, the labels, and what the recordings leave open."""
+        held = zip(self.fit.names, np.asarray(self.fit.at_bound), strict=True)
+        found = [] if bool(self.fit.converged) else ["NOT CONVERGED"]
+        found += [f"{name} is at its bound" for name, at_bound in held if at_bound]
+        margin = self.registration.margin
+        if np.isfinite(margin):
+            guessed = "; the labels are a guess" if margin < CERTAIN else ""
+            found.append(
+                f"labels: the second best order is {margin:.3g} times farther off"
+                + guessed
+            )
+        found += [f"known from the drawing alone: {part}" for part in self.undetermined]
+        return tuple(found)
 
 
 def identify(
@@ -179,15 +218,17 @@ def identify(
     Args:
         arm: The drawing, with a standard deviation of each unknown.
         recordings: Recordings as read; one that `is_at_rest` becomes one frame.
-        noise: Standard deviation of a coordinate of a marker [m]. If `None`, it follows
-            from the residuals, faults of the model included.
+        noise: Standard deviation of a coordinate of a marker [m], in a frame of a
+            motion and in the median of a pose alike. If `None`, it follows from the
+            residuals, faults of the model included.
         robust: Distance in standard deviations beyond which a marker counts less, such
             as 3; by default all count alike.
         iterations: Largest number of iterations of each fit.
 
     Raises:
-        ValueError: If an argument is out of range, a recording cannot be registered, or
-            the arm has no unknowns.
+        ValueError: If an argument is out of range, a recording cannot be registered,
+            the arm has no unknowns, the frame of the camera is not known and not among
+            them, or there are fewer coordinates than unknowns to estimate noise from.
 
     Example:
         See docs/twin.md.
@@ -200,8 +241,16 @@ def identify(
         check_array("noise", noise, [()], "m", positive=True)
     if robust is not None:
         check_array("robust", robust, [()], "", positive=True)
-    if not jax.config.jax_enable_x64:
-        raise ValueError("identify needs float64: with jax.enable_x64(): ...")
+    _check_precision()
+    # A frame that is found takes up errors of the drawing, so it stays unknown.
+    frame = {"turn": arm.frame.axes is None}
+    frame["shift"] = arm.shift is None and arm.origin is None
+    for name, found_from_markers in frame.items():
+        if found_from_markers and name not in arm.unknown:
+            raise ValueError(
+                f"the frame of the camera is not known, so {name} must be among the "
+                "unknowns: it would take up what is wrong in the drawing"
+            )
     values = arm.start
     for _ in range(REGISTRATIONS):
         ready, registration = _registered(arm, values, recordings, None)
@@ -227,31 +276,56 @@ def _fitted(
     problem = _problem(arm, data)
     drawn = _drawn(arm, problem.parameters)
 
-    def residuals(point: np.ndarray, sigma: float) -> tuple[np.ndarray, np.ndarray]:
+    count = problem.seen["markers"].size
+    if count == 0:
+        raise ValueError("no marker was seen in any recording")
+    if noise is None and count <= len(drawn):
+        raise ValueError(
+            f"{count} coordinates do not show the noise beside {len(drawn)} unknowns: "
+            "give noise in m"
+        )
+
+    def residuals(point: np.ndarray, sigma: float) -> _Residuals:
         rows, slopes = [point / drawn], [np.diag(1 / drawn)]
+        cost, bounded = np.sum(rows[0] ** 2), 0.0
         for layout, group in data:
             made, moved = _evaluated(arm, point, (layout, group))
             there = np.isfinite(group.seen)
             away = np.where(there, made - np.where(there, group.seen, 0), 0)
-            away, moved = _robust(away / sigma, moved * there / sigma, robust)
-            rows.append(away[there])
-            slopes.append(moved[:, there].T)
-        return np.concatenate(rows), np.concatenate(slopes)
+            weight, own_cost = _robust(away / sigma, robust)
+            rows.append((weight * away / sigma)[there])
+            slopes.append((weight * moved / sigma)[:, there].T)
+            cost += own_cost
+            bounded += float(np.sum((weight**2 * away / sigma) ** 2))
+        return _Residuals(np.concatenate(rows), np.concatenate(slopes), cost, bounded)
 
-    def fitted(sigma: float, start: np.ndarray) -> Fit:
+    def fitted(sigma: float, start: np.ndarray) -> tuple[Fit, float]:
         found = _searched(
             lambda point: residuals(point, sigma), start, problem, iterations
         )
-        return fit_of(problem, found)
+        return fit_of(problem, found), found.bounded
 
     sigma = 0.01 * arm.length if noise is None else float(noise)
-    found = fitted(sigma, np.zeros(len(problem.low)))
+    found, bounded = fitted(sigma, np.zeros(len(problem.low)))
     for _ in range(FITS if noise is None else 0):
-        before, sigma = sigma, _noise(arm, found, sigma, problem)
-        found = fitted(sigma, np.asarray(found.parameters.searched(found.values)))
+        estimate = sigma * _noise(found, drawn, count, bounded / _mean_square(robust))
+        before, sigma = sigma, max(estimate, FINEST * arm.length)
+        start = np.asarray(found.parameters.searched(found.values))
+        found, bounded = fitted(sigma, start)
         if abs(sigma / before - 1) < SURE:
             break
     return found, sigma
+
+
+class _Residuals(NamedTuple):
+    """Residuals at a point, whose gradient of squares is that of the cost."""
+
+    rows: np.ndarray
+    slopes: np.ndarray
+    """Derivatives of the rows, at constant weights."""
+    cost: float
+    bounded: float
+    """Sum of the squares of weights times differences of the markers."""
 
 
 class _Found(NamedTuple):
@@ -261,46 +335,54 @@ class _Found(NamedTuple):
     residuals: Array
     jacobian: Array
     iterations: Array
+    bounded: float
 
 
 def _searched(
-    evaluate: Callable[[np.ndarray], tuple[np.ndarray, np.ndarray]],
+    evaluate: Callable[[np.ndarray], _Residuals],
     start: np.ndarray,
     problem: FitProblem,
     iterations: int,
 ) -> _Found:
-    """Minimises a sum of squares by damped steps, one recording at a time.
+    """Minimises a cost by damped steps, one recording at a time.
 
     It is the search of `control.least_squares`, on the host: recordings of different
     shapes are programs of their own, and more of the same shape need no other.
     """
     low, high = np.asarray(problem.low), np.asarray(problem.high)
     point, damping, tried = start, 1e-3, 0
-    rows, slopes = evaluate(point)
-    if not np.all(np.isfinite(rows)):
+    here = evaluate(point)
+    if not np.isfinite(here.cost):
         raise ValueError(
             "at the start of the search the arm has no equilibrium, or its run is not "
             "finite"
         )
     while tried < iterations and damping < MOST_DAMPING:
-        pull = slopes.T @ rows
+        pull = here.slopes.T @ here.rows
         free = ~(((point <= low) & (pull > 0)) | ((point >= high) & (pull < 0)))
-        curved = slopes.T @ slopes
+        curved = here.slopes.T @ here.slopes
         curved[np.diag_indices_from(curved)] *= 1 + damping
         step = np.zeros_like(point)
         step[free] = -np.linalg.solve(curved[np.ix_(free, free)], pull[free])
         trial = np.clip(point + step, low, high)
-        there, ways = evaluate(trial)
+        there = evaluate(trial)
         tried += 1
-        cost, cost_there = np.sum(rows**2), np.sum(there**2)
-        if np.isfinite(cost_there) and cost_there < cost:
-            point, rows, slopes = trial, there, ways
+        change = abs(here.cost - there.cost)
+        still = change <= default_tolerance(float) * here.cost
+        if np.isfinite(there.cost) and there.cost < here.cost:
+            point, here = trial, there
             damping /= FASTER
         else:
             damping *= SLOWER
-        if abs(cost - cost_there) <= default_tolerance(float) * cost:
+        if still:
             break
-    return _Found(*map(jnp.asarray, (point, rows, slopes, tried)))
+    return _Found(
+        solution=jnp.asarray(point),
+        residuals=jnp.asarray(here.rows),
+        jacobian=jnp.asarray(here.slopes),
+        iterations=jnp.asarray(tried),
+        bounded=here.bounded,
+    )
 
 
 def _problem(arm: Arm, data: Sequence[tuple[_Layout, _Group]]) -> FitProblem:
@@ -351,14 +433,24 @@ def _markers(
     return jax.vmap(along, out_axes=(None, 0))(jnp.eye(point.size))
 
 
-def _noise(arm: Arm, found: Fit, sigma: float, problem: FitProblem) -> float:
-    """Standard deviation of a coordinate that agrees with the residuals [m]."""
-    count = problem.seen["markers"].size
-    squares = count * float(found.residual_sd["markers"]) ** 2
+def _noise(found: Fit, drawn: np.ndarray, count: int, squares: float) -> float:
+    """Standard deviation of a coordinate over the one of the fit [1].
+
+    Source: P. J. Huber, Robust statistics, 1981, proposal 2.
+    """
     # An unknown that the drawing knows better than the recordings takes none away.
-    drawn = _drawn(arm, found.parameters)
     kept = float(np.sum(np.diagonal(np.asarray(found.covariance)) / drawn**2))
-    return sigma * float(np.sqrt(squares / max(count - len(drawn) + kept, 1.0)))
+    return float(np.sqrt(squares / (count - len(drawn) + kept)))
+
+
+def _mean_square(limit: float | None) -> float:
+    """Mean square of weight times coordinate, if that is normal with variance one."""
+    if limit is None:
+        return 1.0
+    distance = np.linspace(0, 12, 4001)
+    density = distance**2 * np.exp(-0.5 * distance**2)
+    bounded = distance / np.sqrt(1 + (distance / limit) ** 2)
+    return float(np.sum(density * bounded**2) / np.sum(density) / 3)
 
 
 def _drawn(arm: Arm, parameters: Parameters) -> np.ndarray:
@@ -371,23 +463,28 @@ def _drawn(arm: Arm, parameters: Parameters) -> np.ndarray:
 
 
 def _combination(names: Sequence[str], way: np.ndarray) -> str:
-    """A direction in words: its larger parts, the largest first and positive."""
+    """Larger parts of a direction: the largest is the first, and positive."""
     shares = way / way[np.argmax(np.abs(way))]
     large = [k for k in np.argsort(-np.abs(shares)) if abs(shares[k]) > SMALL_PART]
     return ", ".join(f"{names[k]} {shares[k]:+.1f}" for k in large)
 
 
-def _robust(
-    away: np.ndarray, slopes: np.ndarray, limit: float | None
-) -> tuple[np.ndarray, np.ndarray]:
-    """Differences whose squares grow linearly beyond a limit, and derivatives."""
+def _robust(away: np.ndarray, limit: float | None) -> tuple[np.ndarray, float]:
+    """Square roots of the weights of differences, and their cost.
+
+    The gradient of the cost is that of the weighted squares at constant weights.
+    """
+    squares = np.sum(away**2, axis=-1, keepdims=True)
     if limit is None:
-        return away, slopes
-    root = np.sqrt(1 + np.sum(away**2, axis=-1, keepdims=True) / limit**2)
-    weight = np.sqrt(2 / (1 + root))
-    along = np.sum(away * slopes, axis=-1, keepdims=True) / limit**2
-    change = -weight / (2 * root * (1 + root)) * along
-    return weight * away, weight * slopes + change * away
+        return np.ones_like(squares), float(np.sum(squares))
+    root = np.sqrt(1 + squares / limit**2)
+    return 1 / np.sqrt(root), float(2 * limit**2 * np.sum(root - 1))
+
+
+def _check_precision() -> None:
+    """Raises a ValueError unless numbers are in double precision."""
+    if not jax.config.jax_enable_x64:
+        raise ValueError("a twin needs float64: with jax.enable_x64(): ...")
 
 
 def _registered(
@@ -404,21 +501,24 @@ def _registered(
     for recording in ready:
         made.append(np.array(_evaluated(arm, point, _prepared(arm, recording))[0]))
         if not np.all(np.isfinite(made[-1])):
+            kind = "drawn" if known is None else "found"
             raise ValueError(
-                f"{recording.name}: the arm as drawn has no equilibrium under these "
+                f"{recording.name}: the arm as {kind} has no equilibrium under these "
                 "inputs, or its run is not finite: is a unit wrong?"
             )
+        seen = recording.points[np.isfinite(recording.points).all(axis=-1)]
+        extent = np.max(np.ptp(seen, axis=0)) if len(seen) else 0.0
+        if extent > MOST_LENGTHS * arm.length:
+            raise ValueError(
+                f"{recording.name}: markers are {extent:.3g} m apart on an arm of "
+                f"{arm.length:.3g} m: is the scale of the frame wrong?"
+            )
     if arm.origin is not None:
-        # It stays where it is drawn: neither the arm nor what is known of the camera
-        # by now moves it.
-        _, straight = arm.scene(arm.start, lambda numbers: jnp.zeros(len(numbers)))
-        place = np.asarray(arm.points(straight, arm.start))[arm.origin]
+        # It stays where it is drawn: neither the arm nor the camera moves it.
         for points in made:
-            points[:, arm.origin] = place
-    axes = None if arm.frame.axes is None else np.asarray(arm.frame.axes, float)
-    shift = None
-    if axes is not None and arm.origin is None:
-        shift = -np.sum(axes * np.asarray(arm.frame.origin, float), axis=-1)
+            points[:, arm.origin] = arm.straight[arm.origin]
+    axes, shift = arm.frame.axes, arm.shift
+    axes = None if axes is None else np.asarray(axes, float)
     if known is not None:
         axes = known.rotation
         shift = known.shifts[0] if arm.origin is None else None
@@ -478,7 +578,7 @@ def _made(arm: Arm, layout: _Layout, values: Mapping[str, Any], data: _Group) ->
     scene, _ = arm.scene(values, lambda numbers: table(late, pulls[:, numbers]))
     steps = layout.records * layout.every
     states = rollout(scene, rest, data.dt, steps, layout.every)
-    made = jax.vmap(lambda state: arm.points(state, values))(states)
+    made = jax.vmap(lambda state: arm.points(scene, state, values))(states)
     part = data.share[:, None, None]
     made = made[data.before] * (1 - part) + made[data.before + 1] * part
     return jnp.where(jnp.isfinite(points)[None], made, jnp.nan)
@@ -489,7 +589,7 @@ def _pose(arm: Arm, values: Mapping[str, Any], inputs: Array) -> tuple[Any, Arra
     pulls = arm.tensions(values, inputs)
     scene, state = arm.scene(values, lambda numbers: pulls[numbers])
     found = equilibrium(scene, state)
-    points = arm.points(found.state, values)
+    points = arm.points(scene, found.state, values)
     return found.state, jnp.where(found.converged, points, jnp.nan)
 
 
@@ -499,6 +599,9 @@ def _steps(arm: Arm, inputs: np.ndarray, duration: float) -> tuple[_Layout, floa
     stiff = dict(start)
     for name, sign in (("youngs_modulus", 3), ("density", -3), ("tension", 3)):
         stiff[name] = start[name] * np.exp(sign * arm.unknown.get(name, 0.0))
+    # Either end may be the stiffer one.
+    slope = 3 * arm.unknown.get("modulus_slope", 0.0)
+    stiff["youngs_modulus"] = stiff["youngs_modulus"] * np.exp(0.5 * slope)
     pulls = jnp.max(arm.tensions(stiff, inputs), axis=0)
     scene, _ = arm.scene(stiff, lambda numbers: pulls[numbers])
     stable = float(stable_dt(scene).dt)

@@ -13,8 +13,16 @@ from jaxtyping import Float
 from jaxrod.files import DamagedFileError, read_csv
 from jaxrod.twin.arm import Arm
 
-STILL = 1e-3
-"""Largest movement of a marker of an arm at rest, as a fraction of the arm's length."""
+STILL = 2e-3
+"""Standard deviation of the movement of a marker of an arm at rest, without its noise,
+as a fraction of the arm's length."""
+FEW = 30
+"""Number of frames below which noise cannot be told from movement."""
+DOUBT = 3.0
+"""Standard deviations of the estimate of the noise that are not taken for movement."""
+LOUDEST = 2e-2
+"""Largest distance between the quartiles of a coordinate at rest, noise included, as a
+fraction of the arm's length. More is a movement faster than the frames."""
 
 
 @dataclass(frozen=True)
@@ -54,26 +62,35 @@ class Recording:
             raise ValueError(f"{self.name}: an input is not finite")
 
     def is_at_rest(self, length: float) -> bool:
-        """Whether inputs are constant and markers stay within their noise.
+        """Whether markers stay where they are, but for noise from frame to frame.
+
+        Noise is told from movement by the differences of successive frames.
 
         Args:
             length: Length of the arm [m].
+
+        Source: J. von Neumann, Distribution of the ratio of the mean square successive
+        difference to the variance, 1941.
         """
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", RuntimeWarning)  # A marker never seen.
-            low, high = np.nanpercentile(self.points, [5, 95], axis=0)
-        moved = (high - low)[np.isfinite(high - low)]
-        constant = bool(np.all(self.inputs == self.inputs[:1]))
-        return constant and bool(np.all(moved < 10 * STILL * length))
+            spread = np.nanvar(self.points, axis=0)
+            if len(self.times) >= FEW:
+                steps = np.diff(self.points, axis=0)
+                unsure = DOUBT / np.sqrt(len(self.times)) * spread
+                spread = spread - unsure - 0.5 * np.nanmean(steps**2, axis=0)
+            low, high = np.nanpercentile(self.points, [25, 75], axis=0)
+        seen = np.isfinite(spread)
+        still = spread[seen] < (STILL * length) ** 2
+        return bool(np.all(still) and np.all((high - low)[seen] < LOUDEST * length))
 
     def averaged(self) -> Recording:
-        """One frame: the median of each marker over all frames."""
+        """One frame: the medians of each marker and each input over all frames."""
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", RuntimeWarning)  # A marker never seen.
             points = np.nanmedian(self.points, axis=0)[None]
-        return replace(
-            self, times=self.times[:1], inputs=self.inputs[:1], points=points
-        )
+        inputs = np.median(self.inputs, axis=0)[None]
+        return replace(self, times=self.times[:1], inputs=inputs, points=points)
 
 
 def read_recording(path: str | Path, arm: Arm) -> Recording:
@@ -98,37 +115,50 @@ def read_recording(path: str | Path, arm: Arm) -> Recording:
         if name.endswith("_x") and {name[:-2] + "_y", name[:-2] + "_z"} <= {*columns}
     ]
     wanted = [marker.name for marker in arm.markers]
-    labelled = set(wanted) <= set(names)
+    known = [name for name in wanted if name in names]
+    labelled = len(known) == len(wanted)
     names = wanted if labelled else names
     try:
         for name in ("time", *arm.inputs):
             if name not in numbers:
                 raise ValueError(f"it has no column {name!r}")
+        if known and not labelled:
+            missing = ", ".join(name for name in wanted if name not in known)
+            raise ValueError(
+                f"it has columns of the markers {', '.join(known)}, and none of "
+                f"{missing}: name all of them, or none"
+            )
         if len(names) != len(wanted):
             raise ValueError(
                 f"it has the markers {', '.join(names) or 'none'}, and the arm has "
                 f"{', '.join(wanted)}: as many are needed"
             )
-        table = _numbers(columns, rows)
-        marked = [[numbers[f"{name}_{axis}"] for axis in "xyz"] for name in names]
+        marked = [numbers[f"{name}_{axis}"] for name in names for axis in "xyz"]
+        points = _numbers(rows, marked, columns)
         return Recording(
             name=file.stem,
-            times=table[:, numbers["time"]],
-            inputs=table[:, [numbers[name] for name in arm.inputs]],
-            points=arm.frame.scale * table[:, np.array(marked)],
+            times=_numbers(rows, [numbers["time"]], columns)[:, 0],
+            inputs=_numbers(rows, [numbers[name] for name in arm.inputs], columns),
+            points=arm.frame.scale * points.reshape(-1, len(names), 3),
             labelled=labelled,
         )
     except ValueError as error:
         raise DamagedFileError(f"{file}: {error}") from error
 
 
-def _numbers(columns: Sequence[str], rows: Sequence[Sequence[str]]) -> np.ndarray:
-    """All numbers of a table; NaN where there is none."""
-    table = np.full((len(rows), len(columns)), np.nan)
+def _numbers(
+    rows: Sequence[Sequence[str]], chosen: Sequence[int], columns: Sequence[str]
+) -> np.ndarray:
+    """Numbers of some columns; NaN where a place is empty."""
+    table = np.empty((len(rows), len(chosen)))
     for r, row in enumerate(rows):
-        for c, word in enumerate(row):
+        for c, column in enumerate(chosen):
+            word = row[column].strip()
             try:
-                table[r, c] = float(word) if word.strip() else np.nan
+                table[r, c] = float(word or "nan")
             except ValueError:
-                table[r, c] = np.nan
+                raise ValueError(
+                    f"row {r + 1} has {word!r} in the column {columns[column]!r}, "
+                    "which is no number"
+                ) from None
     return table

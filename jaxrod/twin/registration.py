@@ -31,6 +31,9 @@ MOST_MARKERS = 7
 """Markers of which all orders are tried."""
 CANDIDATES = 6
 """Orders of each recording whose frames are tried on all recordings."""
+ON_A_LINE = 1e-4
+"""Ratio of the extent across a line to that along it, squared, below which points are
+on it [1]."""
 ROUNDS = 10
 """Largest number of times that orders follow from a frame."""
 
@@ -133,16 +136,26 @@ class _Moments:
         # Less is the rounding of the squares.
         return np.maximum(found, np.finfo(float).eps * self.squares.max())
 
-    def paired(self, options: np.ndarray) -> np.ndarray:
-        """Products of paired points, summed over the markers, for each order."""
-        return self.products[options, np.arange(self.count)].sum(axis=-3)
+    def paired(self, options: np.ndarray, origin: int | None) -> np.ndarray:
+        """Products of paired points, summed over the markers, for each order.
+
+        They are those of vectors from a marker, if one is the origin.
+        """
+        own = self.products[options, np.arange(self.count)].sum(axis=-3)
+        if origin is None:
+            return own
+        from_origin = options[:, origin]
+        own -= self.products[options, origin].sum(axis=-3)
+        own -= self.products[from_origin].sum(axis=-3)
+        return own + self.count * self.products[from_origin, origin]
 
 
 def _moments(recording: Recording, predicted: np.ndarray) -> _Moments:
     whole = np.all(np.isfinite(recording.points), axis=(1, 2))
     if not whole.any():
         raise ValueError(
-            f"{recording.name}: no frame has all {recording.points.shape[1]} markers"
+            f"{recording.name}: no frame has all {recording.points.shape[1]} markers, "
+            "which is needed where labels or the frame of the camera are not known"
         )
     q, p = recording.points[whole], predicted[whole]
     squares = np.mean(np.sum(q**2, -1), 0)[:, None] + np.mean(np.sum(p**2, -1), 0)
@@ -168,8 +181,11 @@ class _Known:
     ) -> list[tuple[np.ndarray, np.ndarray]]:
         """Frames in which a recording fits best, one for each of its best orders."""
         if self.axes is None:
-            centres = np.outer(moments.made.mean(0), moments.seen.mean(0))
-            turns = _rotations(moments.paired(options) - moments.count * centres)
+            products = moments.paired(options, self.origin)
+            if self.origin is None:
+                centres = np.outer(moments.made.mean(0), moments.seen.mean(0))
+                products = products - moments.count * centres
+            turns = _rotations(products)
         else:
             turns = np.broadcast_to(self.axes, (len(options), 3, 3))
         middle = moments.made.mean(0) - _turned(turns, moments.seen.mean(0))
@@ -250,10 +266,18 @@ def _improved(
         seen = weights @ np.array([m.seen.mean(0) for m in moments])
         if known.axes is None:
             products = [
-                m.paired(o[None])[0] for m, o in zip(moments, chosen, strict=True)
+                m.paired(o[None], known.origin)[0]
+                for m, o in zip(moments, chosen, strict=True)
             ]
             total = np.tensordot(weights, np.array(products), 1)
-            turn = _rotations(total - count * np.outer(made, seen))
+            if known.origin is None:
+                total = total - count * np.outer(made, seen)
+            if not _in_space(total):
+                raise ValueError(
+                    "the markers of all recordings are on a line, so the frame of the "
+                    "camera cannot be found: give its axes"
+                )
+            turn = _rotations(total)
         shift = made - _turned(turn, seen)
     least = np.array([np.min(c) for c in costs])
     ratios = [np.sqrt(np.partition(c, 1)[1] / np.min(c)) for c in costs if len(c) > 1]
@@ -269,6 +293,12 @@ def _improved(
 def _turned(turn: np.ndarray, points: np.ndarray) -> np.ndarray:
     """Points after a rotation, or after each of several."""
     return np.sum(turn * points[..., None, :], axis=-1)
+
+
+def _in_space(products: np.ndarray) -> bool:
+    """Whether points determine a rotation: they are not all on a line."""
+    sizes = np.linalg.svd(products, compute_uv=False)
+    return bool(sizes[1] > ON_A_LINE * sizes[0])
 
 
 def _rotations(products: np.ndarray) -> np.ndarray:

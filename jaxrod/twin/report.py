@@ -10,7 +10,7 @@ import numpy as np
 
 from jaxrod.files import write_atomically
 from jaxrod.twin.arm import UNKNOWNS
-from jaxrod.twin.identification import Comparison, Twin
+from jaxrod.twin.identification import Comparison, Twin, root_mean_square
 
 STYLE = """\
 body { font: 16px/1.5 system-ui, sans-serif; max-width: 60rem; margin: 2rem auto;
@@ -57,14 +57,9 @@ def save_report(
         f"<style>{STYLE}</style>",
         "<h1>Twin of an arm</h1>",
         f"<p>{len(fitted)} recordings were fitted, {len(forecasts)} forecast. Noise of "
-        f"a coordinate: {1000 * twin.noise:.2f} mm."
-        + ("" if bool(twin.fit.converged) else " <strong>Not converged.</strong>")
-        + "</p><h2>Unknowns</h2>",
+        f"a coordinate: {1000 * twin.noise:.2f} mm.</p><h2>Unknowns</h2>",
         _unknowns(twin),
-        *[
-            f"<p>Known from the drawing alone: {escape(words)}.</p>"
-            for words in twin.undetermined
-        ],
+        *[f"<p>{escape(remark)}.</p>" for remark in twin.remarks],
         "<h2>Fitted recordings</h2>",
         _errors(twin, fitted),
         *([] if not forecasts else ["<h2>Forecasts</h2>", _errors(twin, forecasts)]),
@@ -97,12 +92,16 @@ def _errors(twin: Twin, comparisons: Sequence[Comparison]) -> str:
     names = [escape(marker.name) for marker in twin.arm.markers]
     rows = [f"<tr><th>distance [mm]<th>{'<th>'.join(names)}"]
     for one in comparisons:
-        cells = [f"{1000 * error:.1f}" for error in one.errors]
+        cells = _millimetres(one.errors)
         rows.append(f"<tr><td>{escape(one.recording.name)}<td>{'<td>'.join(cells)}")
-    together = np.sqrt(np.nanmean([one.errors**2 for one in comparisons], axis=0))
-    cells = [f"{1000 * error:.1f}" for error in together]
+    cells = _millimetres(root_mean_square([one.errors for one in comparisons]))
     rows.append(f"<tr><td>root mean square<td>{'<td>'.join(cells)}")
     return f"<table>{''.join(rows)}</table>"
+
+
+def _millimetres(errors: np.ndarray) -> list[str]:
+    """Errors [mm]; a dash where there is none."""
+    return [f"{1000 * e:.1f}" if np.isfinite(e) else "-" for e in errors]
 
 
 def _pictures(one: Comparison) -> str:

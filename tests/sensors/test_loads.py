@@ -27,6 +27,24 @@ def test_a_wall_holds_the_end_of_a_bent_rod_with_its_moment():
         sensors.support_couple("tip").read(scene, state)
 
 
+def test_a_support_of_both_ends_is_refused():
+    """Its reaction is that of both together."""
+
+    class Vice(jaxrod.extend.Effect):
+        def held(self, rod):
+            return tuple(jaxrod.extend.Held(node) for node in (0, -1))
+
+        def reaction(self, rod, motion, needed):
+            both = tuple(part[0] + part[-1] for part in needed.forces)
+            return jaxrod.extend.Reaction.of(both)
+
+    rod, state = upright()
+    scene = jaxrod.make_scene(rod, jaxrod.gravity(), jaxrod.extend.pytree(Vice)())
+    for end in ("base", "tip"):
+        with pytest.raises(ValueError, match=f"Vice holds the {end} of the rod and an"):
+            sensors.support_force(end).read(scene, state)
+
+
 def test_a_cable_is_shorter_on_the_inner_side():
     rod, _ = upright()
     offset, n = 0.015, rod.n_elements

@@ -36,7 +36,7 @@ def drawing(axes=tuple(map(tuple, np.eye(3))), **unknown):
             twin.Marker("tip", 0.3, (0.004, 0.0, 0.01)),
         ),
         unknown=unknown,
-        frame=twin.Frame(axes=axes),
+        frame=twin.Frame(axes, None if axes is None else (0.0, 0.0, 0.0)),
     )
 
 

@@ -84,6 +84,33 @@ def test_a_marker_at_the_origin_gives_each_recording_its_shift():
     assert twin.register(recorded, made, axes=turn).distance > 0.03
 
 
+def test_axes_are_found_from_recordings_that_each_have_an_origin():
+    """Between recordings, the camera was moved but not turned."""
+    rng = np.random.default_rng(9)
+    (turn, shift), made = a_camera(rng), shapes(rng)
+    for points in made:
+        points[:, 0] = POINTS[0]
+    moved = [(turn, shift + rng.standard_normal(3)) for _ in made]
+    orders = [rng.permutation(4) for _ in made]
+    recorded = [
+        seen(p, c, o, 0, rng) for p, c, o in zip(made, moved, orders, strict=True)
+    ]
+    found = twin.register(recorded, made, origin=0)
+    assert [list(o) for o in found.orders] == [list(np.argsort(o)) for o in orders]
+    assert np.abs(found.rotation - turn).max() < 1e-9
+    assert np.abs(found.shifts - [c[1] for c in moved]).max() < 1e-9
+
+
+def test_markers_on_a_line_show_no_axes():
+    rng = np.random.default_rng(10)
+    camera, order = a_camera(rng), np.arange(4)
+    made = [np.linspace(0, 0.3, 4)[:, None] * np.ones((3, 1, 3))]
+    recorded = [seen(made[0], camera, order, 1e-6, rng, labelled=True)]
+    for origin in (None, 0):
+        with pytest.raises(ValueError, match="on a line, so the frame of the camera"):
+            twin.register(recorded, made, origin=origin)
+
+
 def test_labels_that_are_known_are_kept():
     rng = np.random.default_rng(6)
     camera, made = a_camera(rng), shapes(rng)
