@@ -117,8 +117,11 @@ def lowered_by_warps(
             refused(words, rods)
             return None
         target = registered_on_gpu(kernel, launch)
+    except NotUnrolled as reason:
+        refused(str(reason), rods)
+        return None
     except Exception as error:
-        if mode in (ALWAYS, ROWS) and type(error) is not NotUnrolled:
+        if mode in (ALWAYS, ROWS):
             raise
         first_line = str(error).partition("\n")[0]
         refused(f"no kernel: {type(error).__name__}: {first_line}", rods)

@@ -122,9 +122,11 @@ def _driver() -> Any:
     driver.cuInit.argtypes = [ctypes.c_uint]
     if driver.cuInit(0) != 0:
         raise OSError("it does not start")
-    for name in ("cuLibraryLoadData", "cuLibraryGetKernel", "cuKernelSetAttribute"):
-        if not hasattr(driver, name):
-            raise OSError(f"it has no {name}; CUDA 12 has")
+    try:
+        _ = driver.cuLibraryLoadData, driver.cuLibraryGetKernel
+        _ = driver.cuKernelSetAttribute
+    except AttributeError as error:
+        raise OSError(f"it is older than CUDA 12: {error}") from error
     return driver
 
 
