@@ -93,6 +93,7 @@ def test_a_row_is_measured_in_the_precision_it_names(batch, dtype, mode):
     assert row.compile_s > 0
 
 
+@pytest.mark.slow
 def test_a_faster_program_that_is_wrong_is_caught(monkeypatch, no_pyelastica, run):
     right = arms.advance_arms
 

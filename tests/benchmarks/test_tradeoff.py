@@ -29,6 +29,7 @@ def swinging():
         return problem, reference(problem, 24)
 
 
+@pytest.mark.slow
 def test_the_grid_has_every_way_of_simulating(swinging):
     problem, _ = swinging
     settings = list(grids.settings_of(problem, (5, 10)))
@@ -91,6 +92,7 @@ def test_the_front_holds_what_none_beats():
     assert grids.cheapest(rows, 0.01) is None
 
 
+@pytest.mark.slow
 def test_simulators_without_our_contact_are_left_out_with_a_word(monkeypatch):
     monkeypatch.setattr(grids, "settings_of", lambda problem, elements: [])
     said: list[str] = []

@@ -271,6 +271,7 @@ def small():
     return process, start
 
 
+@pytest.mark.slow
 def test_the_filter_is_kalmans_and_its_errors_are_as_large_as_it_says(small):
     process, start = small
 

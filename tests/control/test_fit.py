@@ -31,6 +31,7 @@ def test_parameters_are_found_exactly_without_noise():
     assert fit.undetermined == ()
 
 
+@pytest.mark.slow
 def test_a_straight_line_has_its_closed_form():
     design = np.stack([np.ones_like(TIMES), TIMES], axis=1)
     observed = design @ np.array([-1.0, 3.0]) + noise(0)

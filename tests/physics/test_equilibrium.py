@@ -310,6 +310,7 @@ def test_bad_arguments_are_refused():
         jaxrod.equilibrium(other, state)
 
 
+@pytest.mark.slow
 def test_equilibrium_starts_from_a_moving_state_and_ends_at_rest():
     rod, state = arm(20, radius=0.005)
     moving = replace(state, velocities=state.velocities + 1.0)

@@ -83,6 +83,7 @@ def test_the_implicit_step_is_of_second_order_in_dt(name, radius, record):
         )
 
 
+@pytest.mark.slow
 def test_implicit_and_explicit_steps_agree_as_dt_goes_to_zero(record):
     """Each extrapolated to dt = 0 from its own two smallest steps."""
     scene, _ = loaded(1.0, 1.0)

@@ -39,6 +39,7 @@ def test_a_thin_rope_takes_five_times_larger_steps(record):
     np.testing.assert_array_equal(after.linear_density, before.linear_density)
 
 
+@pytest.mark.slow
 def test_the_swing_is_the_same():
     scene, state = rope(20)
     scene = replace(scene, effects=(*scene.effects, jaxrod.gravity((9.81, 0.0, 0.0))))
@@ -110,6 +111,7 @@ def test_a_step_beyond_the_other_limits_is_refused():
         jaxrod.scale_inertia(scene, 0.0)
 
 
+@pytest.mark.slow
 def test_natural_frequencies_are_those_of_a_hanging_mass():
     """Stretch alone: a bar clamped at one end, closed form of the discrete chain."""
     n = 10
@@ -127,6 +129,7 @@ def test_natural_frequencies_are_those_of_a_hanging_mass():
     )
 
 
+@pytest.mark.slow
 def test_a_free_rod_has_six_rigid_motions():
     rod, state = arm(6)
     every = jaxrod.natural_frequencies(jaxrod.make_scene(rod), state)

@@ -223,6 +223,7 @@ def spinning(rod, state, axis):
     return jaxrod.with_angular_velocities(rod, moving, material)
 
 
+@pytest.mark.slow
 def test_a_rigid_motion_is_not_damped(record):
     """Bent rest shape, any axis; one kick with a relaxation time of a whole second."""
     rod, state = random_rod(3, n_elements=N)
@@ -304,6 +305,7 @@ def test_what_is_no_time_is_refused():
         jaxrod.internal_damping(-1.0)
 
 
+@pytest.mark.slow
 def test_without_twist_it_is_the_same_from_wherever_it_is_seen(record):
     """Frames that mean nothing but their direction: none of it depends on them."""
     scene, state = free()

@@ -117,6 +117,7 @@ def test_a_rod_on_one_pin_hangs_down_and_may_spin():
     assert bool(standing.converged) and not bool(standing.stable)
 
 
+@pytest.mark.slow
 def test_an_arch_on_pins_is_loose_only_where_nothing_turns_it_back():
     """Hanging from its pins it swings back, standing on them it falls over."""
     angles = np.linspace(0, np.pi, N + 1)

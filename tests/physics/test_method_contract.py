@@ -256,6 +256,7 @@ def test_an_effect_has_the_same_consequence_in_every_method(method, kind):
 
 
 # Minutes of compiling, all together.
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "method",
     [pytest.param(method, marks=slow_if(method != "planar")) for method in METHODS],

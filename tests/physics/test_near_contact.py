@@ -140,6 +140,7 @@ def test_gradients_are_those_of_all_bodies():
         assert difference(a, b) <= 1e-11 * jnp.max(jnp.abs(b))
 
 
+@pytest.mark.slow
 def test_vmap_over_rods_chooses_for_each_of_them():
     rod, state = thick_arm()
     everything = rubbing(scattered("capsule"))
@@ -157,6 +158,7 @@ def test_vmap_over_rods_chooses_for_each_of_them():
     assert len({float(jnp.max(jnp.abs(one))) for one in single}) > 2
 
 
+@pytest.mark.slow
 def test_the_stable_step_counts_the_bodies_that_are_looked_at():
     rod, state = thick_arm()
     everything = rubbing(scattered("sphere"), stiffness=1e9)

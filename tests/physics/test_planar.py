@@ -111,6 +111,7 @@ def last_bit_moved(state):
     return replace(state, positions=jnp.asarray(moved))
 
 
+@pytest.mark.slow
 def test_principal_axes_may_lie_obliquely_where_all_axes_are_alike():
     scene, state = swinging("yz", aligned=False)
     flat = jaxrod.advance(scene, state, 2e-4, 200)
@@ -152,6 +153,7 @@ def test_batches_and_numbers_do_not_recompile():
     check_one_program(*swinging("xy"), rtol=1e-13)
 
 
+@pytest.mark.slow
 def test_it_costs_less_than_two_fifths_of_the_arithmetic(record):
     record(
         "Arithmetic of a planar step over that of a step in space",

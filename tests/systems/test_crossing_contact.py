@@ -80,6 +80,7 @@ def test_a_crossing_is_counted_once_wherever_it_is(length, record):
     )
 
 
+@pytest.mark.slow
 def test_a_load_on_a_limp_rope_may_be_anywhere_along_an_element(record):
     """Work of a load that slides, at its share of each node of a rope under tension."""
     n, pull = 12, []

@@ -56,6 +56,7 @@ def by_ball_and_by_force():
     return of_ball, of_force
 
 
+@pytest.mark.slow
 def test_a_ball_at_the_tip_pulls_like_its_weight(record):
     of_ball, of_force = by_ball_and_by_force()
     mass = jnp.asarray(0.3)

@@ -194,6 +194,7 @@ def found_in_draw(arm, seed, made, **late):
     return found, scores(found, truth), right
 
 
+@pytest.mark.slow
 def test_a_shuffled_log_of_poses_is_found(arm):
     found, z, right = found_in_draw(arm, 0, [pose(*pulls) for pulls in POSES])
     assert right and bool(found.fit.converged)
