@@ -10,6 +10,7 @@ import pytest
 from jax import lax
 
 import jaxrod
+from jaxrod.jax_internals import foreign_call
 from jaxrod.jax_internals.foreign_call import launcher_text
 from jaxrod.lanes import kernels, primitives
 from jaxrod.lanes.choice import lane_choices, slower, use_lanes
@@ -421,3 +422,21 @@ def test_the_handler_refuses_other_buffers_and_reports_a_launch_that_failed():
     assert "4 operands" in frame.words[0]
     frame = Frame(3, 2, status=701)
     assert frame.call(3, 2) == 4321 and len(frame.words) == 1
+
+
+@pytest.mark.parametrize(
+    ("known", "changed", "words"),
+    [
+        ("FIELD(XLA_FFI_Handler_Register);", "FIELD(XLA_FFI_Other);", "XLA_FFI_Api"),
+        ("void* stream;", "void* other;", "XLA_FFI_Stream_Get_Args"),
+    ],
+)
+def test_a_header_with_another_way_to_the_stream_is_refused(
+    monkeypatch, known, changed, words
+):
+    text = foreign_call.header()
+    assert known in text
+    monkeypatch.setattr(foreign_call, "header", lambda: text.replace(known, changed))
+    foreign_call.unknown_stream.cache_clear()
+    assert words in foreign_call.unknown_stream()
+    foreign_call.unknown_stream.cache_clear()

@@ -120,7 +120,7 @@ class WarpPlan(RowPlan):
         stored: Sequence[int] = (),
     ) -> None:
         """Writes a function that computes goals; every function has all buffers."""
-        whole = [*REGIONS[1:], *pointers, *self.buffers]
+        whole = [*REGIONS[1:], *self.buffers, *pointers]
         super().function(name, goals, whole, stored)
 
     def writer(self, schedule: Schedule) -> RowWriter:
@@ -141,14 +141,14 @@ class WarpPlan(RowPlan):
 
     def call(self, name: str, *pointers: str) -> str:
         """Writes a call of a function."""
-        whole = [*REGIONS, *pointers, *self.buffers]
-        given = ", ".join(f"ptr {pointer}" for pointer in whole)
-        return f"call void @{name}(i64 %thread, {given})\n"
+        given = [self.given, *(f"ptr {pointer}" for pointer in pointers)]
+        return f"call void @{name}({', '.join(given)})\n"
 
     @property
     def given(self) -> str:
-        """First arguments of the functions that a loop over steps calls."""
-        return ", ".join(["i64 %thread", *(f"ptr {p}" for p in REGIONS)])
+        """First arguments of all functions."""
+        pointers = (*REGIONS, *self.buffers)
+        return ", ".join(["i64 %thread", *(f"ptr {pointer}" for pointer in pointers)])
 
     def name_buffers(self, n_given: int, n_made: int) -> None:
         """Names the buffers that functions read and write.
@@ -218,17 +218,6 @@ class WarpPlan(RowPlan):
         ins = [f"%in{i}" for i in range(n_operands)]
         outs = [f"%out{i}" for i in range(n_results)]
         buffers = ", ".join(f"ptr {name}" for name in (*ins, *outs))
-        # Functions that do not depend on a scene take any pointer for its rows.
-        absent = "".join(
-            f"%{name[1:]}_none = getelementptr i8, ptr %out{n_results - 1}, i64 0\n"
-            for name in self.buffers
-            if not name.startswith("%in")
-        )
-        shared = self.call("shared")
-        for name in self.buffers:
-            if not name.startswith("%in"):
-                shared = shared.replace(f"ptr {name},", f"ptr {name}_none,")
-                shared = shared.replace(f"ptr {name})", f"ptr {name}_none)")
         main = f"""
 define internal void @run(i64 %thread, i64 %warp, i64 %warps, ptr %room, ptr %kept0,
     {buffers}) alwaysinline {{
@@ -236,8 +225,6 @@ entry:
 {counts_text()}
 {"".join(lines)}
 %uniform = getelementptr i8, ptr %out{n_results - 1}, i64 0
-{absent}
-{shared}
 br label %scenes_test
 scenes_test:
 %scene = phi i64 [%warp, %entry], [%following, %scene_done]
@@ -321,11 +308,10 @@ def cycles_by_warps(
         for i, (aval, place) in enumerate(carry)
     )
     text = f"""{plan.rows(plan.carry, plan.carry)}
-{plan.call("fixed")}
-{{fills}}
+{plan.call("shared")}{plan.call("fixed")}{{fills}}
 {fetches}
 {WAIT}
-{with_buffers(plan, forward_loops("scenes", plan.given, marks), ("step",))}
+{forward_loops("scenes", plan.given, marks)}
 {brings}"""
     n_results = n_carry * (2 if checkpoints else 1) + 1
     spaces = {"now0": plan.now.size, "then0": plan.now.size}
@@ -353,11 +339,10 @@ def run_by_warps(body: LoopBody, ends: Ends, batched: tuple[bool, ...]) -> WarpK
     plan.function("begin", begin, ["%then"])
     plan.function("end", end, ["%now"])
     text = f"""{plan.rows(avals, ends.made)}
-{plan.call("fixed")}
-{{fills}}
+{plan.call("shared")}{plan.call("fixed")}{{fills}}
 {WAIT}
 {plan.call("begin", "%now0")}
-{with_buffers(plan, forward_loops("scenes", plan.given), ("step",))}
+{forward_loops("scenes", plan.given)}
 {plan.call("end", "%now1")}"""
     spaces = {"now0": plan.now.size, "then0": plan.now.size}
     return plan.finished(text, 1 + n + len(avals), len(ends.made) + 1, spaces)
@@ -408,14 +393,13 @@ def back_by_warps(
     )
     loops = backward_loops("scenes", plan.given, plan.now.size, marks)
     text = f"""{plan.rows((), avals)}
-{plan.call("fixed")}
-{{fills}}
+{plan.call("shared")}{plan.call("fixed")}{{fills}}
 call void @fill_i8(i64 %thread, ptr %back0, i64 0, i8 0, i64 {before.size}, i64 1,
     i64 0)
 {WAIT}
 {seeds}
 {WAIT}
-{with_buffers(plan, loops, ("step", "adjoint"))}
+{loops}
 {brings}"""
     spaces = {"back0": before.size, "other0": before.size}
     return plan.finished(
@@ -442,14 +426,3 @@ def kernel_of_warps(name: str, spec: RunSpec) -> WarpKernel:
     if name == "jaxrod_cycles":
         return cycles_by_warps(body, batched, checkpoints=spec.keeps)
     return back_by_warps(body, spec.moving, batched)
-
-
-def with_buffers(plan: WarpPlan, text: str, names: Sequence[str]) -> str:
-    """Appends the buffers to the arguments of calls in a loop over steps."""
-    buffers = "".join(f", ptr {name}" for name in plan.buffers)
-    lines = []
-    for line in text.splitlines():
-        if any(line.startswith(f"call void @{name}(") for name in names):
-            line = f"{line.removesuffix(')')}{buffers})"
-        lines.append(line)
-    return "\n".join(lines)
