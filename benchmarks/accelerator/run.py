@@ -1,4 +1,4 @@
-"""Numbers and speed of a GPU: kernels of warps beside XLA, and the CPU's numbers.
+"""Numbers and speed of a GPU: kernels of warps beside XLA, and the CPU.
 
 Every section prints both programs, measured one after the other on the same device.
 Compiling is not counted, but stated.

@@ -187,15 +187,27 @@ br i1 %launched, label %done, label %refuse
 done:
 ret ptr null
 """
-    return _handler(name, n_operands, n_results, work)
+    failed = f"jaxrod: CUDA did not launch a kernel of {blocks} blocks"
+    return _handler(name, n_operands, n_results, work, failed)
 
 
-def _handler(name: str, n_operands: int, n_results: int, work: str) -> str:
-    """Writes a handler; `work` is its code for a call with the right buffers."""
+def _handler(
+    name: str, n_operands: int, n_results: int, work: str, failed: str = ""
+) -> str:
+    """Writes a handler.
+
+    Args:
+        name: Name of the handler.
+        n_operands: Number of operands of the kernel.
+        n_results: Number of its results.
+        work: Code for a call with the right buffers. It may go to `%refuse`.
+        failed: Message for that case.
+    """
     major, minor = api_version()
-    words = f"jaxrod: a kernel of {n_operands} operands could not be called"
+    words = f"jaxrod: a kernel of {n_operands} operands was called with others"
     return f"""
 @words = private constant [{len(words) + 1} x i8] c"{words}\\00"
+@failed = private constant [{len(failed) + 1} x i8] c"{failed}\\00"
 define ptr @{name}(ptr %frame) nounwind {{
 entry:
 %pe = getelementptr i8, ptr %frame, i64 8
@@ -229,12 +241,13 @@ check:
 %abc = and i1 %ab, %c
 br i1 %abc, label %work, label %refuse
 refuse:
+%reason = phi ptr [@words, %check]{", [@failed, %go]" if failed else ""}
 %error = alloca [32 x i8], align 8
 store i64 32, ptr %error
 %ee = getelementptr i8, ptr %error, i64 8
 store ptr null, ptr %ee
 %em = getelementptr i8, ptr %error, i64 16
-store ptr @words, ptr %em
+store ptr %reason, ptr %em
 %ec = getelementptr i8, ptr %error, i64 24
 store i32 13, ptr %ec
 %papi = getelementptr i8, ptr %frame, i64 16

@@ -43,8 +43,9 @@ _choices: deque[LaneChoice] = deque(maxlen=100)
 def use_lanes(mode: str) -> None:
     """Sets when programs that are compiled from now on use lanes.
 
-    Lanes are for CPUs. NVIDIA's GPUs have warps instead, in every mode but `"never"`.
-    XLA runs on other devices.
+    Lanes are for CPUs. NVIDIA GPUs have warps instead: wherever they are faster in mode
+    `"auto"`, and wherever they are possible in modes `"always"` and `"rows"`. Other
+    devices use XLA.
 
     Args:
         mode: `"auto"` (whichever is faster), `"always"` (lanes wherever they are
@@ -98,7 +99,7 @@ def slower() -> str | None:
     if reason is None:
         return None
     if jax.default_backend() != "cpu":
-        return f"Batches run in XLA, not in kernels of warps, because {reason}."
+        return f"XLA runs batches here, not jaxrod's own kernels, because {reason}."
     return (
         "Lanes are off: batches on CPUs run in XLA, about a fifth as fast, because "
         f"{reason}."

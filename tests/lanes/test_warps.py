@@ -72,7 +72,7 @@ def test_a_rod_longer_than_a_warp_moves_as_in_rows(threads):
     many = shaken(state, 3, 0)
     rows, warps = both(jax.vmap(lambda s: jaxrod.advance(scene, s, dt, 4)), many)
     assert taken == [("jaxrod_run", 3)]
-    assert apart(warps, rows) < 1e-12
+    assert apart(warps, rows) < 1e-11
 
 
 def test_derivatives_of_a_cycle_are_those_of_xla(threads):
@@ -174,6 +174,65 @@ def test_warps_of_many_blocks_keep_to_their_own_memory(threads, monkeypatch, sha
         found.append(jax.tree.leaves(jax.jit(lambda *a, f=slope: f(*a))(*given)))
     assert {name for name, _ in taken} == {"jaxrod_cycles", "jaxrod_cycles_adjoint"}
     close(*found)
+
+
+@pytest.mark.parametrize("n", [20, 31, 32, 33, 64, 65])
+def test_memory_is_used_again_only_after_a_wait(threads, n):
+    """A row of as many numbers as a warp has threads needs no loop."""
+    numbers = jnp.asarray(np.random.default_rng(6).normal(size=(2, n + 1)))
+
+    def cycle(x):
+        s = 0.3
+        for function in (jnp.tanh, jnp.cos, jnp.sin, jnp.tanh):
+            y = function(x * s)
+            change = 2 * y[1:] - y[:-1]
+            s = jnp.sum(change**3)
+        return [0.5 * x + s]
+
+    close(*repeated(cycle, numbers))
+
+
+def test_what_all_scenes_share_is_right_while_other_warps_begin(threads):
+    rng = np.random.default_rng(7)
+    shared = jnp.asarray(rng.normal(size=(60, 40)))
+    places = jnp.asarray(rng.integers(0, 40, size=200), jnp.int32)
+    parts = jnp.asarray(rng.normal(size=200))
+    numbers = jnp.asarray(rng.normal(size=(8, 40)))
+
+    def cycle(table, where, part, x):
+        added = jnp.zeros(40).at[where].add(part)
+        return [0.5 * x + jnp.sum(table, axis=0) + added]
+
+    given = shared, places, parts, numbers[0]
+    body = LoopBody(jax.make_jaxpr(cycle)(*given), 3)
+    spec = RunSpec(body, None)
+    found = []
+    for mode in ("rows", "never"):
+        use_lanes(mode)
+        run = lambda x: cycles_p.bind(jnp.int32(3), shared, places, parts, x, spec=spec)
+        found.append(jax.jit(jax.vmap(lambda x, run=run: run(x)))(numbers))
+    assert taken == [("jaxrod_cycles", 8)]
+    close(*found)
+
+
+def test_copies_of_small_numbers_begin_anywhere(threads):
+    truths = jnp.asarray(np.random.default_rng(8).integers(0, 2, (2, 13)), bool)
+    places = jnp.asarray([[3, 5], [0, 7]], jnp.int32)
+
+    def cycle(x, where):
+        return [jnp.roll(jnp.tile(x[1:9].at[where].set(True), 2)[:13], 1), where]
+
+    found, expected = repeated(cycle, truths, places)
+    assert np.array_equal(found[0], expected[0])
+    aval = jax.ShapeDtypeStruct((13,), bool), jax.ShapeDtypeStruct((2,), jnp.int32)
+    kernel = cycles_by_warps(
+        LoopBody(jax.make_jaxpr(cycle)(*aval), 0), (), checkpoints=False
+    )
+    lines = kernel.text.splitlines()
+    odd = [line.split(" = ")[0] for line in lines if "ptr %now, i64 1" in line]
+    copies = [line for line in lines if any(f"ptr {name}, i64" in line for name in odd)]
+    assert any("@copy_8(" in line for line in copies)
+    assert not any("@copy_32(" in line for line in copies)
 
 
 def test_a_recurrence_longer_than_a_warp_is_the_same(threads):
@@ -326,11 +385,18 @@ def test_without_a_driver_the_reason_is_given(monkeypatch):
         raise OSError(f"{name}: no such file")
 
     monkeypatch.setattr(ctypes, "CDLL", no_library)
-    assert "no CUDA driver: libcuda.so.1" in cuda.not_here()
+    monkeypatch.setattr(jax, "local_devices", lambda backend: [GPU])
+    assert "no GPU for CUDA: libcuda.so.1" in cuda.not_here()
     monkeypatch.setattr(jax, "default_backend", lambda: "gpu")
     use_lanes("auto")
-    assert "no CUDA driver" in slower()
+    assert "no GPU for CUDA" in slower()
     cuda.not_here.cache_clear()
+
+
+class GPU:
+    """A device of JAX."""
+
+    local_hardware_id = 0
 
 
 class Frame:
@@ -421,7 +487,8 @@ def test_the_handler_refuses_other_buffers_and_reports_a_launch_that_failed():
     assert frame.call(4, 2) == 4321 and frame.launched == []
     assert "4 operands" in frame.words[0]
     frame = Frame(3, 2, status=701)
-    assert frame.call(3, 2) == 4321 and len(frame.words) == 1
+    assert frame.call(3, 2) == 4321
+    assert frame.words == ["jaxrod: CUDA did not launch a kernel of 7 blocks"]
 
 
 @pytest.mark.parametrize(

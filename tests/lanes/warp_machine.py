@@ -1,4 +1,8 @@
-"""A machine for kernels of warps: 32 threads of the processor."""
+"""A machine for kernels of warps: threads of the processor, 32 for each warp.
+
+The text is optimised as it is for a GPU, so that what LLVM moves across a wait is seen.
+The warps of a block run at the same time.
+"""
 
 import ctypes
 import threading
@@ -10,8 +14,8 @@ import numpy as np
 from jaxrod.lanes.choice import NEVER, LaneChoice, lane_mode, note, refused
 from jaxrod.lanes.jaxpr.unroll import NotUnrolled
 from jaxrod.lanes.llvm.elementary import elementary_texts
-from jaxrod.lanes.llvm.machine_code import native_function, not_here
-from jaxrod.lanes.warps.cuda import Device, entry_of, launch_for
+from jaxrod.lanes.llvm.machine_code import not_here
+from jaxrod.lanes.warps.cuda import WARPS, Device, entry_of, launch_for
 from jaxrod.lanes.warps.kernels import kernel_of_warps
 from jaxrod.lanes.warps.warp_code import THREADS
 
@@ -20,8 +24,9 @@ llvm.add_symbol(
     "pthread_barrier_wait",
     ctypes.cast(_library.pthread_barrier_wait, ctypes.c_void_p).value,
 )
-_BARRIER = ctypes.create_string_buffer(64)
-_SLOTS = ctypes.create_string_buffer(8 * THREADS)
+_BARRIERS = [ctypes.create_string_buffer(64) for _ in range(WARPS)]
+_SLOTS = [ctypes.create_string_buffer(8 * THREADS) for _ in range(WARPS)]
+"""Barriers, and places for numbers that are exchanged, of each warp of a block."""
 
 
 def run_in_threads(kernel, results, arrays, counts):
@@ -42,31 +47,41 @@ def run_in_threads(kernel, results, arrays, counts):
     buffers = [b.ctypes.data for b in (*words, *made)] + [_aligned(work)]
     assert len(buffers) == kernel.n_operands + kernel.n_results
     table = (ctypes.c_void_p * len(buffers))(*buffers)
-    engine, address = native_function(_text(kernel, launch), "in_threads")
-    function = ctypes.CFUNCTYPE(
-        None, *[ctypes.c_uint32] * 3, ctypes.c_void_p, ctypes.c_void_p
-    )(address)
+    own = [_compiled(_text(kernel, launch, warp)) for warp in range(launch.warps)]
     for block in range(launch.blocks):
         shared = np.full(launch.shared(kernel) + 128, 0xFF, np.uint8)
-        for warp in range(launch.warps):
-            _library.pthread_barrier_init(_BARRIER, None, ctypes.c_uint(THREADS))
-            threads = [
-                threading.Thread(
-                    target=function,
-                    args=(i, block, launch.blocks, _aligned(shared), table),
-                )
-                for i in reversed(range(THREADS * warp, THREADS * (warp + 1)))
-            ]
-            for thread in threads:
-                thread.start()
-            for thread in threads:
-                thread.join()
-            _library.pthread_barrier_destroy(_BARRIER)
+        given = block, launch.blocks, _aligned(shared), table
+        threads = [
+            threading.Thread(target=own[i // THREADS][1], args=(i, *given))
+            for i in reversed(range(THREADS * launch.warps))
+        ]
+        for barrier in _BARRIERS:
+            _library.pthread_barrier_init(barrier, None, ctypes.c_uint(THREADS))
+        for thread in threads:
+            thread.start()
+        for thread in threads:
+            thread.join()
+        for barrier in _BARRIERS:
+            _library.pthread_barrier_destroy(barrier)
         outside = shared[_aligned(shared) - shared.ctypes.data :]
         assert np.all(outside[launch.shared(kernel) :] == 0xFF)
-    del engine
     assert np.all(work[_aligned(work) - work.ctypes.data :][len(work) - 128 :] == 0xFF)
     return made
+
+
+def _compiled(text):
+    """Returns an engine, and the function that a thread runs."""
+    module = llvm.parse_assembly(text)
+    module.verify()
+    target = llvm.Target.from_default_triple().create_target_machine(opt=2)
+    options = llvm.create_pipeline_tuning_options(3)
+    builder = llvm.create_pass_builder(target, options)
+    builder.getModulePassManager().run(module, builder)
+    engine = llvm.create_mcjit_compiler(module, target)
+    engine.finalize_object()
+    types = [*[ctypes.c_uint32] * 3, ctypes.c_void_p, ctypes.c_void_p]
+    address = engine.get_function_address("in_threads")
+    return engine, ctypes.CFUNCTYPE(None, *types)(address)
 
 
 GPU = [Device(architecture=90, processors=132, shared=232448)]
@@ -81,7 +96,7 @@ def _aligned(array):
     return (array.ctypes.data + 63) // 64 * 64
 
 
-def _text(kernel, launch):
+def _text(kernel, launch, warp):
     functions, declared = elementary_texts(set(kernel.needs))
     n = kernel.n_operands + kernel.n_results
     loads = "\n".join(
@@ -98,15 +113,15 @@ def _text(kernel, launch):
         entry = entry.replace(call, f"add i32 {given}, 0")
     entry = entry.replace("ptr addrspace(3) @memory", "ptr %memory")
     entry = entry.replace("addrspacecast ptr addrspace(3) %shared to ptr", _SAME)
+    barrier, slots = (ctypes.addressof(a[warp]) for a in (_BARRIERS, _SLOTS))
     machine = f"""
 declare i32 @pthread_barrier_wait(ptr)
 define internal void @wait() noinline {{
-%r = call i32 @pthread_barrier_wait(ptr inttoptr (i64 {ctypes.addressof(_BARRIER)}
-    to ptr))
+%r = call i32 @pthread_barrier_wait(ptr inttoptr (i64 {barrier} to ptr))
 ret void
 }}
 define internal i32 @exchange(i64 %thread, i32 %number, i32 %step) noinline {{
-%slots = getelementptr i8, ptr inttoptr (i64 {ctypes.addressof(_SLOTS)} to ptr), i64 0
+%slots = getelementptr i8, ptr inttoptr (i64 {slots} to ptr), i64 0
 %own = getelementptr i64, ptr %slots, i64 %thread
 store volatile i32 %number, ptr %own
 call void @wait()

@@ -103,12 +103,13 @@ def registered(kernel: Kernel) -> str:
     return name
 
 
-def native_function(text: str, name: str) -> tuple[Any, int]:
+def native_function(text: str, name: str, *, keep: bool = True) -> tuple[Any, int]:
     """Compiles a module, or reads it from the cache on disk.
 
     Args:
         text: LLVM IR.
         name: Name of a function in it.
+        keep: Whether the cache may have it.
 
     Returns:
         The engine that owns the code, and the address of the function.
@@ -118,7 +119,8 @@ def native_function(text: str, name: str) -> tuple[Any, int]:
     module = llvm.parse_assembly(text)
     module.verify()
     engine = llvm.create_mcjit_compiler(module, _target_machine())
-    keeps_objects(engine, f"{processor()} {OPTIMISATION} {text}")
+    if keep:
+        keeps_objects(engine, f"{processor()} {OPTIMISATION} {text}")
     engine.finalize_object()
     return engine, engine.get_function_address(name)
 

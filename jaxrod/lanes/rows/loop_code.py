@@ -641,9 +641,8 @@ class RowWriter(Writer):
                 stored, begin = into, 0
             source = schedule.place(stored)
             assert source is not None
-            size = count * BYTES[kind]
             source = Place(source.pointer, source.offset + begin * BYTES[kind])
-            self.copy(self._at(place), self._at(source), size)
+            self.copy(self._at(place), self._at(source), count, kind)
         index = graph.arguments[loop.scatters[0]][1]
         rounds = graph.extras[loop.scatters[0]][1]
         mark = f"g{number}"
@@ -699,8 +698,16 @@ class RowWriter(Writer):
         )
         return lines
 
-    def copy(self, to: str, source: str, size: int) -> None:
-        """Writes a copy of memory; `size` is in bytes."""
+    def copy(self, to: str, source: str, count: int, kind: str) -> None:
+        """Writes a copy of numbers in memory.
+
+        Args:
+            to: Pointer to which they are copied.
+            source: Pointer from which they are copied.
+            count: How many numbers.
+            kind: Their kind.
+        """
+        size = count * BYTES[kind]
         self.declared.add("declare void @llvm.memcpy.p0.p0.i64(ptr, ptr, i64, i1)")
         self.lines.append(
             f"call void @llvm.memcpy.p0.p0.i64(ptr {to}, ptr {source}, i64 {size}, "

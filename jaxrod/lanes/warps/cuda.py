@@ -62,7 +62,7 @@ _lock = threading.Lock()
 
 @dataclass(frozen=True)
 class Device:
-    """A GPU."""
+    """A GPU, or the least that several have."""
 
     architecture: int
     """Compute capability without its dot."""
@@ -105,7 +105,7 @@ def not_here() -> str | None:
     try:
         found = device()
     except OSError as error:
-        return f"there is no CUDA driver: {error}"
+        return f"there is no GPU for CUDA: {error}"
     if found.architecture < _OLDEST:
         return f"the GPU's architecture {found.architecture} is older than {_OLDEST}"
     return None
@@ -140,20 +140,36 @@ def _check(status: int, action: str) -> None:
 
 @cache
 def device() -> Device:
-    """Returns the first GPU.
+    """Returns what all GPUs that JAX uses in this process can do.
 
     Raises:
-        OSError: There is no driver.
+        OSError: There is no driver, or JAX uses no GPU.
     """
-    numbers = []
+    found = [_attributes(number) for number in _device_numbers()]
+    return Device(
+        min(10 * major + minor for major, minor, _, _ in found),
+        min(processors for _, _, processors, _ in found),
+        min(shared for _, _, _, shared in found),
+    )
+
+
+def _device_numbers() -> list[int]:
+    """Returns CUDA's numbers of the GPUs that JAX uses in this process."""
+    try:
+        return [gpu.local_hardware_id for gpu in jax.local_devices(backend="cuda")]
+    except RuntimeError as error:
+        raise OSError(f"JAX uses no GPU: {error}") from error
+
+
+def _attributes(number: int) -> list[int]:
+    found = []
     for attribute in (_MAJOR, _MINOR, _PROCESSORS, _SHARED):
-        number = ctypes.c_int()
-        status = _driver().cuDeviceGetAttribute(ctypes.byref(number), attribute, 0)
+        value = ctypes.c_int()
+        status = _driver().cuDeviceGetAttribute(ctypes.byref(value), attribute, number)
         if status:
-            raise OSError(f"it does not know attribute {attribute} of the GPU")
-        numbers.append(number.value)
-    major, minor, processors, shared = numbers
-    return Device(10 * major + minor, processors, shared)
+            raise OSError(f"it does not know attribute {attribute} of GPU {number}")
+        found.append(value.value)
+    return found
 
 
 def launch_for(kernel: WarpKernel, rods: int, every: int, gpu: Device) -> Launch:
@@ -212,14 +228,15 @@ def registered(kernel: WarpKernel, launch: Launch) -> str:
     Raises:
         RuntimeError: The driver refuses it.
     """
-    text = ptx(kernel, launch, min(device().architecture, _NEWEST))
-    digest = hashlib.sha256(f"{launch} {text}".encode()).hexdigest()[:24]
-    name = f"jaxrod_warps_{digest}"
+    architecture = min(device().architecture, _NEWEST)
+    digest = f"{architecture} {launch} {kernel.text}"
+    name = f"jaxrod_warps_{hashlib.sha256(digest.encode()).hexdigest()[:24]}"
     with _lock:
         if name in _loaded:
             return name
         driver = _driver()
         library, function = ctypes.c_void_p(), ctypes.c_void_p()
+        text = ptx(kernel, launch, architecture)
         code = ctypes.create_string_buffer(text.encode())
         none = ctypes.c_void_p()
         status = driver.cuLibraryLoadData(
@@ -229,9 +246,7 @@ def registered(kernel: WarpKernel, launch: Launch) -> str:
         status = driver.cuLibraryGetKernel(ctypes.byref(function), library, b"kernel")
         _check(status, "find a kernel")
         shared = launch.shared(kernel)
-        count = ctypes.c_int()
-        _check(driver.cuDeviceGetCount(ctypes.byref(count)), "count devices")
-        for number in range(count.value):
+        for number in _device_numbers():
             status = driver.cuKernelSetAttribute(
                 _DYNAMIC_SHARED, shared, function, number
             )
@@ -247,7 +262,8 @@ def registered(kernel: WarpKernel, launch: Launch) -> str:
             threads=THREADS * launch.warps,
             shared=shared,
         )
-        engine, entry = native_function(handler, name)
+        # The text has addresses of this process, so that no other can use the code.
+        engine, entry = native_function(handler, name, keep=False)
         _loaded[name] = engine, library
         jax.ffi.register_ffi_target(name, capsule(entry), platform="CUDA")
     return name
@@ -312,7 +328,10 @@ def entry_of(kernel: WarpKernel, launch: Launch) -> str:
     ins = [f"%in{i}" for i in range(kernel.n_operands)]
     outs = [f"%out{i}" for i in range(kernel.n_results)]
     buffers = [*ins, *outs]
-    given = ", ".join(f"ptr addrspace(1) noalias {name}g" for name in buffers)
+    given = ", ".join(
+        f"ptr addrspace(1) {'noalias readonly ' if name in ins else ''}{name}g"
+        for name in buffers
+    )
     casts = "\n".join(
         f"{name} = addrspacecast ptr addrspace(1) {name}g to ptr" for name in buffers
     )

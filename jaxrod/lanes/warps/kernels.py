@@ -2,7 +2,8 @@
 
 A warp takes one scene after the other. What changes in a step is kept in the memory
 that the threads of a block share, if there is room. What all scenes share is computed
-once by every warp, into the same place: all of them write the same numbers.
+by every warp once, before its first scene, and stored in the same place by all. They
+store the same numbers, so that none has to wait for another.
 
 The text is the same for every machine that has threads. `cuda.py` has the functions
 `@wait` and `@exchange` of a GPU.
@@ -103,14 +104,26 @@ class WarpPlan(RowPlan):
         graph = self.graph
         self.know_data()
         nodes = hoisted(graph, [goal.node for goal in goals], self.ready)
-        uniform = [node for node in nodes if graph.rates[node] < FIXED]
-        own = [node for node in nodes if graph.rates[node] == FIXED]
+        uniform = [node for node in nodes if self._is_written_alike(node)]
+        own = [node for node in nodes if not self._is_written_alike(node)]
         for node in uniform:
             self.ready[node] = self.room_for(node, self.uniform)
         self.function("shared", [], [], uniform)
         for node in own:
             self.ready[node] = self.room_for(node, self.fixed)
         self.function("fixed", [], [], own)
+
+    def _is_written_alike(self, node: int) -> bool:
+        """Whether all warps may write a node into the same place at any time.
+
+        They store the same numbers. But a sum in memory passes through other numbers.
+        """
+        graph = self.graph
+        if graph.rates[node] >= FIXED or graph.operations[node] == "scatter":
+            return False
+        if graph.operations[node] == "reduce":
+            return len(graph.dims[graph.arguments[node][0]]) == 1
+        return True
 
     def function(
         self,
@@ -119,8 +132,8 @@ class WarpPlan(RowPlan):
         pointers: Sequence[str],
         stored: Sequence[int] = (),
     ) -> None:
-        """Writes a function that computes goals; every function has all buffers."""
-        whole = [*REGIONS[1:], *self.buffers, *pointers]
+        """Writes a function that computes goals; its first arguments are `given`."""
+        whole = [*REGIONS[1:], *self._buffers_of(name), *pointers]
         super().function(name, goals, whole, stored)
 
     def writer(self, schedule: Schedule) -> RowWriter:
@@ -141,14 +154,19 @@ class WarpPlan(RowPlan):
 
     def call(self, name: str, *pointers: str) -> str:
         """Writes a call of a function."""
-        given = [self.given, *(f"ptr {pointer}" for pointer in pointers)]
+        given = [self.given(name), *(f"ptr {pointer}" for pointer in pointers)]
         return f"call void @{name}({', '.join(given)})\n"
 
-    @property
-    def given(self) -> str:
-        """First arguments of all functions."""
-        pointers = (*REGIONS, *self.buffers)
+    def given(self, name: str) -> str:
+        """Returns the first arguments of a function."""
+        pointers = (*REGIONS, *self._buffers_of(name))
         return ", ".join(["i64 %thread", *(f"ptr {pointer}" for pointer in pointers)])
+
+    def _buffers_of(self, name: str) -> list[str]:
+        """Returns the buffers that a function takes: `@shared` has none of a scene."""
+        if name != "shared":
+            return self.buffers
+        return [buffer for buffer in self.buffers if buffer.startswith("%in")]
 
     def name_buffers(self, n_given: int, n_made: int) -> None:
         """Names the buffers that functions read and write.
@@ -181,7 +199,7 @@ class WarpPlan(RowPlan):
         at = f"{to}_{place.offset}"
         return (
             f"{at} = getelementptr i8, ptr {to}, i64 {place.offset}\n"
-            f"{copy_call(at, source, size_of(aval))}\n"
+            f"{copy_call(at, source, size_of(aval), 4)}\n"
         )
 
     def bring_row(self, to: str, region: str, place: Place, aval: Any) -> str:
@@ -189,7 +207,7 @@ class WarpPlan(RowPlan):
         at = f"{to}_from"
         return (
             f"{at} = getelementptr i8, ptr {region}, i64 {place.offset}\n"
-            f"{copy_call(to, at, size_of(aval))}\n"
+            f"{copy_call(to, at, size_of(aval), 4)}\n"
         )
 
     def finished(
@@ -225,6 +243,7 @@ entry:
 {counts_text()}
 {"".join(lines)}
 %uniform = getelementptr i8, ptr %out{n_results - 1}, i64 0
+{self.call("shared")}
 br label %scenes_test
 scenes_test:
 %scene = phi i64 [%warp, %entry], [%following, %scene_done]
@@ -308,10 +327,10 @@ def cycles_by_warps(
         for i, (aval, place) in enumerate(carry)
     )
     text = f"""{plan.rows(plan.carry, plan.carry)}
-{plan.call("shared")}{plan.call("fixed")}{{fills}}
+{plan.call("fixed")}{{fills}}
 {fetches}
 {WAIT}
-{forward_loops("scenes", plan.given, marks)}
+{forward_loops("scenes", plan.given("step"), marks)}
 {brings}"""
     n_results = n_carry * (2 if checkpoints else 1) + 1
     spaces = {"now0": plan.now.size, "then0": plan.now.size}
@@ -339,10 +358,10 @@ def run_by_warps(body: LoopBody, ends: Ends, batched: tuple[bool, ...]) -> WarpK
     plan.function("begin", begin, ["%then"])
     plan.function("end", end, ["%now"])
     text = f"""{plan.rows(avals, ends.made)}
-{plan.call("shared")}{plan.call("fixed")}{{fills}}
+{plan.call("fixed")}{{fills}}
 {WAIT}
 {plan.call("begin", "%now0")}
-{forward_loops("scenes", plan.given)}
+{forward_loops("scenes", plan.given("step"))}
 {plan.call("end", "%now1")}"""
     spaces = {"now0": plan.now.size, "then0": plan.now.size}
     return plan.finished(text, 1 + n + len(avals), len(ends.made) + 1, spaces)
@@ -391,9 +410,9 @@ def back_by_warps(
         plan.bring_row(f"%made{i}", "%back1", place, aval)
         for i, (aval, place) in enumerate(zip(avals, before_places, strict=True))
     )
-    loops = backward_loops("scenes", plan.given, plan.now.size, marks)
+    loops = backward_loops("scenes", plan.given("step"), plan.now.size, marks)
     text = f"""{plan.rows((), avals)}
-{plan.call("shared")}{plan.call("fixed")}{{fills}}
+{plan.call("fixed")}{{fills}}
 call void @fill_i8(i64 %thread, ptr %back0, i64 0, i8 0, i64 {before.size}, i64 1,
     i64 0)
 {WAIT}

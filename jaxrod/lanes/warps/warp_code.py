@@ -1,22 +1,24 @@
 """Loops of a schedule for a warp: 32 threads that share the memory of one scene.
 
-Each thread computes every 32nd number of a row. Single numbers are computed by all
-threads alike. Stores of a level are visible in the next, because all threads wait for
-each other in between. What one number adds to another in memory is added by the first
-thread.
+Each thread computes every 32nd number of a row. All threads compute single numbers, and
+come to the same. Stores of a level are visible in the next level, because all threads
+wait for each other in between. Where a number is added to another in memory, the first
+thread does it.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 
-from jaxrod.lanes.llvm.vector_code import BYTES, TYPES, Writer
+from jaxrod.lanes.llvm.vector_code import BYTES, TYPES
 from jaxrod.lanes.rows.loop_code import RowWriter
 from jaxrod.lanes.rows.schedule import Loop
 
 Lines = list[str]
 THREADS = 32
 """Threads of a warp."""
+READ_ONLY = ("%in", "%row")
+"""Beginnings of the names of pointers to operands."""
 WAIT = "call void @wait()"
 """Line that waits for all threads of the warp, and for their stores."""
 
@@ -33,8 +35,12 @@ class WarpWriter(RowWriter):
     """Level of the last loop that was written."""
 
     def function(self, name: str, pointers: Sequence[str], lines: Lines) -> str:
-        """Writes a function with these lines."""
-        given = ", ".join(f"ptr noalias nocapture {p}" for p in pointers)
+        """Writes a function with these lines.
+
+        Pointers to memory that threads write are not `noalias`: every thread has a
+        copy, and waits for what others wrote. LLVM would move loads across the wait.
+        """
+        given = ", ".join(f"ptr {_claims(p)}nocapture {p}" for p in pointers)
         head = (
             f"define internal void @{name}(i64 %thread, {given}) {self.attributes} {{"
         )
@@ -95,7 +101,10 @@ class WarpWriter(RowWriter):
         return before
 
     def across(self, operation: str, value: str, kind: str, rounds: int) -> str:
-        """Combines the totals of all threads; every thread has the same result."""
+        """Combines the totals of all threads; every thread has the same result.
+
+        Only the sign of a zero may differ, for the smallest or largest number.
+        """
         if rounds == 1:
             return value
         step = THREADS // 2
@@ -135,14 +144,27 @@ class WarpWriter(RowWriter):
     def _exchanged(self, number: str, step: int) -> str:
         return self.new(f"call i32 @exchange(i64 %thread, i32 {number}, i32 {step})")
 
-    def copy(self, to: str, source: str, size: int) -> None:
-        """Writes a copy of memory; `size` is in bytes."""
-        self.lines.append(copy_call(to, source, size))
+    def copy(self, to: str, source: str, count: int, kind: str) -> None:
+        """Writes a copy of numbers in memory."""
+        size = BYTES[kind]
+        self.lines.append(copy_call(to, source, count * size, size))
 
 
-def copy_call(to: str, source: str, size: int) -> str:
-    """Writes a call that copies memory, in words of four bytes if that is possible."""
-    word = 4 if size % 4 == 0 else 1
+def _claims(pointer: str) -> str:
+    """Returns what LLVM may rely on: operands are read, and never written."""
+    return "noalias readonly " if pointer.startswith(READ_ONLY) else ""
+
+
+def copy_call(to: str, source: str, size: int, alignment: int) -> str:
+    """Writes a call that copies memory, in words of four bytes if that is possible.
+
+    Args:
+        to: Pointer to which numbers are copied.
+        source: Pointer from which they are copied.
+        size: Size of all of them [bytes].
+        alignment: Alignment of both pointers [bytes].
+    """
+    word = 4 if size % 4 == 0 and alignment % 4 == 0 else 1
     return (
         f"call void @copy_{8 * word}(i64 %thread, ptr {to}, ptr {source}, "
         f"i64 {size // word})"
@@ -180,7 +202,7 @@ def copy_text(bits: int) -> str:
             f"store i{bits} %word, ptr %at",
         ],
     )
-    given = "i64 %thread, ptr noalias %to, ptr noalias %source, i64 %count"
+    given = "i64 %thread, ptr %to, ptr %source, i64 %count"
     return f"define internal void @copy_{bits}({given}) alwaysinline {{\n{body}\n}}\n"
 
 
@@ -206,6 +228,3 @@ def warp_fill_text(one: str) -> str:
         "i64 %stride"
     )
     return f"define internal void @fill_{one}({given}) alwaysinline {{\n{body}\n}}\n"
-
-
-__all__ = ["THREADS", "WAIT", "WarpWriter", "Writer", "copy_call", "copy_text"]
