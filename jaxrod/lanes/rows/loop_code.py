@@ -704,7 +704,7 @@ class RowWriter(Writer):
         Args:
             to: Pointer to which they are copied.
             source: Pointer from which they are copied.
-            count: How many numbers.
+            count: Number of entries.
             kind: Their kind.
         """
         size = count * BYTES[kind]
