@@ -104,7 +104,8 @@ def not_here() -> str | None:
         return words
     try:
         found = device()
-    except OSError as error:
+    except Exception as error:
+        # Whatever is unknown about a GPU must leave the run to XLA.
         return f"there is no GPU for CUDA: {error}"
     if found.architecture < _OLDEST:
         return f"the GPU's architecture {found.architecture} is older than {_OLDEST}"
@@ -156,7 +157,7 @@ def device() -> Device:
 def _device_numbers() -> list[int]:
     """Returns CUDA's numbers of the GPUs that JAX uses in this process."""
     try:
-        return [gpu.local_hardware_id for gpu in jax.local_devices(backend="cuda")]
+        return [gpu.local_hardware_id or 0 for gpu in jax.local_devices(backend="cuda")]
     except RuntimeError as error:
         raise OSError(f"JAX uses no GPU: {error}") from error
 
