@@ -157,7 +157,7 @@ def device() -> Device:
 def _device_numbers() -> list[int]:
     """Returns CUDA's numbers of the GPUs that JAX uses in this process."""
     try:
-        return [gpu.local_hardware_id or 0 for gpu in jax.local_devices(backend="cuda")]
+        return [gpu.local_hardware_id or 0 for gpu in jax.local_devices(backend="gpu")]
     except RuntimeError as error:
         raise OSError(f"JAX uses no GPU: {error}") from error
 
