@@ -41,11 +41,8 @@ _BEGINNINGS = {
     ),
 }
 """First fields of structures that may have more fields."""
-_FUNCTIONS = (
-    *("Error_Create", "Error_GetDetails", "Error_Destroy", "Handler_Register"),
-    "Stream_Get",
-)
-"""First functions of the interface."""
+_STREAM_GET = "_XLA_FFI_API_STRUCT_FIELD(XLA_FFI_Stream_Get)"
+"""Fifth function of the interface: its place is behind those of four pointers."""
 _STREAM = ("struct_size", "extension_start", "ctx", "stream")
 """Fields of the structure in which a call asks for its stream."""
 
@@ -87,8 +84,7 @@ def unknown_layout() -> str | None:
 @cache
 def unknown_stream() -> str | None:
     """Returns the reason why a call's stream cannot be asked for; `None` if it can."""
-    functions = [f.partition("(")[2] for f in _fields("XLA_FFI_Api")[4:9]]
-    if functions != [f"XLA_FFI_{name})" for name in _FUNCTIONS]:
+    if _fields("XLA_FFI_Api")[8:9] != (_STREAM_GET,):
         return "jaxlib's XLA_FFI_Api has another layout than the one known"
     if _fields("XLA_FFI_Stream_Get_Args") != _STREAM:
         return "jaxlib's XLA_FFI_Stream_Get_Args has another layout than the one known"

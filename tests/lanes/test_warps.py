@@ -494,7 +494,7 @@ def test_the_handler_refuses_other_buffers_and_reports_a_launch_that_failed():
 @pytest.mark.parametrize(
     ("known", "changed", "words"),
     [
-        ("FIELD(XLA_FFI_Handler_Register);", "FIELD(XLA_FFI_Other);", "XLA_FFI_Api"),
+        ("FIELD(XLA_FFI_Handler_Register);", "", "XLA_FFI_Api"),
         ("void* stream;", "void* other;", "XLA_FFI_Stream_Get_Args"),
     ],
 )
@@ -502,7 +502,7 @@ def test_a_header_with_another_way_to_the_stream_is_refused(
     monkeypatch, known, changed, words
 ):
     text = foreign_call.header()
-    assert known in text
+    assert text.count(known) == 1
     monkeypatch.setattr(foreign_call, "header", lambda: text.replace(known, changed))
     foreign_call.unknown_stream.cache_clear()
     assert words in foreign_call.unknown_stream()
