@@ -298,6 +298,7 @@ def test_the_filter_is_kalmans_and_its_errors_are_as_large_as_it_says(small):
         np.testing.assert_allclose(correlation, wanted, rtol=0, atol=1e-8)
 
 
+@pytest.mark.slow
 def test_numbers_that_are_missing_say_nothing(small):
     process, start = small
     seen = np.array(process.measure(process.model, start.state))

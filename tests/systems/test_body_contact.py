@@ -32,6 +32,7 @@ def pair(a, b, **law):
     return system, {"rod": of_one, "ball": of_two}
 
 
+@pytest.mark.slow
 def test_a_collision_keeps_momenta_and_spins_the_ball(record):
     thrown = ball((0.2, 0.01, 0.0705), velocity=(0.0, 0.3, -0.6))
     system, state = pair(rod(8, 0.4), thrown, damping=5.0, friction=0.5)

@@ -85,6 +85,7 @@ def learned():
         )
 
 
+@pytest.mark.slow
 @pytest.mark.default_precision
 def test_trivial_task_is_learned_to_its_known_optimum(learned):
     env = Trivial()

@@ -315,6 +315,7 @@ def test_twenty_logs_with_motions_are_calibrated():
     assert 0.8 < rms < 1.25
 
 
+@pytest.mark.slow
 def test_too_few_coordinates_show_no_noise(arm):
     film = filmed(arm, arm.start, pose(1.5, 0.0))
     with pytest.raises(ValueError, match="12 coordinates do not show the noise beside"):
