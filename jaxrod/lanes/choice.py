@@ -11,7 +11,6 @@ from functools import cache
 import jax
 
 from jaxrod.lanes.llvm.machine_code import llvm_is_installed, not_here
-from jaxrod.lanes.warps.cuda import not_here as no_warps_here
 
 AUTO, ALWAYS, ROWS, NEVER = "auto", "always", "rows", "never"
 MODES = (AUTO, ALWAYS, ROWS, NEVER)
@@ -85,6 +84,9 @@ def no_kernels_here() -> str | None:
     if device == "cpu":
         return not_here()
     if device == "gpu":
+        # Imported here because other devices do without it.
+        from jaxrod.lanes.warps.cuda import not_here as no_warps_here
+
         return no_warps_here()
     return f"there are no kernels for {device}"
 

@@ -82,11 +82,7 @@ def lowered_by_lanes(
             return None
         target = registered(kernel)
     except Exception as error:
-        # A run that XLA can do must not fail because there is no kernel for it.
-        if mode in (ALWAYS, ROWS):
-            raise
-        first_line = str(error).partition("\n")[0]
-        refused(f"no kernel: {type(error).__name__}: {first_line}", rods)
+        _failed(error, rods)
         return None
     seconds = time.perf_counter() - begun
     words = f"{'rows' if by_rows else 'lanes'} of {vector_bytes()} bytes"
@@ -121,16 +117,25 @@ def lowered_by_warps(
         refused(str(reason), rods)
         return None
     except Exception as error:
-        if mode in (ALWAYS, ROWS):
-            raise
-        first_line = str(error).partition("\n")[0]
-        refused(f"no kernel: {type(error).__name__}: {first_line}", rods)
+        _failed(error, rods)
         return None
     seconds = time.perf_counter() - begun
     place = "shared memory" if launch.in_shared else "the workspace"
     words = f"warps with {kernel.room} bytes each in {place}"
     note(LaneChoice(True, words, rods, kernel.operations, seconds))
     return _program(target, launch.workspace(kernel), spec, rods, results)
+
+
+def _failed(error: Exception, rods: int) -> None:
+    """Leaves a run to XLA: it must not fail because there is no kernel for it.
+
+    Raises:
+        Exception: The error itself, in modes that demand kernels.
+    """
+    if lane_mode() in (ALWAYS, ROWS):
+        raise error
+    first_line = str(error).partition("\n")[0]
+    refused(f"no kernel: {type(error).__name__}: {first_line}", rods)
 
 
 def _of_lanes(name: str, spec: RunSpec, most: int) -> tuple[Kernel | None, str]:

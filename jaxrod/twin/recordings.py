@@ -64,7 +64,7 @@ class Recording:
     def is_at_rest(self, length: float) -> bool:
         """Whether markers stay where they are, but for noise from frame to frame.
 
-        Noise is told from movement by the differences of successive frames.
+        Differences of successive frames distinguish noise from movement.
 
         Args:
             length: Length of the arm [m].

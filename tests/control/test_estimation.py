@@ -322,7 +322,7 @@ def test_numbers_that_are_missing_say_nothing(small):
 
 
 def hidden_markers(model, state):
-    """As a camera has markers that are behind it."""
+    """A camera has such numbers: markers that are behind it."""
     return markers(model, state).at[:, 1].set(jnp.nan)
 
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from functools import lru_cache
-from typing import Any
+from typing import Any, NamedTuple
 
 from jaxrod.jax_internals.equations import operand_types, result_types
 from jaxrod.lanes.graph import FIXED, VARYING
@@ -57,6 +57,23 @@ class Storage:
         return [self.give(kind_of(aval), math.prod(aval.shape)) for aval in avals]
 
 
+class Reverse(NamedTuple):
+    """A step backwards, which reads the carry before the step and its cotangents."""
+
+    avals: Sequence[Any]
+    """Types of the cotangents of the carry, then of the moving constants."""
+    n_seeds: int
+    """Number of arrays that are given; the others are sums that begin at zero."""
+    before: Storage
+    """Region of the cotangents that are read."""
+    places: list[Place]
+    """Places of the cotangents in it, and in the region that is written."""
+    step: list[Goal]
+    """Goals of the step."""
+    back: list[Goal]
+    """Goals of the step backwards."""
+
+
 class RowPlan:
     """Memory and functions of a kernel of rows."""
 
@@ -70,6 +87,7 @@ class RowPlan:
             body: The step.
             batched: Whether each constant has a row for each scene.
         """
+        self.body = body
         self.graph = RowGraph()
         self.unroller = RowUnroller(self.graph)
         avals = operand_types(body.closed)
@@ -130,6 +148,28 @@ class RowPlan:
                 base = sum(i * s for i, s in zip(index, strides, strict=True))
                 goals.append(Goal(node, place, Piece(base, own, array.dims)))
         return goals
+
+    def reverse(self, moving: Sequence[bool]) -> Reverse:
+        """Translates a step backwards.
+
+        Args:
+            moving: Whether each constant has a tangent.
+        """
+        closed = adjoint_body(RunSpec(self.body, 0, tuple(moving)))
+        avals = result_types(closed)
+        n_seeds = sum(self.body.floating)
+        before, after = self.storage("%before"), self.storage("%after")
+        first = self.n_constants + len(self.carry)
+        given = [self.input(first + i, aval, VARYING) for i, aval in enumerate(avals)]
+        places = before.all(avals)
+        self.stand(first, places)
+        made = self.unroller.run(closed, [*self.inputs, *given[:n_seeds]])
+        totals = [
+            self.unroller.each("add", old.kind, old, new)
+            for old, new in zip(given[n_seeds:], made[n_seeds:], strict=True)
+        ]
+        back = self.goals([*made[:n_seeds], *totals], after.all(avals))
+        return Reverse(avals, n_seeds, before, places, next_carry(self), back)
 
     def hoist(self, goals: Sequence[Goal]) -> None:
         """Writes the function that computes values that are the same in all steps."""
@@ -380,21 +420,7 @@ def back_kernel(
     """Writes the kernel of the reverse pass; see `lanes.llvm.kernel.adjoint_kernel`."""
     plan = RowPlan(body, batched)
     n = plan.n_constants
-    closed = adjoint_body(RunSpec(body, 0, tuple(moving)))
-    avals = result_types(closed)
-    n_seeds = sum(body.floating)
-    before, after = Storage("%before"), Storage("%after")
-    first = n + len(plan.carry)
-    given = [plan.input(first + i, aval, VARYING) for i, aval in enumerate(avals)]
-    before_places, after_places = before.all(avals), after.all(avals)
-    plan.stand(first, before_places)
-    made = plan.unroller.run(closed, [*plan.inputs, *given[:n_seeds]])
-    totals = [
-        plan.unroller.each("add", old.kind, old, new)
-        for old, new in zip(given[n_seeds:], made[n_seeds:], strict=True)
-    ]
-    step = next_carry(plan)
-    back = plan.goals([*made[:n_seeds], *totals], after_places)
+    avals, n_seeds, before, before_places, step, back = plan.reverse(moving)
     plan.hoist([*step, *back])
     plan.function("step", step, ["%fixed", "%now", "%then"])
     plan.function("adjoint", back, ["%fixed", "%now", "%before", "%after"])

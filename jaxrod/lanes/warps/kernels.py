@@ -17,7 +17,6 @@ from dataclasses import dataclass
 from functools import lru_cache
 from typing import Any
 
-from jaxrod.jax_internals.equations import result_types
 from jaxrod.lanes.graph import FIXED, UNIFORM, VARYING
 from jaxrod.lanes.jaxpr.unroll import kind_of
 from jaxrod.lanes.llvm.kernel import backward_loops, forward_loops
@@ -26,7 +25,7 @@ from jaxrod.lanes.llvm.vector_code import BYTES
 from jaxrod.lanes.rows.kernels import RowPlan, next_carry
 from jaxrod.lanes.rows.loop_code import RowWriter
 from jaxrod.lanes.rows.schedule import Goal, Loop, Place, Schedule, hoisted
-from jaxrod.lanes.run_spec import Ends, LoopBody, RunSpec, adjoint_body
+from jaxrod.lanes.run_spec import Ends, LoopBody, RunSpec
 from jaxrod.lanes.warps.warp_code import (
     THREADS,
     WAIT,
@@ -374,22 +373,8 @@ def back_by_warps(
     """Writes the kernel of the reverse pass; see `lanes.llvm.kernel.adjoint_kernel`."""
     plan = WarpPlan(body, batched)
     n, n_carry = plan.n_constants, len(plan.carry)
-    closed = adjoint_body(RunSpec(body, 0, tuple(moving)))
-    avals = result_types(closed)
-    n_seeds = sum(body.floating)
-    before, after = plan.storage("%before"), plan.storage("%after")
-    first = n + n_carry
-    given = [plan.input(first + i, aval, VARYING) for i, aval in enumerate(avals)]
-    before_places, after_places = before.all(avals), after.all(avals)
-    plan.stand(first, before_places)
+    avals, n_seeds, before, before_places, step, back = plan.reverse(moving)
     plan.name_buffers(0, 0)
-    made = plan.unroller.run(closed, [*plan.inputs, *given[:n_seeds]])
-    totals = [
-        plan.unroller.each("add", old.kind, old, new)
-        for old, new in zip(given[n_seeds:], made[n_seeds:], strict=True)
-    ]
-    step = next_carry(plan)
-    back = plan.goals([*made[:n_seeds], *totals], after_places)
     plan.hoist([*step, *back])
     plan.function("step", step, ["%now", "%then"])
     plan.function("adjoint", back, ["%now", "%before", "%after"])

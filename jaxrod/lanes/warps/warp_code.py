@@ -156,7 +156,7 @@ def _claims(pointer: str) -> str:
 
 
 def copy_call(to: str, source: str, size: int, alignment: int) -> str:
-    """Writes a call that copies memory, in words of four bytes if that is possible.
+    """Writes a call that copies memory, four bytes at a time if that is possible.
 
     Args:
         to: Pointer to which numbers are copied.
@@ -192,7 +192,7 @@ def _thread_loop(length: str, body: Lines) -> str:
 
 
 def copy_text(bits: int) -> str:
-    """Writes the function that copies memory in words of that many bits."""
+    """Writes the function that copies memory, `bits` bits at a time."""
     body = _thread_loop(
         "%count",
         [
