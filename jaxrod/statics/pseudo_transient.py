@@ -129,7 +129,7 @@ def find_rest(
 
     def improve(search: Search) -> Search:
         before, step, share = search.here, search.step, search.share
-        here = problem.place(problem.moved(before, share * step))
+        here = _place(problem, problem.moved(before, share * step))
         momentum = before.momentum(step)
         expected = (1 - share) * before.loads + share * search.inertia * momentum
         left = before.solve(search.factors, here.loads - expected)
@@ -173,7 +173,7 @@ def find_rest(
         )
 
     def nothing() -> Any:
-        here = problem.place(start)
+        here = _place(problem, start)
         return here, here.factors(jnp.zeros_like(tolerance))
 
     # The first trial is the start.
@@ -186,3 +186,9 @@ def find_rest(
     no = jnp.zeros((), bool)
     begin = Search(here, factors, step, zero, zero, zero, none, none, no)
     return lax.while_loop(unfinished, improve, begin)
+
+
+@jax.jit
+def _place(problem: RestProblem, configuration: Any) -> Any:
+    """The place of a configuration; it is traced once for all calls."""
+    return problem.place(configuration)
