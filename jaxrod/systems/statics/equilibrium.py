@@ -126,7 +126,11 @@ def system_equilibrium(
     end = find_rest(*lax.stop_gradient((at_rest, start, tolerance)), max_iterations)
     here = end.here
     found = by_kernel(problem, "with_held", (here.linear.motions, start))
-    correction = _last_correction(problem, found, end.step)
+    # The search did not judge its last correction. Along a motion that hardly anything
+    # resists it may be large; then it is left out.
+    largest = jnp.max(jnp.abs(end.step) * at_rest.element_lengths)
+    last = jnp.where(largest <= tolerance, end.step, jnp.zeros_like(end.step))
+    correction = _last_correction(problem, found, last)
     rest = by_kernel(problem, "left_after", (found, correction))
     loads = lax.stop_gradient(here.loads)
     converged = end.converged
