@@ -466,18 +466,3 @@ def test_lists_without_room_are_not_at_rest():
     assert enough.converged and not enough.state["neighbours"].overflow
     few = at_rest(systems.neighbour_lists(pairs=1, candidates=1, cell_slots=0))
     assert few.state["neighbours"].overflow and not few.converged
-
-
-@pytest.mark.slow
-def test_loose_turns_of_a_large_system_are_found_among_its_roundings():
-    """With one of them missing, the search tries corrections until none are left."""
-    load = jaxrod.end_load((0.0, 0.0, -2e-4))
-    damped = jaxrod.internal_damping(2e-3)
-    system, state = jaxrod.assemblies.octopus(8, 12, effects=(load, damped))
-    head = system.members["head"]
-    lift = jaxrod.gravity((0.0, 0.0, float(8 * 2e-4 / head.masses[0])))
-    head = replace(head, effects=(lift,))
-    system = replace(system, members={**system.members, "head": head})
-    found = jaxrod.equilibrium(system, state, max_iterations=30)
-    assert found.converged and found.stable and found.loose
-    assert found.force_residual < 1e-12
