@@ -279,6 +279,18 @@ def dissipates(scene: LoadedRod) -> bool:
     return any(type(e).dissipate is not Effect.dissipate for e in scene.effects)
 
 
+def without_dissipation(scene: LoadedRod) -> LoadedRod:
+    """The scene without the effects that only dissipate."""
+    hooks = [name for name in vars(Effect) if not name.startswith("_")]
+
+    def only_dissipates(effect: Effect) -> bool:
+        own = [n for n in hooks if getattr(type(effect), n) is not getattr(Effect, n)]
+        return own == ["dissipate"]
+
+    left = tuple(e for e in scene.effects if not only_dissipates(e))
+    return replace(scene, effects=left)
+
+
 def dissipate(scene: LoadedRod, motion: Motion, dt: Array) -> Motion:
     """Applies all damping that is solved separately, for a step."""
     for effect in scene.effects:

@@ -11,9 +11,7 @@ from jax import lax
 from jaxtyping import Array, ArrayLike, Bool, Float, Int
 
 from jaxrod.effects.base import Effect
-from jaxrod.geometry import vectors
-from jaxrod.geometry.matrices import stacked, turned_diagonal
-from jaxrod.geometry.rotations import directors
+from jaxrod.lanes.steps import by_kernel
 from jaxrod.loaded_rod import LoadedRod, constrain, constrain_rates, scene_of
 from jaxrod.model import Model, check_model
 from jaxrod.rods.elasticity import elastic_law
@@ -230,34 +228,23 @@ class _RodAtRest:
         """The place of a configuration."""
         here = replace(self.balance, base=configuration)
         none = _no_increment(configuration)
-        tangent, loose = here.held_tangent(none)
-        loads = -self.units * here.residual(none)
-        mass = _mass(here)
+        residual, bare, mass = by_kernel(here, "about", none)
+        tangent, loose = here.held(bare, none)
+        loads = -self.units * residual
         return _RodPlace(configuration, self.units, loads, tangent, mass, loose)
 
     def moved(self, place: _RodPlace, step: Float[Array, "n+1 6"]) -> Motion:
         """Configuration after a step, to first order; strains change linearly."""
         here = replace(self.balance, base=place.configuration)
         none = _no_increment(place.configuration)
-        return here.motion(here.retract_along_edges(none, self.units * step))
+        moved: Motion = by_kernel(here, "moved_along_edges", (none, self.units * step))
+        return moved
 
 
 def _six(length: Array, radian: float) -> Float[Array, "1 6"]:
     """One row of six: a number for displacements and one for rotations."""
     turn = jnp.full_like(length, radian)
     return jnp.stack([length, length, length, turn, turn, turn])[None]
-
-
-def _mass(balance: LoadBalance) -> Float[Array, "n+1 6 6"]:
-    """Masses of the nodes and rotary inertias of the elements, world frame."""
-    rod = balance.scene.rod
-    frame = directors(balance.base.orientation)
-    turning = stacked(turned_diagonal(frame, vectors.split(rod.principal_inertias)))
-    turning = jnp.pad(turning, ((0, 1), (3, 0), (3, 0)))
-    one = jnp.eye(3, dtype=turning.dtype)[None]
-    moving = jnp.pad(rod.node_masses[:, None, None] * one, ((0, 0), (0, 3), (0, 3)))
-    free = balance.free
-    return free[:, :, None] * free[:, None, :] * (moving + turning)
 
 
 @jax.jit
@@ -272,9 +259,10 @@ def _equilibrium(
     # Held components take their values from the state and the scene, with derivatives.
     balance = _at_rest(scene, _keep_held(scene, found, start))
     increment = implicit_solution(balance, _no_increment(found))
-    force, couple = unstack_dofs(balance.residual(increment))
+    residual, motion = by_kernel(balance, "ended", increment)
+    force, couple = unstack_dofs(residual)
     return Equilibrium(
-        state=replace(state_of(balance.motion(increment)), memory=state.memory),
+        state=replace(state_of(motion), memory=state.memory),
         converged=end.converged,
         stable=end.converged & end.here.tangent.is_positive(),
         loose=end.here.loose,

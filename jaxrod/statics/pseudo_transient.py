@@ -129,7 +129,7 @@ def find_rest(
 
     def improve(search: Search) -> Search:
         before, step, share = search.here, search.step, search.share
-        here = problem.place(problem.moved(before, share * step))
+        here = _place(problem, problem.moved(before, share * step))
         momentum = before.momentum(step)
         expected = (1 - share) * before.loads + share * search.inertia * momentum
         left = before.solve(search.factors, here.loads - expected)
@@ -154,6 +154,9 @@ def find_rest(
         faster = jnp.maximum(search.shrinking**2, FASTEST)
         shrinking = jnp.where(taken, jnp.where(fast, faster, search.shrinking), slower)
         higher = jnp.maximum(search.inertia / shrinking, resisted / own)
+        # Round-off alone may judge a correction below the tolerance. More inertia would
+        # make it smaller still, so the full correction is tried next.
+        higher = jnp.where(largest <= tolerance, 0, higher)
         inertia = jnp.where(taken, lower, higher)
         inertia = jnp.where(first, 0, inertia)
         here = jax.tree.map(lambda a, b: jnp.where(taken, a, b), here, before)
@@ -173,7 +176,7 @@ def find_rest(
         )
 
     def nothing() -> Any:
-        here = problem.place(start)
+        here = _place(problem, start)
         return here, here.factors(jnp.zeros_like(tolerance))
 
     # The first trial is the start.
@@ -186,3 +189,9 @@ def find_rest(
     no = jnp.zeros((), bool)
     begin = Search(here, factors, step, zero, zero, zero, none, none, no)
     return lax.while_loop(unfinished, improve, begin)
+
+
+@jax.jit
+def _place(problem: RestProblem, configuration: Any) -> Any:
+    """The place of a configuration; it is traced once for all calls."""
+    return problem.place(configuration)

@@ -152,13 +152,43 @@ class LoadBalance:
             _restricted(chain, free), self.scene, motion, self.pace, momentum, free
         )
 
+    def mass(self) -> Float[Array, "n+1 6 6"]:
+        """Masses of the nodes and rotary inertias of the elements, world frame."""
+        rod = self.scene.rod
+        frame = directors(self.base.orientation)
+        turning = stacked(turned_diagonal(frame, vectors.split(rod.principal_inertias)))
+        turning = jnp.pad(turning, ((0, 1), (3, 0), (3, 0)))
+        one = jnp.eye(3, dtype=turning.dtype)[None]
+        moving = jnp.pad(rod.node_masses[:, None, None] * one, ((0, 0), (0, 3), (0, 3)))
+        free = self.free
+        return free[:, :, None] * free[:, None, :] * (moving + turning)
+
+    # Methods for kernels: each takes one argument.
+
+    def about(self, increment: Increment) -> tuple[Array, Tangent, Array]:
+        """Residual, tangent and mass."""
+        return self.residual(increment), self.tangent(increment), self.mass()
+
+    def ended(self, increment: Increment) -> tuple[Array, Motion]:
+        """Residual and motion."""
+        return self.residual(increment), self.motion(increment)
+
+    def moved_along_edges(self, given: tuple[Increment, Array]) -> Motion:
+        """Motion after an increment and a step, with linearly changing strains."""
+        return self.motion(self.retract_along_edges(*given))
+
     def held_tangent(self, increment: Increment) -> tuple[Tangent, Bool[Array, ""]]:
         """Tangent to solve with: without inertia, loose modes are held.
 
         Returns:
             The tangent, and whether there are loose modes.
         """
-        tangent = self.tangent(increment)
+        return self.held(self.tangent(increment), increment)
+
+    def held(
+        self, tangent: Tangent, increment: Increment
+    ) -> tuple[Tangent, Bool[Array, ""]]:
+        """The tangent with loose modes held, and whether there are any."""
         if not self.at_rest:
             return tangent, jnp.zeros((), bool)
         rod = self.scene.rod

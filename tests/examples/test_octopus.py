@@ -33,7 +33,8 @@ def test_its_curled_arms_can_be_at_rest():
         example = load("octopus")
         system, state = example.octopus()
         still = system.at(1.0)
-        found = jaxrod.equilibrium(still, state)
+        # A loose turn that is missed among round-off would take a hundred corrections.
+        found = jaxrod.equilibrium(still, state, max_iterations=30)
         assert bool(found.converged) and bool(found.stable) and bool(found.loose)
         # The animal may have turned, so tips are looked at from its head.
         tips = np.asarray(found.state["arms"].positions[:, :, -1])

@@ -12,6 +12,7 @@ import jax.numpy as jnp
 from jaxtyping import Array
 
 from jaxrod.effects.time import Clock, at_clock
+from jaxrod.loaded_rod import without_dissipation
 from jaxrod.methods.now import Now, remembering, scene_at
 from jaxrod.rods.motion import Loads, Motion
 from jaxrod.structure import pytree, static
@@ -58,6 +59,10 @@ class MemberStepper(ABC):
     def pushed(self, motion: Any, impulses: Loads) -> Any:
         """Changes rates by impulses, with forces and couples in the world frame."""
         raise NotImplementedError(f"{type(self).__name__}: nothing can be attached")
+
+    def at_rest(self) -> MemberStepper:
+        """The stepper for loads at rest, without effects that only dissipate."""
+        return self
 
     def at(self, model: Any, memory: Any, clock: Clock) -> MemberStepper:
         """The stepper with the member's numbers at a time.
@@ -122,6 +127,11 @@ class RodStepper(MemberStepper):
         """The motion `seen`, which couplings have changed, divided among the rods."""
         changed: Motion = self.rows(seen)
         return changed
+
+    def at_rest(self) -> RodStepper:
+        """The stepper for loads at rest, without effects that only dissipate."""
+        scene = without_dissipation(self.verlet.scene)
+        return replace(self, verlet=replace(self.verlet, scene=scene))
 
     def at(self, model: Any, memory: Any, clock: Clock) -> RodStepper:
         """The stepper with the scene's numbers at a time."""

@@ -24,7 +24,7 @@ from jaxrod.systems.statics.loose_motions import are_driven, held, loose_motions
 from jaxrod.systems.statics.problem import (
     Linear,
     StaticProblem,
-    is_displacement,
+    displacements,
     static_problem,
 )
 from jaxrod.systems.stepping.assembly import Assembly, SystemState
@@ -122,11 +122,15 @@ def system_equilibrium(
         max_iterations: Largest number of corrections tried, accepted or not.
     """
     problem, start = static_problem(system, state)
-    at_rest = _SystemAtRest(problem, is_displacement(start))
+    at_rest = _SystemAtRest(problem, jnp.asarray(displacements(start)))
     end = find_rest(*lax.stop_gradient((at_rest, start, tolerance)), max_iterations)
     here = end.here
     found = by_kernel(problem, "with_held", (here.linear.motions, start))
-    correction = _last_correction(problem, found, end.step)
+    # The search did not judge its last correction. Along a motion that hardly anything
+    # resists it may be large; then it is left out.
+    largest = jnp.max(jnp.abs(end.step) * at_rest.element_lengths)
+    last = jnp.where(largest <= tolerance, end.step, jnp.zeros_like(end.step))
+    correction = _last_correction(problem, found, last)
     rest = by_kernel(problem, "left_after", (found, correction))
     loads = lax.stop_gradient(here.loads)
     converged = end.converged
@@ -136,7 +140,7 @@ def system_equilibrium(
         couplings = problem.listed(here.linear.motions).stepper.couplings
         together[RECORD] = lax.stop_gradient(with_shortage(state[RECORD], couplings))
         converged &= ~together[RECORD].overflow
-    displaced = is_displacement(start)
+    displaced = displacements(start)
     force = jnp.max(jnp.abs(loads), where=displaced, initial=0)
     return Equilibrium(
         state=together,

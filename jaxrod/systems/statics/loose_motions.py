@@ -24,6 +24,10 @@ from jaxrod.systems.statics.problem import Linear, StaticProblem
 _ROUNDINGS = 64
 """Multiple of the machine epsilon up to which a resistance counts as zero."""
 
+_SLIGHT = 1e-9
+"""Resistance below which round-off is taken to add up like a random walk over all
+unknowns [1]. Slender rods resist bending by more, so single precision has no room."""
+
 _DRIVEN = 1024
 """Multiple of the machine epsilon up to which loads along a loose motion count as zero.
 It is larger because these loads sum up the round-off of all elements."""
@@ -46,7 +50,9 @@ def loose_motions(problem: StaticProblem, here: Linear) -> Float[Array, "modes m
     barred = whole.T - here.projection @ whole.T
     both = jnp.concatenate([resisted, barred])
     _, resistance, mixtures = jnp.linalg.svd(both, full_matrices=False)
-    none = resistance <= _ROUNDINGS * problem.rounding(here.motions)
+    least = _ROUNDINGS * problem.rounding(here.motions)
+    walk = len(here.loads) ** 0.5
+    none = resistance <= jnp.maximum(least, jnp.minimum(walk * least, _SLIGHT))
     found = jnp.where(none[:, None], mixtures, 0) @ whole
     # Candidates may be dependent: the rotation of a straight rod about its axis minus
     # the rotation of all its elements about theirs is nothing but round-off.

@@ -25,7 +25,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax import lax
 from jax.flatten_util import ravel_pytree
-from jaxtyping import Array, Bool, Float
+from jaxtyping import Array, Float
 
 from jaxrod.geometry import vectors
 from jaxrod.geometry.rotations import directors, to_material, to_world
@@ -168,8 +168,8 @@ class StaticProblem:
         """A column of all matrices, for given scaled rates.
 
         Returns:
-            Accelerations; the allowed part of the rates; its momenta; the change of
-            the accelerations that it causes; all scaled.
+            Loads out of balance, the allowed part of the rates, its momenta, and the
+            loads that it causes; all scaled.
         """
         motions, _ = given
         rates = self.rates(given)
@@ -178,13 +178,11 @@ class StaticProblem:
         here, change = jax.jvp(
             lambda own: self.accelerations_after((motions, own)), (none,), (allowed,)
         )
-        momenta = self.momenta((motions, rates))
-        return (
-            self.scaled(motions, here),
-            self.scaled(motions, allowed),
-            self.scaled_momenta(motions, momenta),
-            self.scaled(motions, change),
-        )
+        together = jax.tree.map(lambda *leaves: jnp.stack(leaves), rates, here, change)
+        momenta = jax.vmap(
+            lambda own: self.scaled_momenta(motions, self.momenta((motions, own)))
+        )(together)
+        return momenta[1], self.scaled(motions, allowed), momenta[0], momenta[2]
 
     def moved_with_gaps(self, given: tuple[Motions, Any]) -> tuple[Motions, Array]:
         """Configuration after a second at rates, and the gaps of its edges.
@@ -346,14 +344,14 @@ class StaticProblem:
             parts: tuple[Array, ...] = by_kernel(problem, "column", (motions, seed))
             return parts
 
-        here, projection, mass, change = lax.map(column, numbers)
+        loads, projection, mass, caused = lax.map(column, numbers)
         mass = 0.5 * (mass + mass.T)
         # Some members cannot turn: their rotations have neither stiffness nor mass.
         moves = jnp.diagonal(mass) > 0
         return Linear(
             motions=motions,
-            loads=mass @ here[0],
-            stiffness=-mass @ change.T,
+            loads=loads[0],
+            stiffness=-caused.T,
             mass=mass,
             projection=jnp.where(moves[None, :], projection.T, 0),
         )
@@ -375,17 +373,16 @@ class StaticProblem:
         rates = by_kernel(self, "rates", (here.motions, scaled))
         moved, gaps = by_kernel(self, "moved_with_gaps", (here.motions, rates))
         first, second = self._places_of_edges(here.motions)
-        rows = np.arange(len(first))
-        differences = jnp.zeros((len(first), scaled.size), scaled.dtype)
-        differences = differences.at[rows, first].set(-1).at[rows, second].set(1)
-        # Bodies are displaced but not turned.
-        allowed = here.projection * is_displacement(here.motions)[None, :]
-        along = differences @ allowed
-        others = jnp.eye(scaled.size, dtype=scaled.dtype) - allowed
+        # Everything is displaced, and nothing is turned.
+        (columns,) = np.nonzero(displacements(here.motions))
+        allowed = here.projection[:, columns]
+        along = allowed[second] - allowed[first]
+        others = jnp.eye(scaled.size, dtype=scaled.dtype)[:, columns] - allowed
         matrix = along.T @ along + others.T @ others
         anchor = max(ANCHOR, ROUNDINGS * float(jnp.finfo(scaled.dtype).eps))
-        matrix = matrix + anchor * jnp.eye(scaled.size, dtype=scaled.dtype)
-        closing = jax.scipy.linalg.solve(matrix, along.T @ gaps, assume_a="pos")
+        matrix = matrix + anchor * jnp.eye(columns.size, dtype=scaled.dtype)
+        part = jax.scipy.linalg.solve(matrix, along.T @ gaps, assume_a="pos")
+        closing = jnp.zeros_like(scaled).at[columns].set(part)
         momenta = loose @ here.mass
         inertia = momenta @ loose.T
         # The same weight for heavy and light motions, and one for rows of zeros.
@@ -423,7 +420,8 @@ def static_problem(
     """The static problem of a system, and the configuration of a state."""
     scales = scales_of(system)
     stepper = system.stepper(state, INSTANT * scales.time)
-    problem = StaticProblem(system, stepper, scales)
+    members = {name: own.at_rest() for name, own in stepper.members.items()}
+    problem = StaticProblem(system, replace(stepper, members=members), scales)
     bare = {name: state[name] for name in system.members}
     start: Motions = by_kernel(problem, "entered", bare)
     return problem, start
@@ -447,16 +445,16 @@ def at_rest(motions: Motions) -> Motions:
     return {k: motion.at_rest for k, motion in motions.items()}
 
 
-def is_displacement(motions: Motions) -> Bool[Array, " m"]:
-    """Whether an unknown is a displacement or a rotation."""
+def displacements(motions: Motions) -> np.ndarray:
+    """Whether each unknown is a displacement, not a rotation."""
     flags = {
         k: (
-            jax.tree.map(jnp.ones_like, motion.velocity),
-            jax.tree.map(jnp.zeros_like, motion.spin),
+            jax.tree.map(lambda leaf: np.ones(leaf.size, bool), motion.velocity),
+            jax.tree.map(lambda leaf: np.zeros(leaf.size, bool), motion.spin),
         )
         for k, motion in motions.items()
     }
-    return ravel_pytree(flags)[0] > 0
+    return np.concatenate(jax.tree.leaves(flags))
 
 
 def _shaped(field: Vec3, like: Vec3) -> Vec3:
