@@ -43,6 +43,27 @@ PACKAGES = {
     "jaxrod.viz": "Drawing",
 }
 
+ASSUMED = """\
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+import jaxrod
+
+rod, state = jaxrod.straight_rod(
+    10,
+    length=1.0,
+    radius=0.02,
+    density=1000.0,
+    youngs_modulus=1e6,
+    direction=(1.0, 0.0, 0.0),
+)
+scene = jaxrod.make_scene(
+    rod, jaxrod.clamp(state), jaxrod.gravity(), jaxrod.exponential_damping(2.0)
+)
+"""
+"""Program that examples in docstrings go on from; a test runs them after it."""
+
 
 def write_reference(folder: Path) -> None:
     """Writes a page for each room and each package, and their list."""
@@ -63,7 +84,8 @@ def write_reference(folder: Path) -> None:
     listed = "\n".join(pages)
     _write(
         folder / "index.md",
-        "# Reference\n\nEvery public name, from the docstrings.\n\n"
+        "# Reference\n\nEvery public name, from the docstrings. Their examples go on "
+        f"from this program:\n\n```python\n{ASSUMED}```\n\n"
         f"```{{toctree}}\n:maxdepth: 1\n\n{listed}\n```\n",
     )
 
