@@ -44,6 +44,8 @@ PACKAGES = {
 }
 
 ASSUMED = """\
+from dataclasses import replace
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -61,6 +63,7 @@ rod, state = jaxrod.straight_rod(
 scene = jaxrod.make_scene(
     rod, jaxrod.clamp(state), jaxrod.gravity(), jaxrod.exponential_damping(2.0)
 )
+motion = scene.as_member().motion(state)  # what effects see of the state
 """
 """Program that examples in docstrings go on from; a test runs them after it."""
 

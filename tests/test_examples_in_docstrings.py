@@ -19,7 +19,6 @@ PACKAGES = ("jaxrod", *REFERENCE["PACKAGES"])
 
 # Packages of which not all names have examples yet: theirs are not run.
 NOT_YET = {
-    "jaxrod",
     "jaxrod.actuation",
     "jaxrod.assemblies",
     "jaxrod.control",
