@@ -51,6 +51,8 @@ import jax.numpy as jnp
 import numpy as np
 
 import jaxrod
+from jaxrod import actuation, assemblies, extend, fluids, schedules
+from jaxrod import shapes, systems, topology, tradeoff
 
 rod, state = jaxrod.straight_rod(
     10,

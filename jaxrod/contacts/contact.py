@@ -457,7 +457,7 @@ def contact(
         TypeError: If the bodies are not bodies, or not all of one kind.
 
     Example:
-        >>> floor = jaxrod.shapes.plane((0.0, 0.0, -0.019))  # 1 mm into the rod
+        >>> floor = shapes.plane((0.0, 0.0, -0.019))  # 1 mm into the rod
         >>> ground = jaxrod.contact(floor, stiffness=1e4)
         >>> scene, dt = jaxrod.make_scene(rod, ground), 1e-4
         >>> pushed = jaxrod.step(scene, state, dt)

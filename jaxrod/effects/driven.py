@@ -271,7 +271,7 @@ def driven(
         TypeError: If `state` is not a `RodState`.
 
     Example:
-        >>> path = jaxrod.schedules.sine((0.0, 0.0, 0.25), period=2.0)
+        >>> path = schedules.sine((0.0, 0.0, 0.25), period=2.0)
         >>> scene = jaxrod.make_scene(rod, jaxrod.driven(state, displacement=path))
         >>> crest = scene.at(0.5).effects[0].place  # at half a second
         >>> crest.position.round(3).tolist()

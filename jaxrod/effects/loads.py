@@ -255,7 +255,7 @@ def end_load(
             only one of them is to turn, list two loads.
 
     Example:
-        >>> pull = jaxrod.schedules.ramp((0.0, 0.0, 0.0), (2.0, 0.0, 0.0), duration=4.0)
+        >>> pull = schedules.ramp((0.0, 0.0, 0.0), (2.0, 0.0, 0.0), duration=4.0)
         >>> scene = jaxrod.make_scene(rod, jaxrod.clamp(state), jaxrod.end_load(pull))
         >>> scene.at(1.0).effects[1].force.tolist()
         [0.5, 0.0, 0.0]

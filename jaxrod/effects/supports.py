@@ -248,11 +248,11 @@ def pin_support(state: RodState, node: End | int = "base", *, axes: str = "xyz")
         TypeError: If `state` is not a `RodState`.
 
     Example:
-        >>> at_base = jaxrod.pin_support(state)
-        >>> beam = jaxrod.make_scene(rod, at_base, jaxrod.pin_support(state, "tip", axes="z"))
+        >>> rail = jaxrod.pin_support(state, "tip", axes="z")  # free along x and y
+        >>> beam = jaxrod.make_scene(rod, jaxrod.pin_support(state), rail)
         >>> moving = replace(state, velocities=jnp.ones_like(state.velocities))
         >>> after = jaxrod.step(beam, moving, 1e-4)
-        >>> [round(float(x), 5) for x in after.tip - state.tip]  # z is held
+        >>> [round(float(x), 5) for x in after.tip - state.tip]
         [0.0001, 0.0001, 0.0]
     """
     check_kind("state", state, RodState)

@@ -215,7 +215,7 @@ def make_system(
 
     Example:
         >>> states = {"left": state, "right": state}
-        >>> tips = jaxrod.systems.tie(("left", "tip"), ("right", "tip"), states)
+        >>> tips = systems.tie(("left", "tip"), ("right", "tip"), states)
         >>> scenes = {"left": scene, "right": scene}
         >>> system = jaxrod.make_system(scenes, tips, state=states)
         >>> sorted(system.members), len(system.couplings)
