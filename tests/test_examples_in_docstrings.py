@@ -19,19 +19,11 @@ PACKAGES = ("jaxrod", *REFERENCE["PACKAGES"])
 
 # Packages of which not all names have examples yet: theirs are not run.
 NOT_YET = {
-    "jaxrod.actuation",
-    "jaxrod.assemblies",
     "jaxrod.control",
     "jaxrod.control.estimation",
     "jaxrod.envs",
-    "jaxrod.extend",
-    "jaxrod.fluids",
-    "jaxrod.schedules",
     "jaxrod.sensors",
-    "jaxrod.shapes",
     "jaxrod.systems",
-    "jaxrod.topology",
-    "jaxrod.tradeoff",
     "jaxrod.training",
     "jaxrod.twin",
     "jaxrod.viz",

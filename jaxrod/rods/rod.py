@@ -171,7 +171,14 @@ class Rod:
 
 @dataclass(frozen=True)
 class Layout:
-    """Numbers of nodes and elements of a member of a system, from its state."""
+    """Numbers of nodes and elements of a member of a system, from its state.
+
+    Example:
+        >>> state.layout
+        Layout(count=1, n_elements=10, is_rod=True, is_stacked=False)
+        >>> extend.Layout(count=1)  # of a point mass, a member of your own
+        Layout(count=1, n_elements=1, is_rod=False, is_stacked=False)
+    """
 
     count: int
     """Number of rods, bodies or points."""
