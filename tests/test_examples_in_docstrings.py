@@ -11,6 +11,9 @@ from pathlib import Path
 
 import pytest
 
+import jaxrod
+from jaxrod.lanes.choice import lane_mode
+
 ROOT = Path(__file__).resolve().parent.parent
 REFERENCE = runpy.run_path(str(ROOT / "docs" / "reference_pages.py"))
 # What the reference tells readers to assume is what the examples are run with.
@@ -36,9 +39,53 @@ WITHOUT = {
     "jaxrod.UnstableStepWarning": "a warning, which is seen and not called",
 }
 
-# Names whose examples take more than a second of processor time.
+# Names whose examples take more than about a second of processor time, without that
+# which several of them share: the first of them pays for all (the first steps of
+# `scene`, its health).
 SLOW = {
+    "jaxrod.contact",
+    "jaxrod.driven",
+    "jaxrod.Equilibrium",
+    "jaxrod.equilibrium",
+    "jaxrod.frequency_changes",
+    "jaxrod.highest_frequency",
+    "jaxrod.hinge_support",
+    "jaxrod.internal_damping",
+    "jaxrod.laplacian_filter",
+    "jaxrod.natural_frequencies",
+    "jaxrod.near_contact",
+    "jaxrod.planar",
+    "jaxrod.resample",
+    "jaxrod.rollout",
+    "jaxrod.scale_inertia",
+    "jaxrod.short_wave_damping",
     "jaxrod.tune",
+    "jaxrod.Tuned",
+    "jaxrod.use_lanes",
+    "jaxrod.actuation.chamber",
+    "jaxrod.actuation.cubic_force",
+    "jaxrod.actuation.Muscle",
+    "jaxrod.actuation.muscle",
+    "jaxrod.actuation.wound_chamber",
+    "jaxrod.actuation.WoundChamber",
+    "jaxrod.assemblies.braid",
+    "jaxrod.assemblies.bundle",
+    "jaxrod.assemblies.cilia",
+    "jaxrod.assemblies.nest",
+    "jaxrod.assemblies.net",
+    "jaxrod.assemblies.octopus",
+    "jaxrod.assemblies.tree",
+    "jaxrod.topology.crossed",
+    "jaxrod.topology.crossings",
+    "jaxrod.topology.link",
+    "jaxrod.topology.writhe",
+    "jaxrod.tradeoff.measure",
+    "jaxrod.tradeoff.prepare",
+    "jaxrod.tradeoff.Measurement",
+    "jaxrod.tradeoff.Reference",
+    "jaxrod.tradeoff.reference",
+    "jaxrod.tradeoff.slam",
+    "jaxrod.tradeoff.swing",
 }
 
 # Names whose examples must come before JAX computes: each has a process of its own.
@@ -67,6 +114,13 @@ def examples():
                 slow = [pytest.mark.slow] if name in SLOW | OWN_PROCESS else []
                 yield pytest.param(name, thing, id=name, marks=slow)
             seen.add(id(thing))
+
+
+@pytest.fixture(autouse=True)
+def lanes_as_before():
+    mode = lane_mode()
+    yield
+    jaxrod.use_lanes(mode)
 
 
 @functools.cache

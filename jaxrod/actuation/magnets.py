@@ -225,7 +225,8 @@ def linear_field(
     Args:
         flux_density: Flux density at the origin `(3,)`, or a schedule of it [T].
         gradient: Derivative of component i along axis j `(3, 3)`, or a schedule of it
-            [T/m]. Maxwell's equations require it to be symmetric and trace-free.
+            [T/m]. Maxwell's equations require it to be symmetric and trace-free, which
+            is not checked.
         extent: Distance from the origin within which the rod stays, above 0 [m]. The
             stability bound needs it.
 

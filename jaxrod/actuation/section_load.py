@@ -88,10 +88,10 @@ class SectionStress:
     Example:
         >>> zero, turns = jnp.zeros(10), (jnp.zeros(11), jnp.zeros(11), jnp.zeros(11))
         >>> strains = actuation.SectionStrains((zero, zero, rod.rest_lengths), turns)
-        >>> muscle = actuation.muscle(rod, 2.0, curve=actuation.constant_force())
-        >>> stress = muscle.stress(rod, strains)
-        >>> [round(float(part[0]), 3) for part in stress.force]  # tension along d3 [N]
-        [0.0, 0.0, 2.0]
+        >>> warm = actuation.active_shape(rod, strain=(0.0, 0.0, 0.01))
+        >>> stress = warm.stress(rod, strains)
+        >>> round(float(stress.force[2][0]), 2), stress.moment is None  # -E A / 100 [N]
+        (-12.57, True)
     """
 
     force: Vec3 | None = None

@@ -343,6 +343,9 @@ def freeze(flagged: Bool[Array, "*batch"], before: State, after: State) -> State
     Returns:
         A pytree like both.
 
+    Raises:
+        ValueError: If axes of `flagged` are not leading axes of both states.
+
     Example:
         >>> lost = replace(state, positions=jnp.full_like(state.positions, jnp.nan))
         >>> flagged = jaxrod.health(scene, lost, 1e-4).flagged

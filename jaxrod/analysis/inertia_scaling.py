@@ -114,6 +114,9 @@ def frequency_changes(
     Returns:
         Relative change of each frequency [1], the lowest first.
 
+    Raises:
+        TypeError: If `scaling` or `state` is of another type.
+
     Example:
         >>> scaling = jaxrod.scale_inertia(scene)
         >>> changes = jaxrod.frequency_changes(scaling, state, 4)

@@ -28,6 +28,9 @@ def hexagonal_places(rings: int, spacing: float) -> np.ndarray:
     Returns:
         Coordinates across the bundle `(2, k)` [m].
 
+    Raises:
+        ValueError: If `rings` is negative, or `spacing` is not positive.
+
     Example:
         >>> assemblies.hexagonal_places(2, spacing=0.01).shape
         (2, 19)

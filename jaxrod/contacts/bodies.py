@@ -527,6 +527,10 @@ def sphere(centre: Numbers, radius: Numbers) -> Sphere:
         centre: Centre `(3,)` [m].
         radius: Radius [m].
 
+    Raises:
+        ValueError: If the centre is not three finite numbers, or the radius is not
+            positive.
+
     Example:
         >>> ball = shapes.sphere((0.5, 0.0, -0.25), radius=0.125)
         >>> distance, normal = ball.surface(motion.position)

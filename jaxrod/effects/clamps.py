@@ -255,6 +255,10 @@ def clamp(state: RodState, end: End = "base") -> Clamp:
 
     The wall's frame is the end element's orientation in `state`.
 
+    Raises:
+        ValueError: If there is no such end, or the state is of several rods.
+        TypeError: If `state` is not a `RodState`.
+
     Example:
         >>> built_in = jaxrod.clamp(state), jaxrod.clamp(state, "tip")
         >>> scene = jaxrod.make_scene(rod, *built_in)
@@ -270,6 +274,10 @@ def clamp(state: RodState, end: End = "base") -> Clamp:
 
 def fixed_end(state: RodState, end: End = "base") -> FixedEnd:
     """Holds one end node and end element at their place in the given state.
+
+    Raises:
+        ValueError: If there is no such end, or the state is of several rods.
+        TypeError: If `state` is not a `RodState`.
 
     Example:
         >>> scene = jaxrod.make_scene(rod, jaxrod.fixed_end(state))

@@ -305,9 +305,8 @@ def stokes_drag(
         >>> coefficients = fluids.slender_cylinder(1.0, length=1.0, radius=0.02)
         >>> drag = fluids.stokes_drag(*coefficients)
         >>> sinking = jaxrod.make_scene(rod, jaxrod.gravity(), drag)
-        >>> after = jaxrod.step(sinking, state, 1e-4)
-        >>> bool(drag.across > drag.along), bool(after.tip[2] < 0)
-        (True, True)
+        >>> bool(drag.across > drag.along)
+        True
     """
     turns = _coefficient("turning", turning, "kg m/s")
     known_zero = not is_traced(turns) and not np.any(turns)

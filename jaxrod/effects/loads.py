@@ -227,6 +227,9 @@ def gravity(acceleration: Timed = (0.0, 0.0, -9.80665)) -> Gravity:
     Args:
         acceleration: Acceleration, world frame `(3,)`, or a schedule of it [m/s^2].
 
+    Raises:
+        ValueError: If the acceleration is not three finite numbers.
+
     Example:
         >>> moon = jaxrod.gravity((0.0, 0.0, -1.62))
         >>> scene = jaxrod.make_scene(rod, jaxrod.clamp(state), moon)
@@ -253,6 +256,9 @@ def end_load(
         follower: Whether force and couple turn with the end element. Then a force
             along d3 stays along the rod, and one along d1 or d2 stays across it. If
             only one of them is to turn, list two loads.
+
+    Raises:
+        ValueError: If there is no such end, or a load is not three finite numbers.
 
     Example:
         >>> pull = schedules.ramp((0.0, 0.0, 0.0), (2.0, 0.0, 0.0), duration=4.0)
@@ -282,6 +288,9 @@ def uniform_load(
         couple_per_length: Couple per rest length, in the same frame [N m/m].
         follower: Whether they turn with the elements.
 
+    Raises:
+        ValueError: If a load is not three finite numbers.
+
     Example:
         >>> wind = jaxrod.uniform_load((0.0, 0.5, 0.0))  # [N/m]
         >>> scene = jaxrod.make_scene(rod, wind)
@@ -304,6 +313,9 @@ def exponential_damping(
     Args:
         translational_rate: Decay rate of velocities, at least 0 [1/s].
         rotational_rate: Decay rate of spins, at least 0 [1/s]; the same by default.
+
+    Raises:
+        ValueError: If a rate is negative, or not one finite number.
 
     Example:
         >>> moving = replace(state, velocities=jnp.ones_like(state.velocities))

@@ -158,6 +158,10 @@ def strains(
         Shear-stretch strain per element, material frame [1] (zero if straight and
         unstretched), and curvature and twist per joint, material frame [1/m].
 
+    Raises:
+        ValueError: If the state is not of that rod.
+        TypeError: If `rod` or `state` is of another type.
+
     Example:
         >>> longer = replace(state, positions=1.01 * state.positions)
         >>> strain, curvature = jaxrod.strains(rod, longer)
@@ -176,6 +180,10 @@ def strains(
 
 def stored_energy(rod: Rod, state: RodState) -> Float[Array, ""]:
     """Elastic energy of the rod [J].
+
+    Raises:
+        ValueError: If the state is not of that rod.
+        TypeError: If `rod` or `state` is of another type.
 
     Example:
         >>> float(jaxrod.stored_energy(rod, state)) < 1e-9

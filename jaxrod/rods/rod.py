@@ -259,6 +259,10 @@ class RodState:
 def angular_velocities(rod: Rod, state: RodState) -> Float[Array, "3 n"]:
     """Angular velocity of each element in its material frame [rad/s].
 
+    Raises:
+        ValueError: If the state is not of that rod.
+        TypeError: If `rod` or `state` is of another type.
+
     Example:
         >>> turning = jaxrod.with_angular_velocities(rod, state, jnp.full((3, 10), 2.0))
         >>> jaxrod.angular_velocities(rod, turning)[:, 0].round(3).tolist()
@@ -316,6 +320,9 @@ def compensated(state: RodState) -> RodState:
     Angular momentum is not improved: its drift in a free rod is round-off of the loads
     themselves, about `u sqrt(steps)` of the sum of `m |x| |v|` over the nodes, with `u`
     the unit round-off, 6e-8 in float32 (`tests/extremes/test_precision.py`).
+
+    Raises:
+        TypeError: If `state` is not a `RodState`.
 
     Example:
         >>> precise = jaxrod.compensated(state)

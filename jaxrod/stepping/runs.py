@@ -92,6 +92,10 @@ def with_memory(scene: Model, state: State) -> State:
         scene: The scene.
         state: A state of its rod.
 
+    Raises:
+        ValueError: If the state is not of the scene's rod.
+        TypeError: If `scene` or `state` is of another type.
+
     Example:
         >>> ready = jaxrod.with_memory(scene, state)
         >>> ready.memory is None  # no effect of this scene remembers anything

@@ -98,6 +98,9 @@ def crossed(
 
     Arguments are those of `crossings`, which also gives the places.
 
+    Raises:
+        ValueError: If numbers of nodes do not agree, or one of the others is missing.
+
     Example:
         >>> other = jnp.array([[-1.0, 1.0], [0.0, 0.0], [0.0, 0.0]])  # along x
         >>> above = jnp.array([[0.0, 0.0], [-1.0, 1.0], [0.1, 0.1]])  # along y

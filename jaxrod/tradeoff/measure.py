@@ -206,6 +206,9 @@ def reference(workload: Workload, n_elements: int = REFERENCE_ELEMENTS) -> Refer
         n_elements: Elements of the reference; its step is an eighth of the stable one.
             It is compared with a run of half the elements and twice the step.
 
+    Raises:
+        ValueError: If `n_elements` is below 4, so that half of it is no rod.
+
     Example:
         >>> work = tradeoff.workload_of(scene, state, duration=0.05, periods=5)
         >>> exact = tradeoff.reference(work, n_elements=20)
@@ -264,6 +267,9 @@ def measure(
             core if JAX has one device.
         seconds: Time spent on timing each batch [s]. The result is the median of five
             windows, or a single run if that takes longer.
+
+    Raises:
+        ValueError: If the setting does not fit the workload, as in `prepare`.
 
     Example:
         >>> work = tradeoff.workload_of(scene, state, duration=0.05, periods=5)
