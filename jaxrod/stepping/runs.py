@@ -93,7 +93,6 @@ def with_memory(scene: Model, state: State) -> State:
         state: A state of its rod.
 
     Raises:
-        ValueError: If the state is not of the scene's rod.
         TypeError: If `scene` or `state` is of another type.
 
     Example:
