@@ -85,7 +85,8 @@ def write_reference(folder: Path) -> None:
     for title, names in sorted(rooms.items()):
         page = "".join(c if c.isalnum() else "_" for c in title.lower())
         pages.append(page)
-        _write(folder / f"{page}.md", f"# {title}\n\n" + _entries(names, seen))
+        head = f"# {title}\n\nExamples go on from [this program](index.md).\n\n"
+        _write(folder / f"{page}.md", head + _entries(names, seen))
     listed = "\n".join(pages)
     _write(
         folder / "index.md",

@@ -111,8 +111,9 @@ def pytree(cls: type[T]) -> type[T]:
         ...     end: str = extend.static(default="tip")
         >>> jax.tree.leaves(Spring(2.0))  # the end is structure
         [2.0]
-        >>> jax.grad(lambda spring: spring.stiffness**2)(Spring(2.0))
-        Spring(stiffness=Array(4., dtype=float32, weak_type=True), end='tip')
+        >>> slope = jax.grad(lambda spring: spring.stiffness**2)(Spring(2.0))
+        >>> float(slope.stiffness), slope.end
+        (4.0, 'tip')
     """
     # A class with its own `__repr__` keeps it.
     own = "__repr__" in vars(cls)

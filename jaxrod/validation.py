@@ -209,8 +209,8 @@ def as_array(
         ValueError: If a check fails; the message names argument, value and unit.
 
     Example:
-        >>> extend.as_array("force", [1, 2, 3], "N", [(3,)])
-        Array([1., 2., 3.], dtype=float32)
+        >>> extend.as_array("force", [1, 2, 3], "N", [(3,)]).tolist()
+        [1.0, 2.0, 3.0]
         >>> extend.as_array("stiffness", -1.0, "N/m", positive=True)
         Traceback (most recent call last):
             ...
