@@ -255,6 +255,10 @@ def clamp(state: RodState, end: End = "base") -> Clamp:
 
     The wall's frame is the end element's orientation in `state`.
 
+    Args:
+        state: The state of the rod.
+        end: The end that is held, "base" or "tip".
+
     Raises:
         ValueError: If there is no such end, or the state is of several rods.
         TypeError: If `state` is not a `RodState`.
@@ -274,6 +278,10 @@ def clamp(state: RodState, end: End = "base") -> Clamp:
 
 def fixed_end(state: RodState, end: End = "base") -> FixedEnd:
     """Holds one end node and end element at their place in the given state.
+
+    Args:
+        state: The state of the rod.
+        end: The end that is held, "base" or "tip".
 
     Raises:
         ValueError: If there is no such end, or the state is of several rods.

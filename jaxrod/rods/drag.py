@@ -70,6 +70,15 @@ def relative_velocity(motion: Motion, drag: Drag) -> Vec3:
 def drag_loads(rod: Rod, motion: Motion, drag: Drag) -> Loads:
     """Drag as forces and couples, for methods that treat drag as an explicit load.
 
+    Args:
+        rod: The rod.
+        motion: Its configuration and rates.
+        drag: Rates at this moment, as the hook `drag` of an effect gives them.
+
+    Returns:
+        Forces on nodes, world frame [N], and couples on elements, material frame
+        [N m].
+
     Example:
         >>> zero = jnp.zeros(11)
         >>> rising = replace(motion, velocity=(zero, zero, zero + 1.0))

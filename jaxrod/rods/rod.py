@@ -257,7 +257,7 @@ class RodState:
 
 
 def angular_velocities(rod: Rod, state: RodState) -> Float[Array, "3 n"]:
-    """Angular velocity of each element in its material frame [rad/s].
+    """Angular velocity of each element in its material frame `(3, n)` [rad/s].
 
     Raises:
         ValueError: If the state is not of that rod.

@@ -47,8 +47,9 @@ class Tuned:
         >>> tuned = jaxrod.tune(scene, state, max_error=0.05, **few)
         >>> tuned.met, tuned.error < tuned.max_error
         (True, True)
-        >>> tuned.prepared.scene.rod.n_elements  # the scene with its setting, to run
-        4
+        >>> ready = tuned.prepared  # its scene, state and steps, to run
+        >>> ready.scene.rod.n_elements == tuned.setting.n_elements
+        True
     """
 
     met: bool

@@ -125,6 +125,14 @@ def _table(index: Indices, size: int) -> np.ndarray:
 def sum_of_loads(*given: tuple[Points, Loads], seen: AllSeen) -> dict[str, Loads]:
     """Loads on whole members, from loads at places.
 
+    Args:
+        *given: Pairs of places on one member, such as `Anchors.points`, and loads
+            there: forces [N] and couples [N m], one entry for each place.
+        seen: The members by name, as the hooks of couplings get them.
+
+    Returns:
+        Loads by member, with an entry for each of its nodes and elements.
+
     Example:
         >>> seen = {"arm": extend.Seen(scene.as_member().parts(), motion)}
         >>> tip = extend.anchors([("arm", "tip")], {"arm": state})
