@@ -67,6 +67,8 @@ def google_docstring(
     app: Any, what: str, name: str, thing: Any, options: Any, lines: list[str]
 ) -> None:
     """Reads sections of a docstring; one of a field is plain text, colons included."""
+    if what == "data" and type(thing).__module__ == "builtins":
+        lines.clear()  # Sphinx takes that of `dict` or `str`
     if what not in ("attribute", "data", "property"):
         lines[:] = GoogleDocstring(
             lines, Config(napoleon_use_rtype=False), app, what, name, thing, options
@@ -92,15 +94,21 @@ def math_in_docstrings(
     lines[:] = text.split("\n")
 
 
+def mathml(formula: str, as_block: bool) -> str:
+    r"""MathML of a formula. docutils knows `\Bigl` and `\Bigr`, but not `\Big`."""
+    known = re.sub(r"\\([Bb]igg?)(?![a-zA-Z])", r"\\\1l", formula)
+    return str(tex2mathml(known, as_block=as_block))
+
+
 def inline_math(translator: Any, node: nodes.Element) -> None:
     """A formula in a line, as MathML: browsers draw it without a script."""
-    translator.body.append(tex2mathml(node.astext(), as_block=False))
+    translator.body.append(mathml(node.astext(), as_block=False))
     raise nodes.SkipNode
 
 
 def display_math(translator: Any, node: nodes.Element) -> None:
     """A formula of its own."""
-    formula = tex2mathml(node.astext(), as_block=True)
+    formula = mathml(node.astext(), as_block=True)
     translator.body.append(f'<div style="margin: 1em 0">{formula}</div>')
     raise nodes.SkipNode
 

@@ -43,6 +43,32 @@ PACKAGES = {
     "jaxrod.viz": "Drawing",
 }
 
+ASSUMED = """\
+from dataclasses import replace
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+import jaxrod
+from jaxrod import actuation, assemblies, extend, fluids, schedules
+from jaxrod import shapes, systems, topology, tradeoff
+
+rod, state = jaxrod.straight_rod(
+    10,
+    length=1.0,
+    radius=0.02,
+    density=1000.0,
+    youngs_modulus=1e6,
+    direction=(1.0, 0.0, 0.0),
+)
+scene = jaxrod.make_scene(
+    rod, jaxrod.clamp(state), jaxrod.gravity(), jaxrod.exponential_damping(2.0)
+)
+motion = scene.as_member().motion(state)  # what effects see of the state
+"""
+"""Program that examples in docstrings go on from; a test runs them after it."""
+
 
 def write_reference(folder: Path) -> None:
     """Writes a page for each room and each package, and their list."""
@@ -59,11 +85,13 @@ def write_reference(folder: Path) -> None:
     for title, names in sorted(rooms.items()):
         page = "".join(c if c.isalnum() else "_" for c in title.lower())
         pages.append(page)
-        _write(folder / f"{page}.md", f"# {title}\n\n" + _entries(names, seen))
+        head = f"# {title}\n\nExamples go on from [this program](index.md).\n\n"
+        _write(folder / f"{page}.md", head + _entries(names, seen))
     listed = "\n".join(pages)
     _write(
         folder / "index.md",
-        "# Reference\n\nEvery public name, from the docstrings.\n\n"
+        "# Reference\n\nEvery public name, from the docstrings. Their examples go on "
+        f"from this program:\n\n```python\n{ASSUMED}```\n\n"
         f"```{{toctree}}\n:maxdepth: 1\n\n{listed}\n```\n",
     )
 

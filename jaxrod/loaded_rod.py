@@ -46,6 +46,12 @@ class Method:
     """Method of stepping a scene: an elastic law, its reduction and an integrator.
 
     It is one of those in `jaxrod.methods`, or a user's subclass that is a pytree.
+
+    Example:
+        >>> scene.method, isinstance(scene.method, extend.Method)
+        (Consistent(), True)
+        >>> jaxrod.implicit().explicit, jaxrod.torsion_free().twist
+        (False, False)
     """
 
     twist: ClassVar[bool] = True
@@ -106,6 +112,10 @@ class LoadedRod:
     """One rod, its effects and a method. Structure is static, numbers are traced.
 
     Only the listed `effects` are in the compiled program.
+
+    Example:
+        >>> isinstance(scene, extend.LoadedRod), scene.depends_on_time, scene.remembers
+        (True, False, False)
     """
 
     rod: Rod

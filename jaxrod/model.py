@@ -25,6 +25,12 @@ class Stepper(Protocol):
     later, where the kick of the next step acts, so that neighbouring half drifts are
     merged: `end(cycle(cycle(begin(state))))` is three steps, the last one finished by
     `end`.
+
+    Example:
+        >>> stepper = scene.method.stepper(scene, state, jnp.float32(1e-4))
+        >>> after = stepper.end(stepper.cycle(stepper.begin(state)))
+        >>> after.positions.shape, stepper.steps_of_end
+        ((3, 11), 1)
     """
 
     steps_of_end: ClassVar[int]

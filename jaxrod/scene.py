@@ -56,6 +56,13 @@ class Scene(LoadedRod, Model):
 
     Only the listed `effects` are in the compiled program. Make a scene with
     `make_scene`; change numbers with `dataclasses.replace`.
+
+    Example:
+        >>> scene.rod.n_elements, len(scene.effects), scene.method
+        (10, 3, Consistent())
+        >>> bent = jaxrod.advance(scene, state, 1e-4, 1000)
+        >>> bool(scene.total_energy(bent) < scene.total_energy(state))  # damping
+        True
     """
 
     def __repr__(self) -> str:
@@ -217,6 +224,12 @@ def make_scene(rod: Rod, *effects: Effect, method: Method | None = None) -> Scen
         TypeError: If an effect is not an `Effect`, the rod is not a `Rod`, or the
             method is not a `Method`. Also if the class of an effect is not a pytree,
             defines no hook, or has a method whose name is nearly that of a hook.
+
+    Example:
+        >>> jaxrod.make_scene(rod, jaxrod.clamp(state), jaxrod.gravity())
+        Scene(Rod(...), Clamp, Gravity, Consistent)
+        >>> jaxrod.make_scene(rod, method=jaxrod.planar("zx")).method
+        Planar(plane='zx', of=Consistent())
     """
     check_kind("rod", rod, Rod)
     for effect in effects:

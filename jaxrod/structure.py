@@ -24,6 +24,19 @@ class Leaf:
 
     It is an annotation, never instantiated. In hooks of effects the field is an array:
     `make_scene` converts numbers, and a run replaces a schedule by its value.
+
+    Example:
+        >>> @extend.pytree
+        ... class Lift(extend.Effect):
+        ...     force: extend.Leaf  # on every node, along z [N]
+        ...
+        ...     def loads(self, rod, motion):
+        ...         z = jnp.full_like(motion.position[2], self.force)
+        ...         return extend.Loads(forces=(0 * z, 0 * z, z))
+        >>> growing = schedules.ramp(0.0, 2.0, duration=1.0)
+        >>> lifted = jaxrod.make_scene(rod, Lift(growing))
+        >>> float(lifted.at(0.5).effects[0].force)
+        1.0
     """
 
     # Type checkers read from these the type of a field and of its argument.
@@ -43,6 +56,14 @@ def static(**options: Any) -> Any:
 
     Args:
         **options: Options of `dataclasses.field`, such as `default`.
+
+    Example:
+        >>> @extend.pytree
+        ... class Probe:
+        ...     place: jax.Array
+        ...     name: str = extend.static(default="probe")
+        >>> jax.tree.map(lambda leaf: 2 * leaf, Probe(1.5, "front"))
+        Probe(place=3.0, name='front')
     """
     return dataclasses.field(metadata={"static": True}, **options)
 
@@ -54,6 +75,18 @@ def memory(**options: Any) -> Any:
 
     Args:
         **options: Options of `dataclasses.field`, such as `default`.
+
+    Example:
+        >>> @extend.pytree
+        ... class Counter(extend.Effect):
+        ...     steps: jax.Array = extend.memory(default=0.0)
+        ...
+        ...     def after_step(self, rod, motion, dt):
+        ...         return replace(self, steps=self.steps + 1)
+        >>> counted = jaxrod.make_scene(rod, Counter())
+        >>> after = jaxrod.step(counted, jaxrod.step(counted, state, 1e-4), 1e-4)
+        >>> float(after.memory[0]["steps"])
+        2.0
     """
     return dataclasses.field(metadata={"memory": True}, **options)
 
@@ -70,6 +103,17 @@ def pytree(cls: type[T]) -> type[T]:
     `static()`. Use `dataclasses.replace` to make a changed copy. Nothing is
     validated or converted on construction, because JAX also constructs pytrees
     from placeholders while it traces; factories validate instead.
+
+    Example:
+        >>> @extend.pytree
+        ... class Spring:
+        ...     stiffness: jax.Array
+        ...     end: str = extend.static(default="tip")
+        >>> jax.tree.leaves(Spring(2.0))  # the end is structure
+        [2.0]
+        >>> slope = jax.grad(lambda spring: spring.stiffness**2)(Spring(2.0))
+        >>> float(slope.stiffness), slope.end
+        (4.0, 'tip')
     """
     # A class with its own `__repr__` keeps it.
     own = "__repr__" in vars(cls)

@@ -207,6 +207,14 @@ def as_array(
 
     Raises:
         ValueError: If a check fails; the message names argument, value and unit.
+
+    Example:
+        >>> extend.as_array("force", [1, 2, 3], "N", [(3,)]).tolist()
+        [1.0, 2.0, 3.0]
+        >>> extend.as_array("stiffness", -1.0, "N/m", positive=True)
+        Traceback (most recent call last):
+            ...
+        ValueError: stiffness must be positive, got -1 N/m
     """
     dtype = jnp.result_type(float) if dtype is None else dtype
     checked = check_array(

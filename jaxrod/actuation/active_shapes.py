@@ -35,7 +35,14 @@ from jaxrod.validation import check_kind
 
 @pytree
 class ActiveShape(SectionLoad):
-    """A shape that is added to the rest shape of the rod; see `active_shape`."""
+    """A shape that is added to the rest shape of the rod; see `active_shape`.
+
+    Example:
+        >>> shape = actuation.active_shape(rod, curvature=(0.0, 2.0, 0.0))
+        >>> curled = jaxrod.make_scene(rod, shape)
+        >>> round(float(curled.potential_energy(state)), 3)  # B k^2 / 2 times 0.9 m
+        0.226
+    """
 
     curvature: Scheduled | None
     """Curvature at the joint of each node `(3, n + 1)`, or of all `(3, 1)` [1/m]."""
@@ -144,6 +151,13 @@ def active_shape(
     Raises:
         ValueError: If both are left out, or one is of the wrong shape.
         TypeError: If `rod` or `into` is of another type.
+
+    Example:
+        >>> warm = actuation.active_shape(rod, strain=(0.0, 0.0, 0.01))  # 1 % longer
+        >>> scene = jaxrod.make_scene(rod, warm)
+        >>> longer = replace(state, positions=1.01 * state.positions)
+        >>> round(abs(float(scene.potential_energy(longer))), 6)  # this is at rest
+        0.0
     """
     check_kind("rod", rod, Rod)
     if curvature is None and strain is None:

@@ -42,7 +42,14 @@ from jaxrod.validation import Numbers, as_array, check_kind
 
 @pytree
 class Chamber(SectionLoad):
-    """Chambers of constant cross-section; see `chamber`."""
+    """Chambers of constant cross-section; see `chamber`.
+
+    Example:
+        >>> inflated = actuation.chamber(rod, pressure=2e4, area=1e-4)
+        >>> longer = replace(state, positions=1.1 * state.positions)
+        >>> round(float(inflated.energy(rod, longer)), 3)  # -pressure * new volume [J]
+        -0.2
+    """
 
     reach: ClassVar[Reach] = "second neighbours"
     path: FibrePath
@@ -78,7 +85,14 @@ class Chamber(SectionLoad):
 
 @pytree
 class WoundChamber(SectionLoad):
-    """Chambers wound with fibres at an angle; see `wound_chamber`."""
+    """Chambers wound with fibres at an angle; see `wound_chamber`.
+
+    Example:
+        >>> wound = actuation.wound_chamber(rod, 1e5, radius=0.005, angle=0.4)
+        >>> along = wound.loads(rod, motion).forces[0]
+        >>> round(float(along[0]), 1), round(float(along[-1]), 1)  # it shortens the rod
+        (80.0, -80.0)
+    """
 
     reach: ClassVar[Reach] = "second neighbours"
     path: FibrePath
@@ -162,6 +176,13 @@ def chamber(
     Raises:
         ValueError: If an argument is out of range or of the wrong shape.
         TypeError: If `rod` or `into` is of another type.
+
+    Example:
+        >>> offsets = [[0.01, 0.0], [-0.01, 0.0]]  # along d1
+        >>> pair = actuation.chamber(rod, [2e4, 0.0], area=1e-4, offsets=offsets)
+        >>> about_d2 = pair.loads(rod, motion).couples[1]
+        >>> round(float(about_d2[0]), 3)  # pressure, area, offset [N m]
+        0.02
     """
     check_kind("rod", rod, Rod)
     path = fibre_path(rod, offsets)
@@ -206,6 +227,14 @@ def wound_chamber(
     Raises:
         ValueError: If an argument is out of range or of the wrong shape.
         TypeError: If `rod` or `into` is of another type.
+
+    Example:
+        >>> steep = actuation.wound_chamber(rod, 1e5, radius=0.005, angle=1.2)
+        >>> flat = actuation.wound_chamber(rod, 1e5, radius=0.005, angle=0.4)
+        >>> bool(steep.loads(rod, motion).forces[0][-1] > 0)  # it lengthens the rod
+        True
+        >>> bool(flat.loads(rod, motion).forces[0][-1] > 0)
+        False
     """
     check_kind("rod", rod, Rod)
     path = fibre_path(rod, offsets)

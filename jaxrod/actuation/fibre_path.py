@@ -170,6 +170,14 @@ def helical_offsets(
 
     Raises:
         ValueError: If an argument is of the wrong shape or out of range.
+
+    Example:
+        >>> offsets = actuation.helical_offsets(rod, 0.01, turns=1.0)
+        >>> offsets.shape, round(float(offsets[0, 0, 5]), 3)  # half a turn from d1
+        ((1, 2, 11), -0.01)
+        >>> twister = actuation.muscle(rod, 2.0, offsets=offsets)
+        >>> twister.path.count
+        1
     """
     kind = rod.rest_lengths.dtype
     places = node_places(rod)

@@ -31,6 +31,23 @@ class MagneticField(ABC):
     """Base of fields that vary in space; a subclass is a pytree.
 
     Its numbers may be schedules.
+
+    Example:
+        >>> @extend.pytree
+        ... class Wire(actuation.MagneticField):
+        ...     strength: jax.Array  # [T m]; the wire is along y, 1 m below the origin
+        ...
+        ...     def __call__(self, place):
+        ...         x, y, z = place
+        ...         size = self.strength / (x**2 + (z + 1.0) ** 2)
+        ...         return (z + 1.0) * size, 0 * size, -x * size
+        ...
+        ...     @property
+        ...     def largest(self):  # bounds at distances of 1 m and more
+        ...         return self.strength, 2 * self.strength, 6 * self.strength
+        >>> magnet = actuation.magnetisation(rod, (0.0, 0.0, 0.1), Wire(0.5))
+        >>> [float(part) for part in magnet.field((0.0, 0.0, 0.0))]
+        [0.5, 0.0, -0.0]
     """
 
     @abstractmethod
@@ -45,7 +62,15 @@ class MagneticField(ABC):
 
 @pytree
 class LinearField(MagneticField):
-    """A field that varies linearly in space."""
+    """A field that varies linearly in space.
+
+    Example:
+        >>> gradient = jnp.diag(jnp.array([1.0, 1.0, -2.0]))  # [T/m], trace zero
+        >>> field = actuation.linear_field((0.0, 0.0, 0.5), gradient, extent=2.0)
+        >>> x, y, z = field((1.0, 0.0, 0.25))
+        >>> float(x), float(z)  # flux density [T]
+        (1.0, 0.0)
+    """
 
     flux_density: Any
     """Flux density at the origin `(3,)` [T]."""
@@ -75,7 +100,14 @@ class LinearField(MagneticField):
 
 @pytree
 class Magnetisation(Effect):
-    """Magnetic moments that turn with the elements; see `magnetisation`."""
+    """Magnetic moments that turn with the elements; see `magnetisation`.
+
+    Example:
+        >>> magnet = actuation.magnetisation(rod, (0.0, 0.0, 0.1), (0.0, 0.0, 0.5))
+        >>> about_d1, about_d2, about_d3 = magnet.loads(rod, motion).couples
+        >>> round(abs(float(about_d1.sum())), 3)  # 0.1 A m, 0.5 T, 1 m [N m]
+        0.05
+    """
 
     moment_per_length: Float[Array, "3 m"]
     """Magnetic moment per length, material frame, per element or one (m = 1) [A m]."""
@@ -161,6 +193,13 @@ def magnetisation(
     Raises:
         ValueError: If an argument is not finite or of the wrong shape.
         TypeError: If `rod` is not a `Rod`.
+
+    Example:
+        >>> field = schedules.sine((0.5, 0.0, 0.0), period=2.0)
+        >>> magnet = actuation.magnetisation(rod, (0.0, 0.0, 0.1), field)
+        >>> crest = jaxrod.make_scene(rod, magnet).at(0.5).effects[0]
+        >>> round(float(crest.energy(rod, state)), 3)  # - moment times flux density [J]
+        -0.05
     """
     check_kind("rod", rod, Rod)
     shapes = [(3,), (3, rod.n_elements)]
@@ -186,12 +225,20 @@ def linear_field(
     Args:
         flux_density: Flux density at the origin `(3,)`, or a schedule of it [T].
         gradient: Derivative of component i along axis j `(3, 3)`, or a schedule of it
-            [T/m]. Maxwell's equations require it to be symmetric and trace-free.
+            [T/m]. Maxwell's equations require it to be symmetric and trace-free, which
+            is not checked.
         extent: Distance from the origin within which the rod stays, above 0 [m]. The
             stability bound needs it.
 
     Raises:
         ValueError: If an argument is out of range or of the wrong shape.
+
+    Example:
+        >>> gradient = jnp.diag(jnp.array([1.0, 1.0, -2.0]))  # [T/m]
+        >>> field = actuation.linear_field((0.0, 0.0, 0.5), gradient, extent=2.0)
+        >>> magnet = actuation.magnetisation(rod, (0.0, 0.0, 0.1), field)
+        >>> [round(float(part.sum()), 3) for part in magnet.loads(rod, motion).forces]
+        [0.1, 0.0, 0.0]
     """
     return LinearField(
         as_timed_vector("flux_density", flux_density, "T", (3,)),

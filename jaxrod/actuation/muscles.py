@@ -188,17 +188,37 @@ def gaussian_force(width: Numbers = 0.25) -> GaussianForce:
 
     Raises:
         ValueError: If it is out of range.
+
+    Example:
+        >>> curve = actuation.gaussian_force(width=0.2)
+        >>> force = jax.grad(curve.energy)
+        >>> round(float(force(1.0)), 3), round(float(force(1.2)), 3)  # 1 and exp(-1/2)
+        (1.0, 0.607)
     """
     return GaussianForce(as_array("width", width, "", positive=True))
 
 
 def cubic_force() -> CubicForce:
-    """Force-length curve of the muscles of an octopus; see `CubicForce`."""
+    """Force-length curve of the muscles of an octopus; see `CubicForce`.
+
+    Example:
+        >>> curve = actuation.cubic_force()
+        >>> force = jax.grad(curve.energy)
+        >>> [round(float(force(stretch)), 2) for stretch in (0.5, 1.0, 1.7)]
+        [0.0, 0.99, 0.0]
+    """
     return CubicForce()
 
 
 def constant_force() -> ConstantForce:
-    """Force-length curve with the same force at any length."""
+    """Force-length curve with the same force at any length.
+
+    Example:
+        >>> curve = actuation.constant_force()
+        >>> muscle = actuation.muscle(rod, 2.0, curve=curve)
+        >>> float(curve.energy(jnp.float32(1.25)))  # stretch minus one
+        0.25
+    """
     return ConstantForce()
 
 
@@ -210,7 +230,14 @@ DRAWN_OUT = 1.5
 
 @pytree
 class Muscle(SectionLoad):
-    """One or several muscle fibres; see `muscle`."""
+    """One or several muscle fibres; see `muscle`.
+
+    Example:
+        >>> muscle = actuation.muscle(rod, 2.0, activation=0.5)
+        >>> along = muscle.loads(rod, motion).forces[0]
+        >>> round(float(along[0]), 2), round(float(along[-1]), 2)  # the ends attract
+        (0.99, -0.99)
+    """
 
     reach: ClassVar[Reach] = "second neighbours"
     path: FibrePath
@@ -359,6 +386,12 @@ def muscle(
     Raises:
         ValueError: If an argument is out of range or of the wrong shape.
         TypeError: If `rod`, `curve` or `into` is of another type.
+
+    Example:
+        >>> muscle = actuation.muscle(rod, 2.0, activation=0.5, offsets=(0.01, 0.0))
+        >>> about_d2 = muscle.loads(rod, motion).couples[1]
+        >>> round(float(about_d2[0]), 3)  # minus force times offset [N m]
+        -0.01
     """
     check_kind("rod", rod, Rod)
     path = fibre_path(rod, offsets)

@@ -64,7 +64,16 @@ Walls = tuple[Wall, ...]
 
 @pytree
 class SectionStrains:
-    """Strains of a rod in the material frames of its sections."""
+    """Strains of a rod in the material frames of its sections.
+
+    Example:
+        >>> zero, long = jnp.zeros(10), jnp.full(10, 0.11)
+        >>> turns = (jnp.zeros(11), jnp.zeros(11), jnp.zeros(11))
+        >>> strains = actuation.SectionStrains((zero, zero, long), turns)
+        >>> chamber = actuation.chamber(rod, pressure=2e4, area=1e-4)
+        >>> round(float(chamber.stored(rod, strains)), 3)  # -pressure * new volume [J]
+        -0.2
+    """
 
     edges: Vec3
     """Vectors from each node to the next in the element's material frame, `n` [m]."""
@@ -74,7 +83,16 @@ class SectionStrains:
 
 @pytree
 class SectionStress:
-    """Stress of an actuator; components that it does not have are `None`."""
+    """Stress of an actuator; components that it does not have are `None`.
+
+    Example:
+        >>> zero, turns = jnp.zeros(10), (jnp.zeros(11), jnp.zeros(11), jnp.zeros(11))
+        >>> strains = actuation.SectionStrains((zero, zero, rod.rest_lengths), turns)
+        >>> warm = actuation.active_shape(rod, strain=(0.0, 0.0, 0.01))
+        >>> stress = warm.stress(rod, strains)
+        >>> round(float(stress.force[2][0]), 2), stress.moment is None  # -E A / 100 [N]
+        (-12.57, True)
+    """
 
     force: Vec3 | None = None
     """Force in elements, material frame, positive along d3 in tension, `n` [N]."""
@@ -89,6 +107,18 @@ class SectionLoad(Effect):
     closed form, it defines `stress`. A subclass may promise `reach = "neighbours"` if
     its moments do not depend on the strains and its forces depend on the element's own
     strain only.
+
+    Example:
+        >>> @extend.pytree
+        ... class Strap(actuation.SectionLoad):
+        ...     stiffness: jax.Array  # [N]
+        ...
+        ...     def stored(self, rod, strains):
+        ...         stretch = strains.edges[2] / rod.rest_lengths - 1
+        ...         return jnp.sum(0.5 * self.stiffness * stretch**2 * rod.rest_lengths)
+        >>> longer = replace(state, positions=1.1 * state.positions)
+        >>> round(float(Strap(100.0).energy(rod, longer)), 3)
+        0.5
     """
 
     walls: Walls = ()

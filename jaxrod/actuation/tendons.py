@@ -40,7 +40,15 @@ _TURN = 0.25
 
 @pytree
 class Tendon(Effect):
-    """One or several cables through eyelets on the same elements; see `tendon`."""
+    """One or several cables through eyelets on the same elements; see `tendon`.
+
+    Example:
+        >>> tendon = actuation.tendon(rod, (0.01, 0.0), tension=5.0)
+        >>> tendon.cable_tensions(motion).tolist()
+        [5.0]
+        >>> round(float(tendon.cable_lengths(motion)[0]), 3)  # first eyelet to last [m]
+        0.9
+    """
 
     eyelets: Float[Array, "k 2 m"]
     """Offsets from the centreline along d1 and d2 [m]."""
@@ -306,6 +314,13 @@ def tendon(
         ValueError: If an argument is out of range or of the wrong shape, or not exactly
             one of tension and length is given.
         TypeError: If `rod` is not a `Rod`.
+
+    Example:
+        >>> pull = schedules.ramp(0.0, 5.0, duration=1.0)
+        >>> tendon = actuation.tendon(rod, (0.01, 0.0), tension=pull)
+        >>> arm = jaxrod.make_scene(rod, jaxrod.clamp(state), tendon)
+        >>> arm.at(0.5).effects[1].cable_tensions(motion).tolist()
+        [2.5]
     """
     check_kind("rod", rod, Rod)
     if (tension is None) == (length is None):

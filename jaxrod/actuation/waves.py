@@ -132,6 +132,12 @@ class TravellingWave(SectionLoad):
     r"""A moment at every joint about an axis of the section; see `travelling_wave`.
 
     At a fixed time its energy is $-\sum_k \tau_k\, a\cdot\phi_k$.
+
+    Example:
+        >>> wave = actuation.travelling_wave(rod, 0.25, period=2.0, wavelength=1.0)
+        >>> now = jaxrod.make_scene(rod, wave).at(0.5).effects[0]  # a quarter period
+        >>> now.moments[::5].tolist()  # at the base, the middle and the tip
+        [0.25, -0.25, 0.25]
     """
 
     moments: Scheduled
@@ -168,6 +174,15 @@ class WorldWave(Effect):
     """A moment at every joint about an axis of space; see `muscle_torques`.
 
     It has no energy. The couples on the two elements of a joint are opposite.
+
+    Example:
+        >>> wave = actuation.muscle_torques(
+        ...     rod, 0.25, period=2.0, wave_number=2 * jnp.pi, direction=(0.0, 0.0, 1.0)
+        ... )
+        >>> now = jaxrod.make_scene(rod, wave).at(0.5).effects[0]
+        >>> couples = now.loads(rod, motion).couples
+        >>> [round(abs(float(part.sum())), 3) for part in couples]  # they cancel
+        [0.0, 0.0, 0.0]
     """
 
     moments: Scheduled
@@ -234,6 +249,12 @@ def travelling_wave(
     Raises:
         ValueError: If an argument is out of range or of the wrong shape.
         TypeError: If `rod` or `into` is of another type.
+
+    Example:
+        >>> swim = actuation.travelling_wave(rod, 0.1, period=2.0, wavelength=1.0)
+        >>> eel = jaxrod.make_scene(rod, swim, fluids.stokes_drag(0.1, 0.2))
+        >>> eel.depends_on_time, eel.at(0.5).effects[0].moments.shape
+        (True, (11,))
     """
     check_kind("rod", rod, Rod)
     kind = rod.rest_lengths.dtype
@@ -283,6 +304,14 @@ def muscle_torques(
     Raises:
         ValueError: If an argument is out of range or of the wrong shape.
         TypeError: If `rod` is not a `Rod`.
+
+    Example:
+        >>> wave = actuation.muscle_torques(
+        ...     rod, 0.25, period=2.0, wave_number=2 * jnp.pi, direction=(0.0, 0.0, 1.0)
+        ... )
+        >>> now = jaxrod.make_scene(rod, wave).at(0.5).effects[0]
+        >>> now.moments[::5].tolist()
+        [0.25, -0.25, 0.25]
     """
     check_kind("rod", rod, Rod)
     kind = rod.rest_lengths.dtype

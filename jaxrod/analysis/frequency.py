@@ -74,6 +74,11 @@ def highest_frequency(
 
     Raises:
         ValueError: If `size` is less than 2, or the state is not of the scene's rod.
+
+    Example:
+        >>> fastest = jaxrod.highest_frequency(scene, state)
+        >>> bool(fastest <= jaxrod.stable_dt(scene).angular_frequency)  # the bound
+        True
     """
     scene = scene_of(scene, state)
     size = check_count("size", size, 2, MOST_VECTORS)
@@ -105,6 +110,11 @@ def natural_frequencies(
         ValueError: If the scene's loads have no potential, there are fewer modes, or
             anything is traced.
         TypeError: If `scene` or `state` is of another type.
+
+    Example:
+        >>> first = jaxrod.natural_frequencies(scene, state, 3)  # [rad/s]
+        >>> first.shape, bool(abs(first[0] / first[1] - 1) < 1e-3)  # two planes
+        ((3,), True)
     """
     check_model(scene)
     if n_modes is not None:

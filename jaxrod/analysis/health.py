@@ -42,7 +42,16 @@ State = TypeVar("State")
 
 @pytree
 class HealthLimits:
-    """Limits beyond which a state is flagged."""
+    """Limits beyond which a state is flagged.
+
+    Example:
+        >>> longer = replace(state, positions=1.2 * state.positions)
+        >>> limits = jaxrod.HealthLimits(largest_stretch=1.1)
+        >>> bool(jaxrod.health(scene, longer, 1e-4, limits=limits).stretch)
+        True
+        >>> bool(jaxrod.health(scene, longer, 1e-4).stretch)
+        False
+    """
 
     smallest_stretch: Float[Array, ""] | float = 0.3
     """Smallest extent of an element along its axis d3, over that at rest [1]. It is
@@ -69,7 +78,16 @@ class HealthLimits:
 
 @pytree
 class Health:
-    """Flags and the measured values behind them, for one state."""
+    """Flags and the measured values behind them, for one state.
+
+    Example:
+        >>> longer = replace(state, positions=3.0 * state.positions)
+        >>> found = jaxrod.health(scene, longer, dt=1e-4)
+        >>> bool(found.flagged), bool(found.stretch)
+        (True, True)
+        >>> round(float(found.largest_stretch), 3)
+        3.0
+    """
 
     finite: Bool[Array, ""]
     """Whether every number of the state and its square are finite."""
@@ -175,6 +193,14 @@ def health(
     Raises:
         ValueError: If the state is not of the scene's rod, or `dt` or `n_steps` is
             known and not positive.
+
+    Example:
+        >>> bool(jaxrod.health(scene, state, dt=1e-4).flagged)
+        False
+        >>> lost = replace(state, velocities=jnp.full_like(state.velocities, jnp.nan))
+        >>> found = jaxrod.health(scene, lost, dt=1e-4)
+        >>> bool(found.flagged), bool(found.finite)
+        (True, False)
     """
     check_model(scene)
     return scene.health(
@@ -316,6 +342,16 @@ def freeze(flagged: Bool[Array, "*batch"], before: State, after: State) -> State
 
     Returns:
         A pytree like both.
+
+    Raises:
+        ValueError: If axes of `flagged` are not leading axes of both states.
+
+    Example:
+        >>> lost = replace(state, positions=jnp.full_like(state.positions, jnp.nan))
+        >>> flagged = jaxrod.health(scene, lost, 1e-4).flagged
+        >>> kept = jaxrod.freeze(flagged, before=state, after=lost)
+        >>> bool(jnp.array_equal(kept.positions, state.positions))
+        True
     """
 
     def choose(old: Array, new: Array) -> Array:

@@ -32,6 +32,11 @@ def reactions(scene: LoadedRod, state: RodState) -> tuple[Reaction | None, ...]:
         ValueError: If the law is another one, the scene depends on time, or the state
             is not of its rod.
         TypeError: If `scene` or `state` is of another type.
+
+    Example:
+        >>> wall = jaxrod.reactions(scene, state)[0]
+        >>> round(float(wall.force[2]), 3)  # so far the weight of the first node [N]
+        0.616
     """
     scene = scene_of(scene, state)
     if not scene.method.has_energy:

@@ -73,6 +73,15 @@ def nest(
 
     Raises:
         ValueError: If an argument is out of range.
+
+    Example:
+        >>> law = dict(stiffness=1e4, damping=1.0)
+        >>> material = dict(radius=0.002, density=1000.0, youngs_modulus=1e6)
+        >>> system, states = assemblies.nest(
+        ...     3, n_elements=4, length=0.1, pot_radius=0.06, **law, **material
+        ... )
+        >>> states["rods"].positions.shape
+        (3, 3, 5)
     """
     check_count("n_rods", n_rods, 2, MOST_RODS)
     extent = float(as_array("length", length, "m", positive=True))

@@ -52,6 +52,11 @@ def octopus(
 
     Raises:
         ValueError: If an argument is out of range.
+
+    Example:
+        >>> system, states = assemblies.octopus(arms=4, n_elements=4)
+        >>> sorted(states), states["arms"].positions.shape
+        (['arms', 'head'], (4, 3, 5))
     """
     check_count("arms", arms, 1, 1000)
     size = float(as_array("head_radius", head_radius, "m", positive=True))

@@ -27,6 +27,13 @@ def hexagonal_places(rings: int, spacing: float) -> np.ndarray:
 
     Returns:
         Coordinates across the bundle `(2, k)` [m].
+
+    Raises:
+        ValueError: If `rings` is negative, or `spacing` is not positive.
+
+    Example:
+        >>> assemblies.hexagonal_places(2, spacing=0.01).shape
+        (2, 19)
     """
     check_count("rings", rings, 0, 100)
     around = range(-rings, rings + 1)
@@ -77,6 +84,15 @@ def bundle(
 
     Raises:
         ValueError: If a number is out of range, rods overlap, or none touch.
+
+    Example:
+        >>> places = assemblies.hexagonal_places(1, spacing=0.01)
+        >>> material = dict(density=1000.0, youngs_modulus=1e6, stiffness=1e5)
+        >>> system, states = assemblies.bundle(
+        ...     places, 4, length=0.3, radius=0.005, **material
+        ... )
+        >>> states["rods"].positions.shape
+        (7, 3, 5)
     """
     across = np.asarray(numeric("places", places, "m"))
     if across.ndim != 2 or across.shape[0] != 2 or across.shape[1] < 2:
@@ -155,6 +171,14 @@ def cilia(
 
     Raises:
         ValueError: If an argument is out of range, or neighbours overlap.
+
+    Example:
+        >>> material = dict(radius=0.01, density=1000.0, youngs_modulus=1e6)
+        >>> system, states = assemblies.cilia(
+        ...     2, 3, n_elements=4, spacing=0.25, length=0.5, **material
+        ... )
+        >>> states["cilia"].tip[4].tolist()  # row 1, column 1
+        [0.25, 0.25, 0.5]
     """
     check_count("rows", rows, 1, MOST_RODS)
     check_count("columns", columns, 1, MOST_RODS // rows)

@@ -56,6 +56,14 @@ def tree(
 
     Raises:
         ValueError: If an argument is out of range.
+
+    Example:
+        >>> material = dict(density=700.0, youngs_modulus=1e8)
+        >>> system, states = assemblies.tree(
+        ...     2, branches=2, n_elements=3, length=1.0, radius=0.05, **material
+        ... )
+        >>> {name: own.positions.shape for name, own in states.items()}
+        {'trunk': (3, 4), 'level 1': (2, 3, 4), 'level 2': (4, 3, 4)}
     """
     check_count("levels", levels, 1, 20)
     check_count("branches", branches, 1, 100)

@@ -64,6 +64,13 @@ def braid(
 
     Raises:
         ValueError: If an argument is out of range, or strands do not cross at nodes.
+
+    Example:
+        >>> material = dict(density=1000.0, youngs_modulus=1e6)
+        >>> size = dict(radius=0.05, length=0.3, turns=1.0, thickness=0.002)
+        >>> system, states = assemblies.braid(2, 8, **size, **material)
+        >>> sorted(states), states["left"].positions.shape
+        (['bottom', 'left', 'right', 'top'], (2, 3, 9))
     """
     check_count("strands", strands, 2, 1000)
     check_count("n_elements", n_elements, 4, 100_000)
@@ -165,6 +172,12 @@ def net(
 
     Raises:
         ValueError: If an argument is out of range.
+
+    Example:
+        >>> material = dict(radius=0.002, density=1000.0, youngs_modulus=1e6)
+        >>> system, states = assemblies.net(2, 3, spacing=0.1, **material)
+        >>> states["rows"].positions.shape, states["columns"].positions.shape
+        ((2, 3, 5), (3, 3, 3))
     """
     check_count("rows", rows, 2, 1000)
     check_count("columns", columns, 2, 1000)

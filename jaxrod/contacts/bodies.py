@@ -44,7 +44,21 @@ _ROUNDED = 1e-6
 
 
 class Body(ABC):
-    """Base of all bodies."""
+    """Base of all bodies.
+
+    Example:
+        >>> @extend.pytree
+        ... class Ground(shapes.Body):
+        ...     height: jax.Array  # [m]
+        ...
+        ...     def surface(self, points):
+        ...         x, y, z = points
+        ...         zero = jnp.zeros_like(z)
+        ...         return z - self.height, (zero, zero, zero + 1.0)
+        >>> distance, normal = Ground(-0.5).surface(motion.position)
+        >>> distance[:2].tolist()
+        [0.5, 0.5]
+    """
 
     @abstractmethod
     def surface(self, points: Vec3) -> tuple[Array, Vec3]:
@@ -104,7 +118,17 @@ class Body(ABC):
 
 @pytree
 class Sphere(Body):
-    """A ball."""
+    """A ball.
+
+    Example:
+        >>> ball = shapes.sphere((0.0, 0.0, 0.0), 0.25)
+        >>> one, zero = jnp.ones(1), jnp.zeros(1)
+        >>> distance, normal = ball.surface((one, zero, zero))
+        >>> float(distance[0]), float(normal[0][0])
+        (0.75, 1.0)
+        >>> round(float(ball.solid().volume), 4)
+        0.0654
+    """
 
     centre: Float[Array, "3"]
     """Centre [m]."""
@@ -150,7 +174,15 @@ class Sphere(Body):
 
 @pytree
 class Capsule(Body):
-    """A cylinder with a half sphere at each end."""
+    """A cylinder with a half sphere at each end.
+
+    Example:
+        >>> pill = shapes.capsule((0.0, 0.0, 0.0), (2.0, 0.0, 0.0), 0.5)
+        >>> one, zero = jnp.ones(1), jnp.zeros(1)
+        >>> distance, normal = pill.surface((3.0 * one, zero, zero))
+        >>> round(float(distance[0]), 3)
+        0.5
+    """
 
     start: Float[Array, "3"]
     """Centre of the half sphere at one end [m]."""
@@ -211,7 +243,13 @@ class Capsule(Body):
 
 @pytree
 class Cylinder(Body):
-    """A cylinder with flat ends."""
+    """A cylinder with flat ends.
+
+    Example:
+        >>> post = shapes.cylinder((0.0, 0.0, 0.0), (0.0, 0.0, 2.0), 0.5)
+        >>> round(float(post.solid().volume), 3), post.solid().centre.tolist()
+        (1.571, [0.0, 0.0, 1.0])
+    """
 
     start: Float[Array, "3"]
     """Centre of one end [m]."""
@@ -277,7 +315,14 @@ class Cylinder(Body):
 
 @pytree
 class Plane(Body):
-    """Everything below a plane."""
+    """Everything below a plane.
+
+    Example:
+        >>> floor = shapes.plane((0.0, 0.0, -0.5))
+        >>> distance, normal = floor.surface(motion.position)
+        >>> distance[:2].tolist(), floor.is_half_space
+        ([0.5, 0.5], True)
+    """
 
     point: Float[Array, "3"]
     """Any point of the plane [m]."""
@@ -313,7 +358,13 @@ class Plane(Body):
 
 @pytree
 class Box(Body):
-    """A block with right angles."""
+    """A block with right angles.
+
+    Example:
+        >>> block = shapes.box((0.0, 0.0, 0.0), (1.0, 2.0, 3.0))
+        >>> float(block.solid().volume), float(block.inradius)
+        (48.0, 1.0)
+    """
 
     centre: Float[Array, "3"]
     """Centre [m]."""
@@ -365,7 +416,17 @@ class Box(Body):
 
 @pytree
 class SignedDistance(Body):
-    """Any body, described by a function that gives its signed distance."""
+    """Any body, described by a function that gives its signed distance.
+
+    Example:
+        >>> def distance_from(point, radius):
+        ...     return jnp.sqrt(jnp.sum(point**2) + 1e-12) - radius
+        >>> ball = shapes.signed_distance(distance_from, 0.25)
+        >>> one, zero = jnp.ones(1), jnp.zeros(1)
+        >>> distance, normal = ball.surface((one, zero, zero))
+        >>> round(float(distance[0]), 3), round(float(normal[0][0]), 3)
+        (0.75, 1.0)
+    """
 
     parameters: Any
     """Traced numbers of the body: any pytree of arrays."""
@@ -465,6 +526,16 @@ def sphere(centre: Numbers, radius: Numbers) -> Sphere:
     Args:
         centre: Centre `(3,)` [m].
         radius: Radius [m].
+
+    Raises:
+        ValueError: If the centre is not three finite numbers, or the radius is not
+            positive.
+
+    Example:
+        >>> ball = shapes.sphere((0.5, 0.0, -0.25), radius=0.125)
+        >>> distance, normal = ball.surface(motion.position)
+        >>> round(float(distance[5]), 3)  # from the middle of the rod [m]
+        0.125
     """
     return Sphere(
         as_array("centre", centre, "m", [(3,)]),
@@ -483,6 +554,12 @@ def capsule(start: Numbers, end: Numbers, radius: Numbers) -> Capsule:
     Raises:
         ValueError: If the ends are the same, or so near or so far apart that the square
             of their distance leaves the range of the precision.
+
+    Example:
+        >>> pill = shapes.capsule((0.5, -1.0, -0.25), (0.5, 1.0, -0.25), radius=0.125)
+        >>> distance, normal = pill.surface(motion.position)
+        >>> round(float(distance[5]), 3)
+        0.125
     """
     ends = _ends(start, end)
     return Capsule(*ends, as_array("radius", radius, "m", positive=True))
@@ -499,6 +576,12 @@ def cylinder(start: Numbers, end: Numbers, radius: Numbers) -> Cylinder:
     Raises:
         ValueError: If the ends are the same, or so near or so far apart that the square
             of their distance leaves the range of the precision.
+
+    Example:
+        >>> post = shapes.cylinder((0.5, -1.0, -0.25), (0.5, 1.0, -0.25), radius=0.125)
+        >>> distance, normal = post.surface(motion.position)
+        >>> round(float(distance[5]), 3)
+        0.125
     """
     ends = _ends(start, end)
     return Cylinder(*ends, as_array("radius", radius, "m", positive=True))
@@ -515,6 +598,12 @@ def plane(point: Numbers = (0.0, 0.0, 0.0), normal: Numbers = (0.0, 0.0, 1.0)) -
     Raises:
         ValueError: If the length of the normal is zero, or its square is too small or
             too large for the precision.
+
+    Example:
+        >>> wall = shapes.plane((2.0, 0.0, 0.0), normal=(-1.0, 0.0, 0.0))
+        >>> distance, normal = wall.surface(motion.position)
+        >>> round(float(distance[-1]), 3)  # from the tip
+        1.0
     """
     return Plane(
         as_array("point", point, "m", [(3,)]), _with_length("normal", normal, [(3,)])
@@ -537,6 +626,12 @@ def box(
     Raises:
         ValueError: If the length of the quaternion is zero, or its square is too small
             or too large for the precision.
+
+    Example:
+        >>> block = shapes.box((0.5, 0.0, -0.25), half_lengths=(1.0, 1.0, 0.125))
+        >>> distance, normal = block.surface(motion.position)
+        >>> round(float(distance[5]), 3)  # from the axis of the rod to the top [m]
+        0.125
     """
     return Box(
         centre=as_array("centre", centre, "m", [(3,)]),
@@ -561,6 +656,14 @@ def signed_distance(
         ValueError: If the function does not give one number at a point, or a parameter
             is not a number that can be stored.
         TypeError: If `function` is not callable.
+
+    Example:
+        >>> def bowl(point, radius):
+        ...     return radius - jnp.sqrt(jnp.sum(point**2) + 1e-12)
+        >>> inside = shapes.signed_distance(bowl, 1.5)
+        >>> distance, normal = inside.surface(motion.position)
+        >>> round(float(distance[-1]), 3)  # from the tip to the wall [m]
+        0.5
     """
     if not callable(function):
         raise TypeError(f"function must be callable, got {type(function).__name__}")

@@ -455,6 +455,14 @@ def contact(
     Raises:
         ValueError: If a number is out of range, or if friction has no drag.
         TypeError: If the bodies are not bodies, or not all of one kind.
+
+    Example:
+        >>> floor = shapes.plane((0.0, 0.0, -0.019))  # 1 mm into the rod
+        >>> ground = jaxrod.contact(floor, stiffness=1e4)
+        >>> scene, dt = jaxrod.make_scene(rod, ground), 1e-4
+        >>> pushed = jaxrod.step(scene, state, dt)
+        >>> round(float(scene.momentum(pushed)[2] / dt), 1)  # 1e4 * 0.001 m * 1 m [N]
+        10.0
     """
     body, n_bodies = _gathered(bodies)
     damps = _or_none("damping", damping, "kg/(m s)")

@@ -81,6 +81,14 @@ def near_contact(contact: Contact, rod: Rod, state: RodState, count: int) -> Con
     Raises:
         ValueError: If `count` is not between 1 and the number of bodies.
         TypeError: If `contact`, `rod` or `state` is something else.
+
+    Example:
+        >>> centres = jnp.linspace(jnp.array([0, 0, -1.0]), jnp.array([0, 0, -0.1]), 12)
+        >>> balls = jax.vmap(lambda centre: shapes.sphere(centre, 0.05))(centres)
+        >>> all_balls = jaxrod.contact(balls, stiffness=1e4)
+        >>> near = jaxrod.near_contact(all_balls, rod, state, count=2)
+        >>> all_balls.n_bodies, near.n_near
+        (12, 2)
     """
     check_kind("contact", contact, Contact)
     check_state(rod, state)

@@ -16,7 +16,13 @@ IDENTITY = (1.0, 0.0, 0.0, 0.0)
 
 @pytree
 class Solid:
-    """A shape in the frame of its principal axes, and the pose of this frame."""
+    """A shape in the frame of its principal axes, and the pose of this frame.
+
+    Example:
+        >>> solid = shapes.sphere((0.0, 0.0, 1.0), 0.1).solid()
+        >>> round(float(solid.volume), 5), solid.centre.tolist()
+        (0.00419, [0.0, 0.0, 1.0])
+    """
 
     shape: Any
     """The shape with its centre of mass at the origin and along its principal axes."""

@@ -177,6 +177,15 @@ def short_wave_damping(rate: Numbers, *, order: int = 2) -> ShortWaveDamping:
 
     Raises:
         ValueError: If an argument is out of range.
+
+    Example:
+        >>> zigzag = replace(state, velocities=state.velocities.at[2, ::2].set(1.0))
+        >>> scene = jaxrod.make_scene(rod, jaxrod.short_wave_damping(1000.0))
+        >>> after = jaxrod.step(scene, zigzag, 1e-4)
+        >>> bool(scene.kinetic_energy(after) < 0.95 * scene.kinetic_energy(zigzag))
+        True
+        >>> bool(jnp.allclose(scene.momentum(after), scene.momentum(zigzag), rtol=1e-4))
+        True
     """
     return ShortWaveDamping(
         as_array("rate", rate, "1/s", non_negative=True),
@@ -198,5 +207,16 @@ def laplacian_filter(order: int) -> LaplacianFilter:
 
     Raises:
         ValueError: If it is not a positive integer.
+
+    Example:
+        >>> filtered = jaxrod.make_scene(
+        ...     rod, jaxrod.laplacian_filter(5), method=jaxrod.pyelastica()
+        ... )
+        >>> zigzag = replace(state, velocities=state.velocities.at[2, ::2].set(1.0))
+        >>> after = jaxrod.step(filtered, zigzag, 1e-6)
+        >>> zigzag.velocities[2, 4:7].tolist()
+        [1.0, 0.0, 1.0]
+        >>> after.velocities[2, 4:7].round(2).tolist()  # only the mean is left
+        [0.5, 0.5, 0.5]
     """
     return LaplacianFilter(check_count("order", order, 1))

@@ -296,6 +296,13 @@ def internal_damping(relaxation_time: Numbers) -> InternalDamping:
 
     Raises:
         ValueError: If it is not a number, or negative.
+
+    Example:
+        >>> moving = replace(state, velocities=jnp.ones_like(state.velocities))
+        >>> scene = jaxrod.make_scene(rod, jaxrod.internal_damping(0.01))
+        >>> after = jaxrod.step(scene, moving, 1e-4)
+        >>> after.velocities[:, 0].round(3).tolist()  # rigid motion is not damped
+        [1.0, 1.0, 1.0]
     """
     return InternalDamping(
         as_array("relaxation_time", relaxation_time, "s", non_negative=True)

@@ -87,6 +87,15 @@ def linear_damper(
     Raises:
         ValueError: If a number is out of range, or neither the single constant nor both
             others are given.
+
+    Example:
+        >>> moving = replace(state, velocities=jnp.ones_like(state.velocities))
+        >>> scene = jaxrod.make_scene(
+        ...     rod, jaxrod.linear_damper(200.0), method=jaxrod.pyelastica()
+        ... )
+        >>> after = jaxrod.step(scene, moving, 5e-4)
+        >>> round(float(after.velocities[0, 0]), 3)  # exp(-200 * 5e-4)
+        0.905
     """
     one, two = damping_constant is not None, translational is not None
     if one == two or two != (rotational is not None):

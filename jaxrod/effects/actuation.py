@@ -56,6 +56,12 @@ class ControlSpline:
     Called with control values `(..., n_controls)` and positions `(m,)` [m] it gives
     the spline's values `(..., m)`, in the unit of the control values. Beyond the
     ends of the rod the outer cubics are extrapolated.
+
+    Example:
+        >>> spline = actuation.control_spline(3, length=1.0)
+        >>> values = spline(jnp.array([1.0, 0.0, 1.0]), jnp.array([0.0, 0.25, 0.5]))
+        >>> [round(float(x), 3) for x in values]
+        [0.0, 1.0, 0.0]
     """
 
     breaks: Float[Array, " pieces-1"]
@@ -98,7 +104,16 @@ class ControlSpline:
 
 @pytree
 class ElementAverages:
-    """A control spline averaged over each element of a rod; linear in its controls."""
+    """A control spline averaged over each element of a rod; linear in its controls.
+
+    Example:
+        >>> spline = actuation.control_spline(3, length=1.0)
+        >>> averages = spline.averaged(rod)
+        >>> averages.basis.shape
+        (10, 3)
+        >>> averages(jnp.array([1.0, 2.0, 1.0])).shape
+        (10,)
+    """
 
     basis: Float[Array, "n n_controls"]
     """Average over each element of each control value's contribution [1]."""
@@ -139,6 +154,12 @@ def control_spline(
 
     Raises:
         ValueError: If the control points do not fit.
+
+    Example:
+        >>> spline = actuation.control_spline([0.25, 0.5, 0.75], length=1.0)
+        >>> values = spline(jnp.array([1.0, 2.0, 1.0]), jnp.array([0.0, 0.5, 0.75]))
+        >>> [round(float(x), 3) for x in values]
+        [0.0, 2.0, 1.0]
     """
     kind = check_dtype(dtype)
     end = check_array("length", length, [()], "m", positive=True, dtype=kind)
@@ -239,7 +260,15 @@ def _cardinal_coefficients(knots: Any) -> Any:
 
 @pytree
 class ElementCouples(Effect):
-    """Given couples on all elements, turning with them. The channel of control."""
+    """Given couples on all elements, turning with them. The channel of control.
+
+    Example:
+        >>> spline = actuation.control_spline(3)
+        >>> twist = jnp.zeros((3, 3)).at[2].set(1.0)  # about d3
+        >>> effect = actuation.spline_couples(rod, spline, twist, couple_density=0.1)
+        >>> effect.couples.shape, float(abs(effect.couples[0]).max())
+        ((3, 10), 0.0)
+    """
 
     couples: Float[Array, "3 n"]
     """Couples, material frame [N m]."""
@@ -330,6 +359,13 @@ def spline_couples(
 
     Raises:
         ValueError: If an argument is not finite or of the wrong shape.
+
+    Example:
+        >>> spline = actuation.control_spline(3)
+        >>> controls = jnp.zeros((3, 3)).at[0].set(1.0)  # about d1
+        >>> bend = actuation.spline_couples(rod, spline, controls, couple_density=0.1)
+        >>> bend.couples.shape, round(float(bend.couples[0].sum()), 3)  # sum [N m]
+        ((3, 10), 0.083)
     """
     check_kind("rod", rod, Rod)
     check_kind("spline", spline, (ControlSpline, ElementAverages))
@@ -362,6 +398,11 @@ def limit_rate(
 
     Raises:
         ValueError: If `largest_change` is negative.
+
+    Example:
+        >>> applied = jnp.array([0.0, 0.0])
+        >>> actuation.limit_rate(applied, [1.0, -0.25], largest_change=0.5).tolist()
+        [0.5, -0.25]
     """
     now, wanted = numeric("applied", applied), numeric("commanded", commanded)
     given = applied, commanded

@@ -33,6 +33,12 @@ class StabilityBound:
 
     Each is one number, or one per node or element, or `None` if there is none.
     `stable_dt` adds them up.
+
+    Example:
+        >>> magnet = actuation.magnetisation(rod, (0.0, 0.0, 0.1), (0.0, 0.0, 0.5))
+        >>> bound = magnet.stability_bound(rod)
+        >>> round(float(bound.elements[0]), 4), bound.nodes is None  # 0.1 * 0.5 * 0.1 m
+        (0.005, True)
     """
 
     nodes: Array | None = None
@@ -93,7 +99,13 @@ def added_bounds(a: StabilityBound | None, b: StabilityBound) -> StabilityBound:
 
 @pytree
 class Reaction:
-    """Force, couple and power of a support on a rod."""
+    """Force, couple and power of a support on a rod.
+
+    Example:
+        >>> wall = jaxrod.reactions(scene, state)[0]
+        >>> wall.force.shape, wall.couple.shape, float(wall.power)
+        ((3,), (3,), 0.0)
+    """
 
     force: Float[Array, "3"]
     """Force on the node it holds, world frame [N]."""
@@ -124,6 +136,19 @@ class Effect:
     or refuses the effect. With them implicit steps and equilibria cost less, and a
     scene without twist knows how the rod is held. A subclass that overrides `loads`
     does not inherit them, and one that overrides constraints does not inherit `held`.
+
+    Example:
+        >>> @extend.pytree
+        ... class Spring(extend.Effect):
+        ...     stiffness: extend.Leaf  # between the tip and the plane x = 0 [N/m]
+        ...
+        ...     def loads(self, rod, motion):
+        ...         x = motion.position[0]
+        ...         pull = jnp.zeros_like(x).at[-1].set(-self.stiffness * x[-1])
+        ...         return extend.Loads(forces=(pull, 0 * pull, 0 * pull))
+        >>> pulled = jaxrod.make_scene(rod, jaxrod.clamp(state), Spring(3.0))
+        >>> round(float(pulled.effects[1].loads(rod, motion).forces[0][-1]), 3)
+        -3.0
     """
 
     reach: ClassVar[Reach] = "any"

@@ -254,6 +254,20 @@ def clamp(state: RodState, end: End = "base") -> Clamp:
     """A wall at one end of a rod, at the position and orientation in a given state.
 
     The wall's frame is the end element's orientation in `state`.
+
+    Args:
+        state: The state of the rod.
+        end: The end that is held, "base" or "tip".
+
+    Raises:
+        ValueError: If there is no such end, or the state is of several rods.
+        TypeError: If `state` is not a `RodState`.
+
+    Example:
+        >>> built_in = jaxrod.clamp(state), jaxrod.clamp(state, "tip")
+        >>> scene = jaxrod.make_scene(rod, *built_in)
+        >>> [wall.position.round(3).tolist() for wall in scene.effects]
+        [[0.0, 0.0, 0.0], [1.0, 0.0, 0.0]]
     """
     check_kind("state", state, RodState)
     check_one(state)
@@ -263,7 +277,23 @@ def clamp(state: RodState, end: End = "base") -> Clamp:
 
 
 def fixed_end(state: RodState, end: End = "base") -> FixedEnd:
-    """Holds one end node and end element at their place in the given state."""
+    """Holds one end node and end element at their place in the given state.
+
+    Args:
+        state: The state of the rod.
+        end: The end that is held, "base" or "tip".
+
+    Raises:
+        ValueError: If there is no such end, or the state is of several rods.
+        TypeError: If `state` is not a `RodState`.
+
+    Example:
+        >>> scene = jaxrod.make_scene(rod, jaxrod.fixed_end(state))
+        >>> pushed = replace(state, velocities=jnp.ones_like(state.velocities))
+        >>> after = jaxrod.step(scene, pushed, 1e-4)
+        >>> after.positions[:, 0].tolist()  # the end does not move
+        [0.0, 0.0, 0.0]
+    """
     check_kind("state", state, RodState)
     check_one(state)
     index = 0 if check_end(end) == "base" else -1

@@ -269,6 +269,13 @@ def driven(
     Raises:
         ValueError: If an argument is out of range.
         TypeError: If `state` is not a `RodState`.
+
+    Example:
+        >>> path = schedules.sine((0.0, 0.0, 0.25), period=2.0)
+        >>> scene = jaxrod.make_scene(rod, jaxrod.driven(state, displacement=path))
+        >>> crest = scene.at(0.5).effects[0].place  # at half a second
+        >>> crest.position.round(3).tolist()
+        [0.0, 0.0, 0.25]
     """
     check_kind("state", state, RodState)
     check_one(state)

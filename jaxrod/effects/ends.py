@@ -17,7 +17,14 @@ End = Literal["base", "tip"]
 
 @pytree
 class Wall:
-    """Support for the orientation of the element at one end of a rod."""
+    """Support for the orientation of the element at one end of a rod.
+
+    Example:
+        >>> muscle = actuation.muscle(rod, 2.0, into=jaxrod.clamp(state))
+        >>> (wall,) = muscle.walls
+        >>> wall.end, wall.orientation.tolist()
+        ('base', [0.5, 0.5, 0.5, 0.5])
+    """
 
     orientation: Float[Array, "4"]
     """The element's orientation at rest (w, x, y, z)."""

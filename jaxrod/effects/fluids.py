@@ -47,7 +47,16 @@ from jaxrod.validation import Numbers, as_array, is_traced, numeric
 
 @pytree
 class UniformFlow:
-    """A flow that is the same everywhere."""
+    """A flow that is the same everywhere.
+
+    Example:
+        >>> drag = fluids.stokes_drag(0.1, 0.2, flow=(0.0, 0.0, 1.0))
+        >>> drag.flow.velocity.tolist()
+        [0.0, 0.0, 1.0]
+        >>> force = drag.loads(rod, motion).forces[2]
+        >>> round(float(force.sum()), 3)  # the flow carries the rod along [N]
+        0.2
+    """
 
     velocity: Float[Array, "3"]
     """Velocity, world frame [m/s]."""
@@ -60,7 +69,16 @@ class UniformFlow:
 
 @pytree
 class FlowField:
-    """A flow given by a function of position."""
+    """A flow given by a function of position.
+
+    Example:
+        >>> def shear(point, rate):
+        ...     return jnp.array([rate * point[2], 0.0, 0.0])
+        >>> flow = fluids.flow_field(shear, 3.0)
+        >>> places = jnp.zeros(2), jnp.zeros(2), jnp.array([0.0, 0.5])
+        >>> flow.at(places)[0].tolist()
+        [0.0, 1.5]
+    """
 
     parameters: Any
     """Traced numbers of the flow: any pytree of arrays and schedules."""
@@ -93,6 +111,15 @@ def flow_field(
         ValueError: If the function does not give three numbers at a point, or a
             parameter is not a number that can be stored.
         TypeError: If `function` is not callable.
+
+    Example:
+        >>> def gust(point, size):
+        ...     return jnp.array([0.0, size, 0.0])
+        >>> growing = schedules.ramp(0.0, 2.0, duration=1.0)  # [m/s]
+        >>> drag = fluids.stokes_drag(0.1, 0.2, flow=fluids.flow_field(gust, growing))
+        >>> now = jaxrod.make_scene(rod, drag).at(0.5).effects[0]
+        >>> round(float(now.loads(rod, motion).forces[1].sum()), 3)
+        0.2
     """
     if not callable(function):
         raise TypeError(f"function must be callable, got {type(function).__name__}")
@@ -150,7 +177,16 @@ class FluidDrag(Effect):
 
 @pytree
 class StokesDrag(FluidDrag):
-    """Drag in proportion to the speed; see `stokes_drag`."""
+    """Drag in proportion to the speed; see `stokes_drag`.
+
+    Example:
+        >>> one, zero = jnp.ones(11), jnp.zeros(11)
+        >>> moving = replace(motion, velocity=(one, zero, one))
+        >>> drag = fluids.stokes_drag(along=0.1, across=0.2)
+        >>> x, y, z = drag.loads(rod, moving).forces
+        >>> round(float(x.sum()), 3), round(float(z.sum()), 3)  # 1 m/s, 1 m [N]
+        (-0.1, -0.2)
+    """
 
     along: Float[Array, "*n"]
     """Force per length and speed along the rod [kg/(m s)]."""
@@ -198,7 +234,13 @@ class StokesDrag(FluidDrag):
 
 @pytree
 class QuadraticDrag(FluidDrag):
-    """Drag in proportion to the square of the speed; see `quadratic_drag`."""
+    """Drag in proportion to the square of the speed; see `quadratic_drag`.
+
+    Example:
+        >>> water = fluids.quadratic_drag(1000.0, across=1.1)
+        >>> water.drag(rod, motion).grows_with_speed
+        True
+    """
 
     density: Float[Array, ""]
     """Density of the fluid [kg/m^3]."""
@@ -258,6 +300,13 @@ def stokes_drag(
 
     Raises:
         ValueError: If a number is out of range.
+
+    Example:
+        >>> coefficients = fluids.slender_cylinder(1.0, length=1.0, radius=0.02)
+        >>> drag = fluids.stokes_drag(*coefficients)
+        >>> sinking = jaxrod.make_scene(rod, jaxrod.gravity(), drag)
+        >>> bool(drag.across > drag.along)
+        True
     """
     turns = _coefficient("turning", turning, "kg m/s")
     known_zero = not is_traced(turns) and not np.any(turns)
@@ -291,6 +340,12 @@ def slender_cylinder(
 
     Raises:
         ValueError: If a number is not positive, or the cylinder is not slender.
+
+    Example:
+        >>> size = dict(length=1.0, radius=0.01)
+        >>> along, across, turning = fluids.slender_cylinder(viscosity=1.0, **size)
+        >>> round(float(along), 3), round(float(across), 3), round(float(turning), 5)
+        (1.654, 2.619, 0.00126)
     """
     eta = as_array("viscosity", viscosity, "Pa s", positive=True)
     long = as_array("length", length, "m", positive=True)
@@ -342,6 +397,14 @@ def quadratic_drag(
 
     Raises:
         ValueError: If a number is out of range.
+
+    Example:
+        >>> zero = jnp.zeros(11)
+        >>> rising = replace(motion, velocity=(zero, zero, zero + 1.0))
+        >>> water = fluids.quadratic_drag(1000.0, across=1.1)
+        >>> force = water.loads(rod, rising).forces[2]
+        >>> round(float(force.sum()), 2)  # density, 1.1, radius, 1 m, (1 m/s)^2 [N]
+        -22.0
     """
     return QuadraticDrag(
         flow=as_flow(flow),
@@ -363,7 +426,15 @@ def _coefficient(name: str, value: Numbers, unit: str) -> Array:
 
 @pytree
 class SlenderBodyDrag(Effect):
-    """PyElastica's `SlenderBodyTheory`; see `slender_body_drag`."""
+    """PyElastica's `SlenderBodyTheory`; see `slender_body_drag`.
+
+    Example:
+        >>> one, zero = jnp.ones(11), jnp.zeros(11)
+        >>> moving = replace(motion, velocity=(one, zero, one))
+        >>> x, y, z = fluids.slender_body_drag(0.1).loads(rod, moving).forces
+        >>> bool(z.sum() < x.sum() < 0)  # more drag across the rod than along it
+        True
+    """
 
     viscosity: Float[Array, ""]
     """Dynamic viscosity of the fluid [Pa s]."""
@@ -405,5 +476,11 @@ def slender_body_drag(viscosity: Numbers) -> SlenderBodyDrag:
 
     Raises:
         ValueError: If it is not positive.
+
+    Example:
+        >>> drag = fluids.slender_body_drag(viscosity=0.1)
+        >>> in_fluid = jaxrod.make_scene(rod, drag, method=jaxrod.pyelastica())
+        >>> round(float(in_fluid.effects[0].viscosity), 3)
+        0.1
     """
     return SlenderBodyDrag(as_array("viscosity", viscosity, "Pa s", positive=True))

@@ -17,7 +17,15 @@ ALL_AXES: Axes = (True, True, True)
 
 @dataclass(frozen=True)
 class Held:
-    """Degrees of freedom that an effect holds: of one node, of one element, or both."""
+    """Degrees of freedom that an effect holds: of one node, of one element, or both.
+
+    Example:
+        >>> jaxrod.pin_support(state, "tip", axes="yz").held(rod)
+        (Held(node=10, axes=(False, True, True), element=None),)
+        >>> (held,) = jaxrod.clamp(state).held(rod)
+        >>> held.node, held.element
+        (0, 0)
+    """
 
     node: int | None = None
     """Number of the node; negative numbers count from the last."""

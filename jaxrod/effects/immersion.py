@@ -18,7 +18,13 @@ from jaxrod.validation import Numbers, as_array, check_kind
 
 @pytree
 class Buoyancy(Effect):
-    """Buoyancy: upward force equal to the weight of the displaced fluid."""
+    """Buoyancy: upward force equal to the weight of the displaced fluid.
+
+    Example:
+        >>> lift = fluids.buoyancy(1000.0)
+        >>> round(float(lift.loads(rod, motion).forces[2].sum()), 2)  # [N]
+        12.32
+    """
 
     density: Float[Array, ""]
     """Density of the fluid [kg/m^3]."""
@@ -64,6 +70,13 @@ def buoyancy(
 
     Raises:
         ValueError: If a number is out of range.
+
+    Example:
+        >>> effects = jaxrod.gravity(), fluids.buoyancy(density=1000.0)
+        >>> floating = jaxrod.make_scene(rod, *effects)
+        >>> raised = replace(state, positions=state.positions + jnp.ones((3, 1)))
+        >>> round(float(floating.potential_energy(raised)), 3)  # as dense as the fluid
+        0.0
     """
     return Buoyancy(
         density=as_array("density", density, "kg/m^3", positive=True),
@@ -89,6 +102,11 @@ def with_added_mass(rod: Rod, density: Numbers, coefficient: Numbers = 1.0) -> R
     Raises:
         ValueError: If a number is out of range.
         TypeError: If `rod` is not a `Rod`.
+
+    Example:
+        >>> wet = fluids.with_added_mass(rod, density=1000.0)
+        >>> round(float(wet.element_masses.sum() / rod.element_masses.sum()), 3)
+        2.0
     """
     check_kind("rod", rod, Rod)
     dtype = rod.rest_lengths.dtype

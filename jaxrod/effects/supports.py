@@ -246,6 +246,14 @@ def pin_support(state: RodState, node: End | int = "base", *, axes: str = "xyz")
     Raises:
         ValueError: If there is no such node, or no such axes.
         TypeError: If `state` is not a `RodState`.
+
+    Example:
+        >>> rail = jaxrod.pin_support(state, "tip", axes="z")  # free along x and y
+        >>> beam = jaxrod.make_scene(rod, jaxrod.pin_support(state), rail)
+        >>> moving = replace(state, velocities=jnp.ones_like(state.velocities))
+        >>> after = jaxrod.step(beam, moving, 1e-4)
+        >>> [round(float(x), 5) for x in after.tip - state.tip]
+        [0.0001, 0.0001, 0.0]
     """
     check_kind("state", state, RodState)
     check_one(state)
@@ -272,6 +280,15 @@ def hinge_support(state: RodState, axis: Numbers, end: End = "base") -> Hinge:
     Raises:
         ValueError: If an argument is out of range.
         TypeError: If `state` is not a `RodState`.
+
+    Example:
+        >>> hinge = jaxrod.hinge_support(state, axis=(0.0, 2.0, 0.0))
+        >>> hinge.axis.tolist()
+        [0.0, 1.0, 0.0]
+        >>> pendulum = jaxrod.make_scene(rod, hinge, jaxrod.gravity())
+        >>> after = jaxrod.step(pendulum, state, 1e-4)
+        >>> after.positions[:, 0].tolist(), bool(after.tip[2] < 0)
+        ([0.0, 0.0, 0.0], True)
     """
     check_kind("state", state, RodState)
     check_one(state)

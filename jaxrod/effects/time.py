@@ -30,7 +30,17 @@ _COARSE = 4096
 
 @pytree
 class Clock:
-    """Time as a count of steps, so that it loses no digits in long runs."""
+    """Time as a count of steps, so that it loses no digits in long runs.
+
+    Example:
+        >>> dt = jnp.float32(1 / 1024)
+        >>> clock = schedules.Clock(jnp.int32(512), jnp.float32(0.0), dt)
+        >>> float(clock.time), float(clock.later(1024).time)
+        (0.5, 1.5)
+        >>> late = replace(clock, step=jnp.int32(2_048_000_512))  # after 23 days
+        >>> float(late.phase(jnp.float32(2.0)))
+        0.25
+    """
 
     step: Int[Array, ""]
     """Number of whole steps since time zero."""
@@ -107,6 +117,23 @@ class Schedule(ABC):
 
     Stability bounds and checks of planes and axes use `largest`. In every component it
     must be at least as large as any value of the schedule.
+
+    Example:
+        >>> @extend.pytree
+        ... class Pulse(schedules.Schedule):
+        ...     size: jax.Array
+        ...     end: jax.Array  # [s]
+        ...
+        ...     def __call__(self, clock):
+        ...         return jnp.where(clock.time < self.end, self.size, 0.0)
+        ...
+        ...     @property
+        ...     def largest(self):
+        ...         return jnp.abs(self.size)
+        >>> pull = jaxrod.end_load(Pulse(jnp.array([2.0, 0.0, 0.0]), 0.1))
+        >>> scene = jaxrod.make_scene(rod, pull)
+        >>> [scene.at(t).effects[0].force.tolist() for t in (0.0, 0.2)]
+        [[2.0, 0.0, 0.0], [0.0, 0.0, 0.0]]
     """
 
     @abstractmethod
@@ -261,7 +288,14 @@ def as_timed(
 
 @pytree
 class Ramp(Schedule):
-    """Linear change from one value to another, constant before and after."""
+    """Linear change from one value to another, constant before and after.
+
+    Example:
+        >>> pull = schedules.ramp((0.0, 0.0, 0.0), (4.0, 0.0, 0.0), duration=2.0)
+        >>> scene = jaxrod.make_scene(rod, jaxrod.end_load(pull))
+        >>> [float(scene.at(t).effects[0].force[0]) for t in (0.0, 1.0, 9.0)]
+        [0.0, 2.0, 4.0]
+    """
 
     first: Float[Array, "..."]
     """Value up to the start."""
@@ -290,7 +324,16 @@ class Ramp(Schedule):
 
 @pytree
 class Sine(Schedule):
-    r"""Sine $a + b \sin 2\pi (t/T + \varphi)$."""
+    r"""Sine $a + b \sin 2\pi (t/T + \varphi)$.
+
+    Example:
+        >>> shake = schedules.sine((0.0, 0.0, 2.0), period=4.0)
+        >>> scene = jaxrod.make_scene(rod, jaxrod.gravity(shake))
+        >>> scene.at(1.0).effects[0].acceleration.tolist()
+        [0.0, 0.0, 2.0]
+        >>> shake.largest.tolist()  # for stability bounds
+        [0.0, 0.0, 2.0]
+    """
 
     mean: Float[Array, "..."]
     """Mean $a$."""
@@ -320,7 +363,15 @@ class Sine(Schedule):
 
 @pytree
 class Table(Schedule):
-    """Values at given times, linear in between, constant before and after."""
+    """Values at given times, linear in between, constant before and after.
+
+    Example:
+        >>> pull = schedules.table([0.0, 1.0, 3.0], [0.0, 2.0, 4.0])
+        >>> tendon = actuation.tendon(rod, (0.01, 0.0), tension=pull)
+        >>> scene = jaxrod.make_scene(rod, tendon)
+        >>> [float(scene.at(t).effects[0].tension) for t in (0.5, 2.0, 9.0)]
+        [1.0, 3.0, 4.0]
+    """
 
     times: Float[Array, " k"]
     """Times, increasing [s]."""
@@ -374,6 +425,13 @@ def ramp(
 
     Raises:
         ValueError: If an argument is out of range or the shapes differ.
+
+    Example:
+        >>> pull = schedules.ramp(0.0, 4.0, duration=2.0)
+        >>> tendon = actuation.tendon(rod, (0.01, 0.0), tension=pull)
+        >>> scene = jaxrod.make_scene(rod, tendon)
+        >>> [float(scene.at(t).effects[0].tension) for t in (0.0, 1.0, 9.0)]
+        [0.0, 2.0, 4.0]
     """
     one, other = _value("first", first), _value("last", last)
     _check_alike("first", one, "last", other)
@@ -402,6 +460,12 @@ def sine(
 
     Raises:
         ValueError: If an argument is out of range or the shapes differ.
+
+    Example:
+        >>> shake = schedules.sine((0.0, 0.0, 2.0), period=4.0, mean=(0.0, 0.0, -10.0))
+        >>> scene = jaxrod.make_scene(rod, jaxrod.gravity(shake))
+        >>> [float(scene.at(t).effects[0].acceleration[2]) for t in (0.0, 1.0)]
+        [-10.0, -8.0]
     """
     size = _value("amplitude", amplitude)
     middle = jnp.zeros_like(size) if mean is None else _value("mean", mean)
@@ -423,6 +487,14 @@ def table(times: Numbers, values: Numbers) -> Table:
 
     Raises:
         ValueError: If the times do not increase, or the number of values differs.
+
+    Example:
+        >>> moments = [0.0, 1.0, 3.0]
+        >>> pulls = [[0.0, 0.0, 0.0], [2.0, 0.0, 0.0], [0.0, 0.0, 0.0]]  # [N]
+        >>> load = jaxrod.end_load(schedules.table(moments, pulls))
+        >>> scene = jaxrod.make_scene(rod, load)
+        >>> [scene.at(t).effects[0].force.tolist() for t in (0.5, 2.0)]
+        [[1.0, 0.0, 0.0], [1.0, 0.0, 0.0]]
     """
     given = numeric("times", times, "s")
     if given.ndim != 1 or given.shape[0] < 2:
@@ -441,6 +513,18 @@ def time() -> Time:
     """Time itself [s], for a field of an effect that you write.
 
     Time has no bound: the effect's `stability_bound` must hold at all times without it.
+
+    Example:
+        >>> @extend.pytree
+        ... class Chirp(extend.Effect):
+        ...     now: extend.Leaf  # [s]
+        ...
+        ...     def loads(self, rod, motion):
+        ...         z = jnp.full_like(motion.position[2], jnp.sin(self.now**2))
+        ...         return extend.Loads(forces=(0 * z, 0 * z, z))
+        >>> scene = jaxrod.make_scene(rod, Chirp(schedules.time()))
+        >>> float(scene.at(2.5).effects[0].now)
+        2.5
     """
     return Time()
 

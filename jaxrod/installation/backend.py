@@ -60,6 +60,11 @@ def configure_cpu(
     Raises:
         ValueError: If `devices` is not a positive integer, `cache` is not a folder that
             can be made, or `XLA_FLAGS` has words that are not options.
+
+    Example:
+        >>> jaxrod.configure_cpu(devices=2)
+        >>> len(jax.devices("cpu"))
+        2
     """
     if devices is None:
         devices = available_cores()

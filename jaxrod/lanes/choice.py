@@ -21,7 +21,13 @@ _mode = [os.environ.get("JAXROD_LANES", AUTO)]
 
 @dataclass(frozen=True)
 class LaneChoice:
-    """The choice between lanes and XLA for one compiled run."""
+    """The choice between lanes and XLA for one compiled run.
+
+    Example:
+        >>> final = jaxrod.advance(scene, state, 1e-4, 10)
+        >>> jaxrod.lane_choices()[-1]
+        LaneChoice(taken=..., why='...', rods=1, ...)
+    """
 
     taken: bool
     """Whether lanes were chosen; otherwise XLA was."""
@@ -53,6 +59,15 @@ def use_lanes(mode: str) -> None:
 
     Raises:
         ValueError: The mode is unknown.
+
+    Example:
+        >>> jaxrod.use_lanes("never")  # XLA alone, from now on
+        >>> after = jaxrod.step(scene, state, 1e-4)
+        >>> jaxrod.use_lanes("auto")  # whichever is faster
+        >>> jaxrod.use_lanes("sometimes")
+        Traceback (most recent call last):
+            ...
+        ValueError: mode must be one of auto, always, rows, never; got 'sometimes'
     """
     if mode not in MODES:
         raise ValueError(f"mode must be one of {', '.join(MODES)}; got {mode!r}")
@@ -60,7 +75,13 @@ def use_lanes(mode: str) -> None:
 
 
 def lane_choices() -> list[LaneChoice]:
-    """Returns the latest choices between lanes and XLA, one for each compiled run."""
+    """Returns the latest choices between lanes and XLA, one for each compiled run.
+
+    Example:
+        >>> final = jaxrod.advance(scene, state, 1e-4, 10)
+        >>> jaxrod.lane_choices()[-1].rods
+        1
+    """
     return list(_choices)
 
 

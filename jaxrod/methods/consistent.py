@@ -209,5 +209,11 @@ def consistent() -> Consistent:
 
     Returns:
         The method, for `make_scene(..., method=...)`.
+
+    Example:
+        >>> jaxrod.make_scene(rod, method=jaxrod.consistent())
+        Scene(Rod(...), Consistent)
+        >>> jaxrod.make_scene(rod).method
+        Consistent()
     """
     return Consistent()

@@ -105,6 +105,11 @@ def implicit(
 
     Raises:
         ValueError: If an argument is out of range.
+
+    Example:
+        >>> slow = jaxrod.make_scene(rod, jaxrod.clamp(state), method=jaxrod.implicit())
+        >>> slow.method.explicit, scene.method.explicit
+        (False, True)
     """
     radius = as_array(
         "spectral_radius", spectral_radius, "", non_negative=True, at_most=1

@@ -106,6 +106,12 @@ def planar(plane: PlaneName, law: Consistent | PyElastica | None = None) -> Plan
     Raises:
         ValueError: If the plane is unknown.
         TypeError: If the law is another method, which exists in space only.
+
+    Example:
+        >>> flat = jaxrod.make_scene(rod, *scene.effects, method=jaxrod.planar("zx"))
+        >>> after = jaxrod.step(flat, state, 1e-4)
+        >>> bool((after.positions[1] == 0).all()), bool(after.tip[2] < 0)
+        (True, True)
     """
     if not isinstance(plane, str) or plane not in PLANES:
         raise ValueError(f"plane must be one of {', '.join(PLANES)}, got {plane!r}")

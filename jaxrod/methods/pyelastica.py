@@ -232,5 +232,10 @@ def pyelastica() -> PyElastica:
 
     Returns:
         The method, for `make_scene(..., method=...)`.
+
+    Example:
+        >>> method = jaxrod.pyelastica()
+        >>> jaxrod.make_scene(rod, jaxrod.fixed_end(state), method=method)
+        Scene(Rod(...), FixedEnd, PyElastica)
     """
     return PyElastica()

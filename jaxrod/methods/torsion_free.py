@@ -523,5 +523,16 @@ def torsion_free() -> TorsionFree:
 
     Returns:
         The method, for `make_scene(..., method=...)`.
+
+    Example:
+        >>> method = jaxrod.torsion_free()
+        >>> untwisted = jaxrod.make_scene(rod, *scene.effects, method=method)
+        >>> untwisted.method.twist, scene.method.twist
+        (False, True)
+        >>> twisting = jaxrod.end_load(couple=(0.1, 0.0, 0.0))  # about the rod's axis
+        >>> jaxrod.make_scene(rod, twisting, method=method)
+        Traceback (most recent call last):
+            ...
+        ValueError: torsion_free() needs loads without couples about d3, got EndLoad ...
     """
     return TorsionFree()

@@ -28,6 +28,11 @@ class Drag:
     """Rates at which the surrounding fluid slows a rod down, at one moment.
 
     Each is one number or one per node; for `turning`, one per element.
+
+    Example:
+        >>> drag = fluids.stokes_drag(along=0.1, across=0.2).drag(rod, motion)
+        >>> round(float(drag.across[5] / drag.along[5]), 3), drag.grows_with_speed
+        (2.0, False)
     """
 
     along: Array
@@ -63,7 +68,25 @@ def relative_velocity(motion: Motion, drag: Drag) -> Vec3:
 
 
 def drag_loads(rod: Rod, motion: Motion, drag: Drag) -> Loads:
-    """Drag as forces and couples, for methods that treat drag as an explicit load."""
+    """Drag as forces and couples, for methods that treat drag as an explicit load.
+
+    Args:
+        rod: The rod.
+        motion: Its configuration and rates.
+        drag: Rates at this moment, as the hook `drag` of an effect gives them.
+
+    Returns:
+        Forces on nodes, world frame [N], and couples on elements, material frame
+        [N m].
+
+    Example:
+        >>> zero = jnp.zeros(11)
+        >>> rising = replace(motion, velocity=(zero, zero, zero + 1.0))
+        >>> drag = fluids.stokes_drag(along=0.1, across=0.2).drag(rod, rising)
+        >>> force = fluids.drag_loads(rod, rising, drag).forces[2]
+        >>> round(float(force.sum()), 3)  # 0.2 kg/(m s), 1 m/s, 1 m [N]
+        -0.2
+    """
     tangent, relative = node_tangents(motion), relative_velocity(motion, drag)
     speed = vectors.dot(tangent, relative)
     across = vectors.subtract(relative, vectors.scale(speed, tangent))

@@ -157,6 +157,18 @@ def strains(
     Returns:
         Shear-stretch strain per element, material frame [1] (zero if straight and
         unstretched), and curvature and twist per joint, material frame [1/m].
+
+    Raises:
+        ValueError: If the state is not of that rod.
+        TypeError: If `rod` or `state` is of another type.
+
+    Example:
+        >>> longer = replace(state, positions=1.01 * state.positions)
+        >>> strain, curvature = jaxrod.strains(rod, longer)
+        >>> strain.shape, curvature.shape
+        ((3, 10), (3, 9))
+        >>> round(float(strain[2, 0]), 4)
+        0.01
     """
     check_state(rod, state)
     orientation = split_quaternion(state.orientations)
@@ -167,7 +179,19 @@ def strains(
 
 
 def stored_energy(rod: Rod, state: RodState) -> Float[Array, ""]:
-    """Elastic energy of the rod [J]."""
+    """Elastic energy of the rod [J].
+
+    Raises:
+        ValueError: If the state is not of that rod.
+        TypeError: If `rod` or `state` is of another type.
+
+    Example:
+        >>> float(jaxrod.stored_energy(rod, state)) < 1e-9
+        True
+        >>> longer = replace(state, positions=1.01 * state.positions)
+        >>> round(float(jaxrod.stored_energy(rod, longer)), 4)  # E A strain^2 L / 2 [J]
+        0.0628
+    """
     check_state(rod, state)
     strain, curvature = strains(rod, state)
     strain = strain - rod.rest_strains

@@ -85,6 +85,15 @@ def straight_rod(
     Raises:
         ValueError: If an argument is out of range or does not fit, or if the dtype
             cannot hold it or derived numbers (masses and stiffnesses of elements).
+
+    Example:
+        >>> arm, start = jaxrod.straight_rod(
+        ...     20, length=0.5, radius=(0.02, 0.01), density=1000.0, youngs_modulus=1e6
+        ... )
+        >>> arm.n_elements, start.tip.round(3).tolist()
+        (20, [0.0, 0.0, 0.5])
+        >>> bool(arm.radii[0] > arm.radii[-1])  # it tapers
+        True
     """
     n = check_count("n_elements", n_elements, 2, MOST_ELEMENTS)
     dtype = check_dtype(dtype)
@@ -155,6 +164,15 @@ def rod_along(
     Raises:
         ValueError: If an argument is out of range or does not fit, or if the dtype
             cannot hold it or derived numbers (masses and stiffnesses of elements).
+
+    Example:
+        >>> angle = jnp.linspace(0.0, jnp.pi, 11)
+        >>> arc = jnp.stack([jnp.cos(angle), jnp.sin(angle), 0 * angle])
+        >>> hook, start = jaxrod.rod_along(
+        ...     arc, radius=0.02, density=1000.0, youngs_modulus=1e6
+        ... )
+        >>> bool(jaxrod.stored_energy(hook, start) < 1e-9)
+        True
     """
     nodes = numeric("positions", positions, "m")
     if nodes.ndim != 2 or nodes.shape[0] != 3 or nodes.shape[1] < 3:
@@ -264,6 +282,14 @@ def unstressed(rod: Rod, state: RodState) -> Rod:
     Raises:
         TypeError: If the arguments are not a rod and a state.
         ValueError: If the state is not of that rod.
+
+    Example:
+        >>> longer = replace(state, positions=1.01 * state.positions)
+        >>> round(float(jaxrod.stored_energy(rod, longer)), 3)
+        0.063
+        >>> relaxed = jaxrod.unstressed(rod, longer)
+        >>> round(float(jaxrod.stored_energy(relaxed, longer)), 3)
+        0.0
     """
     check_state(rod, state)
     orientation = split_quaternion(state.orientations)

@@ -41,6 +41,11 @@ class Motion:
     The integrators carry it from step to step, and effects see it. Unpacking the
     state once per call instead of once per step keeps stacking and slicing
     out of the compiled loop.
+
+    Example:
+        >>> x, y, z = motion.position
+        >>> x.shape, round(float(x[-1]), 3), round(float(motion.lengths[0]), 3)
+        ((11,), 1.0, 0.1)
     """
 
     position: Vec3
@@ -131,7 +136,13 @@ def state_of(motion: Motion) -> RodState:
 
 @pytree
 class Loads:
-    """Forces on nodes and couples on elements; `None` if there are none."""
+    """Forces on nodes and couples on elements; `None` if there are none.
+
+    Example:
+        >>> weight = jaxrod.gravity().loads(rod, motion)
+        >>> round(float(weight.forces[2].sum()), 2), weight.couples is None
+        (-12.32, True)
+    """
 
     forces: Vec3 | None = None
     """Forces on the `n + 1` nodes, world frame [N]."""

@@ -33,6 +33,15 @@ class Rod:
 
     Quantities derived from stacked rods, as `vmap` over a factory makes them, are
     stacked, too, with the same leading axes.
+
+    Example:
+        >>> rod.n_elements, rod.node_masses.shape
+        (10, (11,))
+        >>> round(float(rod.element_masses.sum()), 3)  # density times volume [kg]
+        1.257
+        >>> softer = replace(rod, bend_twist_stiffness=0.5 * rod.bend_twist_stiffness)
+        >>> round(float(softer.bend_twist_stiffness[0, 0]), 4)  # E I / 2 [N m^2]
+        0.0628
     """
 
     rest_lengths: Float[Array, " n"]
@@ -162,7 +171,14 @@ class Rod:
 
 @dataclass(frozen=True)
 class Layout:
-    """Numbers of nodes and elements of a member of a system, from its state."""
+    """Numbers of nodes and elements of a member of a system, from its state.
+
+    Example:
+        >>> state.layout
+        Layout(count=1, n_elements=10, is_rod=True, is_stacked=False)
+        >>> extend.Layout(count=1)  # of a point mass, a member of your own
+        Layout(count=1, n_elements=1, is_rod=False, is_stacked=False)
+    """
 
     count: int
     """Number of rods, bodies or points."""
@@ -182,7 +198,17 @@ class Layout:
 
 @pytree
 class RodState:
-    """State of a rod: everything that changes in time, and nothing derived from it."""
+    """State of a rod: everything that changes in time, and nothing derived from it.
+
+    Example:
+        >>> state.positions.shape, state.orientations.shape
+        ((3, 11), (4, 10))
+        >>> state.tip.round(3).tolist()
+        [1.0, 0.0, 0.0]
+        >>> moving = replace(state, velocities=jnp.ones_like(state.velocities))
+        >>> round(float(rod.kinetic_energy(moving)), 3)  # m v^2 / 2 [J]
+        1.885
+    """
 
     positions: Float[Array, "3 n+1"]
     """Node positions, world frame [m]."""
@@ -231,7 +257,17 @@ class RodState:
 
 
 def angular_velocities(rod: Rod, state: RodState) -> Float[Array, "3 n"]:
-    """Angular velocity of each element in its material frame [rad/s]."""
+    """Angular velocity of each element in its material frame `(3, n)` [rad/s].
+
+    Raises:
+        ValueError: If the state is not of that rod.
+        TypeError: If `rod` or `state` is of another type.
+
+    Example:
+        >>> turning = jaxrod.with_angular_velocities(rod, state, jnp.full((3, 10), 2.0))
+        >>> jaxrod.angular_velocities(rod, turning)[:, 0].round(3).tolist()
+        [2.0, 2.0, 2.0]
+    """
     check_state(rod, state)
     frame = state.directors
     material = jnp.sum(frame * state.angular_momenta[None], axis=1)
@@ -252,6 +288,12 @@ def with_angular_velocities(
     Raises:
         ValueError: If their shape does not fit the rod.
         TypeError: If `rod` or `state` is of another type.
+
+    Example:
+        >>> spin = jnp.zeros((3, 10)).at[2].set(4.0)  # about the rod's own axis [rad/s]
+        >>> turning = jaxrod.with_angular_velocities(rod, state, spin)
+        >>> round(float(rod.angular_momentum(turning)[0]), 6)
+        0.001005
     """
     check_state(rod, state)
     given = numeric("angular_velocities", angular_velocities, "rad/s")
@@ -278,6 +320,14 @@ def compensated(state: RodState) -> RodState:
     Angular momentum is not improved: its drift in a free rod is round-off of the loads
     themselves, about `u sqrt(steps)` of the sum of `m |x| |v|` over the nodes, with `u`
     the unit round-off, 6e-8 in float32 (`tests/extremes/test_precision.py`).
+
+    Raises:
+        TypeError: If `state` is not a `RodState`.
+
+    Example:
+        >>> precise = jaxrod.compensated(state)
+        >>> precise.remainders.shape, state.remainders is None
+        ((3, 11), True)
     """
     check_kind("state", state, RodState)
     return replace(state, remainders=jnp.zeros_like(state.positions))

@@ -38,7 +38,18 @@ _LARGEST = 1e40
 
 @pytree
 class Section:
-    """A shape of sections; each entry is one number, or one per element."""
+    """A shape of sections; each entry is one number, or one per element.
+
+    Example:
+        >>> square = jaxrod.rectangle(0.02, 0.02)
+        >>> round(float(square.area), 6), square.is_round
+        (0.0004, False)
+        >>> beam, start = jaxrod.straight_rod(
+        ...     10, length=1.0, section=square, density=1000.0, youngs_modulus=1e6
+        ... )
+        >>> round(float(beam.element_masses.sum()), 3)  # [kg]
+        0.4
+    """
 
     area: Any
     """Area [m^2]."""
@@ -75,6 +86,10 @@ def circle(radius: Numbers) -> Section:
 
     Raises:
         ValueError: If the radius is not positive.
+
+    Example:
+        >>> round(float(jaxrod.circle(0.02).area), 6)  # pi r^2 [m^2]
+        0.001257
     """
     r = _dimension("radius", radius)
     second = np.pi * r**4 / 4
@@ -92,6 +107,11 @@ def tube(outer_radius: Numbers, inner_radius: Numbers) -> Section:
 
     Raises:
         ValueError: If the radii are not positive, or the inner one is not smaller.
+
+    Example:
+        >>> solid, hollow = jaxrod.circle(0.02), jaxrod.tube(0.02, 0.01)
+        >>> round(float(hollow.area / solid.area), 3)
+        0.75
     """
     r = _dimension("outer_radius", outer_radius)
     hole = _dimension("inner_radius", inner_radius)
@@ -120,6 +140,12 @@ def rectangle(width: Numbers, height: Numbers) -> Section:
 
     Raises:
         ValueError: If a side is not positive.
+
+    Example:
+        >>> strip = jaxrod.rectangle(width=0.04, height=0.01)
+        >>> about_d1, about_d2 = strip.second_moments
+        >>> round(float(about_d2 / about_d1), 3)
+        16.0
     """
     w, h = _dimension("width", width), _dimension("height", height)
     xp = module_for(w, h)
@@ -146,6 +172,12 @@ def ellipse(half_width: Numbers, half_height: Numbers) -> Section:
 
     Raises:
         ValueError: If a semi-axis is not positive.
+
+    Example:
+        >>> flat = jaxrod.ellipse(0.02, 0.01)
+        >>> about_d1, about_d2 = flat.second_moments
+        >>> round(float(about_d2 / about_d1), 3)
+        4.0
     """
     a = _dimension("half_width", half_width)
     b = _dimension("half_height", half_height)

@@ -33,7 +33,13 @@ from jaxrod.validation import as_array, check_count
 
 @pytree
 class Equilibrium:
-    """A scene or a system at rest under its loads, if `converged`."""
+    """A scene or a system at rest under its loads, if `converged`.
+
+    Example:
+        >>> found = jaxrod.equilibrium(scene, state)
+        >>> bool(found.converged), bool(found.stable), bool(found.loose)
+        (True, True, False)
+    """
 
     state: Any
     """State at the end of the iteration, at rest."""
@@ -102,6 +108,11 @@ def equilibrium(
         ValueError: If the law is not "consistent", if nothing holds the rod of a scene,
             if a number is a schedule, or if an argument is out of range.
         TypeError: If `scene` or `state` is of another type.
+
+    Example:
+        >>> found = jaxrod.equilibrium(scene, state)
+        >>> bool(found.converged), round(float(found.state.tip[2]), 2)
+        (True, -0.96)
     """
     check_model(scene)
     found: Equilibrium = scene.equilibrium(

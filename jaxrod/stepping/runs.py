@@ -91,6 +91,14 @@ def with_memory(scene: Model, state: State) -> State:
     Args:
         scene: The scene.
         state: A state of its rod.
+
+    Raises:
+        TypeError: If `scene` or `state` is of another type.
+
+    Example:
+        >>> ready = jaxrod.with_memory(scene, state)
+        >>> ready.memory is None  # no effect of this scene remembers anything
+        True
     """
     check_model(scene)
     kept: State = scene.with_memory(state)
@@ -116,6 +124,11 @@ def step(
     Raises:
         ValueError: If `dt` is not positive or the state is not of the scene's rod.
         TypeError: If `scene` or `state` is of another type.
+
+    Example:
+        >>> after = jaxrod.step(scene, state, 1e-4)
+        >>> bool(after.tip[2] < state.tip[2])  # it falls
+        True
     """
     begin = check_first(scene, first, 1)
     dt = scene.check_run(state, dt, begin)
@@ -167,6 +180,12 @@ def advance(
 
     Warns:
         UnstableStepWarning: If `dt` is above the stability bound.
+
+    Example:
+        >>> dt = jaxrod.stable_dt(scene).dt
+        >>> later = jaxrod.advance(scene, state, dt, 100)
+        >>> bool(later.tip[2] < state.tip[2])  # it falls
+        True
     """
     if isinstance(n_steps, jax.Array):
         check_counter(n_steps)
@@ -218,6 +237,11 @@ def rollout(
 
     Warns:
         UnstableStepWarning: If `dt` is above the stability bound.
+
+    Example:
+        >>> records = jaxrod.rollout(scene, state, 1e-4, 100, every=10)
+        >>> records.tip.shape
+        (11, 3)
     """
     records = check_records(n_steps, every)
     begin = check_first(scene, first, n_steps)
@@ -248,6 +272,10 @@ def rollout_times(
 
     Raises:
         ValueError: If an argument is out of range.
+
+    Example:
+        >>> jaxrod.rollout_times(0.25, 8, every=2).tolist()
+        [0.0, 0.5, 1.0, 1.5, 2.0]
     """
     records = check_records(n_steps, every)
     step = as_array("dt", dt, "s", positive=True)

@@ -55,6 +55,12 @@ class System(Assembly, Model):
     program. Build a system with `make_system`. Functions for scenes (`advance`,
     `rollout`, `stable_dt`, `health`) take it, too, with a dict of states by member. It
     has the same methods as a scene, such as `total_energy(state)`.
+
+    Example:
+        >>> system = jaxrod.make_system({"left": scene, "right": scene})
+        >>> states = {"left": state, "right": state}
+        >>> sorted(system.members), float(system.kinetic_energy(states))
+        (['left', 'right'], 0.0)
     """
 
     def states_by_name(self, state: Any) -> dict[str, Any]:
@@ -206,6 +212,14 @@ def make_system(
         ValueError: If a coupling does not fit the members, types differ, a member's
             method has no steps in a system, or an effect does not act on rigid bodies.
         TypeError: If a member or a coupling is something else.
+
+    Example:
+        >>> states = {"left": state, "right": state}
+        >>> tips = systems.tie(("left", "tip"), ("right", "tip"), states)
+        >>> scenes = {"left": scene, "right": scene}
+        >>> system = jaxrod.make_system(scenes, tips, state=states)
+        >>> sorted(system.members), len(system.couplings)
+        (['left', 'right'], 1)
     """
     if not isinstance(members, Mapping) or not members:
         raise TypeError("members must be a dict of at least one scene or rigid body")

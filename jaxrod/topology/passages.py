@@ -44,6 +44,14 @@ def crossings(
 
     Raises:
         ValueError: If numbers of nodes do not agree, or one of the others is missing.
+
+    Example:
+        >>> other = jnp.array([[-1.0, 1.0], [0.0, 0.0], [0.0, 0.0]])  # along x
+        >>> above = jnp.array([[0.0, 0.0], [-1.0, 1.0], [0.1, 0.1]])  # along y
+        >>> below = jnp.array([[0.0, 0.0], [-1.0, 1.0], [-0.1, -0.1]])
+        >>> passages = topology.crossings(above, below, other, other)
+        >>> passages.shape, round(float(passages[0, 0]), 3)
+        ((1, 1), 1.0)
     """
     if (other_before is None) != (other_after is None):
         raise ValueError("other_before and other_after must be given together")
@@ -89,6 +97,18 @@ def crossed(
     """Whether a curve passed through itself, or another, between two moments.
 
     Arguments are those of `crossings`, which also gives the places.
+
+    Raises:
+        ValueError: If numbers of nodes do not agree, or one of the others is missing.
+
+    Example:
+        >>> other = jnp.array([[-1.0, 1.0], [0.0, 0.0], [0.0, 0.0]])  # along x
+        >>> above = jnp.array([[0.0, 0.0], [-1.0, 1.0], [0.1, 0.1]])  # along y
+        >>> below = jnp.array([[0.0, 0.0], [-1.0, 1.0], [-0.1, -0.1]])
+        >>> bool(topology.crossed(above, below, other, other))
+        True
+        >>> bool(topology.crossed(above, above, other, other))
+        False
     """
     counts = crossings(before, after, other_before, other_after)
     return jnp.any(jnp.abs(counts) > 0.25)

@@ -73,6 +73,14 @@ def twist(
 
     Raises:
         ValueError: If an argument is out of range.
+
+    Example:
+        >>> turn = jnp.linspace(0.0, jnp.pi, 10)  # half a turn along the rod
+        >>> normals = jnp.stack([0 * turn, jnp.cos(turn), jnp.sin(turn)])
+        >>> round(float(topology.twist(state, normals)), 3)
+        0.5
+        >>> round(float(topology.twist(state)), 3)
+        0.0
     """
     check_ends(ends, ("open", "joined"))
     nodes = nodes_of("curve", curve)
@@ -130,6 +138,14 @@ def writhe(
 
     Raises:
         ValueError: If an argument is out of range.
+
+    Example:
+        >>> angle = jnp.linspace(0.0, 4 * jnp.pi, 41)
+        >>> coil = jnp.stack([jnp.cos(angle), jnp.sin(angle), 0.1 * angle])
+        >>> round(float(topology.writhe(coil)), 2)
+        0.7
+        >>> round(float(topology.writhe(state)), 3)  # a straight rod
+        0.0
     """
     check_ends(ends)
     nodes = _ring_or_line(nodes_of("curve", curve), ends)
@@ -153,6 +169,13 @@ def linking_number(
 
     Raises:
         ValueError: If an argument is out of range.
+
+    Example:
+        >>> angle = jnp.linspace(0.0, 2 * jnp.pi, 21)
+        >>> ring = jnp.stack([jnp.cos(angle), jnp.sin(angle), 0 * angle])
+        >>> through = jnp.stack([1 + jnp.cos(angle), 0 * angle, jnp.sin(angle)])
+        >>> round(float(topology.linking_number(ring, through)), 3)
+        -1.0
     """
     check_ends(ends, ("joined", "open"))
     one, other = (
@@ -187,6 +210,15 @@ def link(
 
     Raises:
         ValueError: If an argument is out of range.
+
+    Example:
+        >>> angle = jnp.linspace(0.0, 2 * jnp.pi, 41)
+        >>> ring = jnp.stack([jnp.cos(angle), jnp.sin(angle), 0 * angle])
+        >>> middle = 0.5 * (angle[1:] + angle[:-1])
+        >>> cosine, sine = jnp.cos(middle), jnp.sin(middle)
+        >>> normals = jnp.stack([cosine**2, cosine * sine, sine])  # they turn once
+        >>> round(float(topology.link(ring, normals, ends="joined")), 3)
+        -1.0
     """
     check_ends(ends)
     nodes = _ring_or_line(nodes_of("curve", curve), ends)

@@ -41,7 +41,13 @@ Reduction = Literal["planar", "untwisted", "inertia", "compensated"]
 
 @dataclass(frozen=True)
 class Setting:
-    """Number of elements, step, precision, law, integrator and reductions of a run."""
+    """Number of elements, step, precision, law, integrator and reductions of a run.
+
+    Example:
+        >>> setting = tradeoff.Setting(12, dtype="float64", reductions=("planar",))
+        >>> str(setting)
+        'n = 12, explicit, float64, consistent, planar'
+    """
 
     n_elements: int
     """Number of elements."""
@@ -93,6 +99,12 @@ def prepare(workload: Workload, setting: Setting) -> Prepared:
         ValueError: If the setting does not fit the workload: "planar" without a plane,
             "untwisted" although a load twists the rod, or implicit steps without a step
             size.
+
+    Example:
+        >>> work = tradeoff.workload_of(scene, state, duration=0.05, periods=5)
+        >>> ready = tradeoff.prepare(work, tradeoff.Setting(5))
+        >>> ready.scene.rod.n_elements, round(ready.substeps * ready.setting.dt, 6)
+        (5, 0.01)
     """
     with jax.enable_x64(True):
         scene, state = workload.build(setting.n_elements, setting.mode)
@@ -141,7 +153,14 @@ def may_be_untwisted(workload: Workload) -> bool:
 
 @dataclass(frozen=True, eq=False)
 class Reference:
-    """Path of the tip with which settings are compared."""
+    """Path of the tip with which settings are compared.
+
+    Example:
+        >>> work = tradeoff.workload_of(scene, state, duration=0.05, periods=5)
+        >>> exact = tradeoff.reference(work, n_elements=20)
+        >>> exact.tips.shape, exact.error < 1e-3
+        ((5, 3), True)
+    """
 
     tips: np.ndarray
     """Tip at the end of every control period `(periods, 3)` [m]."""
@@ -159,7 +178,15 @@ class Reference:
 
 @dataclass(frozen=True)
 class Measurement:
-    """One point of the trade-off."""
+    """One point of the trade-off.
+
+    Example:
+        >>> work = tradeoff.workload_of(scene, state, duration=0.05, periods=5)
+        >>> exact = tradeoff.reference(work, n_elements=20)
+        >>> found = tradeoff.measure(work, tradeoff.Setting(5), exact, seconds=0.01)
+        >>> found.error < 0.05, list(found.wall_s_per_sim_s)  # one rod was timed
+        (True, [1])
+    """
 
     setting: Setting
     """The setting, with the step size that was used."""
@@ -178,6 +205,15 @@ def reference(workload: Workload, n_elements: int = REFERENCE_ELEMENTS) -> Refer
         workload: The workload.
         n_elements: Elements of the reference; its step is an eighth of the stable one.
             It is compared with a run of half the elements and twice the step.
+
+    Raises:
+        ValueError: If `n_elements` is below 4, so that half of it is no rod.
+
+    Example:
+        >>> work = tradeoff.workload_of(scene, state, duration=0.05, periods=5)
+        >>> exact = tradeoff.reference(work, n_elements=20)
+        >>> exact.n_elements, exact.tips.shape, exact.error < 1e-3
+        (20, (5, 3), True)
     """
     runs = []
     for n, refinement in (
@@ -231,6 +267,17 @@ def measure(
             core if JAX has one device.
         seconds: Time spent on timing each batch [s]. The result is the median of five
             windows, or a single run if that takes longer.
+
+    Raises:
+        ValueError: If the setting does not fit the workload, as in `prepare`.
+
+    Example:
+        >>> work = tradeoff.workload_of(scene, state, duration=0.05, periods=5)
+        >>> exact = tradeoff.reference(work, n_elements=20)
+        >>> coarse = tradeoff.measure(work, tradeoff.Setting(4), exact, seconds=0.01)
+        >>> fine = tradeoff.measure(work, tradeoff.Setting(10), exact, seconds=0.01)
+        >>> fine.error < coarse.error
+        True
     """
     prepared = prepare(workload, setting)
     error = tip_error(tips_of(workload, prepared), exact.tips, exact.length)

@@ -50,12 +50,9 @@ def resample(scene: Scene, state: RodState, n_elements: int) -> tuple[Scene, Rod
         TypeError: If `scene` or `state` is of another type.
 
     Example:
-        >>> rod, state = jaxrod.straight_rod(10, length=1.0, radius=0.02,
-        ...                                  density=1000.0, youngs_modulus=1e6)
-        >>> scene = jaxrod.make_scene(rod, jaxrod.clamp(state), jaxrod.gravity())
-        >>> finer, state = jaxrod.resample(scene, state, 40)
-        >>> finer.rod.n_elements
-        40
+        >>> finer, its_state = jaxrod.resample(scene, state, 40)
+        >>> finer.rod.n_elements, its_state.positions.shape
+        (40, (3, 41))
     """
     check_scene_and_state(scene, state)
     scene.check_moment()

@@ -34,6 +34,11 @@ def swing() -> Workload:
 
     It is 1 m long, 5 cm in radius, 10 MPa, clamped and lightly damped, and stays in a
     plane.
+
+    Example:
+        >>> ready = tradeoff.prepare(tradeoff.swing(), tradeoff.Setting(8))
+        >>> ready.scene.rod.n_elements, ready.state.tip.round(3).tolist()
+        (8, [1.0, 0.0, 0.0])
     """
     return _released("swing", 100, 0.05, 0.5)
 
@@ -43,6 +48,11 @@ def rope() -> Workload:
 
     Its elements are much longer than thick: a scene for enlarged inertia and implicit
     steps.
+
+    Example:
+        >>> work = tradeoff.rope()
+        >>> work.name, round(work.duration, 3)
+        ('rope', 0.3)
     """
     return _released("rope", 30, 0.002, 1.0)
 
@@ -52,6 +62,11 @@ def slam() -> Workload:
 
     The post is a cylinder of 15 cm radius across the plane of motion, under two thirds
     of the arm's length. Contact is soft, so that few elements resolve it.
+
+    Example:
+        >>> ready = tradeoff.prepare(tradeoff.slam(), tradeoff.Setting(8))
+        >>> [type(effect).__name__ for effect in ready.scene.effects]
+        ['Clamp', 'ExponentialDamping', 'Gravity', 'Contact']
     """
 
     def post() -> Effect:
@@ -67,6 +82,11 @@ def tracking_arm() -> Workload:
     Twelve control values change every 1.4 ms and shape the bending couples along the
     arm. They are at their limits a third of the time. The arm is damped as in the
     published task.
+
+    Example:
+        >>> work = tradeoff.tracking_arm()
+        >>> work.controls.shape, round(work.period, 6)
+        ((714, 12), 0.0014)
     """
     name = "tracking_actions.npy"
     with resources.as_file(resources.files("jaxrod.data") / name) as path:

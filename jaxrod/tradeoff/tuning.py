@@ -40,7 +40,17 @@ TRUSTED = 0.2
 
 @dataclass(frozen=True)
 class Tuned:
-    """Result of `tune`."""
+    """Result of `tune`.
+
+    Example:
+        >>> few = dict(duration=0.05, elements=(4, 6), seconds=0.01)
+        >>> tuned = jaxrod.tune(scene, state, max_error=0.05, **few)
+        >>> tuned.met, tuned.error < tuned.max_error
+        (True, True)
+        >>> ready = tuned.prepared  # its scene, state and steps, to run
+        >>> ready.scene.rod.n_elements == tuned.setting.n_elements
+        True
+    """
 
     met: bool
     """Whether the error is within the allowed error. If no setting is accurate enough,
@@ -117,6 +127,12 @@ def tune(
             not increase, `state` is missing or does not fit, or the reference is not
             converged well enough. Then the motion depends on details that no resolution
             captures, or `max_error` must be larger.
+
+    Example:
+        >>> few = dict(duration=0.05, elements=(4, 6), seconds=0.01)
+        >>> tuned = jaxrod.tune(scene, state, max_error=0.05, **few)
+        >>> tuned.met, tuned.error < 0.05, len(tuned.tried) > 1
+        (True, True, True)
     """
     if is_traced(scene, state):
         raise ValueError(

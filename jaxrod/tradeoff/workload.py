@@ -31,6 +31,11 @@ class Workload:
 
     Time is divided into control periods. In each period the scene is the one that `act`
     returns, and at its end the tip is recorded. A period is a whole number of steps.
+
+    Example:
+        >>> work = tradeoff.swing()
+        >>> work.name, work.plane, len(work.controls), round(work.duration, 3)
+        ('swing', 'xy', 100, 1.0)
     """
 
     name: str
@@ -79,6 +84,11 @@ def workload_of(
             `state` is not of its rod or not finite, or a part leaves the plane of a
             planar scene.
         TypeError: If `scene` is not a scene or `state` not a state.
+
+    Example:
+        >>> work = tradeoff.workload_of(scene, state, duration=0.5, periods=10)
+        >>> len(work.controls), round(work.period, 6)
+        (10, 0.05)
     """
     check_scene_and_state(scene, state)
     if not all(np.all(np.isfinite(leaf)) for leaf in jax.tree.leaves(state)):

@@ -41,7 +41,14 @@ from jaxrod.systems.sites.rows import gather, scatter_add
 
 @pytree
 class Anchors:
-    """Points fixed on one member."""
+    """Points fixed on one member.
+
+    Example:
+        >>> seen = extend.Seen(scene.as_member().parts(), motion)
+        >>> ends = extend.anchors([("arm", "base"), ("arm", "tip")], {"arm": state})
+        >>> [part.round(3).tolist() for part in ends.positions(seen)]
+        [[0.0, 1.0], [0.0, 0.0], [0.0, 0.0]]
+    """
 
     points: Points
     """Node and element of each anchor."""
@@ -109,6 +116,12 @@ def anchors(
 
     Raises:
         ValueError: If there is no such place.
+
+    Example:
+        >>> hook = jnp.array([1.0, 0.0, -0.25])  # 25 cm below the tip
+        >>> below = extend.anchors([("arm", "tip")], {"arm": state}, at=[hook])
+        >>> round(float(jnp.linalg.norm(below.offsets)), 3)
+        0.25
     """
     layouts = layouts_of(state)
     ends = [resolved(name, place, layouts) for place in places]
@@ -143,6 +156,14 @@ def spring_bounds(
 
     Returns:
         The bounds by member, as `Coupling.stability_bounds` returns them.
+
+    Example:
+        >>> ends = ("base", "tip")
+        >>> base, tip = (extend.anchors([("arm", end)], {"arm": state}) for end in ends)
+        >>> parts = {"arm": scene.as_member().parts()}
+        >>> bound = extend.spring_bounds(base, tip, parts, jnp.float32(100.0))["arm"]
+        >>> round(float(bound.nodes[0]), 1), round(float(bound.nodes[1]), 1)  # [N/m]
+        (200.0, 0.0)
     """
     sides = [(anchor, parts[anchor.points.member]) for anchor in (a, b)]
     ease = sum(anchor.mobility(own) for anchor, own in sides)

@@ -32,6 +32,11 @@ class Member(ABC):
     """Part of a system: one rod, equal rods, rigid bodies, or a kind of your own.
 
     Hooks are pure. The defaults are for members without rods, memory and supports.
+
+    Example:
+        >>> arm = scene.as_member()
+        >>> isinstance(arm, extend.Member), arm.parts().n_nodes
+        (True, 11)
     """
 
     # Structure and parameters.

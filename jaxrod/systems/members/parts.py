@@ -26,7 +26,13 @@ from jaxrod.structure import pytree, static
 
 @pytree
 class Parts:
-    """Constants of a member, one entry per node or element."""
+    """Constants of a member, one entry per node or element.
+
+    Example:
+        >>> parts = scene.as_member().parts()
+        >>> parts.node_masses.shape, parts.is_rod, parts.n_nodes
+        ((11,), True, 11)
+    """
 
     node_masses: Float[Array, " nodes"]
     """Mass of each node, or of each body [kg]."""
@@ -110,7 +116,13 @@ def unflatten_rods(tree: Any, count: int) -> Any:
 
 @pytree
 class Seen:
-    """A member at one moment: its constants and its motion."""
+    """A member at one moment: its constants and its motion.
+
+    Example:
+        >>> seen = extend.Seen(scene.as_member().parts(), motion)
+        >>> [float(abs(part).max()) for part in seen.angular_velocities]
+        [0.0, 0.0, 0.0]
+    """
 
     parts: Parts
     """Constants of the member."""

@@ -26,6 +26,14 @@ class MemberStepper(ABC):
     Motions have the stepper's own form: a leading axis for equal rods, the common
     centre of mass for bodies. The defaults are for members without supports, ties and
     effects.
+
+    Example:
+        >>> arm = scene.as_member()
+        >>> stepper = arm.stepper(state, arm.parts(), None, jnp.float32(1e-4))
+        >>> isinstance(stepper, extend.MemberStepper)
+        True
+        >>> stepper.leave(stepper.enter(state)).positions.shape
+        (3, 11)
     """
 
     @abstractmethod

@@ -30,6 +30,23 @@ class Coupling:
     Unless a coupling acts from outside, as a pose spring does, its forces come in pairs
     without a total force or moment. Nothing checks this. Ties (`constrain`, `exchange`,
     `constrain_rates`) hold exactly.
+
+    Example:
+        >>> @extend.pytree
+        ... class Wind(extend.Coupling):
+        ...     force: extend.Leaf  # on the tip of the arm, along x [N]
+        ...     tip: extend.Anchors
+        ...
+        ...     def loads(self, seen):
+        ...         arm, zero = seen["arm"], jnp.zeros(1)
+        ...         force = (zero + self.force, zero, zero)
+        ...         there = self.tip.positions(arm)
+        ...         acting = self.tip.points, self.tip.loads(arm, force, there)
+        ...         return extend.sum_of_loads(acting, seen=seen)
+        >>> tip = extend.anchors([("arm", "tip")], {"arm": state})
+        >>> system = jaxrod.make_system({"arm": scene}, Wind(0.5, tip))
+        >>> len(system.couplings)
+        1
     """
 
     def check(self, parts: AllParts) -> None:

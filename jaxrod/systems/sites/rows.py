@@ -123,7 +123,24 @@ def _table(index: Indices, size: int) -> np.ndarray:
 
 
 def sum_of_loads(*given: tuple[Points, Loads], seen: AllSeen) -> dict[str, Loads]:
-    """Loads on whole members, from loads at places."""
+    """Loads on whole members, from loads at places.
+
+    Args:
+        *given: Pairs of places on one member, such as `Anchors.points`, and loads
+            there: forces [N] and couples [N m], one entry for each place.
+        seen: The members by name, as the hooks of couplings get them.
+
+    Returns:
+        Loads by member, with an entry for each of its nodes and elements.
+
+    Example:
+        >>> seen = {"arm": extend.Seen(scene.as_member().parts(), motion)}
+        >>> tip = extend.anchors([("arm", "tip")], {"arm": state})
+        >>> push = extend.Loads((jnp.ones(1), jnp.zeros(1), jnp.zeros(1)))
+        >>> total = extend.sum_of_loads((tip.points, push), seen=seen)
+        >>> total["arm"].forces[0].shape, float(total["arm"].forces[0][-1])
+        ((11,), 1.0)
+    """
     total: dict[str, Loads] = {}
     for points, loads in given:
         parts = seen[points.member].parts

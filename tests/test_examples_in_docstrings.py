@@ -1,0 +1,187 @@
+"""Every public function and class has an example in its docstring, which runs."""
+
+import doctest
+import functools
+import importlib
+import inspect
+import runpy
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+import jaxrod
+from jaxrod.lanes.choice import lane_mode
+
+ROOT = Path(__file__).resolve().parent.parent
+REFERENCE = runpy.run_path(str(ROOT / "docs" / "reference_pages.py"))
+# What the reference tells readers to assume is what the examples are run with.
+ASSUMED = REFERENCE["ASSUMED"]
+PACKAGES = ("jaxrod", *REFERENCE["PACKAGES"])
+
+# Packages of which not all names have examples yet: theirs are not run.
+NOT_YET = {
+    "jaxrod.control",
+    "jaxrod.control.estimation",
+    "jaxrod.envs",
+    "jaxrod.sensors",
+    "jaxrod.systems",
+    "jaxrod.training",
+    "jaxrod.twin",
+    "jaxrod.viz",
+}
+
+# Names without an example, and why.
+WITHOUT = {
+    "jaxrod.ThinBodyWarning": "a warning, which is seen and not called",
+    "jaxrod.UnlikelyWarning": "a warning, which is seen and not called",
+    "jaxrod.UnstableStepWarning": "a warning, which is seen and not called",
+}
+
+# Names whose examples take more than about a second of processor time, without that
+# which several of them share: the first of them pays for all (the first steps of
+# `scene`, its health).
+SLOW = {
+    "jaxrod.contact",
+    "jaxrod.driven",
+    "jaxrod.Equilibrium",
+    "jaxrod.equilibrium",
+    "jaxrod.frequency_changes",
+    "jaxrod.highest_frequency",
+    "jaxrod.hinge_support",
+    "jaxrod.internal_damping",
+    "jaxrod.laplacian_filter",
+    "jaxrod.natural_frequencies",
+    "jaxrod.near_contact",
+    "jaxrod.planar",
+    "jaxrod.resample",
+    "jaxrod.rollout",
+    "jaxrod.scale_inertia",
+    "jaxrod.short_wave_damping",
+    "jaxrod.tune",
+    "jaxrod.Tuned",
+    "jaxrod.use_lanes",
+    "jaxrod.actuation.chamber",
+    "jaxrod.actuation.cubic_force",
+    "jaxrod.actuation.Muscle",
+    "jaxrod.actuation.muscle",
+    "jaxrod.actuation.wound_chamber",
+    "jaxrod.actuation.WoundChamber",
+    "jaxrod.assemblies.braid",
+    "jaxrod.assemblies.bundle",
+    "jaxrod.assemblies.cilia",
+    "jaxrod.assemblies.nest",
+    "jaxrod.assemblies.net",
+    "jaxrod.assemblies.octopus",
+    "jaxrod.assemblies.tree",
+    "jaxrod.topology.crossed",
+    "jaxrod.topology.crossings",
+    "jaxrod.topology.link",
+    "jaxrod.topology.writhe",
+    "jaxrod.tradeoff.measure",
+    "jaxrod.tradeoff.prepare",
+    "jaxrod.tradeoff.Measurement",
+    "jaxrod.tradeoff.Reference",
+    "jaxrod.tradeoff.reference",
+    "jaxrod.tradeoff.slam",
+    "jaxrod.tradeoff.swing",
+}
+
+# Names whose examples must come before JAX computes: each has a process of its own.
+OWN_PROCESS = {
+    "jaxrod.configure_cpu",
+}
+
+
+def names_of(package):
+    """Full names and things: public functions and classes of a package, not modules."""
+    module = importlib.import_module(package)
+    things = {name: getattr(module, name) for name in sorted(module.__all__)}
+    return {
+        f"{package}.{name}": thing
+        for name, thing in things.items()
+        if callable(thing) and f"{package}.{name}" not in WITHOUT
+    }
+
+
+def examples():
+    """Tests of all docstrings with examples; what has two names is run once."""
+    seen = set()
+    for package in sorted({*PACKAGES} - NOT_YET):
+        for name, thing in names_of(package).items():
+            if id(thing) not in seen and ">>>" in (thing.__doc__ or ""):
+                slow = [pytest.mark.slow] if name in SLOW | OWN_PROCESS else []
+                yield pytest.param(name, thing, id=name, marks=slow)
+            seen.add(id(thing))
+
+
+@pytest.fixture(autouse=True)
+def lanes_as_before():
+    mode = lane_mode()
+    yield
+    jaxrod.use_lanes(mode)
+
+
+@functools.cache
+def assumed():
+    names = {}
+    exec(ASSUMED, names)
+    return names
+
+
+def faults_of(name, text, names):
+    """The report of the examples in a text that print something else."""
+    report = []
+    test = doctest.DocTestParser().get_doctest(text, dict(names), name, name, 0)
+    doctest.DocTestRunner(optionflags=doctest.ELLIPSIS).run(test, out=report.append)
+    return "".join(report)
+
+
+@pytest.mark.parametrize("package", PACKAGES)
+def test_every_public_name_has_an_example(package):
+    bare = [n for n, thing in names_of(package).items() if not has_example(thing)]
+    if package in NOT_YET:
+        assert bare, f"{package} has all examples: remove it from NOT_YET"
+    else:
+        assert not bare
+
+
+def has_example(thing):
+    doc = inspect.cleandoc(thing.__doc__ or "")
+    return ">>>" in doc.partition("\nExample:\n")[2]
+
+
+@pytest.mark.default_precision
+@pytest.mark.parametrize(("name", "thing"), [*examples()])
+def test_examples_print_what_they_say(name, thing):
+    if name in OWN_PROCESS:
+        program = f"""
+import doctest
+{ASSUMED.partition("rod, state =")[0]}
+doctest.run_docstring_examples({name}, globals())
+"""
+        done = subprocess.run(
+            [sys.executable, "-c", program], capture_output=True, text=True
+        )
+        assert (done.returncode, done.stdout) == (0, ""), done.stdout + done.stderr
+    else:
+        faults = faults_of(name, thing.__doc__, assumed())
+        assert not faults, faults
+
+
+@pytest.mark.default_precision
+def test_wrong_examples_are_seen():
+    assert not faults_of("sum", ">>> 1 + 1\n2\n", {})
+    assert "Got:\n    2" in faults_of("sum", ">>> 1 + 1\n3\n", {})
+    assert "NameError" in faults_of("sum", ">>> one\n1\n", {})
+
+
+def test_exceptions_name_what_exists():
+    every = {
+        f"{package}.{name}"
+        for package in PACKAGES
+        for name in importlib.import_module(package).__all__
+    }
+    assert {*WITHOUT, *SLOW, *OWN_PROCESS} <= every
+    assert NOT_YET <= {*PACKAGES}
