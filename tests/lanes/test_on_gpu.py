@@ -60,7 +60,7 @@ def test_a_rod_too_long_for_shared_memory_moves_as_in_xla():
     many = shaken(state, 3, 0)
     warps, xla = beside_xla(jax.vmap(lambda s: jaxrod.advance(scene, s, dt, 20)), many)
     assert any("the workspace" in c.why for c in lane_choices() if c.rods == 3)
-    # Rounding of the positions moves the speed by about c eps L / l = 1e-11 m/s in a step.
+    # Rounding of positions changes speeds by about c eps L / l = 1e-11 m/s in a step.
     assert apart(warps, xla) < 1e-9
 
 
