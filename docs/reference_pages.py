@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import ast
 import importlib
 import inspect
+import itertools
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import jaxrod
 
@@ -186,29 +188,49 @@ def _page(page: Page, names: list[tuple[str, str]], homes: dict[int, str]) -> st
             continue
         full = f"{package}.{name}"
         home = homes.setdefault(id(thing), full)
-        rows.append(f"| {{py:obj}}`{name} <{home}>` | {summary(thing)} |")
+        doc = docstring(package, name)
+        rows.append(f"| {{py:obj}}`{name} <{home}>` | {summary(doc)} |")
         entries += ["", f".. currentmodule:: {package}", ""]
         if inspect.isclass(thing):
             entries += [f".. autoclass:: {name}", "   :members:"]
         elif callable(thing):
             entries += [f".. autofunction:: {name}"]
         else:
-            entries += [f".. autodata:: {name}", "   :no-value:"]
+            entries += [f".. py:data:: {name}"]
         entries += ["   :no-index:"] if home != full else []
+        entries += [] if callable(thing) else ["", f"   {summary(doc)}."]
     table = "\n".join(["| name | summary |", "|---|---|", *rows])
     return f"# {page.title}\n\n{page.about}\n\n{table}\n\n" + "\n".join(
         [*entries, "```", ""]
     )
 
 
-def summary(thing: Any) -> str:
+def docstring(package: str, name: str) -> str:
+    """Docstring of a public name; a constant has the string below its assignment."""
+    module = importlib.import_module(package)
+    if callable(getattr(module, name)):
+        return inspect.getdoc(getattr(module, name)) or ""
+    body = ast.parse(inspect.getsource(module)).body
+    body += [inner for node in body if isinstance(node, ast.Try) for inner in node.body]
+    for node, below in itertools.pairwise([*body, ast.Pass()]):
+        if isinstance(node, ast.ImportFrom) and name in {n.name for n in node.names}:
+            return docstring(str(node.module), name)
+        match node, below:
+            case (
+                (
+                    ast.Assign(targets=[ast.Name(id=target)])
+                    | ast.AnnAssign(target=ast.Name(id=target))
+                ),
+                ast.Expr(value=ast.Constant(value=str(text))),
+            ) if target == name:
+                return inspect.cleandoc(text)
+    return ""
+
+
+def summary(doc: str) -> str:
     """First sentence of a docstring, as a cell of a table."""
-    doc = inspect.getdoc(thing if callable(thing) else type(thing)) or ""
-    if type(thing).__module__ == "builtins" and not callable(thing):
-        doc = ""  # A number or a table of its own; its class says nothing.
     first = " ".join(doc.partition("\n\n")[0].split())
-    sentence = first.partition(". ")[0].rstrip(":")
-    return sentence.rstrip(".").replace("|", r"\|")
+    return first.partition(". ")[0].rstrip(".:").replace("|", r"\|")
 
 
 def _write(path: Path, text: str) -> None:

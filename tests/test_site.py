@@ -1,5 +1,6 @@
 """The documentation site: its left bar, its pages, and the types it explains."""
 
+import importlib.util
 import inspect
 import re
 import sys
@@ -92,3 +93,21 @@ def test_types_of_signatures_are_explained():
     used -= {"Any", "Callable", "Literal", "np", "os", "jax"}
     assert {"Numbers", "Timed", "State"} <= used, "signatures were not understood"
     assert used - explained == set()
+
+
+def test_the_reference_has_a_summary_of_every_public_name(tmp_path):
+    spec = importlib.util.spec_from_file_location(
+        "reference_pages", DOCS / "reference_pages.py"
+    )
+    pages = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(pages)
+    pages.write_reference(tmp_path)
+    text = "\n".join(page.read_text() for page in tmp_path.glob("*.md"))
+    summaries = dict(re.findall(r"^\| \{py:obj\}`\w+ <(.*)>` \| (.*) \|$", text, re.M))
+    names = {f"jaxrod.{name}" for name in jaxrod.__all__}
+    spaces = {
+        f"jaxrod.{name}" for name in jaxrod._NAMESPACES - {"geometry", "validation"}
+    }
+    assert names <= set(summaries)
+    assert {name.rpartition(".")[0] for name in summaries} >= spaces
+    assert [name for name, said in summaries.items() if not said] == []
