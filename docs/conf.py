@@ -7,6 +7,7 @@ links between pages hold in the repository and on the site alike.
 
 from __future__ import annotations
 
+import inspect
 import re
 import sys
 from pathlib import Path
@@ -15,6 +16,7 @@ from typing import Any
 from docutils import nodes
 from docutils.utils.math.latex2mathml import tex2mathml
 from sphinx.ext.napoleon import Config, GoogleDocstring
+from sphinx.util.inspect import stringify_signature
 
 import jaxrod
 
@@ -61,6 +63,30 @@ html_theme_options = {
     "use_download_button": False,
     "home_page_in_toc": True,
 }
+
+
+def signature_as_written(
+    app: Any, what: str, name: str, thing: Any, options: Any, given: Any, returns: Any
+) -> tuple[str, str] | None:
+    """A signature with the types of the source, where `Numbers` is one word.
+
+    Sphinx would evaluate them, and print what an alias stands for.
+    """
+    if what not in ("function", "method", "class"):
+        return None
+    try:
+        signature = inspect.signature(thing)
+    except (TypeError, ValueError):  # Python itself has none for some classes.
+        return None
+    if what == "method":
+        kept = [p for name, p in signature.parameters.items() if name != "self"]
+        signature = signature.replace(parameters=kept)
+    if what == "class":
+        signature = signature.replace(return_annotation=signature.empty)
+    whole = stringify_signature(signature, unqualified_typehints=True)
+    bare = signature.replace(return_annotation=signature.empty)
+    arguments = stringify_signature(bare, unqualified_typehints=True)
+    return arguments, whole.removeprefix(arguments).removeprefix(" -> ")
 
 
 def google_docstring(
@@ -120,5 +146,6 @@ def setup(app: Any) -> None:
 
     write_reference(ROOT / "docs" / "reference")
     app.add_html_math_renderer("mathml", (inline_math, None), (display_math, None))
+    app.connect("autodoc-process-signature", signature_as_written)
     app.connect("autodoc-process-docstring", google_docstring)
     app.connect("autodoc-process-docstring", math_in_docstrings, priority=900)

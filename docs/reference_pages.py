@@ -2,46 +2,139 @@
 
 from __future__ import annotations
 
+import ast
 import importlib
 import inspect
+import itertools
 from pathlib import Path
+from typing import NamedTuple
 
 import jaxrod
 
-TITLES = {
-    "analysis": "Questions to ask: stability, frequencies, health",
-    "contacts": "Contact with bodies",
-    "damping": "Damping",
-    "effects": "Effects",
-    "installation": "Installation",
-    "lanes": "Lanes",
-    "loaded_rod": "Methods",
-    "methods": "Methods",
-    "rods": "Rods",
-    "scene": "Scenes",
-    "statics": "Equilibria",
-    "stepping": "Stepping",
-    "systems": "Systems of rods and bodies",
-    "tradeoff": "Speed for accuracy",
-}
-PACKAGES = {
-    "jaxrod.actuation": "Actuation",
-    "jaxrod.assemblies": "Assemblies of rods",
-    "jaxrod.control": "Control",
-    "jaxrod.control.estimation": "Estimation of states",
-    "jaxrod.envs": "Environments",
-    "jaxrod.extend": "Effects, couplings, methods and members of your own",
-    "jaxrod.fluids": "Fluids",
-    "jaxrod.schedules": "Schedules",
-    "jaxrod.sensors": "Sensors",
-    "jaxrod.shapes": "Shapes",
-    "jaxrod.systems": "Systems of rods and bodies",
-    "jaxrod.topology": "Twist, writhe, link",
-    "jaxrod.tradeoff": "Speed for accuracy",
-    "jaxrod.training": "Learners",
-    "jaxrod.twin": "Twins from recordings",
-    "jaxrod.viz": "Drawing",
-}
+
+class Page(NamedTuple):
+    """A page of the reference."""
+
+    title: str
+    about: str
+    """One sentence."""
+    rooms: tuple[str, ...] = ()
+    """Rooms whose names are in `jaxrod` itself."""
+    packages: tuple[str, ...] = ()
+    """Packages with all their names."""
+
+
+PAGES = (
+    Page("Rods", "Makes rods and states, and measures strain and energy.", ("rods",)),
+    Page("Scenes", "Joins a rod, effects and a method into one model.", ("scene",)),
+    Page("Stepping", "Moves a scene or a system through time.", ("stepping",)),
+    Page(
+        "Effects",
+        "Loads, supports and damping that act on a rod.",
+        ("effects",),
+    ),
+    Page(
+        "Damping",
+        "Damping of the material and of short waves.",
+        ("damping",),
+    ),
+    Page(
+        "Contact with bodies", "A rod touches bodies that stand still.", ("contacts",)
+    ),
+    Page(
+        "Methods",
+        "The elastic law, its reductions, and the integration in time.",
+        ("methods",),
+    ),
+    Page("Equilibria", "Finds shapes in which all loads balance.", ("statics",)),
+    Page(
+        "Analysis",
+        "Stable steps, natural frequencies, reactions and health of a state.",
+        ("analysis",),
+    ),
+    Page(
+        "Lanes",
+        "Chooses the compiler of batches and single scenes.",
+        ("lanes",),
+    ),
+    Page(
+        "Installation", "Sets up the processor before JAX computes.", ("installation",)
+    ),
+    Page(
+        "Systems of rods and bodies",
+        "Bodies, joints and contact between members.",
+        ("systems",),
+        ("jaxrod.systems",),
+    ),
+    Page(
+        "Assemblies of rods",
+        "Makes whole systems of many rods by one call.",
+        packages=("jaxrod.assemblies",),
+    ),
+    Page(
+        "Actuation",
+        "Muscles, tendons, chambers, magnets and waves.",
+        packages=("jaxrod.actuation",),
+    ),
+    Page("Fluids", "Drag, flow, buoyancy and added mass.", packages=("jaxrod.fluids",)),
+    Page(
+        "Shapes", "Shapes of obstacles and rigid bodies.", packages=("jaxrod.shapes",)
+    ),
+    Page(
+        "Schedules",
+        "Numbers of effects that change with time.",
+        packages=("jaxrod.schedules",),
+    ),
+    Page(
+        "Sensors",
+        "Readings of a state, and their noise.",
+        packages=("jaxrod.sensors",),
+    ),
+    Page(
+        "Twist, writhe, link",
+        "Topology of curves, and rods that passed through each other.",
+        packages=("jaxrod.topology",),
+    ),
+    Page(
+        "Speed for accuracy",
+        "Finds the cheapest setting within an allowed error.",
+        ("tradeoff",),
+        ("jaxrod.tradeoff",),
+    ),
+    Page(
+        "Extending",
+        "Bases of effects, couplings, methods and members of your own.",
+        packages=("jaxrod.extend",),
+    ),
+    Page(
+        "Control",
+        "Optimises, plans and identifies by gradients.",
+        packages=("jaxrod.control",),
+    ),
+    Page(
+        "Estimation of states",
+        "Filters that follow a state from sensor readings.",
+        packages=("jaxrod.control.estimation",),
+    ),
+    Page(
+        "Twins from recordings",
+        "Fits an arm to recordings of a real one.",
+        packages=("jaxrod.twin",),
+    ),
+    Page(
+        "Environments",
+        "Makes tasks, batches them and rolls them out.",
+        packages=("jaxrod.envs",),
+    ),
+    Page(
+        "Learners",
+        "Trains, evaluates and exports policies.",
+        packages=("jaxrod.training",),
+    ),
+    Page("Drawing", "Replays, stills and films.", packages=("jaxrod.viz",)),
+)
+
+PACKAGES = tuple(package for page in PAGES for package in page.packages)
 
 ASSUMED = """\
 from dataclasses import replace
@@ -71,48 +164,103 @@ motion = scene.as_member().motion(state)  # what effects see of the state
 
 
 def write_reference(folder: Path) -> None:
-    """Writes a page for each room and each package, and their list."""
+    """Writes all pages and their list; removes pages that are no longer there."""
     folder.mkdir(exist_ok=True)
-    rooms: dict[str, list[tuple[str, str]]] = {}
+    of_rooms: dict[str, list[str]] = {}
     for name in jaxrod.__all__:
         room = getattr(jaxrod, name).__module__.split(".")[1]
-        rooms.setdefault(TITLES[room], []).append(("jaxrod", name))
-    for package, title in PACKAGES.items():
-        names = importlib.import_module(package).__all__
-        rooms.setdefault(title, []).extend((package, name) for name in sorted(names))
-    pages: list[str] = []
-    seen: set[int] = set()
-    for title, names in sorted(rooms.items()):
-        page = "".join(c if c.isalnum() else "_" for c in title.lower())
-        pages.append(page)
-        head = f"# {title}\n\nExamples go on from [this program](index.md).\n\n"
-        _write(folder / f"{page}.md", head + _entries(names, seen))
-    listed = "\n".join(pages)
+        of_rooms.setdefault(room, []).append(name)
+    homes: dict[int, str] = {}
+    files = [_file(page) for page in PAGES]
+    for page, file in zip(PAGES, files, strict=True):
+        names = [("jaxrod", name) for room in page.rooms for name in of_rooms.pop(room)]
+        for package in page.packages:
+            found = sorted(importlib.import_module(package).__all__)
+            names += [(package, name) for name in found]
+        _write(folder / f"{file}.md", _page(page, names, homes))
+    if of_rooms:
+        raise ValueError(f"no page of the reference has the rooms {sorted(of_rooms)}")
+    lines = [
+        f"| [{page.title}]({file}.md) | {page.about} |"
+        for page, file in zip(PAGES, files, strict=True)
+    ]
+    listed = "\n".join(files)
     _write(
         folder / "index.md",
-        "# Reference\n\nEvery public name, from the docstrings. Their examples go on "
-        f"from this program:\n\n```python\n{ASSUMED}```\n\n"
-        f"```{{toctree}}\n:maxdepth: 1\n\n{listed}\n```\n",
+        "# Reference\n\nEvery public name has its docstring here. The page "
+        "[types](../types.md) explains the types in signatures. Examples go on from "
+        f"this program:\n\n```python\n{ASSUMED}```\n\n"
+        "| page | contents |\n|---|---|\n" + "\n".join(lines) + "\n\n"
+        f"```{{toctree}}\n:maxdepth: 1\n:hidden:\n\n../types\n{listed}\n```\n",
     )
+    for old in {*folder.glob("*.md")} - {folder / f"{f}.md" for f in (*files, "index")}:
+        old.unlink()
 
 
-def _entries(names: list[tuple[str, str]], seen: set[int]) -> str:
-    """Directives for all names; what another page has is not in the index twice."""
-    lines = ["```{eval-rst}"]
+def _file(page: Page) -> str:
+    return "".join(c if c.isalnum() else "_" for c in page.title.lower())
+
+
+def _page(page: Page, names: list[tuple[str, str]], homes: dict[int, str]) -> str:
+    """A page: what it is about, a table of names, and their docstrings.
+
+    Args:
+        page: Title and rooms.
+        names: Packages and names of what it has.
+        homes: Full name under which each object is in the index, by its id; a second
+            place of the same object refers to the first.
+    """
+    rows, entries = [], ["```{eval-rst}"]
     for package, name in names:
         thing = getattr(importlib.import_module(package), name)
         if inspect.ismodule(thing):
             continue
-        lines += ["", f".. currentmodule:: {package}", ""]
+        full = f"{package}.{name}"
+        home = homes.setdefault(id(thing), full)
+        doc = docstring(package, name)
+        rows.append(f"| {{py:obj}}`{name} <{home}>` | {summary(doc)} |")
+        entries += ["", f".. currentmodule:: {package}", ""]
         if inspect.isclass(thing):
-            lines += [f".. autoclass:: {name}", "   :members:"]
+            entries += [f".. autoclass:: {name}", "   :members:"]
         elif callable(thing):
-            lines += [f".. autofunction:: {name}"]
+            entries += [f".. autofunction:: {name}"]
         else:
-            lines += [f".. autodata:: {name}", "   :no-value:"]
-        lines += ["   :no-index:"] if id(thing) in seen else []
-        seen.add(id(thing))
-    return "\n".join([*lines, "```", ""])
+            entries += [f".. py:data:: {name}"]
+        entries += ["   :no-index:"] if home != full else []
+        entries += [] if callable(thing) else ["", f"   {summary(doc)}."]
+    table = "\n".join(["| name | summary |", "|---|---|", *rows])
+    head = f"{page.about} Examples go on from [this program](index.md)."
+    return f"# {page.title}\n\n{head}\n\n{table}\n\n" + "\n".join(
+        [*entries, "```", ""]
+    )
+
+
+def docstring(package: str, name: str) -> str:
+    """Docstring of a public name; a constant has the string below its assignment."""
+    module = importlib.import_module(package)
+    if callable(getattr(module, name)):
+        return inspect.getdoc(getattr(module, name)) or ""
+    body = ast.parse(inspect.getsource(module)).body
+    body += [inner for node in body if isinstance(node, ast.Try) for inner in node.body]
+    for node, below in itertools.pairwise([*body, ast.Pass()]):
+        if isinstance(node, ast.ImportFrom) and name in {n.name for n in node.names}:
+            return docstring(str(node.module), name)
+        match node, below:
+            case (
+                (
+                    ast.Assign(targets=[ast.Name(id=target)])
+                    | ast.AnnAssign(target=ast.Name(id=target))
+                ),
+                ast.Expr(value=ast.Constant(value=str(text))),
+            ) if target == name:
+                return inspect.cleandoc(text)
+    return ""
+
+
+def summary(doc: str) -> str:
+    """First sentence of a docstring, as a cell of a table."""
+    first = " ".join(doc.partition("\n\n")[0].split())
+    return first.partition(". ")[0].rstrip(".:").replace("|", r"\|")
 
 
 def _write(path: Path, text: str) -> None:

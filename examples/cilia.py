@@ -15,7 +15,7 @@ from jaxrod import actuation, fluids, schedules
 N, LENGTH, RADIUS, YOUNG = 8, 6e-3, 2.5e-4, 2e5  # [1], [m], [m], [Pa]
 COLUMNS, ROWS, GAP, PERIOD = 9, 4, 4e-3, 0.5  # [1], [1], [m], [s]
 MOMENT, FIELD = 6e-3, 0.02  # per length [A m], [T]
-NUMBER = "deflection of one in a weak field over its length, and F L^2 / 3EI"
+NUMBER = "deflection over length in a weak field, and F L^2 / 3EI"
 LOOK = {"frame": -10, "azimuth": -62, "elevation": 24, "field": "speed [m/s]"}
 
 

@@ -17,7 +17,7 @@ jax.config.update("jax_enable_x64", True)  # steps are a billionth of the length
 N, LENGTH, RADIUS, WAVES, PERIOD = 48, 0.06, 5e-4, 4, 1.0  # [1], [m], [m], [1], [s]
 ANGLES = (0.2, 0.36, 0.52, 0.68, 0.84, 1.0)  # [rad]
 VISCOSITY, YOUNG = 0.5, 2e6  # [Pa s], [Pa]
-NUMBER = "lengths swum per period by the steepest wave, and by an endless one"
+NUMBER = "lengths that the steepest wave and an endless one swim in a period"
 LOOK = {"frame": -1, "azimuth": -70, "elevation": 48, "field": "speed [m/s]"}
 
 

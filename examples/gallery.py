@@ -1,16 +1,16 @@
 """The gallery: shows one scene, or runs all and writes docs/gallery.md.
 
 Each scene is a module here with `build() -> model, state, dt`, `run(share) -> replay,
-measured, reference`, a NUMBER in words and how to LOOK at it. Run all with
-`python examples/gallery.py`, or those that are named after it.
+measured, reference`, a NUMBER in words and how to LOOK at it. The words of the page are
+in gallery.toml. `python examples/gallery.py --help` lists what it can run.
 """
 
+import argparse
 import importlib
-import inspect
+import json
 import pathlib
-import re
-import sys
 import time
+import tomllib
 
 import jax
 
@@ -31,13 +31,15 @@ SCENES = (
 HEAD = """\
 # Gallery
 
-Scenes of the folder `examples`, each at most 80 lines. Every one prints a number with
-what it should be, and leaves a picture and a replay that turns, offline, in `runs/`.
-This page and its pictures are written by `python examples/gallery.py`; rates are steps
-of the whole scene per second of processor time, on the machine that wrote it.
+Each scene is a program of at most 80 lines. It checks one number against a known value.
+Run it from a checkout: it writes a picture and a replay to the folder `runs`. Open the
+replay in any browser, and turn, stop and slow the motion there.
+
+`python examples/gallery.py` wrote this page. Speeds are per second of processor time.
 
 """
 DOCS = pathlib.Path(__file__).parents[1] / "docs"
+RECORDS = DOCS / "gallery" / "records.json"
 
 
 def show(file, run, number, look):
@@ -64,46 +66,55 @@ def rate(model, state, dt):
     return steps / spent
 
 
-def in_short(number):
-    """Two digits, or all before the point."""
-    return f"{number:.0f}" if number >= 10 else f"{number:.2g}"
-
-
-def entry(name):
-    """Runs a scene, draws its picture and returns its part of the page."""
+def measure(name):
+    """Runs a scene, draws its picture and returns its numbers."""
     scene = importlib.import_module(name)
     model, state, dt = scene.build()
     replay, measured, reference = scene.run()
-    picture = DOCS / "gallery" / f"{name}.png"
-    picture.parent.mkdir(exist_ok=True)
-    jaxrod.viz.picture(
-        replay, path=picture, width=720, height=480, small=True, **scene.LOOK
-    )
-    steps = rate(model, state, dt)
-    title, *_ = inspect.getdoc(scene).split("\n")
-    return "\n".join(
-        [
-            f"## {title.rstrip('.')}\n",
-            f"![{replay.title}](gallery/{name}.png)\n",
-            f"`python examples/{name}.py`: {scene.NUMBER}:",
-            f"**{measured:.4g}**, {reference:.4g}.",
-            f"Steps of {1e3 * dt:.3g} ms, {steps:,.0f} of them per second of processor",
-            f"time: {in_short(steps * dt)} s of motion.\n\n",
-        ]
-    )
+    picture, look = DOCS / "gallery" / f"{name}.png", scene.LOOK
+    jaxrod.viz.picture(replay, path=picture, width=720, height=480, small=True, **look)
+    found = {"measured": measured, "reference": reference, "step_ms": 1e3 * dt}
+    found["steps_per_second"] = rate(model, state, dt)
+    return {key: float(f"{number:.4g}") for key, number in found.items()}
 
 
-def page(names):
-    """Writes the page anew, what it says of other scenes kept."""
-    file = DOCS / "gallery.md"
-    old = re.split(r"^(?=## )", file.read_text(), flags=re.M) if file.exists() else []
-    parts = {name: part for part in old for name in SCENES if f"/{name}.py" in part}
-    for name in names:
-        parts[name] = entry(name)
-        file.write_text("".join([HEAD, *(parts[n] for n in SCENES if n in parts)]))
-        print(parts[name])
+def entry(name, words, numbers):
+    """A scene's part of the page, from its words and its numbers."""
+    steps, step = numbers["steps_per_second"], numbers["step_ms"]
+    motion = float(f"{1e-3 * steps * step:.2g}")
+    shown = {key: f"{number:g}" for key, number in numbers.items()}
+    return f"""\
+## {name.replace("_", " ").capitalize()}
+
+![{words["alt"]}](gallery/{name}.png)
+
+{words["moves"]}
+
+**Idea.** {words["learn"]}
+
+**Check.** {words["number"].format(**shown)}
+
+`python examples/{name}.py` ([program](../examples/{name}.py)). {steps:,.0f} steps of
+{step:.3g} ms per second: {motion:g} s of motion.
+
+"""
+
+
+def page():
+    """The page, from the words and the records."""
+    words = tomllib.loads(pathlib.Path(__file__).with_name("gallery.toml").read_text())
+    records = json.loads(RECORDS.read_text())
+    parts = [entry(name, words[name], records[name]) for name in SCENES]
+    return (HEAD + "".join(parts)).rstrip() + "\n"
 
 
 if __name__ == "__main__":
     jaxrod.configure_cpu()
-    page(sys.argv[1:] or SCENES)
+    parser = argparse.ArgumentParser(description="Writes docs/gallery.md.")
+    parser.add_argument("scenes", nargs="*", default=SCENES, help="scenes to run")
+    parser.add_argument("--words", action="store_true", help="run no scene")
+    asked = parser.parse_args()
+    for name in () if asked.words else asked.scenes:
+        records = json.loads(RECORDS.read_text()) | {name: measure(name)}
+        RECORDS.write_text(json.dumps(records, indent=1) + "\n")
+    (DOCS / "gallery.md").write_text(page())

@@ -9,7 +9,7 @@ import jaxrod
 from jaxrod import systems
 
 N, RADIUS, LOOP = 160, 0.005, 0.1  # [1], [m], [m]
-NUMBER = "B kappa^2 / 2 + tension at the top of the loop in N, and the pull"
+NUMBER = "B kappa^2 / 2 + tension at the top of the loop, and the pull [N]"
 LOOK = {"frame": -1, "azimuth": -80, "elevation": 40, "field": "bending [1/m]"}
 
 

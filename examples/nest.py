@@ -12,7 +12,7 @@ from jaxrod import shapes, systems
 
 N_ELEMENTS, LENGTH, RADIUS, WALL, PER_LAYER = 8, 0.1, 0.002, 0.08, 10
 DENSITY, END = 1e3, 2.0  # [kg/m^3], [s]
-NUMBER = "radii that rods are in each other in the end, and none"
+NUMBER = "deepest contact at the end in radii, and zero"
 LOOK = {"frame": -1, "azimuth": 30, "elevation": 68, "field": "height [m]"}
 
 

@@ -13,7 +13,7 @@ from jaxrod import schedules, systems, topology
 
 N, LENGTH, RADIUS, TURNS = 48, 1.0, 0.011, 5.0  # [1], [m], [m], [1]
 TWISTING, SHORTENING, REST = 3.0, 4.0, 1.0  # [s]
-NUMBER = "twist and writhe together, and the turns of the end"
+NUMBER = "sum of twist and writhe, and turns of the end"
 LOOK = {"frame": -1, "azimuth": -75, "elevation": 18, "field": "bending [1/m]"}
 
 

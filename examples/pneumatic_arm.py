@@ -12,7 +12,7 @@ from jaxrod import actuation, schedules
 
 N, LENGTH, RADIUS, YOUNG = 30, 0.3, 0.012, 1e6  # [1], [m], [m], [Pa]
 PRESSURE, AREA, OFFSET = 4e5, 5e-5, 0.007  # [Pa], [m^2], [m]
-NUMBER = "turn of the tip in rad, and p A x L / EI"
+NUMBER = "turn of the tip, and p A x L / EI [rad]"
 LOOK = {"frame": (0, 12, 20, 28, 40), "azimuth": -90, "elevation": 14}
 
 

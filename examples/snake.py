@@ -13,7 +13,7 @@ from jaxrod import actuation, shapes
 N, LENGTH, PERIOD, G, FROUDE = 30, 0.35, 2.0, 9.80665, 0.1  # [1], [m], [s], [m/s^2]
 RADIUS = 0.011 * LENGTH
 COUPLES = (3.4e-3, 3.3e-3, 4.2e-3, 2.6e-3, 3.6e-3, 3.5e-3)  # [N m]
-NUMBER = "lengths moved in the fourth period, and PyElastica's"
+NUMBER = "lengths moved in the fourth period, here and in PyElastica"
 LOOK = {"frame": (40, 80, 120, 160), "azimuth": -65, "elevation": 40}
 
 

@@ -14,7 +14,7 @@ from jaxrod import actuation, schedules
 
 N, LENGTH, RADIUS, YOUNG = 20, 0.25, 0.008, 1e6  # [1], [m], [m], [Pa]
 OFFSET, PULL, HELD, LOOP = 0.007, 2.5, 1.5, 4.0  # [m], [N], [s], [s]
-NUMBER = "turn of the tip under one tendon in rad, and 19 times that of a joint"
+NUMBER = "turn of the tip under one tendon, and 19 times that of a joint [rad]"
 LOOK = {"frame": (60, 75, 90, 105), "azimuth": -55, "elevation": 20}
 
 

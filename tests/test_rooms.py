@@ -1,6 +1,8 @@
 """Rooms of the package, and the imports between them: one way, and not many."""
 
 import ast
+import functools
+import re
 from pathlib import Path
 
 import pytest
@@ -30,6 +32,7 @@ def room(module):
     return ".".join(parts[: 3 if parts[1:2] in (["envs"], ["training"]) else 2])
 
 
+@functools.cache
 def arrows():
     """Pairs of modules of which the first imports the second, be it for types alone."""
     known = modules()
@@ -44,7 +47,7 @@ def arrows():
                 imported = whole if whole in known else node.module
                 if imported in known and imported != module:
                     pairs.add((module, imported))
-    return pairs
+    return frozenset(pairs)
 
 
 def on_circles(pairs):
@@ -78,6 +81,28 @@ def test_dependencies_point_one_way():
     # The root package finds everything by name, when it is asked for.
     upward = {(a, b) for a, b in arrows() if floor(a) < floor(b) and a != "jaxrod"}
     assert upward == {("jaxrod.__main__", "jaxrod.cli")}
+
+
+def drawn_lines():
+    """Lines of the picture in docs/architecture.md, counted from the top, by room."""
+    page = (ROOT / "docs" / "architecture.md").read_text()
+    (picture,) = re.findall(r"```text\n(cli .*?)```", page, re.S)
+    lines = [line.split()[1:] for line in picture.splitlines() if "---" not in line]
+    return {name: k for k, names in enumerate(lines) for name in names}
+
+
+def test_rooms_import_as_they_are_drawn():
+    """From their own line and those below; the root and its main are left out."""
+    line = drawn_lines()
+
+    def place(module):
+        return room(module).removeprefix("jaxrod.").split(".")[0]
+
+    pairs = {(place(a), place(b)) for a, b in arrows()}
+    pairs = {(a, b) for a, b in pairs if not {a, b} & {"jaxrod", "__main__"}}
+    rooms = {name for pair in pairs for name in pair}
+    assert rooms <= set(line) <= rooms | {"data"}
+    assert {(a, b) for a, b in pairs if line[a] > line[b]} == set()
 
 
 def test_scenes_are_composed_without_knowing_methods_but_the_default():

@@ -1,5 +1,6 @@
 """The scenes of the gallery: each runs, shows itself and comes near its number."""
 
+import json
 import math
 
 import numpy as np
@@ -8,7 +9,8 @@ import pytest
 from examples.loading import FOLDER, load
 from jaxrod.viz import html
 
-SCENES = load("gallery").SCENES
+GALLERY = load("gallery")
+SCENES = GALLERY.SCENES
 DOCS = FOLDER.parent / "docs"
 # How far from what it should be a scene may be that ran to its end, relatively; the
 # octopus' and the nest's are nothing, and are measured in lengths and in radii.
@@ -33,6 +35,14 @@ def test_every_scene_has_its_picture_and_its_part_of_the_page():
         assert f"python examples/{name}.py" in page
         picture = DOCS / "gallery" / f"{name}.png"
         assert 10_000 < picture.stat().st_size < 150_000
+
+
+def test_the_page_is_what_words_and_records_make():
+    """`python examples/gallery.py --words` writes it."""
+    assert (DOCS / "gallery.md").read_text() == GALLERY.page()
+    for name, record in json.loads(GALLERY.RECORDS.read_text()).items():
+        off = abs(record["measured"] - record["reference"])
+        assert off <= WHOLE[name] * (abs(record["reference"]) or 1)
 
 
 @pytest.mark.slow

@@ -31,7 +31,7 @@ class MultipleShooting:
 
     Independent windows (without `states`) minimise
 
-    $$\sum_w \sum_k \Big(\frac{y_{wk}(p, x_w) - \hat y_{wk}}{\sigma_{wk}}\Big)^2,
+    $$\sum_w \sum_k \left(\frac{y_{wk}(p, x_w) - \hat y_{wk}}{\sigma_{wk}}\right)^2,
     \qquad x_w = b(p, s_w).$$
 
     Errors of the initial states do not count as errors of the model, and the standard

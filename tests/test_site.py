@@ -1,0 +1,113 @@
+"""The documentation site: its left bar, its pages, and the types it explains."""
+
+import importlib.util
+import inspect
+import re
+import sys
+from pathlib import Path
+
+import jaxrod
+from public_names import NAMESPACES
+
+ROOT = Path(__file__).parents[1]
+DOCS = ROOT / "docs"
+TOCTREE = re.compile(r"^```\{toctree\}\n(.*?)^```", re.S | re.M)
+INCLUDE = re.compile(r"^```\{include\} (\S+)\n(.*?)^```", re.S | re.M)
+
+
+def toctrees(page):
+    """Options and entries of each list of pages in a page."""
+    for (text,) in ((found,) for found in TOCTREE.findall(page.read_text())):
+        lines = [line for line in text.splitlines() if line]
+        options = [line for line in lines if line.startswith(":")]
+        entries = [re.sub(r".*<(.*)>", r"\1", x) for x in lines if x not in options]
+        yield options, entries
+
+
+def pages_under(page, seen):
+    """All pages that the lists of a page lead to."""
+    seen.add(page)
+    for _, entries in toctrees(page):
+        for entry in entries:
+            for child in page.parent.glob(f"{entry}.md"):
+                if child.resolve() not in seen:
+                    pages_under(child.resolve(), seen)
+    return seen
+
+
+def test_the_left_bar_is_short():
+    bar = list(toctrees(DOCS / "index.md"))
+    entries = [entry for _, entries in bar for entry in entries]
+    assert 4 <= len(bar) <= 6
+    assert 20 <= len(entries) <= 30
+    assert all(any(x.startswith(":caption:") for x in options) for options, _ in bar)
+    assert all(":maxdepth: 1" in options for options, _ in bar)
+
+
+def test_every_page_is_in_a_list_of_pages():
+    reached = pages_under((DOCS / "index.md").resolve(), set())
+    # The generator writes the list of the reference, `types` included.
+    reached.add(DOCS / "types.md")
+    assert {*DOCS.glob("*.md")} - reached == set()
+
+
+def test_entries_of_the_lists_exist():
+    for page in DOCS.glob("*.md"):
+        for _, entries in toctrees(page):
+            for entry in entries:
+                known = entry.startswith("reference/")
+                assert known or [*page.parent.glob(f"{entry}.*")], (page.name, entry)
+
+
+def test_the_front_page_takes_its_numbers_from_the_readme():
+    page = (DOCS / "index.md").read_text()
+    for file, options in INCLUDE.findall(page):
+        text = (DOCS / file).read_text()
+        start, end = re.findall(r'"(<!-- .* -->)"', options)
+        assert text.count(start) == text.count(end) == 1
+        assert text.index(start) < text.index(end)
+    readme = (ROOT / "README.md").read_text()
+    start, end = "<!-- numbers -->", "<!-- end of numbers -->"
+    numbers = readme[readme.index(start) : readme.index(end)]
+    assert numbers.count("\n| ") >= 4
+    prose = re.sub(r"^```.*?^```", "", page, flags=re.S | re.M)
+    sentences = [one.strip() for one in re.findall(r"[^.|\n]{40,}", prose)]
+    assert [one for one in sentences if one in readme] == [], "said twice"
+
+
+def test_types_of_signatures_are_explained():
+    """Names of types that are no classes, in signatures of public functions."""
+    explained = set(re.findall(r"`(\w+)", (DOCS / "types.md").read_text()))
+    used = set()
+    for space in (*NAMESPACES, jaxrod.control):
+        for name in space.__all__:
+            thing = getattr(space, name)
+            if not inspect.isfunction(thing):
+                continue
+            module = vars(sys.modules[thing.__module__])
+            for written in thing.__annotations__.values():
+                for word in re.findall(r"[A-Za-z]\w*", re.sub('"[^"]*"', "", written)):
+                    alias = module.get(word)
+                    if alias is not None and not inspect.isclass(alias):
+                        used.add(word)
+    used -= {"Any", "Callable", "Literal", "np", "os", "jax"}
+    assert {"Numbers", "Timed", "State"} <= used, "signatures were not understood"
+    assert used - explained == set()
+
+
+def test_the_reference_has_a_summary_of_every_public_name(tmp_path):
+    spec = importlib.util.spec_from_file_location(
+        "reference_pages", DOCS / "reference_pages.py"
+    )
+    pages = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(pages)
+    pages.write_reference(tmp_path)
+    text = "\n".join(page.read_text() for page in tmp_path.glob("*.md"))
+    summaries = dict(re.findall(r"^\| \{py:obj\}`\w+ <(.*)>` \| (.*) \|$", text, re.M))
+    names = {f"jaxrod.{name}" for name in jaxrod.__all__}
+    spaces = {
+        f"jaxrod.{name}" for name in jaxrod._NAMESPACES - {"geometry", "validation"}
+    }
+    assert names <= set(summaries)
+    assert {name.rpartition(".")[0] for name in summaries} >= spaces
+    assert [name for name, said in summaries.items() if not said] == []
