@@ -230,9 +230,7 @@ def _page(page: Page, names: list[tuple[str, str]], homes: dict[int, str]) -> st
         entries += [] if callable(thing) else ["", f"   {summary(doc)}."]
     table = "\n".join(["| name | summary |", "|---|---|", *rows])
     head = f"{page.about} Examples go on from [this program](index.md)."
-    return f"# {page.title}\n\n{head}\n\n{table}\n\n" + "\n".join(
-        [*entries, "```", ""]
-    )
+    return f"# {page.title}\n\n{head}\n\n{table}\n\n" + "\n".join([*entries, "```", ""])
 
 
 def docstring(package: str, name: str) -> str:
