@@ -1,8 +1,8 @@
 """The gallery: shows one scene, or runs all and writes docs/gallery.md.
 
 Each scene is a module here with `build() -> model, state, dt`, `run(share) -> replay,
-measured, reference`, a NUMBER in words and how to LOOK at it. Run all with
-`python examples/gallery.py`, or those that are named after it.
+measured, reference`, a description NUMBER of the checked number and a view LOOK. Run
+all scenes with `python examples/gallery.py`, or only those named as arguments.
 """
 
 import importlib
@@ -65,7 +65,7 @@ def rate(model, state, dt):
 
 
 def in_short(number):
-    """Two digits, or all before the point."""
+    """The number with two digits, or all digits before the decimal point."""
     return f"{number:.0f}" if number >= 10 else f"{number:.2g}"
 
 
@@ -94,7 +94,7 @@ def entry(name):
 
 
 def page(names):
-    """Writes the page anew, what it says of other scenes kept."""
+    """Rewrites the page, and keeps the parts of other scenes."""
     file = DOCS / "gallery.md"
     old = re.split(r"^(?=## )", file.read_text(), flags=re.M) if file.exists() else []
     parts = {name: part for part in old for name in SCENES if f"/{name}.py" in part}
