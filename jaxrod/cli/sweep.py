@@ -48,7 +48,7 @@ examples:
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declares the arguments of `jaxrod sweep`."""
     parser.epilog = EXAMPLES
-    parser.add_argument("tasks", metavar="TASK", nargs="+", help="as for `jaxrod train`")
+    parser.add_argument("tasks", metavar="TASK", nargs="+", help="as in `jaxrod train`")
     parser.add_argument(
         "--algorithms",
         nargs="+",

@@ -111,7 +111,7 @@ def _field_values(
         unknown = set(each) - set(names)
         if unknown:
             raise ValueError(
-                f"fields[{label!r}] names {sorted(unknown)}, which are no rods of it: "
+                f"fields[{label!r}] names {sorted(unknown)}, which are not its rods: "
                 f"those are {sorted(names)}"
             )
         for shown, field in each.items():

@@ -121,8 +121,8 @@ class Fit:
         """
         if self.covariance.ndim > 2:
             raise ValueError(
-                "undetermined is of one fit, and this is a batch of "
-                f"{self.covariance.shape[:-2]}: take one of it, "
+                "undetermined needs a single fit, and this is a batch of "
+                f"{self.covariance.shape[:-2]}: select one, "
                 "jax.tree.map(lambda leaf: leaf[0], fit)"
             )
         rows = zip(self.vague, self.directions, self.singular_values, strict=True)
