@@ -1,4 +1,4 @@
-"""A soft arm that two chambers curl, one after the other.
+"""A soft arm that two chambers curl, one after another.
 
 A chamber of area A at the offset x from the axis, under the pressure p, gives an arm
 the uniform curvature p A x / EI. Run it with `python examples/pneumatic_arm.py`.

@@ -90,7 +90,7 @@ def lines() -> Iterator[str]:
         for seed in SEEDS if name != "tracking" else SEEDS[:1]:
             yield row(name, seed)
     yield ""
-    yield f"What `jaxrod.tune` chooses for {TOLERANCE:.0%}, for {BATCH} arms at once:"
+    yield f"Choices of `jaxrod.tune` for {TOLERANCE:.0%}, for {BATCH} arms at once:"
     yield ""
     yield "| task | elements | steps | how | error | cost [ms/s] |"
     yield "|---|---:|---:|---|---:|---:|"

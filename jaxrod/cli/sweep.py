@@ -1,7 +1,7 @@
 """Train many policies: every combination of tasks, algorithms, settings and seeds.
 
 Each combination is one run, as with `jaxrod train`, in its own process and its own
-folder under DIR. By default they are trained here, one after the other on all cores.
+folder under DIR. By default they are trained here, one after another on all cores.
 With --jobs several run in parallel, each on its share of the cores. With --ray they run
 on the machines of a Ray cluster (docs/sweeps.md). Ctrl-C saves and stops. The same
 command continues, also after a kill, and skips finished runs. A failed run is reported,

@@ -52,7 +52,7 @@ class Forecast:
 class Fit:
     """Parameters found from data by `fit`; a batch of fits under `jax.vmap`.
 
-    `print(fit)` shows a table, and describes in words what the data do not determine.
+    `print(fit)` shows a table, and describes what the data do not determine.
     """
 
     parameters: Parameters
@@ -113,7 +113,7 @@ class Fit:
 
     @property
     def undetermined(self) -> tuple[str, ...]:
-        """Directions that the data do not determine, in words.
+        """Directions that the data do not determine, as text.
 
         Raises:
             ValueError: This is a batch of fits: take one of it,
@@ -187,7 +187,7 @@ def smallest_ratio(dtype: Any) -> float:
 
 
 def _words(way: np.ndarray, names: tuple[str, ...], by_log: tuple[bool, ...]) -> str:
-    """Describes a direction in words."""
+    """Describes a direction as text."""
     shares = way / way[np.argmax(np.abs(way))]
     part = [k for k in np.argsort(-np.abs(shares)) if abs(shares[k]) >= PLAIN]
     if len(part) == 1:
