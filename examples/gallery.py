@@ -1,8 +1,8 @@
 """The gallery: shows one scene, or runs all and writes docs/gallery.md.
 
 Each scene is a module here with `build() -> model, state, dt`, `run(share) -> replay,
-measured, reference`, a description NUMBER of the checked number and a view LOOK. Run
-all scenes with `python examples/gallery.py`, or only those named as arguments.
+measured, reference`, a NUMBER as text and how to LOOK at it. Run all with
+`python examples/gallery.py`, or those that are named after it.
 """
 
 import importlib
@@ -65,7 +65,7 @@ def rate(model, state, dt):
 
 
 def in_short(number):
-    """The number with two digits, or all digits before the decimal point."""
+    """Two digits, or all before the point."""
     return f"{number:.0f}" if number >= 10 else f"{number:.2g}"
 
 
