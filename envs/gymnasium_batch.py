@@ -203,7 +203,7 @@ class Program:
             batch: The batch.
             state: Layout of its packed state.
             params: Layout of its packed parameters.
-            in_order: Whether its kernels are to run one after the other.
+            in_order: Whether its kernels are to run one after another.
         """
         self.outcome: Layout
         """Layout of the packed results; known once the step has been traced."""
@@ -273,7 +273,7 @@ def _chosen(where: Bool[Array, " num_envs"], these: Any, those: Any) -> Any:
 
 @functools.cache
 def _in_order_options() -> dict[str, Any] | None:
-    """XLA options to run the kernels of a program one after the other, on one thread.
+    """XLA options to run the kernels of a program one after another, on one thread.
 
     On CPUs XLA distributes independent kernels over several threads. For one arm this
     takes twice as long as the kernels themselves. None if XLA has no such option.

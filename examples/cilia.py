@@ -1,8 +1,8 @@
 """A carpet of magnetic cilia that beats in a wave, as a magnet turns below.
 
-Magnetisation turns from column to column, so in one turning field the cilia beat one
-after the other. Across a weak field F = m B stands at the tip of an upright one, which
-gives way by F L^3 / 3EI. Run it with `python examples/cilia.py`.
+Magnetisation turns from column to column, so in a common rotating field the cilia
+beat one after another. In a weak transverse field, the force F = m B at the tip of an
+upright cilium deflects it by F L^3 / 3EI. Run it with `python examples/cilia.py`.
 """
 
 import gallery
@@ -20,7 +20,7 @@ LOOK = {"frame": -10, "azimuth": -62, "elevation": 24, "field": "speed [m/s]"}
 
 
 def cilium(place, angle, field):
-    """One of them, magnetised at an angle to its axis; and its state."""
+    """One cilium, magnetised at an angle to its axis, and its state."""
     rod, state = jaxrod.straight_rod(
         N,
         length=LENGTH,
@@ -53,7 +53,7 @@ def build():
 
 
 def weak():
-    """Deflection of one in a weak field across it, and that of the closed form [1]."""
+    """Deflection of one cilium in a weak transverse field, and the closed form [1]."""
     scene, state = cilium(jnp.zeros(3), jnp.zeros(()), (1e-4, 0.0, 0.0))
     bent = jaxrod.equilibrium(scene, state).state
     stiffness = YOUNG * jnp.pi * RADIUS**4 / 4

@@ -1,8 +1,8 @@
 """A pendulum whose pivot is shaken: an upside-down rod stands up (Kapitza, 1951).
 
-A slender, nearly rigid rod stands on a pivot that is driven up and down. Shaken fast
-enough, amplitude x angular frequency > sqrt(2 g l) with l = 2/3 of the length of a
-uniform rod, upside down is stable. Run it with `python examples/driven_pendulum.py`.
+A slender, nearly rigid rod stands on a pivot that is driven up and down. The inverted
+position is stable if amplitude x angular frequency > sqrt(2 g l), with l = 2/3 of the
+length of a uniform rod. Run it with `python examples/driven_pendulum.py`.
 """
 
 import math
@@ -18,7 +18,7 @@ CRITICAL = math.sqrt(2 * 9.81 * LENGTH * 2 / 3) / (2 * math.pi * AMPLITUDE)  # [
 
 
 def simulate(frequency, seconds=1.5):
-    """The rod's largest lean [rad], and the gap in its balance of energy [1]."""
+    """Largest tilt of the rod [rad], and the error of its energy balance [1]."""
     rod, state = jaxrod.straight_rod(
         3,
         length=LENGTH,

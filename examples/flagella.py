@@ -1,8 +1,8 @@
-"""A race of flagella in a viscous fluid: the wave that is steeper swims faster.
+"""A race of flagella in a viscous fluid: the steeper wave swims faster.
 
-A wave of bending with tangents that swing by +-a runs along each rod. Resistive-force
-theory gives the speed over that of an endless wave, 1 / (1 + (q - 1) <sin^2>) - 1 with
-the ratio q of drag across and along. Run it with `python examples/flagella.py`.
+A bending wave with a tangent amplitude of a runs along each rod. Resistive-force theory
+gives the speed of an infinite wave over its wave speed, 1 / (1 + (q - 1) <sin^2>) - 1,
+with the ratio q of drag across and along. Run it with `python examples/flagella.py`.
 """
 
 import gallery
@@ -52,7 +52,7 @@ def build():
 
 
 def endless(angle):
-    """Lengths that an endless wave of the same kind swims per period [1]."""
+    """Lengths per period that an infinite wave of the same kind swims [1]."""
     phase = 2 * jnp.pi * jnp.arange(64) / 64
     along, across, _ = fluids.slender_cylinder(VISCOSITY, LENGTH, RADIUS)
     sines = jnp.mean(jnp.sin(angle * jnp.sin(phase)) ** 2)
@@ -61,7 +61,7 @@ def endless(angle):
 
 
 def run(share=1.0):
-    """A replay, the lengths swum in the last period, and those of an endless wave."""
+    """A replay, the lengths swum in the last period, and those of an infinite wave."""
     system, state, dt = build()
     every = int(PERIOD / dt / 40)
     n = int(120 * share) * every

@@ -1,7 +1,7 @@
 """Three soft fingers close around a ball and lift it.
 
-Chambers on the outer side of each finger bend it inwards. The fingers are one member,
-the ball is another, the ground is a body that stands still. Run it with
+Chambers on the outer side of each finger bend it inwards. The fingers are one member
+and the ball is another; the ground is a fixed body. Run it with
 `python examples/gripper.py`.
 """
 
@@ -21,7 +21,7 @@ LAW = {"damping": 10.0, "friction": 0.8, "friction_drag": 10.0}
 
 
 def finger(angle):
-    """A finger that hangs beside the ball, and its state."""
+    """A finger beside the ball, and its state."""
     outwards = jnp.stack([jnp.cos(angle), jnp.sin(angle), jnp.zeros(())])
     rod, state = jaxrod.straight_rod(
         N,
@@ -63,7 +63,7 @@ def build():
 
 
 def run(share=1.0):
-    """A replay, how far the ball rose once it was held, and how far the fingers did."""
+    """A replay, the rise of the ball after the grasp, and the rise of the fingers."""
     system, state, dt = build()
     every = int(END / dt / 160)
     n = int(160 * share) * every

@@ -1,6 +1,6 @@
 """Hardware in the loop: an exported policy acts 50 times a second over a socket.
 
-The controller, a process of its own, knows the compiled policy alone. At every tick the
+The controller is a separate process with only the compiled policy. At every tick the
 simulator sends an observation, waits for the action and takes a step. Needs `cc`.
 """
 

@@ -1,4 +1,4 @@
-"""An overhand knot: B kappa^2 / 2 + tension is its pull all along, without friction."""
+"""An overhand knot: without friction, B kappa^2 / 2 + tension equals the pull."""
 
 import gallery
 import jax
@@ -14,7 +14,7 @@ LOOK = {"frame": -1, "azimuth": -80, "elevation": 40, "field": "bending [1/m]"}
 
 
 def overhand(n, radius, loop, tail=4.0):
-    """Nodes of a circle with two straight tails, wound about each other."""
+    """Nodes of a circle with two straight tails that wind around each other."""
     around, gap = 2 * np.pi * loop, 1.25 * radius
     s = np.linspace(-tail * loop, around + tail * loop, 20 * n)
     turn = np.clip(s / loop, 0, 2 * np.pi)
@@ -34,7 +34,7 @@ def overhand(n, radius, loop, tail=4.0):
 
 
 def build(n=N, radius=RADIUS, loop=LOOP, pull=1.0, friction=None):
-    """The knot pulled by `pull` times B / (2 R^2), its state and the time step."""
+    """The knot under `pull` times B / (2 R^2), its state and the time step."""
     material = {"radius": radius, "density": 1000.0, "youngs_modulus": 1e6}
     bent, state = jaxrod.rod_along(overhand(n, radius, loop), **material)
     rod, _ = jaxrod.straight_rod(n, length=float(bent.length), **material)

@@ -1,8 +1,8 @@
 """An arm that plans with itself chases a target: the moving picture of the README.
 
-Every 22 ms the plan for the next 134 ms is improved by one Gauss-Newton step through
-the simulation of the arm; the target turns where nobody foresees it. Nothing was
-trained. Run it with `python examples/moving_picture.py`; it writes docs/arm.gif.
+Every 22 ms one Gauss-Newton step through the simulation of the arm improves the plan
+for the next 134 ms. The target turns at random. No policy was trained. Run it
+with `python examples/moving_picture.py`; it writes docs/arm.gif.
 """
 
 from pathlib import Path

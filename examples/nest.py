@@ -1,6 +1,6 @@
 """A nest: rods laid into a cylinder, layer upon layer, fall and settle on each other.
 
-Nothing passes through anything. `python -m benchmarks nest_speed` measures the speed.
+`python -m benchmarks nest_speed` measures its speed.
 """
 
 import gallery
@@ -17,12 +17,12 @@ LOOK = {"frame": -1, "azimuth": 30, "elevation": 68, "field": "height [m]"}
 
 
 def into_wall(point, radius):
-    """Distance from the inside of a cylinder about the z axis [m]."""
+    """Distance from the inner surface of a cylinder about the z axis [m]."""
     return radius - jnp.sqrt(point[0] ** 2 + point[1] ** 2 + 1e-12)
 
 
 def rod_in_layer(number):
-    """A rod of a layer of parallel ones, layers turned by the golden angle."""
+    """A rod in a layer of parallel rods; layers are rotated by the golden angle."""
     layer, place = jnp.divmod(number, PER_LAYER)
     c, s, aside = jnp.cos(2.4 * layer), jnp.sin(2.4 * layer), 0.008 * (place - 4.5)
     along = jnp.stack([c, s, 0.01 * jnp.sin(3.0 * number)])
@@ -33,7 +33,7 @@ def rod_in_layer(number):
 
 
 def scene(rod):
-    """A rod under gravity between floor and wall, in some air."""
+    """A rod under gravity between floor and wall, with air drag."""
     touch = {"stiffness": 2e4, "damping": 1.0, "friction": 0.3}
     sides = shapes.signed_distance(into_wall, WALL), shapes.plane()
     effects = [jaxrod.contact(side, **touch) for side in sides]
@@ -61,7 +61,7 @@ def build(n_rods=150):
 
 
 def run(share=1.0):
-    """A replay, and how deep rods are in each other in the end."""
+    """A replay, and the final penetration depth of the rods."""
     system, state, dt = build()
     every = int(END / dt / 120)
     n = int(120 * share) * every

@@ -1,7 +1,7 @@
 """An octopus: eight soft arms on a rigid head, curled by muscles along them.
 
-All arms are one member, equal rods in one leaf, and part of the head exactly. Muscles
-on the lower side of each contract; nothing holds the animal: its momentum stays zero.
+All arms are one member, equal rods in one leaf, attached exactly to the head. Muscles
+on the lower side of each arm contract. The animal is free, so its momentum stays zero.
 """
 
 import gallery
@@ -17,7 +17,7 @@ LOOK = {"frame": 44, "azimuth": 25, "elevation": 22}
 
 
 def arm(angle):
-    """A tapered arm that leaves the head sideways, with its muscle; and its state."""
+    """A tapered arm at the side of the head, with its muscle, and its state."""
     outwards = jnp.stack([jnp.cos(angle), jnp.sin(angle), jnp.zeros(())])
     rod, state = jaxrod.straight_rod(
         N_ELEMENTS,
@@ -62,7 +62,7 @@ def build():
 
 
 def run(share=1.0):
-    """A replay of a second, the drift of the whole over the length of an arm; none."""
+    """A replay of one second, the drift of the animal in arm lengths, and zero."""
     system, state, dt = build()
     every = max(1, int(1.0 / dt / 60))
     n = int(60 * share) * every

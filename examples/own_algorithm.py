@@ -1,4 +1,4 @@
-"""An algorithm of your own: random search that keeps the best eighth of its tries."""
+"""A custom algorithm: random search that keeps the best eighth of its samples."""
 
 import jax
 import jax.numpy as jnp

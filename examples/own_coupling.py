@@ -12,7 +12,7 @@ from jaxrod.extend import vectors
 
 @extend.pytree
 class Tether(extend.Coupling):
-    """Pulls two points together where they are further apart than its length."""
+    """Pulls two points together if their distance exceeds its length."""
 
     a: extend.Anchors
     b: extend.Anchors
@@ -20,7 +20,7 @@ class Tether(extend.Coupling):
     stiffness: extend.Leaf  # [N/m]
 
     def gap(self, seen):
-        """Vector between the anchors and how far it is stretched [m]."""
+        """Vector between the anchors, and the elongation [m]."""
         ends = [end.positions(seen[end.points.member]) for end in (self.a, self.b)]
         gap = vectors.subtract(ends[1], ends[0])
         return gap, jnp.maximum(vectors.safe_norm(gap) - self.length, 0.0)
@@ -36,16 +36,16 @@ class Tether(extend.Coupling):
         return extend.sum_of_loads(*given, seen=seen)
 
     def energy(self, seen):
-        """Energy of the stretch [J]."""
+        """Elastic energy [J]."""
         return jnp.sum(0.5 * self.stiffness * self.gap(seen)[1] ** 2)
 
     def stability_bounds(self, parts):
-        """Those of a spring that is always taut."""
+        """Bounds of a spring that is always taut."""
         return extend.spring_bounds(self.a, self.b, parts, self.stiffness)
 
 
 def dropped(slack=0.1):
-    """A system, and its state: an arm, and a ball that is tied to its tip."""
+    """A system of an arm and a ball tied to its tip, and its state."""
     x, material = (1.0, 0.0, 0.0), {"density": 1000.0, "youngs_modulus": 1e7}
     rod, arm = jaxrod.straight_rod(10, length=0.5, radius=0.01, direction=x, **material)
     fall, shape = (jaxrod.gravity(),), shapes.sphere((0.5, 0.0, -0.05), 0.02)

@@ -1,4 +1,4 @@
-"""An effect of your own, with memory and time: a muscle that tires.
+"""A custom effect with memory and a schedule: a muscle that tires.
 
 A bending muscle along the arm follows a command slowly, and weakens as it works.
 """
@@ -30,7 +30,7 @@ class TiringMuscle(extend.Effect):
         return extend.Loads(couples=(along, none, none))
 
     def after_step(self, rod, motion, dt):
-        """Activation follows the command; work takes freshness away."""
+        """Activation follows the command, and work reduces freshness."""
         kept = jnp.exp(-dt / self.rise_time)
         activation = self.command + kept * (self.activation - self.command)
         tired = jnp.exp(-dt * self.activation**2)
@@ -38,7 +38,7 @@ class TiringMuscle(extend.Effect):
 
 
 def simulate(strength=0.05, seconds=1.0):
-    """The arm's tip over time [m], and how fresh the muscle is at the end [1]."""
+    """The arm's tip over time [m], and the muscle's final freshness [1]."""
     rod, state = jaxrod.straight_rod(
         12, length=0.3, radius=0.01, density=1000.0, youngs_modulus=1e6
     )

@@ -1,7 +1,7 @@
 """A custom method: symplectic Euler steps of the consistent law.
 
 Position Verlet drifts half a step, kicks, and drifts half a step. Symplectic Euler
-kicks and drifts a whole step: as stable, and of first order.
+kicks and drifts a whole step. It is as stable, but of first order.
 """
 
 import jax.numpy as jnp
@@ -14,7 +14,7 @@ CONSISTENT = jaxrod.consistent()
 
 @extend.pytree
 class EulerStepper:
-    """The step that the loop of a run repeats."""
+    """The step that a run repeats in its loop."""
 
     verlet: object  # the stepper of the consistent law
     dt: object  # step [s]
@@ -45,7 +45,7 @@ class SymplecticEuler(extend.Method):
 
 
 def swing(method, steps, seconds=0.1):
-    """Place of the tip of an arm that was let go, after some steps [m]."""
+    """Position of the tip of a released arm after some steps [m]."""
     material = {"radius": 0.01, "density": 1000.0, "youngs_modulus": 1e6}
     rod, state = jaxrod.straight_rod(8, length=0.3, **material)
     effects = jaxrod.clamp(state), jaxrod.gravity((0.0, -9.81, 0.0))

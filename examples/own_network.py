@@ -1,4 +1,4 @@
-"""A network of your own: PPO with layer normalisation and a skip connection.
+"""A custom network: PPO with layer normalisation and a skip connection.
 
 In this folder: jaxrod train trivial --set network=own_network:residual
 """
@@ -25,7 +25,7 @@ class Residual(nn.Module):
 
 
 def residual(role: str, outputs: int) -> nn.Module:
-    """The network of a role; a policy that begins near 0 begins undecided."""
+    """The network of a role. A policy's first actions are near 0."""
     return Residual(outputs, output_scale=0.01 if role == "policy" else 1.0)
 
 

@@ -1,6 +1,6 @@
-"""A body shape of one's own: a torus, on which a rod comes to lie.
+"""A custom body shape: a torus, on which a rod comes to rest.
 
-Run it with `python examples/own_shape.py`, which writes a page.
+Run it with `python examples/own_shape.py`; it writes a page.
 """
 
 import jax
@@ -41,7 +41,7 @@ class Torus(jaxrod.shapes.Body):
 
 
 def laid(seconds=0.4):
-    """A scene and the states of a rod that is let go over the ring, and their times."""
+    """A scene, the states of a rod released above the ring, and their times."""
     material = {"radius": 0.008, "density": 1000.0, "youngs_modulus": 2e7}
     place = {"start": (-0.25, 0.0, 0.04), "direction": (1.0, 0.0, 0.0)}
     rod, state = jaxrod.straight_rod(30, length=0.5, **place, **material)

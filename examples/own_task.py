@@ -1,4 +1,4 @@
-"""An arm bends to a height: `jaxrod train examples/own_task.py:make_task`."""
+"""An arm bends to a given height: `jaxrod train examples/own_task.py:make_task`."""
 
 import dataclasses
 

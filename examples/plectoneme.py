@@ -1,6 +1,6 @@
-"""A twisted rope that winds around itself: twist becomes writhe, their sum stays.
+"""A twisted rope winds around itself: twist becomes writhe, and their sum is constant.
 
-One end is turned, then brought nearer to the other; Lk = Tw + Wr (Calugareanu, White,
+One end is turned and then moved towards the other; Lk = Tw + Wr (Calugareanu, White,
 Fuller). Run it with `python examples/plectoneme.py`.
 """
 
@@ -45,7 +45,7 @@ def build():
 
 
 def link(positions, directors, turned):
-    """Twist and writhe [1] of the rope with a piece of the walls that hold its ends."""
+    """Twist and writhe [1] of the rope, extended into the walls at its ends."""
     step = jnp.asarray([LENGTH / N, 0.0, 0.0])
     ends = positions[:, :1] - step[:, None], positions[:, -1:] + step[:, None]
     curve = jnp.concatenate([ends[0], positions, ends[1]], axis=1)
@@ -57,7 +57,7 @@ def link(positions, directors, turned):
 
 
 def run(share=1.0):
-    """A replay, twist and writhe together at its end, and the turns until then."""
+    """A replay, the final sum of twist and writhe, and the applied turns."""
     system, state, dt = build()
     every = int(share * (TWISTING + SHORTENING + REST) / dt / 160)
     states = jaxrod.rollout(system, state, dt, 160 * every, every)

@@ -1,7 +1,7 @@
-"""A soft arm that two chambers curl, one after the other.
+"""A soft arm that two chambers curl, one after another.
 
-A chamber of area A at the offset x from the middle, under the pressure p, bends an arm
-everywhere by p A x / EI. Run it with `python examples/pneumatic_arm.py`.
+A chamber of area A at the offset x from the axis, under the pressure p, gives an arm
+the uniform curvature p A x / EI. Run it with `python examples/pneumatic_arm.py`.
 """
 
 import gallery
@@ -39,7 +39,7 @@ def build():
 
 
 def run(share=1.0):
-    """A replay, the turn of the tip when one chamber was full, and p A x L / EI."""
+    """A replay, the rotation of the tip with one full chamber, and p A x L / EI."""
     scene, state, dt = build()
     every = int(4.0 / dt / 100)
     n = int(100 * share) * every

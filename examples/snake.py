@@ -1,4 +1,4 @@
-"""A snake on the ground whose gait is improved by the gradient of its way.
+"""A snake on the ground: the gradient of the distance improves its gait.
 
 PyElastica's snake (Gazzola et al., R. Soc. Open Sci. 5, 2018).
 """
@@ -18,7 +18,7 @@ LOOK = {"frame": (40, 80, 120, 160), "azimuth": -65, "elevation": 40}
 
 
 def build(gait=(2 * jnp.pi, 0.0), couples=COUPLES):
-    """The snake with a wave number and a tilt of its couples; its state; the step."""
+    """The snake with a wave number and tilt of its couples, its state and the step."""
     rod, state = jaxrod.straight_rod(
         N,
         length=LENGTH,

@@ -1,7 +1,7 @@
 """A soft pole swings up on a cart and stands: iLQR, and its feedback against a push.
 
-A rod hangs from a cart that is accelerated along a rail; in the cart's frame that is
-gravity, exactly. Run it with `python examples/soft_cart_pole.py`.
+A rod hangs from a cart that accelerates along a rail. In the cart's frame this is
+exactly a gravity. Run it with `python examples/soft_cart_pole.py`.
 """
 
 import dataclasses
@@ -16,7 +16,7 @@ N_INTERVALS = round(SECONDS / INTERVAL)
 
 
 def move(data, state, acceleration, k):
-    """The rod in the frame of the cart, and place and speed of the cart [m], [m/s]."""
+    """The rod in the cart's frame, and the cart's position and speed [m], [m/s]."""
     scene, a, (x, v) = data["scene"], acceleration[0], state["cart"]
     felt = jnp.array([0.0, 0.0, -9.81]).at[0].set(-a)
     scene = dataclasses.replace(scene, effects=(*scene.effects, jaxrod.Gravity(felt)))
@@ -26,19 +26,19 @@ def move(data, state, acceleration, k):
 
 
 def running(data, state, acceleration, k):
-    """Residuals on the way: distance of nodes and cart, speed, and effort."""
+    """Running residuals: distance of nodes and cart, speed, and effort."""
     rod, others = state["rod"], (0.3 * state["cart"], 0.01 * acceleration)
     return rod.positions + data["hanging"], 0.05 * rod.velocities, others
 
 
 def final(data, state):
-    """Residuals at the end: the same, without effort."""
+    """Final residuals: the same without effort."""
     place = state["rod"].positions + data["hanging"]
     return 4 * place, 0.5 * state["rod"].velocities, state["cart"]
 
 
 def cart_pole():
-    """The problem of swinging up, of a rod that hangs straight and at rest."""
+    """The swing-up problem for a rod that hangs straight and at rest."""
     size = {"length": LENGTH, "radius": 0.03, "density": 1000.0}
     rod, state = jaxrod.straight_rod(
         4, **size, youngs_modulus=2.2e6, direction=(0, 0, -1), normal=(0, 1, 0)
@@ -59,7 +59,7 @@ def cart_pole():
 
 
 def swing_up():
-    """The solution, begun with the cart to and fro in the time of a small swing."""
+    """The solution; the first guess moves the cart at the pace of small swings."""
     phases = 2 * jnp.pi * INTERVAL / PERIOD * jnp.arange(N_INTERVALS)
     first = 0.6 * LIMIT * jnp.sin(phases)[:, None]
     return jaxrod.control.ilqr(cart_pole(), initial_controls=first, tolerance=1e-3)

@@ -1,8 +1,8 @@
 """A soft pendulum swings up and stands: iLQR, and its feedback against a push.
 
 A rod hangs from a pivot whose couple is too weak to lift it straight up, and bends as
-it swings. iLQR finds the couple over time, with feedback of the whole rod: pushed when
-nearly up it still comes to stand, and falls without. Run it with
+it swings. iLQR finds the couple over time, and feedback of the whole rod. After a push
+near the top the rod still stands with feedback, and falls without it. Run it with
 `python examples/soft_pendulum.py`.
 """
 
@@ -26,17 +26,17 @@ def move(data, state, couple, k):
 
 
 def running(data, state, couple, k):
-    """Residuals on the way: distance from standing, speed, and effort."""
+    """Running residuals: distance from standing, speed, and effort."""
     return state.positions + data["hanging"], 0.05 * state.velocities, 0.05 * couple
 
 
 def final(data, state):
-    """Residuals at the end: the same, without effort."""
+    """Final residuals: the same without effort."""
     return 4 * (state.positions + data["hanging"]), 0.5 * state.velocities
 
 
 def pendulum():
-    """The problem of swinging up, of a rod that hangs straight and at rest."""
+    """The swing-up problem for a rod that hangs straight and at rest."""
     size = {"length": LENGTH, "radius": 0.03, "density": 1000.0}
     rod, state = jaxrod.straight_rod(
         4, **size, youngs_modulus=2.2e6, direction=(0, 0, -1), normal=(0, 1, 0)
@@ -59,7 +59,7 @@ def pendulum():
 
 
 def swing_up():
-    """The solution, begun with couples to and fro in the time of a small swing."""
+    """The solution; its first guess oscillates at the pace of small swings."""
     phases = 2 * jnp.pi * INTERVAL / PERIOD * jnp.arange(N_INTERVALS)
     first = 0.6 * LIMIT * jnp.sin(phases)[:, None]
     return jaxrod.control.ilqr(pendulum(), initial_controls=first, tolerance=1e-3)

@@ -1,7 +1,7 @@
-"""An arm that four tendons lead along a figure eight.
+"""Four tendons move the tip of an arm along a figure eight.
 
 One tendon of tension T at the offset a bends an arm everywhere by T a / EI, and by 3 %
-more where it is straight between 20 eyelets. The four share it by direction.
+more if it is straight between 20 eyelets. The four tendons share the load.
 """
 
 import math
@@ -49,7 +49,7 @@ def build():
 
 
 def run(share=1.0):
-    """A replay, the turn of the tip under one tendon, and T a L / EI."""
+    """A replay, the rotation of the tip under one tendon, and T a L / EI."""
     scene, state, dt = build()
     every = int((HELD + LOOP) / dt / 160)
     n = int(160 * share) * every
@@ -66,7 +66,7 @@ def run(share=1.0):
 
 
 def joint_angle():
-    """Turn between two eyelets, where moments about the joint are in balance."""
+    """Rotation between two eyelets, from the balance of moments about the joint."""
     bending, axial = YOUNG * math.pi * RADIUS**4 / 4, YOUNG * math.pi * RADIUS**2
     spacing, angle = LENGTH / N, 0.0
     for _ in range(50):

@@ -83,12 +83,12 @@ def open_to_write(path: Path, flags: int) -> int:
         handle = os.open(path, flags, 0o666)
     except OSError as error:
         if error.errno in (errno.ELOOP, errno.ENXIO):
-            raise LinkedFileError(f"{path} is no plain file: remove it") from error
+            raise LinkedFileError(f"{path} is not a plain file: remove it") from error
         raise
     found = os.fstat(handle)
     if not stat.S_ISREG(found.st_mode) or found.st_nlink > 1:
         os.close(handle)
-        what = "no plain file"
+        what = "not a plain file"
         if stat.S_ISREG(found.st_mode):
             what = f"one file with {found.st_nlink} names (hard links)"
         raise LinkedFileError(
@@ -253,7 +253,7 @@ def read_plain(path: Path) -> bytes:
         OSError: If the file cannot be opened.
     """
     if path.exists() and not (path.is_file() or path.is_dir()):
-        raise ValueError("it is no plain file")
+        raise ValueError("it is not a plain file")
     return path.read_bytes()
 
 
@@ -285,7 +285,7 @@ def read_csv(path: Path) -> tuple[list[str], list[list[str]]]:
 
 
 def _refuse_constant(name: str) -> None:
-    raise ValueError(f"{name} is no JSON")
+    raise ValueError(f"{name} is not JSON")
 
 
 Kind = tuple[str, Callable[[Any], bool]]

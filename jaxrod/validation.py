@@ -351,7 +351,7 @@ def _is_real(leaf: Any) -> bool:
 
 
 def _first(value: np.ndarray, is_bad: np.ndarray, unit: str) -> str:
-    """First bad entry in words, with its unit and index."""
+    """First bad entry as text, with its unit and index."""
     unit = f" {unit}" if unit else ""
     if value.ndim == 0:
         return f"{value[()]:g}{unit}"

@@ -50,9 +50,9 @@ def from_array(array: np.ndarray, leaf: Any) -> Any:
 
 
 def differences_of_leaves(wanted: dict[str, str], found: dict[str, str]) -> str:
-    """Differences between two sets of described leaves in words, empty if none."""
+    """Differences between two sets of described leaves as text, empty if none."""
     apart = [f"lacks {name}" for name in sorted(wanted.keys() - found.keys())]
-    apart += [f"has {name} besides" for name in sorted(found.keys() - wanted.keys())]
+    apart += [f"also has {name}" for name in sorted(found.keys() - wanted.keys())]
     apart += [
         f"holds {found[name]} at {name}, this run needs {wanted[name]}"
         for name in sorted(wanted.keys() & found.keys())

@@ -99,9 +99,9 @@ def load_policy(folder: str | Path, like: Any = None) -> Any:
     perceptron = description["format"] == PERCEPTRON
     if not perceptron and like is None:
         raise ValueError(
-            f"{folder} holds a policy that is no multilayer perceptron: it is read "
-            "with like=, a policy of the same structure, or by "
-            "jaxrod.training.restore_policy, which asks the run it is of"
+            f"{folder} holds a policy that is not a multilayer perceptron: read it "
+            "with like=, a policy of the same structure, or with "
+            "jaxrod.training.restore_policy"
         )
     with reading(numbers):
         if not zipfile.is_zipfile(numbers):
@@ -192,7 +192,7 @@ def _put_into(like: Any, file: Path, arrays: dict[str, np.ndarray]) -> Any:
     with reading(file):
         for name, array in arrays.items():
             if np.isnan(array).any():
-                raise ValueError(f"{name!r} holds what is not a number")
+                raise ValueError(f"{name!r} holds a value that is not a number")
     # Leaves without elements hold nothing and are not stored.
     empty = jax.tree.map(lambda leaf: jnp.zeros(leaf.shape, leaf.dtype), like)
     found = {name: jnp.asarray(array) for name, array in arrays.items()}

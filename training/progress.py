@@ -59,7 +59,7 @@ class ProgressBar:
 
         Args:
             done: Current count.
-            reached: Result so far, in words.
+            reached: Result so far, as text.
         """
         if not self._enabled:
             return
@@ -102,7 +102,7 @@ def progress_line(done: int, total: int, unit: str, rate: float, reached: str) -
         total: Largest possible count.
         unit: Name of the counted things, in the plural.
         rate: Counts per second; 0 if it is not known yet.
-        reached: Result so far, in words.
+        reached: Result so far, as text.
     """
     filled = min(_WIDTH, _WIDTH * done // total)
     bar = "#" * filled + "-" * (_WIDTH - filled)
@@ -124,7 +124,7 @@ def _short(count: int) -> str:
 
 
 def duration(seconds: float) -> str:
-    """A time in words, such as "3.4 min"."""
+    """A time as text, such as "3.4 min"."""
     if seconds < 100:
         return f"{seconds:.0f} s"
     return f"{seconds / 60:.1f} min" if seconds < 6000 else f"{seconds / 3600:.1f} h"

@@ -33,77 +33,75 @@ BEGINNING = """\
 Written by `python -m benchmarks algorithms` from the settings in the code and
 `benchmarks/algorithms/reference.csv`; do not edit.
 
-Five learners of the published benchmark, and below them two that differentiate the
-simulation; all compiled: acting, memory and gradient steps never leave the device.
-The reference is the implementation the published benchmark used (Stable Baselines
-2.10.1, one environment, default settings but for those named); its on-policy PPO is
-`PPO1`. `jaxrod train TASK --algorithm NAME --set help` lists all settings, and the
+This page lists the five learners of the published benchmark, and two that differentiate
+the simulation. All are compiled: acting, memory and gradient steps never leave the
+device. The reference is the implementation of the published benchmark (Stable Baselines
+2.10.1, one environment, default settings except those named); its on-policy PPO is
+`PPO1`. `jaxrod train TASK --algorithm NAME --set help` lists all settings. The
 docstrings of `jaxrod.training.PPOConfig`, `TRPOConfig`, `SACConfig`, `TD3Config` and
-`DDPGConfig` say what they mean, those of `LearnerConfig`, `OnPolicyConfig` and
-`OffPolicyConfig` what all or several have. Every setting is in one of the first two
-tables with its default, and every one that the grid sets in the first or the third.
+`DDPGConfig` explain them; those of `LearnerConfig`, `OnPolicyConfig` and
+`OffPolicyConfig` explain the shared settings. The first two tables list every setting
+with its default. The first and the third list every setting of the grid.
 
-A decision is one control step, or `action_repeat` of them under the same action, whose
-rewards are added up. Control steps are what is counted everywhere. An exported policy
-says for how many its actions are to be held (its `action_repeat`); evaluations and
-replays do so.
+A decision is one control step, or `action_repeat` control steps under the same action,
+with their rewards summed. All step counts are control steps. An exported policy states
+its `action_repeat`; evaluations and replays apply it.
 
-Off-policy learners alternate: `num_envs * rollout_steps` decisions, then
-`gradient_steps` gradient steps. By default that is 1024 control steps and 64 gradient
-steps on 256 transitions: one gradient step for every 16 control steps, 16 transitions
-learned from for every one seen. The reference makes one for each control step (DDPG:
-one for two) on 64 (SAC) or 128 transitions: 64 to 128 for one. A gradient step costs
-as much as dozens of control steps of an arm, so this ratio is the first thing to turn
-when samples are scarcer than time; `num_envs` is the second: no whole episode ends
-before `num_envs` times its length has been acted, so scarce samples want few
-environments.
+Off-policy learners alternate `num_envs * rollout_steps` decisions and `gradient_steps`
+gradient steps. By default that is 1024 control steps and 64 gradient steps on 256
+transitions: one gradient step for every 16 control steps, and 16 transitions learned
+from for every one seen. The reference makes one gradient step for each control step
+(DDPG: one for two) on 64 (SAC) or 128 transitions: 64 to 128 for one. A gradient step
+costs as much as dozens of control steps of an arm. If samples are scarcer than time,
+change this ratio first. Change `num_envs` second: the first episodes end after
+`num_envs` times the episode length, so scarce samples call for few environments.
 
-## What differs from the reference
+## Differences from the reference
 
-Every deviation of the published grid from what the paper ran. Rows of a case hold
-there instead of those of all cases: `jaxrod reproduce` runs every case with these
+The table lists every deviation of the published grid from the paper. Rows of a single
+case replace those of all cases there. `jaxrod reproduce` runs every case with these
 settings, the same for all seeds (`benchmarks/paper/settings.py`), and with the whole
-updates that fit into its control steps. [Reproducing the benchmark](reproduce.md) says
-more of the reasons, [what was tried](../benchmarks/paper/tried.md) has the runs that
-settings were chosen by, and [the results](../benchmarks/paper/records/results.md) what
-they led to. A semicolon separates values in the order of the algorithms named.
+updates that fit into its control steps. [Reproducing the benchmark](reproduce.md)
+explains the reasons, [what was tried](../benchmarks/paper/tried.md) has the runs by
+which settings were chosen, and [the results](../benchmarks/paper/records/results.md)
+show the outcome. A semicolon separates values in the order of the algorithms named.
 """
 IN_OUR_PHYSICS = """\
-## What differs where obstacles are met in the library's physics
+## Differences in the `clean` obstacle tasks
 
 In the variant `clean` a control step of the same two tasks takes a twelfth
-(`structured`) and a ninth of the time ([how fast the tasks are](environments.md)),
-and the number of control steps is nobody's: more environments, two to six million
-control steps, actions that are held for 4 or 7 ms. With `--variant clean`,
-`jaxrod reproduce` has these instead of the rows of these cases above; TRPO and DDPG,
-which were not tried there, keep those rows.
+(`structured`) and a ninth of the time ([how fast the tasks are](environments.md)). No
+published number of control steps applies. These runs use more environments, two to six
+million control steps, and actions held for 4 or 7 ms. With `--variant clean`, `jaxrod
+reproduce` uses these settings instead of the rows of these cases above. TRPO and DDPG
+were not tried there and keep those rows.
 """
 
 BY_GRADIENTS = """\
-## What learns by gradients of the simulation
+## Learners that use gradients of the simulation
 
-`dagger` fits a network to what a planner does
-([DAgger](https://arxiv.org/abs/1011.0686)). The policy acts, and in every decision the
-planner, whose model is the simulation, makes the policy's action better by a
-Gauss-Newton step on the task's residuals `lookahead` control steps later, the action
-being held. All that was said so far is fitted by least squares. It needs a task with
-`predict` and `residuals` ([planning](planning.md)), learns from no reward, and is
-measured beside PPO in [learning by gradients](first_order.md). The planner's own
-control steps are in `progress.csv` as `model_steps`, beside those that are acted.
-Settings that are not listed are those that all learners have
-(`jaxrod.training.LearnerConfig`); `discount` and `reward_scale` are refused.
+`dagger` fits a network to the actions of a planner
+([DAgger](https://arxiv.org/abs/1011.0686)). The policy acts. At every decision the
+planner improves the policy's action, with the simulation as its model. It holds the
+action for `lookahead` control steps and takes one Gauss-Newton step on the task's
+residuals there. The network is fitted by least squares to all improved actions so far.
+`dagger` needs a task with `predict` and `residuals` ([planning](planning.md)) and uses
+no reward. [Learning by gradients](first_order.md) compares it with PPO. `progress.csv`
+counts the planner's control steps as `model_steps`, separately from those acted.
+Settings that are not listed are common to all learners
+(`jaxrod.training.LearnerConfig`); `discount` and `reward_scale` are rejected.
 
-`shac` ([short-horizon actor-critic](https://arxiv.org/abs/2204.07137)) climbs the
-gradient of what a short window earns, through the simulation, and of the value of where
-it ends; with `critic=false` it is the analytic policy gradient (APG). It earns minus
-the task's smooth cost, or with `objective=reward` the reward, whose bonuses have no
-slope. Updates whose gradient is not finite are skipped: `skipped` in `progress.csv`.
+`shac` ([short-horizon actor-critic](https://arxiv.org/abs/2204.07137)) maximises the
+return of a short window plus the value of its final state, by gradients through the
+simulation. With `critic=false` it is the analytic policy gradient (APG). Its reward is
+minus the task's smooth cost, or with `objective=reward` the task's reward, whose
+bonuses have no gradient. Updates with a non-finite gradient are skipped and counted as
+`skipped` in `progress.csv`.
 
-One learner after the other: `jaxrod.training.warm_start(PPO, policy)` is PPO whose
-first policy is one that was learned before, by `dagger` say, instead of chance. Its
-configuration needs the policy's `hidden_sizes` and a small `initial_log_std`.
-`python -m benchmarks best_learners TASK` trains so in `tracking` and `reaching`:
-[what that earns](optimum.md).
+`jaxrod.training.warm_start(PPO, policy)` is PPO that starts from a trained policy, for
+example one from `dagger`. Its configuration needs the policy's `hidden_sizes` and a
+small `initial_log_std`. `python -m benchmarks best_learners TASK` trains this way in
+`tracking` and `reaching`; [Optimum](optimum.md) has the results.
 """
 
 
@@ -158,7 +156,7 @@ def page(rows: Iterable[Row]) -> str:
     same = [row for row in rows if not row.why]
     heads = ("Algorithm", "Case", "Setting", "Reference", "Ours", "Why")
     lines = [BEGINNING, *_table(heads, map(_told, different)), ""]
-    lines += ["## What is as in the reference", ""]
+    lines += ["## Settings as in the reference", ""]
     cells = ((row.algorithms, f"`{row.setting}`", row.reference) for row in same)
     lines += [*_table(("Algorithm", "Setting", "Value"), cells), "", IN_OUR_PHYSICS]
     lines += _table(("Cases", "Algorithms", "Setting", "Value"), _grouped(CLEAN))

@@ -11,21 +11,26 @@ import numpy as np
 from jaxrod.files import read_json
 
 SECTION = """
-## What the best learner of each task earns
+## Best learner of each task
 
-`python -m benchmarks best_learners` trains the learners that are known to bring a task
-furthest, one after the other where there are two: the second begins with the policy of
-the first (`jaxrod.training.warm_start`). What is left acts {episodes} episodes
-without noise in `tracking` and `reaching` (seed {seed} of `evaluate`), and a few in
-`structured` and `unstructured`, where nothing is random and all episodes are the same.
-Settings were chosen by runs of seed 100 and other episodes (seed 1), but for those that
-`dagger` ([before](first_order.md), with seed 0) and PPO among obstacles ([seed
-10](../benchmarks/clean/tried.md)) had already, and for what is told below. **Share**:
-mean reward over mean ceiling, of the same episodes; **from the mean**: the seed that is
-furthest from the mean of all; **least share**: of all episodes of all seeds, each of
-its own ceiling; **below half**: episodes that earn less than half of it. Episodes whose
-ceiling is not positive, targets far out of reach, count in the scores alone. Times are
-of training, compiling included.
+`python -m benchmarks best_learners` trains, for each task, the best learner known.
+Where two are named, the second starts from the first one's policy
+(`jaxrod.training.warm_start`). The resulting policy is evaluated without noise on
+{episodes} episodes in `tracking` and `reaching` (seed {seed} of `evaluate`). In
+`structured` and `unstructured` nothing is random and all episodes are identical, so a
+few suffice. Settings were chosen by runs of seed 100 on other episodes (seed 1).
+Exceptions are the earlier settings of `dagger` ([seed 0](first_order.md)) and of PPO in
+the obstacle tasks ([seed 10](../benchmarks/clean/tried.md)), and those listed below.
+
+| column | meaning |
+|---|---|
+| share | mean reward over mean ceiling, of the same episodes |
+| from the mean | largest deviation of a seed from the mean of all seeds |
+| least share | smallest share of an episode, of all seeds |
+| below half | episodes with a return below half of their ceiling |
+
+Episodes without a positive ceiling, with targets far out of reach, count only in the
+scores. Times are those of training, including compiling.
 
 | task | learners | seeds | score | share | of a seed | from the mean | least share \
 | below half | processor [s] |
@@ -39,27 +44,25 @@ EVERY = """
 |---|---:|---:|---:|---:|---:|---:|---:|---:|---:|---:|
 """
 TRIED = """
-What was tried besides, by runs of the same kind, on the 64 episodes of seed 1 where not
-said otherwise:
+Other runs of the same kind, on the 64 episodes of seed 1 unless noted:
 
 - `tracking` with PPO for 20,000,000 control steps, seeds 0 to 4 in the episodes of the
   table: 12,591 (12,275 to 12,872), 91.8% of their ceilings; 22 of 1,275 episodes below
   half. After 600,000 control steps of `dagger` and 10,000,000 of PPO, the same seeds:
   12,440 (12,227 to 12,523), 90.7%.
-- `tracking`, seed 100: `dagger` comes to 11,482, and 5,000,000 control steps of PPO
-  from there to 12,753; 10,000,000 with four `epochs` instead of eight to 12,642. In
-  episodes of 1500 control steps for both (`short_length`), of which more have a target
-  that is stuck in an axis, they come to 11,015 and, after 6,000,000, to 12,646.
+- `tracking`, seed 100: `dagger` reaches 11,482, and 5,000,000 further control steps of
+  PPO 12,753; 10,000,000 with four `epochs` instead of eight reach 12,642. With episodes
+  of 1500 control steps for both (`short_length`), more targets are stuck in an axis.
+  `dagger` then reaches 11,015 and PPO, after 6,000,000, 12,646.
 - `tracking` with PPO alone, seed 100, `action_repeat` 4, `rollout_steps` 64, `discount`
-  0.97 and two layers of 128, comes to 11,599 after 4,000,000 of 20,000,000 control
-  steps and 67 s of the processor; it was stopped there.
+  0.97 and two layers of 128, reaches 11,599 after 4,000,000 of 20,000,000 control steps
+  and 67 s of processor time. The run was stopped there.
 - `reaching` after 600,000 control steps of `dagger` and 6,000,000 of PPO with
-  `learning_rate` 3e-4, seed 0, on the episodes of the table: 6,055. `dagger` alone,
-  1,500,000 control steps, [comes to 6,295](first_order.md) in the mean of five seeds on
-  the 64 episodes; what PPO adds to each is in the table above.
-- `reaching`, seed 100: `dagger` comes to 5,401, and 5,000,000 control steps of PPO from
-  there to 6,546. At first these lose, with 4,726 after a third of them: their values
-  begin anew.
+`learning_rate` 3e-4, seed 0, on the episodes of the table: 6,055. `dagger` alone,
+1,500,000 control steps, [reaches 6,295](first_order.md) in the mean of five seeds on
+the 64 episodes; the table above shows the gain by PPO for each. - `reaching`, seed 100:
+`dagger` reaches 5,401, and 5,000,000 further control steps of PPO 6,546. PPO loses at
+first, with 4,726 after a third of its steps, because its value function is untrained.
 - `structured` and `unstructured`, seed 100, 3,000,000 control steps: 6,990 and 6,981.
 """
 

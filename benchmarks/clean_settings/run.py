@@ -28,22 +28,22 @@ HEADER = """\
 # How accurate the clean tasks are
 
 Written by `python -m benchmarks clean_settings`; do not edit. The arm of every task's
-`clean` variant under one second of recorded actions
-(`benchmarks.clean_settings.problem`): `tracking` under those of a trained policy, a
-third of them at their limits;
-`reaching` under actions drawn anew every 0.1 s; the two with obstacles likewise, at
-0.3 of full strength, since at full strength arms a rounding apart soon part ways.
-Error: root mean square over time of the tip's distance from a reference of
-{n} elements at an eighth of the stable step in float64, in lengths of the arm, for the
-elements and steps per control step of 1.4 ms that the task has by default, in float32.
+`clean` variant is simulated under one second of recorded actions
+(`benchmarks.clean_settings.problem`). Actions in `tracking` are those of a trained
+policy, a third of them at their limits. Actions in `reaching` are random and redrawn
+every 0.1 s. The two obstacle tasks use the same at 0.3 of full strength, because at
+full strength arms that differ by round-off soon diverge. The error is the root mean
+square over time of the tip's distance from a reference, in lengths of the arm. The
+reference has {n} elements at an eighth of the stable step, in float64. The task has its
+default elements and steps per control step of 1.4 ms, in float32.
 {machine}, one core.
 """
 FOOTER = """\
-`tracking` and `reaching` have what `jaxrod.tune` finds to be the cheapest within 1 %
-among the multiples of ten that an arm observed at eleven nodes may have. The tasks with
-obstacles have more: the strongest actions stretch the arm twofold, and with fewer
-elements a cylinder would pass between two places where contact is looked for
-(`benchmarks/extremes`). Among obstacles the ends of the arm have no face in contact.
+`tracking` and `reaching` use the cheapest setting within 1 % that `jaxrod.tune` finds.
+An arm observed at eleven nodes can only have multiples of ten elements. The obstacle
+tasks have more elements. The strongest actions stretch the arm twofold, and with fewer
+elements a cylinder could pass between two contact points (`benchmarks/extremes`). In
+the obstacle tasks the ends of the arm have no contact faces.
 """
 
 
@@ -90,7 +90,7 @@ def lines() -> Iterator[str]:
         for seed in SEEDS if name != "tracking" else SEEDS[:1]:
             yield row(name, seed)
     yield ""
-    yield f"What `jaxrod.tune` chooses for {TOLERANCE:.0%}, for {BATCH} arms at once:"
+    yield f"Choices of `jaxrod.tune` for {TOLERANCE:.0%}, for {BATCH} arms at once:"
     yield ""
     yield "| task | elements | steps | how | error | cost [ms/s] |"
     yield "|---|---:|---:|---|---:|---:|"

@@ -26,15 +26,15 @@ TIME_STEP = 2e-4
 HEADER = """\
 # What a step costs
 
-Written by `python -m benchmarks costs`; do not edit. One step of the arm with 20
-elements in float32. Operations are those of one step among many as written; flops and
-bytes those that XLA makes of it (`cost_analysis` before and after compiling: a value
-with many uses may be computed several times). Times are medians of seven windows on one
-core, alone and for each of 256 rods at once, with the settings of
+Written by `python -m benchmarks costs`; do not edit. The table is for one step of the
+arm with 20 elements in float32. Operations are those of one step in a run, before
+compiling. Flops and bytes are those of XLA's compiled program (`cost_analysis`); XLA
+may compute a value with many uses several times. Times are medians of seven windows on
+one core, for a single rod and for each of 256 rods at once, with the settings of
 `jaxrod.configure_cpu`.
 {machine}.
 
-An effect that a scene does not list is not in its program: its cost there is zero
+An effect that a scene does not list is not in its program and costs nothing
 (`tests/physics/test_compilation.py`).
 """
 

@@ -44,11 +44,11 @@ HEADER = """\
 # How fast the tasks are
 
 Written by `python -m benchmarks environments`; do not edit. Control steps per second,
-float32, with {batches} environments on each of {cores} cores, under new random
-actions in every step; medians of {windows} windows of {seconds:g} s, compiling not
-counted. The time of a control step, the elements of a rod and the simulation steps per
-control step are the tasks' own: the octopus has eight arms, the gripper three fingers
-and a ball. {lanes}
+float32, with {batches} environments on each of {cores} cores, under new random actions
+in every step. Values are medians of {windows} windows of {seconds:g} s, without
+compiling. The time of a control step, the elements of a rod and the simulation steps
+per control step are the tasks' defaults. The octopus has eight arms, the gripper three
+fingers and a ball. {lanes}
 {machine}.
 
 | task | variant | control step [ms] | elements | steps | {columns} | flagged |

@@ -21,28 +21,29 @@ HEADER = """\
 
 Written by `python -m benchmarks first_order`; do not edit. `dagger`
 ([algorithms](algorithms.md)) fits a network to a planner that differentiates the
-simulation; `ppo` uses rewards alone. Cases 1 and 2, variant `clean`, float32, one core.
-Scores are mean returns without noise of {episodes} episodes, the same for all (seed 1
-of `evaluate`): mean over the seeds, smallest and largest in brackets. Times are of
-training, compiling included, evaluations not; other work shared the machine, so the
-processor's time says more than the wall-clock. **Model steps** are control steps that
-the planner simulates beside those that are acted, backward passes not counted.
+simulation; `ppo` uses rewards alone. The runs are Cases 1 and 2, variant `clean`, in
+float32 on one core. Scores are mean returns without noise of {episodes} episodes, the
+same for all (seed 1 of `evaluate`). The table has the mean over the seeds, with the
+smallest and largest in brackets. Times are those of training, including compiling but
+not evaluation. Other work shared the machine, so processor time is more meaningful than
+wall-clock time. **Model steps** are control steps that the planner simulates in
+addition to those acted, without backward passes.
 
 ![Score against steps and time](../benchmarks/first_order/records/first_order.png)
 
 """
 TRIED = """
-## What was tried besides
+## Other runs
 
-On the same episodes:
+These runs use the same episodes:
 
-- `dagger` in `reaching`, its run planned for 1,000,000 control steps, comes to 5,965,
-  5,906, 5,822, 6,328 and 5,841 with seeds 0 to 4, in 82 to 92 s of the processor.
-- `dagger` in `tracking`, seed 0, with `plan_iterations` 1 instead of 2 comes to 8,854
+- `dagger` in `reaching`, with a run of 1,000,000 control steps, reaches 5,965, 5,906,
+  5,822, 6,328 and 5,841 with seeds 0 to 4, in 82 to 92 s of processor time.
+- `dagger` in `tracking`, seed 0, with `plan_iterations` 1 instead of 2 reaches 8,854
   after 1,007,616 control steps.
-- `shac` as it is by default, seed 0, comes to 1,159 in `reaching` after 2,002,944
-  control steps and 80 s of the processor, 51 of which it compiles. PPO is better in
-  less time. Nothing else of its settings was tried on arms, nor was `tracking`.
+- `shac` with its defaults, seed 0, reaches 1,159 in `reaching` after 2,002,944 control
+  steps and 80 s of processor time, 51 of which are compiling. PPO is better in less
+  time. We tried no other settings of `shac` on arms, and did not try `tracking`.
 
 `python -m benchmarks first_order TASK:ALGORITHM --seeds 0` makes a run.
 """
@@ -58,11 +59,11 @@ COLUMNS = (
     "wall-clock [s]",
 )
 REACHED = """
-## What PPO's final score takes
+## Cost of PPO's final score
 
-The first evaluation of each seed at or above the mean of PPO's final scores, and its
-share of what PPO's runs take in the mean; mean over the seeds that get there, largest
-in brackets.
+The table describes the first evaluation of each seed at or above the mean of PPO's
+final scores. Shares are relative to the mean of PPO's runs. Values are means over the
+seeds that reach the score, with the largest in brackets.
 
 """
 REACHED_COLUMNS = (

@@ -26,15 +26,16 @@ SAMPLES = 20
 RADIUS = 0.8
 """Spectral radius of the implicit steps."""
 HEADER = """\
-# Where implicit steps pay
+# When implicit steps are worthwhile
 
 Written by `python -m benchmarks implicit`; do not edit. {machine}, one core, float64.
-Rods 1 m long, clamped and let go under a lateral acceleration; no damping. Error: the
-largest distance of the tip from the reference, over its travel. Cost: wall-clock time
-per simulated second. "Scaled" has its transverse inertia enlarged (`scale_inertia`).
+Rods are 1 m long, clamped and released under a lateral acceleration, without damping.
+The error is the largest distance of the tip from the reference, relative to its travel.
+The cost is wall-clock time per simulated second. "Scaled" means enlarged transverse
+inertia (`scale_inertia`).
 
-A step of `jaxrod.implicit({radius})` costs about a hundred explicit ones. It pays where
-the motion asks for steps a thousand times longer than the stable one, and not below.
+A step of `jaxrod.implicit({radius})` costs about a hundred explicit ones. It is
+worthwhile only if the motion allows steps a thousand times longer than the stable one.
 """
 
 

@@ -39,27 +39,26 @@ def learners(case: int) -> list[tuple[str, float, int]]:
 
 
 HEADER = """\
-# How good is good: what the tasks of the arm can earn
+# How good is good: ceilings of the arm tasks
 
-Written by `python -m benchmarks optimum`; do not edit. For those of the four tasks of
-the arm that have a record (`python -m benchmarks optimum TASK`), variant `clean`, on
-the same episodes (seed {seed} of `evaluate`; what is random there depends on how long
-actions are held):
+Written by `python -m benchmarks optimum`; do not edit. The table has the tasks of the
+arm with a record (`python -m benchmarks optimum TASK`), variant `clean`. All columns
+use the same episodes (seed {seed} of `evaluate`; their random events depend on the
+duration of actions), except the learners:
 
-- **ceiling**: the reward with the tip on the target, or as near to it as the arm's
-  length from its base allows, and in `reaching` with the goal's orientation. By
-  construction, for each episode. It leaves out the way there, the clamp at the base and
-  the strength of muscles; nobody is known to reach it. That an arm can be stretched, by
-  a few percent when it is swung, is left out as well, so it is no bound to the last
-  digit.
-- **planned**: `jaxrod.control.mpc`, which plans with the rod itself and does not know
-  what is random, untrained; *held* is a plan of one action only
-  (`python -m benchmarks optimum TASK_held`);
-- **learned**: the best learner of each recorded grid by the mean over its seeds, its
-  policies without exploration noise. They were measured on other episodes, those of the
-  `paper` variant under the published physics, too. Their shares are of the mean
-  ceiling here;
-- **random**: actions drawn anew as often as the planner acts.
+- **ceiling**: the reward with the tip on the target, or as close to it as the arm's
+  length from its base allows, and in `reaching` with the goal's orientation. It is
+  computed for each episode. It ignores the way to the target, the clamp at the base and
+  the strength of muscles; no known policy reaches it. It also ignores that an arm
+  stretches by a few percent when it is swung, so it is not a strict bound.
+- **planned**: `jaxrod.control.mpc`, without training. It plans with the rod itself and
+  does not know random events in advance. *Held* is a plan of one action only (`python
+  -m benchmarks optimum TASK_held`).
+- **learned**: the best learner of each recorded grid by the mean over its seeds, with
+  policies without exploration noise. They were measured on other episodes; those of the
+  `paper` variant also under the published physics. Their shares are relative to the
+  mean ceiling here.
+- **random**: random actions, redrawn as often as the planner acts.
 
 ![Shares of the ceiling](../benchmarks/optimum/records/optimum.png)
 
@@ -67,12 +66,12 @@ actions are held):
 |---|---:|---:|---:|---:|---:|---:|---|
 """
 TIMES = """
-## What a plan takes
+## Time of a plan
 
-Processor time of one core, compiling not counted, and compiling on its own. A plan has
-to be ready within its period to act in real time; here the simulation waits for it.
-Times of a single arm are XLA's and lanes' where the plan itself is a batch (rows of the
-Jacobian, samples).
+Times are processor time of one core; compiling is listed separately. To act in real
+time, a plan must be ready within its period; here the simulation waits for it. For a
+single arm, lanes run the parts of a plan that are batches (rows of the Jacobian,
+samples), and XLA runs the rest.
 
 | task | period [ms] | plan, of a batch [ms] | plan, single arm [ms] | compiling [s] |
 |---|---:|---:|---:|---:|

@@ -9,12 +9,12 @@ import numpy as np
 from jaxrod.files import read_json
 
 SAME = """
-### Whether more could be had
+### Comparison with a planner in the same episodes
 
-A planner that plans one action and holds it for the {hold} control steps for which the
-learners hold theirs acts the same episodes, untrained
-(`python -m benchmarks same_episodes`). What it earns can be earned by this arm, so what
-learners lack there is not a matter of reach or strength:
+An untrained planner acts in the same episodes (`python -m benchmarks same_episodes`).
+It plans one action and holds it for {hold} control steps, as the learners do. Its
+return shows what the arm can achieve: where learners score less, the cause is not reach
+or strength.
 
 | task | episodes | planned | share | below half | learned | share | below half by all \
 seeds | of these, planned above half | episodes with half of what the learners lack |

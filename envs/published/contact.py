@@ -10,7 +10,7 @@ $$F = \max(0,\ (f - f_c)\cdot\hat n)
 $f$ is the mean of all forces on the two nodes found so far. $f_c$ is the force that
 this cylinder has taken up so far in this step. The first term cancels the force that
 presses the element against the cylinder. Elements and cylinders are treated one after
-the other, so every force depends on those before it.
+another, so every force depends on those before it.
 
 Before that, a cylinder is skipped altogether unless its box and the arm's overlap. The
 box is wrong for a cylinder whose `normal` is parallel to its direction: it then has no

@@ -158,7 +158,7 @@ class Reaching(BenchmarkTask):
         r"""Residuals for planners: the tip's offset and rotation from the goal.
 
         The three numbers of the rotation are $\sin(\varphi/2)$ times its axis, divided
-        by the square root of the largest misalignment that still earns a bonus. Before
+        by the square root of the largest misalignment that still gets a bonus. Before
         this division their squares sum to the misalignment.
         """
         way = super().residuals(state, action, params, width)

@@ -115,7 +115,7 @@ class StableStep:
 
     @property
     def limiting_mode(self) -> str:
-        """Limiting motion in words; for concrete values only."""
+        """Limiting motion as text; for concrete values only."""
         return f"{MODE_NAMES[int(self.mode)]} of element {int(self.element)}"
 
 

@@ -32,7 +32,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--onnx", type=settings.path, metavar="FILE", help="ONNX model to write"
     )
     parser.add_argument(
-        "--overwrite", action="store_true", help="replace what was exported before"
+        "--overwrite", action="store_true", help="replace files exported before"
     )
     parser.add_argument(
         "--json", action="store_true", help="print the contracts instead of the paths"

@@ -142,8 +142,8 @@ def open_run(path: Path, trust: Collection[str] = ()) -> StoredRun:
             raise ValueError(f"its 'env_options' make {env.name!r}, not {task!r}")
         if config.get("variant") != getattr(env, "variant", None):
             raise ValueError(
-                f"'variant' is {config.get('variant')!r}, but what its 'env_options' "
-                f"make is {getattr(env, 'variant', None)!r}"
+                f"'variant' is {config.get('variant')!r}, but its 'env_options' "
+                f"give {getattr(env, 'variant', None)!r}"
             )
     return StoredRun(path, config, env, tuple(trust))
 

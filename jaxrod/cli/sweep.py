@@ -1,7 +1,7 @@
 """Train many policies: every combination of tasks, algorithms, settings and seeds.
 
 Each combination is one run, as with `jaxrod train`, in its own process and its own
-folder under DIR. By default they are trained here, one after the other on all cores.
+folder under DIR. By default they are trained here, one after another on all cores.
 With --jobs several run in parallel, each on its share of the cores. With --ray they run
 on the machines of a Ray cluster (docs/sweeps.md). Ctrl-C saves and stops. The same
 command continues, also after a kill, and skips finished runs. A failed run is reported,
@@ -48,7 +48,7 @@ examples:
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declares the arguments of `jaxrod sweep`."""
     parser.epilog = EXAMPLES
-    parser.add_argument("tasks", metavar="TASK", nargs="+", help="as of `jaxrod train`")
+    parser.add_argument("tasks", metavar="TASK", nargs="+", help="as in `jaxrod train`")
     parser.add_argument(
         "--algorithms",
         nargs="+",

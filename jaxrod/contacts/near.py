@@ -116,7 +116,7 @@ def _smallest(
 ) -> Int[Array, "count points"]:
     """Indices of the smallest values at each point, the smallest first.
 
-    They are searched one after the other: for a few out of a dozen that is faster than
+    They are searched one after another: for a few out of a dozen that is faster than
     sorting.
     """
     numbers = jnp.arange(len(values))[:, None]

@@ -130,9 +130,13 @@ def check_frames(directors: Numbers, tangents: Any) -> Any:
     for k in range(0 if is_traced(frames) else n):
         frame = frames[:, :, k]
         if not np.allclose(frame @ frame.T, np.eye(3), atol=1e-6):
-            raise ValueError(f"directors must be orthonormal, those of {k} are not")
+            raise ValueError(
+                f"directors must be orthonormal: those of element {k} are not"
+            )
         if np.linalg.det(frame) < 0:
-            raise ValueError(f"directors must be right-handed, those of {k} are not")
+            raise ValueError(
+                f"directors must be right-handed: those of element {k} are not"
+            )
         if is_traced(tangents):
             continue
         angle = math.acos(np.clip(np.sum(frame[2] * tangents[:, k]), -1, 1))

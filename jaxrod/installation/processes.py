@@ -26,10 +26,7 @@ LOST_AFTER = 20
 PATIENCE = 60
 """Time for which processes wait for each other at the end [s]."""
 
-GO_ON = (
-    "a run goes on from its last checkpoint with resume, in as many processes as there "
-    "are then"
-)
+GO_ON = "resume continues a run from its last checkpoint, with any number of processes"
 """Advice after a process was lost."""
 
 # The last line before the fault is the message. Output of faults other than aborts is
@@ -181,8 +178,8 @@ def join_processes(
         ) from error
     except ValueError as error:
         raise ValueError(
-            "nothing that JAX knows (SLURM, Open MPI, Kubernetes) says which processes "
-            f"there are: give coordinator, count and index ({error})"
+            "JAX found no SLURM, Open MPI or Kubernetes that describes the processes: "
+            f"give coordinator, count and index ({error})"
         ) from error
     _last_words[0](
         "jaxrod: JAX ended this process, as it does when another of the program is "

@@ -32,7 +32,7 @@ class LaneChoice:
     taken: bool
     """Whether lanes were chosen; otherwise XLA was."""
     why: str
-    """Reason in words."""
+    """Reason as text."""
     rods: int
     """Number of rods in the batch; 1 without a batch."""
     operations: int = 0

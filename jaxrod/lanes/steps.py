@@ -158,7 +158,7 @@ def _refused(
     before = [(a.shape, a.dtype) for a in given]
     after = [(a.shape, a.dtype) for a in result_types(body)]
     if words is None and (cycled, after) != (carried, before):
-        words = "what a step makes is not of the type of what it is given"
+        words = "the output of a step differs in type from its input"
     if words is not None:
         refused(words)
     return words is not None

@@ -123,7 +123,7 @@ def eliminate(
 def _descend(
     matrix: BlockTridiagonal, right: Float[Array, "n m"]
 ) -> tuple[Float[Array, "n m m+1"], Float[Array, "n m"]]:
-    """Reduces the diagonal blocks to identities, one after the other.
+    """Reduces the diagonal blocks to identities, one after another.
 
     Returns:
         The remaining upper blocks and right-hand side, side by side, and the pivots.

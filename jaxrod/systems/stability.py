@@ -28,7 +28,7 @@ class StableSystemStep:
 
     @property
     def limiting_mode(self) -> str:
-        """The limiting motion in words, for concrete values only."""
+        """The limiting motion as text, for concrete values only."""
         which = min(range(len(self.names)), key=lambda k: float(self.members[k]))
         name, step = self.names[which], self.steps[which]
         if step is None:

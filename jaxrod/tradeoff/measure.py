@@ -67,7 +67,7 @@ class Setting:
     """Fraction of the stability limit if `dt` is `None`."""
 
     def __str__(self) -> str:
-        """Description in words."""
+        """Description as text."""
         words = [f"n = {self.n_elements}", self.integrator, self.dtype, self.mode]
         if self.dt is not None:
             words.insert(1, f"dt = {self.dt:.3g} s")

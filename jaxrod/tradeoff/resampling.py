@@ -57,7 +57,7 @@ def resample(scene: Scene, state: RodState, n_elements: int) -> tuple[Scene, Rod
     check_scene_and_state(scene, state)
     scene.check_moment()
     if scene.remembers:
-        raise ValueError("resample needs a scene whose effects remember nothing")
+        raise ValueError("resample needs a scene whose effects have no memory")
     n = check_count("n_elements", n_elements, 2, MOST_ELEMENTS)
     if is_traced(scene, state):
         raise ValueError(

@@ -76,7 +76,7 @@ class Tuned:
     """The scene and the state with the setting, ready to step."""
 
     def __str__(self) -> str:
-        """Description in words."""
+        """Description as text."""
         found = (
             f"{self.setting}: error {self.error:.2g} of the length, "
             f"{self.wall_s_per_sim_s:.2g} s per simulated second"

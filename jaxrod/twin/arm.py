@@ -506,7 +506,7 @@ def _taken(
     for name in content:
         if name not in needed + allowed:
             raise ValueError(
-                f"{where} has {name!r}, which is none of "
+                f"{where} has {name!r}, which is not one of "
                 f"{', '.join(sorted(needed + allowed))}"
             )
     return dict(content)

@@ -236,7 +236,7 @@ def identify(
     if not recordings:
         raise ValueError("a twin needs at least one recording")
     if not arm.unknown:
-        raise ValueError("the arm has no unknowns: there is nothing to find")
+        raise ValueError("the arm has no unknowns: there is nothing to identify")
     if noise is not None:
         check_array("noise", noise, [()], "m", positive=True)
     if robust is not None:
@@ -249,7 +249,7 @@ def identify(
         if found_from_markers and name not in arm.unknown:
             raise ValueError(
                 f"the frame of the camera is not known, so {name} must be among the "
-                "unknowns: it would take up what is wrong in the drawing"
+                "unknowns: a fixed frame would absorb errors of the drawing"
             )
     values = arm.start
     for _ in range(REGISTRATIONS):

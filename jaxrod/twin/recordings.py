@@ -131,7 +131,7 @@ def read_recording(path: str | Path, arm: Arm) -> Recording:
         if len(names) != len(wanted):
             raise ValueError(
                 f"it has the markers {', '.join(names) or 'none'}, and the arm has "
-                f"{', '.join(wanted)}: as many are needed"
+                f"{', '.join(wanted)}: the numbers must be equal"
             )
         marked = [numbers[f"{name}_{axis}"] for name in names for axis in "xyz"]
         points = _numbers(rows, marked, columns)
@@ -159,6 +159,6 @@ def _numbers(
             except ValueError:
                 raise ValueError(
                     f"row {r + 1} has {word!r} in the column {columns[column]!r}, "
-                    "which is no number"
+                    "which is not a number"
                 ) from None
     return table

@@ -111,7 +111,7 @@ def _field_values(
         unknown = set(each) - set(names)
         if unknown:
             raise ValueError(
-                f"fields[{label!r}] names {sorted(unknown)}, which are no rods of it: "
+                f"fields[{label!r}] names {sorted(unknown)}, which are not its rods: "
                 f"those are {sorted(names)}"
             )
         for shown, field in each.items():
@@ -203,7 +203,7 @@ def _contact_forces(model: Model, states: Any, times: np.ndarray) -> tuple[Arrow
     for one in _over_frames(at_frame, model, (states, clock)):
         for name, forces in one.items():
             row = np.stack([np.asarray(part) for part in forces], axis=-2)
-            if row.ndim < total[name].ndim:  # Equal rods follow one after the other.
+            if row.ndim < total[name].ndim:  # Equal rods follow one after another.
                 split = row.reshape(*row.shape[:-1], *total[name].shape[1::2])
                 row = np.moveaxis(split, -2, 1)
             total[name] += row

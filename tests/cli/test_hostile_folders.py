@@ -244,18 +244,22 @@ HOSTILE = [
     stored_setting("evil_module:make", "network: .*--trust evil_module"),
     led(NAME, lock, LINK),
     led(NAME, lock, r"2 names \(hard links\)", how=os.link),
-    led(NAME, lock, "no plain file", how=pipe),
+    led(NAME, lock, "not a plain file", how=pipe),
     led("progress.csv", append("progress"), LINK),
     led("episodes.csv", append("episodes"), r"2 names \(hard links\)", how=os.link),
-    led("progress.csv", append("progress"), "no plain file", how=pipe),
+    led("progress.csv", append("progress"), "not a plain file", how=pipe),
     led("run.log", lambda run: open_log(run / "run.log"), LINK),
     led("policy", replaceable, LINK),
     led("checkpoints", replaceable, LINK),
     led("checkpoints", save, LINK),
     led("tensorboard", replaceable, LINK),
     led("tensorboard", log_events, LINK),
-    led("config.json", lambda run: RunFolder(run).config(), "no plain", how=over(pipe)),
-    led("config.json", lambda run: RunFolder(run).config(), "no pl", how=over(device)),
+    led(
+        "config.json", lambda run: RunFolder(run).config(), "not a pla", how=over(pipe)
+    ),
+    led(
+        "config.json", lambda run: RunFolder(run).config(), "not a pl", how=over(device)
+    ),
     pickled("policy/policy.npz", read_policy),
     pickled("checkpoints/0000000001.npz", read_checkpoint),
     doubled("config.json", '{"task": "trivial", "task": "os:system"}', open_run),
@@ -375,7 +379,7 @@ def test_a_lock_that_was_left_behind_is_taken_over(place):
     (place / "run" / NAME).write_text("17 somewhere\n" * 20)
     with only_process(place / "run"):
         assert (place / "run" / NAME).read_text().startswith(f"{os.getpid()} ")
-    with pytest.raises(LinkedFileError, match="no plain file"):
+    with pytest.raises(LinkedFileError, match="not a plain file"):
         open_to_write(place / "run", os.O_RDONLY)
 
 

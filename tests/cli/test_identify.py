@@ -99,7 +99,7 @@ def test_files_that_do_not_fit_are_refused_by_name(run, tmp_path, arm_file):
     assert "times must rise" in refusal(both + "0,1,1,2,3,1,2,3\n0,1,1,2,3,1,2,3\n")
     assert "row 1 has 2 values for 8 columns" in refusal(both + "0,1\n")
     word = refusal(both + "0,1,1,2,3,1,far,3\n")
-    assert "row 1 has 'far' in the column 'b_y', which is no number" in word
+    assert "row 1 has 'far' in the column 'b_y', which is not a number" in word
     some = refusal(both.replace("b_", "tip_") + "0,1,1,2,3,1,2,3\n")
     assert "it has columns of the markers tip, and none of middle" in some
     good = both + "0,1,1,2,3,1,2,3\n"
@@ -110,7 +110,7 @@ def test_files_that_do_not_fit_are_refused_by_name(run, tmp_path, arm_file):
     wrong = ARM.replace("elements = 6\n", "")
     assert "rod has no 'elements'" in refusal(good, wrong)
     wrong = ARM.replace("elements = 6", "elements = 6\ncolour = 3")
-    assert "rod has 'colour', which is none of" in refusal(good, wrong)
+    assert "rod has 'colour', which is not one of" in refusal(good, wrong)
     wrong = ARM.replace("[[markers]]", "[markers]", 1)
     assert "arm.toml is damaged" in refusal(good, wrong)
     one = re.sub(r"\[\[markers\]\].*?(?=\[\[markers)", "", ARM, flags=re.S)

@@ -149,7 +149,7 @@ def test_a_network_of_ones_own_trains_and_resumes_bit_by_bit(
     words = ("evaluate", part, "--episodes", 16, "--seed", 0, *trust)
     assert json.loads(command(*words))["score"] == resumed["evaluation_score"]
     assert resumed["evaluation_score"] > make("trivial").optimal_return - 1
-    with pytest.raises(ValueError, match=r"no multilayer perceptron: .*like="):
+    with pytest.raises(ValueError, match=r"not a multilayer perceptron: .*like="):
         load_policy(part / "policy")
     with pytest.raises(ValueError, match=r"policy\.npz is of another .* it lacks"):
         load_policy(part / "policy", untrained_policy(make("trivial"), "ppo"))

@@ -347,7 +347,7 @@ def test_a_recurrent_policy_acts_as_in_jax_over_episodes(tmp_path, by_observatio
     assert [array["shape"] for array in contract["memory"]] == [[1, 6], [1]]
     if by_observation:
         assert contract["memory"][0]["start"] is None
-        with pytest.raises(ValueError, match="ONNX: its memory starts with what"):
+        with pytest.raises(ValueError, match="ONNX: its first memory depends"):
             export_onnx(policy, Sized(), tmp_path / "gated.onnx")
         return
     contract = export_onnx(policy, Sized(), tmp_path / "gated.onnx")

@@ -165,7 +165,7 @@ def test_what_cannot_start_costs_nothing(copy):
     learner = dataclasses.replace(usual, init=broken)
     with pytest.raises(RuntimeError, match="no weights"):
         train(Trivial(), learner, out=copy.path, overwrite=True, **USUAL)
-    with pytest.raises(ValueError, match=r"config\.json cannot hold what is not a"):
+    with pytest.raises(ValueError, match=r"config\.json can hold only finite numbers"):
         unknown = make("trivial", name=float("nan"))
         train(unknown, out=copy.path, overwrite=True, **USUAL)
     assert contents(copy.path) == before
@@ -253,7 +253,7 @@ def test_parts_of_another_run_are_not_taken(copy, tmp_path):
             f"checkpoints/{newest}",
             rf"{newest} is of a run of another config\.json: see",
         ),
-        ("episodes.csv", r"episodes\.csv is not what the checkpoint has counted"),
+        ("episodes.csv", r"episodes\.csv does not match the checkpoint"),
     ):
         mine = (copy.path / name).read_bytes()
         shutil.copy(other.path / name, copy.path / name)

@@ -404,7 +404,7 @@ def better_actions(
     `jaxrod.control.mpc` with one step, as a function of its starting point, improved by
     Gauss-Newton steps. Such a short plan is cheap: one backward pass for each of the
     few residuals. It is nearly a function of the state, so a network can learn it. If
-    it is recomputed before it has run out, it earns nearly as much as actions that are
+    it is recomputed before it has run out, it scores nearly as well as actions that are
     linear between several knots (docs/optimum.md).
 
     An action is left unchanged if a step brings no improvement or the model breaks.

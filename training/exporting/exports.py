@@ -116,9 +116,9 @@ def export_onnx(
     def write(traced: _Traced, facts: dict[str, Any]) -> bytes:
         if any(array["start"] is None for array in facts.get("memory", ())):
             raise ValueError(
-                "the policy cannot be exported as ONNX: its memory starts with what "
-                "follows from the first observation, and a model has no function for "
-                "that; a C header has one"
+                "the policy cannot be exported as ONNX: its first memory depends "
+                "on the first observation, and a model has no function for that; "
+                "export a C header"
             )
         facts["opset"] = onnx_file.OPSET
         text = "\n".join(_as_lines(path.name, facts))

@@ -159,7 +159,7 @@ def _check_policy(name: str, policy: Any, env: Environment) -> None:
     """Raises ValueError unless this is a policy for an environment."""
     if not callable(policy):
         raise ValueError(
-            f"policy of {name} must return what is called as policy(observation), got "
+            f"policy of {name} must return a callable, policy(observation), got "
             f"a {type(policy).__name__}"
         )
     if any(

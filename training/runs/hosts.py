@@ -46,7 +46,7 @@ class Hosts:
         if owners != {mine} and owners != set(range(jax.process_count())):
             raise ValueError(
                 "devices must be those of this process, or of each of the "
-                f"{jax.process_count()} there are; got those of {sorted(owners)}"
+                f"{jax.process_count()} processes; got those of {sorted(owners)}"
             )
         self.count = len(owners)
         self.writes = owners == {mine} or mine == 0

@@ -239,8 +239,8 @@ def _check_folder(
     changed = differences(folder.config(), requested)
     if changed:
         raise ValueError(
-            f"resume needs what {CONFIG} in {name!r} says that the run was started "
-            f"with; {', '.join(changed)}"
+            f"resume needs the arguments of the run, as in {CONFIG} of {name!r}; "
+            f"{', '.join(changed)}"
         )
     # Replacing unknown files could lose them.
     folder.check_replaceable()
@@ -262,7 +262,7 @@ def _check_folder(
         raise ValueError(
             f"out must hold a checkpoint to resume from, but the run in "
             f"{name!r} is {'finished' if folder.finished else 'under way'} and its "
-            "checkpoints are gone; pass overwrite=True to train anew"
+            "checkpoints are gone; pass overwrite=True to train again"
         )
 
 

@@ -208,5 +208,5 @@ def as_json(name: str, content: Mapping[str, Any]) -> bytes:
     try:
         text = json.dumps(dict(content), indent=2, allow_nan=False)
     except ValueError as error:
-        raise ValueError(f"{name} cannot hold what is not a number: {error}") from error
+        raise ValueError(f"{name} can hold only finite numbers: {error}") from error
     return (text + "\n").encode()

@@ -127,7 +127,7 @@ def _checked(name: str, value: Any) -> Any:
         json.dumps(value)
     except (TypeError, ValueError):
         raise ValueError(
-            f"{name} must be a number, text, or a tuple of such, so that config.json "
+            f"{name} must be a number, text, or a tuple of these, so that config.json "
             f"can hold it, got {value!r:.80}"
         ) from None
     return value

@@ -123,7 +123,7 @@ class Table:
             )
         if hashlib.sha256(content[: mark["bytes"]]).hexdigest() != mark["sha256"]:
             raise ValueError(
-                f"{self.path} is not what the checkpoint has counted: its first "
+                f"{self.path} does not match the checkpoint: its first "
                 f"{mark['rows']} rows ({mark['bytes']} bytes) have changed"
             )
 

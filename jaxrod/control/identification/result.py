@@ -52,7 +52,7 @@ class Forecast:
 class Fit:
     """Parameters found from data by `fit`; a batch of fits under `jax.vmap`.
 
-    `print(fit)` shows a table, and describes in words what the data do not determine.
+    `print(fit)` shows a table, and describes what the data do not determine.
     """
 
     parameters: Parameters
@@ -113,7 +113,7 @@ class Fit:
 
     @property
     def undetermined(self) -> tuple[str, ...]:
-        """Directions that the data do not determine, in words.
+        """Directions that the data do not determine, as text.
 
         Raises:
             ValueError: This is a batch of fits: take one of it,
@@ -121,8 +121,8 @@ class Fit:
         """
         if self.covariance.ndim > 2:
             raise ValueError(
-                "undetermined is of one fit, and this is a batch of "
-                f"{self.covariance.shape[:-2]}: take one of it, "
+                "undetermined needs a single fit, and this is a batch of "
+                f"{self.covariance.shape[:-2]}: select one, "
                 "jax.tree.map(lambda leaf: leaf[0], fit)"
             )
         rows = zip(self.vague, self.directions, self.singular_values, strict=True)
@@ -187,7 +187,7 @@ def smallest_ratio(dtype: Any) -> float:
 
 
 def _words(way: np.ndarray, names: tuple[str, ...], by_log: tuple[bool, ...]) -> str:
-    """Describes a direction in words."""
+    """Describes a direction as text."""
     shares = way / way[np.argmax(np.abs(way))]
     part = [k for k in np.argsort(-np.abs(shares)) if abs(shares[k]) >= PLAIN]
     if len(part) == 1:

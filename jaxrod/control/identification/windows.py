@@ -52,7 +52,7 @@ class MultipleShooting:
     across bifurcations, where a single long run would lose them. It needs initial
     parameters within a few tens of per cent of the true ones, and initial states close
     to the observed ones. One evaluation costs about one run of all windows, one after
-    the other, with a tangent for each parameter and for each unknown of a first state.
+    another, with a tangent for each parameter and for each unknown of a first state.
     """
 
     unknowns: Any

@@ -178,7 +178,8 @@ def reach(
         shape = getattr(arm, "control_shape", None)
     if shape is None:
         raise ValueError(
-            f"control_shape must say what {type(arm).__name__}.with_controls takes"
+            "control_shape must be given: the shape of the controls that "
+            f"{type(arm).__name__}.with_controls takes"
         )
     length = _positive("duration", duration, "s")
     largest = None if dt is None else _positive("dt", dt, "s")

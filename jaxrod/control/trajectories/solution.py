@@ -45,7 +45,7 @@ class Solution:
     converged: bool
     """Whether the solver stopped because the cost no longer decreased."""
     reason: str
-    """Reason why the solver stopped, in words."""
+    """Reason why the solver stopped, as text."""
     iterations: int
     """Number of steps tried."""
     compile_s: float
@@ -59,7 +59,7 @@ class Solution:
     without knots."""
     gains: Float[Array, "intervals controls numbers"] | None = None
     """Feedback gains, if the solver gives them: derivatives of the control by the
-    state, whose leaves are flattened one after the other."""
+    state, whose leaves are flattened one after another."""
     design: Any = None
     """Design of the body, if it was found together with the controls."""
 
@@ -156,7 +156,7 @@ class Solution:
 
 
 def reason_to_stop(converged: bool, tried: int, iterations: int, gained: str) -> str:
-    """Reason why a damped search stopped, in words."""
+    """Reason why a damped search stopped, as text."""
     if converged:
         return gained
     if tried >= iterations:

@@ -60,7 +60,7 @@ def looped(unroller: Unroller, equation: Any, *arrays: Any) -> Any:
         if not known:
             return carry
         carry = unroller.run(loop.body, [*for_body, *carry])
-    raise NotUnrolled(f"a loop goes on for more than {MOST_ROUNDS} rounds")
+    raise NotUnrolled(f"a loop runs for more than {MOST_ROUNDS} rounds")
 
 
 @rule("cond")

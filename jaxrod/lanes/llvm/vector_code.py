@@ -126,7 +126,7 @@ class Writer:
         if not name or len(self.lines) - line > SHORT_MEMORY:
             found = self.load(self, node)
             if found is None:
-                raise AssertionError(f"node {node} is used before it is worked out")
+                raise AssertionError(f"node {node} is used before it is computed")
             name = found
             self.loaded[node] = name, len(self.lines)
         return name

@@ -34,7 +34,7 @@ MOST_LINES = 400_000
 
 
 class Storage:
-    """A region of the workspace that holds arrays one after the other."""
+    """A region of the workspace that holds arrays one after another."""
 
     def __init__(self, pointer: str, alignment: int = ALIGNMENT) -> None:
         """Makes an empty region.

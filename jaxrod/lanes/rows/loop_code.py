@@ -107,7 +107,7 @@ class RowWriter(Writer):
             return name
         place = self.schedule.ready.get(node)
         if place is None:
-            raise AssertionError(f"node {node} is used before it is worked out")
+            raise AssertionError(f"node {node} is used before it is computed")
         name = self._load_one(self._at(place), self.graph.kinds[node])
         self.numbers[node] = name
         return name
@@ -135,7 +135,7 @@ class RowWriter(Writer):
         if place is not None:
             return self._load(place, 0, row_major(graph.dims[node]), kind)
         if operation != "view":
-            raise AssertionError(f"node {node} is used before it is worked out")
+            raise AssertionError(f"node {node} is used before it is computed")
         (source,) = graph.arguments[node]
         place = schedule.place(source)
         assert place is not None, (source, graph.operations[source])

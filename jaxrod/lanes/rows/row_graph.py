@@ -225,7 +225,7 @@ class RowGraph(Graph):
         size: int,
         rounds: int,
     ) -> int:
-        """Returns a stored row with numbers combined into it, one after the other.
+        """Returns a stored row with numbers combined into it, one after another.
 
         Args:
             into: Node of the row.

@@ -168,7 +168,7 @@ def _attributes(number: int) -> list[int]:
         value = ctypes.c_int()
         status = _driver().cuDeviceGetAttribute(ctypes.byref(value), attribute, number)
         if status:
-            raise OSError(f"it does not know attribute {attribute} of GPU {number}")
+            raise OSError(f"attribute {attribute} of GPU {number} is unknown")
         found.append(value.value)
     return found
 

@@ -66,7 +66,7 @@ class WarpKernel:
     operations: int
     """Number of lines that compute something."""
     rounds: int
-    """Rounds of loops that a thread runs in a step, one after the other."""
+    """Rounds of loops that a thread runs in a step, one after another."""
     work: int
     """Operations on single numbers in a step of one scene."""
 

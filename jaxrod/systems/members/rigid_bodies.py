@@ -296,7 +296,7 @@ def _inertia(
     if inertia is None:
         if not filled:
             raise ValueError(
-                "inertia [kg m^2] is needed where the shape is no sphere, capsule, "
+                "inertia [kg m^2] is needed unless the shape is a sphere, capsule, "
                 "cylinder or box"
             )
         assert solid is not None and solid.gyration is not None

@@ -86,7 +86,7 @@ class ListingSystem:
 
     steps_of_end: ClassVar[int] = 1
     one_by_one: ClassVar[bool] = True
-    """Whether the systems of a batch are stepped one after the other, so that branches
+    """Whether the systems of a batch are stepped one after another, so that branches
     on the contents of lists stay branches."""
     stepper: SystemStepper | EvolvingSystem
     """The system's stepper, whose couplings have no lists yet."""
