@@ -1,7 +1,7 @@
 """The gallery: shows one scene, or runs all and writes docs/gallery.md.
 
 Each scene is a module here with `build() -> model, state, dt`, `run(share) -> replay,
-measured, reference`, a NUMBER in words and how to LOOK at it. The words of the page are
+measured, reference`, a NUMBER as text and how to LOOK at it. The words of the page are
 in gallery.toml. `python examples/gallery.py --help` lists what it can run.
 """
 

@@ -20,7 +20,7 @@ WORD = re.compile(
 FOLDERS = ("jaxrod", "envs", "training", "examples")
 PAGES = (
     *(ROOT / name for name in ("README.md", "CONTRIBUTING.md", "benchmarks/README.md")),
-    *(p for p in sorted((ROOT / "docs").glob("*.md")) if p.name not in RULES["unread"]),
+    *sorted((ROOT / "docs").glob("*.md")),
     *sorted((ROOT / "notebooks").glob("*.ipynb")),
 )
 STATEMENTS = (ast.stmt, ast.excepthandler, ast.match_case)
