@@ -15,6 +15,9 @@ require_sound_jax()
 
 T = TypeVar("T")
 
+PYTREES: set[type] = set()
+"""All classes that `pytree` has made."""
+
 Given = jax.typing.ArrayLike | Callable[[Any], Any]
 """A number, an array or a schedule, which is called with a clock."""
 
@@ -99,4 +102,5 @@ def pytree(cls: type[T]) -> type[T]:
     jax.tree_util.register_pytree_with_keys(
         frozen, flatten_with_keys, unflatten, flatten
     )
+    PYTREES.add(frozen)
     return frozen
