@@ -14,6 +14,7 @@ import math
 import os
 import re
 import zipfile
+from collections import Counter
 from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any, BinaryIO
@@ -34,7 +35,7 @@ from jaxrod.files import (
     whole,
     write_atomically,
 )
-from jaxrod.structure import PYTREES
+from jaxrod.structure import STORABLE
 
 VERSION = 1
 """Version of the format; a new meaning gets a new number."""
@@ -213,7 +214,7 @@ def _array(name: str, content: bytes) -> np.ndarray:
         raise ValueError(
             f"{name} must have {size} bytes for {dtype}{list(shape)}, got {len(data)}"
         )
-    if dtype.kind == "b" and any(set(data) - {0, 1}):
+    if dtype.kind == "b" and np.frombuffer(data, "u1").max(initial=0) > 1:
         raise ValueError(f"{name} has truth values that are neither 0 nor 1")
     return np.frombuffer(data, dtype).reshape(shape)
 
@@ -228,19 +229,17 @@ def _name(cls: type) -> str:
 
 
 def _own() -> dict[str, type]:
-    """Classes of jaxrod that have been imported, without those that share a name."""
-    found: dict[str, list[type]] = {}
-    for cls in PYTREES:
-        if (name := _name(cls)).startswith("jaxrod."):
-            found.setdefault(name, []).append(cls)
-    return {name: both[0] for name, both in found.items() if len(both) == 1}
+    """Classes of jaxrod that have been imported, but for those that share a name."""
+    counts = Counter(map(_name, STORABLE))
+    own = [cls for cls in STORABLE if cls.__module__.startswith("jaxrod.")]
+    return {_name(cls): cls for cls in own if counts[_name(cls)] == 1}
 
 
 def _given(classes: Iterable[type]) -> dict[str, type]:
     """Classes of the user by name."""
     found: dict[str, type] = {}
     for cls in classes:
-        if not isinstance(cls, type) or cls not in PYTREES:
+        if not isinstance(cls, type) or cls not in STORABLE:
             raise ValueError(
                 f"classes must be decorated with jaxrod.extend.pytree, got {cls!r:.80}"
             )
@@ -249,16 +248,13 @@ def _given(classes: Iterable[type]) -> dict[str, type]:
     return found
 
 
-def _check_static(cls: type, name: str, value: Any, where: str) -> None:
+def _check_field(field: dataclasses.Field[Any], value: Any, where: str) -> None:
     """Raises unless the value of a static field can be part of a structure."""
-    fields = {field.name: field for field in dataclasses.fields(cls)}  # type: ignore[arg-type]
-    if fields[name].metadata.get("static"):
-        try:
+    try:
+        if field.metadata.get("static"):
             hash(value)
-        except TypeError as error:
-            raise ValueError(
-                f"{where} is static and must be hashable, got {value!r:.80}"
-            ) from error
+    except TypeError:
+        raise ValueError(f"{where} must be hashable, got {value!r:.80}") from None
 
 
 class _Writer:
@@ -266,7 +262,8 @@ class _Writer:
 
     def __init__(self) -> None:
         self.arrays: dict[str, np.ndarray] = {}
-        self._named: dict[str, type] = {}
+        self._named = _own()
+        """Classes by the names they have in the file."""
 
     def node(self, value: Any, place: str) -> Any:
         """JSON for a value. The value's place is for names and messages."""
@@ -282,14 +279,14 @@ class _Writer:
             for key in value:
                 if type(key) is not str:
                     raise ValueError(f"thing{place} must have texts as keys: {key!r}")
-            nodes = {k: self.node(v, f"{place}[{k!r}]") for k, v in value.items()}
-            return {"dict": nodes}
+            by_key = {k: self.node(v, f"{place}[{k!r}]") for k, v in value.items()}
+            return {"dict": by_key}
         if isinstance(value, jax.Array):
             return self._jax_array(value, place)
         if kind is np.ndarray or isinstance(value, np.generic):
             tag = "numpy" if kind is np.ndarray else "scalar"
             return self._stored(tag, value, place)
-        if kind in PYTREES:
+        if kind in STORABLE:
             return self._instance(value, place)
         raise ValueError(
             f"thing{place} is {value!r:.80}, a {kind.__name__}, which a file of arrays "
@@ -300,8 +297,9 @@ class _Writer:
     def _instance(self, value: Any, place: str) -> dict[str, Any]:
         cls = type(value)
         name = _name(cls)
-        own = name.startswith("jaxrod.") and _own().get(name) is not cls
-        if own or self._named.setdefault(name, cls) is not cls:
+        if not name.startswith("jaxrod."):
+            self._named.setdefault(name, cls)
+        if self._named.get(name) is not cls:
             raise ValueError(
                 f"thing{place} is a {name}, a name that two classes share: rename one"
             )
@@ -309,7 +307,7 @@ class _Writer:
         for field in dataclasses.fields(cls):
             part, where = getattr(value, field.name), f"{place}.{field.name}"
             nodes[field.name] = self.node(part, where)
-            _check_static(cls, field.name, part, f"thing{where}")
+            _check_field(field, part, f"thing{where}")
         return {"class": name, "fields": nodes}
 
     def _jax_array(self, value: jax.Array, place: str) -> dict[str, Any]:
@@ -326,12 +324,11 @@ class _Writer:
     def _stored(self, kind: str, value: Any, place: str, **more: Any) -> dict[str, Any]:
         """JSON for an array, which is kept under the name that it gives."""
         array = np.asarray(value, order="C")
-        if array.dtype.kind == "V" and jnp.issubdtype(array.dtype, jnp.number):
-            # bfloat16 and similar, which NumPy cannot write.
-            more["dtype"] = array.dtype.name
-            array = array.view(f"u{array.itemsize}")
         if array.dtype.kind not in "biufc":
-            raise ValueError(f"thing{place} must have numbers, got {array.dtype}")
+            raise ValueError(
+                f"thing{place} must be numbers of one of NumPy's own types, got "
+                f"{array.dtype}"
+            )
         name = re.sub(r"[^A-Za-z0-9_]+", ".", place).strip(".")[:80] or "value"
         while name in self.arrays:
             name = f"{name}_{len(self.arrays)}"
@@ -370,21 +367,17 @@ class _Reader:
                 return _FLOATS[word]
             case {"class": str(name), "fields": dict(nodes), **rest} if not rest:
                 return self._instance(name, nodes, place)
-            case {"array": str(name), **rest} if rest.keys() <= {
-                "weak",
-                "key",
-                "dtype",
-            }:
+            case {"array": str(name), **rest} if rest.keys() <= {"weak", "key"}:
                 return self._jax_array(name, rest)
-            case {"numpy": str(name), **rest} if rest.keys() <= {"dtype"}:
-                return self._taken(name, rest).copy()
-            case {"scalar": str(name), **rest} if rest.keys() <= {"dtype"}:
-                return self._taken(name, rest)[()]
+            case {"numpy": str(name), **rest} if not rest:
+                return self._taken(name).copy()
+            case {"scalar": str(name), **rest} if not rest:
+                return self._taken(name)[()]
         raise ValueError(f"tree{place} is {node!r:.80}, which save never writes")
 
     def _instance(self, name: str, nodes: dict[str, Any], place: str) -> Any:
         cls = self._class(name)
-        fields = dataclasses.fields(cls)  # type: ignore[arg-type]
+        fields = dataclasses.fields(cls)
         for extra in sorted(nodes.keys() - {field.name for field in fields}):
             raise ValueError(f"tree{place} has {extra!r}, which {name} does not have")
         values = {}
@@ -392,7 +385,7 @@ class _Reader:
             where = f"{place}.{field.name}"
             if field.name in nodes:
                 values[field.name] = self.node(nodes[field.name], where)
-                _check_static(cls, field.name, values[field.name], f"tree{where}")
+                _check_field(field, values[field.name], f"tree{where}")
             # A field that is younger than the file has its default.
             elif field.default is field.default_factory is dataclasses.MISSING:
                 raise ValueError(f"tree{where}, which {name} needs, is missing")
@@ -405,31 +398,23 @@ class _Reader:
             self._classes = {**_own(), **self._given}
         if name in self._classes:
             return self._classes[name]
-        hint = f"if it is yours, call load(path, classes=[{name:.40}])"
+        hint = "a class of your own is given as load(path, classes=[...])"
         if name.startswith("jaxrod."):
-            space = ".".join(name.split(".")[:2])
-            hint = "it may be of a newer jaxrod"
-            if space.removeprefix("jaxrod.") in _FAR:
-                hint = f"import {space} before, or update jaxrod"
+            far = [f"import jaxrod.{n} first" for n in _FAR if n in name.split(".")]
+            hint = ", ".join([*far, "update jaxrod if the file is of a newer one"])
         raise UntrustedError(
             f"it has a {name:.80}, which is no class of jaxrod {jaxrod.__version__} "
             f"that is imported: {hint}"
         )
 
-    def _taken(self, name: str, rest: Mapping[str, Any]) -> np.ndarray:
-        """An array by its name, which may occur once."""
+    def _taken(self, name: str) -> np.ndarray:
+        """An array by its name, which occurs once."""
         if name not in self.arrays:
             raise ValueError(f"it lacks {name:.80}.npy")
-        array = self.arrays.pop(name)
-        if "dtype" not in rest:
-            return array
-        dtype = jnp.dtype(rest["dtype"])
-        if dtype.kind != "V" or array.dtype != f"u{dtype.itemsize}":
-            raise ValueError(f"{name}.npy cannot hold {dtype}")
-        return array.view(dtype)
+        return self.arrays.pop(name)
 
-    def _jax_array(self, name: str, rest: Mapping[str, Any]) -> Any:
-        array = self._taken(name, rest)
+    def _jax_array(self, name: str, rest: Mapping[Any, Any]) -> Any:
+        array = self._taken(name)
         if "key" in rest:
             return jax.random.wrap_key_data(jnp.asarray(array), impl=rest["key"])
         if array.dtype != jax.dtypes.canonicalize_dtype(array.dtype):
@@ -445,7 +430,7 @@ class _Reader:
 
 def _import_core() -> None:
     """Imports all public names of the core, whatever the file says."""
-    for name in sorted({*jaxrod.__all__, *jaxrod._NAMESPACES} - _FAR):
+    for name in sorted({*dir(jaxrod)} - _FAR):
         # A namespace may lack an optional package.
         with contextlib.suppress(AttributeError):
             getattr(jaxrod, name)

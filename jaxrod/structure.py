@@ -15,8 +15,8 @@ require_sound_jax()
 
 T = TypeVar("T")
 
-PYTREES: set[type] = set()
-"""All classes that `pytree` has made."""
+STORABLE: set[type] = set()
+"""Dataclasses that `jaxrod.save` may put into a file."""
 
 Given = jax.typing.ArrayLike | Callable[[Any], Any]
 """A number, an array or a schedule, which is called with a clock."""
@@ -61,6 +61,12 @@ def memory(**options: Any) -> Any:
     return dataclasses.field(metadata={"memory": True}, **options)
 
 
+def storable(cls: type[T]) -> type[T]:
+    """Lets `jaxrod.save` store a dataclass, as it does all pytrees."""
+    STORABLE.add(cls)
+    return cls
+
+
 @dataclass_transform(
     frozen_default=True,
     eq_default=False,
@@ -102,5 +108,4 @@ def pytree(cls: type[T]) -> type[T]:
     jax.tree_util.register_pytree_with_keys(
         frozen, flatten_with_keys, unflatten, flatten
     )
-    PYTREES.add(frozen)
-    return frozen
+    return storable(frozen)
