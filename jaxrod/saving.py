@@ -278,7 +278,9 @@ class _Writer:
         if kind is dict:
             for key in value:
                 if type(key) is not str:
-                    raise ValueError(f"thing{place} must have texts as keys: {key!r}")
+                    raise ValueError(
+                        f"thing{place} must have texts as keys, got {key!r}"
+                    )
             by_key = {k: self.node(v, f"{place}[{k!r}]") for k, v in value.items()}
             return {"dict": by_key}
         if isinstance(value, jax.Array):
