@@ -18,11 +18,13 @@ TITLES = {
     "loaded_rod": "Methods",
     "methods": "Methods",
     "rods": "Rods",
+    "saving": "Saved files and precision",
     "scene": "Scenes",
     "statics": "Equilibria",
     "stepping": "Stepping",
     "systems": "Systems of rods and bodies",
     "tradeoff": "Speed for accuracy",
+    "validation": "Saved files and precision",
 }
 PACKAGES = {
     "jaxrod.actuation": "Actuation",

@@ -277,7 +277,7 @@ class _Writer:
             return nodes if kind is list else {"tuple": nodes}
         if kind is dict:
             for key in value:
-                if type(key) is not str:
+                if not isinstance(key, str):
                     raise ValueError(
                         f"thing{place} must have texts as keys, got {key!r}"
                     )
@@ -403,10 +403,10 @@ class _Reader:
         hint = "a class of your own is given as load(path, classes=[...])"
         if name.startswith("jaxrod."):
             far = [f"import jaxrod.{n} first" for n in _FAR if n in name.split(".")]
-            hint = ", ".join([*far, "update jaxrod if the file is of a newer one"])
+            hint = ", or ".join([*far, "update jaxrod if the file is of a newer one"])
         raise UntrustedError(
-            f"it has a {name:.80}, which is no class of jaxrod {jaxrod.__version__} "
-            f"that is imported: {hint}"
+            f"it has the class {name!r:.80}, which is none of those imported by jaxrod "
+            f"{jaxrod.__version__}: {hint}"
         )
 
     def _taken(self, name: str) -> np.ndarray:

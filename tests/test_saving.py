@@ -52,7 +52,17 @@ def check_kept(thing, folder, classes=()):
     return found
 
 
-@pytest.mark.parametrize("name", FACTORIES)
+SLOW = {"spline_couples", "scale_inertia", "stable_dt", "writhe", "twist", "link"}
+"""Functions that compute for long; of what they make, other cases have all."""
+
+
+@pytest.mark.parametrize(
+    "name",
+    [
+        pytest.param(name, marks=[pytest.mark.slow] * (name in SLOW))
+        for name in FACTORIES
+    ],
+)
 def test_what_every_public_factory_makes_is_kept(name, tmp_path):
     for case in FACTORIES[name]:
         given = dict(case)
@@ -85,8 +95,8 @@ def test_every_method_is_kept(tmp_path):
         check_kept(pair_scenes.method_of(kind), tmp_path)
 
 
-@pytest.mark.fast_sets(2)
-@pytest.mark.parametrize("seed", [2, 3, 0, 1, *range(4, 20)])
+@pytest.mark.fast_sets(1)
+@pytest.mark.parametrize("seed", [3, *range(3), *range(4, 20)])
 def test_random_systems_are_kept(seed, tmp_path):
     kind = pair_system_kinds.random_system(np.random.default_rng(seed))
     check_kept(pair_systems.system_in(View(), kind, seed), tmp_path)
@@ -169,10 +179,14 @@ def test_a_loaded_scene_takes_the_same_steps(tmp_path):
 
 def test_a_rollout_and_an_equilibrium_are_kept(tmp_path):
     scene, state = swinging()
-    check_kept(jaxrod.rollout(scene, state, 1e-4, 6, every=3), tmp_path)
     moment = scene.at(1.0)
     shapes = jax.eval_shape(
-        lambda s: (jaxrod.equilibrium(moment, s), jaxrod.health(moment, s, 1e-4)), state
+        lambda s: (
+            jaxrod.rollout(scene, s, 1e-4, 6, every=3),
+            jaxrod.equilibrium(moment, s),
+            jaxrod.health(moment, s, 1e-4),
+        ),
+        state,
     )
     zeros = jax.tree.map(lambda leaf: jnp.zeros(leaf.shape, leaf.dtype), shapes)
     check_kept(zeros, tmp_path)
@@ -215,7 +229,9 @@ def test_classes_of_your_own_are_given_to_load(tmp_path):
     mine = dataclasses.replace(scene, effects=(*scene.effects, breeze))
     check_kept(mine, tmp_path, [Breeze])
     path = tmp_path / "thing.jaxrod"
-    with pytest.raises(ValueError, match=r"thing\.jaxrod: it has a Breeze.*classes="):
+    with pytest.raises(
+        ValueError, match=r"thing\.jaxrod: it has the class 'Breeze'.*classes="
+    ):
         jaxrod.load(path)
     with pytest.raises(ValueError, match=r"decorated with jaxrod\.extend\.pytree"):
         jaxrod.load(path, [dict])
@@ -358,7 +374,7 @@ def test_64_bits_are_not_rounded_on_the_way(tmp_path):
         assert jaxrod.load(path).dtype == np.float64
 
 
-@pytest.mark.parametrize("wide", [False, True])
+@pytest.mark.parametrize("wide", [True, pytest.param(False, marks=pytest.mark.slow)])
 def test_a_scene_in_another_precision_steps(wide):
     scene, state = swinging()
     wanted = jaxrod.advance(scene, state, 1e-4, 20)
