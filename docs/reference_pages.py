@@ -58,6 +58,11 @@ PAGES = (
         ("lanes",),
     ),
     Page(
+        "Saving",
+        "Keeps scenes, systems and states in files, and changes their precision.",
+        ("saving", "validation"),
+    ),
+    Page(
         "Installation", "Sets up the processor before JAX computes.", ("installation",)
     ),
     Page(

@@ -71,6 +71,8 @@ from jaxrod.rods.sections import circle as circle
 from jaxrod.rods.sections import ellipse as ellipse
 from jaxrod.rods.sections import rectangle as rectangle
 from jaxrod.rods.sections import tube as tube
+from jaxrod.saving import load as load
+from jaxrod.saving import save as save
 from jaxrod.scene import Scene as Scene
 from jaxrod.scene import make_scene as make_scene
 from jaxrod.statics.equilibrium import Equilibrium as Equilibrium
@@ -86,5 +88,6 @@ from jaxrod.systems.system import make_system as make_system
 from jaxrod.tradeoff.resampling import resample as resample
 from jaxrod.tradeoff.tuning import Tuned as Tuned
 from jaxrod.tradeoff.tuning import tune as tune
+from jaxrod.validation import astype as astype
 
 __version__: str

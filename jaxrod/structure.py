@@ -15,6 +15,9 @@ require_sound_jax()
 
 T = TypeVar("T")
 
+STORABLE: set[type] = set()
+"""Dataclasses that `jaxrod.save` may put into a file."""
+
 Given = jax.typing.ArrayLike | Callable[[Any], Any]
 """A number, an array or a schedule, which is called with a clock."""
 
@@ -91,6 +94,12 @@ def memory(**options: Any) -> Any:
     return dataclasses.field(metadata={"memory": True}, **options)
 
 
+def storable(cls: type[T]) -> type[T]:
+    """Lets `jaxrod.save` store a dataclass, as it does all pytrees."""
+    STORABLE.add(cls)
+    return cls
+
+
 @dataclass_transform(
     frozen_default=True,
     eq_default=False,
@@ -143,4 +152,4 @@ def pytree(cls: type[T]) -> type[T]:
     jax.tree_util.register_pytree_with_keys(
         frozen, flatten_with_keys, unflatten, flatten
     )
-    return frozen
+    return storable(frozen)

@@ -296,6 +296,44 @@ def in_type(dtype: Any, name: str, tree: Any) -> Any:
     return jax.tree_util.tree_map_with_path(cast, tree)
 
 
+def astype(tree: Any, dtype: Any) -> Any:
+    """A scene, a system, a state or another pytree in another precision.
+
+    All arrays of floating-point numbers are converted; integers, Python's own numbers
+    and structure stay. Numbers that were rounded to float32 remain so in float64: make
+    a scene in float64 from the start where its parameters have to be exact.
+
+    Args:
+        tree: Any pytree.
+        dtype: float32 or float64; `None` for JAX's default.
+
+    Raises:
+        ValueError: If the dtype is another one, or cannot hold a number; the message
+            names its place.
+
+    Example:
+        >>> import jax, jax.numpy as jnp, jaxrod
+        >>> single = jaxrod.end_load(force=jnp.asarray([0.0, 0.5, 2.0], jnp.float32))
+        >>> with jax.enable_x64(True):
+        ...     jaxrod.astype(single, jnp.float64).force.dtype
+        dtype('float64')
+    """
+    kind = check_dtype(dtype)
+
+    def cast(path: Any, leaf: Any) -> Any:
+        given = getattr(leaf, "dtype", np.dtype(bool))
+        if given == kind or not jnp.issubdtype(given, jnp.floating):
+            return leaf
+        if not is_traced(leaf):
+            values = np.asarray(leaf, np.float64)
+            # States that are not finite stay so.
+            finite = np.where(np.isfinite(values), values, 0)
+            check_held(f"tree{jax.tree_util.keystr(path)}", finite, "", kind)
+        return jnp.asarray(leaf, kind)
+
+    return jax.tree_util.tree_map_with_path(cast, tree)
+
+
 def numeric(name: str, value: Any, unit: str = "") -> Any:
     """Converts numbers and arrays, also in lists and tuples, to one array.
 

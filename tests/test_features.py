@@ -496,6 +496,19 @@ def test_an_arm_rests_where_its_loads_balance():
     assert np.max(np.abs(fallen.state["arm"].velocities)) < 1e-3
 
 
+@runs("save", "load", "astype")
+def test_a_saved_arm_takes_the_same_step(tmp_path):
+    scene, state = arm()
+    jaxrod.save(tmp_path / "arm.jaxrod", (scene, state))
+    found, start = jaxrod.load(tmp_path / "arm.jaxrod")
+    wanted = jaxrod.advance(scene, state, 2e-4, 20)
+    kept = jaxrod.advance(found, start, 2e-4, 20)
+    np.testing.assert_array_equal(kept.positions, wanted.positions)
+    single = jaxrod.astype(kept, jnp.float32)
+    assert single.velocities.dtype == jnp.float32
+    close(single.positions, wanted.positions, rtol=1e-6, atol=1e-7)
+
+
 @runs("tune")
 def test_tune_returns_a_setting_within_the_tolerance(monkeypatch):
     scene, state = arm()

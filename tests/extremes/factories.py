@@ -104,7 +104,7 @@ def wrong_cases() -> list[Case]:
         for argument in arguments:
             if argument in ("dt", "tolerance"):
                 cases += [Case(function, argument, k, SCALARS[k]) for k in WRONG]
-    for function in ("straight_rod", "rod_along", "control_spline"):
+    for function in ("straight_rod", "rod_along", "control_spline", "astype"):
         cases += [Case(function, "dtype", k, v) for k, v in DTYPES.items()]
     ended = ("clamp", "fixed_end", "end_load", "hinge_support", "driven")
     for function in (*ended, "support_force", "support_couple"):
@@ -147,6 +147,7 @@ def call(case: Case) -> Any:
             "straight_rod": NUMERIC["straight_rod"],
             "rod_along": NUMERIC["rod_along"],
             "control_spline": {"controls": 4},
+            "astype": {"tree": known["state"]},
             "end_load": {},
             "clamp": {"state": ...},
             "fixed_end": {"state": ...},

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
 from jaxrod.geometry.rotations import Quaternion, split_quaternion
 from jaxrod.rods.rod import Layout
-from jaxrod.structure import pytree, static
+from jaxrod.structure import pytree, static, storable
 from jaxrod.systems.sites.coupling import AllParts, check_named
 from jaxrod.validation import check_count, is_traced
 
@@ -19,8 +20,13 @@ Place = Sequence[Any]
 points. A place within a rod has the orientation of the element after the node."""
 
 
+@storable
+@dataclass(init=False, repr=False, eq=False)
 class Indices:
     """Static integers: hashable, and compared by value."""
+
+    values: np.ndarray
+    """The integers; they cannot be changed."""
 
     def __init__(self, values: Any) -> None:
         """Keeps a copy of the integers."""
