@@ -7,6 +7,7 @@ links between pages hold in the repository and on the site alike.
 
 from __future__ import annotations
 
+import dataclasses
 import inspect
 import re
 import sys
@@ -52,6 +53,8 @@ suppress_warnings = ["myst.header"]
 
 autodoc_member_order = "bysource"
 autodoc_typehints = "signature"
+# Overloads are evaluated; these names stay as they are.
+autodoc_type_aliases = {"ArrayLike": "ArrayLike", "Numbers": "Numbers"}
 default_role = "code"
 
 html_theme = "sphinx_book_theme"
@@ -83,6 +86,9 @@ def signature_as_written(
         signature = signature.replace(parameters=kept)
     if what == "class":
         signature = signature.replace(return_annotation=signature.empty)
+    if dataclasses.is_dataclass(thing):  # Its fields follow with their types.
+        kept = [p.replace(annotation=p.empty) for p in signature.parameters.values()]
+        signature = signature.replace(parameters=kept)
     whole = stringify_signature(signature, unqualified_typehints=True)
     bare = signature.replace(return_annotation=signature.empty)
     arguments = stringify_signature(bare, unqualified_typehints=True)
