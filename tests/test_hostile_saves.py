@@ -175,7 +175,7 @@ STRUCTURES = {
     "a tuple of none": (put({"tuple": 3}), "never writes"),
     "a float of no kind": (put({"float": "1e5"}), "never writes"),
     "no tree": (lambda text: '{"format":"jaxrod","version":1,"jaxrod":"0"}', "'tree'"),
-    "NaN": (lambda text: text.replace("0.5", "NaN"), "NaN is no JSON"),
+    "NaN": (lambda text: text.replace("0.5", "NaN"), "NaN is not JSON"),
     "a number beyond floats": (lambda text: text.replace("0.5", "1e999"), "is inf"),
     "a number of many digits": (lambda text: text.replace("0.5", "9" * 5000), "digits"),
     "a key twice": (lambda text: '{"format":"x",' + text[1:], "'format' twice"),
@@ -295,7 +295,7 @@ def test_random_damage_ends_in_a_value_error_or_the_same_thing(path):
 
 def test_pipes_and_folders_are_not_read(path):
     os.mkfifo(path.parent / "pipe")
-    with pytest.raises(ValueError, match="pipe is damaged: it is no plain file"):
+    with pytest.raises(ValueError, match="pipe is damaged: it is not a plain file"):
         jaxrod.load(path.parent / "pipe")
     with pytest.raises(IsADirectoryError):
         jaxrod.load(path.parent)
