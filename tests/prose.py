@@ -11,7 +11,7 @@ LEFT_OUT = re.compile(
     r"\s*(#|\||!\[|\[[^\]]+\]:|---+\s*$|===+\s*$|<|\([\w-]+\)=\s*$|Measured on:)"
 )
 ITEM = re.compile(r"^\s*([-*+]|\d+[.)])\s+")
-END = re.compile(r"(?<=[.!?])[\"')*_]*\s+(?=[\"'(*_\[]*[A-Z0-9`])")
+END = re.compile(r"(?<=[.!?])[\"')*_]*\s+(?=[\"'(*_\[]*(?:[A-Z0-9`]|jaxrod))")
 
 
 def blank(found):

@@ -123,8 +123,8 @@ def markdown(reports: list[GradientReport]) -> str:
         lines.append(f"| memory of a gradient, {steps} steps [kB] | {rooms} |")
     lines += [
         "",
-        "Singular values of the tip's derivative by the controls until then [m], and "
-        "the largest by the smallest:",
+        "Singular values of the tip's derivative with respect to the controls so far "
+        "[m], and the ratio of the largest to the smallest:",
         "",
         "| horizon [s] | " + " | ".join(names) + " |",
         "|---:|" + "---|" * len(names),
