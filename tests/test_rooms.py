@@ -92,7 +92,7 @@ def drawn_lines():
 
 
 def test_rooms_import_as_they_are_drawn():
-    """From their own line and those below; the root package and its main are left out."""
+    """From their own line and those below, but for the root package and its main."""
     line = drawn_lines()
 
     def place(module):
