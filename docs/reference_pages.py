@@ -150,7 +150,9 @@ import numpy as np
 
 import jaxrod
 from jaxrod import actuation, assemblies, extend, fluids, schedules
+from jaxrod import control, envs, sensors, training, twin, viz
 from jaxrod import shapes, systems, topology, tradeoff
+from jaxrod.control import estimation
 
 rod, state = jaxrod.straight_rod(
     10,

@@ -57,6 +57,14 @@ def check_environment(env: Environment) -> None:
     Raises:
         ValueError: They are not what `Environment` promises, or a method raises, with
             that exception as the cause.
+
+    Example:
+        >>> env = envs.make("trivial")
+        >>> envs.check_environment(env)
+        >>> envs.check_environment(replace(env, observation_size=2))
+        Traceback (most recent call last):
+            ...
+        ValueError: the observation of reset of trivial must be an array of ...
     """
     check_facts(env)
     params = _called("default_params", env, env.default_params)

@@ -24,7 +24,22 @@ from jaxrod.structure import pytree
 
 @runtime_checkable
 class MemoryPolicy(Protocol):
-    """A policy with memory; see the module docstring. Like every policy, a pytree."""
+    """A policy with memory; see the module docstring. Like every policy, a pytree.
+
+    Example:
+        >>> @extend.pytree
+        ... class Integral:
+        ...     gain: jax.Array
+        ...
+        ...     def init(self, observation, state):
+        ...         return jnp.zeros_like(observation)
+        ...
+        ...     def act(self, memory, observation, state):
+        ...         total = memory + observation
+        ...         return -self.gain * total, total
+        >>> isinstance(Integral(0.5), envs.MemoryPolicy)
+        True
+    """
 
     def init(self, observation: Float[Array, "batch observation"], state: Any) -> Any:
         """Initial memory of a batch of episodes.
@@ -69,13 +84,29 @@ def has_memory(policy: Any) -> TypeGuard[MemoryPolicy]:
 
 
 def remembering(policy: Callable[[Array], Array] | MemoryPolicy) -> MemoryPolicy:
-    """Returns a policy of either kind as a policy with memory."""
+    """Returns a policy of either kind as a policy with memory.
+
+    Example:
+        >>> policy = envs.remembering(lambda observation: -observation)
+        >>> seen = jnp.array([[0.5]])  # a batch of one
+        >>> action, memory = policy.act(policy.init(seen, None), seen, None)
+        >>> action.tolist(), memory is None
+        ([[-0.5]], True)
+    """
     return policy if has_memory(policy) else WithoutMemory(policy)
 
 
 @pytree
 class OneEpisode:
-    """A policy of either kind for one episode: no leaf has a batch axis."""
+    """A policy of either kind for one episode: no leaf has a batch axis.
+
+    Example:
+        >>> policy = envs.OneEpisode(lambda observation: -5.0 * observation)
+        >>> seen = jnp.array([0.1])  # one observation, not a batch
+        >>> action, memory = policy.act(policy.init(seen, None), seen, None)
+        >>> action.tolist()
+        [-0.5]
+    """
 
     policy: Any
     """Function of one observation, or a `MemoryPolicy`."""
@@ -97,7 +128,15 @@ class OneEpisode:
 
 
 def held_for(policy: Any) -> int:
-    """Number of control steps for which a policy's action is held; 1 by default."""
+    """Number of control steps for which a policy's action is held; 1 by default.
+
+    Example:
+        >>> envs.held_for(lambda observation: -observation)
+        1
+        >>> slow = training.PPOConfig(action_repeat=4)
+        >>> envs.held_for(training.untrained_policy(envs.make("trivial"), config=slow))
+        4
+    """
     return getattr(policy, "action_repeat", 1)
 
 

@@ -44,6 +44,17 @@ class Environment(Protocol):
 
     Implementations are usually frozen dataclasses whose fields are structure
     (counts, names, flags), so that equal environments share compiled programs.
+
+    Example:
+        >>> env = envs.make("trivial")  # a point on a line is to be moved to zero
+        >>> params = env.default_params()
+        >>> observation, start = env.reset(jax.random.key(0), params)
+        >>> action = jnp.clip(-observation / params.stride, -1.0, 1.0)
+        >>> closer, after, reward, terminated, truncated, info = env.step(
+        ...     jax.random.key(1), start, action, params
+        ... )
+        >>> bool(abs(closer[0]) < abs(observation[0]))
+        True
     """
 
     @property
@@ -105,7 +116,16 @@ class Environment(Protocol):
 
 
 class Drawable(Environment, Protocol):
-    """An environment that can be drawn; training and evaluation do not need this."""
+    """An environment that can be drawn; training and evaluation do not need this.
+
+    Example:
+        >>> env = envs.make("tracking")
+        >>> params = env.default_params()
+        >>> observation, start = jax.eval_shape(env.reset, jax.random.key(0), params)
+        >>> seen = jax.eval_shape(env.snapshot, start, params)
+        >>> seen.positions.shape, round(1e3 * env.control_period, 2)  # nodes, [ms]
+        ((3, 21), 1.4)
+    """
 
     @property
     def control_period(self) -> float:
@@ -127,6 +147,15 @@ class Plannable(Environment, Protocol):
     are pure and differentiable. They do not foresee random events, so a plan knows no
     more than an agent could. `jaxrod.control.mpc` takes such an environment; it needs
     `residuals` only for planning by Gauss-Newton.
+
+    Example:
+        >>> env = envs.make("tracking")
+        >>> params = env.default_params()
+        >>> observation, start = jax.eval_shape(env.reset, jax.random.key(0), params)
+        >>> action = jnp.zeros(env.action_size)
+        >>> later = jax.eval_shape(env.predict, start, action, params)
+        >>> jax.eval_shape(env.cost, later, action, params).shape
+        ()
     """
 
     def predict(
@@ -172,6 +201,11 @@ class Channel(NamedTuple):
 
     An environment may have `observation_channels` and `action_channels`, tuples of
     these in order. Policies that are exported carry them along.
+
+    Example:
+        >>> env = envs.make("trivial")
+        >>> env.observation_channels[0]
+        Channel(size=1, name='position', unit='m')
     """
 
     size: int
@@ -194,6 +228,12 @@ class Snapshot:
 
     Shapes are those of one moment; `jax.vmap` puts a frame axis first. Everything but
     the nodes and the centres of the spheres stays constant during an episode.
+
+    Example:
+        >>> goal = (1.0, 0.0, 0.3), 0.05  # centre and radius [m]
+        >>> seen = envs.Snapshot(state.positions, rod.radii, spheres=(goal,))
+        >>> seen.positions.shape, len(seen.spheres), seen.up
+        ((3, 11), 1, 'z')
     """
 
     positions: Float[Array, "*rods 3 n+1"]

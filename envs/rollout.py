@@ -25,7 +25,18 @@ from jaxrod.validation import check_count
 
 @pytree
 class Rollout:
-    """Results of a rollout, with the reward of every control step."""
+    """Results of a rollout, with the reward of every control step.
+
+    Example:
+        >>> env = envs.make("trivial")
+        >>> params = env.default_params()
+        >>> start = env.reset(jax.random.key(0), params)
+        >>> result = envs.rollout(env, start, jnp.zeros((30, 1)), params)
+        >>> result.reward.shape, bool(result.running[18]), bool(result.running[19])
+        ((30,), True, False)
+        >>> env.episode_length
+        20
+    """
 
     observation: Float[Array, " observation"]
     """Last observation."""
@@ -72,6 +83,14 @@ def rollout(
 
     Raises:
         ValueError: `steps` is missing, below 1, or not the number of the actions.
+
+    Example:
+        >>> env = envs.make("trivial")
+        >>> params = env.default_params()
+        >>> start = env.reset(jax.random.key(0), params)
+        >>> result = envs.rollout(env, start, lambda seen: -5.0 * seen, params, steps=9)
+        >>> round(float(abs(result.observation[0])), 3)  # it arrives
+        0.0
     """
     given = None if callable(act) or has_memory(act) else jnp.asarray(act)
     if given is not None:

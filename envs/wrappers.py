@@ -21,7 +21,15 @@ from jaxrod.structure import pytree
 
 @pytree
 class VectorState:
-    """State of a batch of self-restarting environments; every leaf is batched."""
+    """State of a batch of self-restarting environments; every leaf is batched.
+
+    Example:
+        >>> env = envs.make("trivial")
+        >>> batch, params = envs.VectorEnvironment(env), env.default_params()
+        >>> start = batch.reset(jax.random.key(0), 4, params, phase=5)
+        >>> start.elapsed.tolist(), start.partial.tolist()
+        ([5, 5, 5, 5], [True, True, True, True])
+    """
 
     keys: Key[Array, " num_envs"]
     """One random key per environment, which never changes."""
@@ -42,7 +50,16 @@ class VectorState:
 
 @pytree
 class EpisodeRecord:
-    """Results of the episodes that end in a step."""
+    """Results of the episodes that end in a step.
+
+    Example:
+        >>> env = envs.make("trivial", episode_length=1)
+        >>> batch, params = envs.VectorEnvironment(env), env.default_params()
+        >>> start = batch.reset(jax.random.key(0), 2, params)
+        >>> after, step = batch.step(start, jnp.zeros((2, 1)), params)
+        >>> step.episodes.finished.tolist(), step.episodes.length.tolist()
+        ([True, True], [1, 1])
+    """
 
     finished: Bool[Array, "*batch"]
     """Whether a complete episode ended in this step; the other fields are valid where
@@ -57,7 +74,18 @@ class EpisodeRecord:
 
 @pytree
 class VectorStep:
-    """Results of one step of the batch; every leaf is batched."""
+    """Results of one step of the batch; every leaf is batched.
+
+    Example:
+        >>> env = envs.make("trivial", episode_length=1)
+        >>> batch, params = envs.VectorEnvironment(env), env.default_params()
+        >>> start = batch.reset(jax.random.key(0), 2, params)
+        >>> after, step = batch.step(start, jnp.zeros((2, 1)), params)
+        >>> step.truncated.tolist()
+        [True, True]
+        >>> bool((step.observation != step.final_observation).all())  # both began again
+        True
+    """
 
     observation: Float[Array, "num_envs observation"]
     """Observations to act on next: those after the restart of the ended episodes."""
@@ -90,6 +118,14 @@ class VectorEnvironment:
     truncates the episode there. Its final observation is the one before the step. A
     broken environment never affects the others: their results are the same to the last
     bit.
+
+    Example:
+        >>> env = envs.make("trivial")
+        >>> batch, params = envs.VectorEnvironment(env), env.default_params()
+        >>> start = batch.reset(jax.random.key(0), 4, params)
+        >>> after, step = batch.step(start, jnp.zeros((4, 1)), params)
+        >>> step.observation.shape, step.reward.shape
+        ((4, 1), (4,))
     """
 
     env: Environment
@@ -294,6 +330,14 @@ class ActionRepeat(EnvironmentWrapper):
 
     Raises:
         ValueError: If `times` is below 1.
+
+    Example:
+        >>> env = envs.ActionRepeat(envs.make("trivial"), times=4)
+        >>> params = env.default_params()
+        >>> observation, start = env.reset(jax.random.key(0), params)
+        >>> step = env.step(jax.random.key(1), start, jnp.array([0.1]), params)
+        >>> int(step[-1]["control_steps"])
+        4
     """
 
     env: Environment

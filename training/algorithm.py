@@ -29,6 +29,12 @@ class Metrics:
         scalars: Named numbers, the same on every device.
         episodes: The complete episodes that ended, shape (steps, num_envs), in
             chronological order.
+
+    Example:
+        >>> none = envs.EpisodeRecord(*jnp.zeros((4, 8, 16)))  # 8 steps of 16
+        >>> metrics = training.Metrics({"loss": jnp.array(0.25)}, none)
+        >>> float(metrics.scalars["loss"]), metrics.episodes.length.shape
+        (0.25, (8, 16))
     """
 
     scalars: dict[str, Array]
@@ -39,6 +45,11 @@ def steps_per_update(config: Any) -> int:
     """Control steps of one update: num_envs * rollout_steps * action_repeat.
 
     For configurations with these three fields, as every `LearnerConfig` has.
+
+    Example:
+        >>> config = training.PPOConfig(num_envs=64, rollout_steps=32, action_repeat=4)
+        >>> training.steps_per_update(config)
+        8192
     """
     return config.num_envs * config.rollout_steps * config.action_repeat
 
@@ -48,6 +59,15 @@ def mean_over_devices(tree: Any, axis_name: str | None) -> Any:
 
     Leaves of one dtype are exchanged as one array: on a network the number of exchanges
     costs more than their content.
+
+    Example:
+        >>> mean = jax.vmap(
+        ...     lambda slope: training.mean_over_devices(slope, "env"), axis_name="env"
+        ... )
+        >>> mean(jnp.array([1.0, 3.0])).tolist()
+        [2.0, 2.0]
+        >>> training.mean_over_devices(3.0, None)  # no devices to share with
+        3.0
     """
     if axis_name is None:
         return tree
@@ -81,6 +101,13 @@ class Algorithm:
 
     For `--resume` and `jaxrod evaluate` to find it again, it has to be a variable of a
     module that can be imported: it is recorded as `module:NAME`.
+
+    Example:
+        >>> learner = training.find_algorithm("ppo")
+        >>> learner is training.PPO, learner.config_type.__name__
+        (True, 'PPOConfig')
+        >>> learner.steps_per_update(learner.config_type(num_envs=64, rollout_steps=32))
+        2048
     """
 
     name: str
@@ -139,7 +166,12 @@ _ALGORITHMS = {
 
 
 def algorithm_names() -> tuple[str, ...]:
-    """Returns the names that `find_algorithm` knows, sorted."""
+    """Returns the names that `find_algorithm` knows, sorted.
+
+    Example:
+        >>> training.algorithm_names()
+        ('dagger', 'ddpg', 'ppo', 'sac', 'shac', 'td3', 'trpo')
+    """
     return tuple(sorted(_ALGORITHMS))
 
 
@@ -158,6 +190,10 @@ def find_algorithm(name: str, trust: Collection[str] | None = None) -> Algorithm
             `Algorithm`.
         UntrustedError: A file names it, and it is not trusted.
         ImportError: The import path leads to nothing.
+
+    Example:
+        >>> training.find_algorithm("sac") is training.SAC
+        True
     """
     if name not in _ALGORITHMS and ":" not in name:
         known = ", ".join(algorithm_names())

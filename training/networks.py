@@ -204,7 +204,18 @@ def layers(params: Mapping[str, Any]) -> tuple[tuple[Array, Array], ...]:
 
 @pytree
 class NetworkPolicy:
-    """A user's network on normalised observations."""
+    """A user's network on normalised observations.
+
+    Example:
+        >>> from flax import linen
+        >>> def network(role, outputs):
+        ...     hidden = linen.Dense(32), linen.relu
+        ...     return linen.Sequential([*hidden, linen.Dense(outputs)])
+        >>> config = training.PPOConfig(network=network)
+        >>> policy = training.untrained_policy(envs.make("trivial"), config=config)
+        >>> type(policy).__name__, policy.action_size
+        ('NetworkPolicy', 1)
+    """
 
     moments: RunningMoments
     """Mean and variance for normalising observations."""

@@ -26,6 +26,13 @@ class Policy(Protocol):
     A callable pytree of plain arrays, made by an `Algorithm`. If it has an attribute
     `action_repeat`, evaluations and replays hold its actions for that number of control
     steps.
+
+    Example:
+        >>> env = envs.make("trivial")
+        >>> sizes = training.untrained_policy(env)
+        >>> policy = jax.tree.map(lambda leaf: jnp.ones(leaf.shape), sizes)
+        >>> policy(jnp.zeros((5, 1))).shape  # five observations at once
+        (5, 1)
     """
 
     def __call__(
@@ -36,7 +43,13 @@ class Policy(Protocol):
 
 @pytree
 class MLPPolicy:
-    """Multilayer perceptron on normalised observations; needs no framework."""
+    """Multilayer perceptron on normalised observations; needs no framework.
+
+    Example:
+        >>> policy = training.untrained_policy(envs.make("tracking"))
+        >>> [kernel.shape for kernel, bias in policy.layers]
+        [(44, 64), (64, 64), (64, 12)]
+    """
 
     moments: RunningMoments
     """Mean and variance for normalising observations."""

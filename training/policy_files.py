@@ -54,6 +54,14 @@ def save_policy(
         policy: An `MLPPolicy`, or any other pytree of arrays.
         folder: Folder of the files; created if missing.
         about: Further facts for the JSON file, such as the task.
+
+    Example:
+        >>> from pathlib import Path
+        >>> sizes = training.untrained_policy(envs.make("trivial"))
+        >>> policy = jax.tree.map(lambda leaf: jnp.ones(leaf.shape), sizes)
+        >>> training.save_policy(policy, "policy", about={"task": "trivial"})
+        >>> sorted(file.name for file in Path("policy").iterdir())
+        ['policy.json', 'policy.npz']
     """
     folder = Path(folder)
     folder.mkdir(parents=True, exist_ok=True)
@@ -85,6 +93,14 @@ def load_policy(folder: str | Path, like: Any = None) -> Any:
         ValueError: The folder holds no policy, or one of another format or structure;
             or a file is damaged or holds something that cannot be a policy. The message
             names the file.
+
+    Example:
+        >>> sizes = training.untrained_policy(envs.make("trivial"))
+        >>> policy = jax.tree.map(lambda leaf: jnp.ones(leaf.shape), sizes)
+        >>> training.save_policy(policy, "policy")
+        >>> again = training.load_policy("policy")
+        >>> bool((again(jnp.ones(1)) == policy(jnp.ones(1))).all())
+        True
     """
     folder = Path(folder)
     texts, numbers = folder / "policy.json", folder / "policy.npz"

@@ -103,6 +103,14 @@ def actuated_arm(
 
     Raises:
         ValueError: If an argument is out of range.
+
+    Example:
+        >>> arm = envs.actuated_arm(10, n_controls=4)
+        >>> arm.control_shape, arm.scene.rod.n_elements
+        ((2, 4), 10)
+        >>> bent = arm.with_controls(jnp.ones(arm.control_shape))
+        >>> len(bent.effects) - len(arm.scene.effects)  # the muscles
+        1
     """
     rod, state = clean_rod(n_elements, (0.0, 0.0, 0.0), "y", dtype)
     damping = exponential_damping(

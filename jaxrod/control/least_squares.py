@@ -46,7 +46,13 @@ MOST_DAMPING = 1e12
 
 @pytree
 class LeastSquares:
-    """The best point that was found, and the history of the search."""
+    """The best point that was found, and the history of the search.
+
+    Example:
+        >>> found = control.least_squares(lambda x: x**2 - 4.0, jnp.array(1.0))
+        >>> round(float(found.solution), 3), bool(found.converged)
+        (2.0, True)
+    """
 
     solution: Any
     """Unknowns at the best point, a tree like the start."""
@@ -221,6 +227,14 @@ def least_squares(
 
     Raises:
         ValueError: `mode` is unknown, or there are no unknowns.
+
+    Example:
+        >>> def rosenbrock(point):
+        ...     x, y = point
+        ...     return 10.0 * (y - x**2), 1.0 - x
+        >>> found = control.least_squares(rosenbrock, jnp.array([-1.0, 1.0]))
+        >>> print(found.solution.round(3), found.converged)
+        [1. 1.] True
     """
     if mode not in (None, "forward", "reverse"):
         raise ValueError(f'mode must be "forward" or "reverse", got {mode!r}')

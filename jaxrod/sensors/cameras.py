@@ -55,7 +55,20 @@ _LEAST_ANGLE = 1e-3
 
 @pytree
 class Camera:
-    """A pin-hole camera without distortion; see `camera`."""
+    """A pin-hole camera without distortion; see `camera`.
+
+    Example:
+        >>> eye = sensors.camera(
+        ...     position=(0.5, -2.0, 0.0),
+        ...     target=(0.5, 0.0, 0.0),
+        ...     focal_length=600.0,
+        ...     principal_point=(320.0, 240.0),
+        ... )
+        >>> ends = jnp.stack([state.positions[:, 0], state.tip], axis=1)
+        >>> print(eye.project(ends).round(2))  # from the left and from the top [pixels]
+        [[170. 470.]
+         [240. 240.]]
+    """
 
     position: Float[Array, "3"]
     """Position of the pin-hole, world frame [m]."""
@@ -116,7 +129,13 @@ def _is_ahead(seen: Vec3) -> Array:
 
 @pytree
 class Markers(StationSensor):
-    """Positions of points on a rod; see `markers`."""
+    """Positions of points on a rod; see `markers`.
+
+    Example:
+        >>> balls = sensors.markers([0.5, 1.0])
+        >>> balls.shape(scene), balls.unit
+        ((3, 2), 'm')
+    """
 
     unit: ClassVar[str] = "m"
     offsets: Float[Array, "2 _"] | Float[Array, "3 _"]
@@ -135,7 +154,19 @@ class Markers(StationSensor):
 
 @pytree
 class ImageMarkers(Sensor):
-    """Images of points on a rod; see `image_markers`."""
+    """Images of points on a rod; see `image_markers`.
+
+    Example:
+        >>> eye = sensors.camera(
+        ...     position=(0.5, -2.0, 0.0),
+        ...     target=(0.5, 0.0, 0.0),
+        ...     focal_length=600.0,
+        ...     principal_point=(320.0, 240.0),
+        ... )
+        >>> dots = sensors.image_markers(eye, [0.25, 0.5, 0.75, 1.0])
+        >>> dots.shape(scene), dots.unit
+        ((2, 4), 'pixel')
+    """
 
     unit: ClassVar[str] = "pixel"
     camera: Camera
@@ -155,7 +186,19 @@ class ImageMarkers(Sensor):
 
 @pytree
 class DepthImage(Sensor):
-    """Depth of the rod's surface at each pixel; see `depth_image`."""
+    """Depth of the rod's surface at each pixel; see `depth_image`.
+
+    Example:
+        >>> eye = sensors.camera(
+        ...     position=(0.5, -1.0, 0.0),
+        ...     target=(0.5, 0.0, 0.0),
+        ...     focal_length=60.0,
+        ...     principal_point=(32.0, 24.0),
+        ... )
+        >>> image = sensors.depth_image(eye, rows=48, columns=64)
+        >>> image.shape(scene), image.unit
+        ((48, 64), 'm')
+    """
 
     unit: ClassVar[str] = "m"
     camera: Camera
@@ -251,6 +294,16 @@ def camera(
     Raises:
         ValueError: If a number is out of range, the target is at the position, or `up`
             is along the optical axis.
+
+    Example:
+        >>> eye = sensors.camera(
+        ...     position=(0.5, -2.0, 0.0),
+        ...     target=(0.5, 0.0, 0.0),
+        ...     focal_length=600.0,
+        ...     principal_point=(320.0, 240.0),
+        ... )
+        >>> print(eye.project(state.tip).round(2))  # right of the middle [pixels]
+        [470. 240.]
     """
     here = check_array("position", position, [(3,)], "m")
     aim = check_array("target", target, [(3,)], "m")
@@ -286,6 +339,11 @@ def markers(arc_length: Numbers, offsets: Numbers = (0.0, 0.0)) -> Markers:
 
     Raises:
         ValueError: If a number is out of range or of the wrong shape.
+
+    Example:
+        >>> flag = sensors.markers(1.0, (0.0, 0.0, 0.25))  # 25 cm beyond the tip
+        >>> print(flag.read(scene, state).round(3))
+        [1.25 0.   0.  ]
     """
     stations = as_stations(arc_length)
     return Markers(stations, as_offsets(offsets, stations, (2, 3)))
@@ -310,6 +368,17 @@ def image_markers(
     Raises:
         ValueError: If a number is out of range or of the wrong shape.
         TypeError: If `camera` is not a `Camera`.
+
+    Example:
+        >>> eye = sensors.camera(
+        ...     position=(0.5, -2.0, 0.0),
+        ...     target=(0.5, 0.0, 0.0),
+        ...     focal_length=600.0,
+        ...     principal_point=(320.0, 240.0),
+        ... )
+        >>> print(sensors.image_markers(eye, [0.5, 1.0]).read(scene, state).round(2))
+        [[320. 470.]
+         [240. 240.]]
     """
     check_kind("camera", camera, Camera)
     return ImageMarkers(camera, markers(arc_length, offsets))
@@ -337,6 +406,18 @@ def depth_image(
     Raises:
         ValueError: If a number is out of range.
         TypeError: If `camera` is not a `Camera`.
+
+    Example:
+        >>> eye = sensors.camera(
+        ...     position=(0.5, -1.0, 0.0),
+        ...     target=(0.5, 0.0, 0.0),
+        ...     focal_length=60.0,
+        ...     principal_point=(32.5, 24.5),
+        ... )
+        >>> image = sensors.depth_image(eye, rows=48, columns=64, max_range=3.0)
+        >>> depth = image.read(scene, state)
+        >>> round(float(depth[24, 32]), 3), float(depth[0, 0])  # its surface, nothing
+        (0.98, 3.0)
     """
     check_kind("camera", camera, Camera)
     most = None

@@ -60,7 +60,13 @@ class InertialSensor(StationSensor):
 
 @pytree
 class Accelerometer(InertialSensor):
-    """Specific force at stations; see `accelerometer`."""
+    """Specific force at stations; see `accelerometer`.
+
+    Example:
+        >>> unit = sensors.accelerometer([0.5, 1.0], (0.0, 0.01))
+        >>> unit.shape(scene), unit.unit
+        ((3, 2), 'm/s^2')
+    """
 
     unit: ClassVar[str] = "m/s^2"
     offsets: Float[Array, "2 _"]
@@ -95,7 +101,13 @@ class Accelerometer(InertialSensor):
 
 @pytree
 class Gyroscope(InertialSensor):
-    """Angular velocity at stations; see `gyroscope`."""
+    """Angular velocity at stations; see `gyroscope`.
+
+    Example:
+        >>> gyroscope = sensors.gyroscope([0.5, 1.0])
+        >>> gyroscope.shape(scene), gyroscope.unit
+        ((3, 2), 'rad/s')
+    """
 
     unit: ClassVar[str] = "rad/s"
     orientation: Float[Array, "4"]
@@ -145,6 +157,11 @@ def accelerometer(
 
     Raises:
         ValueError: If a number is out of range or of the wrong shape.
+
+    Example:
+        >>> base = sensors.accelerometer(0.0)  # the clamp keeps it at rest
+        >>> round(float(jnp.linalg.norm(base.read(scene, state))), 2)  # gravity [m/s^2]
+        9.81
     """
     stations = as_stations(arc_length)
     mounting = _as_mounting(orientation)
@@ -165,6 +182,12 @@ def gyroscope(arc_length: Numbers, *, orientation: Numbers = IDENTITY) -> Gyrosc
 
     Raises:
         ValueError: If a number is out of range or of the wrong shape.
+
+    Example:
+        >>> turning = jnp.zeros((3, 10)).at[2].set(5.0)  # about d3 [rad/s]
+        >>> spun = jaxrod.with_angular_velocities(rod, state, turning)
+        >>> print(sensors.gyroscope(0.5).read(scene, spun).round(3))
+        [0. 0. 5.]
     """
     return Gyroscope(as_stations(arc_length), _as_mounting(orientation))
 

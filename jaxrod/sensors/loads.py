@@ -24,7 +24,13 @@ from jaxrod.validation import check_count, check_kind
 
 @pytree
 class SupportForce(Sensor):
-    """Force of a support; see `support_force`."""
+    """Force of a support; see `support_force`.
+
+    Example:
+        >>> cell = sensors.support_force("base")
+        >>> cell.shape(scene), cell.unit
+        ((3,), 'N')
+    """
 
     unit: ClassVar[str] = "N"
     end: End = static(default="base")
@@ -39,7 +45,13 @@ class SupportForce(Sensor):
 
 @pytree
 class SupportCouple(Sensor):
-    """Couple of a support; see `support_couple`."""
+    """Couple of a support; see `support_couple`.
+
+    Example:
+        >>> cell = sensors.support_couple("base")
+        >>> cell.shape(scene), cell.unit
+        ((3,), 'N m')
+    """
 
     unit: ClassVar[str] = "N m"
     end: End = static(default="base")
@@ -78,7 +90,15 @@ def _reactions_at(end: End, scene: LoadedRod, state: RodState) -> list[Reaction]
 
 @pytree
 class TendonLength(Sensor):
-    """Lengths of cables; see `tendon_length`."""
+    """Lengths of cables; see `tendon_length`.
+
+    Example:
+        >>> pair = actuation.tendon(rod, [[0.01, 0.0], [-0.01, 0.0]], tension=5.0)
+        >>> arm = jaxrod.make_scene(rod, jaxrod.clamp(state), pair)
+        >>> encoder = sensors.tendon_length(1)  # the clamp is effect 0
+        >>> encoder.shape(arm), encoder.unit
+        ((2,), 'm')
+    """
 
     unit: ClassVar[str] = "m"
     effect: int = static(default=0)
@@ -92,7 +112,14 @@ class TendonLength(Sensor):
 
 @pytree
 class TendonTension(Sensor):
-    """Tensions of cables; see `tendon_tension`."""
+    """Tensions of cables; see `tendon_tension`.
+
+    Example:
+        >>> pair = actuation.tendon(rod, [[0.01, 0.0], [-0.01, 0.0]], tension=5.0)
+        >>> cell = sensors.tendon_tension(0)
+        >>> cell.shape(jaxrod.make_scene(rod, pair)), cell.unit
+        ((2,), 'N')
+    """
 
     unit: ClassVar[str] = "N"
     effect: int = static(default=0)
@@ -106,7 +133,16 @@ class TendonTension(Sensor):
 
 @pytree
 class ChamberPressure(Sensor):
-    """Pressures in chambers; see `chamber_pressure`."""
+    """Pressures in chambers; see `chamber_pressure`.
+
+    Example:
+        >>> places = [[0.01, 0.0], [-0.01, 0.0]]  # of two chambers [m]
+        >>> pair = actuation.chamber(rod, [1e4, 2e4], area=1e-4, offsets=places)
+        >>> arm = jaxrod.make_scene(rod, jaxrod.clamp(state), pair)
+        >>> gauge = sensors.chamber_pressure(1)  # the clamp is effect 0
+        >>> gauge.shape(arm), gauge.unit
+        ((2,), 'Pa')
+    """
 
     unit: ClassVar[str] = "Pa"
     effect: int = static(default=0)
@@ -135,7 +171,14 @@ def _tendon(scene: LoadedRod, number: int) -> Tendon:
 
 @pytree
 class ContactForce(Sensor):
-    """Force of all bodies that a rod touches; see `contact_force`."""
+    """Force of all bodies that a rod touches; see `contact_force`.
+
+    Example:
+        >>> floor = jaxrod.contact(shapes.plane((0.0, 0.0, -0.01)), stiffness=1e4)
+        >>> skin = sensors.contact_force(per_node=True)
+        >>> skin.shape(jaxrod.make_scene(rod, floor)), skin.unit
+        ((3, 11), 'N')
+    """
 
     unit: ClassVar[str] = "N"
     per_node: bool = static(default=False)
@@ -178,6 +221,12 @@ def support_force(end: End = "base") -> SupportForce:
 
     Raises:
         ValueError: If `end` is neither "base" nor "tip".
+
+    Example:
+        >>> longer = replace(state, positions=1.01 * state.positions)  # by 1 %
+        >>> force = sensors.support_force().read(scene, longer)
+        >>> round(float(force[0]), 1)  # the clamp pulls back [N]
+        -12.6
     """
     return SupportForce(check_end(end))
 
@@ -194,6 +243,19 @@ def support_couple(end: End = "base") -> SupportCouple:
 
     Raises:
         ValueError: If `end` is neither "base" nor "tip".
+
+    Example:
+        >>> _, raised = jaxrod.straight_rod(
+        ...     10,
+        ...     length=1.0,
+        ...     radius=0.02,
+        ...     density=1000.0,
+        ...     youngs_modulus=1e6,
+        ...     direction=(1.0, 0.0, 0.1),
+        ... )
+        >>> couple = sensors.support_couple().read(scene, raised)
+        >>> print(couple.round(2))  # it turns the rod down [N m]
+        [0.   0.25 0.  ]
     """
     return SupportCouple(check_end(end))
 
@@ -210,6 +272,12 @@ def tendon_length(effect: int) -> TendonLength:
 
     Raises:
         ValueError: If `effect` is not a number of an effect.
+
+    Example:
+        >>> pulled = actuation.tendon(rod, (0.01, 0.0), tension=5.0)
+        >>> arm = jaxrod.make_scene(rod, jaxrod.clamp(state), pulled)
+        >>> round(float(sensors.tendon_length(1).read(arm, state)[0]), 3)  # [m]
+        0.9
     """
     return TendonLength(check_count("effect", effect, 0))
 
@@ -226,6 +294,13 @@ def tendon_tension(effect: int) -> TendonTension:
 
     Raises:
         ValueError: If `effect` is not a number of an effect.
+
+    Example:
+        >>> pull = schedules.ramp(0.0, 5.0, duration=1.0)
+        >>> tendon = actuation.tendon(rod, (0.01, 0.0), tension=pull)
+        >>> arm = jaxrod.make_scene(rod, tendon)
+        >>> sensors.tendon_tension(0).read(arm.at(0.5), state).tolist()  # [N]
+        [2.5]
     """
     return TendonTension(check_count("effect", effect, 0))
 
@@ -242,6 +317,12 @@ def chamber_pressure(effect: int) -> ChamberPressure:
 
     Raises:
         ValueError: If `effect` is not a number of an effect.
+
+    Example:
+        >>> pump = schedules.ramp(0.0, 2e4, duration=1.0)
+        >>> arm = jaxrod.make_scene(rod, actuation.chamber(rod, pump, area=1e-4))
+        >>> sensors.chamber_pressure(0).read(arm.at(0.5), state).tolist()  # [Pa]
+        [10000.0]
     """
     return ChamberPressure(check_count("effect", effect, 0))
 
@@ -255,5 +336,11 @@ def contact_force(*, per_node: bool = False) -> ContactForce:
     Returns:
         A sensor that reads three components, or `(3, n + 1)`, world frame [N]. Reading
         it raises a `ValueError` if the scene has no contact.
+
+    Example:
+        >>> floor = jaxrod.contact(shapes.plane((0.0, 0.0, -0.01)), stiffness=1e4)
+        >>> lying = jaxrod.make_scene(rod, floor)  # 1 m of rod, 1 cm deep in the floor
+        >>> print(sensors.contact_force().read(lying, state).round())  # [N]
+        [  0.   0. 100.]
     """
     return ContactForce(bool(per_node))

@@ -39,9 +39,8 @@ def noisy(
         ValueError: If a number is out of range or of the wrong shape.
 
     Example:
-        >>> import jax, jax.numpy as jnp
-        >>> from jaxrod.sensors import noisy
-        >>> float(noisy(jax.random.key(0), jnp.asarray(1.26), resolution=0.5))
+        >>> reading = jnp.asarray(1.26)
+        >>> float(sensors.noisy(jax.random.key(0), reading, resolution=0.5))
         1.5
     """
     value = jnp.asarray(reading)

@@ -44,7 +44,13 @@ def _strains(scene: LoadedRod, state: RodState) -> tuple[Vec3, Vec3]:
 
 @pytree
 class StrainGauge(StationSensor):
-    """Strain along fibres; see `strain_gauge`."""
+    """Strain along fibres; see `strain_gauge`.
+
+    Example:
+        >>> rosette = sensors.strain_gauge([0.5, 0.5], [[0.02, 0.0], [0.0, 0.02]])
+        >>> rosette.shape(scene), rosette.unit
+        ((2,), '1')
+    """
 
     unit: ClassVar[str] = "1"
     offsets: Float[Array, "2 _"]
@@ -75,7 +81,13 @@ class StrainGauge(StationSensor):
 
 @pytree
 class SectionCurvature(StationSensor):
-    """Curvature and twist at stations; see `section_curvature`."""
+    """Curvature and twist at stations; see `section_curvature`.
+
+    Example:
+        >>> bends = sensors.section_curvature([0.25, 0.5, 0.75])
+        >>> bends.shape(scene), bends.unit
+        ((3, 3), '1/m')
+    """
 
     unit: ClassVar[str] = "1/m"
     name: str = static(default="curvature")
@@ -89,7 +101,13 @@ class SectionCurvature(StationSensor):
 
 @pytree
 class SectionForce(StationSensor):
-    """Force through sections; see `section_force`."""
+    """Force through sections; see `section_force`.
+
+    Example:
+        >>> cell = sensors.section_force([0.25, 0.75])
+        >>> cell.shape(scene), cell.unit
+        ((3, 2), 'N')
+    """
 
     unit: ClassVar[str] = "N"
     name: str = static(default="section force")
@@ -107,7 +125,13 @@ class SectionForce(StationSensor):
 
 @pytree
 class SectionMoment(StationSensor):
-    """Moment through sections; see `section_moment`."""
+    """Moment through sections; see `section_moment`.
+
+    Example:
+        >>> cell = sensors.section_moment([0.25, 0.75])
+        >>> cell.shape(scene), cell.unit
+        ((3, 2), 'N m')
+    """
 
     unit: ClassVar[str] = "N m"
     name: str = static(default="section moment")
@@ -139,6 +163,11 @@ def strain_gauge(arc_length: Numbers, offsets: Numbers = (0.0, 0.0)) -> StrainGa
 
     Raises:
         ValueError: If a number is out of range or of the wrong shape.
+
+    Example:
+        >>> longer = replace(state, positions=1.01 * state.positions)  # by 1 %
+        >>> round(float(sensors.strain_gauge(0.5, (0.02, 0.0)).read(scene, longer)), 4)
+        0.01
     """
     stations = as_stations(arc_length)
     return StrainGauge(stations, as_offsets(offsets, stations))
@@ -155,6 +184,14 @@ def section_curvature(arc_length: Numbers) -> SectionCurvature:
 
     Raises:
         ValueError: If a number is out of range or of the wrong shape.
+
+    Example:
+        >>> angle = jnp.linspace(0.0, 1.0, 11)  # an arc of radius 1 m
+        >>> arc = jnp.stack([jnp.sin(angle), 0.0 * angle, jnp.cos(angle)])
+        >>> _, bent = jaxrod.rod_along(arc, radius=0.02, density=1, youngs_modulus=1)
+        >>> curvature = sensors.section_curvature(0.5).read(scene, bent)
+        >>> round(float(jnp.linalg.norm(curvature)), 2)  # one over the radius [1/m]
+        1.0
     """
     return SectionCurvature(as_stations(arc_length))
 
@@ -174,6 +211,12 @@ def section_force(arc_length: Numbers) -> SectionForce:
 
     Raises:
         ValueError: If a number is out of range or of the wrong shape.
+
+    Example:
+        >>> longer = replace(state, positions=1.01 * state.positions)  # by 1 %
+        >>> force = sensors.section_force(0.5).read(scene, longer)
+        >>> round(float(force[2]), 1)  # tension: 1 % of E A [N]
+        12.6
     """
     return SectionForce(as_stations(arc_length))
 
@@ -189,5 +232,13 @@ def section_moment(arc_length: Numbers) -> SectionMoment:
 
     Raises:
         ValueError: If a number is out of range or of the wrong shape.
+
+    Example:
+        >>> angle = jnp.linspace(0.0, 1.0, 11)  # an arc of radius 1 m
+        >>> arc = jnp.stack([jnp.sin(angle), 0.0 * angle, jnp.cos(angle)])
+        >>> _, bent = jaxrod.rod_along(arc, radius=0.02, density=1, youngs_modulus=1)
+        >>> moment = sensors.section_moment(0.5).read(scene, bent)
+        >>> round(float(jnp.linalg.norm(moment)), 3)  # E I over the radius [N m]
+        0.126
     """
     return SectionMoment(as_stations(arc_length))

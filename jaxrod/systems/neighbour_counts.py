@@ -14,7 +14,18 @@ from jaxrod.validation import check_kind, is_traced
 
 @dataclass(frozen=True)
 class Neighbours:
-    """Neighbours of one coupling in a state, list by list."""
+    """Neighbours of one coupling in a state, list by list.
+
+    Example:
+        >>> lists = systems.neighbour_lists(pairs=100, candidates=400, cell_slots=0)
+        >>> coil = systems.rod_contact(
+        ...     "arm", self_contact=True, stiffness=1e5, lists=lists
+        ... )
+        >>> system = jaxrod.make_system({"arm": scene}, coil)
+        >>> found = systems.neighbours(system, {"arm": state})[0]
+        >>> found.members, found.pairs, found.occupancy < 1.0  # there is room
+        ((('arm', 'arm'),), (18,), True)
+    """
 
     members: tuple[tuple[str, str], ...]
     """Pairs of members, one for each list."""
@@ -43,6 +54,16 @@ def neighbours(system: System, state: Any) -> tuple[Neighbours, ...]:
 
     Raises:
         ValueError: If a value is traced.
+
+    Example:
+        >>> lists = systems.neighbour_lists(pairs=100, candidates=400, cell_slots=0)
+        >>> coil = systems.rod_contact(
+        ...     "arm", self_contact=True, stiffness=1e5, lists=lists
+        ... )
+        >>> system = jaxrod.make_system({"arm": scene}, coil)
+        >>> found = systems.neighbours(system, {"arm": state})[0]
+        >>> found.pairs, found.candidates, round(found.occupancy, 2)
+        ((18,), (28,), 0.18)
     """
     check_kind("system", system, System)
     if is_traced(system, state):

@@ -48,7 +48,13 @@ INSTANT = 1e-3
 
 @pytree
 class Settled:
-    """A scene or a system at rest, if `converged`."""
+    """A scene or a system at rest, if `converged`.
+
+    Example:
+        >>> rest = systems.settled(scene, state, max_steps=16)
+        >>> int(rest.steps), bool(rest.converged)  # too few steps to come to rest
+        (16, False)
+    """
 
     state: Any
     """State at the end, with zero velocities."""
@@ -104,6 +110,11 @@ def settled(
         ValueError: If it depends on time, if there is no rod to take tolerances from
             and they are not given, or if an argument is out of range.
         TypeError: If `scene` or `state` is something else.
+
+    Example:
+        >>> rest = systems.settled(scene, state)
+        >>> bool(rest.converged), round(float(rest.state.tip[2]), 2)  # hanging [m]
+        (True, -0.96)
     """
     every = check_count("every", every, 1, 100_000)
     blocks = -(-check_count("max_steps", max_steps, 1) // every)

@@ -60,7 +60,13 @@ UNKNOWNS = {
 
 @dataclass(frozen=True)
 class TendonDrawing:
-    """One tendon, as drawn."""
+    """One tendon, as drawn.
+
+    Example:
+        >>> drawn = twin.TendonDrawing("motor", np.pi / 2, 0.01, pulley_radius=0.02)
+        >>> drawn.input, drawn.until is None  # it ends at the tip
+        ('motor', True)
+    """
 
     input: str
     """Name of the recorded number that pulls it."""
@@ -76,7 +82,13 @@ class TendonDrawing:
 
 @dataclass(frozen=True)
 class Marker:
-    """A point that moves with a section of the arm."""
+    """A point that moves with a section of the arm.
+
+    Example:
+        >>> middle = twin.Marker("middle", at=0.15, offset=(0.0, 0.02, 0.0))
+        >>> middle.name, middle.at
+        ('middle', 0.15)
+    """
 
     name: str
     at: float
@@ -91,6 +103,11 @@ class Frame:
 
     Raises:
         ValueError: If a number is out of range, or an origin is given without axes.
+
+    Example:
+        >>> frame = twin.Frame(axes=[[0, 1, 0], [-1, 0, 0], [0, 0, 1]], scale=1e-3)
+        >>> frame.scale, frame.origin is None  # millimetres; the base is not known
+        (0.001, True)
     """
 
     axes: Any = None
@@ -134,6 +151,24 @@ class Arm:
     """An arm as it was drawn, and what is uncertain about it; see `read_arm`.
 
     Values of the unknowns are given by name, as in `start`.
+
+    Example:
+        >>> drawn = twin.Arm(
+        ...     elements=4,
+        ...     length=0.3,
+        ...     radius=0.01,
+        ...     density=1100.0,
+        ...     youngs_modulus=4e5,
+        ...     poisson_ratio=0.45,
+        ...     direction=(0.0, 0.0, -1.0),
+        ...     normal=(0.0, 1.0, 0.0),
+        ...     gravity=(0.0, 0.0, -9.81),
+        ...     tendons=(twin.TendonDrawing("pull", angle=0.0, distance=0.008),),
+        ...     markers=(twin.Marker("tip", at=0.3),),
+        ...     unknown={"youngs_modulus": 0.5},
+        ... )
+        >>> drawn.inputs, float(drawn.start["youngs_modulus"])
+        (('pull',), 400000.0)
     """
 
     elements: int
@@ -448,6 +483,28 @@ def read_arm(path: str | Path) -> Arm:
         DamagedFileError: If the file is not TOML, lacks an entry, has one that is not
             known, or a number is out of range; with the name of the file.
         OSError: If it cannot be opened.
+
+    Example:
+        >>> from pathlib import Path
+        >>> size = Path("arm.toml").write_text('''
+        ... [rod]
+        ... elements = 6
+        ... length = 0.3
+        ... radius = [[0, 0.015], [0.3, 0.008]]
+        ... density = 1100
+        ... youngs_modulus = 4e5
+        ... poisson_ratio = 0.45
+        ... direction = [0, 0, -1]
+        ... normal = [0, 1, 0]
+        ... [[markers]]
+        ... name = "tip"
+        ... at = 0.3
+        ... [unknown]
+        ... youngs_modulus = 0.5
+        ... ''')
+        >>> arm = twin.read_arm("arm.toml")
+        >>> arm.length, arm.markers[0].name, arm.unknown
+        (0.3, 'tip', {'youngs_modulus': 0.5})
     """
     file = Path(path)
     with reading(file):

@@ -69,7 +69,16 @@ SURE = 0.02
 
 @dataclass(frozen=True)
 class Comparison:
-    """Markers of a recording beside those of a twin."""
+    """Markers of a recording beside those of a twin.
+
+    Example:
+        >>> points = np.zeros((1, 2, 3))  # one frame, two markers
+        >>> pose = twin.Recording("pose", np.zeros(1), np.ones((1, 1)), points)
+        >>> wrong = points + np.array([0.003, 0.004, 0.0])
+        >>> beside = twin.Comparison(pose, predicted=wrong, sd=0.001 + points)
+        >>> beside.errors.round(4).tolist()  # [m]
+        [0.005, 0.005]
+    """
 
     recording: Recording
     predicted: Float[np.ndarray, "frames markers 3"]
@@ -102,7 +111,31 @@ def root_mean_square(errors: Any) -> np.ndarray:
 
 @dataclass(frozen=True)
 class Twin:
-    """An arm with the numbers that agree with its recordings; see `identify`."""
+    """An arm with the numbers that agree with its recordings; see `identify`.
+
+    Example:
+        >>> drawn = twin.Arm(
+        ...     elements=4,
+        ...     length=0.3,
+        ...     radius=0.01,
+        ...     density=1100.0,
+        ...     youngs_modulus=4e5,
+        ...     poisson_ratio=0.45,
+        ...     direction=(0.0, 0.0, -1.0),
+        ...     normal=(0.0, 1.0, 0.0),
+        ...     gravity=(0.0, 0.0, -9.81),
+        ...     tendons=(twin.TendonDrawing("pull", angle=0.0, distance=0.008),),
+        ...     markers=(twin.Marker("tip", at=0.3),),
+        ...     unknown={"youngs_modulus": 0.5},
+        ...     frame=twin.Frame(axes=np.eye(3), origin=(0.0, 0.0, 0.0)),
+        ... )
+        >>> there = np.array([[[0.0, 0.05, -0.29]]])  # one frame, one marker [m]
+        >>> pose = twin.Recording("pose", np.zeros(1), np.ones((1, 1)), there)
+        >>> with jax.enable_x64(True):
+        ...     found = twin.identify(drawn, [pose], noise=1e-3)
+        >>> list(found.fit.names), found.undetermined
+        (['youngs_modulus'], ())
+    """
 
     arm: Arm
     fit: Fit
@@ -231,7 +264,29 @@ def identify(
             them, or there are fewer coordinates than unknowns to estimate noise from.
 
     Example:
-        See docs/twin.md.
+        >>> drawn = twin.Arm(
+        ...     elements=4,
+        ...     length=0.3,
+        ...     radius=0.01,
+        ...     density=1100.0,
+        ...     youngs_modulus=4e5,
+        ...     poisson_ratio=0.45,
+        ...     direction=(0.0, 0.0, -1.0),
+        ...     normal=(0.0, 1.0, 0.0),
+        ...     gravity=(0.0, 0.0, -9.81),
+        ...     tendons=(twin.TendonDrawing("pull", angle=0.0, distance=0.008),),
+        ...     markers=(twin.Marker("tip", at=0.3),),
+        ...     unknown={"youngs_modulus": 0.5},
+        ...     frame=twin.Frame(axes=np.eye(3), origin=(0.0, 0.0, 0.0)),
+        ... )
+        >>> there = np.array([[[0.0, 0.05, -0.29]]])  # one frame, one marker [m]
+        >>> pose = twin.Recording("pose", np.zeros(1), np.ones((1, 1)), there)
+        >>> with jax.enable_x64(True):
+        ...     found = twin.identify(drawn, [pose], noise=1e-3)
+        >>> print(found)
+        unknown                value         sd  sd left of the drawing's
+        youngs_modulus    2.1601e+05      4e+03  4%
+        noise of a coordinate: 1.00 mm
     """
     if not recordings:
         raise ValueError("a twin needs at least one recording")

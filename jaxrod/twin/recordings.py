@@ -27,7 +27,14 @@ fraction of the arm's length. More is a movement faster than the frames."""
 
 @dataclass(frozen=True)
 class Recording:
-    """Markers of an arm and the inputs that moved it."""
+    """Markers of an arm and the inputs that moved it.
+
+    Example:
+        >>> times, points = np.linspace(0.0, 1.0, 11), np.zeros((11, 2, 3))
+        >>> pose = twin.Recording("pose", times, np.ones((11, 1)), points)
+        >>> pose.is_at_rest(length=0.3), pose.averaged().points.shape
+        (True, (1, 2, 3))
+    """
 
     name: str
     times: Float[np.ndarray, " frames"]
@@ -105,6 +112,28 @@ def read_recording(path: str | Path, arm: Arm) -> Recording:
     Raises:
         DamagedFileError: If the file is not such a table; with its name.
         OSError: If it cannot be opened.
+
+    Example:
+        >>> drawn = twin.Arm(
+        ...     elements=4,
+        ...     length=0.3,
+        ...     radius=0.01,
+        ...     density=1100.0,
+        ...     youngs_modulus=4e5,
+        ...     poisson_ratio=0.45,
+        ...     direction=(0.0, 0.0, -1.0),
+        ...     normal=(0.0, 1.0, 0.0),
+        ...     gravity=(0.0, 0.0, -9.81),
+        ...     tendons=(twin.TendonDrawing("pull", angle=0.0, distance=0.008),),
+        ...     markers=(twin.Marker("tip", at=0.3),),
+        ...     unknown={"youngs_modulus": 0.5},
+        ... )
+        >>> columns = "time,pull,tip_x,tip_y,tip_z"
+        >>> rows = [[0.0, 1.0, 0.0, 0.05, -0.29], [0.1, 1.0, 0.0, 0.06, -0.28]]
+        >>> np.savetxt("swing.csv", rows, delimiter=",", header=columns, comments="")
+        >>> swing = twin.read_recording("swing.csv", drawn)
+        >>> swing.points.shape, swing.labelled  # frames, markers, x y z
+        ((2, 1, 3), True)
     """
     file = Path(path)
     columns, rows = read_csv(file)

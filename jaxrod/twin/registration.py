@@ -40,7 +40,18 @@ ROUNDS = 10
 
 @dataclass(frozen=True)
 class Registration:
-    """Orders of the markers, and the frame of the camera."""
+    """Orders of the markers, and the frame of the camera.
+
+    Example:
+        >>> quarter = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
+        >>> found = twin.Registration(
+        ...     np.array([[0]]), quarter, np.zeros((1, 3)), distance=0.0, margin=9.0
+        ... )
+        >>> seen = np.array([[[1.0, 0.0, 0.0]]])  # in the frame of the camera
+        >>> pose = twin.Recording("pose", np.zeros(1), np.ones((1, 1)), seen)
+        >>> found.apply(pose, 0).points.tolist()
+        [[[0.0, 1.0, 0.0]]]
+    """
 
     orders: Int[np.ndarray, "recordings markers"]
     """Column of each of the arm's markers, in each recording."""
@@ -84,6 +95,14 @@ def register(
     Raises:
         ValueError: If there are too many markers to try all orders, or no frame of a
             recording has all of them.
+
+    Example:
+        >>> where = np.array([[[0.0, 0.0, 0.0], [0.0, 0.0, -0.1], [0.05, 0.0, -0.3]]])
+        >>> shuffled = where[:, [2, 0, 1]]  # of one frame
+        >>> pose = twin.Recording("pose", np.zeros(1), np.ones((1, 1)), shuffled, False)
+        >>> found = twin.register([pose], [where], axes=np.eye(3), shift=np.zeros(3))
+        >>> found.orders.tolist()  # the arm's first marker is the second one seen
+        [[1, 2, 0]]
     """
     count = predictions[0].shape[1]
     same = np.arange(count)[None]

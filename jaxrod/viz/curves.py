@@ -41,7 +41,13 @@ class Curve(NamedTuple):
 
 @dataclasses.dataclass(frozen=True)
 class ReferenceScore:
-    """A score to compare learning curves with."""
+    """A score to compare learning curves with.
+
+    Example:
+        >>> published = viz.ReferenceScore("the paper's PPO", mean=25.0, spread=3.0)
+        >>> published.label, published.mean
+        ("the paper's PPO", 25.0)
+    """
 
     label: str
     """Name in the legend."""
@@ -81,6 +87,15 @@ def learning_curve(
     Raises:
         ValueError: A file lacks the columns, or has neither a finished episode nor
             rewards; or some runs have only episodes and others only rewards.
+
+    Example:
+        >>> names = "env_steps,wall_s,episode_return_mean"
+        >>> rows = [[10_000, 5.0, 1.0], [20_000, 10.0, 2.5]]
+        >>> np.savetxt("progress.csv", rows, delimiter=",", header=names, comments="")
+        >>> viz.learning_curve("progress.csv", "curve.png", title="First run")
+        >>> from PIL import Image
+        >>> Image.open("curve.png").format
+        'PNG'
     """
     paths = [progress] if isinstance(progress, (str, os.PathLike)) else list(progress)
     if not paths:

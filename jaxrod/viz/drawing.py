@@ -53,6 +53,11 @@ def frame(
     Raises:
         ValueError: The size is not positive.
         IndexError: There is no such frame.
+
+    Example:
+        >>> replay = viz.Replay.from_rollout(state.positions[None], 0.02, times=[0.0])
+        >>> viz.frame(replay, 0, width=320, height=240).shape
+        (240, 320, 3)
     """
     painter = _Painter(replay, (width, height), azimuth, elevation, fine=1)
     return painter.paint([range(replay.num_frames)[index]])
@@ -94,6 +99,13 @@ def picture(
     Raises:
         ValueError: A number is not positive, or there is no such field.
         IndexError: There is no such frame.
+
+    Example:
+        >>> replay = viz.Replay.from_rollout(state.positions[None], 0.02, times=[0.0])
+        >>> viz.picture(replay, 0, "arm.png", width=320, height=240)
+        >>> from PIL import Image
+        >>> Image.open("arm.png").size
+        (320, 240)
     """
     frames = [frame] if isinstance(frame, int | np.integer) else list(frame)
     frames = [range(replay.num_frames)[int(k)] for k in frames]
@@ -135,6 +147,14 @@ def film(
     Raises:
         ValueError: The file has another ending, or a number is not positive.
         FileNotFoundError: An MP4 is requested, but ffmpeg is not installed.
+
+    Example:
+        >>> path = np.stack([state.positions, 1.01 * state.positions])
+        >>> replay = viz.Replay.from_rollout(path, 0.02, times=[0.0, 0.1])
+        >>> viz.film(replay, "arm.gif", width=320, height=240)
+        >>> from PIL import Image
+        >>> Image.open("arm.gif").n_frames, Image.open("arm.gif").size
+        (2, (320, 240))
     """
     ending = Path(path).suffix.lower()
     if ending not in (".gif", ".mp4"):
@@ -176,6 +196,14 @@ def animation(
 
     Raises:
         ValueError: The size or the rate is not positive.
+
+    Example:
+        >>> path = np.stack([state.positions, 1.01 * state.positions])
+        >>> replay = viz.Replay.from_rollout(path, 0.02, times=[0.0, 0.1])
+        >>> moving = viz.animation(replay, frames_per_second=10.0)
+        >>> moving.save("arm.gif", writer="pillow")
+        >>> type(moving).__name__
+        'FuncAnimation'
     """
     need_matplotlib()
     from matplotlib.animation import FuncAnimation

@@ -16,7 +16,16 @@ _CREASE = np.cos(np.radians(35.0))
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Mesh:
-    """K bodies with the same surface over T frames."""
+    """K bodies with the same surface over T frames.
+
+    Example:
+        >>> corners = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]], float)
+        >>> faces = np.array([[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3]])
+        >>> rising = [[0.0, 0.0, 0.0], [0.0, 0.0, 0.5]]
+        >>> replay = viz.Replay.of([0, 0.1], meshes=[viz.Mesh(corners, faces, rising)])
+        >>> replay.meshes[0].placed(frame=1, body=0)[3].tolist()  # its top
+        [0.0, 0.0, 1.5]
+    """
 
     vertices: Float[np.ndarray, "v 3"]
     """Corners in the body's own frame [m]."""

@@ -59,6 +59,12 @@ def html(
 
     Raises:
         ValueError: `frames_per_second` is not positive.
+
+    Example:
+        >>> path = state.positions[None]  # one frame
+        >>> replay = viz.Replay.from_rollout(path, 0.02, [0.0], title="My arm")
+        >>> "<title>My arm" in viz.html(replay)
+        True
     """
     header, data = encode(replay.thinned(frames_per_second))
     header["autoplay"] = bool(autoplay)
@@ -89,6 +95,13 @@ def save_html(
         path: File to write; its folder must exist.
         frames_per_second: As in `html` [Hz].
         autoplay: As in `html`.
+
+    Example:
+        >>> replay = viz.Replay.from_rollout(state.positions[None], 0.02, times=[0.0])
+        >>> viz.save_html(replay, "arm.html")
+        >>> from pathlib import Path
+        >>> Path("arm.html").read_text()[:15]
+        '<!DOCTYPE html>'
     """
     page = html(replay, frames_per_second=frames_per_second, autoplay=autoplay)
     write_atomically(path, page.encode("utf-8"))

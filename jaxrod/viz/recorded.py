@@ -228,21 +228,48 @@ def _over_frames(at_frame: Callable[[Any, Any], Any], model: Any, frames: Any) -
 
 
 def speed(scene: Any, state: RodState) -> Float[Array, " n+1"]:
-    """Speed of the nodes [m/s]."""
+    """Speed of the nodes [m/s].
+
+    Example:
+        >>> falling = replace(state, velocities=state.velocities.at[2].set(-2.0))
+        >>> viz.speed(scene, falling)[:3].tolist()
+        [2.0, 2.0, 2.0]
+    """
     return jnp.sqrt(jnp.sum(state.velocities**2, axis=0))
 
 
 def stretch(scene: Any, state: RodState) -> Float[Array, " n"]:
-    """Axial strain of the elements [1], positive in tension."""
+    """Axial strain of the elements [1], positive in tension.
+
+    Example:
+        >>> longer = replace(state, positions=1.01 * state.positions)  # by 1 %
+        >>> print(viz.stretch(scene, longer)[:3].round(3))
+        [0.01 0.01 0.01]
+    """
     return (strains(scene.rod, state)[0] - scene.rod.rest_strains)[2]
 
 
 def twist_rate(scene: Any, state: RodState) -> Float[Array, " n-1"]:
-    """Twist per rest length at the joints, relative to the rest state [rad/m]."""
+    """Twist per rest length at the joints, relative to the rest state [rad/m].
+
+    Example:
+        >>> records = jax.tree.map(lambda leaf: leaf[None], state)  # one frame
+        >>> fields = {"twist [rad/m]": viz.twist_rate}
+        >>> viz.Replay.from_states(scene, records, [0.0], fields=fields).fields
+        ('twist [rad/m]',)
+    """
     return (strains(scene.rod, state)[1] - scene.rod.rest_curvatures)[2]
 
 
 def bending(scene: Any, state: RodState) -> Float[Array, " n-1"]:
-    """Curvature at the joints, relative to the rest state [1/m]."""
+    """Curvature at the joints, relative to the rest state [1/m].
+
+    Example:
+        >>> angle = jnp.linspace(0.0, 1.0, 11)  # an arc of radius 1 m
+        >>> arc = jnp.stack([jnp.sin(angle), 0.0 * angle, jnp.cos(angle)])
+        >>> _, bent = jaxrod.rod_along(arc, radius=0.02, density=1, youngs_modulus=1)
+        >>> print(viz.bending(scene, bent).round(2))
+        [1. 1. 1. 1. 1. 1. 1. 1. 1.]
+    """
     first, second, _ = strains(scene.rod, state)[1] - scene.rod.rest_curvatures
     return jnp.hypot(first, second)

@@ -37,6 +37,13 @@ class Replay(Recording):
     triple per node) or `Replay.of` (rods of several kinds, or none): they check and
     convert. `together` combines several in one view. In a notebook a replay shows
     itself as a 3-D player; `jaxrod.viz.picture` and `jaxrod.viz.film` write files.
+
+    Example:
+        >>> longer = replace(state, positions=1.01 * state.positions)
+        >>> records = jax.tree.map(lambda *leaves: jnp.stack(leaves), state, longer)
+        >>> replay = viz.Replay.from_states(scene, records, [0.0, 0.1], title="My arm")
+        >>> replay.num_frames, replay.num_rods, replay.positions.shape
+        (2, 1, (2, 1, 11, 3))
     """
 
     @classmethod
@@ -288,6 +295,13 @@ def show(
         ValueError: An argument has the wrong shape or an impossible value.
         TypeError: `model` is neither a scene nor a system.
         OSError: The file cannot be written.
+
+    Example:
+        >>> records = jax.tree.map(lambda leaf: leaf[None], state)  # as from `rollout`
+        >>> replay = viz.show(scene, records, times=[0.0])
+        replay.html
+        >>> replay.num_frames
+        1
     """
     import jax
 

@@ -14,7 +14,14 @@ from jaxrod.viz.shapes import checked_colour, numbers, require_finite
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Rods:
-    """R rods of n elements over T frames."""
+    """R rods of n elements over T frames.
+
+    Example:
+        >>> path = state.positions[None]  # one frame
+        >>> rods = viz.Replay.from_rollout(path, 0.02, [0.0], name="arm").rods[0]
+        >>> rods.num_rods, rods.num_nodes, rods.radii.shape
+        (1, 11, (1, 10))
+    """
 
     positions: Float[np.ndarray, "num_frames num_rods num_nodes 3"]
     """Node positions [m], shape (T, R, n+1, 3)."""

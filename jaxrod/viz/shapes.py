@@ -18,7 +18,15 @@ _SHORTEST = 0.02
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Sphere:
-    """A sphere shown with the rods, such as a target."""
+    """A sphere shown with the rods, such as a target.
+
+    Example:
+        >>> goal = viz.Sphere((1.0, 0.0, 0.3), radius=0.03)
+        >>> path = state.positions[None]  # one frame
+        >>> replay = viz.Replay.from_rollout(path, 0.02, [0.0], spheres=[goal])
+        >>> replay.spheres[0].name, replay.spheres[0].radius
+        ('target', 0.03)
+    """
 
     positions: Any
     """Centre [m], shape (3,) if it is at rest, (T, 3) if it moves."""
@@ -30,7 +38,15 @@ class Sphere:
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Cylinder:
-    """A cylinder at rest, such as an obstacle."""
+    """A cylinder at rest, such as an obstacle.
+
+    Example:
+        >>> post = viz.Cylinder((0.5, 0.2, -1.0), (0.5, 0.2, 1.0), 0.05, name="post")
+        >>> path = state.positions[None]  # one frame
+        >>> replay = viz.Replay.from_rollout(path, 0.02, [0.0], cylinders=[post])
+        >>> replay.num_rods, replay.cylinders[0].name
+        (1, 'post')
+    """
 
     start: Any
     """Centre of one end [m], shape (3,)."""
@@ -44,7 +60,15 @@ class Cylinder:
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Arrows:
-    """A arrows over T frames."""
+    """A arrows over T frames.
+
+    Example:
+        >>> weight = np.tile([0.0, 0.0, -12.0], (2, 1, 1))  # 2 frames, 1 arrow
+        >>> arrows = viz.Arrows(np.zeros((2, 1, 3)), weight, name="weight [N]")
+        >>> replay = viz.Replay.of([0.0, 0.1], arrows=[arrows])
+        >>> replay.arrows[0].largest
+        12.0
+    """
 
     origins: Float[np.ndarray, "num_frames a 3"]
     """Starting points [m], shape (T, A, 3)."""

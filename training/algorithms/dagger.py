@@ -84,6 +84,11 @@ class DAggerConfig(LearnerConfig):
 
     It does not learn from rewards: `discount` and `reward_scale` must keep their
     defaults.
+
+    Example:
+        >>> config = training.DAggerConfig(planner_steps=1e5)
+        >>> config.lookahead, config.action_repeat  # control steps
+        (32, 16)
     """
 
     num_envs: int = static(default=64)

@@ -69,6 +69,11 @@ class OffPolicyConfig(LearnerConfig):
 
     There are `gradient_steps` gradient steps for `num_envs * rollout_steps` decisions;
     by default one for every 16.
+
+    Example:
+        >>> config = training.OffPolicyConfig(gradient_steps=128)
+        >>> config.num_envs * config.rollout_steps // config.gradient_steps  # decisions
+        8
     """
 
     rollout_steps: int = static(default=8)

@@ -59,7 +59,13 @@ ACTIVATION = "tanh"
 
 @pytree
 class OnPolicyConfig(LearnerConfig):
-    """Settings common to PPO and TRPO; more are in `LearnerConfig`."""
+    """Settings common to PPO and TRPO; more are in `LearnerConfig`.
+
+    Example:
+        >>> config = training.OnPolicyConfig(num_envs=64, trace_decay=0.9)
+        >>> training.steps_per_update(config)
+        8192
+    """
 
     trace_decay: Scalar = 0.95
     """Trace decay lambda of the advantage estimate."""

@@ -49,7 +49,13 @@ from jaxrod.training.settings import (
 
 @pytree
 class PPOConfig(OnPolicyConfig):
-    """Settings of PPO; more are in `OnPolicyConfig` and `LearnerConfig`."""
+    """Settings of PPO; more are in `OnPolicyConfig` and `LearnerConfig`.
+
+    Example:
+        >>> config = training.PPOConfig(num_envs=64, learning_rate=3e-4)
+        >>> config.num_envs * config.rollout_steps // config.minibatches  # decisions
+        1024
+    """
 
     epochs: int = static(default=8)
     """Passes over the experience of one update."""

@@ -84,7 +84,13 @@ OUTPUTS_PER_ACTION = 2
 
 @pytree
 class SACConfig(OffPolicyConfig):
-    """Settings of SAC; more are in `OffPolicyConfig` and `LearnerConfig`."""
+    """Settings of SAC; more are in `OffPolicyConfig` and `LearnerConfig`.
+
+    Example:
+        >>> config = training.SACConfig(entropy_per_action=-0.5)
+        >>> config.entropy_per_action, config.action_repeat
+        (-0.5, 1)
+    """
 
     temperature_learning_rate: Scalar = 3e-3
     """Step size of Adam for the temperature."""

@@ -188,7 +188,13 @@ OBJECTIVES = ("cost", "reward")
 
 @pytree
 class SHACConfig(OnPolicyConfig):
-    """Settings of SHAC; more are in `OnPolicyConfig` and `LearnerConfig`."""
+    """Settings of SHAC; more are in `OnPolicyConfig` and `LearnerConfig`.
+
+    Example:
+        >>> config = training.SHACConfig(rollout_steps=32)
+        >>> config.rollout_steps * config.action_repeat  # control steps of a gradient
+        128
+    """
 
     num_envs: int = static(default=64)
     rollout_steps: int = static(default=16)

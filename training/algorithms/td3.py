@@ -55,7 +55,13 @@ from jaxrod.training.settings import (
 
 @pytree
 class TD3Config(OffPolicyConfig):
-    """Settings of TD3; more are in `OffPolicyConfig` and `LearnerConfig`."""
+    """Settings of TD3; more are in `OffPolicyConfig` and `LearnerConfig`.
+
+    Example:
+        >>> config = training.TD3Config(exploration_noise=0.2)
+        >>> config.critics, config.policy_delay
+        (2, 2)
+    """
 
     policy_delay: int = static(default=2)
     """Critic steps per step of the policy and the targets; divides `gradient_steps`."""
@@ -217,6 +223,10 @@ class DDPGConfig(TD3Config):
 
     `jaxrod.training.TD3Config` describes the settings. Source: Lillicrap et al.,
     "Continuous control with deep reinforcement learning", 2016.
+
+    Example:
+        >>> training.DDPGConfig().critics, training.TD3Config().critics
+        (1, 2)
     """
 
     policy_delay: int = static(default=1)

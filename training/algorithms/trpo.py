@@ -56,7 +56,13 @@ from jaxrod.training.settings import (
 
 @pytree
 class TRPOConfig(OnPolicyConfig):
-    """Settings of TRPO; more are in `OnPolicyConfig` and `LearnerConfig`."""
+    """Settings of TRPO; more are in `OnPolicyConfig` and `LearnerConfig`.
+
+    Example:
+        >>> config = training.TRPOConfig(max_kl=0.02)  # it falls to `final_max_kl`
+        >>> config.max_kl, config.final_max_kl
+        (0.02, 0.01)
+    """
 
     rollout_steps: int = static(default=64)
     conjugate_iterations: int = static(default=10)

@@ -41,6 +41,12 @@ def warm_start(algorithm: Algorithm, policy: MLPPolicy) -> Algorithm:
         ValueError: The policy is no perceptron, or not of the kind that these
             algorithms learn. It is raised when the run begins if the algorithm is not
             on-policy or sizes differ.
+
+    Example:
+        >>> policy = training.untrained_policy(envs.make("trivial"))  # or of a run
+        >>> learner = training.warm_start(training.PPO, policy)
+        >>> learner.name, learner.config_type.__name__
+        ('ppo_with_policy', 'PPOConfig')
     """
     if not isinstance(policy, MLPPolicy):
         raise ValueError(

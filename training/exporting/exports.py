@@ -65,7 +65,12 @@ def export_c(
             names it. Or there is a file in the way.
 
     Example:
-        `export_c(restore_policy("runs/first", env), env, "policy.h")`
+        >>> env = envs.make("trivial")
+        >>> sizes = training.untrained_policy(env)
+        >>> policy = jax.tree.map(lambda leaf: jnp.ones(leaf.shape), sizes)
+        >>> contract = training.export_c(policy, env, "policy.h")
+        >>> contract["functions"], contract["observation"]["entries"][0]["unit"]
+        ({'act': 'policy_act'}, 'm')
     """
     path = Path(file)
     prefix = c_header.prefix_of(path.stem)
@@ -109,7 +114,12 @@ def export_onnx(
         ModuleNotFoundError: `onnx` is not installed.
 
     Example:
-        `export_onnx(restore_policy("runs/first", env), env, "policy.onnx")`
+        >>> env = envs.make("trivial")
+        >>> sizes = training.untrained_policy(env)
+        >>> policy = jax.tree.map(lambda leaf: jnp.ones(leaf.shape), sizes)
+        >>> contract = training.export_onnx(policy, env, "policy.onnx")
+        >>> contract["action"]["lower"], contract["action"]["upper"]
+        (-1.0, 1.0)
     """
     path = Path(file)
 

@@ -76,7 +76,13 @@ _MOVED = "jaxrod.envs.action_repeat: ", "jaxrod.envs.wrappers: "
 
 
 class RunFolder(OwnedFolder):
-    """The files of one run."""
+    """The files of one run.
+
+    Example:
+        >>> run = training.RunFolder("runs/first")
+        >>> run.finished, run.summary_file.name
+        (False, 'summary.json')
+    """
 
     def __init__(self, path: str | Path) -> None:
         """Sets the path of the folder, which need not exist.

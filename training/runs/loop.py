@@ -89,6 +89,13 @@ def train(
             another process trains there; or the run to be resumed is damaged.
         OSError: A file cannot be written; the message has its name.
         FloatingPointError: Learning diverged; the checkpoints are from before.
+
+    Example:
+        >>> env = envs.make("trivial")
+        >>> config = training.PPOConfig(num_envs=16, rollout_steps=16)
+        >>> result = training.train(env, steps=16000, config=config, progress=False)
+        >>> result.evaluation.mean > 18.0  # 19.7 at best, 13.3 at rest
+        True
     """
     steps, seed = check_count("steps", steps, 1, math.inf), check_seed(seed)
     learner, config = resolve(algorithm, config)
@@ -297,6 +304,13 @@ def train_seeds(
 
     Raises:
         ValueError: An argument or a setting is invalid.
+
+    Example:
+        >>> env = envs.make("trivial")
+        >>> config = training.PPOConfig(num_envs=4, rollout_steps=8)
+        >>> states, metrics = training.train_seeds(env, steps=128, config=config)
+        >>> metrics["episode_return_mean"].shape  # seeds, updates
+        (3, 4)
     """
     learner, config = resolve(algorithm, config)
     learner.validate(config, 1)

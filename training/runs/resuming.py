@@ -194,6 +194,16 @@ def restore_policy(
             message names it.
         UntrustedError: The run names an algorithm or a network that is not trusted.
         ImportError: The algorithm or the network of the run is not found.
+
+    Example:
+        >>> env = envs.make("trivial")
+        >>> config = training.PPOConfig(num_envs=4, rollout_steps=8)
+        >>> result = training.train(
+        ...     env, steps=64, config=config, out="runs/first", progress=False
+        ... )
+        >>> policy = training.restore_policy("runs/first", env)
+        >>> bool((policy(jnp.ones(1)) == result.policy(jnp.ones(1))).all())
+        True
     """
     folder = RunFolder(run)
     stored = folder.config()
@@ -223,6 +233,11 @@ def untrained_policy(
 
     Returns:
         The policy, with shapes and dtypes (`jax.ShapeDtypeStruct`) in place of numbers.
+
+    Example:
+        >>> policy = training.untrained_policy(envs.make("tracking"), "sac")
+        >>> policy.layers[0][0].shape, policy.output
+        ((44, 64), 'tanh')
     """
     algorithm, config = resolve(algorithm, config)
     algorithm.validate(config, 1)

@@ -51,7 +51,17 @@ Log = Callable[[dict[str, Any]], None] | Literal["tensorboard"]
 
 @dataclasses.dataclass(frozen=True)
 class Result:
-    """Result of a run."""
+    """Result of a run.
+
+    Example:
+        >>> env = envs.make("trivial")
+        >>> config = training.PPOConfig(num_envs=4, rollout_steps=8)
+        >>> result = training.train(
+        ...     env, steps=64, config=config, evaluation_episodes=0, progress=False
+        ... )
+        >>> result.summary["env_steps"], result.policy(jnp.zeros(1)).shape
+        (64, (1,))
+    """
 
     summary: dict[str, Any]
     """Summary, as in `summary.json`."""

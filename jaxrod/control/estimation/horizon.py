@@ -36,7 +36,19 @@ from jaxrod.validation import as_array, check_count
 
 @pytree
 class Horizon:
-    """The likeliest motion of a window; see `moving_horizon`."""
+    """The likeliest motion of a window; see `moving_horizon`.
+
+    Example:
+        >>> process = estimation.make_process(
+        ...     scene, state, 1e-4, 10, measure=lambda _, seen: seen.tip, noise=1e-3
+        ... )
+        >>> loose = process.coordinates.filled(velocity=0.1)
+        >>> arrival = estimation.first_estimate(process, state, loose**2)
+        >>> seen = jnp.stack([state.tip, state.tip])
+        >>> found = estimation.moving_horizon(process, arrival, seen, iterations=2)
+        >>> int(found.estimate.steps), found.disturbances is None
+        (20, True)
+    """
 
     estimate: Estimate
     """Estimate at the end of the window."""
@@ -74,6 +86,17 @@ def moving_horizon(
     Raises:
         ValueError: If shapes do not fit.
         TypeError: If `process` or `arrival` is of another type.
+
+    Example:
+        >>> process = estimation.make_process(
+        ...     scene, state, 1e-4, 10, measure=lambda _, seen: seen.tip, noise=1e-3
+        ... )
+        >>> loose = process.coordinates.filled(velocity=0.1)
+        >>> arrival = estimation.first_estimate(process, state, loose**2)
+        >>> seen = jnp.stack([state.tip, state.tip])  # at the ends of two periods
+        >>> found = estimation.moving_horizon(process, arrival, seen, iterations=2)
+        >>> found.states.positions.shape  # three moments
+        (3, 3, 11)
     """
     check_estimate(process, arrival, "arrival")
     iterations = check_count("iterations", iterations, 1)

@@ -32,7 +32,19 @@ from jaxrod.structure import pytree
 
 @pytree
 class Update:
-    """An estimate corrected by a measurement, and how well the two agreed."""
+    """An estimate corrected by a measurement, and how well the two agreed.
+
+    Example:
+        >>> process = estimation.make_process(
+        ...     scene, state, 1e-4, 10, measure=lambda _, seen: seen.tip, noise=1e-3
+        ... )
+        >>> loose = process.coordinates.filled(displacement=0.01)
+        >>> estimate = estimation.first_estimate(process, state, loose**2)
+        >>> seen = state.tip.at[2].set(jnp.nan)  # its height was not measured
+        >>> found = estimation.update(process, estimate, seen)
+        >>> int(found.count), found.whitened.shape
+        (2, (3,))
+    """
 
     estimate: Estimate
     """The corrected estimate."""
@@ -57,6 +69,16 @@ def predict(process: Process, estimate: Estimate, control: Any = None) -> Estima
     Raises:
         ValueError: If the control or the estimate has another shape.
         TypeError: If `process` or `estimate` is of another type.
+
+    Example:
+        >>> process = estimation.make_process(
+        ...     scene, state, 1e-4, 10, measure=lambda _, seen: seen.tip, noise=1e-3
+        ... )
+        >>> loose = process.coordinates.filled(velocity=0.1)
+        >>> estimate = estimation.first_estimate(process, state, loose**2)
+        >>> later = estimation.predict(process, estimate)
+        >>> int(later.steps), bool(later.deviations[0] > estimate.deviations[0])
+        (10, True)
     """
     check_estimate(process, estimate)
     given = process.control(control)
@@ -96,6 +118,17 @@ def update(process: Process, estimate: Estimate, observed: Any) -> Update:
     Raises:
         ValueError: If the measurement or the estimate has another shape.
         TypeError: If `process` or `estimate` is of another type.
+
+    Example:
+        >>> process = estimation.make_process(
+        ...     scene, state, 1e-4, 10, measure=lambda _, seen: seen.tip, noise=1e-3
+        ... )
+        >>> loose = process.coordinates.filled(displacement=0.01)
+        >>> estimate = estimation.first_estimate(process, state, loose**2)
+        >>> seen = state.tip.at[2].add(0.01)  # the tip is 1 cm higher than expected
+        >>> found = estimation.update(process, estimate, seen)
+        >>> round(float(found.estimate.state.tip[2]), 3)
+        0.01
     """
     check_estimate(process, estimate)
     seen = check_observed(process, observed, process.noise.shape)

@@ -45,6 +45,13 @@ class Process:
     """A model with unknown influences, seen by sensors; make it with `make_process`.
 
     Numbers are traced: a batch of processes is a `jax.vmap`.
+
+    Example:
+        >>> process = estimation.make_process(
+        ...     scene, state, 1e-4, 10, measure=lambda _, seen: seen.tip, noise=1e-3
+        ... )
+        >>> process.n_steps, process.noise.shape, process.coordinates.size
+        (10, (3,), 120)
     """
 
     model: Any
@@ -90,7 +97,17 @@ class Process:
 
 @pytree
 class Estimate:
-    """A state, and the covariance of local coordinates about it."""
+    """A state, and the covariance of local coordinates about it.
+
+    Example:
+        >>> process = estimation.make_process(
+        ...     scene, state, 1e-4, 10, measure=lambda _, seen: seen.tip, noise=1e-3
+        ... )
+        >>> loose = process.coordinates.filled(velocity=0.1)
+        >>> estimate = estimation.first_estimate(process, state, loose**2)
+        >>> estimate.covariance.shape, round(float(estimate.deviations.max()), 3)
+        ((120, 120), 0.1)
+    """
 
     state: Any
     """The estimated state."""
@@ -146,6 +163,13 @@ def make_process(
     Raises:
         ValueError: If an argument is out of range or shapes do not fit.
         TypeError: If the model or the state is of another type.
+
+    Example:
+        >>> process = estimation.make_process(
+        ...     scene, state, 1e-4, 10, measure=lambda _, seen: seen.tip, noise=1e-3
+        ... )
+        >>> process.noise.shape, process.coordinates.size
+        ((3,), 120)
     """
     n_steps = check_count("n_steps", n_steps, 1)
     unknown = checked_control(
@@ -197,8 +221,13 @@ def first_estimate(
         TypeError: If `process` is not a `Process`.
 
     Example:
+        >>> process = estimation.make_process(
+        ...     scene, state, 1e-4, 10, measure=lambda _, seen: seen.tip, noise=1e-3
+        ... )
         >>> loose = process.coordinates.filled(velocity=0.1, angular_velocity=1.0)
-        >>> estimate = first_estimate(process, state, loose**2)
+        >>> estimate = estimation.first_estimate(process, state, loose**2)
+        >>> round(float(estimate.deviations.max()), 3)  # [rad/s]
+        1.0
     """
     check_process(process)
     process.model.check_run(state, process.dt, None)

@@ -100,6 +100,16 @@ def fit(
         ValueError: Names, shapes or numbers of windows do not fit, a number is out of
             range, nothing was observed, or several kinds are observed and `noise` is
             not given.
+
+    Example:
+        >>> x = jnp.arange(5.0)
+        >>> seen = jnp.array([0.1, 2.9, 6.1, 9.0, 11.9])
+        >>> line = lambda p: p["slope"] * x
+        >>> print(control.fit(line, seen, {"slope": 1.0}, noise=0.1))
+        parameter         value           sd
+        slope              2.99        0.018
+        residual sd of observations: 0.086
+        misfit 0.925 over 4 degrees of freedom; ... iterations
     """
     windows = multiple_shooting
     if windows is None:

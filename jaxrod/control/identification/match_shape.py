@@ -36,7 +36,18 @@ QUANTITIES = ("rest_curvature", "stiffness")
 
 @pytree
 class ShapeMatch:
-    """A rod whose equilibrium has a given shape, if `converged`."""
+    """A rod whose equilibrium has a given shape, if `converged`.
+
+    Example:
+        >>> thin, start = jaxrod.straight_rod(
+        ...     4, length=0.4, radius=0.02, density=1e3, youngs_modulus=1e6
+        ... )
+        >>> held = jaxrod.make_scene(thin, jaxrod.clamp(start))
+        >>> target = start.tip[:, None] + jnp.array([[0.02], [0.0], [0.0]])  # 2 cm
+        >>> match = control.match_shape(held, start, target, nodes=[4])
+        >>> match.rest_curvature.shape, match.stiffness.tolist()  # not sought
+        ((3, 3), [1.0, 1.0, 1.0, 1.0])
+    """
 
     scene: Scene
     """Scene with the rod that was found."""
@@ -87,6 +98,16 @@ def match_shape(
         ValueError: An argument is out of range or does not fit, or `equilibrium` raises
             it.
         TypeError: `scene` or `state` has the wrong type.
+
+    Example:
+        >>> thin, start = jaxrod.straight_rod(
+        ...     4, length=0.4, radius=0.02, density=1e3, youngs_modulus=1e6
+        ... )
+        >>> held = jaxrod.make_scene(thin, jaxrod.clamp(start))
+        >>> target = start.tip[:, None] + jnp.array([[0.02], [0.0], [0.0]])  # 2 cm
+        >>> match = control.match_shape(held, start, target, nodes=[4])
+        >>> bool(match.converged), bool(match.error < 1e-3)
+        (True, True)
     """
     scene = scene_of(scene, state)
     rod = scene.rod

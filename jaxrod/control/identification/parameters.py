@@ -24,6 +24,11 @@ class Parameters:
 
     Search variables are logarithms relative to the start, $z = \log(p / p_0)$, or
     scaled deviations from the start, $z = (p - p_0) / s$.
+
+    Example:
+        >>> sought = control.make_parameters({"modulus": 1e6, "angles": jnp.ones(2)})
+        >>> sought.names
+        ('angles[0]', 'angles[1]', 'modulus')
     """
 
     start: dict[str, Any]
@@ -123,6 +128,12 @@ def make_parameters(
             name, a scale is not positive, a
             parameter sought by its logarithm is not positive, or a parameter is not
             finite.
+
+    Example:
+        >>> start = {"modulus": 1e6, "shift": 0.0}
+        >>> sought = control.make_parameters(start, logarithmic=["modulus"])
+        >>> dict(zip(sought.names, sought.by_log))  # the modulus stays positive
+        {'modulus': True, 'shift': False}
     """
     if not start:
         raise ValueError("start must name at least one parameter")

@@ -38,7 +38,16 @@ PLAIN = 0.05
 
 @pytree
 class Forecast:
-    """A fit's prediction of further observations."""
+    """A fit's prediction of further observations.
+
+    Example:
+        >>> x = jnp.arange(5.0)
+        >>> line = lambda p: p["slope"] * x
+        >>> found = control.fit(line, 3.0 * x, {"slope": 1.0}, noise=0.1)
+        >>> ahead = found.forecast(lambda p: p["slope"] * 10.0)
+        >>> round(float(ahead.value), 2), round(float(ahead.sd), 2)
+        (30.0, 0.18)
+    """
 
     value: Any
     """Expected observations."""
@@ -53,6 +62,15 @@ class Fit:
     """Parameters found from data by `fit`; a batch of fits under `jax.vmap`.
 
     `print(fit)` shows a table, and describes what the data do not determine.
+
+    Example:
+        >>> x = jnp.arange(5.0)
+        >>> line = lambda p: p["slope"] * x
+        >>> found = control.fit(line, 3.0 * x, {"slope": 1.0}, noise=0.1)
+        >>> round(float(found.values["slope"]), 3), bool(found.determined)
+        (3.0, True)
+        >>> round(float(found.standard_deviations["slope"]), 3)
+        0.018
     """
 
     parameters: Parameters

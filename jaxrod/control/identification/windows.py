@@ -53,6 +53,12 @@ class MultipleShooting:
     parameters within a few tens of per cent of the true ones, and initial states close
     to the observed ones. One evaluation costs about one run of all windows, one after
     another, with a tangent for each parameter and for each unknown of a first state.
+
+    Example:
+        >>> places = jnp.zeros((4, 3))  # first guesses for four windows [m]
+        >>> shooting = control.MultipleShooting(unknowns={"place": places})
+        >>> shooting.joined  # the windows are independent
+        False
     """
 
     unknowns: Any
@@ -163,6 +169,13 @@ def shots(
 
     Raises:
         ValueError: The leaves of `states` do not all have the same number of windows.
+
+    Example:
+        >>> def run(parameters, start):
+        ...     return start * jnp.exp(-parameters["rate"] * jnp.arange(1.0, 4.0))
+        >>> simulate = control.shots(run, jnp.array([1.0, 2.0]))
+        >>> simulate({"rate": 0.5}).shape  # windows, frames
+        (2, 3)
     """
     count_windows("states", states)
 
@@ -224,6 +237,11 @@ def windows(
 
     Raises:
         ValueError: A count is out of range, or the film is shorter than a window.
+
+    Example:
+        >>> film = jnp.arange(7.0)
+        >>> control.windows(film, frames=3).tolist()  # frame 0 is only a start
+        [[1.0, 2.0, 3.0], [4.0, 5.0, 6.0]]
     """
     frames = check_count("frames", frames, 1)
     every = check_count("every", frames if every is None else every, 1)

@@ -75,6 +75,14 @@ class LocalCoordinates:
 
     A vector of coordinates has `size` numbers: displacements [m] and rotations [rad] in
     the order of `names`, then their rates [m/s], [rad/s] in the same order.
+
+    Example:
+        >>> near = control.local_coordinates(scene, state, 1e-4)
+        >>> near.size, near.names[0], near.names[-1]
+        (120, 'node 1 along x', 'element 9 about d3')
+        >>> lifted = near.retract(state, near.filled(displacement=0.01))  # [m]
+        >>> print(near.difference(state, lifted)[:3].round(3))
+        [0.01 0.01 0.01]
     """
 
     model: Any
@@ -216,6 +224,11 @@ def local_coordinates(model: Any, state: Any, dt: ArrayLike) -> LocalCoordinates
     Raises:
         ValueError: If nothing is free, or anything is traced.
         TypeError: If the model or the state is of another type.
+
+    Example:
+        >>> near = control.local_coordinates(scene, state, 1e-4)
+        >>> near.names[0], near.size  # node 0 is clamped
+        ('node 1 along x', 120)
     """
     return coordinates_under(model, state, dt, None, None)
 

@@ -70,7 +70,14 @@ class Plan:
 
 @pytree
 class PlanningPolicy:
-    """A policy with memory that plans; see the module. Make one with `mpc`."""
+    """A policy with memory that plans; see the module. Make one with `mpc`.
+
+    Example:
+        >>> policy = control.mpc(envs.make("tracking"), horizon=96, knots=6, hold=4)
+        >>> plan = policy.init(jnp.zeros((2, 44)), None)  # of two episodes
+        >>> plan.values.shape  # now and at six knots, twelve actions
+        (2, 7, 12)
+    """
 
     cost: PlanCost
     """Cost of a plan, with the model and the knots."""
@@ -242,6 +249,11 @@ def mpc(
     Raises:
         ValueError: An argument is out of range, or the environment cannot be planned
             with.
+
+    Example:
+        >>> policy = control.mpc(envs.make("tracking"), horizon=96, knots=6, hold=4)
+        >>> policy.action_repeat, policy.replan, isinstance(policy, envs.MemoryPolicy)
+        (4, 16, True)
     """
     if method not in METHODS:
         raise ValueError(f"method must be one of {', '.join(METHODS)}; got {method!r}")

@@ -62,6 +62,18 @@ def adam(
     Raises:
         ValueError: An argument is out of range or does not fit.
         TypeError: `problem` is not a `Problem`.
+
+    Example:
+        >>> problem = control.make_problem(
+        ...     jnp.zeros(1),
+        ...     lambda goal, place, push, k: place + 0.1 * push,
+        ...     final=lambda goal, place: place - goal,
+        ...     data=jnp.array([0.5]),
+        ...     n_intervals=10, interval=0.1, n_controls=1,
+        ... )
+        >>> found = control.adam(problem, n_knots=2)
+        >>> print(found.states[-1].round(2))
+        [0.5]
     """
     check_problem(problem)
     iterations = check_count("iterations", iterations, 1)

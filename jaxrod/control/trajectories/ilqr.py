@@ -78,6 +78,18 @@ def ilqr(
     Raises:
         ValueError: An argument is out of range or does not fit.
         TypeError: `problem` is not a `Problem`.
+
+    Example:
+        >>> problem = control.make_problem(
+        ...     jnp.zeros(1),
+        ...     lambda goal, place, push, k: place + 0.1 * push,
+        ...     running=lambda goal, place, push, k: (0.1 * push, place - goal),
+        ...     data=jnp.array([0.5]),
+        ...     n_intervals=10, interval=0.1, n_controls=1, lower=-9.0, upper=9.0,
+        ... )
+        >>> found = control.ilqr(problem)
+        >>> bool((found.gains < 0).all())  # it pushes back
+        True
     """
     check_problem(problem)
     iterations = check_count("iterations", iterations, 1)

@@ -67,6 +67,18 @@ def levenberg_marquardt(
     Raises:
         ValueError: An argument is out of range or does not fit.
         TypeError: `problem` is not a `Problem`.
+
+    Example:
+        >>> problem = control.make_problem(
+        ...     jnp.zeros(1),
+        ...     lambda goal, place, push, k: place + 0.1 * push,
+        ...     final=lambda goal, place: place - goal,
+        ...     data=jnp.array([0.5]),
+        ...     n_intervals=10, interval=0.1, n_controls=1,
+        ... )
+        >>> found = control.levenberg_marquardt(problem, n_knots=2)
+        >>> print(found.states[-1].round(3))
+        [0.5]
     """
     check_problem(problem)
     check_array("ridge", ridge, [()], "", non_negative=True)
@@ -123,6 +135,20 @@ def codesign(
     Raises:
         ValueError: An argument is out of range or does not fit.
         TypeError: `problem` is not a `Problem`.
+
+    Example:
+        >>> problem = control.make_problem(
+        ...     jnp.zeros(1),
+        ...     lambda body, place, push, k: place + 0.1 * body["gain"] * push,
+        ...     final=lambda body, place: place - body["goal"],
+        ...     data={"gain": jnp.array(1.0), "goal": jnp.array([2.0])},
+        ...     n_intervals=10, interval=0.1, n_controls=1,
+        ... )
+        >>> found = control.codesign(  # |push| <= 1: too far for a gain of 1
+        ...     problem, lambda body, gain: {**body, "gain": gain}, jnp.array(1.0)
+        ... )
+        >>> print(found.states[-1].round(1), found.design > 1.9)
+        [2.] True
     """
     check_problem(problem)
     knots = first_knots(problem, n_knots, initial_knots, seed)

@@ -42,6 +42,17 @@ class Problem:
     Numbers are traced: the same compiled program solves problems with other numbers,
     another start or another target. A batch of problems is a `jax.vmap` over the
     leaves.
+
+    Example:
+        >>> problem = control.make_problem(
+        ...     jnp.zeros(1),
+        ...     lambda goal, place, push, k: place + 0.1 * push,
+        ...     final=lambda goal, place: place - goal,
+        ...     data=jnp.array([0.5]),
+        ...     n_intervals=10, interval=0.1, n_controls=1,
+        ... )
+        >>> problem.n_controls, problem.at_the_end(jnp.array([0.25])).tolist()
+        (1, [-0.25])
     """
 
     start: Any
@@ -118,6 +129,18 @@ def make_problem(
     Raises:
         ValueError: An argument is out of range, `move` returns something else than a
             state, or there is no cost.
+
+    Example:
+        >>> problem = control.make_problem(
+        ...     jnp.zeros(1),
+        ...     lambda goal, place, push, k: place + 0.1 * push,
+        ...     final=lambda goal, place: place - goal,
+        ...     data=jnp.array([0.5]),
+        ...     n_intervals=10, interval=0.1, n_controls=1,
+        ... )
+        >>> after, _ = problem.step(problem.start, jnp.array([1.0]), 0)
+        >>> print(after)
+        [0.1]
     """
     n_intervals = check_count("n_intervals", n_intervals, 1)
     n_controls = check_count("n_controls", n_controls, 1)
@@ -237,7 +260,20 @@ def _floats(tree: Any) -> list[Array]:
 
 @pytree
 class RolledOut:
-    """A motion under a policy."""
+    """A motion under a policy.
+
+    Example:
+        >>> problem = control.make_problem(
+        ...     jnp.zeros(1),
+        ...     lambda goal, place, push, k: place + 0.1 * push,
+        ...     final=lambda goal, place: place - goal,
+        ...     data=jnp.array([0.5]),
+        ...     n_intervals=10, interval=0.1, n_controls=1,
+        ... )
+        >>> done = control.rolled_out(problem, lambda place, k: 0.0 * place)
+        >>> done.states.shape, done.controls.shape, float(done.cost)
+        ((11, 1), (10, 1), 0.25)
+    """
 
     states: Any
     """States at the start and after each interval, stacked in front."""
@@ -261,6 +297,18 @@ def rolled_out(
 
     Raises:
         TypeError: `problem` is not a `Problem`.
+
+    Example:
+        >>> problem = control.make_problem(
+        ...     jnp.zeros(1),
+        ...     lambda goal, place, push, k: place + 0.1 * push,
+        ...     final=lambda goal, place: place - goal,
+        ...     data=jnp.array([0.5]),
+        ...     n_intervals=10, interval=0.1, n_controls=1,
+        ... )
+        >>> done = control.rolled_out(problem, lambda place, k: 2.0 * (0.5 - place))
+        >>> [round(float(place), 2) for place in done.states[:4, 0]]
+        [0.0, 0.1, 0.18, 0.24]
     """
     check_problem(problem)
 

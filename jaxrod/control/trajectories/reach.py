@@ -53,6 +53,11 @@ class ActuatedArm:
 
     Make one from any scene of one rod: `ActuatedArm(scene, state, spline,
     couple_density)`. `jaxrod.envs.actuated_arm` makes the benchmark's arm.
+
+    Example:
+        >>> arm = envs.actuated_arm(10, n_controls=4)
+        >>> arm.control_shape, type(arm.state).__name__
+        ((2, 4), 'RodState')
     """
 
     scene: Scene
@@ -92,7 +97,14 @@ class ActuatedArm:
 
 @pytree
 class Reach:
-    """The data of a reaching problem."""
+    """The data of a reaching problem.
+
+    Example:
+        >>> arm = envs.actuated_arm(10)
+        >>> problem = control.reach(arm, (0.3, 0.8, 0.0), duration=0.1, dt=1e-3)
+        >>> problem.data.control_shape, problem.data.steps_per_interval
+        ((2, 6), 10)
+    """
 
     arm: Any
     """The arm."""
@@ -171,6 +183,12 @@ def reach(
         UnreachableTargetWarning: The target is farther from the base of the arm than
             the arm is long.
         jaxrod.UnstableStepWarning: `dt` is above the stability bound.
+
+    Example:
+        >>> arm = envs.actuated_arm(10, n_controls=4)
+        >>> problem = control.reach(arm, (0.3, 0.8, 0.0), duration=0.1, dt=1e-3)
+        >>> problem.n_controls, problem.n_intervals  # two directions of four points
+        (8, 10)
     """
     place = _checked(arm, target)
     shape = control_shape

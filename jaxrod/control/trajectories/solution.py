@@ -28,7 +28,20 @@ _kept: OrderedDict[Any, Any] = OrderedDict()
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Solution:
-    """The best controls that a solver found, and how it found them."""
+    """The best controls that a solver found, and how it found them.
+
+    Example:
+        >>> problem = control.make_problem(
+        ...     jnp.zeros(1),
+        ...     lambda goal, place, push, k: place + 0.1 * push,
+        ...     final=lambda goal, place: place - goal,
+        ...     data=jnp.array([0.5]),
+        ...     n_intervals=10, interval=0.1, n_controls=1,
+        ... )
+        >>> found = control.levenberg_marquardt(problem, n_knots=2)
+        >>> found.converged, found.controls.shape, found.states.shape
+        (True, (10, 1), (11, 1))
+    """
 
     problem: Problem
     """The problem that was solved."""

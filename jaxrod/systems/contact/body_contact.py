@@ -47,7 +47,13 @@ from jaxrod.validation import Numbers, as_array, check_count
 
 @pytree
 class BodyContact(PenaltyContact):
-    """Contact of the rods of one member with the bodies of another."""
+    """Contact of the rods of one member with the bodies of another.
+
+    Example:
+        >>> contact = systems.body_contact("arm", "ball", stiffness=1e4)
+        >>> contact.rod, contact.body, contact.is_contact
+        ('arm', 'ball', True)
+    """
 
     touching: Float[Array, ""] | None = None
     """Length of rod that touches a body at a time, for the stability bound [m]."""
@@ -343,6 +349,16 @@ def body_contact(
 
     Raises:
         ValueError: If a number is out of range, or friction has no drag.
+
+    Example:
+        >>> shape = shapes.sphere((0.5, 0.0, -0.5), radius=0.1)
+        >>> ball, there = systems.rigid_body(shape, density=1000.0)
+        >>> contact = systems.body_contact(
+        ...     "arm", "ball", stiffness=1e4, damping=5.0, friction=0.3
+        ... )
+        >>> system = jaxrod.make_system({"arm": scene, "ball": ball}, contact)
+        >>> float(system.couplings[0].friction_drag)  # that of the damping [kg/(m s)]
+        5.0
     """
     if points_per_element is not None:
         check_count("points_per_element", points_per_element, 1, 1000)

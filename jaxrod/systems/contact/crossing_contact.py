@@ -70,7 +70,13 @@ Tree = TypeVar("Tree")
 
 @pytree
 class CrossingContact(TouchingRods):
-    """Contact between all rods of some members; see `crossing_contact`."""
+    """Contact between all rods of some members; see `crossing_contact`.
+
+    Example:
+        >>> contact = systems.crossing_contact("left", "right", stiffness=1e3)
+        >>> contact.members, contact.self_contact, contact.max_contacts
+        (('left', 'right'), False, 2)
+    """
 
     symmetric: ClassVar[bool] = True
     smooth: ClassVar[bool] = True
@@ -324,6 +330,12 @@ def crossing_contact(
     Raises:
         ValueError: If a number is out of range, or friction has no drag.
         TypeError: If a name is not a string.
+
+    Example:
+        >>> contact = systems.crossing_contact("warp", "weft", stiffness=1e3)
+        >>> system = jaxrod.make_system({"warp": scene, "weft": scene}, contact)
+        >>> system.couplings[0].members, system.couplings[0].is_contact
+        (('warp', 'weft'), True)
     """
     law = rod_law(
         members,

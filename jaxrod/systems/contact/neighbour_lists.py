@@ -29,7 +29,15 @@ MOST_IN_CELLS = 10_000
 
 @pytree
 class NeighbourLists:
-    """Settings of lists of neighbours; see `neighbour_lists`."""
+    """Settings of lists of neighbours; see `neighbour_lists`.
+
+    Example:
+        >>> lists = systems.neighbour_lists(refresh_every=20)
+        >>> lists.is_sized  # `make_system` counts the entries in its `state`
+        False
+        >>> systems.neighbour_lists(pairs=100, candidates=400, cell_slots=0).is_sized
+        True
+    """
 
     skin: Float[Array, ""]
     """Gap between surfaces up to which elements are listed, over the largest radius
@@ -76,6 +84,13 @@ class NeighbourRecord:
 
     It is under the name "neighbours" in the state of a system that has lists, and stays
     until it is removed from the state.
+
+    Example:
+        >>> record = systems.NeighbourRecord(
+        ...     missed=jnp.array(0.0), moved=jnp.array(1.2), used=jnp.array(80.0)
+        ... )
+        >>> bool(record.overflow), bool(record.stale)  # long enough, but too old
+        (False, True)
     """
 
     missed: Float[Array, ""]
@@ -146,6 +161,14 @@ def neighbour_lists(
 
     Raises:
         ValueError: If a number is out of range.
+
+    Example:
+        >>> lists = systems.neighbour_lists(refresh_every=20)
+        >>> coil = systems.rod_contact(
+        ...     "arm", self_contact=True, stiffness=1e5, lists=lists
+        ... )
+        >>> coil.refresh_every, coil.is_sized  # `make_system` counts in its `state`
+        (20, False)
     """
     for name, value in (("pairs", pairs), ("candidates", candidates)):
         if value is not None:

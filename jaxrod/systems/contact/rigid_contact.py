@@ -43,7 +43,14 @@ from jaxrod.validation import Numbers, as_array, check_count, check_kind, numeri
 
 @pytree
 class RigidContact(PenaltyContact):
-    """Contact among rigid bodies of some members and with fixed bodies."""
+    """Contact among rigid bodies of some members and with fixed bodies.
+
+    Example:
+        >>> floor = shapes.plane()
+        >>> contact = systems.rigid_contact("balls", fixed=floor, stiffness=1e4)
+        >>> contact.members, len(contact.fixed)
+        (('balls',), 1)
+    """
 
     fixed: tuple[Body, ...] = ()
     """Bodies that stand still."""
@@ -273,6 +280,14 @@ def rigid_contact(
     Raises:
         ValueError: If a number is out of range, or friction has no drag.
         TypeError: If a name is not a string, or a fixed body is not a body.
+
+    Example:
+        >>> shape = shapes.sphere((0.0, 0.0, 0.09), radius=0.1)  # 1 cm in the floor
+        >>> ball, there = systems.rigid_body(shape, density=1000.0)
+        >>> contact = systems.rigid_contact("ball", fixed=shapes.plane(), stiffness=1e4)
+        >>> system = jaxrod.make_system({"ball": ball}, contact)
+        >>> round(float(system.potential_energy({"ball": there})), 2)  # [J]
+        0.5
     """
     check_members(members)
     obstacles = (fixed,) if isinstance(fixed, Body) else tuple(fixed)

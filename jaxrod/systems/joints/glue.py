@@ -152,7 +152,15 @@ def between_surfaces(
 
 @pytree
 class Glue(Coupling):
-    """Glue between elements of two rods; see `glue`."""
+    """Glue between elements of two rods; see `glue`.
+
+    Example:
+        >>> beside = replace(state, positions=state.positions.at[1].add(0.04))
+        >>> states = {"left": state, "right": beside}
+        >>> glued = systems.glue("left", "right", states, stiffness=1e4)
+        >>> glued.turning_stiffness is None  # elements turn freely
+        True
+    """
 
     a: GluedSide
     """Elements of the first rod."""
@@ -303,6 +311,16 @@ def glue(
             number is out of range, or a turning damping is given without a turning
             stiffness.
         TypeError: If a rod is not given by its name.
+
+    Example:
+        >>> beside = replace(state, positions=state.positions.at[1].add(0.04))
+        >>> states = {"left": state, "right": beside}
+        >>> glued = systems.glue("left", "right", states, stiffness=1e4)
+        >>> system = jaxrod.make_system({"left": scene, "right": scene}, glued)
+        >>> apart = replace(state, positions=state.positions.at[1].add(0.05))  # 1 cm
+        >>> energy = system.potential_energy({"left": state, "right": apart})
+        >>> round(float(energy), 3)  # [J]
+        0.5
     """
     if turning_damping is not None and turning_stiffness is None:
         raise ValueError(

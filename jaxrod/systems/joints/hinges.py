@@ -136,6 +136,20 @@ def hinge_joint(
 
     Raises:
         ValueError: If there is no such place, or a number is out of range.
+
+    Example:
+        >>> tips = ("left", "tip"), ("right", "tip")
+        >>> hinge = systems.hinge_joint(
+        ...     *tips,
+        ...     {"left": state, "right": state},
+        ...     axis=(0.0, 1.0, 0.0),
+        ...     stiffness=100.0,
+        ...     axis_stiffness=0.1,
+        ...     motor=schedules.ramp(0.0, 0.02, duration=1.0),
+        ... )
+        >>> system = jaxrod.make_system({"left": scene, "right": scene}, hinge)
+        >>> system.depends_on_time  # because the motor does
+        True
     """
     held = ball_joint(a, b, state, stiffness=stiffness, damping=damping, at=at)
     world = unit_vector("axis", axis)
@@ -186,6 +200,16 @@ def fixed_joint(
 
     Raises:
         ValueError: If there is no such place, or a number is out of range.
+
+    Example:
+        >>> states = {"left": state, "right": state}
+        >>> tips = ("left", "tip"), ("right", "tip")
+        >>> joint = systems.fixed_joint(
+        ...     *tips, states, stiffness=100.0, turning_stiffness=0.1
+        ... )
+        >>> system = jaxrod.make_system({"left": scene, "right": scene}, joint)
+        >>> len(system.couplings)  # one for the point, one for the angle
+        2
     """
     held = ball_joint(a, b, state, stiffness=stiffness, damping=damping, at=at)
     couple = as_array("turning_stiffness", turning_stiffness, "N m", positive=True)

@@ -52,7 +52,13 @@ from jaxrod.validation import Numbers, as_array, check_array, check_kind, is_tra
 
 @pytree
 class PoseSpring(Coupling):
-    """A spring from a point of a member to a target pose; see `pose_spring`."""
+    """A spring from a point of a member to a target pose; see `pose_spring`.
+
+    Example:
+        >>> held = systems.pose_spring(("arm", "tip"), {"arm": state}, stiffness=100.0)
+        >>> float(held.stiffness), held.turning_stiffness is None  # it turns freely
+        (100.0, True)
+    """
 
     anchor: Anchors
     """The point that is pulled."""
@@ -241,6 +247,15 @@ def pose_spring(
 
     Raises:
         ValueError: If there is no such place, or a number is out of range.
+
+    Example:
+        >>> place, states = ("arm", "tip"), {"arm": state}
+        >>> up = schedules.ramp((0.0, 0.0, 0.0), (0.0, 0.0, 0.2), duration=1.0)
+        >>> held = systems.pose_spring(place, states, stiffness=100.0, displacement=up)
+        >>> halfway = jaxrod.make_system({"arm": scene}, held).at(0.5)  # 0.1 m up
+        >>> force = systems.pose_spring_reactions(halfway, states)[0].force
+        >>> print(force.round(3))  # [N]
+        [ 0.  0. 10.]
     """
     point = None if at is None else as_array("at", at, "m", [(3,)])
     pose = position_of("place", place, state)
@@ -307,6 +322,15 @@ def pose_spring_reactions(
     Raises:
         TypeError: If `system` is not a system.
         ValueError: If it depends on time.
+
+    Example:
+        >>> place, states = ("arm", "tip"), {"arm": state}
+        >>> target = (1.0, 0.0, 0.1)  # 0.1 m above the tip
+        >>> held = systems.pose_spring(place, states, stiffness=100.0, position=target)
+        >>> system = jaxrod.make_system({"arm": scene}, held)
+        >>> reaction = systems.pose_spring_reactions(system, states)[0]
+        >>> print(reaction.force.round(3), reaction.power)  # the target stands still
+        [ 0.  0. 10.] 0.0
     """
     check_kind("system", system, System)
     system.check_moment()

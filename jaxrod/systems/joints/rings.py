@@ -80,6 +80,15 @@ def ring(
     Raises:
         ValueError: If an argument is out of range or does not fit.
         TypeError: If the name is not a string.
+
+    Example:
+        >>> hoop, circle, closure = systems.ring(
+        ...     10, length=1.0, radius=0.02, density=1000.0, youngs_modulus=1e6
+        ... )
+        >>> system = jaxrod.make_system({"ring": jaxrod.make_scene(hoop)}, closure)
+        >>> gap = circle.tip - circle.positions[:, 0]
+        >>> bool(jnp.abs(gap).max() < 1e-6)
+        True
     """
     if not isinstance(name, str):
         raise TypeError(f"name must be a string, got {name!r}")

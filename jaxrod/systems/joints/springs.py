@@ -110,6 +110,13 @@ def spring(
     Raises:
         ValueError: If there is no such place, a number is out of range, or the ends
             coincide: then use `ball_joint`.
+
+    Example:
+        >>> ends = ("left", "base"), ("right", "tip")
+        >>> states = {"left": state, "right": state}
+        >>> band = systems.spring(*ends, states, stiffness=100.0)
+        >>> print(band.rest_lengths.round(3))  # free of force where it is [m]
+        [1.]
     """
     ends: tuple[Any, Any] = (None, None)
     if at is not None:
@@ -158,6 +165,16 @@ def ball_joint(
     Raises:
         ValueError: If there is no such place, a number is out of range, or `at` is not
             given and two rods are further apart there than their elements are long.
+
+    Example:
+        >>> states = {"left": state, "right": state}
+        >>> tips = ("left", "tip"), ("right", "tip")
+        >>> joint = systems.ball_joint(*tips, states, stiffness=100.0)
+        >>> system = jaxrod.make_system({"left": scene, "right": scene}, joint)
+        >>> apart = replace(state, positions=state.positions.at[1].add(0.1))  # 10 cm
+        >>> energy = system.potential_energy({"left": state, "right": apart})
+        >>> round(float(energy), 3)  # [J]
+        0.5
     """
     point = None if at is None else _point("at", at)
     if point is None:

@@ -181,6 +181,13 @@ def tie(
     Raises:
         ValueError: If there is no such place, or two tied nodes are apart.
         TypeError: If a place is not of the form of a place.
+
+    Example:
+        >>> states = {"left": state, "right": state}
+        >>> tips = systems.tie(("left", "tip"), ("right", "tip"), states)
+        >>> system = jaxrod.make_system({"left": scene, "right": scene}, tips)
+        >>> system.couplings[0].joined_nodes()
+        [('right', 10), ('left', 10)]
     """
     first, second = pairs(a, b)
     layouts = layouts_of(state)

@@ -45,6 +45,15 @@ def weld(
     Raises:
         ValueError: If there is no such place, or two joined nodes are apart.
         TypeError: If a place is not of the form of a place.
+
+    Example:
+        >>> left = replace(state, positions=state.positions.at[0].add(-1.0))
+        >>> states = {"left": left, "right": state}  # end to end
+        >>> joint = systems.weld(("left", "tip"), ("right", "base"), states)
+        >>> loose = jaxrod.make_scene(rod)
+        >>> system = jaxrod.make_system({"left": loose, "right": loose}, joint)
+        >>> len(system.couplings)  # one for the shared node, one for the angle
+        2
     """
     first, second = pairs(a, b)
     joints = elastic_joints(first, second, state)
@@ -76,6 +85,15 @@ def attach(
     Raises:
         ValueError: If there is no such place.
         TypeError: If a place is not of the form of a place.
+
+    Example:
+        >>> shape = shapes.sphere((1.0, 0.0, 0.0), radius=0.1)
+        >>> ball, there = systems.rigid_body(shape, density=1000.0)
+        >>> states = {"arm": state, "ball": there}
+        >>> held = systems.attach(("arm", "tip"), ("ball",), states)
+        >>> system = jaxrod.make_system({"arm": scene, "ball": ball}, held)
+        >>> list(system.couplings[0].joined_nodes())  # the tip is part of the ball
+        [('arm', 10)]
     """
     first = pairs(a, a)[0]
     second = pairs(b, b)[0]

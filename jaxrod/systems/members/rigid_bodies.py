@@ -66,6 +66,12 @@ class RigidBodies(Member):
 
     The origin of a body's own frame is its centre of mass, and the axes of the frame
     are its principal axes of inertia.
+
+    Example:
+        >>> shape = shapes.sphere((0.0, 0.0, 0.0), radius=0.1)
+        >>> ball, there = systems.rigid_body(shape, density=1000.0)
+        >>> round(float(ball.masses[0]), 2), ball.principal_inertias.shape  # [kg]
+        (4.19, (3, 1))
     """
 
     masses: Float[Array, " k"]
@@ -241,6 +247,14 @@ def rigid_body(
         ValueError: If mass or inertia are missing, not positive or impossible (a moment
             above the sum of the two others), or if both mass and density are given.
         TypeError: If the shape is not a body, or an effect is not an effect.
+
+    Example:
+        >>> shape = shapes.box((0.0, 0.0, 0.5), half_lengths=(0.1, 0.1, 0.2))
+        >>> block, there = systems.rigid_body(shape, mass=3.0)
+        >>> there.positions[:, 0].tolist()
+        [0.0, 0.0, 0.5]
+        >>> print(block.principal_inertias[:, 0].round(3))  # [kg m^2]
+        [0.05 0.05 0.02]
     """
     dtype = check_dtype(dtype)
     if shape is not None:
@@ -373,6 +387,14 @@ def stacked_bodies(
     Raises:
         ValueError: If there are none.
         TypeError: If something else is given.
+
+    Example:
+        >>> def ball(height):
+        ...     shape = shapes.sphere((0.0, 0.0, height), radius=0.1)
+        ...     return systems.rigid_body(shape, density=1000.0)
+        >>> balls, there = systems.stacked_bodies(ball(0.1), ball(0.5), ball(0.9))
+        >>> balls.masses.shape, there.positions.shape
+        ((3,), (3, 3))
     """
     if not bodies:
         raise ValueError("bodies must be at least one, got none")

@@ -35,7 +35,17 @@ from jaxrod.systems.members.parts import Parts, Seen
 
 @pytree
 class BodyState:
-    """State of rigid bodies."""
+    """State of rigid bodies.
+
+    Example:
+        >>> shape = shapes.sphere((0.0, 0.0, 0.5), radius=0.1)
+        >>> ball, there = systems.rigid_body(shape, mass=1.0, velocity=(1.0, 0.0, 0.0))
+        >>> there.positions.shape, there.orientations.shape  # one body
+        ((3, 1), (4, 1))
+        >>> twice = replace(there, velocities=2.0 * there.velocities)
+        >>> twice.velocities[:, 0].tolist()  # [m/s]
+        [2.0, 0.0, 0.0]
+    """
 
     positions: Float[Array, "3 k"]
     """Centres of mass, world frame [m]."""
