@@ -105,7 +105,7 @@ def picture(
         >>> viz.picture(replay, 0, "arm.png", width=320, height=240)
         >>> from matplotlib.image import imread
         >>> imread("arm.png").shape
-        (240, 320, 4)
+        (240, 320, 3)
     """
     frames = [frame] if isinstance(frame, int | np.integer) else list(frame)
     frames = [range(replay.num_frames)[int(k)] for k in frames]
