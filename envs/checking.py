@@ -54,6 +54,9 @@ def check_facts(env: Any) -> None:
 def check_environment(env: Environment) -> None:
     """Checks the results of an environment by tracing it, without computing a step.
 
+    Args:
+        env: The environment.
+
     Raises:
         ValueError: They are not what `Environment` promises, or a method raises, with
             that exception as the cause.

@@ -86,6 +86,10 @@ def has_memory(policy: Any) -> TypeGuard[MemoryPolicy]:
 def remembering(policy: Callable[[Array], Array] | MemoryPolicy) -> MemoryPolicy:
     """Returns a policy of either kind as a policy with memory.
 
+    Args:
+        policy: A function from observations `(batch, observation_size)` to actions,
+            whose memory is then `None`; or a policy with memory, returned as it is.
+
     Example:
         >>> policy = envs.remembering(lambda observation: -observation)
         >>> seen = jnp.array([[0.5]])  # a batch of one
@@ -129,6 +133,9 @@ class OneEpisode:
 
 def held_for(policy: Any) -> int:
     """Number of control steps for which a policy's action is held; 1 by default.
+
+    Args:
+        policy: A policy of either kind; the number is its `action_repeat`.
 
     Example:
         >>> envs.held_for(lambda observation: -observation)

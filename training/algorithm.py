@@ -44,7 +44,8 @@ class Metrics:
 def steps_per_update(config: Any) -> int:
     """Control steps of one update: num_envs * rollout_steps * action_repeat.
 
-    For configurations with these three fields, as every `LearnerConfig` has.
+    Args:
+        config: Configuration with these three fields, as every `LearnerConfig` has.
 
     Example:
         >>> config = training.PPOConfig(num_envs=64, rollout_steps=32, action_repeat=4)
@@ -59,6 +60,10 @@ def mean_over_devices(tree: Any, axis_name: str | None) -> Any:
 
     Leaves of one dtype are exchanged as one array: on a network the number of exchanges
     costs more than their content.
+
+    Args:
+        tree: Any pytree of floats, such as gradients.
+        axis_name: Name of the mapped axis; `None` without one, which returns `tree`.
 
     Example:
         >>> mean = jax.vmap(

@@ -91,6 +91,7 @@ class Marker:
     """
 
     name: str
+    """Name; recorded columns are `NAME_x`, `NAME_y`, `NAME_z`."""
     at: float
     """Arc length of the section [m]."""
     offset: tuple[float, float, float] = (0.0, 0.0, 0.0)
@@ -172,6 +173,7 @@ class Arm:
     """
 
     elements: int
+    """Number of elements of the rod, at least 3."""
     length: float
     """Length of the rod [m]."""
     radius: Any
@@ -187,7 +189,7 @@ class Arm:
     normal: tuple[float, float, float]
     """Direction of d1."""
     gravity: tuple[float, float, float]
-    """Acceleration [m/s^2]."""
+    """Acceleration of gravity in the arm's frame [m/s^2]."""
     tendons: tuple[TendonDrawing, ...]
     markers: tuple[Marker, ...]
     unknown: Mapping[str, float]

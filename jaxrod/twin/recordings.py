@@ -109,6 +109,14 @@ def read_recording(path: str | Path, arm: Arm) -> Recording:
     `register` finds out. Other columns are not read. An empty place, or `nan`, is a
     marker that was not seen.
 
+    Args:
+        path: The file.
+        arm: The arm, whose inputs and markers are read.
+
+    Returns:
+        The recording; its points are in metres. `labelled` says whether the order of
+        the markers is the arm's.
+
     Raises:
         DamagedFileError: If the file is not such a table; with its name.
         OSError: If it cannot be opened.

@@ -103,9 +103,9 @@ def picture(
     Example:
         >>> replay = viz.Replay.from_rollout(state.positions[None], 0.02, times=[0.0])
         >>> viz.picture(replay, 0, "arm.png", width=320, height=240)
-        >>> from PIL import Image
-        >>> Image.open("arm.png").size
-        (320, 240)
+        >>> from matplotlib.image import imread
+        >>> imread("arm.png").shape
+        (240, 320, 3)
     """
     frames = [frame] if isinstance(frame, int | np.integer) else list(frame)
     frames = [range(replay.num_frames)[int(k)] for k in frames]
@@ -153,7 +153,8 @@ def film(
         >>> replay = viz.Replay.from_rollout(path, 0.02, times=[0.0, 0.1])
         >>> viz.film(replay, "arm.gif", width=320, height=240)
         >>> from PIL import Image
-        >>> Image.open("arm.gif").n_frames, Image.open("arm.gif").size
+        >>> with Image.open("arm.gif") as made:
+        ...     made.n_frames, made.size
         (2, (320, 240))
     """
     ending = Path(path).suffix.lower()

@@ -16,7 +16,7 @@ _CREASE = np.cos(np.radians(35.0))
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Mesh:
-    """K bodies with the same surface over T frames.
+    """A surface of triangles, shown on K bodies over T frames.
 
     Example:
         >>> corners = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]], float)

@@ -230,6 +230,10 @@ def _over_frames(at_frame: Callable[[Any, Any], Any], model: Any, frames: Any) -
 def speed(scene: Any, state: RodState) -> Float[Array, " n+1"]:
     """Speed of the nodes [m/s].
 
+    Args:
+        scene: The scene of the rod.
+        state: A state of the rod.
+
     Example:
         >>> falling = replace(state, velocities=state.velocities.at[2].set(-2.0))
         >>> viz.speed(scene, falling)[:3].tolist()
@@ -240,6 +244,10 @@ def speed(scene: Any, state: RodState) -> Float[Array, " n+1"]:
 
 def stretch(scene: Any, state: RodState) -> Float[Array, " n"]:
     """Axial strain of the elements [1], positive in tension.
+
+    Args:
+        scene: The scene of the rod.
+        state: A state of the rod.
 
     Example:
         >>> longer = replace(state, positions=1.01 * state.positions)  # by 1 %
@@ -252,6 +260,10 @@ def stretch(scene: Any, state: RodState) -> Float[Array, " n"]:
 def twist_rate(scene: Any, state: RodState) -> Float[Array, " n-1"]:
     """Twist per rest length at the joints, relative to the rest state [rad/m].
 
+    Args:
+        scene: The scene of the rod.
+        state: A state of the rod.
+
     Example:
         >>> records = jax.tree.map(lambda leaf: leaf[None], state)  # one frame
         >>> fields = {"twist [rad/m]": viz.twist_rate}
@@ -263,6 +275,10 @@ def twist_rate(scene: Any, state: RodState) -> Float[Array, " n-1"]:
 
 def bending(scene: Any, state: RodState) -> Float[Array, " n-1"]:
     """Curvature at the joints, relative to the rest state [1/m].
+
+    Args:
+        scene: The scene of the rod.
+        state: A state of the rod.
 
     Example:
         >>> angle = jnp.linspace(0.0, 1.0, 11)  # an arc of radius 1 m

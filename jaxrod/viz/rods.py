@@ -14,7 +14,7 @@ from jaxrod.viz.shapes import checked_colour, numbers, require_finite
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Rods:
-    """R rods of n elements over T frames.
+    """R rods with n elements each, over T frames.
 
     Example:
         >>> path = state.positions[None]  # one frame

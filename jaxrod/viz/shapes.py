@@ -60,7 +60,7 @@ class Cylinder:
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Arrows:
-    """A arrows over T frames.
+    """A number A of arrows over T frames, such as forces.
 
     Example:
         >>> weight = np.tile([0.0, 0.0, -12.0], (2, 1, 1))  # 2 frames, 1 arrow

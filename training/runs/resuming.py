@@ -234,6 +234,9 @@ def untrained_policy(
     Returns:
         The policy, with shapes and dtypes (`jax.ShapeDtypeStruct`) in place of numbers.
 
+    Raises:
+        ValueError: There is no such algorithm, or a setting is invalid.
+
     Example:
         >>> policy = training.untrained_policy(envs.make("tracking"), "sac")
         >>> policy.layers[0][0].shape, policy.output
