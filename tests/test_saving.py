@@ -141,6 +141,9 @@ def test_leaves_keep_their_types(tmp_path):
         {
             "python": (True, 2, 10**30, -0.0, 0.1, float("inf"), "ü\ud800\n", None),
             "nests": [[], (), {}, [(1,), {"a b/..": [2.0]}]],
+            "names": {
+                k: np.full(2, i) for i, k in enumerate(("a b", "a.b", "a/b", ""))
+            },
             "not finite": jnp.asarray([np.nan, np.inf, -np.inf, -0.0, 5e-324]),
             "numpy": [np.arange(6).reshape(2, 3).T, np.zeros((0, 2), ">f4")],
             "scalars": [np.float64(0.1), np.float32(0.1), np.bool_(True), np.int8(3)],
