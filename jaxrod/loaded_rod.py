@@ -45,7 +45,8 @@ class Evolvable(Protocol):
 class Method:
     """Method of stepping a scene: an elastic law, its reduction and an integrator.
 
-    It is one of those in `jaxrod.methods`, or a user's subclass that is a pytree.
+    `jaxrod.consistent()`, `planar()` and others return one. A subclass of your own is a
+    pytree.
 
     Example:
         >>> scene.method, isinstance(scene.method, extend.Method)
@@ -109,7 +110,7 @@ class Method:
 
 @pytree
 class LoadedRod:
-    """One rod, its effects and a method. Structure is static, numbers are traced.
+    """Base of `Scene`: a rod, its effects and a method, without what steps them.
 
     Only the listed `effects` are in the compiled program.
 

@@ -137,7 +137,7 @@ def active_shape(
     strain: Timed | None = None,
     into: Clamp | tuple[Clamp, ...] | None = None,
 ) -> ActiveShape:
-    """A curvature and a strain that are added to a rod's rest shape.
+    """Adds a curvature and a strain to the rest shape of a rod.
 
     Args:
         rod: The rod.

@@ -101,7 +101,7 @@ class SectionStress:
 
 
 class SectionLoad(Effect):
-    """Base of actuators inside a rod.
+    """Base class of actuators that add stress to the sections of a rod.
 
     A subclass defines `stored`, an energy of the strains. Without an energy, or for a
     closed form, it defines `stress`. A subclass may promise `reach = "neighbours"` if

@@ -169,7 +169,7 @@ def health(
     work_input: ArrayLike = 0.0,
     n_steps: ArrayLike = 1000,
 ) -> Any:
-    """Examines a state. It is cheap and works inside jit and vmap.
+    """Checks whether a state can be trusted. It is cheap and works inside jit and vmap.
 
     If nothing ties the rod to a place (no held end, no contact), speeds and kinetic
     energy are relative to its mean motion.

@@ -615,7 +615,7 @@ def box(
     half_lengths: Numbers,
     orientation: Numbers = (1.0, 0.0, 0.0, 0.0),
 ) -> Box:
-    """A fixed block.
+    """A rectangular block, as an obstacle or as the shape of a rigid body.
 
     Args:
         centre: Centre `(3,)` [m].

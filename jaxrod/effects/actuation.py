@@ -144,7 +144,7 @@ def _combined(
 def control_spline(
     controls: int | Numbers, length: Numbers = 1.0, dtype: Any = None
 ) -> ControlSpline:
-    """The spline through control points along a rod, zero at both ends.
+    """Cubic spline along a rod through values at control points, zero at both ends.
 
     Args:
         controls: Number of equidistant control points, at least 2; or their arc

@@ -251,7 +251,7 @@ def _frame_at_new_middle(orientation: Array, rod: Rod, new_rod: Rod, end: End) -
 
 
 def clamp(state: RodState, end: End = "base") -> Clamp:
-    """A wall at one end of a rod, at the position and orientation in a given state.
+    """Clamps one end: its position and orientation stay as they are in `state`.
 
     The wall's frame is the end element's orientation in `state`.
 

@@ -205,7 +205,7 @@ class Consistent(Method):
 
 
 def consistent() -> Consistent:
-    """Loads from a stored energy, angular momentum as state, second order: the default.
+    """The default method: loads are gradients of an energy, steps of second order.
 
     Returns:
         The method, for `make_scene(..., method=...)`.

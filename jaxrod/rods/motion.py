@@ -36,7 +36,7 @@ from jaxrod.structure import pytree, static
 
 @pytree
 class Motion:
-    """Positions, orientations and their rates as tuples of component arrays.
+    """State of a rod as effects see it: tuples of arrays, one for each component.
 
     The integrators carry it from step to step, and effects see it. Unpacking the
     state once per call instead of once per step keeps stacking and slicing

@@ -153,7 +153,7 @@ def may_be_untwisted(workload: Workload) -> bool:
 
 @dataclass(frozen=True, eq=False)
 class Reference:
-    """Path of the tip with which settings are compared.
+    """Finely computed path of the tip, which the paths of settings are compared to.
 
     Example:
         >>> work = tradeoff.workload_of(scene, state, duration=0.05, periods=5)

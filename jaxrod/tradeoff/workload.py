@@ -68,7 +68,7 @@ def workload_of(
     periods: int = 50,
     name: str = "scene",
 ) -> Workload:
-    """Workload of a scene that moves without controls.
+    """Makes a scene without controls into a motion on which `tune` measures.
 
     Args:
         scene: The scene; it is resampled to other numbers of elements, so numbers

@@ -60,7 +60,7 @@ UNKNOWNS = {
 
 @dataclass(frozen=True)
 class TendonDrawing:
-    """One tendon, as drawn.
+    """Design of one tendon: the input that pulls it, and where it runs.
 
     Example:
         >>> drawn = twin.TendonDrawing("motor", np.pi / 2, 0.01, pulley_radius=0.02)
@@ -149,9 +149,9 @@ class Frame:
 
 @dataclass(frozen=True, eq=False)
 class Arm:
-    """An arm as it was drawn, and what is uncertain about it; see `read_arm`.
+    """Design of a real arm, and how uncertain its unknowns are; see `read_arm`.
 
-    Values of the unknowns are given by name, as in `start`.
+    Values of the unknowns are given by name.
 
     Example:
         >>> drawn = twin.Arm(

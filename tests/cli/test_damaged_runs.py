@@ -51,7 +51,7 @@ ON_RESUMING = [
     ),
     ("episodes.csv", "a cell that is empty", "has an empty value in the column"),
     ("episodes.csv", "cut to half", "complete rows, but the checkpoint counts"),
-    ("progress.csv", "another number", "is not what the checkpoint has counted"),
+    ("progress.csv", "another number", "does not match the checkpoint: its first"),
     ("checkpoints/0000000008.npz", "cut to half", "0000000008.npz is damaged: it is"),
     ("checkpoints/0000000008.npz", "50 bits flipped", "0000000008.npz is damaged: "),
     ("checkpoints/0000000008.npz", "about: gone", "0000000008.npz is damaged: it la"),

@@ -36,7 +36,7 @@ QUANTITIES = ("rest_curvature", "stiffness")
 
 @pytree
 class ShapeMatch:
-    """A rod whose equilibrium has a given shape, if `converged`.
+    """Result of `match_shape`: the rod, its equilibrium and the remaining error.
 
     Example:
         >>> thin, start = jaxrod.straight_rod(

@@ -70,7 +70,7 @@ class Plan:
 
 @pytree
 class PlanningPolicy:
-    """A policy with memory that plans; see the module. Make one with `mpc`.
+    """Policy that `mpc` returns; its memory is the current plan.
 
     Example:
         >>> policy = control.mpc(envs.make("tracking"), horizon=96, knots=6, hold=4)
@@ -216,7 +216,7 @@ def mpc(
     starts: int = 0,
     seed: int = 0,
 ) -> PlanningPolicy:
-    """Makes a policy that plans with a model of the environment; see the module.
+    """Makes a policy that replans a finite horizon through a model of the environment.
 
     It has memory (`jaxrod.envs.MemoryPolicy`) and works with
     `jaxrod.training.evaluate`.
