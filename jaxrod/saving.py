@@ -55,8 +55,8 @@ def save(path: str | os.PathLike[str], thing: Any, *, overwrite: bool = False) -
     Args:
         path: The file; its folder must exist.
         thing: Classes of jaxrod and those decorated with `jaxrod.extend.pytree`, in
-            any nest of dicts with texts as keys, tuples and lists, with arrays,
-            numbers, texts and `None`.
+            any nest of dicts with string keys, tuples and lists, with arrays,
+            numbers, strings and `None`.
         overwrite: Whether to replace a file that `save` has written. Anything else at
             that path, a link too, is never replaced.
 
@@ -215,7 +215,7 @@ def _array(name: str, content: bytes) -> np.ndarray:
             f"{name} must have {size} bytes for {dtype}{list(shape)}, got {len(data)}"
         )
     if dtype.kind == "b" and np.frombuffer(data, "u1").max(initial=0) > 1:
-        raise ValueError(f"{name} has truth values that are neither 0 nor 1")
+        raise ValueError(f"{name} has booleans that are neither 0 nor 1")
     return np.frombuffer(data, dtype).reshape(shape)
 
 
@@ -279,7 +279,7 @@ class _Writer:
             for key in value:
                 if not isinstance(key, str):
                     raise ValueError(
-                        f"thing{place} must have texts as keys, got {key!r}"
+                        f"thing{place} must have strings as keys, got {key!r}"
                     )
             by_key = {k: self.node(v, f"{place}[{k!r}]") for k, v in value.items()}
             return {"dict": by_key}

@@ -301,7 +301,7 @@ def test_what_no_file_can_hold_is_refused_by_its_place(tmp_path):
     refused = [
         (thing, r"thing\[0\]\.flow\.function is <function .*pytree.*classes="),
         ({"a": len}, r"thing\['a'\] is <built-in"),
-        ({1: 2.0}, "thing must have texts as keys, got 1"),
+        ({1: 2.0}, "thing must have strings as keys, got 1"),
         ([{1}], r"thing\[0\] is \{1\}, a set"),
         ([own(3)], "a Own"),
         (Breeze(1.0, words=["loud"]), r"thing\.words must be hashable"),
