@@ -49,7 +49,7 @@ def test_lost_rows_are_counted_and_nothing_is_touched(table, keep, said):
 def test_changed_rows_are_noticed(table):
     mark = table.mark()
     table.path.write_text(table.path.read_text().replace("3,1.5", "3,2.5"))
-    with pytest.raises(ValueError, match=r"table\.csv is not what the checkpoint"):
+    with pytest.raises(ValueError, match=r"table\.csv does not match the checkpoint"):
         Table(table.path).cut(mark)
 
 
