@@ -1,4 +1,4 @@
-"""What users read keeps the rules of `plain_english.toml`."""
+"""Rules of `plain_english.toml`, applied to everything that users read."""
 
 import ast
 import re

@@ -1,4 +1,4 @@
-"""What `jaxrod.load` reads is what `jaxrod.save` was given, to the last bit."""
+"""Saved files: `jaxrod.load` returns what `jaxrod.save` was given, to the last bit."""
 
 import dataclasses
 import inspect
