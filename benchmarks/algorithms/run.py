@@ -207,7 +207,7 @@ def _told(row: Row) -> tuple[str, ...]:
     setting, reference, ours = f"`{row.setting}`", row.reference, row.ours
     if row.setting == "steps":
         setting, reference = "—", f"{reference} control steps"
-        ours = f"{row.value():,}".replace(",", " ")
+        ours = f"{row.value():,}"
     elif row.setting:
         ours = _shown(row.value())
     else:
@@ -258,13 +258,15 @@ def _shown(value: Any) -> str:
         return str(value).lower()
     if isinstance(value, tuple):
         return ", ".join(map(str, value))
-    return f"{value:g}" if isinstance(value, float) else str(value)
+    if not isinstance(value, int | float):
+        return str(value)
+    return f"{value:,.0f}" if value >= 10_000 else f"{value:g}"
 
 
 def _same(reference: str, value: Any) -> bool:
     """Whether a value is what a cell says, as text or as a number."""
     try:
-        return float(reference.replace(" ", "")) == value
+        return float(reference.replace(",", "")) == value
     except ValueError:
         return reference == _shown(value)
 

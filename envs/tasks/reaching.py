@@ -17,7 +17,7 @@ up to 1.5 within 10 cm, plus up to 4.5 more within 5 cm:
 Variants:
 
 - `"paper"`: the published environment in every detail, so that scores compare. An arm
-  that breaks costs 10 000 and ends the episode.
+  that breaks costs 10,000 and ends the episode.
 - `"clean"`: the same arm with the library's own physics, see `jaxrod.envs.arm.clean`;
     elements and steps keep the tip within 1 % of the length (docs/clean_settings.md).
   When a numerical health flag rises the arm is frozen and the episode truncated.
