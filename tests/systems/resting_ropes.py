@@ -21,10 +21,10 @@ MATERIAL = {
 }
 
 
-def two_elasticae():
+def two_elasticae(lower=LOWER):
     """Half of each rope at rest: places x, z, angle and moment, tension and push.
 
-    Of the rope below first; the other one's ends are lower by `LOWER`.
+    The rope below comes first; the ends of the other one are lower by `lower` [m].
     """
     rod, _ = jaxrod.straight_rod(4, length=LENGTH, **MATERIAL)
     shear, _, stretch = np.asarray(rod.shear_stretch_stiffness[:, 0])
@@ -47,7 +47,7 @@ def two_elasticae():
     def ends(touching):
         def found(a, b, numbers):
             held = [a[0], a[1], a[3], b[0] - SPAN / 2, b[2]]
-            held += [a[4], a[5] + LOWER, a[7], b[4] - SPAN / 2, b[6]]
+            held += [a[4], a[5] + lower, a[7], b[4] - SPAN / 2, b[6]]
             gap = 2 * THICK - numbers[2] / STIFFNESS
             return np.array([*held, b[5] - b[1] - gap if touching else numbers[2]])
 
@@ -57,7 +57,7 @@ def two_elasticae():
     guess = np.zeros((8, s.size))
     guess[0] = guess[4] = 0.8 * s
     guess[1] = -0.3 * np.sin(np.pi * s)
-    guess[5] = -LOWER - 0.25 * np.sin(np.pi * s)
+    guess[5] = -lower - 0.25 * np.sin(np.pi * s)
     guess[2] = guess[6] = -np.cos(np.pi * s)
     how = {"max_nodes": 99999}
     free = solve_bvp(slopes, ends(False), s, guess, [0.4, 0.4, 0.0], tol=1e-6, **how)

@@ -184,6 +184,25 @@ def test_ropes_that_rest_on_each_other_stay_where_they_are(n, record):
 
 
 @pytest.mark.slow
+@pytest.mark.parametrize("n", [20, 21])
+def test_the_middle_is_a_stable_place_only_while_the_ropes_ends_are_near(n):
+    """Ropes whose ends differ by 10 cm slide off each other, whatever the grid."""
+    for lower, stable in ((0.05, True), (0.1, False)):
+        found, _ = two_elasticae(lower)
+        rest = nodes_of(found, n)
+        contact = jaxrod.systems.crossing_contact(*rest, stiffness=OF_ROPES)
+        system, state = resting_ropes(n, rest, contact)
+        balance = jaxrod.equilibrium(system.at(0.0), state)
+        assert balance.converged
+        assert balance.stable == stable
+        slid = (
+            balance.state["below"].positions[1],
+            balance.state["above"].positions[0],
+        )
+        assert np.max(np.abs(slid)) < 1e-12 * LENGTH
+
+
+@pytest.mark.slow
 def test_loads_are_minus_the_gradient_of_the_energy(record):
     """At all angles: crossed, nearly parallel, parallel."""
     random = np.random.default_rng(0)
