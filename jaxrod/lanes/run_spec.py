@@ -178,8 +178,12 @@ def adjoint_body(spec: RunSpec) -> Any:
             made = body(filled(fixed, moving, moved), filled(now, floating, floats))
             return chosen(made, floating)
 
-        _, transpose = jax.vjp(of, chosen(fixed, moving), chosen(now, floating))
-        sums, earlier = transpose(list(cotangents))
+        def rates(*tangents: list[Any]) -> list[Any]:
+            return jax.jvp(of, at, tangents)[1]
+
+        # Half the tracing time of jax.vjp, which traces every equation by itself.
+        at = chosen(fixed, moving), chosen(now, floating)
+        sums, earlier = jax.linear_transpose(rates, *at)(list(cotangents))
         return [*earlier, *sums]
 
     given = [*constants, *carry, *chosen(body.avals, floating)]
