@@ -41,7 +41,7 @@ def test_every_name_resolves_to_what_its_module_defines(name):
     assert name in dir(jaxrod)
 
 
-@pytest.mark.fast_sets(5)
+@pytest.mark.fast_sets(2)
 @pytest.mark.parametrize("name", sorted(jaxrod._NAMESPACES))
 def test_namespaces_are_attributes_of_a_plain_import(name):
     done = python(f"import jaxrod; print(jaxrod.{name}.__name__)")

@@ -7,6 +7,8 @@ from typing import Any
 import jax
 from jaxtyping import Array, Float
 
+from jaxrod.lanes.steps import by_kernel
+from jaxrod.structure import pytree
 from jaxrod.systems.members.parts import Seen
 from jaxrod.systems.stepping.assembly import Assembly, SystemState, held_parts
 from jaxrod.systems.stepping.listing import searched, with_found
@@ -24,10 +26,23 @@ def system_potential_energy(system: Assembly, state: SystemState) -> Float[Array
     """Elastic energy, and potentials of effects and couplings [J]."""
     members = system.interfaces()
     total = _total(member.potential_energy(state[k]) for k, member in members.items())
-    seen, prepared = seen_at_rest(system, state)
-    for coupling in prepared:
-        total = total + coupling.energy(seen)
-    return total
+    if not system.couplings:
+        return total
+    # A kernel, because XLA takes many seconds to compile contact with lists.
+    return total + by_kernel(_CouplingEnergy(system), "energy", state)
+
+
+@pytree
+class _CouplingEnergy:
+    """The energy of couplings, as `by_kernel` takes it."""
+
+    system: Assembly
+    """The system of the couplings."""
+
+    def energy(self, state: SystemState) -> Float[Array, ""]:
+        """Energy of all couplings [J]."""
+        seen, prepared = seen_at_rest(self.system, state)
+        return _total(coupling.energy(seen) for coupling in prepared)
 
 
 @jax.jit

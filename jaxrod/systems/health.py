@@ -10,6 +10,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, ArrayLike, Bool, Float
 
 from jaxrod.analysis.health import HealthLimits
+from jaxrod.lanes.steps import by_kernel
 from jaxrod.structure import pytree
 from jaxrod.systems.contact.neighbour_lists import RECORD, NeighbourRecord, no_record
 from jaxrod.systems.energies import seen_at_rest
@@ -44,6 +45,25 @@ class SystemHealth:
         return functools.reduce(jnp.logical_or, each, own)
 
 
+@pytree
+class _CouplingHealth:
+    """The health of couplings, as `by_kernel` takes it."""
+
+    system: Assembly
+    """The system of the couplings."""
+
+    def examined(self, state: SystemState) -> tuple[Array, NeighbourRecord]:
+        """The largest violation of a coupling [1], and the record of the lists."""
+        seen, couplings = seen_at_rest(self.system, state)
+        found = [coupling.violation(seen) for coupling in couplings]
+        zero = jnp.zeros((), self.system.dtype)
+        worst = functools.reduce(
+            jnp.maximum, [value for value in found if value is not None], zero
+        )
+        record = state.get(RECORD, no_record(self.system.dtype))
+        return worst, with_shortage(record, couplings)
+
+
 @jax.jit
 def system_health(
     system: Assembly,
@@ -66,13 +86,8 @@ def system_health(
         name: member.health(state[name], dt, limits)
         for name, member in system.interfaces().items()
     }
-    seen, couplings = seen_at_rest(system, state)
-    found = [coupling.violation(seen) for coupling in couplings]
-    zero = jnp.zeros((), system.dtype)
-    worst = functools.reduce(
-        jnp.maximum, [value for value in found if value is not None], zero
-    )
-    record = with_shortage(state.get(RECORD, no_record(system.dtype)), couplings)
+    # A kernel, because XLA takes many seconds to compile contact with lists.
+    worst, record = by_kernel(_CouplingHealth(system), "examined", state)
     # Written so that NaN counts as wrong.
     return SystemHealth(
         members,

@@ -103,7 +103,12 @@ def _counted(coupling: Any, seen: Any) -> Neighbours:
         candidates=need.candidates,
         in_cells=need.cell_slots,
         occupancy=share,
-        suggested=empty.needed(seen, with_spare),
+        suggested=replace(
+            need,
+            pairs=tuple(map(with_spare, need.pairs)),
+            candidates=tuple(map(with_spare, need.candidates)),
+            cell_slots=0 if cells == 0 else with_spare(need.cell_slots),
+        ),
     )
 
 

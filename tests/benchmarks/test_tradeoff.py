@@ -116,6 +116,7 @@ def test_named_problems_are_made_of_effects_pyelastica_has(name):
     assert measured.error < 1e-13
 
 
+@pytest.mark.slow
 def test_mujocos_cable_comes_closer_with_more_elements(swinging):
     problem, exact = swinging
     found = [measure_mujoco(problem, n, exact) for n in (5, 10, 20)]

@@ -60,6 +60,7 @@ def test_a_reach_at_rest_succeeds_with_the_default_solver(run, tmp_path):
     assert summary["tip_distance"] < 0.005 and summary["tip_speed"] < 0.1
 
 
+@pytest.mark.slow
 def test_ctrl_c_before_anything_was_found_writes_nothing(run, tmp_path, monkeypatch):
     def interrupt(*arguments, **settings):
         raise KeyboardInterrupt

@@ -32,6 +32,7 @@ def bent():
     }
 
 
+@pytest.mark.slow
 def test_a_start_meets_the_walls_under_one_force_along_the_rod(small, bent):
     nodes, angle = small.shape(bent["amplitudes"], TIME)
     gap = LENGTH - 0.5 * PRESSED * (1 - np.cos(2 * np.pi * TIME / PERIOD))
@@ -48,6 +49,7 @@ def test_a_start_meets_the_walls_under_one_force_along_the_rod(small, bent):
     assert abs(force[1, 0]) > 1
 
 
+@pytest.mark.slow
 def test_a_start_moves_as_its_rates_say(small, bent):
     state = small.state(TRUTH, bent, jnp.asarray(TIME))
     h = 1e-6

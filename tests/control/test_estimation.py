@@ -326,6 +326,7 @@ def hidden_markers(model, state):
     return markers(model, state).at[:, 1].set(jnp.nan)
 
 
+@pytest.mark.slow
 def test_what_is_expected_nowhere_is_not_compared(small):
     process, start = small
     seen = np.array(process.measure(process.model, start.state)) + 1e-3

@@ -149,6 +149,7 @@ def test_feedback_answers_what_the_open_loop_does_not():
     assert float(caught.cost) < 0.2 * float(missed.cost)
 
 
+@pytest.mark.slow
 def test_a_solution_says_what_it_is():
     found = control.ilqr(cart(), iterations=3)
     assert "ilqr" in repr(found) and "with feedback" in repr(found)

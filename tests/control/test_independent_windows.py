@@ -136,6 +136,7 @@ def test_a_start_that_nothing_shows_takes_nothing():
         assert found == pytest.approx(expected, rel=1e-3)
 
 
+@pytest.mark.slow
 def test_parameters_stay_in_bounds():
     observed = drawn(2)
     upper = {"frequency": 4.5, "rate": 2.0}

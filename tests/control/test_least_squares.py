@@ -25,7 +25,7 @@ def test_a_known_minimum_is_found(mode):
     assert np.all(np.diff(costs) <= 0)
 
 
-@pytest.mark.fast_sets(2)
+@pytest.mark.fast_sets(1)
 @pytest.mark.parametrize("batched", [False, True])
 def test_an_iteration_whose_first_damping_would_be_rejected_is_not_lost(dtype, batched):
     start = jnp.asarray([-1.0, 1.0], dtype)
@@ -73,6 +73,7 @@ def linear(seed, rows, columns):
     return random.normal(size=(rows, columns)), random.normal(size=rows)
 
 
+@pytest.mark.fast_sets(1)
 @pytest.mark.parametrize(("rows", "columns"), [(9, 4), (3, 8), (5, 5)])
 def test_linear_problems_with_a_ridge_have_their_closed_form(rows, columns):
     matrix, right = linear(rows, rows, columns)
@@ -138,6 +139,7 @@ def test_bad_arguments_are_refused():
         least_squares(lambda z: z, jnp.zeros(0))
 
 
+@pytest.mark.fast_sets(1)
 @pytest.mark.parametrize("unit", [1.0, 1e12])
 def test_units_of_one_unknown_do_not_end_the_search_of_another(unit):
     """A double root is come near to by a half a step: slowly, but to the end."""

@@ -218,6 +218,7 @@ def test_states_and_coordinates_are_each_others_inverses():
     assert [int(jnp.sum(kinds == k)) for k in (1, 2, 3, 4)] == [3 * N] * 4
 
 
+@pytest.mark.slow
 def test_what_does_not_fit_is_said():
     scene, state = free_arm()
     near = control.local_coordinates(scene, state, DT)

@@ -128,6 +128,7 @@ def test_a_batch_plans_as_each_by_itself():
         np.testing.assert_allclose(action, together[index], atol=1e-6)
 
 
+@pytest.mark.slow
 def test_plans_are_made_only_when_they_are_due():
     """Between plans the state is not looked at: a wrong one changes nothing."""
     env, policy = make("trivial"), small(horizon=8, knots=2, hold=1, replan=4)

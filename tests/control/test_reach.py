@@ -206,6 +206,7 @@ def test_time_is_cut_into_whole_intervals_of_whole_stable_steps():
     assert dt <= float(jaxrod.stable_dt(body.scene).dt) * (1 + 1e-5)
 
 
+@pytest.mark.slow
 def test_a_step_above_the_stability_bound_is_warned_about():
     with pytest.warns(jaxrod.UnstableStepWarning):
         control.reach(actuated_arm(20), TARGET, dt=1e-2)

@@ -36,6 +36,7 @@ def problem(bound=5.0, goal=0.6):
     )
 
 
+@pytest.mark.fast_sets(1)
 @pytest.mark.parametrize("name", SOLVERS)
 def test_a_mass_is_brought_to_rest_elsewhere(name):
     found = SOLVERS[name](problem(), n_knots=3, iterations=30)

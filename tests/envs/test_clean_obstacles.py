@@ -20,6 +20,7 @@ MAZE_FIRST = pytest.mark.parametrize(
 )
 
 
+@pytest.mark.slow
 @MAZE_FIRST
 def test_clean_arm_is_pushed_the_published_way_at_a_limited_rate(name):
     env = make(name, variant="clean")

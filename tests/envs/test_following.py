@@ -26,7 +26,7 @@ def weightless(arm):
     return dataclasses.replace(arm, weight=jaxrod.gravity((0.0, 0.0, 0.0)))
 
 
-@pytest.mark.fast_sets(2)
+@pytest.mark.fast_sets(1)
 @pytest.mark.parametrize("n", [5, 12, 20])
 def test_angles_of_all_segments_are_the_bend_of_the_arm(n):
     """The integral of the rest curvature is the sum of the angles."""
@@ -140,6 +140,7 @@ def test_the_target_flies_straight_and_comes_back_from_a_wall():
     np.testing.assert_allclose(second.velocity, [-0.3, 0.4, 0.0], rtol=1e-12)
 
 
+@pytest.mark.slow
 def test_new_headings_come_with_their_chance_and_keep_the_speed():
     target = Target(jnp.asarray([0.0, 0.0, 0.6]), jnp.asarray([0.3, 0.4, 0.0]))
     keys = jax.random.split(KEY, 20_000)

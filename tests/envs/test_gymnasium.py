@@ -221,7 +221,7 @@ def test_wrappers_of_gymnasium_go_over_it(mode, names):
         assert 0.5 < np.std(rows) < 2
 
 
-@pytest.mark.fast_sets(2)
+@pytest.mark.fast_sets(1)
 @pytest.mark.parametrize(
     ("before", "flags", "holds"),
     [
@@ -344,6 +344,7 @@ def test_without_gymnasium_a_sentence_says_what_to_install(monkeypatch):
         importlib.import_module("jaxrod.envs.gym")
 
 
+@pytest.mark.slow
 def test_the_checker_has_nothing_to_say_about_what_can_be_drawn():
     gymnasium.register("tests/Leaning-v0", GymnasiumEnv, kwargs={"task": Leaning()})
     try:
@@ -382,6 +383,7 @@ def test_the_checker_has_nothing_to_say_about_any_id(name):
     check_env(gymnasium.make(name, **SHORT).unwrapped)
 
 
+@pytest.mark.slow
 @EVERY_ID
 def test_every_id_is_the_functional_environment_to_rounding(name):
     env = gymnasium.make(name, **SHORT).unwrapped

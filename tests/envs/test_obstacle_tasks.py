@@ -200,6 +200,7 @@ def test_random_nests_lie_as_the_released_generator_puts_them():
     np.testing.assert_array_equal(params.arm.contact.cylinders.starts, starts[3])
 
 
+@pytest.mark.fast_sets(1)
 @NAMES
 @pytest.mark.parametrize(
     ("distance", "bonus"), [(0.04, 2.0), (0.06, 0.5), (0.099, 0.5), (0.11, 0.0)]

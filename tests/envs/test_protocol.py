@@ -40,7 +40,7 @@ def test_an_option_it_does_not_have_is_refused_with_those_it_has(name):
         make(name, foo=2)
 
 
-@pytest.mark.fast_sets(3)
+@pytest.mark.fast_sets(1)
 @pytest.mark.parametrize("name", names())
 def test_an_action_of_another_size_is_refused_in_words(name):
     env = make(name)

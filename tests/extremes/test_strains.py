@@ -79,6 +79,7 @@ def energies_of(scene, state, dt):
     return scene.total_energy(state), later
 
 
+@pytest.mark.slow
 def test_a_rod_let_go_at_a_twentieth_of_its_length(record):
     """The stored energy is finite at any compression: it comes back and no more."""
     rod, state = arm(5, dtype=jnp.float32)
@@ -135,6 +136,7 @@ def test_joints_turned_to_pi_and_beyond(angle):
     assert report.joint_angle == (shorter > 2.5)
 
 
+@pytest.mark.slow
 def test_a_joint_wound_up_past_pi_is_flagged_and_frozen_before():
     """A couple that no joint holds winds the tip about the axis without end."""
     rod, state = arm(4, dtype=jnp.float32, radius=0.02)

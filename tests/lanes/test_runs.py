@@ -56,7 +56,7 @@ def test_a_random_scene_moves_the_same_by_lanes(seed, record):
     record("lanes: " + name, "XLA, 100 steps", apart(taken, expected), at_most=1e-11)
 
 
-@pytest.mark.fast_sets(2)
+@pytest.mark.fast_sets(1)
 @pytest.mark.parametrize("rods", [1, 9])
 def test_a_batch_of_any_size_is_the_same(rods):
     scene, state, dt = hanging()

@@ -81,7 +81,7 @@ def test_arms_that_break_are_flagged_and_restart_alike():
     np.testing.assert_array_equal(taken.info["flagged"], expected.info["flagged"])
 
 
-@pytest.mark.fast_sets(2)
+@pytest.mark.fast_sets(1)
 @pytest.mark.parametrize(
     "task",
     [

@@ -67,6 +67,7 @@ def close(found, expected):
         np.testing.assert_allclose(a, b, rtol=1e-12, atol=1e-12)
 
 
+@pytest.mark.slow
 def test_a_rod_longer_than_a_warp_moves_as_in_rows(threads):
     scene, state, dt = hanging(40)
     many = shaken(state, 3, 0)

@@ -51,7 +51,7 @@ def solve(matrix, right):
     return jax.jit(lambda matrix, right: matrix.solve(right))(matrix, right)
 
 
-@pytest.mark.fast_sets(6)
+@pytest.mark.fast_sets(3)
 @every_form
 @pytest.mark.parametrize(("n", "m"), [(N, M), (1, 3), (2, 1)])
 def test_the_solution_is_that_of_the_whole_system(n, m, form, dtype):
@@ -63,6 +63,7 @@ def test_the_solution_is_that_of_the_whole_system(n, m, form, dtype):
     assert error < 10 * jnp.finfo(dtype).eps * np.max(np.abs(expected))
 
 
+@pytest.mark.fast_sets(3)
 @pytest.mark.parametrize("n", [1, 2, 3, 4, 7])
 def test_second_neighbours_are_in_pairs(n):
     random = np.random.default_rng(n)
@@ -122,6 +123,7 @@ def test_the_units_of_the_unknowns_do_not_matter(form):
     np.testing.assert_allclose(got, expected, rtol=1e-11)
 
 
+@pytest.mark.fast_sets(1)
 @every_form
 def test_what_has_positive_eigenvalues_alone_is_positive(form):
     answers = []

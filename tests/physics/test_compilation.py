@@ -226,6 +226,7 @@ def test_no_steps_change_nothing():
     assert difference(entry(jaxrod.rollout(scene, state, dt, 0), 0), state) == 0
 
 
+@pytest.mark.slow
 def test_single_precision_follows_double_precision(record):
     """The arm swings under its weight for two seconds, undamped."""
     tips = []

@@ -58,7 +58,7 @@ FINEST = pytest.param(160, 8, marks=pytest.mark.slow)
 GRIDS = [(10, 1), (10, 4), (40, 2), (160, 1), FINEST]
 
 
-@pytest.mark.fast_sets(2)
+@pytest.mark.fast_sets(1)
 @pytest.mark.parametrize(("n", "points"), GRIDS)
 def test_a_standing_rod_is_pushed_alike_on_every_grid(n, points):
     for name, make in BELOW.items():
@@ -165,6 +165,7 @@ def test_loads_at_an_end_are_minus_the_gradient_of_the_energy(per):
     assert 2 * near == pytest.approx(np.asarray(forces), abs=1e-12)
 
 
+@pytest.mark.slow
 def test_ends_that_are_tied_have_no_face():
     """Two rods that stand on the end that they share, like a V."""
     depth, n = 1e-3, 4
@@ -207,7 +208,7 @@ def test_ends_that_are_tied_have_no_face():
     assert float(jnp.sum(free[2])) == pytest.approx(expected, rel=0.02)
 
 
-@pytest.mark.fast_sets(2)
+@pytest.mark.fast_sets(1)
 @pytest.mark.parametrize("n", [2, 3, 12])
 def test_the_bound_of_the_stiffness_holds_for_ends_at_any_angle(n):
     """On a coarse grid and on one whose elements are thinner than the rod is thick."""

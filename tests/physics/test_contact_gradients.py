@@ -71,6 +71,7 @@ def test_gradients_through_contact_are_those_of_finite_differences(record):
     )
 
 
+@pytest.mark.slow
 def test_an_arm_is_shot_through_bodies_and_all_stays_finite_and_is_compiled_once():
     scene, state = struck()
     shot = replace(

@@ -227,6 +227,7 @@ def test_effects_see_what_rounding_has_added_to_the_positions(plane):
     assert difference(after.remainders, state.remainders) == 0
 
 
+@pytest.mark.fast_sets(3)
 @pytest.mark.parametrize(
     ("spoil", "word"),
     [
@@ -307,6 +308,7 @@ def test_small_parts_out_of_the_plane_do_not_hide(dtype):
         checked(falling, resting)
 
 
+@pytest.mark.slow
 def test_what_rounding_leaves_out_of_the_plane_is_accepted():
     """A rod that came to rest in space, and one that hangs in front of a short post."""
     rod, state = arm(10, direction=(1.0, 0.0, 0.0), normal=(0.0, 0.0, 1.0))

@@ -125,7 +125,7 @@ TABLE = {
 }
 
 
-@pytest.mark.fast_sets(2)
+@pytest.mark.fast_sets(1)
 @pytest.mark.parametrize("name", TABLE)
 def test_the_limit_of_well_known_rods(name, record):
     radius, modulus, n, published = TABLE[name]
@@ -335,6 +335,7 @@ def test_the_published_tracking_arms_limit_knows_of_its_explicit_drag():
         assert not excursion(scene, arm.rest, 1.03 * measured) < 1e-4
 
 
+@pytest.mark.slow
 def test_deformed_rods_stay_within_the_safety_factor(record):
     """The bound is for the unstressed rod; the default factor covers the rest."""
     worst = 0.0

@@ -68,7 +68,7 @@ def steps_along(name, values, dtype=jnp.float64, method=None, faces=True, **numb
     return jax.jit(jax.vmap(step))(jnp.asarray(values, dtype))
 
 
-@pytest.mark.fast_sets(2)
+@pytest.mark.fast_sets(1)
 @pytest.mark.parametrize("dtype", [jnp.float32, jnp.float64])
 @pytest.mark.parametrize("name", ["stiffness", "damping", "drag"])
 def test_more_stiffness_or_drag_never_allows_a_larger_step(name, dtype):

@@ -120,6 +120,7 @@ def test_large_deflection_follows_the_elastica(n, bar, record):
     )
 
 
+@pytest.mark.slow
 def test_an_end_moment_of_two_pi_ei_over_l_bends_a_rod_into_a_circle(record):
     n = 20
     rod, state = arm(n, radius=0.01)

@@ -387,6 +387,7 @@ def test_batches_are_refused_with_the_word_vmap():
     assert jax.vmap(jaxrod.stable_dt)(scenes).dt.shape == (2,)
 
 
+@pytest.mark.slow
 def test_supports_that_leave_the_plane_only_later_are_refused():
     rod, state = along_x(4)
     turning = jaxrod.driven(

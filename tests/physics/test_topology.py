@@ -275,6 +275,7 @@ def test_a_curve_through_itself():
     assert np.abs(crossings(trefoil, quarter @ trefoil + 5.0)).max() < 1e-13
 
 
+@pytest.mark.slow
 def test_frames_of_a_batch_are_those_of_a_loop():
     frames = jnp.stack([jnp.asarray(ring(seed)[0]) for seed in range(3)])
     together = jax.jit(jax.vmap(lambda x: writhe(x, ends="joined")))(frames)

@@ -218,6 +218,7 @@ def test_an_end_held_fast_stays(end):
     np.testing.assert_allclose(bare.positions, full.positions, atol=1e-4)
 
 
+@pytest.mark.slow
 def test_the_angle_between_directions_is_exact(dtype, record):
     angles = np.concatenate([[0.0], np.geomspace(1e-8, 3.14, 60)])
     a = (jnp.asarray(np.ones_like(angles), dtype), *[jnp.zeros(angles.size, dtype)] * 2)

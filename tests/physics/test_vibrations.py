@@ -37,6 +37,7 @@ def clamped_free(speed):
     return 2 * speed / SPACING * np.sin((2 * k - 1) * np.pi / (4 * N))
 
 
+@pytest.mark.slow
 def test_axial_vibrations(record):
     rod, state = arm(N)
     nodes, elements = freedoms("z")

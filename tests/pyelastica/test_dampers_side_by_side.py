@@ -83,6 +83,7 @@ def test_constants_of_one_kind_are_needed(given):
         jaxrod.linear_damper(**given)
 
 
+@pytest.mark.slow
 def test_other_methods_refuse_the_linear_damper():
     rod, state = jaxrod.straight_rod(
         2, length=1.0, radius=0.1, density=1e3, youngs_modulus=1e6, dtype=jnp.float64

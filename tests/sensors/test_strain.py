@@ -108,6 +108,7 @@ def on_curve(n):
     return jaxrod.make_scene(rod), state
 
 
+@pytest.mark.slow
 def test_interpolation_along_the_rod_is_second_order():
     stations, offset = np.linspace(0, 1, 40), 0.02
     place, angle, kappa = curve(stations)

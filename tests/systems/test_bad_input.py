@@ -306,6 +306,7 @@ def test_what_asks_about_one_moment(given, function):
     function(system.at(0.3), {"ball": state["ball"]})
 
 
+@pytest.mark.fast_sets(1)
 @pytest.mark.parametrize("group", [False, True])
 def test_a_driven_member_is_checked_against_a_state(group):
     def driven(height):

@@ -16,6 +16,7 @@ from jaxrod.systems.members.rigid_stepper import Carried, RigidStepper
 from systems.members import free_system, rod
 
 
+@pytest.mark.slow
 def test_two_halves_are_the_whole(record):
     whole, of_whole = rod(20, 1.0)
     left, of_left = rod(10, 0.5)

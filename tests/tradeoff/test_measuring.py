@@ -71,6 +71,7 @@ def test_implicit_steps_are_measured_too(swinging):
         prepare(workload, dataclasses.replace(setting, dt=None))
 
 
+@pytest.mark.slow
 def test_steps_divide_the_control_period():
     workload = tracking_arm()
     for n in (5, 20):

@@ -44,6 +44,7 @@ def test_what_is_found_keeps_the_tolerance_and_is_the_coarsest():
     assert str(found).startswith("n = ")
 
 
+@pytest.mark.slow
 def test_it_says_so_when_nothing_keeps_the_tolerance():
     found = tune(quarter_of_a_swing(), max_error=0.0006, elements=(4, 10))
     assert not found.met

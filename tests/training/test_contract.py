@@ -215,7 +215,7 @@ class Normalised(nn.Module):
         return nn.Dense(self.outputs)(nn.BatchNorm(use_running_average=True)(inputs))
 
 
-@pytest.mark.fast_sets(2)
+@pytest.mark.fast_sets(1)
 @pytest.mark.parametrize(
     ("name", "dtype", "network"),
     [

@@ -98,6 +98,7 @@ def test_the_file_holds_the_table_of_progress_and_the_evaluation(tmp_path):
     np.testing.assert_allclose(np.diff(times)[:-1], np.diff(walls), atol=1e-6)
 
 
+@pytest.mark.slow
 def test_a_run_killed_between_row_and_checkpoint_has_no_step_twice(
     tmp_path, monkeypatch
 ):

@@ -187,6 +187,7 @@ def test_finished_run_resumes_to_the_same_result(whole_run):
     assert_same_run(again, whole_run)
 
 
+@pytest.mark.slow
 @pytest.mark.default_precision
 def test_two_devices_train_the_same_as_one(tmp_path):
     process = run_python(TWO_DEVICES, str(tmp_path / "two"))

@@ -94,6 +94,7 @@ def test_trivial_task_is_learned_to_its_known_optimum(learned):
     assert learned.summary["final_score"] > env.optimal_return - 1
 
 
+@pytest.mark.slow
 def test_temperature_brings_the_entropy_to_its_target(learned):
     last = learned.progress[-30:]
     entropy = np.mean([row["entropy"] for row in last])

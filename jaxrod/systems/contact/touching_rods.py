@@ -26,6 +26,7 @@ from jaxtyping import Array
 
 from jaxrod.effects.base import StabilityBound
 from jaxrod.geometry import vectors
+from jaxrod.lanes.steps import by_kernel
 from jaxrod.rods.motion import Loads
 from jaxrod.structure import pytree, static
 from jaxrod.systems.contact.contact_pairs import ContactPair
@@ -571,4 +572,6 @@ def share_near_tie(
 
 @jax.jit
 def _searched(contact: TouchingRods, seen: AllSeen) -> FoundNeighbours:
-    return contact.search(seen)
+    # A kernel, because XLA takes seconds to compile a search.
+    found: FoundNeighbours = by_kernel(contact, "search", seen)
+    return found
