@@ -5,11 +5,13 @@ import dataclasses
 import jax
 import jax.numpy as jnp
 import numpy as np
+import optax
 import pytest
 
 from jaxrod.control import mpc
 from jaxrod.control.planning.plans import (
     PlanCost,
+    by_gradient,
     piece_weights,
     quadratic_step,
     shift_weights,
@@ -31,6 +33,30 @@ def small(method="gauss-newton", **options):
         method=method,
         **{**SMALL, **more.get(method, {}), "replan": 1, **options},
     )
+
+
+class Bowl:
+    """A cost of knots, least at `LEAST` and steeper in one knot than in the other."""
+
+    @staticmethod
+    def total(now, knots, state):
+        return jnp.sum(jnp.array([1.0, 30.0])[:, None] * (knots - LEAST) ** 2)
+
+
+LEAST = jnp.array([[0.5], [-0.3]])
+
+
+def test_gradient_steps_are_those_of_adam():
+    knots, rate = jnp.zeros((2, 1)), 0.02
+    adam = optax.adam(rate, b1=0.8, b2=0.95, eps=1e-8)
+    wanted, memory = knots, adam.init(knots)
+    for _ in range(7):
+        slope = jax.grad(lambda z: Bowl.total(None, z, None))(wanted)
+        change, memory = adam.update(slope, memory)
+        wanted = optax.apply_updates(wanted, change)
+    found, least = by_gradient(Bowl(), None, knots, None, jnp.int32(7), rate)
+    np.testing.assert_allclose(found, wanted, rtol=1e-6)
+    np.testing.assert_allclose(least, Bowl.total(None, wanted, None), rtol=1e-6)
 
 
 def test_lines_between_knots():

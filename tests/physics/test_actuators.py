@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import jaxrod
-from jaxrod.actuation.section_load import cross_bound, fibre_bound
+from jaxrod.actuation.section_load import cross_bound, fibre_bound, transport_bound
 from jaxrod.effects.time import Clock
 from jaxrod.geometry import vectors
 from jaxrod.rods.motion import motion_of
@@ -148,6 +148,17 @@ def test_bounds_of_fibres_are_those_from_the_other_end():
         one = bound(rod, *jnp.asarray(arguments))
         two = bound(flip(rod), *jnp.asarray(arguments[..., ::-1]))
         assert difference(flip(two), one) < 1e-13 * largest(one)
+
+
+def test_moments_that_turn_with_a_rod_are_bounded_by_those_of_both_joints():
+    """Sizes of the moments at both ends of each element add up."""
+    rod, *_ = uneven_rod()
+    moments = jnp.asarray(np.random.default_rng(0).uniform(-1, 1, N + 1))
+    bound = transport_bound(rod, moment=moments)
+    for i in range(N):
+        largest_moment = abs(moments[i]) + abs(moments[i + 1])
+        np.testing.assert_allclose(bound.elements[i], largest_moment, rtol=1e-12)
+    assert bound.nodes is None
 
 
 @pytest.mark.slow

@@ -245,7 +245,7 @@ def test_nearly_parallel_rods_push_apart_however_little_they_touch():
             assert np.sum(loads["two"].forces[2]) == pytest.approx(push, rel=1e-3)
 
 
-@pytest.mark.slow
+@pytest.mark.fast_sets(1)
 @pytest.mark.parametrize("angle", [1.2, 0.06, 0.02])
 def test_dashpots_and_friction_only_take_energy(angle):
     """Of rods that are bent and turn, so that places near each other move apart."""

@@ -157,6 +157,10 @@ def test_what_follows_is_remembered_as_it_was_before_any_restart(six_updates):
     restarted = memory.observation[1:] != memory.next_observation[:-1]
     # An episode has 20 steps: of 16 in a row most environments began one.
     assert np.array_equal(np.unique(np.sum(restarted, axis=0)), [0, 1])
+    # The task ends an episode beyond its edge alone, not one that is cut short.
+    lost = np.abs(memory.next_observation[..., 0]) > Trivial().default_params().edge
+    assert np.array_equal(memory.terminated, lost)
+    assert np.any(restarted[..., 0] & ~lost[:-1])
     moved = memory.observation + 0.2 * memory.action
     np.testing.assert_allclose(memory.next_observation, moved, atol=1e-12)
     np.testing.assert_allclose(memory.reward, 1 - moved[..., 0] ** 2, atol=1e-12)
