@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 from typing import Any
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 
@@ -254,8 +255,8 @@ def _build(
     state = RodState(
         positions=jnp.asarray(positions, dtype),
         orientations=jnp.asarray(orientations, dtype),
-        velocities=jnp.zeros((3, n + 1), dtype),
-        angular_momenta=jnp.zeros((3, n), dtype),
+        velocities=jnp.asarray(np.zeros((3, n + 1), dtype)),
+        angular_momenta=jnp.asarray(np.zeros((3, n), dtype)),
     )
     return (rod if straight else unstressed(rod, state)), state
 
@@ -292,6 +293,11 @@ def unstressed(rod: Rod, state: RodState) -> Rod:
         0.0
     """
     check_state(rod, state)
+    return _as_it_is(rod, state)
+
+
+@jax.jit
+def _as_it_is(rod: Rod, state: RodState) -> Rod:
     orientation = split_quaternion(state.orientations)
     edges = inner_difference(split(state.positions))
     strains = shear_stretch(edges, orientation, 1 / rod.rest_lengths)

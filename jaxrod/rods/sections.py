@@ -279,9 +279,14 @@ def rod_of_section(
         if not is_traced(value):
             check_held(formula, np.asarray(value), unit, dtype, each=True)
 
-    def leaf(formula: str, value: Any, unit: str) -> Array:
+    def leaf(formula: str, value: Any, unit: str) -> Any:
         check(formula, value, unit)
-        return jnp.broadcast_to(jnp.asarray(value, dtype), (n,))
+        # Known numbers are converted without a program, which would be compiled.
+        arrays = jnp if is_traced(value) else np
+        return arrays.broadcast_to(arrays.asarray(value, dtype), (n,))
+
+    def rows(*leaves: Any) -> Array:
+        return jnp.asarray((jnp if is_traced(leaves) else np).stack(leaves))
 
     area, moments = section.area, section.second_moments
     axes = 1 if section.is_round else 2
@@ -309,44 +314,38 @@ def rod_of_section(
         check("youngs_modulus / density / element length^2", stretch, "1/s^2")
         polar = densities * (moments[0] + moments[1])
         return Rod(
-            rest_lengths=leaf("element length", rest_lengths, "m"),
-            radii=leaf(words.radius, section.radius, "m"),
-            linear_density=leaf(f"density {words.area}", line, "kg/m"),
-            rotary_inertia=jnp.stack(
-                [
-                    *(
-                        leaf(f"density {formula}", densities * moment, "kg m")
-                        for formula, moment in zip(
-                            words.moments[:axes], moments, strict=False
-                        )
-                    ),
-                    leaf(f"density {words.polar}", polar, "kg m"),
-                ]
+            rest_lengths=jnp.asarray(leaf("element length", rest_lengths, "m")),
+            radii=jnp.asarray(leaf(words.radius, section.radius, "m")),
+            linear_density=jnp.asarray(leaf(f"density {words.area}", line, "kg/m")),
+            rotary_inertia=rows(
+                *(
+                    leaf(f"density {formula}", densities * moment, "kg m")
+                    for formula, moment in zip(
+                        words.moments[:axes], moments, strict=False
+                    )
+                ),
+                leaf(f"density {words.polar}", polar, "kg m"),
             ),
-            shear_stretch_stiffness=jnp.stack(
-                [
-                    *(
-                        leaf(
-                            f"shear_correction shear_modulus {words.area}",
-                            factor * shear * area,
-                            "N",
-                        )
-                        for factor in factors
-                    ),
-                    leaf(f"youngs_modulus {words.area}", young * area, "N"),
-                ]
+            shear_stretch_stiffness=rows(
+                *(
+                    leaf(
+                        f"shear_correction shear_modulus {words.area}",
+                        factor * shear * area,
+                        "N",
+                    )
+                    for factor in factors
+                ),
+                leaf(f"youngs_modulus {words.area}", young * area, "N"),
             ),
-            bend_twist_stiffness=jnp.stack(
-                [
-                    *(
-                        leaf(f"youngs_modulus {formula}", young * moment, "N m^2")
-                        for formula, moment in zip(words.moments, moments, strict=True)
-                    ),
-                    leaf(twists, twisting, "N m^2"),
-                ]
+            bend_twist_stiffness=rows(
+                *(
+                    leaf(f"youngs_modulus {formula}", young * moment, "N m^2")
+                    for formula, moment in zip(words.moments, moments, strict=True)
+                ),
+                leaf(twists, twisting, "N m^2"),
             ),
-            rest_strains=jnp.zeros((3, n), dtype),
-            rest_curvatures=jnp.zeros((3, n - 1), dtype),
+            rest_strains=jnp.asarray(np.zeros((3, n), dtype)),
+            rest_curvatures=jnp.asarray(np.zeros((3, n - 1), dtype)),
         )
 
 

@@ -6,6 +6,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, ArrayLike, Float
@@ -44,7 +45,7 @@ from jaxrod.systems.stepping.runs import (
     system_with_memory,
     unstable_step,
 )
-from jaxrod.validation import as_array, in_type, knows_constants
+from jaxrod.validation import as_array, in_type, is_traced, knows_constants
 
 
 @pytree
@@ -237,9 +238,9 @@ def make_system(
             "members must all be of one type, got "
             + ", ".join(f"{name!r}: {dtype}" for name, dtype in types.items())
         )
-    parts = system.parts()
-    if state is not None:
-        parts = held_parts(system, state)
+    # One program for all numbers. Where some are traced, the others must stay known.
+    look = _parts_at if is_traced(system, state) else jax.jit(_parts_at)
+    parts = look(system, state)
     for coupling in ordered:
         coupling.check(parts)
     tied = ordered[-1].tied_pairs if ties else ()
@@ -258,6 +259,11 @@ def make_system(
     typed = tuple(in_type(system.dtype, type(c).__name__, c) for c in fitted)
     _check_followers(ordered)
     return replace(system, couplings=typed, shapes=member_shapes(system.members))
+
+
+def _parts_at(system: System, state: SystemState | None) -> AllParts:
+    """Constants of all members, with the flags of held nodes if there is a state."""
+    return system.parts() if state is None else held_parts(system, state)
 
 
 def _flat(couplings: Any) -> Any:

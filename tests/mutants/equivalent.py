@@ -4,6 +4,20 @@ from __future__ import annotations
 
 REASONS: dict[tuple[str, str], str] = {
     (
+        "jaxrod/actuation/section_load.py",
+        "number: `2` -> `3` in `return 2 * (inverse[1:] + inverse[:-1])`",
+    ): "it only weighs the parts of a bound, and any weights give a bound",
+    (
+        "jaxrod/viz/curves.py",
+        "index: `0` -> `(-1)` in "
+        '`return f"{value:,.0f}" if runs[0].quantity == RETURN else f"{value:...`',
+    ): "all runs of a picture have the same quantity, which is checked",
+    (
+        "jaxrod/viz/meshes.py",
+        "number: `1e-9` -> `(2 * 1e-9)` in "
+        "`normals[f, c] = total / size if size > 1e-9 else face[f]`",
+    ): "sums of unit normals are of size one or cancel to rounding",
+    (
         "envs/soft_bodies/snake_body.py",
         "number: `1.0` -> `(2 * 1.0)` in `normal=(0.0, 0.0, 1.0),`",
     ): "a normal may be of any length: its direction is taken",

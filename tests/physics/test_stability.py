@@ -10,6 +10,7 @@ import pytest
 from jax.flatten_util import ravel_pytree
 
 import jaxrod
+from jaxrod.analysis.frequency import fastest_vibration, linearised, no_damping
 from jaxrod.analysis.stability import compression
 from jaxrod.envs.tasks.tracking import tracking
 from jaxrod.methods.laws import IN_SPACE
@@ -368,6 +369,21 @@ def test_the_highest_frequency_is_that_of_the_tangent_stiffness(record):
         np.max(np.abs(errors)),
         at_most=1e-3,
     )
+
+
+def test_the_fastest_vibration_is_an_eigenvector():
+    n = 3
+    rod, state = random_rod(2, n)
+    scene, factors = jaxrod.make_scene(rod), no_damping(rod)
+    found = fastest_vibration(scene, state, factors, 6 * n + 3)
+    size = 6 * n + 3
+    apply = linearised(scene, state, factors)
+    matrix = np.asarray(jax.jit(jax.vmap(apply))(jnp.eye(size)))
+    squares, vectors = np.linalg.eigh(0.5 * (matrix + matrix.T))
+    shares = vectors[:, -1] ** 2
+    assert float(found.angular_frequency) == pytest.approx(squares[-1] ** 0.5, rel=1e-3)
+    ours = np.concatenate([np.ravel(found.displacements), np.ravel(found.turns)])
+    np.testing.assert_allclose(ours, shares, atol=0.02)
 
 
 def accelerations(scene, state, moves):

@@ -9,8 +9,9 @@ import pytest
 
 import jaxrod
 from jaxrod.effects.held import Held
-from jaxrod.effects.supports import Pin
+from jaxrod.effects.supports import Pin, own_couple
 from jaxrod.methods.planar import Planar
+from jaxrod.rods.motion import Loads, motion_of
 
 N, LENGTH, RADIUS, DENSITY, MODULUS = 24, 1.0, 0.01, 1000.0, 1e8
 AREA = np.pi * RADIUS**2
@@ -27,6 +28,24 @@ def along_x(n=N, modulus=MODULUS):
         direction=(1.0, 0.0, 0.0),
         normal=(0.0, 0.0, 1.0),
     )
+
+
+class Twisted:
+    """Couples on the elements of a rod, in their own frames."""
+
+    couples = np.arange(12.0).reshape(3, 4)
+
+    def loads(self, rod, motion):
+        return Loads(couples=tuple(jnp.asarray(self.couples)))
+
+
+@pytest.mark.parametrize(("end", "index"), [("base", 0), ("tip", -1)])
+def test_the_own_couple_of_a_support_is_that_of_the_element_it_holds(end, index):
+    rod, state = along_x(4)
+    found = own_couple(Twisted(), rod, motion_of(state), end)
+    frame = np.asarray(state.directors)[:, :, index]
+    wanted = frame.T @ Twisted.couples[:, index]
+    np.testing.assert_allclose(np.stack(found), wanted, atol=1e-6)
 
 
 @pytest.mark.slow

@@ -56,6 +56,23 @@ def test_cilia_stand_as_they_are_told(way):
     np.testing.assert_allclose(frames[0, :, 0], d1 / np.linalg.norm(d1), atol=1e-12)
 
 
+@pytest.mark.parametrize("branches", [1, 3, 5])
+def test_branches_of_a_fork_lean_alike_and_are_evenly_spread(branches):
+    _, state = assemblies.tree(
+        1, branches, 2, length=0.5, radius=0.02, angle=0.4, **SOFT
+    )
+    ways = []
+    for k in range(branches):
+        one = jax.tree.map(lambda leaf, k=k: leaf[k], state["level 1"])
+        ways.append(np.asarray(one.directors)[2, :, 0])
+    x, y, z = np.array(ways).T
+    np.testing.assert_allclose(z, np.cos(0.4), atol=1e-12)
+    turns = np.unwrap(np.arctan2(y, x))
+    np.testing.assert_allclose(
+        turns - turns[0], 2 * np.pi * np.arange(branches) / branches, atol=1e-12
+    )
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("name", BUILT)
 def test_what_is_built_is_at_rest(name):
