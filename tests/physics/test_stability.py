@@ -382,8 +382,13 @@ def test_the_fastest_vibration_is_an_eigenvector():
     squares, vectors = np.linalg.eigh(0.5 * (matrix + matrix.T))
     shares = vectors[:, -1] ** 2
     assert float(found.angular_frequency) == pytest.approx(squares[-1] ** 0.5, rel=1e-3)
-    ours = np.concatenate([np.ravel(found.displacements), np.ravel(found.turns)])
-    np.testing.assert_allclose(ours, shares, atol=0.02)
+    # Directions across a rod that is nearly round mix, nodes and elements do not.
+    nodes, elements = shares[: 3 * n + 3].reshape(3, -1), shares[3 * n + 3 :]
+    for ours, exact in (
+        (found.displacements, nodes),
+        (found.turns, elements.reshape(3, -1)),
+    ):
+        np.testing.assert_allclose(np.sum(ours, axis=0), exact.sum(axis=0), atol=0.01)
 
 
 def accelerations(scene, state, moves):
