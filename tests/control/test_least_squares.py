@@ -139,7 +139,6 @@ def test_bad_arguments_are_refused():
         least_squares(lambda z: z, jnp.zeros(0))
 
 
-@pytest.mark.fast_sets(1)
 @pytest.mark.parametrize("unit", [1.0, 1e12])
 def test_units_of_one_unknown_do_not_end_the_search_of_another(unit):
     """A double root is come near to by a half a step: slowly, but to the end."""
