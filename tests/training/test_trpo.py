@@ -14,6 +14,7 @@ from scipy.stats import norm
 from jaxrod.envs.trivial import Trivial
 from jaxrod.training import TRPOConfig, evaluate, train, train_seeds
 from jaxrod.training.algorithms import trpo
+from jaxrod.training.algorithms.on_policy import log_density
 from jaxrod.training.algorithms.trpo import mean_divergence
 from jaxrod.training.algorithms.trust_region import (
     backtrack,
@@ -50,6 +51,14 @@ def test_entropy_is_that_of_independent_normals():
     spread = np.array([0.2, 1.0, 3.0])
     found = trpo.gaussian_entropy(jnp.log(spread))
     np.testing.assert_allclose(found, norm(scale=spread).entropy().sum(), rtol=1e-6)
+
+
+def test_the_density_is_that_of_independent_normals():
+    spread = np.array([0.2, 1.0, 3.0])
+    standardised = np.linspace(-3, 4, 12).reshape(2, 2, 3)
+    found = log_density(jnp.asarray(standardised), jnp.log(spread))
+    wanted = norm(scale=spread).logpdf(standardised * spread).sum(axis=-1)
+    np.testing.assert_allclose(found, wanted, rtol=1e-6)
 
 
 @pytest.fixture(scope="module")
