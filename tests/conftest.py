@@ -77,7 +77,8 @@ def pytest_collection_modifyitems(items):
     """Skips what this machine cannot run, and says why; marks sets that are slow."""
     sets = Counter()
     for item in items:
-        if marker := item.get_closest_marker("fast_sets"):
+        marker = item.get_closest_marker("fast_sets")
+        if marker and not item.get_closest_marker("slow"):
             test = item.nodeid.partition("[")[0]
             sets[test] += 1
             if sets[test] > marker.args[0]:

@@ -181,7 +181,7 @@ def primitives(jaxpr):
     return names
 
 
-@pytest.mark.fast_sets(4)
+@pytest.mark.fast_sets(2)
 @pytest.mark.parametrize(
     "dtype", ["float32", pytest.param("float64", marks=pytest.mark.slow)]
 )
