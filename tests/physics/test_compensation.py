@@ -73,7 +73,7 @@ def test_displacements_below_rounding_add_up():
     assert exact - np.float64(state.tip[2]) == pytest.approx(1e-6, rel=1e-3)
 
 
-@pytest.mark.fast_sets(1)
+@pytest.mark.slow
 @pytest.mark.parametrize("mode", ["consistent", "pyelastica"])
 def test_in_float64_it_changes_nothing_but_round_off(mode):
     rod, state = arm(6)

@@ -280,7 +280,7 @@ def test_what_leaves_the_plane_is_refused(spoil, word):
         jaxrod.advance(scene, state, 1e-4, 5)
 
 
-@pytest.mark.fast_sets(1)
+@pytest.mark.slow
 @pytest.mark.parametrize("dtype", [jnp.float32, jnp.float64])
 def test_small_parts_out_of_the_plane_do_not_hide(dtype):
     """Neither behind large ones, nor where the rod is small, nor seen end-on."""

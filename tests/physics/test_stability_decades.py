@@ -95,7 +95,7 @@ def test_the_step_has_a_derivative_both_ways():
     np.testing.assert_allclose(jax.jacfwd(step)(drag), expected, rtol=1e-6)
 
 
-@pytest.mark.fast_sets(1)
+@pytest.mark.slow
 @pytest.mark.parametrize("method", [jaxrod.consistent(), jaxrod.pyelastica()])
 def test_more_damping_never_asks_for_a_smaller_step(method):
     values = np.geomspace(1e-3, 1e3, 61)

@@ -54,7 +54,7 @@ def test_pyelastica_s_clamp_is_too_stiff_by_three_half_over_n(record):
     )
 
 
-@pytest.mark.fast_sets(1)
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("clamp", "held_element", "order"),
     [("wall", False, 2.0), ("held element", True, 1.0)],

@@ -252,7 +252,7 @@ def test_dashpots_and_friction_only_take_energy(angle):
     random = np.random.default_rng(1)
     law = {"damping": 0.5, "friction": 0.4, "friction_drag": 3.0}
     taken = 0.0
-    for _ in range(40):
+    for _ in range(20):
         start = (random.uniform(0, 0.1), random.uniform(-0.01, 0.01), 0.037)
         way = (np.cos(angle), np.sin(angle), 0.0)
         pair = rod(5, 0.5), rod(5, 0.5, start, way)

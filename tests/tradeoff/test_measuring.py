@@ -46,7 +46,7 @@ def test_the_reference_knows_how_wrong_it_is(swinging):
     assert 0.5 < tip_error(exact.tips, finer, exact.length) / exact.error < 2.0
 
 
-@pytest.mark.fast_sets(2)
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "reductions", [("planar",), ("untwisted",), ("compensated",), ("inertia",)]
 )

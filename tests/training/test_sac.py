@@ -102,6 +102,7 @@ def test_temperature_brings_the_entropy_to_its_target(learned):
     assert learned.progress[10]["entropy"] > entropy + 0.5
 
 
+@pytest.mark.slow
 def test_nothing_is_learned_while_acting_at_random(learned):
     early = [row for row in learned.progress if row["env_steps"] <= 1024]
     assert [row["critic_error"] for row in early] == [0.0] * 4
