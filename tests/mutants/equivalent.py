@@ -4,6 +4,15 @@ from __future__ import annotations
 
 REASONS: dict[tuple[str, str], str] = {
     (
+        "jaxrod/viz/colours.py",
+        "number: `200` -> `201` in `hue = (200 + 200 * rod / (rods - 1)) % 360 / 360`",
+    ): "a colour a degree further round the circle is as good",
+    (
+        "jaxrod/systems/contact/touching_rods.py",
+        "index: `0` -> `(-1)` in "
+        "`here = slice(start, start + elements[b].radii.shape[0])`",
+    ): "radii have one axis: the first is the last",
+    (
         "jaxrod/actuation/section_load.py",
         "number: `2` -> `3` in `return 2 * (inverse[1:] + inverse[:-1])`",
     ): "it only weighs the parts of a bound, and any weights give a bound",
