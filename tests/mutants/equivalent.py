@@ -4,6 +4,11 @@ from __future__ import annotations
 
 REASONS: dict[tuple[str, str], str] = {
     (
+        "envs/gym.py",
+        "number: `2` -> `3` in "
+        "`drawn = int(self.np_random.integers(2**32)) if seed is None else seed`",
+    ): "seeds are drawn from more numbers, each as good as another",
+    (
         "jaxrod/viz/colours.py",
         "number: `200` -> `201` in `hue = (200 + 200 * rod / (rods - 1)) % 360 / 360`",
     ): "a colour a degree further round the circle is as good",
