@@ -387,3 +387,23 @@ def test_lists_are_counted_where_a_rod_is_driven():
     assert np.max(np.abs(dense - of_one.positions)) > 1e-6
     listed = after(jaxrod.systems.neighbour_lists(refresh_every=4, skin=1.0))
     np.testing.assert_allclose(listed, dense, rtol=0, atol=1e-13)
+
+
+def test_rods_near_each_other_are_found_wherever_they_are():
+    found = []
+    for x in (0.0, 20.0):
+        law = {"length": 1.0, "radius": 0.02, "density": 1e3, "youngs_modulus": 1e6}
+        one = jaxrod.straight_rod(6, start=(x, 0, 0), direction=(1, 0, 0), **law)
+        two = jaxrod.straight_rod(
+            6, start=(x + 0.5, -0.5, 0.03), direction=(0, 1, 0), **law
+        )
+        members = {"one": jaxrod.make_scene(one[0]), "two": jaxrod.make_scene(two[0])}
+        contact = jaxrod.systems.rod_contact(
+            "one", "two", stiffness=1e3, lists=jaxrod.systems.neighbour_lists()
+        )
+        state = {"one": one[1], "two": two[1]}
+        system = jaxrod.make_system(members, contact, state=state)
+        (near,) = jaxrod.systems.neighbours(system, state)
+        found.append(near.pairs)
+    assert found[0][0] >= 4
+    assert found[1] == found[0]
