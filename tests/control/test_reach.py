@@ -32,6 +32,16 @@ def some_knots(problem, count=3):
 
 
 @pytest.mark.slow
+@pytest.mark.parametrize("n_knots", [1, 2, 3, 5, 12])
+def test_controls_are_interpolated_linearly_between_knots(n_knots):
+    rng = np.random.default_rng(n_knots)
+    knots = rng.normal(size=(n_knots, 2))
+    places = (np.arange(10) + 0.5) / 10 * (n_knots - 1)
+    expected = [np.interp(places, np.arange(n_knots), column) for column in knots.T]
+    found = over_time(jnp.asarray(knots), 10)
+    np.testing.assert_allclose(found, np.transpose(expected), atol=1e-14)
+
+
 def test_a_reach_costs_what_its_formula_says():
     problem = short(speed_weight=0.3, running_weight=0.7, effort_weight=0.2)
     controls = over_time(some_knots(problem), problem.n_intervals)
