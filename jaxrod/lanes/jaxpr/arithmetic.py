@@ -1,4 +1,4 @@
-"""Unrolling rules for elementwise operations."""
+"""Rules by which elementwise primitives become operations on single numbers."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from jaxrod.lanes.operations import OPERATIONS
 
 @rule(*(name for name, operation in OPERATIONS.items() if operation.primitive))
 def same(unroller: Unroller, equation: Any, *arrays: Any) -> Any:
-    """Unrolls a primitive that is also an operation of the graph."""
+    """Unrolls a primitive that is one operation of the graph, entry by entry."""
     name, kind = equation.primitive.name, kind_of(equation.outvars[0].aval)
     if kind[0] not in OPERATIONS[name].kinds:
         raise NotUnrolled(f"lanes have no '{name}' of numbers of type {DTYPES[kind]}")
@@ -22,19 +22,19 @@ def same(unroller: Unroller, equation: Any, *arrays: Any) -> Any:
 
 @rule("add_any")
 def added(unroller: Unroller, equation: Any, *arrays: Any) -> Any:
-    """Unrolls a sum of cotangents."""
+    """Unrolls `add_any`, the sum of two cotangents."""
     return unroller.each("add", kind_of(equation.outvars[0].aval), *arrays)
 
 
 @rule(*(name for name, operation in OPERATIONS.items() if operation.compares))
 def compared(unroller: Unroller, equation: Any, *arrays: Any) -> Any:
-    """Unrolls a comparison of numbers of the same kind."""
+    """Unrolls a comparison of two arrays of one type; the results are booleans."""
     return unroller.each(equation.primitive.name, "b1", *arrays)
 
 
 @rule("square")
 def squared(unroller: Unroller, equation: Any, array: Any) -> Any:
-    """Unrolls a square."""
+    """Unrolls a square, as the product of each number with itself."""
     return unroller.each("mul", kind_of(equation.outvars[0].aval), array, array)
 
 
@@ -70,7 +70,7 @@ def powered(unroller: Unroller, equation: Any, array: Any) -> Any:
 
 @rule("sign")
 def sign(unroller: Unroller, equation: Any, array: Any) -> Any:
-    """Unrolls a sign: -1, 0 or 1; a zero or NaN stays as it is."""
+    """Unrolls `sign`: -1, 0 or 1; a zero and NaN are returned unchanged."""
     graph, kind = unroller.graph, kind_of(equation.outvars[0].aval)
     zero = graph.constant(0, kind)
     if kind[0] not in "fi":
@@ -117,14 +117,14 @@ def is_finite(unroller: Unroller, equation: Any, array: Any) -> Any:
 
 @rule("clamp")
 def clamped(unroller: Unroller, equation: Any, low: Any, array: Any, high: Any) -> Any:
-    """Unrolls clamping of numbers between two bounds."""
+    """Unrolls `clamp`: min(max(low, x), high)."""
     kind = kind_of(equation.outvars[0].aval)
     return unroller.each("min", kind, unroller.each("max", kind, low, array), high)
 
 
 @rule("select_n")
 def selected(unroller: Unroller, equation: Any, which: Any, *cases: Any) -> Any:
-    """Unrolls the selection of one of several numbers."""
+    """Unrolls `select_n`, which takes case number `which` for each entry."""
     kind = kind_of(equation.outvars[0].aval)
     if kind_of(equation.invars[0].aval) == "b1":
         return unroller.each("select", kind, which, cases[1], cases[0])
@@ -139,13 +139,20 @@ def selected(unroller: Unroller, equation: Any, which: Any, *cases: Any) -> Any:
 
 @rule("convert_element_type")
 def converted(unroller: Unroller, equation: Any, array: Any) -> Any:
-    """Unrolls the conversion of numbers to another kind."""
+    """Unrolls the conversion of numbers to another type."""
     before = kind_of(equation.invars[0].aval)
     return as_kind(unroller, array, before, kind_of(equation.outvars[0].aval))
 
 
 def as_kind(unroller: Unroller, array: Any, before: str, after: str) -> Any:
-    """Converts an array of one kind to another."""
+    """Converts nodes of one number type to another.
+
+    Args:
+        unroller: Translator that adds the nodes.
+        array: Nodes of the numbers.
+        before: Type of the numbers, such as `"f32"`.
+        after: Type of the result; booleans (`"b1"`) are true for numbers other than 0.
+    """
     if before == after:
         return array
     if after == "b1":
@@ -156,5 +163,5 @@ def as_kind(unroller: Unroller, array: Any, before: str, after: str) -> Any:
 
 @rule("copy", "stop_gradient", "optimization_barrier", "pvary", "reshard")
 def unchanged(unroller: Unroller, equation: Any, *arrays: Any) -> Any:
-    """Passes on the operands of a primitive that only matters to a compiler."""
+    """Returns the operands of a primitive that does not change numbers."""
     return list(arrays)

@@ -1,4 +1,4 @@
-"""Unrolling rules for primitives that only move numbers: they make no operations."""
+"""Rules of primitives that rearrange numbers: they add no operations to the graph."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ def expanded(unroller: Unroller, equation: Any, array: Any) -> Any:
 
 @rule("reshape")
 def reshaped(unroller: Unroller, equation: Any, array: Any) -> Any:
-    """Unrolls a reshape."""
+    """Unrolls a reshape: the nodes get the shape of the result."""
     return array.reshape(equation.outvars[0].aval.shape)
 
 
@@ -47,50 +47,53 @@ def broadcast(unroller: Unroller, equation: Any, array: Any, *_: Any) -> Any:
 
 @rule("transpose")
 def transposed(unroller: Unroller, equation: Any, array: Any) -> Any:
-    """Unrolls a transpose."""
+    """Unrolls a transpose: the axes are permuted."""
     return np.transpose(array, equation.params["permutation"])
 
 
 @rule("rev")
 def reversed_along(unroller: Unroller, equation: Any, array: Any) -> Any:
-    """Unrolls a reversal along axes."""
+    """Unrolls `rev`: the order of entries is reversed along axes."""
     return np.flip(array, equation.params["dimensions"])
 
 
 @rule("concatenate")
 def concatenated(unroller: Unroller, equation: Any, *arrays: Any) -> Any:
-    """Rule of `concatenate`: joins arrays of nodes, without adding operations."""
+    """Unrolls a concatenation along an axis."""
     return np.concatenate(arrays, axis=equation.params["dimension"])
 
 
 @rule("stack")
 def stacked(unroller: Unroller, equation: Any, *arrays: Any) -> Any:
-    """Unrolls a stack along a new axis."""
+    """Unrolls `stack`: arrays are joined along a new axis."""
     return np.stack(arrays, axis=equation.params["axis"])
 
 
 @rule("unstack")
 def unstacked(unroller: Unroller, equation: Any, array: Any) -> Any:
-    """Unrolls the separation into slices along an axis; the axis is removed."""
+    """Unrolls `unstack`: returns the slices along an axis, without that axis."""
     return list(np.moveaxis(array, equation.params["axis"], 0))
 
 
 @rule("split")
 def parted(unroller: Unroller, equation: Any, array: Any) -> Any:
-    """Unrolls a split along an axis."""
+    """Unrolls `split`: returns parts of the given sizes along an axis."""
     cuts = np.cumsum(equation.params["sizes"])[:-1]
     return list(np.split(array, cuts, axis=equation.params["axis"]))
 
 
 @rule("tile")
 def tiled(unroller: Unroller, equation: Any, array: Any) -> Any:
-    """Unrolls the repetition of a whole array."""
+    """Unrolls `tile`: an array is repeated along each axis."""
     return np.tile(array, equation.params["reps"])
 
 
 @rule("pad")
 def padded(unroller: Unroller, equation: Any, array: Any, value: Any) -> Any:
-    """Unrolls padding at the edges and between entries; negative padding cuts off."""
+    """Unrolls padding at the edges and between entries.
+
+    Negative padding removes entries at the edges.
+    """
     result = array
     for axis, (low, high, inner) in enumerate(equation.params["padding_config"]):
         result = np.moveaxis(result, axis, 0)
@@ -108,7 +111,7 @@ def padded(unroller: Unroller, equation: Any, array: Any, value: Any) -> Any:
 
 @rule("iota")
 def counted(unroller: Unroller, equation: Any, *_: Any) -> Any:
-    """Unrolls the integers from zero along an axis."""
+    """Unrolls `iota`: the integers 0, 1, 2, ... along an axis."""
     shape, axis = equation.params["shape"], equation.params["dimension"]
     kind = kind_of(equation.outvars[0].aval)
     nodes = [unroller.graph.constant(i, kind) for i in range(shape[axis])]

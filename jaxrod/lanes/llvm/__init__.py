@@ -1,1 +1,2 @@
-"""Graphs of single numbers as LLVM IR, and as machine code of this processor."""
+"""Translation of graphs of single numbers to LLVM IR, and to machine code for the
+CPU."""
