@@ -1,2 +1,1 @@
-"""Translation of graphs of single numbers to LLVM IR, and to machine code for the
-CPU."""
+"""Translation of graphs of single numbers to LLVM IR, and to CPU machine code."""

@@ -61,8 +61,7 @@ def _of_vector(operation: str, kind: str, width: int) -> tuple[str, set[str]]:
 
 
 def _needed_by(operation: str, kind: str) -> set[tuple[str, str]]:
-    """Returns operation and number type of the functions that a vector function
-    calls."""
+    """Returns the functions, by operation and type, that a vector function calls."""
     return {("exp", "f64")} if (operation, kind) == ("tanh", "f32") else set()
 
 
@@ -92,7 +91,7 @@ def _of_one(operation: str, kind: str) -> str:
 
 
 def lane_by_lane(operation: str, kind: str, width: int, name: str) -> str:
-    """Returns LLVM IR of a vector function that calls the C library for each lane.
+    """Returns LLVM IR of a vector function that calls a scalar function in each lane.
 
     Args:
         operation: The operation.

@@ -48,7 +48,7 @@ def step_kernel(step: Step, width: int, *, checkpoints: bool) -> Kernel:
 
     Args:
         step: The step.
-        width: Lanes of a vector.
+        width: Lanes of a vector, one for each rod.
         checkpoints: Whether checkpoints are among the results.
     """
     plan = KernelPlan(step, width)
@@ -89,7 +89,7 @@ def run_kernel(step: Step, ends: EndNodes, width: int) -> Kernel:
     Args:
         step: The step.
         ends: Beginning and end of the run.
-        width: Lanes of a vector.
+        width: Lanes of a vector, one for each rod.
     """
     plan = KernelPlan(step, width)
     now, then, places = plan.carry_buffers()
@@ -127,8 +127,7 @@ br label %block_done
 
 
 def forward_loops(entry: str, given: str, marks: str = "") -> str:
-    """Returns LLVM IR that calls `@step` for all steps, in segments between
-    checkpoints.
+    """Returns LLVM IR that calls `@step` for all steps, between checkpoints.
 
     Pointers `%now0` and `%then0` are those of the first carry and of a second buffer.
     After the loops, `%now1` points to the last carry.
@@ -136,7 +135,8 @@ def forward_loops(entry: str, given: str, marks: str = "") -> str:
     Args:
         entry: Label of the block before the loops.
         given: Arguments of `@step` before the two carries.
-        marks: LLVM IR that stores a checkpoint, at the beginning of each segment.
+        marks: LLVM IR that stores a checkpoint, at the beginning of each segment of
+            steps.
     """
     return f"""
 br label %segments
@@ -188,7 +188,7 @@ def adjoint_kernel(
             constants, which are summed over the steps.
         n_seeds: Number of arrays of `adjoint.carry` that are given; the others begin at
             zero.
-        width: Lanes of a vector.
+        width: Lanes of a vector, one for each rod.
     """
     plan = KernelPlan(step, width)
     now, then, places = plan.carry_buffers()

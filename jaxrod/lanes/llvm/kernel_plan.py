@@ -37,8 +37,7 @@ class KernelPlan:
             self.constant_places.append(place)
 
     def carry_buffers(self) -> tuple[Region, Region, list[int]]:
-        """Allocates two buffers for the carry: before (`%now`) and after a step
-        (`%then`).
+        """Allocates buffers for the carry before (`%now`) and after a step (`%then`).
 
         Returns:
             Both buffers, and the offset of each array of the carry in either buffer
@@ -87,8 +86,7 @@ class KernelPlan:
     def bring_all(
         self, arrays: Sequence[Entries], places: Sequence[int], region: str
     ) -> str:
-        """Returns LLVM IR that stores results from a region, transposed to rows of
-        rods.
+        """Returns LLVM IR that stores results from a region, transposed to rod rows.
 
         Args:
             arrays: Types and sizes of the results, which begin with the first result.
@@ -162,8 +160,7 @@ class KernelPlan:
         return self.memory.shared.room() + self.memory.own.room()
 
     def fetch_shared(self) -> str:
-        """Returns LLVM IR that copies the constants that all rods share to the
-        workspace."""
+        """Returns LLVM IR that copies constants shared by all rods to the workspace."""
         lines = []
         for i, entries in enumerate(self.step.constants):
             if entries.rate == UNIFORM:
@@ -308,8 +305,7 @@ def goals_in(
 
 
 def entry_text(n_operands: int, n_results: int) -> str:
-    """Returns LLVM IR that loads the data pointers of a call's buffers, and the
-    counts."""
+    """Returns LLVM IR that loads data pointers of all buffers of a call, and counts."""
     loads = [_pointer(f"%in{i}", "%operands", i) for i in range(n_operands)]
     loads += [_pointer(f"%out{i}", "%results", i) for i in range(n_results)]
     return "".join(loads) + counts_text()

@@ -107,11 +107,7 @@ class Memory:
                 self._placed({node: None}, rate, region)
 
     def where(self, node: int) -> tuple[Region, int] | None:
-        """Returns the region and the offset of a node [bytes].
-
-        Returns:
-            The location, or `None` if the node is not stored.
-        """
+        """Returns region and offset of a node [bytes]; `None` if it is not stored."""
         place = self.graph.places.get(node)
         if place is None:
             return self.nodes.get(node)

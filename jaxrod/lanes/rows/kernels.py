@@ -1,6 +1,7 @@
-"""Kernels of rows: all steps of one scene after the other, as LLVM IR.
+"""Row kernels: LLVM IR that runs all steps of one scene after another.
 
-The number of steps and of scenes are arguments, so that one kernel serves all of them.
+The number of steps and of scenes are arguments, so one kernel serves any number of
+them.
 """
 
 from __future__ import annotations
@@ -28,16 +29,16 @@ from jaxrod.lanes.run_spec import Ends, LoopBody, RunSpec, adjoint_body
 ALIGNMENT = 64
 """Alignment of regions and of stored nodes [bytes]."""
 GIVEN = "ptr %scratch, ptr %fixed"
-"""First arguments of all functions of a kernel."""
+"""LLVM text of the first arguments of `@step` and `@adjoint`."""
 MOST_LINES = 400_000
-"""Length of the longest program that is compiled."""
+"""Largest number of LLVM lines of a kernel; a longer program is refused."""
 
 
 class Storage:
-    """A region of the workspace that holds arrays one after another."""
+    """A region of the workspace, in which arrays are allocated one after another."""
 
     def __init__(self, pointer: str, alignment: int = ALIGNMENT) -> None:
-        """Makes an empty region.
+        """Creates an empty region.
 
         Args:
             pointer: Name of its pointer.
@@ -46,42 +47,51 @@ class Storage:
         self.pointer, self.alignment, self.size = pointer, alignment, 0
 
     def give(self, kind: str, count: int) -> Place:
-        """Allocates an array."""
+        """Allocates an array in the region, and returns its memory location.
+
+        Args:
+            kind: Type of the numbers, such as `"f32"`.
+            count: Number of entries.
+        """
         place = Place(self.pointer, self.size)
         size = max(count, 1) * BYTES[kind]
         self.size += -(-size // self.alignment) * self.alignment
         return place
 
     def all(self, avals: Sequence[Any]) -> list[Place]:
-        """Allocates arrays of these types."""
+        """Allocates arrays of given types, and returns their memory locations."""
         return [self.give(kind_of(aval), math.prod(aval.shape)) for aval in avals]
 
 
 class Reverse(NamedTuple):
-    """A step backwards, which reads the carry before the step and its cotangents."""
+    """A reversed step (vector-Jacobian product), and the memory of its cotangents."""
 
     avals: Sequence[Any]
-    """Types of the cotangents of the carry, then of the moving constants."""
+    """Types of the cotangents: of the carry, then of the constants that have
+    tangents."""
     n_seeds: int
-    """Number of arrays that are given; the others are sums that begin at zero."""
+    """Number of cotangents of the carry. Those of constants are sums over the steps,
+    which begin at zero."""
     before: Storage
-    """Region of the cotangents that are read."""
+    """Region of the cotangents that the reversed step reads."""
     places: list[Place]
-    """Places of the cotangents in it, and in the region that is written."""
+    """Locations of the cotangents in `before`; the offsets in the region that is
+    written are the same."""
     step: list[Goal]
-    """Goals of the step."""
+    """Nodes of the next carry, with the locations where they are written."""
     back: list[Goal]
-    """Goals of the step backwards."""
+    """Nodes of the cotangents before the step, with the locations where they are
+    written."""
 
 
 class RowPlan:
-    """Memory and functions of a kernel of rows."""
+    """Memory layout and LLVM functions of a row kernel that is being written."""
 
     alignment = ALIGNMENT
     """Alignment of arrays in memory [bytes]."""
 
     def __init__(self, body: LoopBody, batched: Sequence[bool]) -> None:
-        """Translates a step.
+        """Translates a step to a graph, and allocates its constants and carry.
 
         Args:
             body: The step.
@@ -105,7 +115,7 @@ class RowPlan:
         self.made = self.unroller.run(body.closed, self.inputs)
         self.scratch = 0
         self.lasting: dict[int, Place] = {}
-        """Places of nodes with constant fill between their pieces."""
+        """Locations of the joined nodes whose fill is written once for each scene."""
         self.texts: list[str] = []
         self.declared: set[str] = {
             "declare i64 @llvm.smin.i64(i64, i64)",
@@ -117,29 +127,56 @@ class RowPlan:
         self.lines = 0
 
     def storage(self, pointer: str) -> Storage:
-        """Returns an empty region."""
+        """Returns an empty region of the workspace.
+
+        Args:
+            pointer: Name of the pointer to the region.
+        """
         return Storage(pointer, self.alignment)
 
     def rate(self, which: int) -> int:
-        """Returns the rate at which operand number `which` of the step changes."""
+        """Returns the rate at which an operand of the step changes.
+
+        Args:
+            which: Number of the operand; constants come first.
+
+        Returns:
+            `FIXED` for a constant, `VARYING` for the carry.
+        """
         return FIXED if which < self.n_constants else VARYING
 
     def places_of_constants(self) -> list[Place]:
-        """Returns the places from which constants are read."""
+        """Allocates the constants, and returns their memory locations."""
         return self.fixed.all(self.constants)
 
     def input(self, which: int, aval: Any, rate: int) -> Rows:
-        """Returns the array of operand number `which`."""
+        """Adds an input array to the graph, and returns it.
+
+        Args:
+            which: Number of the array.
+            aval: Shape and dtype of the array.
+            rate: Rate at which it changes: `UNIFORM`, `FIXED` or `VARYING`.
+        """
         return self.unroller.input(which, aval, rate)
 
     def stand(self, first: int, places: Sequence[Place]) -> None:
-        """Records where input arrays are stored, from number `first` on."""
+        """Records the memory locations of consecutive input arrays.
+
+        Args:
+            first: Number of the first array.
+            places: Locations.
+        """
         for node, (which, _) in self.graph.places.items():
             if first <= which < first + len(places):
                 self.ready[node] = places[which - first]
 
     def goals(self, arrays: Sequence[Rows], places: Sequence[Place]) -> list[Goal]:
-        """Returns the goals that write arrays to places, in the order of their axes."""
+        """Returns the nodes of arrays, with the locations where each is to be written.
+
+        Args:
+            arrays: The arrays.
+            places: Location of each array, which is written in row-major order.
+        """
         goals = []
         for array, place in zip(arrays, places, strict=True):
             strides = row_major(array.shape)
@@ -150,7 +187,7 @@ class RowPlan:
         return goals
 
     def reverse(self, moving: Sequence[bool]) -> Reverse:
-        """Translates a step backwards.
+        """Translates the vector-Jacobian product of the step.
 
         Args:
             moving: Whether each constant has a tangent.
@@ -172,7 +209,11 @@ class RowPlan:
         return Reverse(avals, n_seeds, before, places, next_carry(self), back)
 
     def hoist(self, goals: Sequence[Goal]) -> None:
-        """Writes the function that computes values that are the same in all steps."""
+        """Writes the function `@fixed`, which computes values that all steps share.
+
+        Args:
+            goals: Nodes that the other functions of the kernel compute.
+        """
         graph = self.graph
         self.know_data()
         nodes = hoisted(graph, [goal.node for goal in goals], self.ready)
@@ -181,13 +222,20 @@ class RowPlan:
         self.function("fixed", [], ["%fixed"], nodes)
 
     def room_for(self, node: int, storage: Storage) -> Place:
-        """Allocates a place for a node."""
+        """Allocates memory for the numbers of a node, and returns its location.
+
+        A scatter gets one number more, to which dropped numbers are written.
+
+        Args:
+            node: The node.
+            storage: Region of the workspace.
+        """
         graph = self.graph
         more = 1 if graph.operations[node] == "scatter" else 0
         return storage.give(graph.kinds[node], math.prod(graph.dims[node]) + more)
 
     def know_data(self) -> None:
-        """Writes known arrays as constants of the module."""
+        """Writes arrays of known numbers as constants of the LLVM module."""
         graph = self.graph
         for i, (node, numbers) in enumerate(graph.data.items()):
             kind = graph.kinds[node]
@@ -208,10 +256,16 @@ class RowPlan:
         pointers: Sequence[str],
         stored: Sequence[int] = (),
     ) -> None:
-        """Writes a function that computes goals.
+        """Writes an LLVM function that computes nodes and stores them.
+
+        Args:
+            name: Name of the function.
+            goals: Nodes, with the locations where they are written.
+            pointers: Names of the function's arguments after `%scratch`.
+            stored: Other nodes to compute; `ready` has their locations.
 
         Raises:
-            NotUnrolled: It is too long.
+            NotUnrolled: The kernel is too long.
         """
         lasting = self.lasting_place if goals else None
         schedule = Schedule(
@@ -228,11 +282,15 @@ class RowPlan:
             raise NotUnrolled(f"a program of more than {MOST_LINES} lines is too long")
 
     def writer(self, schedule: Schedule) -> RowWriter:
-        """Returns the writer of a function."""
+        """Returns the writer of an LLVM function that runs a schedule."""
         return RowWriter(self.graph, schedule, vector_bytes())
 
     def lasting_place(self, node: int) -> Place:
-        """Returns the place of a node whose fill is written once for each scene."""
+        """Returns the location of a joined node with constant fill.
+
+        It is allocated at the first call. The fill is written there once for each
+        scene.
+        """
         place = self.lasting.get(node)
         if place is None:
             place = self.room_for(node, self.fixed)
@@ -240,12 +298,19 @@ class RowPlan:
         return place
 
     def lasting_fills(self) -> str:
-        """Writes the function that writes the fill between pieces."""
+        """Returns LLVM IR of the function `@fills`, called once for each scene.
+
+        It writes the fill of joined nodes whose fill is a constant.
+        """
         body = "\n".join(["entry:", *self.fill_calls(""), "ret void"])
         return f"define internal void @fills(ptr %fixed) noinline {{\n{body}\n}}\n"
 
     def fill_calls(self, given: str) -> list[str]:
-        """Writes calls that write the fill; `given` is their first arguments."""
+        """Returns LLVM calls that write the fill of joined nodes.
+
+        Args:
+            given: LLVM text of the first arguments of each call.
+        """
         graph, lines = self.graph, []
         for node, place in self.lasting.items():
             kind, value = graph.kinds[node], graph.value(graph.arguments[node][-1])
@@ -258,7 +323,13 @@ class RowPlan:
         return lines
 
     def module(self, per_scene: str, n_operands: int, n_results: int) -> str:
-        """Writes the whole module except for the handler through which XLA calls it."""
+        """Returns the LLVM module of the kernel, without the handler that XLA calls.
+
+        Args:
+            per_scene: LLVM IR that runs for each scene, once its constants are loaded.
+            n_operands: Number of operands of the kernel.
+            n_results: Number of results of the kernel, with the workspace.
+        """
         functions, more = elementary_texts(self.needs)
         self.texts.append(self.lasting_fills())
         texts = [*map(fill_text, sorted(self.fills)), *functions, *self.texts]
@@ -301,7 +372,15 @@ ret void
     def fetch(
         self, operand: int, aval: Any, place: Place, batched: bool, row: str = "%scene"
     ) -> str:
-        """Writes a copy of an operand to its place; `row` is its row of the batch."""
+        """Returns LLVM IR that copies an operand of the kernel to the workspace.
+
+        Args:
+            operand: Number of the operand.
+            aval: Shape and dtype of the array, without a batch axis.
+            place: Location to which it is copied.
+            batched: Whether the operand has a leading axis of scenes.
+            row: Index along that axis.
+        """
         size = math.prod(aval.shape) * BYTES[kind_of(aval)]
         mark = f"%f{operand}"
         source = f"%in{operand}"
@@ -319,7 +398,15 @@ ret void
     def bring(
         self, result: int, aval: Any, place: Place, region: str, row: str = "%scene"
     ) -> str:
-        """Writes a copy from a place to a row of a result."""
+        """Returns LLVM IR that copies an array from the workspace to a result.
+
+        Args:
+            result: Number of the result.
+            aval: Shape and dtype of the array, without a batch axis.
+            place: Location of the array; only its offset is used.
+            region: Name of the pointer to the region of the array.
+            row: Index along the leading axis of the result.
+        """
         size = math.prod(aval.shape) * BYTES[kind_of(aval)]
         mark = f"%b{result}"
         return (
@@ -335,7 +422,15 @@ ret void
 def cycles_kernel(
     body: LoopBody, batched: tuple[bool, ...], *, checkpoints: bool
 ) -> Kernel:
-    """Writes the kernel that repeats a step; see `lanes.llvm.kernel.step_kernel`."""
+    """Returns the row kernel that repeats a step.
+
+    Operands and results are those of `lanes.llvm.kernel.step_kernel`.
+
+    Args:
+        body: The step.
+        batched: Whether each constant has a row for each scene.
+        checkpoints: Whether checkpoints are among the results.
+    """
     plan = RowPlan(body, batched)
     goals = next_carry(plan)
     plan.hoist(goals)
@@ -372,7 +467,15 @@ def cycles_kernel(
 
 @lru_cache(maxsize=64)
 def whole_run_kernel(body: LoopBody, ends: Ends, batched: tuple[bool, ...]) -> Kernel:
-    """Writes the kernel of a whole run; see `lanes.llvm.kernel.run_kernel`."""
+    """Returns the row kernel of a whole run: its beginning, the steps, its end.
+
+    Operands and results are those of `lanes.llvm.kernel.run_kernel`.
+
+    Args:
+        body: The step.
+        ends: Beginning and end of the run.
+        batched: Whether each constant has a row for each scene.
+    """
     plan = RowPlan(body, batched)
     n = plan.n_constants
     avals = ends.given[n:]
@@ -417,7 +520,15 @@ call void @end(ptr %scratch, ptr %fixed, ptr %now1, ptr %made)
 def back_kernel(
     body: LoopBody, moving: tuple[bool, ...], batched: tuple[bool, ...]
 ) -> Kernel:
-    """Writes the kernel of the reverse pass; see `lanes.llvm.kernel.adjoint_kernel`."""
+    """Returns the row kernel of the reverse pass through all steps.
+
+    Operands and results are those of `lanes.llvm.kernel.adjoint_kernel`.
+
+    Args:
+        body: The step.
+        moving: Whether each constant has a tangent.
+        batched: Whether each constant has a row for each scene.
+    """
     plan = RowPlan(body, batched)
     n = plan.n_constants
     avals, n_seeds, before, before_places, step, back = plan.reverse(moving)
@@ -453,13 +564,21 @@ call void @llvm.memset.p0.i64(ptr %back0, i8 0, i64 {before.size}, i1 false)
 
 
 def next_carry(plan: RowPlan) -> list[Goal]:
-    """Returns the goals that write the next carry."""
+    """Returns the nodes of the next carry, each with its memory location."""
     then = [Place("%then", place.offset) for place in plan.carry_places]
     return plan.goals(plan.made, then)
 
 
 def _pointers(plan: RowPlan, **sizes: int) -> tuple[str, int]:
-    """Writes pointers to regions after `%fixed`; returns the size of the workspace."""
+    """Returns LLVM IR of pointers to regions that follow `%fixed`, and a size.
+
+    Args:
+        plan: The kernel.
+        **sizes: Sizes of the regions, by name of the pointer [bytes].
+
+    Returns:
+        The text, and the size of the workspace up to the last region [bytes].
+    """
     start, lines = plan.scratch + plan.fixed.size, []
     for name, size in sizes.items():
         lines.append(f"%{name} = getelementptr i8, ptr %room, i64 {start}\n")

@@ -1,4 +1,4 @@
-"""Translation of a jaxpr of arrays to a graph of rows.
+"""Translation of a jaxpr to a graph of rows.
 
 Rules of arithmetic, calls and branches are those of `jaxrod.lanes.jaxpr`. The rules
 here are for primitives that move numbers, or combine the numbers of one array.
@@ -43,10 +43,11 @@ SHARED = (
     *("custom_linear_solve", "closed_call", "custom_jvp_call", "custom_vjp_call"),
     *("jit", "remat2"),
 )
-"""Primitives whose rules do not depend on the layout of arrays; so are elementwise
-operations."""
+"""Primitives whose rules are those of `jaxrod.lanes.jaxpr`, because the rules do not
+depend on the layout of arrays. All other rules of elementwise primitives are shared
+too."""
 MOST_UNROLLED = 64
-"""Largest number of rounds of a loop that is unrolled."""
+"""Largest number of rounds for which a `scan` is unrolled."""
 
 
 class RowUnroller(Unroller):
@@ -55,7 +56,7 @@ class RowUnroller(Unroller):
     graph: RowGraph
 
     def __init__(self, graph: RowGraph) -> None:
-        """Makes an unroller.
+        """Creates a translator with the rules for rows.
 
         Args:
             graph: Graph to which nodes are added.
@@ -65,32 +66,55 @@ class RowUnroller(Unroller):
         self.layout = Layout(graph)
 
     def as_array(self, result: Any) -> Any:
-        """Returns the result of a rule, which is an array of rows."""
+        """Returns the result of a rule unchanged, because it is a `Rows` already."""
         return result
 
     def number(self, array: Any) -> int:
-        """Returns the node of an array of one number."""
+        """Returns the only node of an array of one number."""
         return array.scalar
 
     def each(self, operation: str, kind: str, *arrays: Any) -> Any:
-        """Applies an operation to the entries of arrays of one shape."""
+        """Returns an operation applied to arrays entry by entry.
+
+        Args:
+            operation: Name of the operation.
+            kind: Type of the results, such as `"f32"`.
+            *arrays: Operands, which are broadcast.
+        """
         return self.layout.each(operation, kind, *arrays)
 
     def mapped(self, function: Callable[..., int], kind: str, *arrays: Any) -> Any:
-        """Applies a function of nodes, which makes a node of a kind, to entries."""
+        """Returns the array of nodes that a function makes of the nodes of arrays.
+
+        Args:
+            function: Takes a node of each array, and returns a node.
+            kind: Type of the results, such as `"f32"`.
+            *arrays: Arrays, which are broadcast.
+        """
         return self.layout.mapped(function, kind, *arrays)
 
     def full(self, value: Any, shape: tuple[int, ...], kind: str) -> Any:
-        """Returns an array of one known number."""
+        """Returns an array in which one known number is repeated."""
         return self.layout.full(self.graph.constant(value, kind), shape, kind)
 
     def known(self, value: Any, aval: Any) -> Any:
-        """Returns an array whose numbers are known."""
+        """Returns an array of known numbers.
+
+        Args:
+            value: The numbers.
+            aval: Shape and dtype of the array, to which `value` is broadcast.
+        """
         numbers = np.broadcast_to(np.asarray(value, kind_dtype(aval)), aval.shape)
         return self.layout.known(numbers, kind_of(aval))
 
     def input(self, which: int, aval: Any, rate: int) -> Rows:
-        """Returns the array of operand number `which`."""
+        """Returns an operand of the program as an array of rows.
+
+        Args:
+            which: Number of the operand.
+            aval: Shape and dtype of the operand.
+            rate: Rate at which it changes: `UNIFORM`, `FIXED` or `VARYING`.
+        """
         kind, shape = kind_of(aval), tuple(map(int, aval.shape))
         size = int(np.prod(shape, dtype=int))
         node = self.graph.array(which, size, kind, rate)
@@ -98,11 +122,12 @@ class RowUnroller(Unroller):
 
 
 ROW_RULES: dict[str, Rule] = {}
-"""Rules by name of the primitive: `(unroller, equation, *arrays)` to the results."""
+"""Rules by name of the primitive. A rule takes an unroller, an equation and its
+operands, and returns the results as arrays of rows."""
 
 
 def row_rule(*names: str) -> Callable[[Rule], Rule]:
-    """Registers a rule of rows for primitives (a decorator)."""
+    """Registers a function as the row rule of primitives (a decorator)."""
     return rule(*names, rules=ROW_RULES)
 
 
@@ -112,7 +137,7 @@ def result_shape(equation: Any) -> tuple[int, ...]:
 
 
 def straight(array: Rows) -> list[Move]:
-    """Returns the moves of an array that is read unchanged."""
+    """Returns the moves that read each axis of an array in order, from its start."""
     return [Move(axis) for axis in range(len(array.shape))]
 
 
@@ -128,7 +153,7 @@ def sliced(unroller: RowUnroller, equation: Any, array: Rows) -> Rows:
 
 @row_rule("squeeze", "expand_dims", "reshape")
 def reshaped(unroller: RowUnroller, equation: Any, array: Rows) -> Rows:
-    """Translates a change of shape."""
+    """Translates a change of shape that keeps the order of the numbers."""
     if equation.params.get("new_sizes") and equation.params["dimensions"] is not None:
         raise NotUnrolled("rows have no reshape that permutes axes")
     shape = result_shape(equation)
@@ -165,13 +190,13 @@ def reversed_along(unroller: RowUnroller, equation: Any, array: Rows) -> Rows:
 
 @row_rule("concatenate")
 def concatenated(unroller: RowUnroller, equation: Any, *arrays: Rows) -> Rows:
-    """Translates a concatenation."""
+    """Translates a concatenation along an axis."""
     return unroller.layout.concatenated(arrays, equation.params["dimension"])
 
 
 @row_rule("stack")
 def stacked(unroller: RowUnroller, equation: Any, *arrays: Rows) -> Rows:
-    """Translates a stack along a new axis."""
+    """Translates `stack`: arrays are joined along a new axis."""
     return _stacked(unroller, arrays, equation.params["axis"])
 
 
@@ -184,13 +209,13 @@ def _stacked(unroller: RowUnroller, arrays: Sequence[Rows], axis: int) -> Rows:
 
 @row_rule("unstack")
 def unstacked(unroller: RowUnroller, equation: Any, array: Rows) -> list[Rows]:
-    """Translates the separation into slices along an axis; the axis is removed."""
+    """Translates `unstack`: returns the slices along an axis, without that axis."""
     axis = equation.params["axis"]
     return [slice_at(unroller, array, axis, i) for i in range(array.shape[axis])]
 
 
 def slice_at(unroller: RowUnroller, array: Rows, axis: int, index: int) -> Rows:
-    """Returns the slice at an index of an axis; the axis is removed."""
+    """Returns the slice of an array at an index of an axis, without that axis."""
     moves = [Move(a) for a in range(len(array.shape)) if a != axis]
     start = [index if a == axis else 0 for a in range(len(array.shape))]
     shape = tuple(n for a, n in enumerate(array.shape) if a != axis)
@@ -199,7 +224,7 @@ def slice_at(unroller: RowUnroller, array: Rows, axis: int, index: int) -> Rows:
 
 @row_rule("split")
 def parted(unroller: RowUnroller, equation: Any, array: Rows) -> list[Rows]:
-    """Translates a split along an axis."""
+    """Translates `split`: returns parts of the given sizes along an axis."""
     axis, begin, made = equation.params["axis"], 0, []
     for size in equation.params["sizes"]:
         made.append(unroller.layout.sliced(array, axis, begin, begin + size))
@@ -209,7 +234,10 @@ def parted(unroller: RowUnroller, equation: Any, array: Rows) -> list[Rows]:
 
 @row_rule("pad")
 def padded(unroller: RowUnroller, equation: Any, array: Rows, value: Rows) -> Rows:
-    """Translates padding at the edges and between entries."""
+    """Translates padding at the edges and between entries.
+
+    Negative padding removes entries at the edges.
+    """
     for axis, (low, high, inner) in enumerate(equation.params["padding_config"]):
         array = unroller.layout.padded(array, axis, low, high, inner, value.scalar)
     return array
@@ -217,7 +245,7 @@ def padded(unroller: RowUnroller, equation: Any, array: Rows, value: Rows) -> Ro
 
 @row_rule("iota")
 def counted(unroller: RowUnroller, equation: Any, *_: Any) -> Rows:
-    """Translates the integers from zero along an axis."""
+    """Translates `iota`: the integers 0, 1, 2, ... along an axis."""
     shape, axis = result_shape(equation), equation.params["dimension"]
     return row_of_places(unroller, shape, axis, kind_of(equation.outvars[0].aval))
 
@@ -225,7 +253,14 @@ def counted(unroller: RowUnroller, equation: Any, *_: Any) -> Rows:
 def row_of_places(
     unroller: RowUnroller, shape: tuple[int, ...], axis: int, kind: str
 ) -> Rows:
-    """Returns the integers from zero along an axis."""
+    """Returns an array whose entries are their own index along an axis.
+
+    Args:
+        unroller: Translator that adds the nodes.
+        shape: Shape of the array.
+        axis: The axis.
+        kind: Type of the integers, such as `"i32"`.
+    """
     graph, loops = unroller.graph, long_axes(shape)
     dims = tuple(shape[a] for a in loops)
     nodes = np.empty([1 if a in loops else n for a, n in enumerate(shape)], np.int64)
@@ -280,7 +315,10 @@ def _reduced(
 
 @row_rule(*CUMULATIVE)
 def accumulated(unroller: RowUnroller, equation: Any, array: Rows) -> Rows:
-    """Translates a cumulative operation, by combination with ever longer shifts."""
+    """Translates a cumulative operation such as `cumsum` by log2(n) shifts.
+
+    The array is combined with itself shifted by 1, 2, 4, ... entries.
+    """
     operation = CUMULATIVE[equation.primitive.name]
     axis, kind = equation.params["axis"], array.kind
     none = unroller.graph.constant(identity(operation, kind), kind)
@@ -295,9 +333,9 @@ def accumulated(unroller: RowUnroller, equation: Any, array: Rows) -> Rows:
 
 @row_rule("argmax", "argmin")
 def place_of_extreme(unroller: RowUnroller, equation: Any, array: Rows) -> Rows:
-    """Translates the index of the first largest or first smallest entry.
+    """Translates `argmax` or `argmin`: index of the first largest or smallest entry.
 
-    The first NaN wins, as in JAX.
+    The first NaN counts as largest and smallest, as in JAX.
     """
     kind = kind_of(equation.outvars[0].aval)
     (axis,) = equation.params["axes"]
@@ -317,7 +355,7 @@ def place_of_extreme(unroller: RowUnroller, equation: Any, array: Rows) -> Rows:
 
 @row_rule("tile")
 def tiled(unroller: RowUnroller, equation: Any, array: Rows) -> Rows:
-    """Translates the repetition of a whole array."""
+    """Translates `tile`: an array is repeated along each axis."""
     for axis, count in enumerate(equation.params["reps"]):
         if count != 1:
             array = unroller.layout.concatenated([array] * count, axis)
@@ -326,7 +364,7 @@ def tiled(unroller: RowUnroller, equation: Any, array: Rows) -> Rows:
 
 @row_rule("dot_general")
 def product(unroller: RowUnroller, equation: Any, left: Rows, right: Rows) -> Rows:
-    """Translates sums of products, such as matrix products."""
+    """Translates `dot_general`: sums of products, such as matrix products."""
     kind = kind_of(equation.outvars[0].aval)
     summed, batch = equation.params["dimension_numbers"]
     layout = unroller.layout
@@ -356,7 +394,11 @@ def product(unroller: RowUnroller, equation: Any, left: Rows, right: Rows) -> Ro
 
 @row_rule("scan")
 def scanned(unroller: RowUnroller, equation: Any, *arrays: Rows) -> list[Rows]:
-    """Translates a loop of known length; it is unrolled if it is no recurrence."""
+    """Translates `scan` to one loop along rows if possible; otherwise unrolls it.
+
+    Raises:
+        NotUnrolled: There are too many rounds to unroll, or none.
+    """
     scan = scan_of(equation)
     looped = recurrence(unroller, scan, arrays)
     if looped is not None:
