@@ -4,7 +4,7 @@
 - `equations`: parameters of the equations of jaxprs.
 - `foreign_call`: the binary interface by which XLA calls machine code.
 - `mesh_axes`: the part of an array's type that `jax.shard_map` adds.
-- `scans`: scans of zero steps without compilation.
+- `scans`: scans that may have zero steps.
 
 One more such internal, the test whether JAX has computed yet, is next to its only user
 in `jaxrod.installation.backend`.

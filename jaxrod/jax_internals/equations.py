@@ -1,4 +1,4 @@
-"""Names of the parameters that equations of jaxprs may have, and readers of them.
+"""Parameters of the equations of jaxprs: the known names, and functions to read them.
 
 A parameter that is not listed here may change the meaning of an equation. A program
 with such a parameter is left to XLA.
@@ -85,7 +85,7 @@ CALLS = tuple(_CALLS)
 
 
 def unknown_parameter(equation: Any) -> str | None:
-    """Returns the reason why an equation is not understood; `None` if it is.
+    """Returns the reason why a parameter of an equation is not understood, or `None`.
 
     Args:
         equation: An equation of a jaxpr.
@@ -177,8 +177,8 @@ class Scan:
 def scan_of(equation: Any) -> Scan:
     """Returns the body, length, direction and operand counts of a `scan` equation.
 
-    JAX 0.12 counts the operands (constants, carry, rows) by trees, earlier versions by
-    numbers.
+    JAX 0.12 keeps the operands (constants, carry, rows) in trees, which are counted
+    here; earlier versions keep their counts.
     """
     given = equation.params
     if "ft_in" in given:

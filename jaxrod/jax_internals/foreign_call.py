@@ -15,7 +15,7 @@ from pathlib import Path
 import jax
 
 _EXTENSIONS = ("XLA_FFI_InternalExtension", "XLA_FFI_Extension_Base")
-"""Names of the structure at the beginning of extensions: since jaxlib 0.11, and
+"""Names of the C structure at the beginning of extensions: since jaxlib 0.11, and
 before."""
 _EXTENSION = ("struct_size", "type", "next")
 _EXPECTED = {
@@ -30,7 +30,8 @@ _EXPECTED = {
     "XLA_FFI_Rets": ("struct_size", "extension_start", "size", "types", "rets"),
     "XLA_FFI_Metadata_Extension": ("extension_base", "metadata"),
 }
-"""Fields of the other structures that are read, in order, by name of the structure."""
+"""All fields, in order, of other C structures that are read, by name of the
+structure."""
 _BEGINNINGS = {
     "XLA_FFI_CallFrame": (
         *("struct_size", "extension_start", "api", "ctx", "stage", "args", "rets"),
@@ -41,7 +42,7 @@ _BEGINNINGS = {
         "_XLA_FFI_API_STRUCT_FIELD(XLA_FFI_Error_Create)",
     ),
 }
-"""First fields, in order, of structures that may have further fields."""
+"""First fields, in order, of C structures that may have further fields, by name."""
 _STREAM_GET = "_XLA_FFI_API_STRUCT_FIELD(XLA_FFI_Stream_Get)"
 """Field with the function that returns the GPU stream of a call. It must be the
 ninth field of `XLA_FFI_Api`, the fifth function."""

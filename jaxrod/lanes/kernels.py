@@ -131,6 +131,10 @@ def lowered_by_warps(
 def _failed(error: Exception, rods: int) -> None:
     """Records that a run is left to XLA because its kernel could not be compiled.
 
+    Args:
+        error: Error of the compilation.
+        rods: Number of rods in the batch.
+
     Raises:
         Exception: The error itself, in modes `"always"` and `"rows"`.
     """
@@ -141,7 +145,7 @@ def _failed(error: Exception, rods: int) -> None:
 
 
 def _of_lanes(name: str, spec: RunSpec, most: int) -> tuple[Kernel | None, str]:
-    """Returns the lane kernel of a primitive and "", or `None` and the reason.
+    """Returns the kernel with a rod in each lane and "", or `None` and the reason.
 
     Args:
         name: Name of the primitive.
@@ -163,7 +167,12 @@ def _of_lanes(name: str, spec: RunSpec, most: int) -> tuple[Kernel | None, str]:
 
 
 def _of_rows(name: str, spec: RunSpec) -> tuple[Kernel | None, str]:
-    """Returns the row kernel of a primitive and "", or `None` and the reason."""
+    """Returns the kernel of scenes one by one and "", or `None` and the reason.
+
+    Args:
+        name: Name of the primitive.
+        spec: Structure of the operation.
+    """
     body = spec.body
     batched = (False,) * body.n_constants
     if spec.batch is not None:

@@ -36,7 +36,7 @@ class LoopBody:
         return tuple(jnp.issubdtype(a.dtype, jnp.floating) for a in self.avals)
 
     def __call__(self, constants: Sequence[Any], carry: Sequence[Any]) -> list[Any]:
-        """Returns the next carry."""
+        """Returns the carry after the step."""
         return evaluate(self.closed, *constants, *carry)
 
 
@@ -139,7 +139,7 @@ def tangent_body(spec: RunSpec) -> tuple[Any, int]:
     tangents of the floating-point arrays of the carry.
 
     Returns:
-        The closed jaxpr, and the number of its constants, with tangents.
+        The closed jaxpr, and the number of its constants, including their tangents.
     """
     body, moving = spec.body, spec.moving
     floating = body.floating

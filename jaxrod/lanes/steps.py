@@ -187,6 +187,6 @@ def _refused(
 
 
 def _settled(leaf: Any) -> Any:
-    """Returns an array whose dtype is no longer weak, so that loops keep it."""
+    """Returns a value as an array without weak type, as carries of loops require."""
     array = jnp.asarray(leaf)
     return lax.convert_element_type(array, array.dtype)

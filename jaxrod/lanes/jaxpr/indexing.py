@@ -23,7 +23,7 @@ program with more is not unrolled."""
 
 @rule("dynamic_slice")
 def picked(unroller: Unroller, equation: Any, array: Any, *starts: Any) -> Any:
-    """Unrolls `dynamic_slice`; the start is clamped so that the slice is inside."""
+    """Translates `dynamic_slice`; the start is clamped so that the slice is inside."""
     sizes = equation.params["slice_sizes"]
     kind = kind_of(equation.outvars[0].aval)
 
@@ -38,7 +38,7 @@ def picked(unroller: Unroller, equation: Any, array: Any, *starts: Any) -> Any:
 def replaced(
     unroller: Unroller, equation: Any, array: Any, update: Any, *starts: Any
 ) -> Any:
-    """Unrolls `dynamic_update_slice`, which replaces a slice of an array.
+    """Translates `dynamic_update_slice`, which replaces a slice of an array.
 
     The start is clamped so that the slice is inside the array.
     """
@@ -56,14 +56,14 @@ def replaced(
 
 @rule("gather")
 def gathered(unroller: Unroller, equation: Any, array: Any, indices: Any) -> Any:
-    """Unrolls a gather with known indices; out-of-bounds indices follow its mode."""
+    """Translates a gather with known indices; out-of-bounds indices follow its mode."""
     graph, kind = unroller.graph, kind_of(equation.outvars[0].aval)
     outside = equation.params["fill_value"]
     if outside is None:
         outside = np.nan if kind[0] == "f" else 0
     known = _known(unroller, indices)
     if known is not None:
-        # One more place, for the fill value.
+        # Index -1 is that of the fill value, which is appended.
         params = {**equation.params, "fill_value": np.int32(-1)}
         places = np.arange(array.size, dtype=np.int32).reshape(array.shape)
         found = _evaluated(equation, params, places, known)
@@ -76,7 +76,7 @@ def gathered(unroller: Unroller, equation: Any, array: Any, indices: Any) -> Any
 def scattered(
     unroller: Unroller, equation: Any, array: Any, indices: Any, updates: Any
 ) -> Any:
-    """Unrolls a scatter with known indices.
+    """Translates a scatter with known indices.
 
     Each update replaces an entry, or is added, multiplied, or combined by min or max.
     """

@@ -27,7 +27,7 @@ _OF_NOTHING = {"add": 0, "mul": 1, "max": -np.inf, "min": np.inf, "and": 1, "or"
 
 @rule(*REDUCTIONS)
 def reduced(unroller: Unroller, equation: Any, array: Any) -> Any:
-    """Unrolls a reduction along axes by combining halves with halves.
+    """Translates a reduction along axes by combining halves with halves.
 
     So round-off grows only with the logarithm of the number of entries, and there is no
     long chain of dependent operations.
@@ -52,7 +52,7 @@ def reduced(unroller: Unroller, equation: Any, array: Any) -> Any:
 
 @rule(*CUMULATIVE)
 def accumulated(unroller: Unroller, equation: Any, array: Any) -> Any:
-    """Unrolls a cumulative operation such as `cumsum`, from either end of an axis."""
+    """Translates a cumulative operation such as `cumsum`, from either end of an axis."""
     kind = kind_of(equation.outvars[0].aval)
     operation = CUMULATIVE[equation.primitive.name]
     rows = np.moveaxis(array, equation.params["axis"], 0)
@@ -72,7 +72,7 @@ def accumulated(unroller: Unroller, equation: Any, array: Any) -> Any:
 
 @rule("argmax", "argmin")
 def place_of_extreme(unroller: Unroller, equation: Any, array: Any) -> Any:
-    """Unrolls `argmax` or `argmin`: index of the first largest or smallest entry.
+    """Translates `argmax` or `argmin`: index of the first largest or smallest entry.
 
     The first NaN counts as largest and smallest, as in JAX.
     """
@@ -101,7 +101,7 @@ def place_of_extreme(unroller: Unroller, equation: Any, array: Any) -> Any:
 
 @rule("dot_general")
 def product(unroller: Unroller, equation: Any, left: Any, right: Any) -> Any:
-    """Unrolls `dot_general`: sums of products, such as matrix products."""
+    """Translates `dot_general`: sums of products, such as matrix products."""
     graph = unroller.graph
     kind = kind_of(equation.outvars[0].aval)
     (sum_left, sum_right), (batch_left, batch_right) = equation.params[

@@ -28,7 +28,8 @@ MOST_NODES = 400_000
 
 
 class NotUnrolled(Exception):
-    """Reports that a program cannot be unrolled or is too long, in one line."""
+    """Raised if a program cannot be translated or is too long; the message is one
+    line."""
 
 
 class Unroller:

@@ -26,7 +26,7 @@ def elementary_texts(needs: set[tuple[str, str, int]]) -> tuple[list[str], set[s
     They come as a list of functions, and a set of declarations.
 
     Args:
-        needs: Operation, kind and lanes of each function; 1 for single numbers.
+        needs: Operation, number type and lanes of each function; 1 for single numbers.
     """
     whole = set(needs)
     for operation, kind, width in needs:
@@ -95,7 +95,7 @@ def lane_by_lane(operation: str, kind: str, width: int, name: str) -> str:
 
     Args:
         operation: The operation.
-        kind: Kind of the numbers.
+        kind: Type of the numbers, such as `"f32"`.
         width: Lanes of the vector.
         name: Beginning of the function's name.
     """

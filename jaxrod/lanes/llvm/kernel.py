@@ -1,4 +1,4 @@
-"""Lane kernels: LLVM IR that runs all steps of all rods of a batch.
+"""Kernels with a rod in each vector lane: LLVM IR of all steps of a batch.
 
 A kernel loops over blocks of as many rods as a vector has lanes. For each block it
 loads the rods' numbers, repeats the step, and stores the results. The number of steps
@@ -40,7 +40,7 @@ class Kernel:
 
 
 def step_kernel(step: Step, width: int, *, checkpoints: bool) -> Kernel:
-    """Returns the lane kernel that repeats a step.
+    """Returns the kernel that repeats a step, with a rod in each vector lane.
 
     Operands: counts, constants, carry. Results: carry after all steps, checkpoints,
     workspace. Checkpoints are the carries before steps 0, s, 2s, ..., where s is the
@@ -81,7 +81,9 @@ br label %block_done
 
 
 def run_kernel(step: Step, ends: EndNodes, width: int) -> Kernel:
-    """Returns the lane kernel of a whole run: its beginning, the steps, its end.
+    """Returns the kernel of a whole run, with a rod in each vector lane.
+
+    A run consists of its beginning, the steps and its end.
 
     Operands: counts, constants, arguments of the run. Results: those of the run, and
     the workspace.
@@ -127,7 +129,7 @@ br label %block_done
 
 
 def forward_loops(entry: str, given: str, marks: str = "") -> str:
-    """Returns LLVM IR that calls `@step` for all steps, between checkpoints.
+    """Returns LLVM IR that calls `@step` for all steps and stores checkpoints.
 
     Pointers `%now0` and `%then0` are those of the first carry and of a second buffer.
     After the loops, `%now1` points to the last carry.
@@ -135,8 +137,7 @@ def forward_loops(entry: str, given: str, marks: str = "") -> str:
     Args:
         entry: Label of the block before the loops.
         given: Arguments of `@step` before the two carries.
-        marks: LLVM IR that stores a checkpoint, at the beginning of each segment of
-            steps.
+        marks: LLVM IR that stores a checkpoint, if there are any.
     """
     return f"""
 br label %segments
@@ -175,7 +176,7 @@ def adjoint_kernel(
     n_seeds: int,
     width: int,
 ) -> Kernel:
-    """Returns the lane kernel of the reverse pass through all steps.
+    """Returns the kernel of the reverse pass, with a rod in each vector lane.
 
     Operands: counts, constants, checkpoints, cotangents of the last carry. Results:
     cotangents of the first carry and of constants; workspace.
@@ -245,7 +246,7 @@ def backward_loops(entry: str, given: str, size: int, marks: str) -> str:
         entry: Label of the block before the loops.
         given: First arguments of `@step` and `@adjoint`.
         size: Size of a carry [bytes].
-        marks: LLVM IR that loads a checkpoint, at the beginning of each segment.
+        marks: LLVM IR that loads a checkpoint.
     """
     return f"""
 %j0 = sub i64 %kept, 1

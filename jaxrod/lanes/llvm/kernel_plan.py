@@ -1,4 +1,4 @@
-"""Memory layout and LLVM functions of a lane kernel, while it is being written."""
+"""Memory layout and LLVM functions of a kernel with a rod in each vector lane."""
 
 from __future__ import annotations
 
@@ -12,7 +12,10 @@ from jaxrod.lanes.llvm.vector_code import BYTES, Writer
 
 
 class KernelPlan:
-    """Memory layout and LLVM functions of a lane kernel that is being written."""
+    """Memory layout and LLVM functions of a kernel with a rod in each vector lane.
+
+    They are collected here while the kernel is written.
+    """
 
     def __init__(self, step: Step, width: int) -> None:
         """Allocates memory for the constants of a step.
@@ -70,7 +73,7 @@ class KernelPlan:
         first: int,
         region: str,
     ) -> str:
-        """Returns LLVM IR that loads operands into a region, transposed to lanes.
+        """Returns LLVM IR that loads operands into vectors with a rod in each lane.
 
         Args:
             arrays: Types and sizes of the operands.
@@ -86,7 +89,7 @@ class KernelPlan:
     def bring_all(
         self, arrays: Sequence[Entries], places: Sequence[int], region: str
     ) -> str:
-        """Returns LLVM IR that stores results from a region, transposed to rod rows.
+        """Returns LLVM IR that stores vectors as results with a row for each rod.
 
         Args:
             arrays: Types and sizes of the results, which begin with the first result.
@@ -177,7 +180,8 @@ class KernelPlan:
         return "".join(lines)
 
     def fetch_own(self) -> str:
-        """Returns LLVM IR that loads the constants of each rod of a block, by lanes."""
+        """Returns LLVM IR that loads constants that differ between rods, into
+        vectors."""
         return "".join(
             self.transpose("fetch", entries, f"%in{1 + i}", "%own", place)
             for i, (entries, place) in enumerate(
@@ -196,7 +200,7 @@ class KernelPlan:
         rows: str | None = None,
         row: str = "",
     ) -> str:
-        """Returns LLVM IR that transposes one array between rows of rods and lanes.
+        """Returns LLVM IR that copies an array between rows of rods and vectors.
 
         Args:
             word: `"fetch"` to load an operand, `"bring"` to store a result.
@@ -305,7 +309,7 @@ def goals_in(
 
 
 def entry_text(n_operands: int, n_results: int) -> str:
-    """Returns LLVM IR that loads data pointers of all buffers of a call, and counts."""
+    """Returns LLVM IR that loads the counts, and the data pointers of all buffers."""
     loads = [_pointer(f"%in{i}", "%operands", i) for i in range(n_operands)]
     loads += [_pointer(f"%out{i}", "%results", i) for i in range(n_results)]
     return "".join(loads) + counts_text()

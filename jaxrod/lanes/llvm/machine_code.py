@@ -73,7 +73,7 @@ def vector_bytes() -> int:
 
 @cache
 def processor() -> str:
-    """Returns LLVM's version, and name and features of this processor, as one key."""
+    """Returns LLVM's version, and this processor's name and features, as one text."""
     import llvmlite.binding as llvm
 
     version = ".".join(map(str, llvm.llvm_version_info))

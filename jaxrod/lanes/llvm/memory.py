@@ -1,4 +1,4 @@
-"""Memory of a lane kernel, and its functions, which read and write that memory.
+"""Memory of a kernel with a rod in each vector lane, and functions that use it.
 
 A function runs once, once for each block of rods, or in every step.
 

@@ -97,6 +97,9 @@ class Layout:
     ) -> Rows:
         """Returns an array that reads another at regular indices.
 
+        Its entry i along an axis with move (a, s) is read at index start[a] + s i of
+        axis a.
+
         Args:
             array: The array that is read.
             shape: Shape of the result.

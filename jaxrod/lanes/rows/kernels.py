@@ -1,4 +1,4 @@
-"""Row kernels: LLVM IR that runs all steps of one scene after another.
+"""Kernels of rows: LLVM IR that runs all steps of one scene after another.
 
 The number of steps and of scenes are arguments, so one kernel serves any number of
 them.
@@ -85,7 +85,10 @@ class Reverse(NamedTuple):
 
 
 class RowPlan:
-    """Memory layout and LLVM functions of a row kernel that is being written."""
+    """Memory layout and LLVM functions of a kernel that runs scenes one by one.
+
+    They are collected here while the kernel is written.
+    """
 
     alignment = ALIGNMENT
     """Alignment of arrays in memory [bytes]."""
@@ -95,7 +98,7 @@ class RowPlan:
 
         Args:
             body: The step.
-            batched: Whether each constant has a row for each scene.
+            batched: Whether each constant differs between scenes (a leading axis).
         """
         self.body = body
         self.graph = RowGraph()
@@ -422,13 +425,13 @@ ret void
 def cycles_kernel(
     body: LoopBody, batched: tuple[bool, ...], *, checkpoints: bool
 ) -> Kernel:
-    """Returns the row kernel that repeats a step.
+    """Returns the kernel that repeats a step, for one scene after another.
 
     Operands and results are those of `lanes.llvm.kernel.step_kernel`.
 
     Args:
         body: The step.
-        batched: Whether each constant has a row for each scene.
+        batched: Whether each constant differs between scenes (a leading axis).
         checkpoints: Whether checkpoints are among the results.
     """
     plan = RowPlan(body, batched)
@@ -467,14 +470,14 @@ def cycles_kernel(
 
 @lru_cache(maxsize=64)
 def whole_run_kernel(body: LoopBody, ends: Ends, batched: tuple[bool, ...]) -> Kernel:
-    """Returns the row kernel of a whole run: its beginning, the steps, its end.
+    """Returns the kernel of a whole run, for one scene after another.
 
     Operands and results are those of `lanes.llvm.kernel.run_kernel`.
 
     Args:
         body: The step.
         ends: Beginning and end of the run.
-        batched: Whether each constant has a row for each scene.
+        batched: Whether each constant differs between scenes (a leading axis).
     """
     plan = RowPlan(body, batched)
     n = plan.n_constants
@@ -520,14 +523,14 @@ call void @end(ptr %scratch, ptr %fixed, ptr %now1, ptr %made)
 def back_kernel(
     body: LoopBody, moving: tuple[bool, ...], batched: tuple[bool, ...]
 ) -> Kernel:
-    """Returns the row kernel of the reverse pass through all steps.
+    """Returns the kernel of the reverse pass, for one scene after another.
 
     Operands and results are those of `lanes.llvm.kernel.adjoint_kernel`.
 
     Args:
         body: The step.
         moving: Whether each constant has a tangent.
-        batched: Whether each constant has a row for each scene.
+        batched: Whether each constant differs between scenes (a leading axis).
     """
     plan = RowPlan(body, batched)
     n = plan.n_constants

@@ -648,7 +648,7 @@ class RowWriter(Writer):
         Args:
             operation: Operation that combines two numbers.
             value: Name of the vector.
-            kind: Kind of the numbers.
+            kind: Type of the numbers, such as `"f32"`.
             rounds: Number of vectors in the row.
         """
         del rounds
@@ -738,7 +738,7 @@ class RowWriter(Writer):
             self.lines.append(
                 f"store {one} {number_}, ptr {target}, align {BYTES[kind]}"
             )
-        # A number loaded in a round that may be skipped is not known after it.
+        # Numbers loaded in a round that may be skipped are undefined after it.
         self.numbers = numbers
         self.lines = lines
         self.one_by_one(

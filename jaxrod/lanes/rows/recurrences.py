@@ -159,7 +159,7 @@ def _of_lane(layout: Any, array: Rows, lane: int, rows: int) -> int:
 
 
 class _RoundWriter(Writer):
-    """Writer of one round of a recurrence, into the function of another writer."""
+    """Writer of one round of a recurrence, which appends to another writer's lines."""
 
     def __init__(self, graph: RowGraph, lanes: int, outer: Any) -> None:
         super().__init__(graph, lanes, lambda writer, node: None)
@@ -175,8 +175,8 @@ def write_recurrence(writer: Any, number: int, node: int) -> Lines:
 
     Args:
         writer: Writer of the function.
-        number: Number of the loop.
-        node: The node.
+        number: Number of the loop, for its labels.
+        node: Node of the recurrence.
     """
     graph, schedule = writer.graph, writer.schedule
     made: Recurrence = graph.extras[node]

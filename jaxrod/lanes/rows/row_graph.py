@@ -157,6 +157,9 @@ class RowGraph(Graph):
     ) -> int:
         """Returns a node that reads another at regular indices along its axes.
 
+        Its entry i along an axis with move (a, s) is read at index start[a] + s i of
+        axis a.
+
         Args:
             node: Any node.
             start: First index along each axis of the node.

@@ -143,7 +143,8 @@ def straight(array: Rows) -> list[Move]:
 
 @row_rule("slice")
 def sliced(unroller: RowUnroller, equation: Any, array: Rows) -> Rows:
-    """Translates a slice of an array."""
+    """Translates `slice`: entries between limits, at regular distances along each
+    axis."""
     starts = equation.params["start_indices"]
     strides = equation.params["strides"] or (1,) * len(starts)
     moves = [Move(axis, step) for axis, step in enumerate(strides)]
@@ -162,7 +163,7 @@ def reshaped(unroller: RowUnroller, equation: Any, array: Rows) -> Rows:
 
 @row_rule("broadcast_in_dim")
 def broadcast(unroller: RowUnroller, equation: Any, array: Rows, *_: Any) -> Rows:
-    """Translates a broadcast along new axes, and along those of length one."""
+    """Translates `broadcast_in_dim`: numbers repeat along axes of length one or new."""
     shape = result_shape(equation)
     moves = [Move(None)] * len(shape)
     for axis, to in enumerate(equation.params["broadcast_dimensions"]):
@@ -173,7 +174,7 @@ def broadcast(unroller: RowUnroller, equation: Any, array: Rows, *_: Any) -> Row
 
 @row_rule("transpose")
 def transposed(unroller: RowUnroller, equation: Any, array: Rows) -> Rows:
-    """Translates a transpose."""
+    """Translates `transpose`: the axes are permuted."""
     moves = [Move(axis) for axis in equation.params["permutation"]]
     shape = result_shape(equation)
     return unroller.layout.taken(array, shape, [0] * len(shape), moves)
@@ -181,7 +182,7 @@ def transposed(unroller: RowUnroller, equation: Any, array: Rows) -> Rows:
 
 @row_rule("rev")
 def reversed_along(unroller: RowUnroller, equation: Any, array: Rows) -> Rows:
-    """Translates a reversal along axes."""
+    """Translates `rev`: the order of entries is reversed along axes."""
     moves, start = straight(array), [0] * len(array.shape)
     for axis in equation.params["dimensions"]:
         moves[axis], start[axis] = Move(axis, -1), array.shape[axis] - 1
@@ -190,7 +191,7 @@ def reversed_along(unroller: RowUnroller, equation: Any, array: Rows) -> Rows:
 
 @row_rule("concatenate")
 def concatenated(unroller: RowUnroller, equation: Any, *arrays: Rows) -> Rows:
-    """Translates a concatenation along an axis."""
+    """Translates `concatenate`: arrays are joined along an axis."""
     return unroller.layout.concatenated(arrays, equation.params["dimension"])
 
 
@@ -274,7 +275,7 @@ def row_of_places(
 
 @row_rule(*REDUCTIONS)
 def reduced(unroller: RowUnroller, equation: Any, array: Rows) -> Rows:
-    """Translates a reduction along axes."""
+    """Translates a reduction such as `reduce_sum` along axes."""
     operation = REDUCTIONS[equation.primitive.name]
     axes = tuple(equation.params["axes"])
     return _reduced(unroller, array, operation, axes)

@@ -305,7 +305,7 @@ class Schedule:
         if node in self.fresh and operation not in STORED:
             self._kept.add(node)
         if operation == "view":
-            # The node is read where it is used. A view that is stored has a loop.
+            # A view is read in the loops that use it; a single number is read once.
             if not dims:
                 loop = self._loop(level, ())
                 loop.nodes.append(node)

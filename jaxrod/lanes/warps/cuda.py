@@ -116,7 +116,7 @@ def not_here() -> str | None:
     try:
         found = device()
     except Exception as error:
-        # Whatever is unknown about a GPU must leave the run to XLA.
+        # Any failure to query the GPU leaves the run to XLA.
         return f"there is no GPU for CUDA: {error}"
     if found.architecture < _OLDEST:
         return f"the GPU's architecture {found.architecture} is older than {_OLDEST}"
@@ -128,7 +128,7 @@ def _driver() -> Any:
     """Loads and starts CUDA's driver library.
 
     Raises:
-        OSError: There is none.
+        OSError: The driver is missing, does not start, or is older than CUDA 12.
     """
     driver = ctypes.CDLL("libcuda.so.1")
     driver.cuInit.argtypes = [ctypes.c_uint]
@@ -201,7 +201,7 @@ def launch_for(kernel: WarpKernel, rods: int, every: int, gpu: Device) -> Launch
     warps = WARPS if WARPS * kernel.room <= most else 1
     in_shared = warps * kernel.room <= most
     blocks = -(-rods // warps)
-    # Warps that have memory of the workspace are no more than can run at once.
+    # Only as many warps as can run at once get memory in the workspace.
     small = in_shared and not kernel.kept
     resident = gpu.processors * (_BLOCKS if small else _RESIDENT)
     return Launch(min(blocks, resident), warps, in_shared, every)
@@ -338,8 +338,9 @@ define internal i32 @exchange(i64 %thread, i32 %number, i32 %step)
 ret i32 %found
 }}
 """
-"""LLVM IR of the functions of a GPU: `@wait` is a barrier for the threads of a warp,
-and `@exchange` returns the number of thread `this xor step`."""
+"""LLVM IR of a GPU's functions. `@wait` is a barrier for the threads of a warp.
+`@exchange` returns the number that the thread with index `thread xor step` has
+passed."""
 
 
 def entry_of(kernel: WarpKernel, launch: Launch) -> str:

@@ -1,4 +1,4 @@
-"""Warp kernels: LLVM IR that runs all steps of a batch on a GPU.
+"""Kernels of warps: LLVM IR that runs all steps of a batch on a GPU.
 
 A warp (32 threads) computes one scene after another. Values that change in a step are
 kept in shared memory of the thread block, if they fit. Values that all scenes share are
@@ -77,7 +77,10 @@ class WarpKernel:
 
 
 class WarpPlan(RowPlan):
-    """Memory layout and LLVM functions of a warp kernel that is being written."""
+    """Memory layout and LLVM functions of a GPU kernel with a warp for each scene.
+
+    They are collected here while the kernel is written.
+    """
 
     alignment = 16
     """Alignment of arrays in memory [bytes]. It is smaller than for rows, because
@@ -106,8 +109,7 @@ class WarpPlan(RowPlan):
         return FIXED if self.batched[which] else UNIFORM
 
     def places_of_constants(self) -> list[Place]:
-        """Returns the locations of constants, which are in XLA's buffers, not
-        copied."""
+        """Returns the locations of constants: buffers of XLA, which are not copied."""
         return [
             Place(f"%{'row' if batched else 'in'}{1 + i}", 0)
             for i, batched in enumerate(self.batched)
@@ -220,9 +222,9 @@ class WarpPlan(RowPlan):
         self.buffers += [f"%made{i}" for i in range(n_made)]
 
     def rows(self, given: Sequence[Any] = (), made: Sequence[Any] = ()) -> str:
-        """Returns LLVM IR of pointers to one scene's part of operands and results.
+        """Returns LLVM IR of pointers to one scene's part of each operand and result.
 
-        Constants that differ between scenes are included.
+        Constants that all scenes share have no such pointer.
 
         Args:
             given: Types of the operands after the constants.
@@ -372,13 +374,13 @@ def size_of(aval: Any) -> int:
 def cycles_by_warps(
     body: LoopBody, batched: tuple[bool, ...], *, checkpoints: bool
 ) -> WarpKernel:
-    """Returns the warp kernel that repeats a step.
+    """Returns the GPU kernel that repeats a step, with a warp for each scene.
 
     Operands and results are those of `lanes.llvm.kernel.step_kernel`.
 
     Args:
         body: The step.
-        batched: Whether each constant has a row for each scene.
+        batched: Whether each constant differs between scenes (a leading axis).
         checkpoints: Whether checkpoints are among the results.
     """
     plan = WarpPlan(body, batched)
@@ -415,14 +417,14 @@ def cycles_by_warps(
 
 @lru_cache(maxsize=64)
 def run_by_warps(body: LoopBody, ends: Ends, batched: tuple[bool, ...]) -> WarpKernel:
-    """Returns the warp kernel of a whole run: its beginning, the steps, its end.
+    """Returns the GPU kernel of a whole run, with a warp for each scene.
 
     Operands and results are those of `lanes.llvm.kernel.run_kernel`.
 
     Args:
         body: The step.
         ends: Beginning and end of the run.
-        batched: Whether each constant has a row for each scene.
+        batched: Whether each constant differs between scenes (a leading axis).
     """
     plan = WarpPlan(body, batched)
     n = plan.n_constants
@@ -455,14 +457,14 @@ def run_by_warps(body: LoopBody, ends: Ends, batched: tuple[bool, ...]) -> WarpK
 def back_by_warps(
     body: LoopBody, moving: tuple[bool, ...], batched: tuple[bool, ...]
 ) -> WarpKernel:
-    """Returns the warp kernel of the reverse pass through all steps.
+    """Returns the GPU kernel of the reverse pass, with a warp for each scene.
 
     Operands and results are those of `lanes.llvm.kernel.adjoint_kernel`.
 
     Args:
         body: The step.
         moving: Whether each constant has a tangent.
-        batched: Whether each constant has a row for each scene.
+        batched: Whether each constant differs between scenes (a leading axis).
     """
     plan = WarpPlan(body, batched)
     n, n_carry = plan.n_constants, len(plan.carry)
@@ -505,7 +507,7 @@ call void @fill_i8(i64 %thread, ptr %back0, i64 0, i8 0, i64 {before.size}, i64 
 
 
 def kernel_of_warps(name: str, spec: RunSpec) -> WarpKernel:
-    """Returns the warp kernel of a primitive.
+    """Returns the GPU kernel of a primitive, with a warp for each scene.
 
     Args:
         name: Name of the primitive.

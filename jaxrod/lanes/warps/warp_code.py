@@ -152,7 +152,7 @@ class WarpWriter(RowWriter):
         return value
 
     def _of_other_thread(self, value: str, kind: str, one: str, step: int) -> str:
-        """Appends the exchange of a number with thread number `this xor step`.
+        """Appends the exchange of a number with the thread of index `thread xor step`.
 
         Args:
             value: Name of the number of this thread.
