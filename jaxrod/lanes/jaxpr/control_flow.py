@@ -15,7 +15,7 @@ MOST_ROUNDS = 10_000
 
 @rule(*CALLS)
 def called(unroller: Unroller, equation: Any, *arrays: Any) -> Any:
-    """Unrolls a nested call: the operations of its program are inlined."""
+    """Translates a nested call: the operations of its program are inlined."""
     return unroller.run(called_program(equation), arrays)
 
 
@@ -118,7 +118,7 @@ def by_platform(unroller: Unroller, equation: Any) -> Any:
 
 @rule("custom_linear_solve")
 def solved(unroller: Unroller, equation: Any, *arrays: Any) -> Any:
-    """Unrolls `custom_linear_solve`: the operations of its solver are inlined."""
+    """Translates `custom_linear_solve`: the operations of its solver are inlined."""
     lengths = equation.params["const_lengths"]
     begin = lengths.matvec + lengths.vecmat
     consts = arrays[begin : begin + lengths.solve]

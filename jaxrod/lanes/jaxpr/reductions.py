@@ -52,7 +52,7 @@ def reduced(unroller: Unroller, equation: Any, array: Any) -> Any:
 
 @rule(*CUMULATIVE)
 def accumulated(unroller: Unroller, equation: Any, array: Any) -> Any:
-    """Translates a cumulative operation such as `cumsum`, from either end of an axis."""
+    """Translates a cumulative operation such as `cumsum`, from either end."""
     kind = kind_of(equation.outvars[0].aval)
     operation = CUMULATIVE[equation.primitive.name]
     rows = np.moveaxis(array, equation.params["axis"], 0)

@@ -11,8 +11,7 @@ from jaxrod.lanes.jaxpr.unroll import Unroller, kind_of, rule
 
 @rule("slice")
 def sliced(unroller: Unroller, equation: Any, array: Any) -> Any:
-    """Translates `slice`: entries between limits, at regular distances along each
-    axis."""
+    """Translates `slice`: every n-th entry between two limits along each axis."""
     starts, limits = equation.params["start_indices"], equation.params["limit_indices"]
     strides = equation.params["strides"] or (1,) * len(starts)
     return array[tuple(map(slice, starts, limits, strides))]
@@ -38,8 +37,7 @@ def reshaped(unroller: Unroller, equation: Any, array: Any) -> Any:
 
 @rule("broadcast_in_dim")
 def broadcast(unroller: Unroller, equation: Any, array: Any, *_: Any) -> Any:
-    """Translates `broadcast_in_dim`: nodes are repeated along axes of length one or
-    new."""
+    """Translates `broadcast_in_dim`: entries repeat along axes of length one or new."""
     shape = equation.params["shape"]
     kept = [1] * len(shape)
     for axis, to in enumerate(equation.params["broadcast_dimensions"]):

@@ -28,8 +28,8 @@ MOST_NODES = 400_000
 
 
 class NotUnrolled(Exception):
-    """Raised if a program cannot be translated or is too long; the message is one
-    line."""
+    """Raised if a program cannot be translated or is too long, with a one-line
+    reason."""
 
 
 class Unroller:

@@ -180,8 +180,7 @@ class KernelPlan:
         return "".join(lines)
 
     def fetch_own(self) -> str:
-        """Returns LLVM IR that loads constants that differ between rods, into
-        vectors."""
+        """Returns LLVM IR that loads constants that differ between rods."""
         return "".join(
             self.transpose("fetch", entries, f"%in{1 + i}", "%own", place)
             for i, (entries, place) in enumerate(

@@ -143,8 +143,7 @@ def straight(array: Rows) -> list[Move]:
 
 @row_rule("slice")
 def sliced(unroller: RowUnroller, equation: Any, array: Rows) -> Rows:
-    """Translates `slice`: entries between limits, at regular distances along each
-    axis."""
+    """Translates `slice`: every n-th entry between two limits along each axis."""
     starts = equation.params["start_indices"]
     strides = equation.params["strides"] or (1,) * len(starts)
     moves = [Move(axis, step) for axis, step in enumerate(strides)]
