@@ -92,7 +92,9 @@ def lane_choices() -> list[LaneChoice]:
 
 
 def lane_mode() -> str:
-    """Returns the mode from `use_lanes`, or from the variable `JAXROD_LANES`.
+    """Returns the mode of the choice between kernels and XLA, such as `"auto"`.
+
+    It is set by `use_lanes` or by the environment variable `JAXROD_LANES`.
 
     A program that was compiled in one mode is not reused in another.
 

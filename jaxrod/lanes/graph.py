@@ -285,7 +285,8 @@ class Entries:
     size: int
     """Number of entries."""
     rate: int
-    """Rate at which the numbers change: `UNIFORM`, `FIXED` or `VARYING`."""
+    """Rate at which the numbers change: `UNIFORM` (the same for all rods and steps),
+    `FIXED` (for each rod) or `VARYING` (in every step)."""
 
 
 @dataclass(frozen=True)

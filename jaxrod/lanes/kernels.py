@@ -145,7 +145,9 @@ def _failed(error: Exception, rods: int) -> None:
 
 
 def _of_lanes(name: str, spec: RunSpec, most: int) -> tuple[Kernel | None, str]:
-    """Returns the kernel with a rod in each lane and "", or `None` and the reason.
+    """Returns a kernel with a rod in each vector lane, or the reason for none.
+
+    The result is the kernel and an empty text, or `None` and the reason.
 
     Args:
         name: Name of the primitive.
@@ -167,7 +169,9 @@ def _of_lanes(name: str, spec: RunSpec, most: int) -> tuple[Kernel | None, str]:
 
 
 def _of_rows(name: str, spec: RunSpec) -> tuple[Kernel | None, str]:
-    """Returns the kernel of scenes one by one and "", or `None` and the reason.
+    """Returns a kernel that runs scenes one by one, or the reason for none.
+
+    The result is the kernel and an empty text, or `None` and the reason.
 
     Args:
         name: Name of the primitive.

@@ -101,8 +101,7 @@ def logistic(unroller: Unroller, equation: Any, array: Any) -> Any:
 
 @rule("round")
 def rounded(unroller: Unroller, equation: Any, array: Any) -> Any:
-    """Translates `round` to the nearest integer; halves go to even or away from
-    zero."""
+    """Translates `round`: to the nearest integer, halves to even or away from zero."""
     to_even = equation.params["rounding_method"].value == 1
     operation = "round_even" if to_even else "round_away"
     return unroller.each(operation, kind_of(equation.outvars[0].aval), array)

@@ -28,12 +28,11 @@ MOST_NODES = 400_000
 
 
 class NotUnrolled(Exception):
-    """Raised if a program cannot be translated or is too long, with a one-line
-    reason."""
+    """Raised with the reason if a program cannot be translated or is too long."""
 
 
 class Unroller:
-    """Translates jaxprs to nodes of one graph of operations on single numbers."""
+    """Translates jaxprs to nodes of one graph; each node is a single number."""
 
     def __init__(self, graph: Graph) -> None:
         """Makes an unroller with the rules of all registered primitives.
@@ -43,10 +42,10 @@ class Unroller:
         """
         self.graph = graph
         self.rules: dict[str, Rule] = RULES
-        """Unrolling rules, by name of the primitive."""
+        """Translation rules, by name of the primitive."""
 
     def run(self, closed: Any, arrays: Sequence[Any]) -> list[Any]:
-        """Unrolls a closed jaxpr.
+        """Translates a closed jaxpr to nodes of the graph.
 
         Args:
             closed: The closed jaxpr.
@@ -169,7 +168,7 @@ of its operands, and returns the nodes of the results."""
 
 
 def rule(*names: str, rules: dict[str, Rule] = RULES) -> Callable[[Rule], Rule]:
-    """Registers a function as the unrolling rule of primitives (a decorator).
+    """Registers a function as the translation rule of primitives (a decorator).
 
     Args:
         *names: Names of the primitives.

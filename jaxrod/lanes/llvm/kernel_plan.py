@@ -159,7 +159,7 @@ class KernelPlan:
         self.writers.append(writer)
 
     def regions(self) -> int:
-        """Size of all loop-invariant values, which begin the workspace [bytes]."""
+        """Size of the loop-invariant values that the workspace begins with [bytes]."""
         return self.memory.shared.room() + self.memory.own.room()
 
     def fetch_shared(self) -> str:

@@ -51,7 +51,7 @@ MOST_UNROLLED = 64
 
 
 class RowUnroller(Unroller):
-    """Translates jaxprs to nodes of one graph of rows."""
+    """Translates jaxprs to nodes of one graph; each node is a number or a row."""
 
     graph: RowGraph
 

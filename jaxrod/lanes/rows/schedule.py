@@ -205,11 +205,11 @@ class Schedule:
         return masks
 
     def _after(self, node: int) -> int:
-        """Level from which all numbers of a node can be read, after its own loop."""
+        """Returns the first level at which all numbers of a node are available."""
         return 0 if self.is_ready(node) else self._done[node] + 1
 
     def _beside(self, node: int, dims: Dims, mask: int | None = None) -> int:
-        """First level at which a loop can use a node, entry by entry.
+        """Returns the first level at which a loop can use a node, entry by entry.
 
         In the loop that computes the node, that is the node's own level.
 
@@ -274,7 +274,7 @@ class Schedule:
         self._take(goal.node, loop)
 
     def _take(self, node: int, loop: Loop) -> None:
-        """Records that a loop uses a node, so that the node is stored if necessary."""
+        """Records that a loop uses a node; a node of an earlier loop will be stored."""
         graph = self.graph
         if self.is_ready(node):
             return

@@ -338,8 +338,8 @@ define internal i32 @exchange(i64 %thread, i32 %number, i32 %step)
 ret i32 %found
 }}
 """
-"""LLVM IR of a GPU's functions. `@wait` is a barrier for the threads of a warp.
-`@exchange` returns the number that the thread with index `thread xor step` has
+"""LLVM IR of the functions that need a GPU. `@wait` is a barrier for the threads of a
+warp. `@exchange` returns the number that the thread with index `thread xor step`
 passed."""
 
 

@@ -18,7 +18,7 @@ Lines = list[str]
 THREADS = 32
 """Threads of a warp."""
 READ_ONLY = ("%in", "%row")
-"""Beginnings of the names of pointers to operands, which no thread writes."""
+"""Prefixes of the names of pointers to operands, which no thread writes."""
 WAIT = "call void @wait()"
 """LLVM line at which all threads of the warp wait for each other and for their
 stores."""
