@@ -158,12 +158,7 @@ def say_if_slower() -> None:
 
 
 def refused(words: str, rods: int = 1) -> None:
-    """Records that a run is left to XLA.
-
-    Args:
-        words: Reason.
-        rods: Number of rods in the batch.
-    """
+    """Records that a run of `rods` rods is left to XLA, for the reason `words`."""
     note(LaneChoice(False, words, rods))
 
 

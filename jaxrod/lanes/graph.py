@@ -64,12 +64,7 @@ class Graph:
         return len(self.operations)
 
     def constant(self, value: Any, kind: str) -> int:
-        """Returns the node of a known number.
-
-        Args:
-            value: The number.
-            kind: Its type, such as `"f32"`.
-        """
+        """Returns the node of a known number of type `kind`, such as `"f32"`."""
         number = np.asarray(value).astype(DTYPES[kind])[()]
         key = ("constant", kind, number.tobytes())
         node = self._known.get(key)
@@ -88,11 +83,8 @@ class Graph:
     def inputs(self, which: int, shape: tuple[int, ...], kind: str, rate: int) -> Any:
         """Returns an array of new nodes, one for each entry of an input array.
 
-        Args:
-            which: Number of the array among the inputs.
-            shape: Shape of the array.
-            kind: Type of its numbers, such as `"f32"`.
-            rate: Rate at which they change: `UNIFORM`, `FIXED` or `VARYING`.
+        The array has number `which` among the inputs, type `kind` (such as `"f32"`) and
+        rate of change `rate` (`UNIFORM`, `FIXED` or `VARYING`).
         """
         nodes = np.empty(shape, np.int64)
         flat = nodes.reshape(-1)
@@ -104,10 +96,7 @@ class Graph:
     def add(self, operation: str, arguments: tuple[int, ...], kind: str) -> int:
         """Returns the node of an operation: an existing, a simpler or a new one.
 
-        Args:
-            operation: Name of the operation, a key of `OPERATIONS`.
-            arguments: Nodes of the operands.
-            kind: Type of the result, such as `"f32"`.
+        `kind` is the type of the result, such as `"f32"`.
         """
         if OPERATIONS[operation].commutes and arguments[0] > arguments[1]:
             arguments = (arguments[1], arguments[0])
@@ -139,10 +128,7 @@ class Graph:
     def each(self, operation: str, kind: str, *arrays: Any) -> np.ndarray:
         """Returns an array of the nodes of an operation, applied entry by entry.
 
-        Args:
-            operation: Name of the operation.
-            kind: Type of the results, such as `"f32"`.
-            *arrays: Arrays of nodes, one for each operand; they are broadcast.
+        The arrays of operands are broadcast. `kind` is the type of the results.
         """
         return self.mapped(lambda *entries: self.add(operation, entries, kind), *arrays)
 
@@ -241,11 +227,6 @@ class Graph:
         """Returns the node of a quotient by 1 or by a power of two; otherwise `None`.
 
         A quotient by a power of two becomes a product, which is exact.
-
-        Args:
-            node: Node of the dividend.
-            by: Divisor, a known number.
-            kind: Type of the numbers.
         """
         if by == 1:
             return node
@@ -265,11 +246,7 @@ class Graph:
 def _chosen(arguments: tuple[int, ...], known: list[Any]) -> int | None:
     """Returns the node that equals `select(condition, if_true, if_false)`, or `None`.
 
-    There is one if the condition is known, or if both cases are the same node.
-
-    Args:
-        arguments: The three nodes.
-        known: Their numbers if they are constants, otherwise `None`.
+    `known` has the numbers of the three arguments, `None` if they are not constants.
     """
     if known[0] is not None:
         return arguments[1] if known[0] else arguments[2]

@@ -131,10 +131,6 @@ def lowered_by_warps(
 def _failed(error: Exception, rods: int) -> None:
     """Records that a run is left to XLA because its kernel could not be compiled.
 
-    Args:
-        error: Error of the compilation.
-        rods: Number of rods in the batch.
-
     Raises:
         Exception: The error itself, in modes `"always"` and `"rows"`.
     """
@@ -145,14 +141,9 @@ def _failed(error: Exception, rods: int) -> None:
 
 
 def _of_lanes(name: str, spec: RunSpec, most: int) -> tuple[Kernel | None, str]:
-    """Returns a kernel with a rod in each vector lane, or the reason for none.
+    """Returns a kernel with a rod in each vector lane, or `None` and the reason.
 
-    The result is the kernel and an empty text, or `None` and the reason.
-
-    Args:
-        name: Name of the primitive.
-        spec: Structure of the operation.
-        most: Largest number of graph nodes.
+    A graph of more than `most` nodes is a reason.
     """
     body = spec.body
     shared = (True,) * body.n_constants
@@ -169,14 +160,7 @@ def _of_lanes(name: str, spec: RunSpec, most: int) -> tuple[Kernel | None, str]:
 
 
 def _of_rows(name: str, spec: RunSpec) -> tuple[Kernel | None, str]:
-    """Returns a kernel that runs scenes one by one, or the reason for none.
-
-    The result is the kernel and an empty text, or `None` and the reason.
-
-    Args:
-        name: Name of the primitive.
-        spec: Structure of the operation.
-    """
+    """Returns a kernel that runs scenes one by one, or `None` and the reason."""
     body = spec.body
     batched = (False,) * body.n_constants
     if spec.batch is not None:
@@ -194,16 +178,10 @@ def _of_rows(name: str, spec: RunSpec) -> tuple[Kernel | None, str]:
 def _program(
     target: str, room: int, spec: RunSpec, rods: int, results: Sequence[Any]
 ) -> Callable[..., Any]:
-    """Returns a function that calls a kernel through XLA.
+    """Returns a function that calls the kernel `target`, with `room` workspace bytes.
 
-    It takes the number of steps and the operands, and returns the results.
-
-    Args:
-        target: Name of the kernel in XLA.
-        room: Size of the kernel's workspace [bytes].
-        spec: Structure of the operation.
-        rods: Number of rods.
-        results: Shapes and types of the results.
+    It takes the number of steps and the operands, and returns the results, which have
+    the types `results`.
     """
     kept = spec.n_kept if spec.keeps else 0
     every = spec.every if kept else 2**31 - 1
@@ -340,14 +318,10 @@ def _entries_of(aval: Any) -> Entries:
 
 
 def _check_length(operations: int, most: int) -> None:
-    """Refuses a program with too many operations.
-
-    Args:
-        operations: Number of nodes in the graph.
-        most: Largest number of nodes.
+    """Refuses a program with more than `most` operations.
 
     Raises:
-        NotUnrolled: There are more than `most` nodes.
+        NotUnrolled: The program is too long.
     """
     if operations > most:
         raise NotUnrolled(f"a program of {operations} operations is longer than {most}")

@@ -263,10 +263,6 @@ def _kernels(primitive: Any, platform: str) -> Callable[..., Any]:
     """Returns a function that chooses a primitive's program when it is compiled.
 
     The function returns the kernel's program on the platform, or `None` for XLA.
-
-    Args:
-        primitive: The primitive.
-        platform: `"cpu"` or `"cuda"`.
     """
 
     def choose(unfit: str | None, results: Any, parameters: Any) -> Any:

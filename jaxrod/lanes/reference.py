@@ -49,10 +49,7 @@ def _run(spec: RunSpec, steps: Any, *arrays: Any) -> list[Any]:
 def run_once(step: LoopBody, constants: Sequence[Any], given: Sequence[Any]) -> Any:
     """Returns the results of one evaluation of a program, by a kernel if possible.
 
-    Args:
-        step: The program as a step, from `as_step`.
-        constants: Constants of the program.
-        given: Other operands of the program.
+    The program is a step from `as_step`; `given` are its operands after the constants.
     """
     n = len(given)
     results = [jnp.zeros(aval.shape, aval.dtype) for aval in step.avals[n:]]
@@ -152,8 +149,7 @@ def _adjoint(spec: RunSpec, steps: Any, *arrays: Any) -> list[Any]:
 def _batched_reference(one: Callable[..., list[Any]]) -> Callable[..., list[Any]]:
     """Returns the reference of a primitive, mapped over the batch if there is one.
 
-    Args:
-        one: Reference for a single rod; takes the spec, the number of steps and arrays.
+    `one` is the reference for a single rod.
     """
 
     def whole(steps: Any, *arrays: Any, spec: RunSpec) -> list[Any]:

@@ -117,10 +117,6 @@ def as_step(closed: Any, n_constants: int) -> LoopBody:
     """Returns a program as a step, whose carry is its arguments and its results.
 
     So a program that is evaluated once can use the kernels and derivatives of steps.
-
-    Args:
-        closed: Closed jaxpr of the program; its operands are constants, then arguments.
-        n_constants: Number of constants.
     """
     given = operand_types(closed)
     n = len(given)
@@ -220,10 +216,7 @@ def filled(
 ) -> list[Any]:
     """Returns a list in which the entries whose flag is true are replaced, in order.
 
-    Args:
-        things: Entries.
-        flags: Whether each entry is replaced.
-        chosen: New entries, one for each true flag.
+    There is one entry in `chosen` for each true flag.
     """
     rest = iter(chosen)
     return [

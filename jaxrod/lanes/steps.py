@@ -129,9 +129,7 @@ class _Parts:
     def program(self, name: str, argument: Any) -> tuple[Any, Any]:
         """Returns a method as a closed jaxpr, and the tree structure of its result.
 
-        Args:
-            name: Name of the method.
-            argument: Pytree of arrays or array types for which the method is traced.
+        It is traced for `argument`, a pytree of arrays or array types.
         """
         leaves, tree = jax.tree.flatten(argument)
         result: list[Any] = []
@@ -149,12 +147,7 @@ class _Parts:
         return closed, result[0]
 
     def like(self, tree: Any, closed: Any) -> Any:
-        """Returns a pytree with the array types of the results of a closed jaxpr.
-
-        Args:
-            tree: Structure of the pytree.
-            closed: The closed jaxpr.
-        """
+        """Returns a pytree of structure `tree` with a closed jaxpr's result types."""
         types = [varying_shape(aval) for aval in result_types(closed)]
         return jax.tree.unflatten(tree, types)
 
@@ -164,14 +157,9 @@ def _refused(
 ) -> bool:
     """Whether a loop is left to XLA; if so, the reason is recorded.
 
-    Args:
-        parts: The integrator's methods and operands.
-        carried: Tree structure of the carry before a step.
-        begin: Closed jaxpr whose results are the first carry; `None` if it is an
-            operand.
-        body: Closed jaxpr of the step.
-        cycled: Tree structure of the carry after a step.
-        *programs: Other closed jaxprs of the run.
+    Every jaxpr must be supported, and a step must keep the carry's types. `carried` and
+    `cycled` are the trees of the carry before and after a step. `begin` computes the
+    first carry; it is `None` if the carry is an operand.
     """
     words = None
     for closed in (body, *programs):

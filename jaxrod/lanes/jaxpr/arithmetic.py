@@ -145,13 +145,9 @@ def converted(unroller: Unroller, equation: Any, array: Any) -> Any:
 
 
 def as_kind(unroller: Unroller, array: Any, before: str, after: str) -> Any:
-    """Converts nodes of one number type to another.
+    """Converts numbers of type `before`, such as `"f32"`, to type `after`.
 
-    Args:
-        unroller: Translator that adds the nodes.
-        array: Nodes of the numbers.
-        before: Type of the numbers, such as `"f32"`.
-        after: Type of the result; booleans (`"b1"`) are true for numbers other than 0.
+    Numbers other than 0 become true if `after` is boolean (`"b1"`).
     """
     if before == after:
         return array

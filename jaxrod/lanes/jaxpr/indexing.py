@@ -109,13 +109,8 @@ def _targets(
 ) -> list[int | None]:
     """Returns the flat index that each update of a scatter changes.
 
-    It is `None` for an update outside the array, which is dropped.
-
-    Args:
-        equation: The scatter.
-        shape: Shape of the array.
-        known: Known indices.
-        updates: Nodes of the updates.
+    It is `None` for an update outside the array of shape `shape`, which is dropped.
+    `known` has the indices of the scatter.
     """
     numbers = equation.params["dimension_numbers"]
     window = numbers.update_window_dims

@@ -45,14 +45,7 @@ class Unroller:
         """Translation rules, by name of the primitive."""
 
     def run(self, closed: Any, arrays: Sequence[Any]) -> list[Any]:
-        """Translates a closed jaxpr to nodes of the graph.
-
-        Args:
-            closed: The closed jaxpr.
-            arrays: Nodes of its operands, an array for each.
-
-        Returns:
-            Nodes of its results, an array for each.
+        """Translates a closed jaxpr; takes and returns arrays of nodes.
 
         Raises:
             NotUnrolled: The jaxpr contains something unknown, or is too long.
@@ -100,23 +93,14 @@ class Unroller:
         return int(array)
 
     def each(self, operation: str, kind: str, *arrays: Any) -> Any:
-        """Returns the nodes of an operation, applied to arrays entry by entry.
+        """Returns the nodes of an operation, applied to arrays of nodes entry by entry.
 
-        Args:
-            operation: Name of the operation.
-            kind: Type of the results, such as `"f32"`.
-            *arrays: Nodes of the operands; arrays of one shape.
+        `kind` is the type of the results, such as `"f32"`.
         """
         return self.graph.each(operation, kind, *arrays)
 
     def mapped(self, function: Callable[..., int], kind: str, *arrays: Any) -> Any:
-        """Returns the nodes that a function makes of the entries of arrays.
-
-        Args:
-            function: Takes a node of each array, and returns a node.
-            kind: Type of the results, such as `"f32"`.
-            *arrays: Arrays of nodes, of one shape.
-        """
+        """Returns the nodes of type `kind` that a function makes of nodes of arrays."""
         return self.graph.mapped(function, *arrays)
 
     def full(self, value: Any, shape: tuple[int, ...], kind: str) -> Any:
@@ -124,12 +108,7 @@ class Unroller:
         return np.full(shape, self.graph.constant(value, kind), np.int64)
 
     def known(self, value: Any, aval: Any) -> Any:
-        """Returns an array of nodes for known numbers.
-
-        Args:
-            value: The numbers.
-            aval: Shape and dtype of the array, to which `value` is broadcast.
-        """
+        """Returns nodes of known numbers, broadcast to shape and dtype of `aval`."""
         return self.graph.constants(
             np.broadcast_to(np.asarray(value, kind_dtype(aval)), aval.shape)
         )
@@ -170,9 +149,7 @@ of its operands, and returns the nodes of the results."""
 def rule(*names: str, rules: dict[str, Rule] = RULES) -> Callable[[Rule], Rule]:
     """Registers a function as the translation rule of primitives (a decorator).
 
-    Args:
-        *names: Names of the primitives.
-        rules: Table to which the rule is added.
+    The rule is added to the table `rules` under the names of the primitives.
     """
 
     def note(function: Rule) -> Rule:

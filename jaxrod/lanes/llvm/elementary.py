@@ -149,12 +149,9 @@ class _Lines:
         )
 
     def series(self, at: str, coefficients: list[float], kind: str) -> str:
-        """Appends a polynomial by Horner's rule, and returns the name of its value.
+        """Appends a polynomial of the vector `at`, and returns the name of its value.
 
-        Args:
-            at: Name of the vector of arguments.
-            coefficients: Coefficients, the lowest power first.
-            kind: Type of the numbers.
+        It is evaluated by Horner's rule; the coefficient of the lowest power is first.
         """
         total = self.splat(coefficients[-1], kind)
         for coefficient in reversed(coefficients[:-1]):

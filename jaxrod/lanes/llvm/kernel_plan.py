@@ -12,10 +12,7 @@ from jaxrod.lanes.llvm.vector_code import BYTES, Writer
 
 
 class KernelPlan:
-    """Memory layout and LLVM functions of a kernel with a rod in each vector lane.
-
-    They are collected here while the kernel is written.
-    """
+    """Memory and LLVM functions of a kernel with a rod in each lane, being written."""
 
     def __init__(self, step: Step, width: int) -> None:
         """Allocates memory for the constants of a step.
@@ -56,9 +53,7 @@ class KernelPlan:
     def pointers(self, start: int, **regions: Region) -> str:
         """Returns LLVM IR of pointers to regions that are consecutive in the workspace.
 
-        Args:
-            start: Offset of the first region [bytes].
-            **regions: Regions, by name of the pointer.
+        The first begins at byte `start`.
         """
         lines = []
         for name, region in regions.items():
@@ -75,11 +70,8 @@ class KernelPlan:
     ) -> str:
         """Returns LLVM IR that loads operands into vectors with a rod in each lane.
 
-        Args:
-            arrays: Types and sizes of the operands.
-            places: Offset of each array in the region [bytes].
-            first: Number of the first operand.
-            region: Name of the pointer to the region.
+        `first` is the number of the first operand. `places` has the offset of each
+        array in the region [bytes].
         """
         return "".join(
             self.transpose("fetch", entries, f"%in{first + i}", region, place)
@@ -91,10 +83,8 @@ class KernelPlan:
     ) -> str:
         """Returns LLVM IR that stores vectors as results with a row for each rod.
 
-        Args:
-            arrays: Types and sizes of the results, which begin with the first result.
-            places: Offset of each array in the region [bytes].
-            region: Name of the pointer to the region.
+        They are the first results. `places` has the offset of each array in the region
+        [bytes].
         """
         return "".join(
             self.transpose("bring", entries, f"%out{i}", region, place)
@@ -104,10 +94,8 @@ class KernelPlan:
     def prepare(self, outputs: Sequence[int]) -> None:
         """Writes the functions `@shared` and `@fixed` of loop-invariant values.
 
-        `@shared` computes values that all rods share, `@fixed` those of each rod.
-
-        Args:
-            outputs: Nodes that the other functions of the kernel compute.
+        `@shared` computes values that all rods share, `@fixed` those of each rod, as
+        far as the outputs of the kernel need them.
         """
         used = self.step.graph.needed(outputs)
         self.operations = len(used)
@@ -141,15 +129,10 @@ class KernelPlan:
         goals: Sequence[tuple[int, Region, int]],
         regions: Sequence[Region],
     ) -> None:
-        """Writes an LLVM function that computes values that vary, in vectors.
+        """Writes an LLVM function that computes varying values in vectors.
 
-        It runs once for each block of rods, or in every step.
-
-        Args:
-            name: Name of the function.
-            goals: Nodes to compute, each with the region and offset where it is stored.
-            regions: Regions to which the function has pointers, after `%shared` and
-                `%own`.
+        It runs once for each block of rods, or in every step. Each goal is a node, with
+        the region and the offset where it is stored [bytes].
         """
         names = ["%shared", "%own", *[region.pointer for region in regions]]
         text, writer = function_text(
@@ -207,8 +190,8 @@ class KernelPlan:
             array: Name of the pointer to the operand or result.
             region: Name of the pointer to the region with the vectors.
             place: Offset in the region [bytes].
-            rows: Number of copies of the array that each rod has, such as checkpoints;
-                `None` for a single one.
+            rows: Number of copies that each rod has, such as checkpoints; `None` for
+                one.
             row: Index of the copy to move.
         """
         self.n_transposes += 1
@@ -231,10 +214,7 @@ class KernelPlan:
     def module(self, per_block: str, n_operands: int, n_results: int) -> str:
         """Returns the LLVM module of the kernel, without the handler that XLA calls.
 
-        Args:
-            per_block: LLVM IR that runs for each block of rods.
-            n_operands: Number of operands of the kernel.
-            n_results: Number of results of the kernel, with the workspace.
+        `per_block` is the LLVM IR that runs for each block of rods.
         """
         kinds = self.transposed
         texts = list(self.functions)
@@ -290,12 +270,6 @@ def goals_in(
 
     They are ordered by their relative position in the arrays, which is the position
     along the rod. So values of neighbouring elements are computed close together.
-
-    Args:
-        outputs: Nodes of each array.
-        arrays: Types and sizes of the arrays.
-        region: Region where the arrays are stored.
-        places: Offset of each array in the region [bytes].
     """
     ordered = []
     for nodes, entries, place in zip(outputs, arrays, places, strict=True):
@@ -330,13 +304,7 @@ def counts_text() -> str:
 
 
 def _pointer(name: str, array: str, index: int) -> str:
-    """Returns LLVM IR that loads the data pointer of one buffer of an XLA call.
-
-    Args:
-        name: Name of the loaded pointer.
-        array: Name of the array of buffers: operands or results.
-        index: Index of the buffer.
-    """
+    """Returns LLVM IR that loads the data pointer of one buffer of an XLA call."""
     return (
         f"{name}b = getelementptr ptr, ptr {array}, i64 {index}\n"
         f"{name}c = load ptr, ptr {name}b\n"

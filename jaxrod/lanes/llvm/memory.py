@@ -65,14 +65,7 @@ class Memory:
         self.own = Region("%own", self.width)
 
     def give(self, which: int, region: Region, kind: str, count: int) -> int:
-        """Allocates an input array in a region, and returns its offset [bytes].
-
-        Args:
-            which: Number of the array among the inputs.
-            region: The region.
-            kind: Type of its numbers, such as `"f32"`.
-            count: Number of entries.
-        """
+        """Allocates input array number `which`, and returns its offset [bytes]."""
         offset = region.place(kind, count)
         self.arrays[which] = region, offset
         return offset

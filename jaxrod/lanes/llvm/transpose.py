@@ -15,10 +15,7 @@ from jaxrod.lanes.llvm.vector_code import BYTES, TYPES
 def is_tiled(kind: str, count: int, width: int) -> bool:
     """Whether rows of `count` numbers are transposed by square tiles in registers.
 
-    Args:
-        kind: Type of the numbers, such as `"f32"`.
-        count: Numbers in a row, of one rod.
-        width: Lanes of a vector, one for each rod.
+    A tile has `width` numbers of each of `width` rods.
     """
     return BYTES[kind] in (4, 8) and width > 1 and 2 * count >= width
 
@@ -188,12 +185,6 @@ def _turned_over(
     lines: list[str], names: list[str], many: str, width: int
 ) -> list[str]:
     """Appends lines that transpose a square tile of vectors, in log2(width) rounds.
-
-    Args:
-        lines: LLVM IR to which lines are added.
-        names: Names of the vectors.
-        many: LLVM type of a vector.
-        width: Number of vectors, and of lanes in each.
 
     Returns:
         The names of the transposed vectors.

@@ -97,12 +97,7 @@ class Writer:
         return "<" + ", ".join([entry] * self.width) + ">"
 
     def spread(self, name: str, kind: str) -> str:
-        """Appends lines that copy one number to every lane; returns the vector's name.
-
-        Args:
-            name: Name of the number.
-            kind: Type of the number, such as `"f32"`.
-        """
+        """Appends lines that copy a number to every lane; returns the vector's name."""
         if self.width == 1:
             return name
         one, many = TYPES[kind], self.type(kind)
@@ -113,12 +108,8 @@ class Writer:
         )
 
     def write(self, nodes: Iterable[int], after: Callable[[int], None]) -> None:
-        """Appends the lines of nodes, in order.
-
-        Args:
-            nodes: The nodes, each after its arguments.
-            after: Function that is called with each node once its value is available.
-        """
+        """Appends the lines of nodes in order; calls `after` with each finished
+        node."""
         for node in nodes:
             if node in self.names:
                 continue
@@ -260,11 +251,7 @@ class Writer:
     ) -> str:
         """Appends the minimum or maximum of two numbers; NaN if one of them is NaN.
 
-        Args:
-            operation: `"min"` or `"max"`.
-            sources: Nodes of the two numbers, which may be constants.
-            names: Names of the two numbers.
-            kind: Type of the numbers.
+        `sources` are the nodes of the numbers, which tell whether they are constants.
         """
         many, (a, b) = self.type(kind), names
         if kind[0] != "f":

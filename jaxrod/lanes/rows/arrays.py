@@ -60,13 +60,7 @@ class Layout:
         self.graph = graph
 
     def from_memory(self, node: int, shape: Dims, kind: str) -> Rows:
-        """Returns the array with the numbers of a stored node, in row-major order.
-
-        Args:
-            node: The stored node.
-            shape: Shape of the array.
-            kind: Type of the numbers, such as `"f32"`.
-        """
+        """Returns the array with the numbers of a stored node, in row-major order."""
         base = self.graph.flat(node)
         loops = long_axes(shape)
         return self.views(base, shape, loops, kind)
@@ -133,11 +127,7 @@ class Layout:
         return Rows(shape, loops, nodes, array.kind)
 
     def looped(self, array: Rows, loops: Dims) -> Rows:
-        """Returns an array with given axes as loops, also those unrolled before.
-
-        Args:
-            array: The array.
-            loops: Axes that are to be loops.
+        """Returns an array with the axes `loops` as loops, also those unrolled before.
 
         Raises:
             AssertionError: The array has a loop that is not among `loops`.
@@ -197,12 +187,9 @@ class Layout:
         return self.taken(array, shape, [0] * len(shape), moves)
 
     def mapped(self, function: Callable[..., int], kind: str, *arrays: Rows) -> Rows:
-        """Returns the array of nodes that a function makes of the nodes of arrays.
+        """Returns the nodes of type `kind` that a function makes of entries of arrays.
 
-        Args:
-            function: Takes a node of each array, and returns a node.
-            kind: Type of the results, such as `"f32"`.
-            *arrays: Arrays, which are broadcast.
+        The arrays are broadcast.
         """
         same = self.aligned(*arrays)
         first = max(same, key=lambda array: len(array.shape))
@@ -210,12 +197,9 @@ class Layout:
         return Rows(first.shape, first.loops, nodes, kind)
 
     def each(self, operation: str, kind: str, *arrays: Rows) -> Rows:
-        """Returns an operation applied to arrays entry by entry.
+        """Returns an operation applied to arrays entry by entry, after broadcasting.
 
-        Args:
-            operation: Name of the operation.
-            kind: Type of the results, such as `"f32"`.
-            *arrays: Operands, which are broadcast.
+        `kind` is the type of the results, such as `"f32"`.
         """
         return self.mapped(
             lambda *entries: self.graph.add(operation, entries, kind), kind, *arrays
@@ -310,15 +294,8 @@ class Layout:
     def sliced(
         self, array: Rows, axis: int, first: int, last: int, step: int = 1
     ) -> Rows:
-        """Returns every `step`-th entry of an array along an axis.
-
-        Args:
-            array: The array.
-            axis: The axis.
-            first: Index of the first entry.
-            last: Index after the last entry.
-            step: Distance between entries.
-        """
+        """Returns every `step`-th entry along an axis, from `first` to before
+        `last`."""
         shape, start = list(array.shape), [0] * len(array.shape)
         shape[axis], start[axis] = len(range(first, last, step)), first
         moves = [Move(a, step if a == axis else 1) for a in range(len(array.shape))]
@@ -407,14 +384,9 @@ class Layout:
     def _with_margins(self, source: int, piece: Piece, dims: Dims, fill: int) -> int:
         """Returns a row padded with at most two numbers at each end, as a view.
 
-        All such rows with the same source and fill are views of one stored row, which
-        has two numbers of fill at each end.
-
-        Args:
-            source: Node of the numbers.
-            piece: Position of the numbers in the padded row.
-            dims: Length of the padded row.
-            fill: Node of the number at both ends.
+        `piece` is the position of the source in the padded row. All such rows with the
+        same source and fill are views of one stored row, with two numbers of fill at
+        each end.
         """
         (n,) = piece.dims
         wide = (n + 4,)
@@ -422,11 +394,7 @@ class Layout:
         return self.graph.view(whole, dims, 2 - piece.base, (1,))
 
     def _flat(self, array: Rows, lead: Dims) -> tuple[int, int]:
-        """Returns a stored node with the numbers of an array at leading indices.
-
-        Args:
-            array: The array.
-            lead: Indices along its first axes; `()` for the whole array.
+        """Returns a stored node with the numbers of an array at leading indices `lead`.
 
         Returns:
             The stored node, and the flat index in it at which the numbers begin.
@@ -456,14 +424,9 @@ class Layout:
     def views(
         self, stored: tuple[int, int], shape: Dims, loops: Dims, kind: str
     ) -> Rows:
-        """Returns an array of views of a stored node, in row-major order.
+        """Returns an array whose nodes are views of a stored node, in row-major order.
 
-        Args:
-            stored: The stored node, and the flat index in it at which the numbers
-                begin.
-            shape: Shape of the array.
-            loops: Axes that are loops.
-            kind: Type of the numbers, such as `"f32"`.
+        `stored` is the node, and the flat index in it at which the numbers begin.
         """
         node, base = stored
         strides = row_major(shape)

@@ -47,12 +47,7 @@ class Storage:
         self.pointer, self.alignment, self.size = pointer, alignment, 0
 
     def give(self, kind: str, count: int) -> Place:
-        """Allocates an array in the region, and returns its memory location.
-
-        Args:
-            kind: Type of the numbers, such as `"f32"`.
-            count: Number of entries.
-        """
+        """Allocates `count` numbers of a type, and returns their memory location."""
         place = Place(self.pointer, self.size)
         size = max(count, 1) * BYTES[kind]
         self.size += -(-size // self.alignment) * self.alignment
@@ -85,10 +80,7 @@ class Reverse(NamedTuple):
 
 
 class RowPlan:
-    """Memory layout and LLVM functions of a kernel that runs scenes one by one.
-
-    They are collected here while the kernel is written.
-    """
+    """Memory and LLVM functions of a kernel for scenes one by one, being written."""
 
     alignment = ALIGNMENT
     """Alignment of arrays in memory [bytes]."""
@@ -130,21 +122,13 @@ class RowPlan:
         self.lines = 0
 
     def storage(self, pointer: str) -> Storage:
-        """Returns an empty region of the workspace.
-
-        Args:
-            pointer: Name of the pointer to the region.
-        """
+        """Returns an empty region of the workspace, with the name of its pointer."""
         return Storage(pointer, self.alignment)
 
     def rate(self, which: int) -> int:
-        """Returns the rate at which an operand of the step changes.
+        """Returns the rate at which operand number `which` of the step changes.
 
-        Args:
-            which: Number of the operand; constants come first.
-
-        Returns:
-            `FIXED` for a constant, `VARYING` for the carry.
+        It is `FIXED` for a constant and `VARYING` for an array of the carry.
         """
         return FIXED if which < self.n_constants else VARYING
 
@@ -153,32 +137,22 @@ class RowPlan:
         return self.fixed.all(self.constants)
 
     def input(self, which: int, aval: Any, rate: int) -> Rows:
-        """Adds an input array to the graph, and returns it.
+        """Adds input array number `which` to the graph, and returns it as rows.
 
-        Args:
-            which: Number of the array.
-            aval: Shape and dtype of the array.
-            rate: Rate at which it changes: `UNIFORM`, `FIXED` or `VARYING`.
+        `rate` is its rate of change: `UNIFORM`, `FIXED` or `VARYING`.
         """
         return self.unroller.input(which, aval, rate)
 
     def stand(self, first: int, places: Sequence[Place]) -> None:
-        """Records the memory locations of consecutive input arrays.
-
-        Args:
-            first: Number of the first array.
-            places: Locations.
-        """
+        """Records the memory locations of input arrays, from number `first` on."""
         for node, (which, _) in self.graph.places.items():
             if first <= which < first + len(places):
                 self.ready[node] = places[which - first]
 
     def goals(self, arrays: Sequence[Rows], places: Sequence[Place]) -> list[Goal]:
-        """Returns the nodes of arrays, with the locations where each is to be written.
+        """Returns the nodes of arrays, each with the memory location for its numbers.
 
-        Args:
-            arrays: The arrays.
-            places: Location of each array, which is written in row-major order.
+        `places` has the location of each array, which is written in row-major order.
         """
         goals = []
         for array, place in zip(arrays, places, strict=True):
@@ -214,8 +188,7 @@ class RowPlan:
     def hoist(self, goals: Sequence[Goal]) -> None:
         """Writes the function `@fixed`, which computes values that all steps share.
 
-        Args:
-            goals: Nodes that the other functions of the kernel compute.
+        Only values that the goals need are computed.
         """
         graph = self.graph
         self.know_data()
@@ -228,10 +201,6 @@ class RowPlan:
         """Allocates memory for the numbers of a node, and returns its location.
 
         A scatter gets one number more, to which dropped numbers are written.
-
-        Args:
-            node: The node.
-            storage: Region of the workspace.
         """
         graph = self.graph
         more = 1 if graph.operations[node] == "scatter" else 0
@@ -261,11 +230,8 @@ class RowPlan:
     ) -> None:
         """Writes an LLVM function that computes nodes and stores them.
 
-        Args:
-            name: Name of the function.
-            goals: Nodes, with the locations where they are written.
-            pointers: Names of the function's arguments after `%scratch`.
-            stored: Other nodes to compute; `ready` has their locations.
+        They are the nodes of the goals, and those in `stored`, whose locations are
+        known.
 
         Raises:
             NotUnrolled: The kernel is too long.
@@ -311,8 +277,7 @@ class RowPlan:
     def fill_calls(self, given: str) -> list[str]:
         """Returns LLVM calls that write the fill of joined nodes.
 
-        Args:
-            given: LLVM text of the first arguments of each call.
+        `given` is the LLVM text of the first arguments of each call.
         """
         graph, lines = self.graph, []
         for node, place in self.lasting.items():
@@ -328,10 +293,8 @@ class RowPlan:
     def module(self, per_scene: str, n_operands: int, n_results: int) -> str:
         """Returns the LLVM module of the kernel, without the handler that XLA calls.
 
-        Args:
-            per_scene: LLVM IR that runs for each scene, once its constants are loaded.
-            n_operands: Number of operands of the kernel.
-            n_results: Number of results of the kernel, with the workspace.
+        `per_scene` is the LLVM IR that runs for each scene, once its constants are
+        loaded.
         """
         functions, more = elementary_texts(self.needs)
         self.texts.append(self.lasting_fills())
@@ -375,14 +338,10 @@ ret void
     def fetch(
         self, operand: int, aval: Any, place: Place, batched: bool, row: str = "%scene"
     ) -> str:
-        """Returns LLVM IR that copies an operand of the kernel to the workspace.
+        """Returns LLVM IR that copies one operand of the kernel to the workspace.
 
-        Args:
-            operand: Number of the operand.
-            aval: Shape and dtype of the array, without a batch axis.
-            place: Location to which it is copied.
-            batched: Whether the operand has a leading axis of scenes.
-            row: Index along that axis.
+        `aval` is the type for one scene. If the operand is batched, `row` is the index
+        along its leading axis.
         """
         size = math.prod(aval.shape) * BYTES[kind_of(aval)]
         mark = f"%f{operand}"
@@ -401,14 +360,9 @@ ret void
     def bring(
         self, result: int, aval: Any, place: Place, region: str, row: str = "%scene"
     ) -> str:
-        """Returns LLVM IR that copies an array from the workspace to a result.
+        """Returns LLVM IR that copies an array of the workspace to a row of a result.
 
-        Args:
-            result: Number of the result.
-            aval: Shape and dtype of the array, without a batch axis.
-            place: Location of the array; only its offset is used.
-            region: Name of the pointer to the region of the array.
-            row: Index along the leading axis of the result.
+        The array has the type `aval`, and the offset of `place` in the region.
         """
         size = math.prod(aval.shape) * BYTES[kind_of(aval)]
         mark = f"%b{result}"
@@ -427,12 +381,8 @@ def cycles_kernel(
 ) -> Kernel:
     """Returns the kernel that repeats a step, for one scene after another.
 
-    Operands and results are those of `lanes.llvm.kernel.step_kernel`.
-
-    Args:
-        body: The step.
-        batched: Whether each constant differs between scenes (a leading axis).
-        checkpoints: Whether checkpoints are among the results.
+    Operands and results are those of `lanes.llvm.kernel.step_kernel`. `batched` tells
+    which constants differ between scenes.
     """
     plan = RowPlan(body, batched)
     goals = next_carry(plan)
@@ -472,12 +422,8 @@ def cycles_kernel(
 def whole_run_kernel(body: LoopBody, ends: Ends, batched: tuple[bool, ...]) -> Kernel:
     """Returns the kernel of a whole run, for one scene after another.
 
-    Operands and results are those of `lanes.llvm.kernel.run_kernel`.
-
-    Args:
-        body: The step.
-        ends: Beginning and end of the run.
-        batched: Whether each constant differs between scenes (a leading axis).
+    Operands and results are those of `lanes.llvm.kernel.run_kernel`. `batched` tells
+    which constants differ between scenes.
     """
     plan = RowPlan(body, batched)
     n = plan.n_constants
@@ -525,12 +471,8 @@ def back_kernel(
 ) -> Kernel:
     """Returns the kernel of the reverse pass, for one scene after another.
 
-    Operands and results are those of `lanes.llvm.kernel.adjoint_kernel`.
-
-    Args:
-        body: The step.
-        moving: Whether each constant has a tangent.
-        batched: Whether each constant differs between scenes (a leading axis).
+    Operands and results are those of `lanes.llvm.kernel.adjoint_kernel`. `moving` tells
+    which constants have tangents, `batched` which of them differ between scenes.
     """
     plan = RowPlan(body, batched)
     n = plan.n_constants
@@ -573,11 +515,7 @@ def next_carry(plan: RowPlan) -> list[Goal]:
 
 
 def _pointers(plan: RowPlan, **sizes: int) -> tuple[str, int]:
-    """Returns LLVM IR of pointers to regions that follow `%fixed`, and a size.
-
-    Args:
-        plan: The kernel.
-        **sizes: Sizes of the regions, by name of the pointer [bytes].
+    """Returns LLVM IR of pointers to regions of given sizes that follow `%fixed`.
 
     Returns:
         The text, and the size of the workspace up to the last region [bytes].

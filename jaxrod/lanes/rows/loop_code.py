@@ -56,25 +56,14 @@ class RowWriter(Writer):
         """LLVM types of numbers for which a fill function is needed."""
 
     def text(self, name: str, pointers: Sequence[str]) -> str:
-        """Returns the LLVM function with all loops.
-
-        Args:
-            name: Name of the function.
-            pointers: Names of its arguments.
-        """
+        """Returns the LLVM function with all loops; `pointers` are its arguments."""
         whole: Lines = []
         for number, loop in enumerate(self.schedule.loops):
             whole += self._loop(number, loop)
         return self.function(name, pointers, whole)
 
     def function(self, name: str, pointers: Sequence[str], lines: Lines) -> str:
-        """Returns an LLVM function.
-
-        Args:
-            name: Name of the function.
-            pointers: Names of its arguments.
-            lines: Lines of its body.
-        """
+        """Returns an LLVM function with these lines; `pointers` are its arguments."""
         given = ", ".join(f"ptr noalias nocapture {p}" for p in pointers)
         head = f"define internal void @{name}({given}) {self.attributes} {{"
         return "\n".join([head, "entry:", *lines, "ret void", "}", ""])
@@ -184,13 +173,7 @@ class RowWriter(Writer):
     def address(self, place: Place, base: int, strides: Dims, kind: str) -> str:
         """Appends the address of an array's entry in the first lane; returns its name.
 
-        The flat index is `base` plus loop index times stride, summed over the loops.
-
-        Args:
-            place: Memory location of the array.
-            base: Constant part of the flat index.
-            strides: Distance in the flat index per round of each loop.
-            kind: Type of the numbers, such as `"f32"`.
+        The flat index is `base`, plus loop index times stride, summed over the loops.
         """
         size = BYTES[kind]
         at = self.new(
@@ -213,11 +196,7 @@ class RowWriter(Writer):
     def _load(self, place: Place, base: int, strides: Dims, kind: str) -> str:
         """Appends the load of a vector, outside all loops whose index it does not need.
 
-        Args:
-            place: Memory location of the array.
-            base: Constant part of the flat index.
-            strides: Distance in the flat index per round of each loop.
-            kind: Type of the numbers, such as `"f32"`.
+        The flat index is that of `address`.
 
         Returns:
             The name of the vector.
@@ -364,12 +343,7 @@ class RowWriter(Writer):
         return min(lanes, 1 << (loop.dims[-1].bit_length() - 1))
 
     def _nest(self, number: int, loop: Loop) -> Lines:
-        """Returns the lines of a loop over a row, and of the loops around it.
-
-        Args:
-            number: Number of the loop, for its labels.
-            loop: The loop.
-        """
+        """Returns the lines of a loop over a row, and of the loops around it."""
         graph, schedule = self.graph, self.schedule
         dims = self.dims = loop.dims
         depth = len(dims)
@@ -615,12 +589,6 @@ class RowWriter(Writer):
 
         The last vector of a row overlaps with the one before if the width does not
         divide the length of the row.
-
-        Args:
-            value: Name of the vector.
-            mark: Label of the loop over the row.
-            operation: Operation of the reduction.
-            kind: Type of the numbers.
         """
         many = f"<{self.width} x i64>"
         over = self.new(f"sub i64 %c_{mark}, %i_{mark}")
@@ -676,12 +644,7 @@ class RowWriter(Writer):
         return value
 
     def _scatters(self, number: int, loop: Loop) -> Lines:
-        """Returns the lines of scatters with the same indices, number by number.
-
-        Args:
-            number: Number of the loop, for its labels.
-            loop: Loop with the nodes of the scatters.
-        """
+        """Returns the lines of scatters with the same indices, number by number."""
         graph, schedule = self.graph, self.schedule
         self.width, self.dims = 1, ()
         self.names, self.spreads, self.indices = {}, {}, []
@@ -806,12 +769,10 @@ def fill_call(number: str, place: Place, kind: str, fill: Fill, given: str = "")
 
 
 def fill_text(one: str) -> str:
-    """Returns LLVM IR of the function that writes one number to runs of entries.
+    """Returns LLVM IR of a function that writes one number to runs of entries.
 
-    Run j begins at entry j times `%stride` and has `%count` entries.
-
-    Args:
-        one: LLVM type of the number.
+    Run j begins at entry j times `%stride` and has `%count` entries. `one` is the LLVM
+    type of the number.
     """
     return f"""
 define internal void @fill_{one}(ptr %to, i64 %offset, {one} %number, i64 %count,

@@ -53,9 +53,7 @@ class Recurrence:
     def stored_at(self, output: int) -> int:
         """Flat index in the stored node at which an output begins.
 
-        Args:
-            output: Index among the outputs: the last carry, then the results of all
-                rounds.
+        The outputs are the arrays of the last carry, then the results of all rounds.
         """
         if output < self.n_carry:
             return output * self.lanes
@@ -64,12 +62,7 @@ class Recurrence:
 
 
 def recurrence(unroller: Any, scan: Scan, arrays: Sequence[Rows]) -> list[Rows] | None:
-    """Returns the results of a scan that is compiled as one loop along rows.
-
-    Args:
-        unroller: Translator that adds the nodes.
-        scan: Parts of the `scan` equation.
-        arrays: Operands of the scan: constants, carry, rows.
+    """Returns the results of a `scan` that is compiled as one loop along rows.
 
     Returns:
         The last carry, then the stacked results. `None` if a round does other things
@@ -134,13 +127,9 @@ def _results(unroller: Any, made: Recurrence, arrays: Sequence[Rows]) -> list[Ro
 
 
 def _of_lane(layout: Any, array: Rows, lane: int, rows: int) -> int:
-    """Returns the node of one entry of the vectors of an operand of a scan.
+    """Returns the node of vector entry `lane` of an operand of a scan.
 
-    Args:
-        layout: Operations on arrays of rows.
-        array: Operand of the scan.
-        lane: Index of the entry.
-        rows: 1 if the operand is scanned along its leading axis, otherwise 0.
+    `rows` is 1 if the operand is scanned along its leading axis, otherwise 0.
     """
     graph = layout.graph
     if len(array.shape) > rows:
@@ -250,10 +239,7 @@ def write_recurrence(writer: Any, number: int, node: int) -> Lines:
 def _vector(writer: Any, nodes: Sequence[int], many: str) -> str:
     """Appends lines that load or assemble a vector; returns its name.
 
-    Args:
-        writer: Writer of the function.
-        nodes: Nodes of its entries, which are read at the index of the loop.
-        many: LLVM type of the vector.
+    Its entries are the numbers of nodes at the index of the loop.
     """
     graph, kind = writer.graph, writer.graph.kinds[nodes[0]]
     if len(nodes) == 1:

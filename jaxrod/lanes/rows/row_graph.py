@@ -96,14 +96,8 @@ class RowGraph(Graph):
     ) -> int:
         """Returns the node of an operation that moves numbers, which may exist already.
 
-        Args:
-            operation: Name of the operation.
-            arguments: Nodes of the operands.
-            kind: Type of the numbers, such as `"f32"`.
-            dims: Shape of the node.
-            extra: Parameters of the operation.
-            rate: Rate at which the node changes; by default the highest of its
-                arguments.
+        `extra` has the parameters of the operation. The rate is by default the highest
+        of the arguments.
         """
         key = (operation, arguments, kind, dims, extra)
         node = self._known.get(key)
@@ -117,13 +111,9 @@ class RowGraph(Graph):
         return node
 
     def array(self, which: int, size: int, kind: str, rate: int) -> int:
-        """Returns the node of an input array, a row in memory.
+        """Returns the node of input array number `which`, a row of numbers in memory.
 
-        Args:
-            which: Number of the array among the inputs.
-            size: Number of entries.
-            kind: Type of the numbers, such as `"f32"`.
-            rate: Rate at which they change: `UNIFORM`, `FIXED` or `VARYING`.
+        `rate` is its rate of change: `UNIFORM`, `FIXED` or `VARYING`.
         """
         node = self.place("input", (), kind, (size,), which, rate)
         self.places[node] = (which, 0)
@@ -137,15 +127,9 @@ class RowGraph(Graph):
         return node
 
     def view(self, node: int, dims: Dims, base: int, strides: Dims) -> int:
-        """Returns a node that reads a stored node at regular positions.
+        """Returns a node of shape `dims` that reads a stored node at regular positions.
 
         Entry (i, j, ...) is read at flat index base + i strides[0] + j strides[1] + ...
-
-        Args:
-            node: The stored node.
-            dims: Shape of the view.
-            base: Flat index of the first number.
-            strides: Distance in the flat index between neighbours along each axis.
         """
         own = self.dims[node]
         if dims == own and base == 0 and strides == row_major(own):
@@ -215,13 +199,10 @@ class RowGraph(Graph):
     def joined(
         self, sources: Sequence[int], pieces: Sequence[Piece], dims: Dims, fill: int
     ) -> int:
-        """Returns a stored node put together from pieces, with `fill` between them.
+        """Returns a stored node put together from sources, with `fill` elsewhere.
 
-        Args:
-            sources: Nodes that are written.
-            pieces: Positions at which each source is written; they do not overlap.
-            dims: Shape of the stored node.
-            fill: Node of the number at all other positions.
+        Each piece has the positions at which one source is written; pieces do not
+        overlap.
         """
         if len(sources) == 1:
             (source,), (piece,) = sources, pieces
@@ -237,25 +218,16 @@ class RowGraph(Graph):
         )
 
     def reduced(self, node: int, operation: str, axes: Dims) -> int:
-        """Returns a node reduced along axes.
-
-        Args:
-            node: The node.
-            operation: Operation that combines two numbers, such as `"add"`.
-            axes: Axes along which numbers are combined; the result lacks them.
-        """
+        """Returns a node reduced along axes by an operation such as `"add"`."""
         own = self.dims[node]
         dims = tuple(n for axis, n in enumerate(own) if axis not in axes)
         kind = self.kinds[node]
         return self.place("reduce", (node,), kind, dims, (operation, axes))
 
     def gathered(self, table: int, base: int, index: int) -> int:
-        """Returns the numbers of a stored node at flat indices `base + index`.
+        """Returns the numbers of the stored node `table` at computed flat indices.
 
-        Args:
-            table: The stored node.
-            base: Constant part of the flat index.
-            index: Node of the varying part; the result has its shape.
+        They are `base` plus the numbers of the node `index`; the result has its shape.
         """
         dims = self.dims[index]
         known = self.value(index)

@@ -405,15 +405,10 @@ def _changed(
     operation: str,
     axis: int = 0,
 ) -> Rows:
-    """Combines a slice of an array with a second array, at known indices.
+    """Combines a slice of an array, from known indices `start` on, with `new`.
 
-    Args:
-        unroller: Translator that adds the nodes.
-        array: The array.
-        start: First index of the slice along each axis.
-        new: The second array, which has the shape of the slice.
-        operation: Operation that combines the two, or `"set"`.
-        axis: First axis along which the slice is still to be taken (recursion).
+    The operation is that of a scatter, or `"set"`. Axes before `axis` are sliced
+    already.
     """
     layout = unroller.layout
     if axis == len(array.shape):

@@ -74,23 +74,14 @@ class RowUnroller(Unroller):
         return array.scalar
 
     def each(self, operation: str, kind: str, *arrays: Any) -> Any:
-        """Returns an operation applied to arrays entry by entry.
+        """Returns an operation applied to arrays entry by entry, after broadcasting.
 
-        Args:
-            operation: Name of the operation.
-            kind: Type of the results, such as `"f32"`.
-            *arrays: Operands, which are broadcast.
+        `kind` is the type of the results, such as `"f32"`.
         """
         return self.layout.each(operation, kind, *arrays)
 
     def mapped(self, function: Callable[..., int], kind: str, *arrays: Any) -> Any:
-        """Returns the array of nodes that a function makes of the nodes of arrays.
-
-        Args:
-            function: Takes a node of each array, and returns a node.
-            kind: Type of the results, such as `"f32"`.
-            *arrays: Arrays, which are broadcast.
-        """
+        """Returns the nodes of type `kind` that a function makes of nodes of arrays."""
         return self.layout.mapped(function, kind, *arrays)
 
     def full(self, value: Any, shape: tuple[int, ...], kind: str) -> Any:
@@ -98,22 +89,14 @@ class RowUnroller(Unroller):
         return self.layout.full(self.graph.constant(value, kind), shape, kind)
 
     def known(self, value: Any, aval: Any) -> Any:
-        """Returns an array of known numbers.
-
-        Args:
-            value: The numbers.
-            aval: Shape and dtype of the array, to which `value` is broadcast.
-        """
+        """Returns an array of known numbers, broadcast to shape and dtype of `aval`."""
         numbers = np.broadcast_to(np.asarray(value, kind_dtype(aval)), aval.shape)
         return self.layout.known(numbers, kind_of(aval))
 
     def input(self, which: int, aval: Any, rate: int) -> Rows:
-        """Returns an operand of the program as an array of rows.
+        """Returns operand number `which` of the program as an array of rows.
 
-        Args:
-            which: Number of the operand.
-            aval: Shape and dtype of the operand.
-            rate: Rate at which it changes: `UNIFORM`, `FIXED` or `VARYING`.
+        `rate` is its rate of change: `UNIFORM`, `FIXED` or `VARYING`.
         """
         kind, shape = kind_of(aval), tuple(map(int, aval.shape))
         size = int(np.prod(shape, dtype=int))
@@ -253,14 +236,7 @@ def counted(unroller: RowUnroller, equation: Any, *_: Any) -> Rows:
 def row_of_places(
     unroller: RowUnroller, shape: tuple[int, ...], axis: int, kind: str
 ) -> Rows:
-    """Returns an array whose entries are their own index along an axis.
-
-    Args:
-        unroller: Translator that adds the nodes.
-        shape: Shape of the array.
-        axis: The axis.
-        kind: Type of the integers, such as `"i32"`.
-    """
+    """Returns an array of integers that are their own index along an axis."""
     graph, loops = unroller.graph, long_axes(shape)
     dims = tuple(shape[a] for a in loops)
     nodes = np.empty([1 if a in loops else n for a, n in enumerate(shape)], np.int64)

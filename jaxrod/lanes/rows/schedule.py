@@ -211,12 +211,8 @@ class Schedule:
     def _beside(self, node: int, dims: Dims, mask: int | None = None) -> int:
         """Returns the first level at which a loop can use a node, entry by entry.
 
-        In the loop that computes the node, that is the node's own level.
-
-        Args:
-            node: The node.
-            dims: Shape of the loop that uses it.
-            mask: Mask of that loop; `None` without one.
+        `dims` and `mask` are the shape and the mask of that loop. In the loop that
+        computes the node, it is the node's own level.
         """
         graph = self.graph
         if self.is_ready(node):

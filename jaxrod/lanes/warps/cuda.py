@@ -348,10 +348,6 @@ def entry_of(kernel: WarpKernel, launch: Launch) -> str:
 
     It computes the indices of thread and warp and the address of the warp's memory, and
     calls `@run`.
-
-    Args:
-        kernel: The kernel.
-        launch: Blocks and memory of the kernel.
     """
     ins = [f"%in{i}" for i in range(kernel.n_operands)]
     outs = [f"%out{i}" for i in range(kernel.n_results)]
@@ -401,8 +397,7 @@ ret void
 def _elementary(needs: frozenset[tuple[str, str, int]]) -> Iterator[str]:
     """Yields LLVM IR of elementary functions, as calls of NVIDIA's libdevice.
 
-    Args:
-        needs: Operation, number type and lanes of each function.
+    `needs` has the operation, number type and lanes of each function.
     """
     for operation, kind in sorted({need[:2] for need in needs}):
         row, one = OPERATIONS[operation], TYPES[kind]

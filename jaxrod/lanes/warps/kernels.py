@@ -77,10 +77,8 @@ class WarpKernel:
 
 
 class WarpPlan(RowPlan):
-    """Memory layout and LLVM functions of a GPU kernel with a warp for each scene.
-
-    They are collected here while the kernel is written.
-    """
+    """Memory and LLVM functions of a kernel with a warp for each scene, being
+    written."""
 
     alignment = 16
     """Alignment of arrays in memory [bytes]. It is smaller than for rows, because
@@ -95,14 +93,10 @@ class WarpPlan(RowPlan):
         self.buffers: list[str] = []
 
     def rate(self, which: int) -> int:
-        """Returns the rate at which an operand of the step changes.
+        """Returns the rate at which operand number `which` of the step changes.
 
-        Args:
-            which: Number of the operand; constants come first.
-
-        Returns:
-            `UNIFORM` for a constant that all scenes share, `FIXED` for another
-            constant, `VARYING` for the carry.
+        It is `UNIFORM` for a constant that all scenes share, `FIXED` for another
+        constant, and `VARYING` for an array of the carry.
         """
         if which >= self.n_constants:
             return VARYING
@@ -118,10 +112,8 @@ class WarpPlan(RowPlan):
     def hoist(self, goals: Sequence[Goal]) -> None:
         """Writes the functions `@shared` and `@fixed` of values that all steps share.
 
-        `@shared` computes those that all scenes share too, `@fixed` those of one scene.
-
-        Args:
-            goals: Nodes that the other functions of the kernel compute.
+        `@shared` computes those that all scenes share too, `@fixed` those of one scene,
+        as far as the goals need them.
         """
         graph = self.graph
         self.know_data()
@@ -157,11 +149,7 @@ class WarpPlan(RowPlan):
     ) -> None:
         """Writes an LLVM function that computes nodes and stores them.
 
-        Args:
-            name: Name of the function.
-            goals: Nodes, with the locations where they are written.
-            pointers: Names of its last arguments, after those of `given`.
-            stored: Other nodes to compute; `ready` has their locations.
+        Its first arguments are those of `given`, the last ones `pointers`.
         """
         whole = [*REGIONS[1:], *self._buffers_of(name), *pointers]
         super().function(name, goals, whole, stored)
@@ -185,9 +173,7 @@ class WarpPlan(RowPlan):
     def call(self, name: str, *pointers: str) -> str:
         """Returns LLVM IR that calls a function of the kernel.
 
-        Args:
-            name: Name of the function.
-            *pointers: Names of its last arguments, after those of `given`.
+        The first arguments are those of `given`, the last ones `pointers`.
         """
         given = [self.given(name), *(f"ptr {pointer}" for pointer in pointers)]
         return f"call void @{name}({', '.join(given)})\n"
@@ -224,11 +210,8 @@ class WarpPlan(RowPlan):
     def rows(self, given: Sequence[Any] = (), made: Sequence[Any] = ()) -> str:
         """Returns LLVM IR of pointers to one scene's part of each operand and result.
 
-        Constants that all scenes share have no such pointer.
-
-        Args:
-            given: Types of the operands after the constants.
-            made: Types of the results.
+        `given` and `made` are the types of the operands after the constants, and of the
+        results. Constants that all scenes share have no such pointer.
         """
         first = 1 + self.n_constants
         arrays = [
@@ -245,11 +228,7 @@ class WarpPlan(RowPlan):
     def fetch_row(self, to: str, place: Place, source: str, aval: Any) -> str:
         """Returns LLVM IR that copies an array into a region of the warp's memory.
 
-        Args:
-            to: Name of the pointer to the region.
-            place: Location in the region; only its offset is used.
-            source: Name of the pointer from which the array is copied.
-            aval: Shape and dtype of the array.
+        `to` points to the region, in which the array has the offset of `place`.
         """
         at = f"{to}_{place.offset}"
         return (
@@ -260,11 +239,7 @@ class WarpPlan(RowPlan):
     def bring_row(self, to: str, region: str, place: Place, aval: Any) -> str:
         """Returns LLVM IR that copies an array out of a region of the warp's memory.
 
-        Args:
-            to: Name of the pointer to which the array is copied.
-            region: Name of the pointer to the region.
-            place: Location in the region; only its offset is used.
-            aval: Shape and dtype of the array.
+        In the region, the array has the offset of `place`.
         """
         at = f"{to}_from"
         return (
@@ -351,13 +326,9 @@ def _work(loop: Loop) -> int:
 
 
 def row_text(row: str, whole: str, aval: Any, index: str = "%scene") -> str:
-    """Returns LLVM IR of a pointer to one row of an array with a leading axis.
+    """Returns LLVM IR of a pointer `row` to one row of the array `whole`.
 
-    Args:
-        row: Name of the pointer to the row.
-        whole: Name of the pointer to the array.
-        aval: Shape and dtype of a row.
-        index: Index of the row.
+    `aval` is the type of a row, and `index` its index along the leading axis.
     """
     return (
         f"%{row}_at = mul i64 {index}, {size_of(aval)}\n"
@@ -376,12 +347,8 @@ def cycles_by_warps(
 ) -> WarpKernel:
     """Returns the GPU kernel that repeats a step, with a warp for each scene.
 
-    Operands and results are those of `lanes.llvm.kernel.step_kernel`.
-
-    Args:
-        body: The step.
-        batched: Whether each constant differs between scenes (a leading axis).
-        checkpoints: Whether checkpoints are among the results.
+    Operands and results are those of `lanes.llvm.kernel.step_kernel`. `batched` tells
+    which constants differ between scenes.
     """
     plan = WarpPlan(body, batched)
     n_carry, first = len(plan.carry), 1 + plan.n_constants
@@ -419,12 +386,8 @@ def cycles_by_warps(
 def run_by_warps(body: LoopBody, ends: Ends, batched: tuple[bool, ...]) -> WarpKernel:
     """Returns the GPU kernel of a whole run, with a warp for each scene.
 
-    Operands and results are those of `lanes.llvm.kernel.run_kernel`.
-
-    Args:
-        body: The step.
-        ends: Beginning and end of the run.
-        batched: Whether each constant differs between scenes (a leading axis).
+    Operands and results are those of `lanes.llvm.kernel.run_kernel`. `batched` tells
+    which constants differ between scenes.
     """
     plan = WarpPlan(body, batched)
     n = plan.n_constants
@@ -459,12 +422,8 @@ def back_by_warps(
 ) -> WarpKernel:
     """Returns the GPU kernel of the reverse pass, with a warp for each scene.
 
-    Operands and results are those of `lanes.llvm.kernel.adjoint_kernel`.
-
-    Args:
-        body: The step.
-        moving: Whether each constant has a tangent.
-        batched: Whether each constant differs between scenes (a leading axis).
+    Operands and results are those of `lanes.llvm.kernel.adjoint_kernel`. `moving` tells
+    which constants have tangents, `batched` which of them differ between scenes.
     """
     plan = WarpPlan(body, batched)
     n, n_carry = plan.n_constants, len(plan.carry)

@@ -42,11 +42,6 @@ class WarpWriter(RowWriter):
         Pointers to memory that threads write are not `noalias`: each thread reads what
         others wrote before a barrier, and LLVM would move such loads across the
         barrier.
-
-        Args:
-            name: Name of the function.
-            pointers: Names of the other arguments.
-            lines: Lines of its body.
         """
         given = ", ".join(f"ptr {_claims(p)}nocapture {p}" for p in pointers)
         head = (
@@ -62,9 +57,7 @@ class WarpWriter(RowWriter):
     def one_by_one(self, name: str, write: Callable[[], None]) -> None:
         """Appends code that updates memory, which only the first thread runs.
 
-        Args:
-            name: Beginning of the labels of the code.
-            write: Function that appends the code.
+        The function `write` appends the code; its labels begin with `name`.
         """
         self.lines += [
             f"br i1 %alone, label %{name}_alone, label %{name}_all",
@@ -86,14 +79,7 @@ class WarpWriter(RowWriter):
     ) -> Lines:
         """Returns the lines of a loop over every 32nd number of a row.
 
-        It begins at the index of the thread.
-
-        Args:
-            mark: Label of the loop.
-            latch: Not used.
-            length: Length of the row.
-            phis: LLVM `phi` lines, at the beginning of each round.
-            body: Other lines of a round.
+        It begins at the index of the thread. Arguments as in `RowWriter.innermost`.
         """
         body_label = f"{mark}_body"
         return [
@@ -121,10 +107,7 @@ class WarpWriter(RowWriter):
     def after_loop(self, before: str, after: str) -> str:
         """Returns the name of a reduction's total of one thread after its loop.
 
-        Args:
-            before: Name of the total at the beginning of a round, where the loop is
-                left.
-            after: Not used.
+        The loop is left at the beginning of a round, so it is the total `before`.
         """
         del after
         return before
@@ -134,12 +117,6 @@ class WarpWriter(RowWriter):
 
         Every thread has the same result. If the smallest or largest number is zero, its
         sign may differ between threads.
-
-        Args:
-            operation: Operation that combines two numbers.
-            value: Name of the thread's total.
-            kind: Type of the numbers.
-            rounds: Length of the row; a row of one number needs no reduction.
         """
         if rounds == 1:
             return value
@@ -154,14 +131,8 @@ class WarpWriter(RowWriter):
     def _of_other_thread(self, value: str, kind: str, one: str, step: int) -> str:
         """Appends the exchange of a number with the thread of index `thread xor step`.
 
-        Args:
-            value: Name of the number of this thread.
-            kind: Type of the number.
-            one: LLVM type of the number.
-            step: Power of two below 32.
-
         Returns:
-            The name of the number of the second thread.
+            The name of that thread's number.
         """
         bits = 1 if kind == "b1" else 8 * BYTES[kind]
         whole = f"i{bits}"
@@ -191,14 +162,7 @@ class WarpWriter(RowWriter):
         return self.new(f"call i32 @exchange(i64 %thread, i32 {number}, i32 {step})")
 
     def copy(self, to: str, source: str, count: int, kind: str) -> None:
-        """Appends a copy of numbers from memory to memory, shared among the threads.
-
-        Args:
-            to: Name of the pointer to which they are copied.
-            source: Name of the pointer from which they are copied.
-            count: Count of numbers.
-            kind: Type of the numbers, such as `"f32"`.
-        """
+        """Appends a copy of numbers from memory to memory, shared among the threads."""
         size = BYTES[kind]
         self.lines.append(copy_call(to, source, count * size, size))
 
@@ -225,11 +189,9 @@ def copy_call(to: str, source: str, size: int, alignment: int) -> str:
 
 
 def _thread_loop(length: str, body: Lines) -> str:
-    """Returns the body of a function that loops over every 32nd index below a length.
+    """Returns the body of a function that loops over every 32nd index below `length`.
 
-    Args:
-        length: Length, a number or the name of one.
-        body: Lines of a round, with the index `%i`.
+    The lines `body` use the index `%i`.
     """
     return "\n".join(
         [
@@ -272,9 +234,6 @@ def warp_fill_text(one: str) -> str:
 
     Run j begins at entry j times `%stride` and has `%count` entries. The threads of a
     warp share the entries.
-
-    Args:
-        one: LLVM type of the number.
     """
     body = _thread_loop(
         "%all",
