@@ -94,9 +94,8 @@ def lane_choices() -> list[LaneChoice]:
 def lane_mode() -> str:
     """Returns the mode of the choice between kernels and XLA, such as `"auto"`.
 
-    It is set by `use_lanes` or by the environment variable `JAXROD_LANES`.
-
-    A program that was compiled in one mode is not reused in another.
+    It is set by `use_lanes` or by the environment variable `JAXROD_LANES`. A program
+    that was compiled in one mode is not reused in another.
 
     Raises:
         ValueError: The environment variable has an unknown mode.

@@ -108,8 +108,8 @@ class Writer:
         )
 
     def write(self, nodes: Iterable[int], after: Callable[[int], None]) -> None:
-        """Appends the lines of nodes in order; calls `after` with each finished
-        node."""
+        """Appends the lines of nodes in order; calls `after` once a node is
+        finished."""
         for node in nodes:
             if node in self.names:
                 continue

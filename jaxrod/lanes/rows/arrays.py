@@ -294,8 +294,7 @@ class Layout:
     def sliced(
         self, array: Rows, axis: int, first: int, last: int, step: int = 1
     ) -> Rows:
-        """Returns every `step`-th entry along an axis, from `first` to before
-        `last`."""
+        """Returns entries `first`, `first + step`, ... before `last` along an axis."""
         shape, start = list(array.shape), [0] * len(array.shape)
         shape[axis], start[axis] = len(range(first, last, step)), first
         moves = [Move(a, step if a == axis else 1) for a in range(len(array.shape))]

@@ -472,7 +472,7 @@ def back_kernel(
     """Returns the kernel of the reverse pass, for one scene after another.
 
     Operands and results are those of `lanes.llvm.kernel.adjoint_kernel`. `moving` tells
-    which constants have tangents, `batched` which of them differ between scenes.
+    which constants have tangents, `batched` which constants differ between scenes.
     """
     plan = RowPlan(body, batched)
     n = plan.n_constants

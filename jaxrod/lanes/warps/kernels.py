@@ -77,8 +77,8 @@ class WarpKernel:
 
 
 class WarpPlan(RowPlan):
-    """Memory and LLVM functions of a kernel with a warp for each scene, being
-    written."""
+    """Memory and LLVM functions of a GPU kernel, being written; a warp for each
+    scene."""
 
     alignment = 16
     """Alignment of arrays in memory [bytes]. It is smaller than for rows, because
@@ -423,7 +423,7 @@ def back_by_warps(
     """Returns the GPU kernel of the reverse pass, with a warp for each scene.
 
     Operands and results are those of `lanes.llvm.kernel.adjoint_kernel`. `moving` tells
-    which constants have tangents, `batched` which of them differ between scenes.
+    which constants have tangents, `batched` which constants differ between scenes.
     """
     plan = WarpPlan(body, batched)
     n, n_carry = plan.n_constants, len(plan.carry)
