@@ -77,8 +77,7 @@ class WarpKernel:
 
 
 class WarpPlan(RowPlan):
-    """Memory and LLVM functions of a GPU kernel, being written; a warp for each
-    scene."""
+    """Memory and LLVM functions of a kernel being written; a warp runs each scene."""
 
     alignment = 16
     """Alignment of arrays in memory [bytes]. It is smaller than for rows, because
