@@ -108,8 +108,7 @@ class Writer:
         )
 
     def write(self, nodes: Iterable[int], after: Callable[[int], None]) -> None:
-        """Appends the lines of nodes in order; calls `after` with each when
-        finished."""
+        """Appends the lines of nodes in order; calls `after` with each finished one."""
         for node in nodes:
             if node in self.names:
                 continue
