@@ -31,20 +31,23 @@ import numpy as np
 from jaxtyping import Array
 
 INWARDS, FLAT, TANGENT = 1 / 24, -0.041, -0.136
-"""Factors of second and fourth differences in places, and of third differences in
-tangents."""
+"""Coefficients of the second and fourth differences in positions, and of the third
+difference in tangents [1]."""
 FARTHEST = 1.165
-"""Largest displacement of a place on a curve if every node moves by at most one."""
+"""Largest displacement of a point on a smooth axis if no node moves by more than
+one."""
 _ALIKE = 12
-"""Number of elements of a rod that is long enough for all kinds of node
-neighbourhoods."""
+"""Elements of the longest rod for which `stiffest` is computed. Longer rods repeat the
+value of its middle node."""
 
 
 def smooth_nodes(nodes: Array, closed: np.ndarray) -> tuple[Array, Array]:
-    """Places and tangents at nodes, from a field on nodes; all of one shape.
+    """Positions and tangents y, m of smooth axes at the nodes, from nodal positions x.
+
+    The map is linear, so it also takes velocities. All arrays have one shape.
 
     Args:
-        nodes: One component of positions or velocities, a row for each rod.
+        nodes: One component of positions or velocities `(rods, nodes)`.
         closed: Whether each rod is closed, `(rods, 1)`.
     """
     tangent, second = _differences(nodes, closed)
@@ -53,14 +56,20 @@ def smooth_nodes(nodes: Array, closed: np.ndarray) -> tuple[Array, Array]:
 
 
 def from_smooth_nodes(places: Array, tangents: Array, closed: np.ndarray) -> Array:
-    """Forces on nodes, from forces conjugate to the places and tangents there."""
+    """Forces on nodes, from forces on smooth axes: the transpose of `smooth_nodes`.
+
+    Args:
+        places: Forces conjugate to the positions of the axes at the nodes [N].
+        tangents: Forces conjugate to the tangents there [N].
+        closed: Whether each rod is closed, `(rods, 1)`.
+    """
     back = jax.linear_transpose(lambda nodes: smooth_nodes(nodes, closed), places)
     (nodes,) = back((places, tangents))
     return nodes
 
 
 def _differences(nodes: Array, closed: np.ndarray) -> tuple[Array, Array]:
-    """Central first and second differences along rods."""
+    """Central first and second differences at the nodes of each rod, ends included."""
     edges = nodes[:, 1:] - nodes[:, :-1]
     before = jnp.pad(edges, ((0, 0), (1, 0)))
     after = jnp.pad(edges, ((0, 0), (0, 1)))
@@ -78,10 +87,10 @@ def _differences(nodes: Array, closed: np.ndarray) -> tuple[Array, Array]:
 
 @functools.cache
 def stiffest(n_elements: int) -> np.ndarray:
-    """Largest stiffness at each node if each element has one spring of stiffness one.
+    """Bound of each node's stiffness if every element has one spring of stiffness one.
 
-    These are the sums of the absolute entries in each row of the stiffness matrix, with
-    each spring at its worst place.
+    It is the sum of the absolute entries in the node's row of the stiffness matrix of
+    smooth axes. Each spring acts at the point of its element where it adds most.
     """
     n = min(n_elements, _ALIKE)
     with jax.ensure_compile_time_eval():
