@@ -16,7 +16,7 @@ from jaxrod.rods.rod import Rod, RodState
 from jaxrod.scene import Scene, make_scene
 
 MOST_RODS = 100_000
-"""Largest number of rods; a larger number must be a mistake."""
+"""Largest number of rods in an assembly; a larger number must be a mistake."""
 
 Made = tuple[Rod, RodState]
 

@@ -102,10 +102,9 @@ class Rows:
         return self.begin.shape[0] * self.wide
 
     def places(self, row: Array, own: Array | slice) -> tuple[Array, Array]:
-        """Indices in `order` of the second elements in a row, and a mask of those that
-        exist.
+        """Indices in `order` of a row's second elements, and a mask of existing ones.
 
-        A row contains one second element for each of the first elements `own`.
+        A row has one second element for each of the first elements `own`.
         """
         stretch, slot = row // self.wide, row % self.wide
         place = self.begin[stretch, own] + slot
@@ -175,9 +174,7 @@ def found_by(
 
 
 def _room(given: int | tuple[int, ...] | None, number: int) -> int:
-    """Number of entries of list `number`, from one number for all lists or one for
-    each.
-    """
+    """Number of entries of list `number`; one number holds for all lists."""
     assert given is not None
     return given[number] if isinstance(given, tuple) else given
 

@@ -58,7 +58,7 @@ SPACING = 1 / 3
 
 @pytree
 class RodContact(TouchingRods):
-    """Contact between all rods of some members; see `rod_contact`.
+    """Contact per length between all rods of some members; see `rod_contact`.
 
     Example:
         >>> contact = systems.rod_contact("left", "right", stiffness=1e5)
@@ -71,7 +71,7 @@ class RodContact(TouchingRods):
     member."""
 
     def fitted(self, parts: AllParts, tied: tuple[TiedPair, ...]) -> RodContact:
-        """The coupling with the number of points, and with the tied nodes."""
+        """The coupling with the number of contact points and the tied nodes set."""
         fitted: Any = self.with_ties(parts, tied)
         given = self.points_per_element * len(self.members)
         per = given or tuple(
@@ -81,7 +81,7 @@ class RodContact(TouchingRods):
         return replace(fitted, points_per_element=per)
 
     def prepared(self, parts: AllParts) -> RodContact:
-        """The coupling with radii and lengths of points and segments."""
+        """The coupling with `segments` set: the segments and points of members."""
         made = tuple(
             rod_segments(parts[name], per, last_but_continued(name, parts, self.tied))
             for name, per in zip(self.members, self.points_per_element, strict=True)
@@ -91,11 +91,14 @@ class RodContact(TouchingRods):
     has_contact_points: ClassVar[bool] = True
 
     def bounding_radii(self, a: int) -> Array:
-        """Largest of an element's own radius and those of its points [m]."""
+        """Larger of each element's radius and that at its first node [m]."""
         return jnp.maximum(self.segments[a].first_radii, self.segments[a].radii)
 
     def allowed(self, a: int, b: int, own: Bounds, other: Bounds) -> Any:
-        """Whether pairs may touch: on two rods, or far apart along one rod."""
+        """Mask of the pairs of elements that may touch; `None` for all.
+
+        They are on two rods or, with self-contact, more than pi radii apart along one.
+        """
         if a != b:
             return None
         one, two = own.elements, other.elements
@@ -108,35 +111,42 @@ class RodContact(TouchingRods):
         return may
 
     def in_rows(self, a: int, own: Elements, seen: AllSeen) -> ContactPoints:
-        """Contact points of a member."""
+        """All contact points of member `a`, to be tested against segments."""
         rubs = self.friction is not None
         return points_at(self.segments[a], seen[self.members[a]], spins=rubs)
 
     def on_list(
         self, a: int, own: Elements, other: Elements, there: Array
     ) -> tuple[ContactPoints, Elements, Array]:
-        """Contact points of listed elements, along a leading axis, and the segments."""
+        """Contact points of listed first elements, second elements, and a mask.
+
+        The points of an element are along a leading axis. The mask is true for entries
+        in use.
+        """
         points = points_on(row_vector(own), self.segments[a].per_element)
         return points, row_vector(other), row_vector(there)
 
     def weights(self, a: int, b: int, own: ContactPoints, other: Elements) -> Array:
-        """Rest length for which points count: half, since both ways are summed [m]."""
+        """Weights of point-segment pairs: half the point's length, times `share` [m].
+
+        Half, since the points of each rod are tested against the segments of the other.
+        """
         half = 0.5 * own.lengths
         share = self.share(a, b, own, other)
         return half if share is None else half * share
 
     def scales(self, own: ContactPoints, other: Elements) -> tuple[Array, Array]:
-        """Radius and rest length of the segments [m]."""
+        """Radius of the segments, and their length: the rise of the share [m]."""
         assert other.rest_lengths is not None
         return other.radii, other.rest_lengths
 
     def contact_pairs(
         self, own: ContactPoints, other: Elements, weights: Array
     ) -> Iterator[ContactPair]:
-        """Points with their closest points on segments, minus points with next nodes.
+        """Pairs of points with the closest points on segments, and with second nodes.
 
-        The subtraction is the inclusion-exclusion. It is made only where another
-        segment follows.
+        Pairs with second nodes have negative weights (inclusion-exclusion), or zero
+        where no other segment follows.
         """
         apart = vectors.subtract(own.position, other.first)
         square = vectors.dot(other.edge, other.edge)
@@ -152,7 +162,7 @@ class RodContact(TouchingRods):
     def pair_loads(
         self, own: ContactPoints, other: Elements, weights: Array
     ) -> tuple[SegmentLoads, SegmentLoads]:
-        """Loads on points and on segments."""
+        """Loads of point-segment pairs: on the points, and on the segments."""
         closest, node = self.contact_pairs(own, other, weights)
         force, turns = pair_forces(closest, own, other, self.law)
         subtracted, others = pair_forces(node, own, other, self.law)
@@ -179,7 +189,7 @@ class RodContact(TouchingRods):
     def collected(
         self, own: ContactPoints, on_own: SegmentLoads, on_other: SegmentLoads
     ) -> tuple[SegmentLoads, SegmentLoads]:
-        """Loads on listed elements, from the loads on their contact points."""
+        """Loads on listed elements, summed over the loads on their contact points."""
         force, turns = on_own.on_points, on_own.turning_points
         assert force is not None and own.fractions is not None
         nexts = vectors.scale(own.fractions, force)
@@ -200,7 +210,7 @@ class RodContact(TouchingRods):
         return one, replace(two, forces=vectors.scale(-1.0, one.forces))
 
     def bound(self, own: Parts, every: list[Parts]) -> StabilityBound:
-        """Stiffness and drag as if `max_contacts` rods touched all of each.
+        """Bounds of stiffness and drag as if `max_contacts` rods touched all of a rod.
 
         A spring's change of length is the sum of the contributions of two rods. Its
         square is at most twice the sum of their squares. Slip has four contributions,
@@ -226,7 +236,7 @@ class RodContact(TouchingRods):
 
 
 def _ease(own: Parts) -> Array:
-    """Largest speed of a rod's surface per impulse along it, times length [m/kg]."""
+    """Largest mobility of a surface, 1/m + r^2/J, with m and J per length [m/kg]."""
     assert own.linear_density is not None and own.rest_lengths is not None
     assert own.radii is not None
     inertia = jnp.min(own.inertias, axis=0) / own.rest_lengths
@@ -254,14 +264,14 @@ def rod_contact(
         friction: Coefficient of Coulomb friction [1].
         friction_drag: Largest friction per length and slip speed [kg/(m s)]; by default
             equal to `damping`.
-        self_contact: Whether each rod also touches itself. Places that are nearer to
-            each other along the rod than pi times its radius do not touch.
+        self_contact: Whether each rod also touches itself. Parts of a rod that are
+            nearer to each other along it than pi times its radius do not touch.
         onset: Width of the smooth onset of contact over the mean of the radii [1].
-        points_per_element: Contact points per element; by default so many that they
-            are at most a third of a radius apart. Then the energy of crossing rods is
-            the same to 3 % wherever they cross.
-        max_contacts: Rods that may touch one place at the same time, for `stable_dt`: 2
-            for a few rods, 6 in a bundle.
+        points_per_element: Contact points per element; by default so many that they are
+            at most a third of a radius apart. Then the energy of crossing rods is the
+            same to 3 % wherever they cross.
+        max_contacts: Number of rods that may touch a rod at one place and time, for
+            `stable_dt`: 2 for a few rods, 6 in a bundle.
         lists: Lists of neighbours, from `neighbour_lists`; by default every step tests
             all points against all segments.
 
@@ -269,7 +279,8 @@ def rod_contact(
         A coupling for `make_system`.
 
     Raises:
-        ValueError: If a number is out of range, or friction has no drag.
+        ValueError: If a number is out of range, or friction has neither `friction_drag`
+            nor `damping`.
         TypeError: If a name is not a string.
 
     Example:
@@ -299,7 +310,11 @@ def rod_contact(
 
 
 def points_on(own: Elements, per_element: int) -> ContactPoints:
-    """Contact points of elements, along their leading axis of length one."""
+    """Contact points of listed elements, along a leading axis.
+
+    Fields of the elements are `(1, pairs)`, those of the points `(points, pairs)`. The
+    point at the second node has length zero unless the element is the last of its rod.
+    """
     assert own.first_radii is not None and own.first_lengths is not None
     assert own.starts is not None and own.rest_lengths is not None
     assert own.last is not None and own.rods is not None

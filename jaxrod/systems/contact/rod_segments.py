@@ -291,12 +291,12 @@ class ContactPoints:
 
     @property
     def starts(self) -> Array:
-        """Rest arc lengths where points start: `places`, as points have no extent [m]."""
+        """Rest arc lengths where points start: `places`, without extent [m]."""
         return self.places
 
     @property
     def ends(self) -> Array:
-        """Rest arc lengths where points end: `places`, as points have no extent [m]."""
+        """Rest arc lengths where points end: `places`, without extent [m]."""
         return self.places
 
     def velocity_at(self, place: Any) -> Vec3:

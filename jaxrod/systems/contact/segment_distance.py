@@ -127,7 +127,7 @@ def products(way: Vec3, own: Vec3, other: Vec3) -> Products:
 def between(
     way: Vec3, own: Vec3, other: Vec3, at: tuple[Array | float, Array | float]
 ) -> Vec3:
-    """Vector `way + s own - t other` between points of two segments, `at = (s, t)` [m]."""
+    """Vector `way + s own - t other` between two segments; `at` is (s, t) [m]."""
     x, y, z = (
         w + at[0] * e - at[1] * f for w, e, f in zip(way, own, other, strict=True)
     )
@@ -160,7 +160,7 @@ def nearest_places(way: Vec3, own: Vec3, other: Vec3) -> tuple[Array, Array, Arr
 
 
 def first_guess(have: Products) -> tuple[Array, Array]:
-    """Fractions s, t along two segments at their least distance, up to round-off [1]."""
+    """Fractions along two segments at their closest points, up to round-off [1]."""
     largest = have.own * have.other
     determinant = jnp.maximum(largest - have.mixed * have.mixed, _FLOOR * largest)
     across = have.mixed * have.other_way - have.other * have.own_way
@@ -190,8 +190,7 @@ def lowest(form: Products, start: Array) -> tuple[Array, Array]:
 
 
 def crossedness(have: Products) -> Array:
-    """Weight of contact at the closest points: 0 for parallel segments, 1 for crossed
-    [1].
+    """Weight of contact at closest points: 1 for crossed segments, 0 for parallel [1].
 
     It rises linearly with the squared sine of the angle, from `PARALLEL` to `CROSSED`.
     The rest of the weight goes to contact at the middles of the overlap.
@@ -270,8 +269,7 @@ def nearest_on_curves(
 
 
 def nearest_to_node(way: Vec3, own: Elements, other: Elements, start: Array) -> Array:
-    """Fraction along the second axis nearest to the second node of the first element
-    [1].
+    """Fraction along the second axis nearest to the first element's second node [1].
 
     Args:
         way: Vector from the start of the second element to the start of the first [m].

@@ -37,7 +37,7 @@ MOST_BALLS = 100
 
 @pytree
 class SphereCloud:
-    """Balls on one body, in its own frame."""
+    """Balls of one body, in its own frame, tested against other surfaces."""
 
     offsets: Float[Array, "3 balls"]
     """Centres of the balls; for points on a rim, the centre of the rim [m]."""
@@ -62,7 +62,10 @@ class SphereCloud:
 
     @property
     def reach(self) -> Array:
-        """Largest lever arm of a force along the normal [m]."""
+        """Largest distance of a ball's centre from the origin [m].
+
+        It is the largest lever arm of a force along a surface normal.
+        """
         arms = vectors.safe_norm(vectors.split(self.offsets))
         if self.rim_radii is not None:
             arms = jnp.sqrt(arms * arms + self.rim_radii * self.rim_radii)
@@ -71,9 +74,11 @@ class SphereCloud:
     def places(self, downwards: Vec3) -> Vec3:
         """Centres of the balls, in the body's own frame [m].
 
+        The first point of each rim is its lowest, in the direction `downwards`.
+
         Args:
-            downwards: Vector from every ball towards the other surface, own frame, of
-                any length.
+            downwards: Vector from every ball towards the other surface, in the body's
+                own frame, of any length.
         """
         offsets = vectors.split(self.offsets)
         if self.rim_radii is None:
@@ -102,7 +107,7 @@ class SphereCloud:
 
 
 def _beside(axis: Vec3) -> Vec3:
-    """Unit vector perpendicular to another."""
+    """Unit vector perpendicular to a unit vector."""
     x, y, z = axis
     flat = jnp.abs(z) < 0.9
     p, q, r = jnp.where(flat, y, 0), jnp.where(flat, -x, z), jnp.where(flat, 0, -y)
@@ -179,12 +184,12 @@ def _(shape: Box, balls: int, points_per_edge: int) -> SphereCloud:
 
 
 def given_points(points: Array) -> SphereCloud:
-    """Balls of zero radius at given points on the surface of a body, own frame [m]."""
+    """Balls of radius zero at given points of a surface, in the body's frame [m]."""
     return SphereCloud(points, jnp.zeros_like(points[0]))
 
 
 def spheres_needed(name: str, shape: Body) -> int:
-    """Number of balls along the axis of a shape, at most a radius apart.
+    """Number of balls along the axis of a shape, at most a radius apart; else zero.
 
     Args:
         name: Name of the body, for messages.
@@ -219,6 +224,6 @@ def _direction(vector: Array) -> Array:
 
 
 def _line(start: Array, end: Array, count: int) -> Array:
-    """Equidistant places from one end to the other."""
+    """Equidistant points from `start` to `end`, both included `(3, count)` [m]."""
     share = jnp.asarray(np.linspace(0, 1, count), start.dtype)
     return start[:, None] + (end - start)[:, None] * share[None, :]
