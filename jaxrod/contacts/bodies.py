@@ -1,7 +1,7 @@
 r"""Fixed bodies that a rod can touch, each given by its signed distance.
 
 A body gives, at any point, the distance to its surface (negative inside) and the
-outward unit normal there, which is the distance's gradient. Its numbers are traced:
+outward unit normal there, which is the distance's gradient. Its parameters are traced:
 `vmap` over a body makes random obstacles, `grad` with respect to it moves an obstacle.
 
 Values and gradients are finite everywhere. Where the nearest point of a surface is not
@@ -113,9 +113,9 @@ class Body(ABC):
 
     @property
     def row_of_balls(self) -> tuple[Array, Array, Array] | None:
-        """First centre, last centre and radius of the balls that fill the body [m].
+        """First centre, last centre and radius of a row of balls along the body [m].
 
-        It is `None` for bodies that no row of balls fills.
+        The row extends from end to end. It is `None` for bodies without such a row.
         """
         return None
 

@@ -100,7 +100,7 @@ class Contact(Effect):
 
     @property
     def obstacle(self) -> tuple[Body, int | None]:
-        """Body that the rod can touch, and number of bodies, `None` for a single one."""
+        """Body that the rod can touch; number of bodies, `None` for a single one."""
         return self.body, self.n_bodies
 
     @property
@@ -361,7 +361,7 @@ def _each(change: Callable[[Array], Array], vector: Vec3) -> Vec3:
 
 
 def _lengths_in_bounds(points: list[Points]) -> tuple[Array, Array, Array]:
-    """Lengths that times stiffness or drag are the bounds of contact [m].
+    """Lengths of rod that multiply stiffness and drag in the stability bounds [m].
 
     They are for the stiffness of nodes, the drag of nodes and the drag of elements.
     """

@@ -1,12 +1,12 @@
 r"""The law of contact at a point: normal force, friction, energy, all per length.
 
 These are pure functions of the penetration $p$, the separation speed $v_n$, the slip
-velocity and the parameters of the contact; `jaxrod.contacts.contact` computes these.
-Along the normal a spring and a dashpot act. Their force never pulls, and its slope is
-continuous at $v_n = 0$:
+velocity and the parameters of the contact; `jaxrod.contacts.contact` computes $p$,
+$v_n$ and the slip. Along the normal a spring and a dashpot act. Their force never
+pulls, and its slope is continuous at $v_n = 0$:
 
 $$F_n = k\,\langle p\rangle - c\,s\,v_n \ (v_n < 0), \qquad
-  F_n = \frac{(k\langle p\rangle)^2}{k\langle p\rangle + c\,s\,v_n} \ (v_n > 0),$$
+  F_n = \frac{(k\langle p\rangle)^2}{k\langle p\rangle + c\,s\,v_n} \ (v_n > 0).$$
 
 The dashpot never resists by more than $c\,|v_n|$, which is its part of the stability
 bound. Within the onset its force also grows with the depth, at the rate $c\,|v_n|/w$. A
@@ -56,7 +56,7 @@ def normal_force(
     stiffness: Array,
     damping: Array | None = None,
 ) -> Array:
-    """Force per length along the normal [N/m].
+    """Normal force per length of a spring and a dashpot, which never pull [N/m].
 
     Args:
         depth: Penetration [m].
@@ -152,7 +152,7 @@ class PenaltyLaw:
         rate: Vec3 | None,
         turning: Vec3 | None = None,
     ) -> tuple[Array, Vec3 | None]:
-        """Size of the normal force, and friction (`None` without friction).
+        """Size of the normal force, and vector of friction (`None` without friction).
 
         Args:
             depth: Penetration [m].
@@ -181,7 +181,7 @@ def directional_friction_force(
     drag: Array,
     stick_ratio: Array | None = None,
 ) -> Vec3:
-    """Force per length along the surface, with coefficients along an axis and across.
+    """Friction force per length, with coefficients along an axis and across it [N/m].
 
     Args:
         push: Normal force per length [N/m].

@@ -17,9 +17,9 @@ $$\ell = \frac{h}{2}\,\frac{p}{\sqrt[4]{p^4 + (3hm/2)^4}} + 2 a m^2.$$
   side.
 
 The energy is proportional to this length. Its derivative with respect to $m$ is a pair
-of forces along the normals at the end and at a place beside it, between which the rise
-is measured. This place is an element or a radius away, whichever is farther, but at
-most half the rod.
+of forces along the normals at the end and at a point beside it, between which the rise
+is measured. This point is one element away, or a radius but at most half the rod,
+whichever is farther.
 """
 
 from __future__ import annotations
@@ -137,14 +137,15 @@ class Ends:
         return self.to_points(self.half_spacings + 2 * self.free * self.radii)
 
     def bound(self) -> Array:
-        """Lengths on contact points whose product with the stiffness bounds it [m].
+        """Lengths at contact points that bound the stiffness of the ends [m].
 
-        The bound holds for penetrations up to a quarter of the radius. This quarter is
-        a fraction c of the distance to the point beside the end. The Hessian of the
-        energy over the stiffness has two parts. Its part from the half spacing is at
-        most 1.3 half spacings for the end and 0.43 half spacings for the point beside
-        it. Its part from the thickness is at most 1 + 6c + 2c^2 thicknesses for the end
-        and 2c + 2c^2 thicknesses for the point beside it.
+        The stiffness is at most these lengths times the stiffness per length. The bound
+        holds for penetrations up to a quarter of the radius. This quarter is a fraction
+        c of the distance to the point beside the end. The Hessian of the energy over
+        the stiffness has two parts. Its part from the half spacing is at most 1.3 half
+        spacings for the end and 0.43 half spacings for the point beside it. Its part
+        from the thickness is at most 1 + 6c + 2c^2 thicknesses for the end and 2c +
+        2c^2 thicknesses for the point beside it.
         """
         c = 0.25 * self.radii / self.reaches
         thickness = 2 * self.radii
@@ -172,7 +173,7 @@ def ends_of(
     """
 
     def at_start(lengths: Array, radius: Array) -> tuple[Array, Array]:
-        """Rest length to the point beside the first end, and its weights of nodes."""
+        """Rest length to the point beside the first end; weights of nodes there."""
         reach = jnp.maximum(lengths[0], jnp.minimum(radius, 0.5 * jnp.sum(lengths)))
         before = jnp.cumsum(lengths) - lengths
         passed = jnp.clip((reach - before) / lengths, 0, 1)

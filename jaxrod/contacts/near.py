@@ -33,7 +33,7 @@ class OneForEach(Body):
     points, and a leading axis if there are several bodies at each point."""
 
     def of_ends(self) -> OneForEach:
-        """The bodies of the first and of the last point."""
+        """The bodies for the first and the last contact point only."""
 
         def ends(leaf: Array) -> Array:
             return jnp.concatenate([leaf[..., :1], leaf[..., -1:]], axis=-1)

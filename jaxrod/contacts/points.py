@@ -2,11 +2,11 @@
 
 Contact acts per length of rod. Its integral is a sum over points, each weighted by the
 length it stands for (the trapezoidal rule), so loads do not depend on the number of
-elements. The ends have a law of their own (`jaxrod.contacts.ends`). The points are the
-nodes: the tip is one of them, and a force there is a force on a node.
-Long elements have more points between their nodes; both nodes share the forces there by
-the lever rule. The transfer of loads to the rod is the transpose of the interpolation
-of its motion at the points, so no momentum and no power is lost.
+elements. The ends follow a separate law (`jaxrod.contacts.ends`). The points are the
+nodes: the tip is one of them, and a force there is a force on a node. Long elements
+have more points between their nodes; both nodes share the forces there by the lever
+rule. The transfer of loads to the rod is the transpose of the interpolation of its
+motion at the points, so no momentum and no power is lost.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ from jaxrod.validation import is_traced
 
 
 class Points(Protocol):
-    """Interface of contact points of a rod: interpolation, and its transpose."""
+    """Interface of contact points of a rod: interpolation to them and its transpose."""
 
     @property
     def lengths(self) -> Array:

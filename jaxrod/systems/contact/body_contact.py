@@ -92,7 +92,7 @@ class BodyContact(PenaltyContact):
             )
 
     def fitted(self, parts: AllParts, tied: tuple[TiedPair, ...]) -> BodyContact:
-        """The coupling with the number of contact points per element set."""
+        """The coupling with the number of contact points, by default a radius apart."""
         if self.points_per_element is not None:
             return self
         # At most a radius apart.

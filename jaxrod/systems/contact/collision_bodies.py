@@ -84,8 +84,8 @@ class CollisionBodies:
     cloud: SphereCloud | None
     """Balls of each body in its own frame; `None` if only the surface is known."""
     sizes: Array
-    """Size of each body, sqrt(2.5 J/m) with its smallest moment of inertia J: a
-    sphere's radius; infinite for a fixed body [m]."""
+    """Size of each body, to scale the onset of contact: sqrt(2.5 J/m) with its smallest
+    moment of inertia J, a sphere's radius; infinite for a fixed body [m]."""
     reach: Array
     """Largest distance of a contact from the origin of a body; zero for a fixed body
     [m]."""
@@ -266,7 +266,7 @@ class CollisionPair:
 
     @staticmethod
     def contacts(a: CollisionBodies, b: CollisionBodies, *, same: bool) -> float:
-        """Bound of the weighted number of balls with which two bodies touch [1]."""
+        """Upper bound of the weighted number of balls with which two bodies touch."""
         total = 0.0
         for first, _, share in CollisionPair.between(a, b, same=same):
             looks, surface = (a, b) if first else (b, a)

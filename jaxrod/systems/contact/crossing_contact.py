@@ -4,9 +4,9 @@ Over the segments $i$, $j$ of two rods and the nodes between segments
 
 $$E = \sum_{ij} \big[\psi(p_{ij}) - \psi(p_{vj}) - \psi(p_{iw}) + \psi(p_{vw})\big].$$
 
-The penetration $p$ is taken at the closest points of two segments, of the next node $v$
-or $w$ of one segment and the other segment, and of both nodes. Segments are pieces of
-curves that are smooth at nodes (`jaxrod.systems.contact.smooth_axes`): on polylines,
+The penetration $p$ is taken at the closest points of two segments, of the second node
+$v$ or $w$ of one segment and the other segment, and of both nodes. Segments are pieces
+of curves that are smooth at nodes (`jaxrod.systems.contact.smooth_axes`): on polylines,
 rods at rest on each other would slide to nodes, where their energy is lower. By
 inclusion-exclusion over segments and the nodes between them a crossing counts once,
 wherever it is and however long segments are compared with their radius. The sum is
@@ -16,11 +16,11 @@ meant for nests, nets and knots of long elements. Forces are exactly those of th
 energy, and act at one common point of both rods.
 
 Subtracted terms have springs only. Dashpots and friction act at the closest points of
-two segments and are reduced by the subtracted share of the push. A subtracted dashpot
-would act at another place, which moves differently, and would feed in energy.
-So next to a node they belong to only one of its two segments. If the nodes of a rod are
-numbered in the opposite order, they change there by an amount of first order in the
-length of a segment.
+two segments and are reduced in proportion to the normal force that is subtracted. A
+subtracted dashpot would act at another point, which moves differently, and would feed
+in energy. So next to a node dashpots and friction belong to only one of its two
+segments. If the nodes of a rod are numbered in the opposite order, these forces change
+there by an amount of first order in the length of a segment.
 """
 
 from __future__ import annotations
@@ -115,7 +115,7 @@ class CrossingContact(TouchingRods):
         return None if share is None else share > 0
 
     def scales(self, own: Elements, other: Elements) -> tuple[Array, Array]:
-        """Means of the radii, and of the rest lengths, of both elements [m]."""
+        """Means of the radii and of the rest lengths of both elements, for `share` [m]."""
         assert own.rest_lengths is not None and other.rest_lengths is not None
         return (
             0.5 * (own.radii + other.radii),
@@ -199,8 +199,8 @@ class CrossingContact(TouchingRods):
         contribute. The shift of the middles does, and so does the change of both
         weights.
 
-        Returns: Forces conjugate to the vector between the first nodes and to both
-        edges.
+        Returns:
+            Forces conjugate to the vector between the first nodes and to both edges.
         """
         lines = vectors.subtract(own.first, other.first), own.edge, other.edge
         weight = nearest.weight + middle.weight

@@ -33,7 +33,7 @@ class Elements:
     edge: Vec3
     """Vectors from the first nodes to the second nodes [m]."""
     radii: Array
-    """Radii [m]."""
+    """Radii of the elements [m]."""
     follows: Array
     """Flag: 1 where another element follows, on this rod or on one tied to its end;
     else 0 [1]."""
@@ -54,7 +54,7 @@ class Elements:
     starts: Array | None = None
     """Rest arc length from the start of its rod to each element [m]."""
     rest_lengths: Array | None = None
-    """Rest lengths [m]."""
+    """Rest lengths of the elements [m]."""
     first_radii: Array | None = None
     """Radius at the first node of each element [m]; `None` without contact points."""
     first_lengths: Array | None = None
@@ -214,12 +214,12 @@ def _pieces(
 
 
 def row_vector(tree: Tree) -> Tree:
-    """Arrays `(n,)` as `(1, n)`."""
+    """Each array `(n,)` of a tree, reshaped to `(1, n)`."""
     return jax.tree.map(lambda leaf: leaf[None, :], tree)
 
 
 def column_vector(tree: Tree) -> Tree:
-    """Arrays `(n,)` as `(n, 1)`."""
+    """Each array `(n,)` of a tree, reshaped to `(n, 1)`."""
     return jax.tree.map(lambda leaf: leaf[:, None], tree)
 
 

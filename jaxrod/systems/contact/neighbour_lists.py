@@ -42,13 +42,13 @@ class NeighbourLists:
     """Gap between surfaces up to which elements are listed, over the largest radius
     [1]."""
     refresh_every: int = static(default=32)
-    """Steps between searches."""
+    """Number of time steps between searches."""
     pairs: int | tuple[int, ...] | None = static(default=None)
-    """Number of pairs that a list can hold: one number for all lists, or one for each;
+    """Largest number of pairs in a list: one number for all lists, or one for each;
     `None` to count them in the state given to `make_system`."""
     candidates: int | tuple[int, ...] | None = static(default=None)
-    """Number of pairs near enough to compute their exact distance: one number for all
-    lists, or one for each; `None` to count them too."""
+    """Largest number of pairs near enough to compute their exact distance: one number
+    for all lists, or one for each; `None` to count them too."""
     cell_slots: int | None = static(default=None)
     """Largest number of elements in three neighbouring cells of the search grid; 0 for
     no grid, so that all pairs are tested; `None` to count them too."""
@@ -73,7 +73,7 @@ class FoundNeighbours:
     used: Float[Array, " lists"]
     """Number of pairs that each list needs [1]."""
     candidates: Float[Array, " lists"]
-    """Number of candidates of each list [1]."""
+    """Number of candidates of each list: pairs whose exact distance is computed [1]."""
     in_cells: Float[Array, ""]
     """Largest number of elements in three neighbouring cells [1]."""
 
@@ -96,7 +96,7 @@ class NeighbourRecord:
     missed: Float[Array, ""]
     """Largest shortage of entries in a list; positive if pairs were missed [1]."""
     moved: Float[Array, ""]
-    """Largest displacement of a node since the last search, over half the skin [1]."""
+    """Largest displacement of a node between two searches, over half the skin [1]."""
     used: Float[Array, ""]
     """Largest number of entries that a list needed [1]."""
 

@@ -1,13 +1,13 @@
 """Search for elements that are near to each other: in a grid of cells, or among all.
 
-The edge of a cell is longer than the largest distance between the middles of a pair
-within reach. The grid is centred at the mean of the middles of the second elements.
+The edge of a cell is longer than the largest distance between the midpoints of a pair
+within reach. The grid is centred at the mean of the second elements' midpoints.
 Everything beyond 512 cells from there is in the outermost cells: neighbours are then
 still in neighbouring cells, and only their number grows. Elements are sorted by cell,
 and three cells in a row are one stretch of this order. Nine stretches hold all elements
 that may be near, five if each pair of one member is searched once.
 
-Pairs from these stretches are candidates if their middles are near enough for their
+Pairs from these stretches are candidates if their midpoints are near enough for their
 lengths. The exact distance is computed for candidates only. The k-th candidate of an
 element is where its running count reaches k, found by bisection. Candidates are
 processed in blocks, and the pairs that remain of a block are written behind those of
@@ -233,9 +233,9 @@ class CandidateList:
     rows: Rows
     """Rows of second elements that were tested."""
     running: Int[Array, "rows own"]
-    """Cumulative number of candidates of each first element, row by row."""
+    """Cumulative number of candidates of each first element, over the rows."""
     until: Int[Array, " own"]
-    """Cumulative number of candidates, first element by first element."""
+    """Cumulative number of candidates in all rows, over the first elements."""
     size: int = static()
     """Largest number of candidates that can be listed."""
     once: bool = static()
@@ -247,7 +247,7 @@ class CandidateList:
         return self.until[-1]
 
     def named(self, number: Array) -> NeighbourList:
-        """Pairs of elements of the candidates with the given numbers, from 0."""
+        """Element indices of the candidates with the given numbers, from 0."""
         until, rows = self.until, self.rows
         column = jnp.minimum(_count(until, number), until.shape[0] - 1)
         before = jnp.where(column > 0, until[column - 1], 0)
@@ -331,7 +331,7 @@ def pairs_within(
         )
         running = jnp.cumsum(near.astype(jnp.int32))
         place = jnp.minimum(_count(running, within), block - 1)
-        # Both numbers are in one row: XLA's CPU compiler aborts the process for two
+        # Both indices are in one array: XLA's CPU compiler aborts the process for two
         # updates of a batch at the same index.
         pairs = jnp.stack([listed.own, listed.other], axis=-1)[place]
         # Entries after the last near pair are overwritten by the next block. Once the

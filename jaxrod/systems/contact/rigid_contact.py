@@ -66,7 +66,7 @@ class RigidContact(PenaltyContact):
     balls_per_axis: int | None = static(default=None)
     """Number of balls along each axis, if given; `None` to derive it from the shape."""
     points_per_edge: int = static(default=2)
-    """Points on every edge of a box, corners included."""
+    """Number of contact points on every edge of a box, corners included."""
     max_contacts: int | None = static(default=None)
     """Bodies that may touch one body at a time, for the stability bound; `None` for
     all."""
@@ -134,7 +134,7 @@ class RigidContact(PenaltyContact):
         )
 
     def _pairs(self, groups: Sequence[CollisionBodies]) -> Iterator[tuple[int, int]]:
-        """Pairs of indices of groups that may touch, each with a moving one."""
+        """Pairs of indices of groups that may touch; the first group moves."""
         moving = len(self.members)
         for a in range(moving):
             for b in range(a, len(groups)):
@@ -142,7 +142,7 @@ class RigidContact(PenaltyContact):
                     yield a, b
 
     def _collisions(self, seen: AllSeen) -> Iterator[tuple[int, int, CollisionPair]]:
-        """Contacts, with the indices of the groups with the balls and the surfaces."""
+        """Contacts (a, b, pair) of the balls of group a with the surfaces of group b."""
         for a, b in self._pairs(self.groups):
             one, two = self.groups[a], self.groups[b]
             for first, _, share in CollisionPair.between(one, two, same=a == b):
@@ -348,7 +348,7 @@ def _ease(group: CollisionBodies, rubs: bool) -> Array:
 
 
 def _worst(columns: list[Array], max_contacts: int | None) -> Array:
-    """Sums of rows, or bounds of them for at most `max_contacts` entries."""
+    """Sum of each row over all bodies, or a bound of it for `max_contacts` bodies."""
     every = jnp.concatenate(columns, axis=1)
     total = jnp.sum(every, axis=1)
     if max_contacts is None:

@@ -136,7 +136,7 @@ class RodContact(TouchingRods):
         return half if share is None else half * share
 
     def scales(self, own: ContactPoints, other: Elements) -> tuple[Array, Array]:
-        """Radius of the segments, and their length: the rise of the share [m]."""
+        """Radius and rest length of segments; `share` rises over the length [m]."""
         assert other.rest_lengths is not None
         return other.radii, other.rest_lengths
 
@@ -206,7 +206,7 @@ class RodContact(TouchingRods):
         )
         one, two = jax.tree.map(lambda leaf: jnp.sum(leaf, axis=0), both)
         assert one.forces is not None
-        # The force on the segment is the opposite one, so it is summed only once.
+        # The force on the segment is opposite to that on the points: one sum is enough.
         return one, replace(two, forces=vectors.scale(-1.0, one.forces))
 
     def bound(self, own: Parts, every: list[Parts]) -> StabilityBound:

@@ -104,7 +104,7 @@ class RodSegments:
         return np.isin(np.arange(self.count), self.closed)[:, None]
 
     def smooth(self, nodes: Array) -> tuple[Array, Array]:
-        """Positions and tangents of smooth axes at the nodes; see `smooth_nodes`."""
+        """Positions and tangents of smooth axes at the nodes, from nodal positions."""
         place, tangent = smooth_nodes(self._rods(nodes), self.is_closed)
         return place.reshape(-1), tangent.reshape(-1)
 
@@ -291,21 +291,21 @@ class ContactPoints:
 
     @property
     def starts(self) -> Array:
-        """Rest arc lengths where points start: `places`, without extent [m]."""
+        """Rest arc lengths where the points start, equal to `places` [m]."""
         return self.places
 
     @property
     def ends(self) -> Array:
-        """Rest arc lengths where points end: `places`, without extent [m]."""
+        """Rest arc lengths where the points end, equal to `places` [m]."""
         return self.places
 
     def velocity_at(self, place: Any) -> Vec3:
-        """Velocities of the points, for any `place` [m/s]."""
+        """Velocities of the points [m/s]; `place` is ignored."""
         assert self.velocity is not None
         return self.velocity
 
     def spin_at(self, place: Any) -> Vec3:
-        """Angular velocities at the points, for any `place`; world frame [rad/s]."""
+        """Angular velocities at the points [rad/s]; `place` is ignored."""
         assert self.spin is not None
         return self.spin
 

@@ -14,12 +14,12 @@ Below $10^{-6}$ only the middles are in contact. The transition begins at such s
 angles because segments that touch only at their closest points would not touch at their
 middles.
 
-Two pieces of smooth axes take Newton's method in the unit square, started from the
-closest points of the chords. In each step the squared distance is replaced by its
+For two pieces of smooth axes Newton's method is used in the unit square, started from
+the closest points of the chords. In each step the squared distance is replaced by its
 second-order expansion, again a quadratic form. This form is not convex for pieces that
 bend towards each other and are nearly parallel: their closest points lie on the border,
 and the step goes there in the direction in which the distance falls. Curvature terms
-that halve the second derivative along one piece are left out. Such a piece bends around
+that at least halve the second derivative along one piece are left out. Such a piece bends around
 the other with a radius of less than twice their distance, so its closest point is
 ill-defined.
 """

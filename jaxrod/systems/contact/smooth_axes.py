@@ -3,7 +3,7 @@ r"""Smooth axes: curves along rods that are as smooth at nodes as between them.
 Where a polyline bends, its nodes stick out and the middles of its elements lie inside.
 So a load that slides along the polyline goes up and down, and rests at nodes. A curve
 through the nodes still has this fault. Here each element has the cubic Hermite curve
-with places $y_i$ and tangents $m_i$ at its nodes. With the central differences
+with positions $y_i$ and tangents $m_i$ at its nodes. With the central differences
 $\mu\delta, \delta^2, \ldots$ of the nodes along the rod they are
 
 $$y = x + \tfrac1{24} \delta^2 x - 0.041\, \delta^4 x, \qquad
@@ -14,7 +14,7 @@ that a load on a limp rope does the same work as on a smooth rope. The other two
 fitted so that the work of a load on a straight rope under tension is the same wherever
 along an element the load has slid to. For a limp rope it varies by 4e-5 of the load
 times the angle times the length of an element, where a polyline has 6e-2; for a stiff
-one it varies less. Straight rods stay straight. The curve of a rod that turns turns
+one it varies less. Straight rods stay straight. When a rod rotates, its curve rotates
 with it, so a force on the curve has the same moment as its forces on the nodes.
 
 Open rods are continued beyond their ends by point reflection, closed rods by the
@@ -34,8 +34,7 @@ INWARDS, FLAT, TANGENT = 1 / 24, -0.041, -0.136
 """Coefficients of the second and fourth differences in positions, and of the third
 difference in tangents [1]."""
 FARTHEST = 1.165
-"""Largest displacement of a point on a smooth axis if no node moves by more than
-one."""
+"""Largest displacement of a point on a smooth axis over that of any node [1]."""
 _ALIKE = 12
 """Elements of the longest rod for which `stiffest` is computed. Longer rods repeat the
 value of its middle node."""
@@ -98,7 +97,7 @@ def stiffest(n_elements: int) -> np.ndarray:
     with jax.ensure_compile_time_eval():
         open_rods = np.zeros((n + 1, 1), bool)
         both = smooth_nodes(jnp.eye(n + 1), open_rods)
-    # Response of all places and tangents to a unit displacement of each node.
+    # Response of all positions and tangents to a unit displacement of each node.
     place, tangent = (np.asarray(field, float).T for field in both)
     s = np.linspace(0, 1, 101)[:, None, None]
     weights = np.abs(

@@ -1,6 +1,6 @@
 r"""Sphere clouds: balls on a rigid body, tested for contact with another.
 
-A ball is a place in the body's own frame and a radius. A sphere is a single ball. A
+A ball has a centre in the body's own frame and a radius. A sphere is a single ball. A
 capsule has several balls along its axis. A box has balls of zero radius at its corners.
 A cylinder has balls along its axis, like a capsule, and points on its two rims. The
 first point of a rim is always its lowest, so that a cylinder rolls and stands without
@@ -189,7 +189,9 @@ def given_points(points: Array) -> SphereCloud:
 
 
 def spheres_needed(name: str, shape: Body) -> int:
-    """Number of balls along the axis of a shape, at most a radius apart; else zero.
+    """Number of balls in a row along a shape's axis, at most a radius apart.
+
+    It is zero for shapes without such a row.
 
     Args:
         name: Name of the body, for messages.

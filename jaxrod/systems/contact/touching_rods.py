@@ -115,7 +115,7 @@ class TouchingRods(PenaltyContact):
         raise _without(self, "weights")
 
     def scales(self, own: Any, other: Elements) -> tuple[Array, Array]:
-        """Radius, and length over which the share of self-contact rises [m]."""
+        """Radius, and length over which the factor `share` rises from 0 to 1 [m]."""
         raise _without(self, "scales")
 
     def contact_pairs(
@@ -172,7 +172,7 @@ class TouchingRods(PenaltyContact):
 
     @property
     def places_matter(self) -> bool:
-        """Whether contact depends on the elements' rods and arc lengths."""
+        """Whether contact depends on rods and arc lengths of the elements."""
         return (
             self.self_contact
             or bool(self.tied)
@@ -428,7 +428,7 @@ class TouchingRods(PenaltyContact):
         """
         assert self.lists is not None
         lists, given = self.lists, self.lists
-        # A count is correct only if the stage before had enough room.
+        # A count is correct only if the stage before had enough entries.
         for _ in range(3):
             trial = replace(
                 lists,
