@@ -351,7 +351,8 @@ class _OfBody(NamedTuple):
     at_ends: _Pushed | None
     """Loads on the ends; `None` if they are not among the points."""
     beside: Vec3 | None
-    """Forces at the points beside the ends (see `Ends`) [N]."""
+    """Forces at the point beside each end, between which and the end the slope of the
+    rod is measured [N]."""
 
 
 def _each(change: Callable[[Array], Array], vector: Vec3) -> Vec3:

@@ -51,8 +51,8 @@ class Ends:
     free: Float[Array, " ends"]
     """Flags: 1 where the end is free, 0 where the rod continues in another rod [1]."""
     reaches: Float[Array, " ends"]
-    """Rest length from each end to the point beside it, where the slope is measured
-    [m]."""
+    """Rest length from each end to the point beside it. The slope of the rod to a
+    surface is measured between both [m]."""
     shares: Float[Array, "rods 2 points"]
     """Weights by which a rod's contact points are interpolated at the points beside
     both of its ends [1]."""
@@ -63,7 +63,10 @@ class Ends:
         return jnp.concatenate([rods[:, :1], rods[:, -1:]], axis=1).reshape(-1)
 
     def beside(self, field: Vec3) -> Vec3:
-        """Vector field at the points beside the ends, from the contact points."""
+        """Vector field at a point beside each end, from values at the contact points.
+
+        Between this point and the end the slope of the rod to a surface is measured.
+        """
 
         def one(component: Array) -> Array:
             rods = component.reshape(len(self.shares), 1, -1)

@@ -369,7 +369,7 @@ class CollisionPair:
 def _touch(
     cloud: SphereCloud, balls: Posed, body: Posed, width: Array
 ) -> tuple[Array, Array, Vec3, Vec3, tuple[Vec3, Vec3]]:
-    """Depth, width, normal, rate and arms of balls at the surface of one body."""
+    """Penetration, width, normal, velocity and lever arms of balls at a surface."""
 
     def world(own: Vec3) -> Vec3:
         return vectors.add(balls.position, to_world(balls.frame, own))

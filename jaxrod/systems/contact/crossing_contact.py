@@ -115,7 +115,7 @@ class CrossingContact(TouchingRods):
         return None if share is None else share > 0
 
     def scales(self, own: Elements, other: Elements) -> tuple[Array, Array]:
-        """Means of the radii and of the rest lengths of both elements, for `share` [m]."""
+        """Mean radius and mean rest length of both elements; they limit contact [m]."""
         assert own.rest_lengths is not None and other.rest_lengths is not None
         return (
             0.5 * (own.radii + other.radii),
@@ -123,7 +123,10 @@ class CrossingContact(TouchingRods):
         )
 
     def weights(self, a: int, b: int, own: Elements, other: Elements) -> Array:
-        """Weights of pairs of elements: `share`, or one where it is `None` [1]."""
+        """Weights of pairs of elements: one, or less [1].
+
+        Less near tied nodes and between neighbouring elements of one rod.
+        """
         share = self.share(a, b, own, other)
         return jnp.ones_like(own.radii + other.radii) if share is None else share
 
@@ -192,12 +195,12 @@ class CrossingContact(TouchingRods):
     def _shifting(
         self, nearest: ContactPair, middle: ContactPair, own: Elements, other: Elements
     ) -> tuple[Vec3, Vec3, Vec3]:
-        """Forces from the shift of contact between closest points and middles.
+        """Forces from changes of the weight c of closest points, and of the middles.
 
-        They act on segments that are nearly parallel. At the closest points the
-        distance is stationary, so the shift of these points along the segments does not
-        contribute. The shift of the middles does, and so does the change of both
-        weights.
+        The energy of two segments is c times that of contact at their closest points,
+        plus 1 - c times that of contact at the middles of their overlap. At the closest
+        points the distance is stationary, so the shift of these points along the
+        segments does not contribute.
 
         Returns:
             Forces conjugate to the vector between the first nodes and to both edges.

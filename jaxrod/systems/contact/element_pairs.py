@@ -110,7 +110,7 @@ class Elements:
 
 
 def bulge_shares(fraction: Array) -> tuple[Array, Array]:
-    """Weights s (1 - s)^2 and -s^2 (1 - s) of both bulges in a smooth axis at s [1]."""
+    """Hermite weights s (1 - s)^2 and -s^2 (1 - s) of the bulges at both nodes [1]."""
     rest = 1 - fraction
     return fraction * rest * rest, -fraction * fraction * rest
 
@@ -194,9 +194,9 @@ def elements_at(
 def _pieces(
     segments: RodSegments, nodes: Vec3, *, smooth: bool
 ) -> tuple[Vec3, Vec3, tuple[Vec3, Vec3] | None]:
-    """Nodal field at first nodes, its change to second nodes, and its bulges.
+    """Nodal field at first nodes, its change to second nodes, tangents minus change.
 
-    With `smooth` the field is that of smooth axes; bulges are `None` without it.
+    With `smooth` these are those of smooth axes; tangents are `None` without it.
     """
     tangents: Vec3 | None = None
     if smooth:

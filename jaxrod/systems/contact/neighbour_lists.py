@@ -143,8 +143,8 @@ def neighbour_lists(
     entries that a state needs.
 
     Args:
-        refresh_every: Steps between searches: somewhat less than `skin * radius / (2 *
-            dt * speed)` with the speed of the fastest node.
+        refresh_every: Steps between searches: somewhat less than
+            `skin * radius / (2 * dt * speed)` with the speed of the fastest node.
         skin: Gap between surfaces up to which elements are listed, over the largest
             radius [1]. A larger skin makes lists longer and valid for more steps.
         pairs: Largest number of pairs of elements of two members (or of one) that may

@@ -142,7 +142,7 @@ class RigidContact(PenaltyContact):
                     yield a, b
 
     def _collisions(self, seen: AllSeen) -> Iterator[tuple[int, int, CollisionPair]]:
-        """Contacts (a, b, pair) of the balls of group a with the surfaces of group b."""
+        """Contacts (a, b, pair) of balls of group a with surfaces of group b."""
         for a, b in self._pairs(self.groups):
             one, two = self.groups[a], self.groups[b]
             for first, _, share in CollisionPair.between(one, two, same=a == b):

@@ -127,16 +127,17 @@ class RodContact(TouchingRods):
         return points, row_vector(other), row_vector(there)
 
     def weights(self, a: int, b: int, own: ContactPoints, other: Elements) -> Array:
-        """Weights of point-segment pairs: half the point's length, times `share` [m].
+        """Weights of point-segment pairs: half the point's rest length, or less [m].
 
         Half, since the points of each rod are tested against the segments of the other.
+        Less near tied nodes and between neighbouring elements of one rod.
         """
         half = 0.5 * own.lengths
         share = self.share(a, b, own, other)
         return half if share is None else half * share
 
     def scales(self, own: ContactPoints, other: Elements) -> tuple[Array, Array]:
-        """Radius and rest length of segments; `share` rises over the length [m]."""
+        """Radius and rest length of the segments, which limit self-contact [m]."""
         assert other.rest_lengths is not None
         return other.radii, other.rest_lengths
 

@@ -19,9 +19,9 @@ the closest points of the chords. In each step the squared distance is replaced 
 second-order expansion, again a quadratic form. This form is not convex for pieces that
 bend towards each other and are nearly parallel: their closest points lie on the border,
 and the step goes there in the direction in which the distance falls. Curvature terms
-that at least halve the second derivative along one piece are left out. Such a piece bends around
-the other with a radius of less than twice their distance, so its closest point is
-ill-defined.
+that at least halve the second derivative along one piece are left out. Such a piece
+bends around the other with a radius of less than twice their distance, so its closest
+point is ill-defined.
 """
 
 from __future__ import annotations

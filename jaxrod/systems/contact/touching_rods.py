@@ -115,7 +115,11 @@ class TouchingRods(PenaltyContact):
         raise _without(self, "weights")
 
     def scales(self, own: Any, other: Elements) -> tuple[Array, Array]:
-        """Radius, and length over which the factor `share` rises from 0 to 1 [m]."""
+        """Radius r and length l that limit the contact of a rod with itself [m].
+
+        Its weight rises from 0 at an arc length of pi r between the elements to 1 at pi
+        r + l.
+        """
         raise _without(self, "scales")
 
     def contact_pairs(
@@ -220,9 +224,9 @@ class TouchingRods(PenaltyContact):
         ]
 
     def share(self, a: int, b: int, own: Any, other: Elements) -> Array | None:
-        """Factor 0..1 on the contact of each pair of elements; `None` if it is one [1].
+        """Weight 0..1 on the contact of each pair of elements; `None` if it is one [1].
 
-        It is reduced near tied nodes and between neighbouring elements of one rod.
+        It is below one near tied nodes and between neighbouring elements of one rod.
         """
         share: Array | None = None
         if a == b:
