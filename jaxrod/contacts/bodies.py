@@ -40,8 +40,7 @@ from jaxrod.structure import pytree, static
 from jaxrod.validation import Numbers, as_array, check_array, is_traced
 
 _ROUNDED = 1e-6
-"""Length d over a body's size, where distances |x| are smoothed to sqrt(x^2 + d^2)
-[1]."""
+"""Smoothing length d in sqrt(x^2 + d^2) for |x|, over a body's size [1]."""
 
 
 class Body(ABC):
@@ -66,10 +65,7 @@ class Body(ABC):
         """Signed distance [m], negative inside, and outward normal at each point."""
 
     def of_ends(self) -> Body:
-        """Body for the points at the ends of a rod: the same one by default.
-
-        Bodies that differ from point to point select those of the first and last point.
-        """
+        """Body for the first and last point; only `OneForEach` depends on points."""
         return self
 
     @property

@@ -80,8 +80,7 @@ class Contact(Effect):
     friction_drag: Float[Array, ""] | None = None
     """Largest friction per length of rod and slip speed [kg/(m s)]."""
     n_bodies: int | None = static(default=None)
-    """Number of bodies if their arrays have a leading axis; `None` for a single
-    body."""
+    """Number of bodies along a leading axis; `None` for a single body."""
     near: tuple[Body, ...] | None = None
     """Nearest bodies of each point, for each entry of `contact_points`; `None` to test
     all bodies."""
@@ -351,8 +350,7 @@ class _OfBody(NamedTuple):
     at_ends: _Pushed | None
     """Loads on the ends; `None` if they are not among the points."""
     beside: Vec3 | None
-    """Forces at the point beside each end, between which and the end the slope of the
-    rod is measured [N]."""
+    """Forces at the points beside the ends, where `Ends` measures slopes [N]."""
 
 
 def _each(change: Callable[[Array], Array], vector: Vec3) -> Vec3:
@@ -362,10 +360,7 @@ def _each(change: Callable[[Array], Array], vector: Vec3) -> Vec3:
 
 
 def _lengths_in_bounds(points: list[Points]) -> tuple[Array, Array, Array]:
-    """Lengths of rod that multiply stiffness and drag in the stability bounds [m].
-
-    They are for the stiffness of nodes, the drag of nodes and the drag of elements.
-    """
+    """Contact lengths in bounds: of nodes' stiffness and drag, elements' drag [m]."""
     stiff, slow, turning = [], [], []
     for some in points:
         bound = longest = some.lengths
@@ -460,8 +455,7 @@ def contact(
         An effect to list in a scene.
 
     Raises:
-        ValueError: If a number is out of range, or friction has neither `friction_drag`
-            nor `damping`.
+        ValueError: If a number is out of range, or friction is given without drag.
         TypeError: If the bodies are not bodies, or not all of one kind.
 
     Example:

@@ -63,10 +63,7 @@ class Ends:
         return jnp.concatenate([rods[:, :1], rods[:, -1:]], axis=1).reshape(-1)
 
     def beside(self, field: Vec3) -> Vec3:
-        """Vector field at a point beside each end, from values at the contact points.
-
-        Between this point and the end the slope of the rod to a surface is measured.
-        """
+        """Vector field at the point beside each end, from values at the points."""
 
         def one(component: Array) -> Array:
             rods = component.reshape(len(self.shares), 1, -1)

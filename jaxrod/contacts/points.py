@@ -47,10 +47,7 @@ class Points(Protocol):
         """Forces at the points, divided between nodes: the transpose of `of_nodes`."""
 
     def to_elements(self, field: Array) -> Array:
-        """Component of couples at the points, divided between elements.
-
-        It is the transpose of `of_elements`.
-        """
+        """Component of couples at points, on elements: transpose of `of_elements`."""
 
 
 @pytree
@@ -91,8 +88,7 @@ class BetweenNodes:
     lengths: Array
     """Rest length of rod that each point stands for [m]."""
     fraction: Array
-    """Fraction along each element, from its first node to its last, at which its point
-    lies [1]."""
+    """Fraction along each element, from first to last node, of its point [1]."""
     ends: None = None
 
     def of_nodes(self, field: Vec3) -> Vec3:
@@ -154,10 +150,7 @@ class ThinBodyWarning(UserWarning):
 
 
 def check_spacing(inradius: Array | None, rod: Rod, per_element: int) -> None:
-    """Warns where a body fits between contact points.
-
-    Neighbouring points are then farther apart than the sum of the radii of rod and
-    body.
+    """Warns where points are farther apart than rod radius plus body inradius.
 
     Args:
         inradius: Radius of the largest ball in each body; `None` if it is not known

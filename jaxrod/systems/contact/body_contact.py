@@ -61,8 +61,7 @@ class BodyContact(PenaltyContact):
     free_ends: Float[Array, "rods 2"] | None = None
     """Flags of the rods' ends: 1 if free, 0 if tied or attached."""
     segments: RodSegments | None = None
-    """Segments and contact points of the rods, set by `prepared`; points at ends have
-    length zero."""
+    """Segments and points of the rods, set by `prepared`; zero length at ends."""
     ends: Ends | None = None
     """Ends of the rods, with their contact law, set by `prepared`."""
     rod: str = static(default="")
@@ -143,11 +142,7 @@ class BodyContact(PenaltyContact):
         return {self.rod: on_rod, self.body: self._on_bodies(seen, reactions)}
 
     def _on_bodies(self, seen: AllSeen, reactions: list[tuple[Vec3, Vec3]]) -> Loads:
-        """Loads on the bodies, with couples rotated from world to body frames.
-
-        The reactions are, for each body, the force on the rods and the couple on the
-        body, world frame.
-        """
+        """Loads on bodies, from forces on rods and reaction couples, world frame."""
 
         def row(which: int) -> Vec3:
             x, y, z = (
@@ -359,8 +354,7 @@ def body_contact(
         A coupling for `make_system`.
 
     Raises:
-        ValueError: If a number is out of range, or friction has neither `friction_drag`
-            nor `damping`.
+        ValueError: If a number is out of range, or friction is given without drag.
 
     Example:
         >>> shape = shapes.sphere((0.5, 0.0, -0.5), radius=0.1)

@@ -87,15 +87,13 @@ class CollisionBodies:
     """Size of each body, to scale the onset of contact: sqrt(2.5 J/m) with its smallest
     moment of inertia J, a sphere's radius; infinite for a fixed body [m]."""
     reach: Array
-    """Largest distance of a contact from the origin of a body; zero for a fixed body
-    [m]."""
+    """Largest distance of a contact from the body's origin; zero if fixed [m]."""
     masses: Array
     """Mass of each body; infinite for a fixed body [kg]."""
     inertias: Array
     """Smallest moment of inertia of each body; infinite for a fixed body [kg m^2]."""
     pose: Posed | None = None
-    """Pose and velocity of a fixed body, or of moving bodies at one moment; `None`
-    before `at`."""
+    """Pose and velocity of a fixed body, or of moving bodies at one moment."""
     member: str = static(default="")
     """Name of the member; empty for a fixed body."""
 
@@ -231,8 +229,7 @@ class CollisionPair:
     """Lever arms from the origins of the ball's body and of the surface's body to the
     contact point, world frame [m]."""
     share: Array
-    """Weight of each ball and surface; zero for a body's ball and its own surface
-    [1]."""
+    """Weight of each ball and surface; zero for balls and their own body [1]."""
     balls: int = static()
     """Number of balls of each body."""
 

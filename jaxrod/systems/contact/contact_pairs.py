@@ -42,10 +42,7 @@ class ContactPair:
 
     @property
     def arms(self) -> tuple[Vec3, Vec3]:
-        """Lever arms from the points on both axes to the common point of contact [m].
-
-        It is midway between the two surfaces.
-        """
+        """Lever arms from both axes to the point midway between the surfaces [m]."""
         overlap = 0.5 * self.depth
         return (
             vectors.scale(overlap - self.radii[0], self.normal),

@@ -21,15 +21,12 @@ from jaxrod.systems.sites.coupling import AllParts, TiedPair
 def last_but_continued(
     member: str, parts: AllParts, tied: Sequence[TiedPair]
 ) -> tuple[int, ...]:
-    """Indices of the last segments of rods whose last node has to be subtracted.
+    """Indices of last segments of rods that continue: their last nodes are subtracted.
 
     Args:
         member: Name of the member.
         parts: Constants of all members.
         tied: Pairs of nodes that are tied together, in both orders.
-
-    Returns:
-        Indices among all segments of the member, for inclusion-exclusion across ties.
     """
 
     def elements(name: str) -> int:

@@ -70,9 +70,7 @@ Tree = TypeVar("Tree")
 
 @pytree
 class CrossingContact(TouchingRods):
-    """Contact between all rods of some members, once per crossing.
-
-    See `crossing_contact`.
+    """Contact between rods, once for each crossing; see `crossing_contact`.
 
     Example:
         >>> contact = systems.crossing_contact("left", "right", stiffness=1e3)
@@ -106,11 +104,7 @@ class CrossingContact(TouchingRods):
         return self.segments[a].radii
 
     def allowed(self, a: int, b: int, own: Bounds, other: Bounds) -> Any:
-        """Mask of the pairs of elements that may touch; `None` for all.
-
-        They are on two rods or, with self-contact, far apart along one, and not near
-        ties.
-        """
+        """Mask of pairs of elements with `weights` above zero; `None` for all."""
         share = self.share(a, b, own.elements, other.elements)
         return None if share is None else share > 0
 
@@ -123,10 +117,7 @@ class CrossingContact(TouchingRods):
         )
 
     def weights(self, a: int, b: int, own: Elements, other: Elements) -> Array:
-        """Weights of pairs of elements: one, or less [1].
-
-        Less near tied nodes and between neighbouring elements of one rod.
-        """
+        """Weights of pairs: one, less near ties and between neighbours on a rod [1]."""
         share = self.share(a, b, own, other)
         return jnp.ones_like(own.radii + other.radii) if share is None else share
 
@@ -345,8 +336,7 @@ def crossing_contact(
         A coupling for `make_system`.
 
     Raises:
-        ValueError: If a number is out of range, or friction has neither `friction_drag`
-            nor `damping`.
+        ValueError: If a number is out of range, or friction is given without drag.
         TypeError: If a name is not a string.
 
     Example:

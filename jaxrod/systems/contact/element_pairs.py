@@ -35,8 +35,7 @@ class Elements:
     radii: Array
     """Radii of the elements [m]."""
     follows: Array
-    """Flag: 1 where another element follows, on this rod or on one tied to its end;
-    else 0 [1]."""
+    """Flag: 1 where another element follows on this rod or a tied one, else 0 [1]."""
     first_velocity: Vec3 | None = None
     """Velocities of the first nodes [m/s]; `None` if they are not needed."""
     velocity_change: Vec3 | None = None
@@ -116,10 +115,7 @@ def bulge_shares(fraction: Array) -> tuple[Array, Array]:
 
 
 def farthest_from_chord(bulges: tuple[Vec3, Vec3]) -> Array:
-    """Upper bound of the distance of smooth axes from their chords [m].
-
-    It is 4/27 of the sum of the lengths of both bulges.
-    """
+    """Upper bound of the distance of smooth axes from their chords [m]."""
     first, second = (jnp.sqrt(vectors.dot(bulge, bulge)) for bulge in bulges)
     return 4 / 27 * (first + second)
 

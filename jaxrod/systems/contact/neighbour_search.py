@@ -62,8 +62,7 @@ class Bounds:
 
 
 Allowed = Callable[[Bounds, Bounds], Array | None]
-"""Function from first and second elements to a mask of the pairs that may touch; its
-result `None` stands for all."""
+"""Function from pairs of elements to a mask of those that may touch; `None` for all."""
 
 
 @pytree
@@ -85,11 +84,9 @@ class Rows:
     wide: Int[Array, ""]
     """Number of rows per stretch: the size of the longest stretch, at most `slots`."""
     slots: int = static()
-    """Largest number of elements of a stretch that are tested; static bound of
-    `wide`."""
+    """Static upper bound of `wide`: most elements tested in a stretch."""
     complete: bool = static(default=False)
-    """Whether there is only one stretch, which contains all second elements in
-    order."""
+    """Whether there is only one stretch, with all second elements in order."""
 
     @property
     def room(self) -> int:
@@ -102,10 +99,7 @@ class Rows:
         return self.begin.shape[0] * self.wide
 
     def places(self, row: Array, own: Array | slice) -> tuple[Array, Array]:
-        """Indices in `order` of a row's second elements, and a mask of existing ones.
-
-        A row has one second element for each of the first elements `own`.
-        """
+        """Indices in `order` of a row's second elements; mask of existing ones."""
         stretch, slot = row // self.wide, row % self.wide
         place = self.begin[stretch, own] + slot
         most = self.order.shape[0] - 1

@@ -14,16 +14,12 @@ from jaxrod.validation import Numbers, as_array
 
 @pytree
 class PenaltyContact(Coupling):
-    """Base of couplings with penalty contact: springs, dashpots and Coulomb friction.
-
-    The law acts per length of contact or per contact, as the subclass determines.
-    """
+    """Base of penalty-contact couplings: springs, dashpots and Coulomb friction."""
 
     stiffness: Float[Array, ""]
     """Normal force per penetration: [N/m^2] if per length of contact, else [N/m]."""
     onset: Float[Array, ""]
-    """Width of the smooth onset of contact, over a rod radius or the size of the
-    smaller body [1]."""
+    """Width of the smooth onset of contact, over a radius or body size [1]."""
     damping: Float[Array, ""] | None = None
     """Dashpot force per normal speed: [kg/(m s)] if per length, else [kg/s]."""
     friction: Float[Array, ""] | None = None
@@ -60,8 +56,7 @@ def law_numbers(
         per_length: Whether the law is per length of contact: the first of both units.
 
     Raises:
-        ValueError: If a number is out of range, or friction has neither `friction_drag`
-            nor `damping`.
+        ValueError: If a number is out of range, or friction is given without drag.
     """
     rigidity, rate = ("N/m^2", "kg/(m s)") if per_length else ("N/m", "kg/s")
     drag = damping if friction_drag is None else friction_drag

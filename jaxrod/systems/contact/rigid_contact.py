@@ -68,8 +68,7 @@ class RigidContact(PenaltyContact):
     points_per_edge: int = static(default=2)
     """Number of contact points on every edge of a box, corners included."""
     max_contacts: int | None = static(default=None)
-    """Bodies that may touch one body at a time, for the stability bound; `None` for
-    all."""
+    """Bodies that may touch one body, for the stability bound; `None` for all."""
 
     def check(self, parts: AllParts) -> None:
         """Raises ValueError if members are missing, are rods or have no shape."""
@@ -201,11 +200,7 @@ class RigidContact(PenaltyContact):
         return worst
 
     def stability_bounds(self, parts: AllParts) -> dict[str, StabilityBound]:
-        """Bounds of stiffness and drag, from the mobilities of bodies that may touch.
-
-        Bodies touch with as many balls as can touch at once, and at most `max_contacts`
-        bodies touch each body.
-        """
+        """Bounds of stiffness and drag if as many balls as possible touch at once."""
         moving, rubs = self.groups[: len(self.members)], self.friction is not None
         drag = self.law.largest_drag
         springs: list[list[Array]] = [[] for _ in moving]
@@ -283,8 +278,7 @@ def rigid_contact(
         A coupling for `make_system`.
 
     Raises:
-        ValueError: If a number is out of range, or friction has neither `friction_drag`
-            nor `damping`.
+        ValueError: If a number is out of range, or friction is given without drag.
         TypeError: If a name is not a string, or a fixed body is not a body.
 
     Example:

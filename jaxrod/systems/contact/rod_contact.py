@@ -95,10 +95,7 @@ class RodContact(TouchingRods):
         return jnp.maximum(self.segments[a].first_radii, self.segments[a].radii)
 
     def allowed(self, a: int, b: int, own: Bounds, other: Bounds) -> Any:
-        """Mask of the pairs of elements that may touch; `None` for all.
-
-        They are on two rods or, with self-contact, more than pi radii apart along one.
-        """
+        """Mask of pairs on two rods or over pi radii apart on one; `None` for all."""
         if a != b:
             return None
         one, two = own.elements, other.elements
@@ -118,11 +115,7 @@ class RodContact(TouchingRods):
     def on_list(
         self, a: int, own: Elements, other: Elements, there: Array
     ) -> tuple[ContactPoints, Elements, Array]:
-        """Contact points of listed first elements, second elements, and a mask.
-
-        The points of an element are along a leading axis. The mask is true for entries
-        in use.
-        """
+        """Points of listed elements along a leading axis, second elements, and mask."""
         points = points_on(row_vector(own), self.segments[a].per_element)
         return points, row_vector(other), row_vector(there)
 
@@ -280,8 +273,7 @@ def rod_contact(
         A coupling for `make_system`.
 
     Raises:
-        ValueError: If a number is out of range, or friction has neither `friction_drag`
-            nor `damping`.
+        ValueError: If a number is out of range, or friction is given without drag.
         TypeError: If a name is not a string.
 
     Example:
@@ -311,11 +303,7 @@ def rod_contact(
 
 
 def points_on(own: Elements, per_element: int) -> ContactPoints:
-    """Contact points of listed elements, along a leading axis.
-
-    Fields of the elements are `(1, pairs)`, those of the points `(points, pairs)`. The
-    point at the second node has length zero unless the element is the last of its rod.
-    """
+    """Contact points of listed elements `(1, pairs)`, in arrays `(points, pairs)`."""
     assert own.first_radii is not None and own.first_lengths is not None
     assert own.starts is not None and own.rest_lengths is not None
     assert own.last is not None and own.rods is not None

@@ -49,8 +49,7 @@ class RodSegments:
     per_element: int = static()
     """Number of contact points per element."""
     continued: tuple[int, ...] = static(default=())
-    """Indices of segments that are the last of their rod but continue in another
-    rod."""
+    """Indices of the last segments of rods that continue in another rod."""
     closed: tuple[int, ...] = static(default=())
     """Indices of the rods whose last node is tied to their first node."""
 
@@ -238,9 +237,7 @@ def rod_segments(
 def segments_and_ends(
     parts: Parts, per_element: int, free: Float[Array, "rods 2"]
 ) -> tuple[RodSegments, Ends]:
-    """Segments of a member, and the ends of its rods, for contact with bodies.
-
-    Contact points at ends have length zero, since `Ends` counts them.
+    """Segments of a member, with points of zero length at ends, and ends of its rods.
 
     Args:
         parts: Constants of a member that consists of rods.
@@ -275,8 +272,7 @@ class ContactPoints:
     velocity: Vec3 | None
     """Velocities of the centreline [m/s]; `None` if they are not needed."""
     spin: Vec3 | None
-    """Angular velocities of the rods at the points, world frame [rad/s]; `None` if they
-    are not needed."""
+    """Angular velocities of the rods at the points, world frame [rad/s]."""
     radii: Array
     """Radius of the rod at each point [m]."""
     lengths: Array
@@ -286,8 +282,7 @@ class ContactPoints:
     places: Array
     """Rest arc length from the start of its rod to each point [m]."""
     fractions: Array | None = None
-    """Fractions along listed elements at which the points lie [1]; `None` for all
-    points of a member."""
+    """Fractions of the points along listed elements [1]; `None` without a list."""
 
     @property
     def starts(self) -> Array:
@@ -341,8 +336,7 @@ class SegmentLoads:
     turning_nodes: tuple[Vec3, Vec3] | None = None
     """Couples at the first and at the second nodes of segments, world frame [N m]."""
     tangents: tuple[Vec3, Vec3] | None = None
-    """Forces conjugate to the tangents at first and second nodes, for smooth axes
-    [N]."""
+    """Forces conjugate to tangents at first and second nodes of smooth axes [N]."""
 
     def added(self, more: SegmentLoads) -> SegmentLoads:
         """Sum of these loads and `more`, field by field; `None` counts as zero."""
@@ -364,10 +358,7 @@ class SegmentLoads:
 
 
 def loads_on_member(segments: RodSegments, seen: Seen, loads: SegmentLoads) -> Loads:
-    """Loads on a member's nodes and elements, from loads on points and segments.
-
-    Couples are rotated from the world frame to the material frames of elements.
-    """
+    """Loads on nodes, and on elements in their material frames, from segment loads."""
     nodes: Vec3 | None = None
     couples = loads.turning
     if loads.on_points is not None:

@@ -53,10 +53,7 @@ step; below it the curvature is ignored [1]."""
 
 @pytree
 class Products:
-    """Scalar products of the edges e1, e2 of two segments and the vector r between.
-
-    The vector r goes from the start of the second segment to the start of the first.
-    """
+    """Scalar products of the edges of two segments and the vector between starts."""
 
     own: Array
     """Square of the length of the first edge, e1 . e1 [m^2]."""
@@ -190,11 +187,7 @@ def lowest(form: Products, start: Array) -> tuple[Array, Array]:
 
 
 def crossedness(have: Products) -> Array:
-    """Weight of contact at closest points: 1 for crossed segments, 0 for parallel [1].
-
-    It rises linearly with the squared sine of the angle, from `PARALLEL` to `CROSSED`.
-    The rest of the weight goes to contact at the middles of the overlap.
-    """
+    """Weight of closest points: 0 for parallel segments, 1 for crossed ones [1]."""
     sine = 1 - have.mixed * have.mixed / (have.own * have.other)
     return jnp.clip((sine - PARALLEL) / (CROSSED - PARALLEL), 0, 1)
 

@@ -57,13 +57,7 @@ def smooth_nodes(nodes: Array, closed: np.ndarray) -> tuple[Array, Array]:
 
 
 def from_smooth_nodes(places: Array, tangents: Array, closed: np.ndarray) -> Array:
-    """Forces on nodes, from forces on smooth axes: the transpose of `smooth_nodes`.
-
-    Args:
-        places: Forces conjugate to the positions of the axes at the nodes [N].
-        tangents: Forces conjugate to the tangents there [N].
-        closed: Whether each rod is closed, `(rods, 1)`.
-    """
+    """Transpose of `smooth_nodes`: nodal forces, from those on axes and tangents."""
     back = jax.linear_transpose(lambda nodes: smooth_nodes(nodes, closed), places)
     (nodes,) = back((places, tangents))
     return nodes

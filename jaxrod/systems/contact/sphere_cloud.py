@@ -62,10 +62,7 @@ class SphereCloud:
 
     @property
     def reach(self) -> Array:
-        """Largest distance of a ball's centre from the origin [m].
-
-        It is the largest lever arm of a force along a surface normal.
-        """
+        """Largest distance of a ball's centre from the origin, as a lever arm [m]."""
         arms = vectors.safe_norm(vectors.split(self.offsets))
         if self.rim_radii is not None:
             arms = jnp.sqrt(arms * arms + self.rim_radii * self.rim_radii)

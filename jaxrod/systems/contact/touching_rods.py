@@ -86,15 +86,14 @@ class TouchingRods(PenaltyContact):
     tied: tuple[TiedPair, ...] = static(default=())
     """Pairs of nodes that are tied together; elements near them do not touch."""
     max_contacts: int = static(default=2)
-    """Number of rods that may touch a rod at one place and time, for the stability
-    bound."""
+    """Number of rods that may touch a rod at one place, for the stability bound."""
 
     has_contact_points: ClassVar[bool] = False
     """Whether the first element of a pair is represented by its contact points."""
 
     symmetric: ClassVar[bool] = False
-    """Whether the law tests members (a, b) only for a <= b, and each pair of elements
-    of one member once; else in both orders."""
+    """Whether a pair of members or elements is tested in one order only, not in
+    both."""
 
     smooth: ClassVar[bool] = False
     """Whether axes of elements are smooth curves instead of straight segments."""
@@ -145,10 +144,7 @@ class TouchingRods(PenaltyContact):
     def on_list(
         self, a: int, own: Elements, other: Elements, there: Array
     ) -> tuple[Any, Elements, Array]:
-        """Listed first elements (or their contact points), second elements, and mask.
-
-        The mask is true for entries in use.
-        """
+        """Listed elements (or their contact points), and the mask of entries in use."""
         return own, other, there
 
     def collected(
@@ -224,10 +220,7 @@ class TouchingRods(PenaltyContact):
         ]
 
     def share(self, a: int, b: int, own: Any, other: Elements) -> Array | None:
-        """Weight 0..1 on the contact of each pair of elements; `None` if it is one [1].
-
-        It is below one near tied nodes and between neighbouring elements of one rod.
-        """
+        """Weight 0..1 of each pair, less near ties and along a rod; `None` for 1."""
         share: Array | None = None
         if a == b:
             near: Array | float = 0.0
@@ -501,8 +494,7 @@ def rod_law(
         per_length: Whether the law is per length of contact.
 
     Raises:
-        ValueError: If a number is out of range, or friction has neither `friction_drag`
-            nor `damping`.
+        ValueError: If a number is out of range, or friction is given without drag.
         TypeError: If a name is not a string.
     """
     check_members(members)
@@ -543,14 +535,12 @@ def same_rod(own: Along, other: Along) -> Array:
 
 
 def share_of_gap(gap: Array, radius: Array, length: Array) -> Array:
-    """Factor on the contact of two elements of one rod, from 0 to 1 [1].
-
-    It is zero up to a gap of pi radii and rises linearly over `length`.
+    """Weight of contact along a rod: (gap - pi radius) / length, limited to 0..1 [1].
 
     Args:
         gap: Rest arc length between the elements; negative where they overlap [m].
         radius: Radius of the rod [m].
-        length: Length over which the factor rises [m].
+        length: Length over which the weight rises [m].
     """
     return jnp.clip((gap - math.pi * radius) / length, 0, 1)
 
@@ -571,7 +561,7 @@ def share_near_tie(
     nodes: tuple[tuple[int, Array], tuple[int, Array]],
     length: Array,
 ) -> Array:
-    """Factor on the contact of two elements near two tied nodes, from 0 to 1 [1].
+    """Weight of contact near two tied nodes, from 0 to 1 [1].
 
     It depends on the sum of both arc lengths to the tie: zero up to pi times the mean
     radius, then rising linearly over `length`. It is one on other rods.
@@ -580,7 +570,7 @@ def share_near_tie(
         own: Elements or contact points of the first member.
         other: Elements of the second member.
         nodes: Index of the rod, and rest arc length along it, of each tied node [m].
-        length: Length over which the factor rises [m].
+        length: Length over which the weight rises [m].
     """
     (rod, place), (fellow, mark) = nodes
     reach = 0.5 * math.pi * (own.radii + other.radii)
