@@ -78,7 +78,7 @@ class Ends:
         return (first + vectors.pad(rods[:, 1:], others, 0)).reshape(-1)
 
     def from_beside(self, values: Float[Array, " ends"]) -> Array:
-        """Force component beside the ends, on contact points: transpose of `beside`."""
+        """Forces beside the ends, divided among points: the transpose of `beside`."""
         return jnp.sum(self.shares * values.reshape(-1, 2, 1), axis=1).reshape(-1)
 
     def counted(

@@ -225,7 +225,7 @@ class CandidateList:
     """Pairs near enough to compute their exact distance, stored as running counts."""
 
     rows: Rows
-    """Rows of second elements that were tested."""
+    """Second elements that were tested against each first element, in rows."""
     running: Int[Array, "rows own"]
     """Cumulative number of candidates of each first element, over the rows."""
     until: Int[Array, " own"]
