@@ -1,8 +1,8 @@
-"""Parts: the nodes and elements of a member, as couplings see them.
+"""Parts: the constants of the nodes and elements of a member, for couplings.
 
-All nodes of a member are in one row, and so are its elements. Equal rods follow one
-another: first all entries of the first rod, then those of the second, and so on. A
-rigid body is one node and one element.
+All nodes of a member are in one flat array, called a row, and so are its elements.
+Equal rods follow one another: first all entries of the first rod, then those of the
+second, and so on. A rigid body is one node and one element.
 """
 
 from __future__ import annotations
@@ -50,7 +50,8 @@ class Parts:
     shape: Body | None = None
     """Surface of bodies, in their own frame."""
     held: Vec3 | None = None
-    """Flags per node and axis: 1 where a support holds the node, else 0."""
+    """Flags per node and world axis: 1 where a support holds the node, else 0; `None`
+    if they are not known."""
     count: int = static(default=1)
     """Number of rods, bodies or points."""
     n_elements: int = static(default=1)
@@ -60,12 +61,13 @@ class Parts:
     is_rigid: bool = static(default=False)
     """Whether it consists of rigid bodies, which can carry the nodes of others."""
     joint_mean: str = static(default="arithmetic")
-    """Kind of mean by which a joint of a rod gets its stiffness from two elements."""
+    """Mean by which a joint of a rod gets its stiffness from its two elements:
+    "arithmetic" or "series"."""
 
     # `Motion.angular_velocities` uses these attributes of a rod.
     @property
     def is_round(self) -> bool:
-        """Whether elements have one inertia for d1 and d2."""
+        """Whether each element has the same moment of inertia about d1 and d2."""
         return self.inertias.shape[0] == 2
 
     @property
@@ -80,7 +82,7 @@ class Parts:
 
 
 def parts_of(rod: Rod) -> Parts:
-    """Constants of a rod."""
+    """Constants of one rod, for couplings."""
     return Parts(
         node_masses=rod.node_masses,
         inertias=rod.inertias if rod.is_round else rod.principal_inertias,
@@ -94,7 +96,7 @@ def parts_of(rod: Rod) -> Parts:
 
 
 def flatten_rods(tree: Any) -> Any:
-    """Leaves `(k, ..., n)` reshaped to `(..., k n)`."""
+    """Concatenates k rods along the last axis: `(k, ..., n)` becomes `(..., k n)`."""
 
     def one(leaf: Array) -> Array:
         moved = jnp.moveaxis(leaf, 0, -2)
@@ -104,7 +106,10 @@ def flatten_rods(tree: Any) -> Any:
 
 
 def unflatten_rods(tree: Any, count: int) -> Any:
-    """Leaves `(..., k n)` reshaped to `(k, ..., n)`; single numbers, `(k,)`."""
+    """Splits the last axis into k rods: leaves `(..., k n)` become `(k, ..., n)`.
+
+    Single numbers are repeated for each rod, `(k,)`.
+    """
 
     def one(leaf: Array) -> Array:
         if jnp.ndim(leaf) == 0:
@@ -127,8 +132,8 @@ class Seen:
     parts: Parts
     """Constants of the member."""
     motion: Motion
-    """Positions and rates, with all nodes and all elements in one row. For bodies they
-    are those of the origins of their frames."""
+    """Positions and rates, with the nodes of all rods in one array, and the elements in
+    another. For bodies they are those of the origins of their frames."""
     inverse_inertia: Matrix | None = None
     """Inverse inertia, in their own frames, of bodies that carry attached masses
     [1/(kg m^2)]."""
@@ -150,5 +155,5 @@ class Seen:
 
 
 def mapped(function: Callable[[Array], Array], vector: Vec3) -> Vec3:
-    """Result of a function applied to each component."""
+    """Applies a function to each of the three components of a vector field."""
     return function(vector[0]), function(vector[1]), function(vector[2])
