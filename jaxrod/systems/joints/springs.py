@@ -51,9 +51,9 @@ class Springs(Coupling):
     def loads(self, seen: AllSeen) -> dict[str, Loads]:
         """Loads of springs and dashpots, which act halfway between both anchors.
 
-        With the vector `g` from the first anchor to the second and the relative
-        velocity `u` of the two materials there, the force on the first is `k (1 - d /
-        |g|) g + c u`.
+        With the vector `g` from the first anchor to the second and the velocity `u`
+        there of the second member relative to the first, the force on the first is `k
+        (1 - d / |g|) g + c u`.
         """
         one, two = seen[self.a.points.member], seen[self.b.points.member]
         first, second = self.a.positions(one), self.b.positions(two)
@@ -215,8 +215,7 @@ def _springs(
 
 
 def _check_near(a: Place, b: Place, state: Mapping[str, Any]) -> None:
-    """Raises a `ValueError` if two nodes are further apart than their elements are
-    long.
+    """Raises a `ValueError` if two nodes are further apart than an element is long.
 
     Nodes of a traced state, and bodies, are not checked.
     """

@@ -1,4 +1,4 @@
-"""Welds: rods joined to rods, and to rigid bodies, with the angle between them kept."""
+"""Welds: rods joined to rods, and to rigid bodies, at a fixed relative angle."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ def weld(
 
     Args:
         a: A place, `("trunk", "tip")` or `("arms", 2, 7)`; or several.
-        b: Another place, or one for each place of `a`, to which it is joined.
+        b: The place to which `a` is joined; or one for each place of `a`.
         state: State of the system at rest.
 
     Returns:
@@ -109,7 +109,7 @@ def attach(
 def elastic_joints(
     a: Sequence[Place], b: Sequence[Place], state: Mapping[str, Any]
 ) -> list[ElasticJoint]:
-    """Elastic joints that are at rest in a state, one row for each pair of members."""
+    """Elastic joints at rest in a state, one `ElasticJoint` per pair of members."""
     layouts = layouts_of(state)
     sorted_pairs: dict[tuple[str, str], list[int]] = {}
     ends = [

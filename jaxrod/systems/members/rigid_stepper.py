@@ -281,7 +281,8 @@ def _together(principal: Array, carried: Carried, mass: Array, centre: Vec3) -> 
     """Inertia of bodies and carried masses about their common centre of mass.
 
     It is `I + tr(S) 1 - S`, with the inertia `I` of a body and `S` the second moment of
-    the carried masses minus `m c c^T`, in the frame of the body [kg m^2].
+    the carried masses minus `m c c^T`, for the total mass `m` and the common centre
+    `c`, all in the frame of the body [kg m^2].
     """
     a, b, c = principal
     zero = jnp.zeros_like(a)

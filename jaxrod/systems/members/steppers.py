@@ -127,8 +127,7 @@ class RodStepper(MemberStepper):
         return moved
 
     def kick(self, motion: Motion, loads: Loads) -> Motion:
-        """Motion after internal loads, effects and couplings have acted for one step.
-        """
+        """Motion after internal loads, effects and couplings have acted for a step."""
         kicked: Motion = self.each(
             lambda one, own, more: one.kick(own, more), motion, self.rows(loads)
         )
@@ -192,8 +191,7 @@ class RodsStepper(RodStepper):
     """Number of rods."""
 
     def each(self, function: Callable[..., Any], *given: Any) -> Any:
-        """Applies a function to the stepper and arguments of each rod, by `jax.vmap`.
-        """
+        """Applies a function to the stepper and arguments of each rod, with `vmap`."""
         return jax.vmap(function)(self.verlet, *given)
 
     def row(self, tree: Any) -> Any:
