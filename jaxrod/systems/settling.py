@@ -100,8 +100,9 @@ def settled(
         force_tolerance: Largest force out of balance [N]. By default it is 1e-8 of a
             rod's bending stiffness over its length squared, plus eight units of
             round-off of its stretching stiffness, for the rod for which this is least.
-        couple_tolerance: Largest couple out of balance [N m]; by default the same times
-            the length of the rod.
+        couple_tolerance: Largest couple out of balance [N m]; by default the default
+            force tolerance times the length of the rod, for the rod for which this is
+            least.
         every: Steps between checks of the kinetic energy and of the residual.
         max_steps: Largest number of steps, rounded up to a multiple of `every`.
 

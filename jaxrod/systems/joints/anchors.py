@@ -81,7 +81,7 @@ class Anchors:
         return vectors.add((x, y, z), vectors.cross(spin_at(seen, self.points), arm))
 
     def loads(self, seen: Seen, force: Vec3, point: Vec3) -> Loads:
-        """Loads of a force at a point near each anchor, world frame [N] and [m].
+        """Loads of a force [N] at a point [m] near each anchor, world frame.
 
         The force acts on the anchor's node, and the couple of the lever arm on its
         element.

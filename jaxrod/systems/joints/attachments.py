@@ -143,8 +143,8 @@ class Attachment(Coupling):
     def exchange(self, before: AllSeen, after: AllSeen) -> dict[str, Loads]:
         """Impulses that the kick gave to the nodes, as impulses on their bodies.
 
-        With the velocities v of a node before and after the kick, the impulse is `m
-        (v_after - v_before)`, and its couple about the origin of the body is that of
+        With the velocities v of a node before and after the kick, the impulse is
+        `m (v_after - v_before)`, and its couple about the origin of the body is that of
         the lever arm.
         """
         name, nodes = self.points.member, self.points.nodes

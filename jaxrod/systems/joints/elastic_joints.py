@@ -64,7 +64,8 @@ class ElasticJoint(Coupling):
     """Off-diagonal stiffness for the axes d2 and d3, d3 and d1, d1 and d2 [N m];
     `None`: zero."""
     damping: Float[Array, ""] | Float[Array, " joints"] | None = None
-    """Couple per relative angular velocity, one for all or one for each [N m s]."""
+    """Couple per relative angular velocity, one for all joints or one for each [N m s];
+    `None`: no damping."""
 
     def check(self, parts: AllParts) -> None:
         """Raises ValueError if a member is missing or has too few nodes."""
@@ -107,8 +108,7 @@ class ElasticJoint(Coupling):
         """Couples of joints and dashpots on both elements of each joint."""
         rotation, coupling, moment = self._rotation(seen)
         odd, even = joint_couples(rotation, coupling, moment)
-        # Rotation from the element's frame turned by `rest_frames` to the element's
-        # frame.
+        # It rotates vectors from the frame of `a` turned by `rest_frames` to that of `a`.
         frame = directors(split_quaternion(self.rest_frames))
         on_a = to_world(frame, vectors.add(odd, even))
         on_b = vectors.subtract(even, odd)
@@ -137,7 +137,7 @@ class ElasticJoint(Coupling):
         return 0.5 * jnp.sum(vectors.dot(moment, bend))
 
     def stability_bounds(self, parts: AllParts) -> dict[str, StabilityBound]:
-        """Bounds on rotational stiffness and damping of elements of both members."""
+        """Stability bounds on the elements of both members, by member."""
         assert self.stiffness is not None
         stiffness = jnp.max(self.stiffness, axis=0)
         if self.mixed_stiffness is not None:

@@ -270,7 +270,7 @@ class Glue(Coupling):
         return stored + self.joint.energy(seen)
 
     def stability_bounds(self, parts: AllParts) -> dict[str, StabilityBound]:
-        """Bounds on stiffness and drag on both rods, in proportion to inertia."""
+        """Stability bounds on nodes and elements of both rods, by member."""
         assert self.lengths is not None
         one, two = parts[self.a.points.member], parts[self.b.points.member]
         ease = self.lengths * (self.a.mobility(one) + self.b.mobility(two))

@@ -52,9 +52,11 @@ class AxisSprings(Coupling):
     stiffness: Float[Array, ""]
     """Couple per sine of the angle between both axes [N m]."""
     damping: Float[Array, ""] | None = None
-    """Couple per relative angular velocity, about any axis [N m s]."""
+    """Couple per relative angular velocity, about any axis [N m s]; `None`: no damping.
+    """
     motor: Float[Array, ""] | None = None
-    """Couple on `b`, and its opposite on `a`, about the mean axis [N m]."""
+    """Couple on `b` about the mean axis, and its opposite on `a` [N m]; `None`: no
+    motor."""
 
     def check(self, parts: AllParts) -> None:
         """Raises ValueError if a member is missing or has too few nodes."""
@@ -99,7 +101,7 @@ class AxisSprings(Coupling):
         return 0.5 * self.stiffness * jnp.sum(vectors.dot(apart, apart))
 
     def stability_bounds(self, parts: AllParts) -> dict[str, StabilityBound]:
-        """Bounds on rotational stiffness and damping of both elements."""
+        """Stability bounds on the elements of both members, by member."""
         stiffness = jnp.broadcast_to(self.stiffness, (len(self.a.nodes),))
         return turning_bounds(self.a, self.b, parts, stiffness, self.damping)
 

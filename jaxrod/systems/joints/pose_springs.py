@@ -165,7 +165,7 @@ class PoseSpring(Coupling):
         return Reaction.of(force, turn, power + vectors.dot(turn, spin))
 
     def stability_bounds(self, parts: AllParts) -> dict[str, StabilityBound]:
-        """Bounds on stiffness and drag of the pulled node and its element."""
+        """Stability bounds on the pulled node and its element, by member."""
         points = self.anchor.points
         own = parts[points.member]
         ease = self.anchor.mobility(own)
@@ -238,8 +238,8 @@ def pose_spring(
         turning_damping: Couple per relative angular velocity [N m s].
         position: Target position, world frame `(3,)` [m].
         orientation: Target orientation, a quaternion (w, x, y, z).
-        displacement: Displacement of the target from there, world frame: `(3,)` or a
-            schedule of such vectors [m].
+        displacement: Displacement of the target from that position, world frame:
+            `(3,)` or a schedule of such vectors [m].
         axis: Axis about which the target turns, world frame, of any length `(3,)`.
         angle: Angle by which the target turns, or a schedule [rad].
         at: Position in `state` of the point of the element or body that is pulled,

@@ -52,8 +52,8 @@ class Springs(Coupling):
         """Loads of springs and dashpots, which act halfway between both anchors.
 
         With the vector `g` from the first anchor to the second and the velocity `u`
-        there of the second member relative to the first, the force on the first is `k
-        (1 - d / |g|) g + c u`.
+        there of the second member relative to the first, the force on the first is
+        `k (1 - d / |g|) g + c u`.
         """
         one, two = seen[self.a.points.member], seen[self.b.points.member]
         first, second = self.a.positions(one), self.b.positions(two)
@@ -85,7 +85,7 @@ class Springs(Coupling):
         return 0.5 * self.stiffness * jnp.sum(longer * longer)
 
     def stability_bounds(self, parts: AllParts) -> dict[str, StabilityBound]:
-        """Bounds on stiffness and drag at both ends, in proportion to inertia."""
+        """Stability bounds on nodes and elements at both ends, by member."""
         return spring_bounds(self.a, self.b, parts, self.stiffness, self.damping)
 
 
@@ -240,7 +240,7 @@ def _poses(places: Any, state: Mapping[str, Any]) -> list[Any]:
 
 
 def optional_number(name: str, value: Numbers | None, unit: str) -> Array | None:
-    """Checks that a number is not negative; `None` stays `None`."""
+    """Checked number that must not be negative; `None` if none is given."""
     if value is None:
         return None
     return as_array(name, value, unit, non_negative=True)

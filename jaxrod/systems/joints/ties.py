@@ -61,7 +61,10 @@ class Tie(Coupling):
         return self._together(seen, "position")
 
     def constrain_rates(self, seen: AllSeen) -> dict[str, Motion]:
-        """Gives all nodes of a group one velocity, the mean weighted by mass."""
+        """Gives all nodes of a group one velocity, the mean weighted by mass.
+
+        If a support holds some of them, it is the mean of these.
+        """
         return self._together(seen, "velocity")
 
     def _together(self, seen: AllSeen, field: str) -> dict[str, Motion]:
@@ -147,8 +150,7 @@ class Tie(Coupling):
         return Indices(np.concatenate([groups.values for groups in self.groups]))
 
     def violation(self, seen: AllSeen) -> Array:
-        """Largest distance of a tied node from its group's mean, over the radius [1].
-        """
+        """Largest distance of a tied node from its group's mean, over the radius."""
         places, radii = [], []
         for points in self.points:
             own = seen[points.member]
@@ -184,7 +186,7 @@ def tie(
 
     Raises:
         ValueError: If there is no such place, or two tied nodes are apart.
-        TypeError: If a place is not of the form of a place.
+        TypeError: If a place is not a sequence such as `("arm", "tip")`.
 
     Example:
         >>> states = {"left": state, "right": state}
@@ -278,7 +280,7 @@ def _tie_of(
 def pairs(
     a: Place | Sequence[Place], b: Place | Sequence[Place]
 ) -> tuple[list[Place], list[Place]]:
-    """Two lists of equal length, from arguments that are one place or several."""
+    """Two lists of places of equal length, from arguments of one place or several."""
     first, second = _listed("a", a), _listed("b", b)
     if len(first) != len(second):
         raise ValueError(

@@ -44,7 +44,7 @@ def weld(
 
     Raises:
         ValueError: If there is no such place, or two joined nodes are apart.
-        TypeError: If a place is not of the form of a place.
+        TypeError: If a place is not a sequence such as `("arm", "tip")`.
 
     Example:
         >>> left = replace(state, positions=state.positions.at[0].add(-1.0))
@@ -84,7 +84,7 @@ def attach(
 
     Raises:
         ValueError: If there is no such place.
-        TypeError: If a place is not of the form of a place.
+        TypeError: If a place is not a sequence such as `("arm", "tip")`.
 
     Example:
         >>> shape = shapes.sphere((1.0, 0.0, 0.0), radius=0.1)

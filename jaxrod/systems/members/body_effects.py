@@ -44,7 +44,7 @@ def check_body_effects(name: str, bodies: Any) -> None:
     Raises:
         ValueError: If an effect does not act on bodies; the message names member and
             effect.
-        TypeError: If an effect is not an effect of jaxrod.
+        TypeError: If an effect is not an instance of `Effect`.
     """
     for effect in bodies.effects:
         check_kind(f"member {name!r}: effect", effect, Effect)

@@ -95,8 +95,8 @@ class Member(ABC):
     def check_state(self, name: str, state: Any, dtype: Any) -> None:
         """Raises a TypeError or a ValueError if a state is not of this member."""
 
-    # These return copies of its entry in `System.members`: a scene, bodies, or the
-    # member itself.
+    # The entry of a member in `System.members` is a scene, bodies, or the member itself.
+    # Most of the next methods return a copy of it.
 
     def each(self, function: Callable[..., Any], *given: Any) -> Any:
         """Applies a function to its entry in `System.members` and other arguments.

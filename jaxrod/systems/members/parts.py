@@ -40,7 +40,8 @@ class Parts:
     """Moments of inertia [kg m^2]: transverse and polar for round rods (2 rows), else
     about all three axes (3 rows)."""
     rest_lengths: Float[Array, " elements"] | None = None
-    """Rest lengths of elements of rods [m]."""
+    """Rest lengths of the elements of rods [m]; `None` for other members, as are the
+    next three."""
     radii: Float[Array, " elements"] | None = None
     """Radii of elements of rods [m]."""
     bend_twist_stiffness: Float[Array, "3 elements"] | None = None
@@ -59,7 +60,8 @@ class Parts:
     is_rod: bool = static(default=True)
     """Whether the member consists of rods, with one more node than elements."""
     is_rigid: bool = static(default=False)
-    """Whether it consists of rigid bodies, which can carry the nodes of others."""
+    """Whether the member consists of rigid bodies, to which nodes of rods can be
+    attached."""
     joint_mean: str = static(default="arithmetic")
     """Mean by which a joint of a rod gets its stiffness from its two elements:
     "arithmetic" or "series"."""
@@ -135,8 +137,8 @@ class Seen:
     """Positions and rates, with the nodes of all rods in one array, and the elements in
     another. For bodies they are those of the origins of their frames."""
     inverse_inertia: Matrix | None = None
-    """Inverse inertia, in their own frames, of bodies that carry attached masses
-    [1/(kg m^2)]."""
+    """Inverse inertia of bodies that carry attached masses, in their own frames [1/(kg
+    m^2)]; `None` for other members."""
 
     @property
     def angular_velocities(self) -> Vec3:

@@ -251,7 +251,7 @@ def rigid_body(
     Raises:
         ValueError: If mass or inertia are missing, not positive or impossible (a moment
             above the sum of the two others), or if both mass and density are given.
-        TypeError: If the shape is not a body, or an effect is not an effect.
+        TypeError: If the shape is not a `Body`, or an effect is not an `Effect`.
 
     Example:
         >>> shape = shapes.box((0.0, 0.0, 0.5), half_lengths=(0.1, 0.1, 0.2))
@@ -391,7 +391,7 @@ def stacked_bodies(
 
     Raises:
         ValueError: If there are none.
-        TypeError: If something else is given.
+        TypeError: If an entry is not a pair of `RigidBodies` and `BodyState`.
 
     Example:
         >>> def ball(height):
@@ -434,6 +434,6 @@ def _limit(inertia: Array, stiffness: Array | None, drag: Array | None) -> Array
     c = zero if drag is None else drag
     square = c * c + 4 * k * inertia
     free = square <= 0
-    # Two wheres: at zero the root has no derivative.
+    # The inner `where` avoids the root of zero, which has no derivative.
     below = c + jnp.sqrt(jnp.where(free, 1, square))
     return jnp.where(free, jnp.inf, 4 * inertia / below)

@@ -82,7 +82,7 @@ class Coupling:
 
     def merged(self, others: Sequence[Any]) -> Coupling:
         """One coupling that replaces this one and others; all have `tied_pairs`."""
-        # Not abstract: couplings without tied pairs are never asked.
+        # Not abstract: it is never called for couplings without tied pairs.
         raise NotImplementedError(f"{type(self).__name__} cannot be merged")
 
     @property
@@ -110,7 +110,7 @@ class Coupling:
         return self
 
     def carried(self, parts: AllParts) -> dict[str, Carried]:
-        """Masses of nodes attached to bodies, by the name of the bodies' member."""
+        """Mass and moments of nodes attached to bodies, by name of the bodies."""
         return {}
 
     def prepared(self, parts: AllParts) -> Coupling:
@@ -141,7 +141,7 @@ class Coupling:
         the coupling's field `found` until the next search: see
         `jaxrod.systems.contact.neighbour_lists`.
         """
-        # Not abstract: couplings without `refresh_every` are never asked.
+        # Not abstract: it is never called for couplings without `refresh_every`.
         raise NotImplementedError(f"{type(self).__name__} has no search")
 
     def moved(self, seen: AllSeen) -> Array:
@@ -185,10 +185,11 @@ class Coupling:
         return {}
 
     def stability_bounds(self, parts: AllParts) -> dict[str, StabilityBound]:
-        """Bounds on the stiffness and drag of `loads`, member by member.
+        """Bounds on the stiffness and drag of `loads`, by name of the member.
 
         For a spring of stiffness `k` on an elongation that changes by the sum of
-        `g_i . u_i`, the bound `k (sum_j |g_j|^2 / m_j) m_i` on each node `i` is enough.
+        `g_i . u_i`, with displacements `u_i` of nodes, the bound
+        `k (sum_j |g_j|^2 / m_j) m_i` on each node `i` is enough.
         """
         return {}
 

@@ -79,7 +79,7 @@ class Points:
 
 
 def layouts_of(state: Mapping[str, Any]) -> dict[str, Layout]:
-    """Layouts of the members of a system, from its state: numbers of nodes, elements.
+    """Layouts (numbers of rods and elements) of all members, from a state.
 
     Raises:
         TypeError: If it is not a mapping from names to states of rods and bodies.
@@ -164,7 +164,7 @@ def _node(name: str, member: str, node: Any, layout: Layout) -> int:
 
 
 def points_of(name: str, places: Sequence[tuple[str, int, int]]) -> Points:
-    """Points from resolved places of one member.
+    """Points from places of one member, as `resolved` returns them.
 
     Raises:
         ValueError: If the places are of several members.

@@ -32,7 +32,8 @@ from jaxrod.systems.stepping.listing import with_shortage
 from jaxrod.systems.stepping.stepper import Motions
 
 _SPARE = 16
-"""Multiple of the stiffness error down to which eigenvalues may be negative [1]."""
+"""Largest size of a negative eigenvalue of a stable equilibrium, over the error of the
+stiffness matrix [1]."""
 
 
 @pytree
@@ -80,7 +81,7 @@ class _SystemAtRest:
     problem: StaticProblem
     """Loads and stiffness as functions of the configuration."""
     displaced: Bool[Array, " m"]
-    """Flag of each unknown: displacement, not rotation."""
+    """Flags of the unknowns: true for displacements, false for rotations."""
 
     @property
     def element_lengths(self) -> Float[Array, " m"]:
@@ -113,7 +114,7 @@ class _SystemAtRest:
 def system_equilibrium(
     system: Assembly, state: SystemState, tolerance: Array, max_iterations: Array
 ) -> Equilibrium:
-    """An equilibrium of a system; its arguments are checked.
+    """Searches for an equilibrium of a system; the caller has checked the arguments.
 
     Args:
         system: The system, at one moment.

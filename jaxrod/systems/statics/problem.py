@@ -136,8 +136,7 @@ class StaticProblem:
         return jax.tree.map(jnp.subtract, held(rates), held(none))
 
     def momenta(self, given: tuple[Motions, Any]) -> Any:
-        """Gradient, by rates, of the kinetic energy of the allowed part of the rates.
-        """
+        """Gradient by rates of the kinetic energy of the allowed part of the rates."""
         motions, rates = given
 
         def energy(own: Any) -> Array:
@@ -151,7 +150,7 @@ class StaticProblem:
         return jax.grad(energy)(rates)
 
     def accelerations(self, motions: Motions) -> Any:
-        """Accelerations that all loads cause at rest, constraints included."""
+        """Accelerations that all loads cause at rest, within the constraints."""
         rest = at_rest(motions)
         still = rates_of(self.stepper.supported(rest))
         kicked = rates_of(self.stepper.kick(rest))
@@ -168,7 +167,7 @@ class StaticProblem:
         return self.accelerations(self.moved(given))
 
     def column(self, given: tuple[Motions, Array]) -> tuple[Array, ...]:
-        """A column of all matrices, for given scaled rates.
+        """Column of all matrices that belongs to a vector of scaled rates.
 
         Returns:
             Loads out of balance, the allowed part of the rates, its momenta, and the
@@ -368,7 +367,7 @@ class StaticProblem:
     def moved_along_edges(
         self, here: Linear, scaled: Float[Array, " m"], loose: Float[Array, "modes m"]
     ) -> Motions:
-        """Configuration after scaled rates, to first order; strains change linearly.
+        """Configuration after a second at scaled rates; strains change linearly.
 
         Displacements close the gaps of the edges, in the least-squares sense where ties
         and supports do not allow more.
@@ -440,7 +439,7 @@ def static_problem(
 
 
 def rates_of(motions: Motions) -> Any:
-    """Velocities and spins of all members."""
+    """Velocities and spins of all members, by name."""
     return {k: (motion.velocity, motion.spin) for k, motion in motions.items()}
 
 

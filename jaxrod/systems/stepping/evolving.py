@@ -44,7 +44,7 @@ class EvolvingSystem:
     system: Assembly
     """The system with its schedules."""
     couplings: tuple[Coupling, ...]
-    """Couplings after `prepared`, with their schedules."""
+    """Couplings with the constants that `prepared` computes, and their schedules."""
     first: Int[Array, ""]
     """Number of steps from time zero to the beginning of the run."""
 

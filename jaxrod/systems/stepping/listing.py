@@ -39,7 +39,7 @@ def lists_neighbours(system: Assembly) -> bool:
 def with_found(
     couplings: Sequence[Coupling], found: Sequence[Any]
 ) -> tuple[Coupling, ...]:
-    """Couplings whose field `found` holds the results of their searches."""
+    """Couplings with the results `found` of their searches in the field `found`."""
     left = iter(found)
     # A coupling that searches is a dataclass, by its decorator, with a field `found`.
     return tuple(

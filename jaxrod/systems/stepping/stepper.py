@@ -32,7 +32,7 @@ class SystemStepper:
     members: Mapping[str, MemberStepper]
     """Steppers of the members, by name."""
     couplings: tuple[Coupling, ...]
-    """Couplings after `prepared`."""
+    """Couplings with the constants that `prepared` computes."""
     dt: Array
     """Step size [s]."""
 
@@ -90,7 +90,10 @@ class SystemStepper:
         return self._rates_tied(self._placed(held))
 
     def _exchanged(self, before: Mapping[str, Seen], kicked: Motions) -> Motions:
-        """Motions after a kick and the impulses that it causes between members."""
+        """Motions after the impulses that a kick causes between members.
+
+        Nodes attached to a body pass their impulses on to it.
+        """
         impulses: dict[str, Loads] = {}
         after: dict[str, Seen] | None = None
         for coupling in self.couplings:
