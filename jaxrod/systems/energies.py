@@ -23,7 +23,7 @@ def system_kinetic_energy(system: Assembly, state: SystemState) -> Float[Array, 
 
 @jax.jit
 def system_potential_energy(system: Assembly, state: SystemState) -> Float[Array, ""]:
-    """Elastic energy, and potentials of effects and couplings [J]."""
+    """Elastic energy plus potential energies of effects and couplings [J]."""
     members = system.interfaces()
     total = _total(member.potential_energy(state[k]) for k, member in members.items())
     if not system.couplings:
@@ -47,14 +47,14 @@ class _CouplingEnergy:
 
 @jax.jit
 def system_momentum(system: Assembly, state: SystemState) -> Float[Array, "3"]:
-    """Linear momentum, world frame [kg m/s]."""
+    """Total linear momentum of all members, world frame [kg m/s]."""
     members = system.interfaces()
     return _total(member.momentum(state[k]) for k, member in members.items())
 
 
 @jax.jit
 def system_angular_momentum(system: Assembly, state: SystemState) -> Float[Array, "3"]:
-    """Angular momentum about the origin, world frame [kg m^2/s]."""
+    """Total angular momentum about the origin, world frame [kg m^2/s]."""
     members = system.interfaces()
     return _total(member.angular_momentum(state[k]) for k, member in members.items())
 

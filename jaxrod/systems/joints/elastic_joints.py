@@ -108,7 +108,7 @@ class ElasticJoint(Coupling):
         """Couples of joints and dashpots on both elements of each joint."""
         rotation, coupling, moment = self._rotation(seen)
         odd, even = joint_couples(rotation, coupling, moment)
-        # It rotates vectors from the frame of `a` turned by `rest_frames` to that of `a`.
+        # Rotates from the frame of `a` turned by `rest_frames` to the frame of `a`.
         frame = directors(split_quaternion(self.rest_frames))
         on_a = to_world(frame, vectors.add(odd, even))
         on_b = vectors.subtract(even, odd)
@@ -131,7 +131,7 @@ class ElasticJoint(Coupling):
         return to_material(frame_a, pull), vectors.scale(-1.0, on_b)
 
     def energy(self, seen: AllSeen) -> Array:
-        """Elastic energy of all joints, 1/2 (phi - phi_0) . K (phi - phi_0) [J]."""
+        """Elastic energy, 1/2 (phi - phi_0) . K (phi - phi_0), of rotations phi [J]."""
         rotation, _, moment = self._rotation(seen)
         bend = vectors.subtract(rotation, vectors.split(self.rest_rotations))
         return 0.5 * jnp.sum(vectors.dot(moment, bend))

@@ -110,7 +110,7 @@ class GluedSide:
         return 0.25 / first + 0.25 / following + turning
 
     def bound(self, parts: Parts, rate: Array, slow: Array | None) -> StabilityBound:
-        """Stability bound of one side: rates times masses and moments of inertia.
+        """Stability bound of one side: the rates times masses and moments of inertia.
 
         Args:
             parts: Constants of the member.
@@ -235,7 +235,8 @@ class Glue(Coupling):
     def loads(self, seen: AllSeen) -> dict[str, Loads]:
         """Loads on both rods: forces `l (k g + c u)`, and the couples of the joints.
 
-        `l` is the length of glue of a pair, `g` the gap and `u` the relative velocity.
+        `l` is the length of glue of a pair, `k` the stiffness, `g` the gap, `c` the
+        damping and `u` the relative velocity.
         """
         one, two = seen[self.a.points.member], seen[self.b.points.member]
         gap, middle = self._gap(seen)
@@ -260,7 +261,7 @@ class Glue(Coupling):
         return total
 
     def energy(self, seen: AllSeen) -> Array:
-        """Elastic energy of all pairs, the sum of 1/2 l (k |g|^2 + k_t |phi|^2) [J]."""
+        """Elastic energy, 1/2 l (k |gap|^2 + k_t angle^2) for each pair [J]."""
         gap, _ = self._gap(seen)
         assert self.lengths is not None
         squares = self.lengths * vectors.dot(gap, gap)

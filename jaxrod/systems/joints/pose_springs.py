@@ -96,14 +96,14 @@ class PoseSpring(Coupling):
     def _angle(self, own: Seen) -> Vec3:
         """Rotation vector from the target to the element, log(q*^-1 q) [rad].
 
-        Its components are the same in the frames of both.
+        Its components are the same in the frames of the target and of the element.
         """
         q = _one_quaternion(self._turned.orientation)
         here = orientation_at(own, self.anchor.points)
         return rotation_log(multiply_quaternions(conjugate(q), here))
 
     def _pull(self, own: Seen) -> Vec3:
-        """Force on the point, k (x* - x) + c (v* - v), world frame [N]."""
+        """Force on the point, k (x* - x) + c (v* - v) with the target x* [N]."""
         force = vectors.scale(self.stiffness, self._way(own))
         if self.damping is None:
             return force
@@ -142,7 +142,7 @@ class PoseSpring(Coupling):
         return sum_of_loads((points, loads), seen=seen)
 
     def energy(self, seen: AllSeen) -> Array:
-        """Elastic energy, 1/2 k |x* - x|^2 + 1/2 k_t |phi|^2 [J]."""
+        """Elastic energy, 1/2 k distance^2 + 1/2 k_t angle^2 from the target [J]."""
         own = seen[self.anchor.points.member]
         way = self._way(own)
         stored = 0.5 * self.stiffness * jnp.sum(vectors.dot(way, way))

@@ -76,7 +76,7 @@ class Springs(Coupling):
         )
 
     def energy(self, seen: AllSeen) -> Array:
-        """Elastic energy of all springs, the sum of 1/2 k (|g| - d)^2 [J]."""
+        """Elastic energy, 1/2 k (length - rest length)^2 for each spring [J]."""
         one, two = seen[self.a.points.member], seen[self.b.points.member]
         gap = vectors.subtract(self.b.positions(two), self.a.positions(one))
         if self.rest_lengths is None:

@@ -73,7 +73,7 @@ class Member(ABC):
         """
 
     def check(self, name: str) -> None:
-        """Raises an error if it cannot be a member; `make_system` calls it.
+        """Raises an error if the member does not fit a system; `make_system` calls it.
 
         Args:
             name: Name of the member, for messages.
@@ -95,22 +95,19 @@ class Member(ABC):
     def check_state(self, name: str, state: Any, dtype: Any) -> None:
         """Raises a TypeError or a ValueError if a state is not of this member."""
 
-    # The entry of a member in `System.members` is a scene, bodies, or the member itself.
-    # Most of the next methods return a copy of it.
+    # The entry of a member in `System.members` is a scene, rigid bodies, or the member
+    # itself. "Copy" below means a copy of this entry.
 
     def each(self, function: Callable[..., Any], *given: Any) -> Any:
-        """Applies a function to its entry in `System.members` and other arguments.
-
-        For equal rods it is applied to each rod, with that rod's part of the arguments.
-        """
+        """Applies a function to the member's entry in a system and other arguments."""
         return function(self, *given)
 
     def with_effect(self, effect: Effect) -> Any:
-        """Copy of its entry in `System.members` with one more effect."""
+        """Copy with one more effect, such as the damping of `settled`."""
         raise NotImplementedError(f"{type(self).__name__} takes no effects")
 
     def in_own_type(self, name: str) -> Any:
-        """Copy of its entry with the numbers of its effects converted to its dtype.
+        """Copy with the numbers of effects converted to the member's dtype.
 
         Args:
             name: Name of the member, for messages.
@@ -121,7 +118,7 @@ class Member(ABC):
         return self
 
     def with_free_ends(self, free: Array) -> Any:
-        """Copy of its entry whose effects know which ends of its rods are free.
+        """Copy whose effects know which ends of its rods are free.
 
         Args:
             free: Flags of the ends of its rods `(rods, 2)`: 1 if free, 0 otherwise.
@@ -136,7 +133,7 @@ class Member(ABC):
         return False
 
     def recalling(self, state: Any) -> Any:
-        """Copy of its entry whose effects have the memory that a state holds."""
+        """Copy whose effects have the memory that a state holds."""
         return self
 
     def with_memory(self, state: Any) -> Any:
@@ -193,7 +190,7 @@ class Member(ABC):
         """Flags of numerical faults in a state: a pytree with an entry `flagged`."""
 
     def contact_forces(self, state: Any) -> list[Vec3]:
-        """Contact forces of fixed bodies on all its nodes [N], one entry per effect."""
+        """Contact forces of fixed bodies on the nodes [N], one entry per effect."""
         return []
 
     # Energies and momenta.
@@ -204,11 +201,11 @@ class Member(ABC):
 
     @abstractmethod
     def kinetic_energy(self, state: Any) -> Array:
-        """Kinetic energy [J]."""
+        """Kinetic energy of translation and rotation [J]."""
 
     @abstractmethod
     def potential_energy(self, state: Any) -> Array:
-        """Elastic energy, and potentials of its effects [J]."""
+        """Elastic energy plus potential energies of effects [J]."""
 
     @abstractmethod
     def momentum(self, state: Any) -> Array:

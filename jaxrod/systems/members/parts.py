@@ -40,23 +40,24 @@ class Parts:
     """Moments of inertia [kg m^2]: transverse and polar for round rods (2 rows), else
     about all three axes (3 rows)."""
     rest_lengths: Float[Array, " elements"] | None = None
-    """Rest lengths of the elements of rods [m]; `None` for other members, as are the
-    next three."""
+    """Rest lengths of the elements of rods [m]; `None` for other members."""
     radii: Float[Array, " elements"] | None = None
-    """Radii of elements of rods [m]."""
+    """Radii of the elements of rods [m]; `None` for other members."""
     bend_twist_stiffness: Float[Array, "3 elements"] | None = None
-    """Bending and twisting stiffness of elements of rods [N m^2]."""
+    """Bending stiffness about d1 and d2 and twisting stiffness about d3 of the elements
+    of rods [N m^2]; `None` for other members."""
     linear_density: Float[Array, " elements"] | None = None
-    """Mass per length of elements of rods [kg/m]."""
+    """Mass per rest length of the elements of rods [kg/m]; `None` for other members."""
     shape: Body | None = None
-    """Surface of bodies, in their own frame."""
+    """Surface of rigid bodies in their own frame; `None` for other members."""
     held: Vec3 | None = None
     """Flags per node and world axis: 1 where a support holds the node, else 0; `None`
     if they are not known."""
     count: int = static(default=1)
     """Number of rods, bodies or points."""
     n_elements: int = static(default=1)
-    """Elements of each rod; 1 for bodies and points, whose nodes are also elements."""
+    """Number of elements of each rod; 1 for bodies and points, whose nodes are also
+    elements."""
     is_rod: bool = static(default=True)
     """Whether the member consists of rods, with one more node than elements."""
     is_rigid: bool = static(default=False)

@@ -175,11 +175,11 @@ class OneRod(Member):
         return masses[..., None, :] * state.velocities, state.angular_momenta
 
     def kinetic_energy(self, state: Any) -> Array:
-        """Kinetic energy [J]."""
+        """Kinetic energy of all rods [J]."""
         return self.total(lambda scene, own: scene.kinetic_energy(own), state)
 
     def potential_energy(self, state: Any) -> Array:
-        """Elastic energy, and potentials of its effects [J]."""
+        """Elastic energy of all rods, plus potential energies of effects [J]."""
         return self.total(lambda scene, own: scene.potential_energy(own), state)
 
     def momentum(self, state: Any) -> Array:

@@ -93,7 +93,7 @@ class MemberStepper(ABC):
     def remembered(self, motion: Any, memory: Any, dt: Array) -> Any:
         """Memory of the effects after a step, updated from its motion after the kick.
 
-        The default has no effects with memory.
+        The default is for effects without memory.
         """
         return memory
 

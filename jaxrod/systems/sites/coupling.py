@@ -150,9 +150,10 @@ class Coupling:
         raise NotImplementedError(f"{type(self).__name__} has no moved")
 
     def loads(self, seen: AllSeen) -> dict[str, Loads]:
-        """Forces on nodes, world frame [N], and couples on elements, own frames [N m].
+        """Forces on nodes, world frame [N], and couples on elements [N m].
 
-        They are computed at the same moment as the loads of effects.
+        Couples are in the material frames of the elements. Loads are computed at the
+        same moment as the loads of effects.
         """
         return {}
 

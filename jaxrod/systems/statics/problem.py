@@ -42,8 +42,8 @@ from jaxrod.systems.stepping.stepper import Motions, SystemStepper
 INSTANT = 1e-9
 """Duration of the kick that measures loads, over the time in which a rod bends [1]."""
 ANCHOR, ROUNDINGS = 1e-8, 100
-"""Weight that keeps free rods in place when gaps are closed [1], and its smallest value
-in units of the machine epsilon."""
+"""Weight of the regularisation that keeps free rods in place in `moved_along_edges`
+[1], and its smallest value in units of the machine epsilon."""
 
 
 @pytree
@@ -119,7 +119,7 @@ class StaticProblem:
     system: Assembly
     """The system."""
     stepper: SystemStepper
-    """The stepper of the system, whose kick measures loads."""
+    """The stepper of the system; its kick from rest gives the accelerations."""
     scales: Scales
     """The units of the unknowns."""
 
@@ -369,8 +369,8 @@ class StaticProblem:
     ) -> Motions:
         """Configuration after a second at scaled rates; strains change linearly.
 
-        Displacements close the gaps of the edges, in the least-squares sense where ties
-        and supports do not allow more.
+        Nodes are displaced to close the gaps of `moved_with_gaps`, in the least-squares
+        sense where ties and supports do not allow more.
 
         Args:
             here: The configuration before.
