@@ -5,8 +5,8 @@ At the joint at arc length $s$ acts the moment
 $$\tau = r(t)\,A(s) \sin 2\pi\left(\frac tT - \frac s\lambda + \varphi\right),$$
 
 with a plus sign on the element after the joint and a minus sign on the element before
-it. The wave bends an unloaded rod by the curvature $\tau/B$. $r$ rises from 0 to 1 while
-the wave is ramped up.
+it. The wave bends an unloaded rod by the curvature $\tau/B$. $r$ rises from 0 to 1
+while the wave is ramped up.
 
 The amplitude $A(s)$ may be a clamped uniform cubic B-spline. With $K$ coefficients it
 has $K - 3$ equal pieces. The first and the last coefficient are the values at the ends.

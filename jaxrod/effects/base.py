@@ -56,8 +56,8 @@ class StabilityBound:
     translation and rotation slip: `drags` divides this drag between them by inertia,
     damping included. It is perpendicular to `node_drag`."""
     slip_couple: Array | None = None
-    """Friction couple on each element per angular velocity: drag times lever squared [N
-    m s]."""
+    """Friction couple on each element per angular velocity, drag times squared lever
+    [N m s]."""
 
     def drags(self, moving: Array, turning: Array) -> tuple[Array | None, Array | None]:
         """Bounds of the drag on nodes [kg/s] and on elements [N m s], with friction.
