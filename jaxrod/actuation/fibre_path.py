@@ -165,7 +165,7 @@ def helical_offsets(
         radius: Distance from the centreline, one number, or one per node [m].
         turns: Number of turns from the base of the rod to its tip, right-handed if
             positive, at most 100 in size.
-        angles: Angle of each fibre at the start, from d1 towards d2, at most 1000 in
+        angles: Angle of each fibre at the base, from d1 towards d2, at most 1000 in
             size `(k,)` [rad].
 
     Raises:

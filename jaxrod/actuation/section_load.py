@@ -84,7 +84,7 @@ class SectionStrains:
 
 @pytree
 class SectionStress:
-    """Force and moment of an actuator in a rod; `None` for one that it does not have.
+    """Force and moment of an actuator in a rod; `None` for the one that is zero.
 
     Example:
         >>> zero, turns = jnp.zeros(10), (jnp.zeros(11), jnp.zeros(11), jnp.zeros(11))
@@ -358,13 +358,16 @@ def _beside_nodes(values: Array) -> tuple[Array, Array]:
 
 
 def _moves(rod: Rod) -> Array:
-    """Squared frequency of nodes moving against a stiffness, per stiffness [1/kg]."""
+    """Squared frequency of the two nodes of each element, per stiffness [1/kg].
+
+    It is `2 (1 / m + 1 / m')` for their masses.
+    """
     inverse = 1 / rod.node_masses
     return 2 * (inverse[1:] + inverse[:-1])
 
 
 def _rocking(rod: Rod) -> Array:
-    """Squared frequency of elements that rotate between fixed nodes, per stiffness.
+    """Squared frequency of each element rotating between fixed nodes, per stiffness.
 
     It is the squared length over the rotary inertia [1/kg].
     """

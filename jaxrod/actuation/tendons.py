@@ -86,7 +86,7 @@ class Tendon(Effect):
         return "second neighbours" if decided_here else "any"
 
     def loads(self, rod: Rod, motion: Motion) -> Loads:
-        """Forces on nodes and couples on elements, from cable pieces at eyelets."""
+        """Forces on nodes and couples on elements, from the pulls at the eyelets."""
         levers, points = self._points(motion)
         pieces, lengths = _pieces(points)
         along = vectors.scale(1 / lengths, pieces)
@@ -226,7 +226,7 @@ class Tendon(Effect):
         return jnp.sum(self.stiffness * (longest + 0.5 * self.onset))
 
     def _held_back(self, rod: Rod, motion: Motion, levers: Vec3, along: Vec3) -> Array:
-        """Tension of each piece of cable over that at the base `(k, m)` [1]."""
+        """Tension of each piece of cable over that at the base `(k, pieces)` [1]."""
         assert self.friction is not None and self.slip_speed is not None
         held = slice(self.first, self.first + self.eyelets.shape[2])
         x, y, z = (part[None, held] for part in motion.angular_velocities(rod))
@@ -249,9 +249,9 @@ class Tendon(Effect):
         return jnp.exp(-jnp.pad(jnp.cumsum(lost, axis=1), ((0, 0), (1, 0))))
 
     def _slip_share(self, slip: Array) -> Array:
-        r"""Friction over its full size, given slip over `slip_speed` `(k, m)` [1].
+        r"""Friction over its full size at the eyelets between pieces [1].
 
-        It is $\phi$ in the formulas of the module.
+        It is $\phi$ in the formulas of the module; `slip` is over the slip speed.
         """
         moving = jnp.tanh(slip)
         if self.friction_at_rest is None:
@@ -275,7 +275,7 @@ def _net(pull: Array) -> Array:
 
 
 def _placed(of_eyelets: Vec3, first: int, n: int) -> Vec3:
-    """Sums vectors at eyelets over all cables, for all `n` elements of the rod."""
+    """Sums of eyelet vectors over all cables, zero on elements without eyelets."""
 
     def one(part: Array) -> Array:
         total = jnp.sum(part, axis=0)

@@ -329,7 +329,7 @@ def muscle_torques(
 
 
 def _amplitudes(amplitude: Numbers, shares: Any, kind: Any) -> Array:
-    """Amplitudes at positions along a rod, given as fractions of its length."""
+    """Amplitudes of a wave at fractions `shares` of the length of a rod [N m]."""
     given = numeric("amplitude", amplitude, "N m")
     given = check_array("amplitude", given, [given.shape], "N m", dtype=kind)
     if given.ndim == 0:

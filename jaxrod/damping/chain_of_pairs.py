@@ -38,16 +38,17 @@ the number minus the factors times the unknowns after it."""
 
 @pytree
 class ChainOfPairs:
-    """Weights and couplings of the joints and elements of a rod; `N` is odd.
+    """Weights $W$ and couplings $S$ of the joints and elements of a rod; `N` is odd.
 
-    A coupling of "a with b" has the components of a as rows and those of b as columns.
-    Only entries up to the diagonal are read of the coupling of a vector with itself.
+    Couplings are 3 x 3 matrices. A coupling of "a with b" has the components of a as
+    rows and those of b as columns. Only entries up to the diagonal are read of the
+    coupling of a joint or element with itself.
     """
 
     joint_weights: Vec3
-    """Weights of the `N + 1` joints."""
+    """Weights $W$ of the `N + 1` joints, one per component."""
     element_weights: Vec3
-    """Weights of the `N` elements."""
+    """Weights $W$ of the `N` elements, one per component."""
     joints: Matrix
     """Coupling of each joint with itself."""
     elements: Matrix
@@ -63,7 +64,7 @@ class ChainOfPairs:
     nodes."""
 
     def solve(self, joints: Vec3, elements: Vec3) -> tuple[Vec3, Vec3]:
-        """Unknowns `p` of joints and elements for the right-hand sides `b` of both.
+        """Unknowns $p$ of joints and elements for the right-hand sides $b$ of both.
 
         Right-hand sides may be given for `N - 1` elements and `N` joints. Those of the
         last element and joint are then zero, and their unknowns are not returned.
@@ -99,7 +100,10 @@ class ChainOfPairs:
         )
 
     def _own(self, between: Matrix) -> _Triangle:
-        """Coupling of each pair of a joint and an adjacent element with itself."""
+        """Coupling of each pair of a joint and an adjacent element with itself.
+
+        `between` is the coupling of that element with that joint.
+        """
         joints = [list(self.joints[i][: i + 1]) for i in range(3)]
         return joints + [[*between[i], *self.elements[i][: i + 1]] for i in range(3)]
 
@@ -177,8 +181,8 @@ def _padded(a: Vec3, after: int) -> Vec3:
 def _in_order(count: int, ends: list[Array], *middle: list[Array]) -> Vec3:
     """First `count` unknowns in their order along the rod.
 
-    `ends` has those of each round, of the base side and of the tip side; `middle` has
-    those at the middle.
+    `ends` has the unknowns of each round, first on the base side and second on the tip
+    side; `middle` has the unknowns at the middle.
     """
     x, y, z = (
         jnp.concatenate([both[:, 0], jnp.stack(between), both[::-1, 1]])[:count]
@@ -195,7 +199,8 @@ def _eliminate_round(rest: Any, given: Any) -> tuple[Any, Any]:
         given: Weights, couplings and right-hand sides of this round.
 
     Returns:
-        Those that this round adds for the next, and the eliminated unknowns.
+        Couplings and right-hand sides added for the next round, and the eliminated
+        unknowns.
     """
     weights, own, right, (to_joint, past_element, to_element) = given
     matrix, right = jax.tree.map(jnp.add, (own, right), rest)

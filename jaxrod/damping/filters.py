@@ -144,7 +144,7 @@ class LaplacianFilter(Effect):
     """Number of times that the Laplacian is applied."""
 
     def dissipate(self, scene: LoadedRod, motion: Motion, dt: Array) -> Motion:
-        """Motion whose velocities and spins are filtered once."""
+        """Motion with filtered velocities and spins; see `laplacian_filter`."""
         if not motion.spin_is_velocity:
             raise ValueError(
                 "laplacian_filter is PyElastica's, for method=pyelastica(): "

@@ -62,7 +62,10 @@ class LinearDamper(Effect):
 
 
 def _masses(rod: Rod) -> Array:
-    """Masses of elements as PyElastica's damper computes them from node masses [kg]."""
+    """Masses of elements from node masses, as PyElastica's damper computes them [kg].
+
+    Each is the mean of two node masses, plus half of the end node's at an end.
+    """
     nodes = rod.node_masses
     mean = 0.5 * (nodes[1:] + nodes[:-1])
     return mean.at[0].add(0.5 * nodes[0]).at[-1].add(0.5 * nodes[-1])

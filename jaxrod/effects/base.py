@@ -49,8 +49,8 @@ class StabilityBound:
     """Drag force on each node per speed, if `loads` contains it (explicit drag)
     [kg/s]."""
     element_drag: Array | None = None
-    """Drag couple on each element per angular velocity, if `loads` contains it [N m
-    s]."""
+    """Drag couple on each element per angular velocity, if `loads` contains it
+    [N m s]."""
     slip_drag: Array | None = None
     """Friction force at each node per speed of slip of the rod's surface [kg/s]. Both
     translation and rotation slip: `drags` divides this drag between them by inertia,
@@ -173,7 +173,7 @@ class Effect:
         return self.reach
 
     def __init_subclass__(cls, **kwargs: Any) -> None:
-        """Drops inherited declarations about hooks that this class overrides."""
+        """Resets inherited descriptions of hooks that a subclass overrides."""
         super().__init_subclass__(**kwargs)
         if cls.reach not in get_args(Reach):
             raise ValueError(
@@ -396,10 +396,10 @@ class Effect:
 
 
 def _says_of_others(kind: type, name: str, hooks: tuple[str, ...]) -> bool:
-    """Whether the nearest class that overrides a hook leaves its description inherited.
+    """Whether a class overrides one of `hooks` without also declaring `name`.
 
-    `name` is the attribute that describes the `hooks`. The result is `True` if a class
-    overrides one of them, and neither it nor a subclass of it declares `name`.
+    `name` is an attribute that describes the hooks. Its inherited value then describes
+    those of a base class.
     """
     for base in kind.__mro__:
         if name in vars(base):

@@ -1,4 +1,4 @@
-"""Clamped ends: by a wall through an elastic joint, or by a rigidly held element."""
+"""Clamped ends of a rod: joined to a wall by an elastic joint, or held rigidly."""
 
 from __future__ import annotations
 
@@ -67,7 +67,7 @@ class Clamp(Effect):
     `None` if not known."""
 
     def check(self, rod: Rod) -> None:
-        """Raises ValueError if the support was made for another number of elements."""
+        """Raises ValueError if the rod does not have `made_for` elements."""
         check_made_for("clamp", self.made_for, rod)
 
     def _joint(self, rod: Rod, orientation: Quaternion) -> tuple[Vec3, Array, Vec3]:
@@ -132,7 +132,7 @@ class Clamp(Effect):
         )
 
     def held(self, rod: Rod) -> tuple[Held, ...]:
-        """The end node and the end element."""
+        """The end node along all axes, and the orientation of the end element."""
         return (held_end(self.end),)
 
     def violation(self, rod: Rod, state: RodState) -> Array:
@@ -179,7 +179,7 @@ class FixedEnd(Effect):
     `None` if not known."""
 
     def check(self, rod: Rod) -> None:
-        """Raises ValueError if the support was made for another number of elements."""
+        """Raises ValueError if the rod does not have `made_for` elements."""
         check_made_for("fixed_end", self.made_for, rod)
 
     def resampled(self, rod: Rod, new_rod: Rod) -> FixedEnd:
@@ -193,7 +193,7 @@ class FixedEnd(Effect):
         )
 
     def held(self, rod: Rod) -> tuple[Held, ...]:
-        """The end node and the end element."""
+        """The end node along all axes, and the orientation of the end element."""
         return (held_end(self.end),)
 
     def violation(self, rod: Rod, state: RodState) -> Array:

@@ -64,7 +64,7 @@ class Driven(Effect):
     """Orientation, angular velocity and acceleration of the wall: a `Turned`, or a
     schedule of it. `None` if the end element turns freely."""
     end: End = static(default="base")
-    """The end that is driven."""
+    """End of the rod that is driven, "base" or "tip"."""
     axes: Axes = static(default=(True, True, True))
     """World axes along which the node is driven; along the others it is free."""
     holds_element: bool = static(default=False)
@@ -203,7 +203,7 @@ class Driven(Effect):
         return replace(self, made_for=made_again_for(self.made_for, new_rod))
 
     def check(self, rod: Rod) -> None:
-        """Raises ValueError if the support was made for another number of elements."""
+        """Raises ValueError if the rod does not have `made_for` elements."""
         check_made_for("driven", self.made_for, rod)
 
     def reaction(self, rod: Rod, motion: Motion, needed: Loads) -> Reaction:

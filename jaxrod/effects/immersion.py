@@ -43,7 +43,7 @@ class Buoyancy(Effect):
         return on_nodes(rod, (1 + self.added_mass) * displaced)
 
     def loads(self, rod: Rod, motion: Motion) -> Loads:
-        """Buoyant forces on the nodes, minus the balanced mass times gravity."""
+        """Buoyant force on each node: minus its balanced mass times gravity."""
         masses, g = self.lifted(rod), self.acceleration
         return Loads(forces=(-masses * g[0], -masses * g[1], -masses * g[2]))
 
@@ -92,11 +92,12 @@ def buoyancy(
 def with_added_mass(rod: Rod, density: Numbers, coefficient: Numbers = 1.0) -> Rod:
     r"""The rod plus the mass of fluid that moves with it, $C\rho_f\pi r^2$ per length.
 
-    The added mass is the same in all directions. That is right across the rod, where $C
-    = 1$ for a circular section. It is wrong along the rod, where there is none: axial
-    waves are slower by $\sqrt{1 + C\rho_f/\rho}$, which is seldom visible in slender
-    rods. It is not a model of a rod that swims by the thrust of fluid that it pushes
-    back (Lighthill's). The scene's momentum and kinetic energy count the added mass.
+    The added mass is the same in all directions. That is right across the rod, where
+    $C = 1$ for a circular section. It is wrong along the rod, where there is none:
+    axial waves are slower by $\sqrt{1 + C\rho_f/\rho}$, which is seldom visible in
+    slender rods. It is not a model of a rod that swims by the thrust of fluid that it
+    pushes back (Lighthill's). The scene's momentum and kinetic energy count the added
+    mass.
 
     Args:
         rod: The rod, of round section.

@@ -156,7 +156,10 @@ class UniformLoad(Effect):
         return None
 
     def _on_elements(self, rod: Rod) -> tuple[Vec3, Vec3]:
-        """Half of the force [N] and the couple [N m] on each element, given frame."""
+        """Half of the force [N], and the couple [N m], on each element.
+
+        Both are in the frame in which the loads are given.
+        """
         lengths = rod.rest_lengths
         f, c = self.force_per_length, self.couple_per_length
         forces = (0.5 * lengths * f[0], 0.5 * lengths * f[1], 0.5 * lengths * f[2])

@@ -58,7 +58,7 @@ class Path(Schedule):
 
     @property
     def largest(self) -> Placed:
-        """Position at the largest displacement along every axis; rates are zero."""
+        """Position with the largest displacement along every axis, and zero rates."""
         still = jnp.zeros_like(self.start)
         return Placed(self.start + self.displacement.largest, still, still)
 

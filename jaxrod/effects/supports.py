@@ -133,7 +133,10 @@ class Pin(Effect):
         return (Held(self.node, self.axes),)
 
     def check(self, rod: Rod) -> None:
-        """Raises ValueError for a missing node or another number of elements."""
+        """Raises ValueError if the pin does not fit the rod.
+
+        The node must exist, and the rod must have `made_for` elements.
+        """
         check_made_for("pin", self.made_for, rod)
         if not 0 <= self.node <= rod.n_elements:
             raise ValueError(
@@ -174,7 +177,7 @@ class Hinge(Effect):
     `None` if not known."""
 
     def check(self, rod: Rod) -> None:
-        """Raises ValueError if the support was made for another number of elements."""
+        """Raises ValueError if the rod does not have `made_for` elements."""
         check_made_for("hinge", self.made_for, rod)
 
     def _stiffness(self, rod: Rod) -> Array:

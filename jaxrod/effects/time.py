@@ -25,8 +25,8 @@ Tree = TypeVar("Tree")
 _DIGIT = 10
 """Bits per digit of the step count, which `Clock.phase` splits into digits."""
 _COARSE = 4096
-"""Steps into which a period is rounded: a number of steps times a digit is exact in
-float32."""
+"""Parts of a period to which fractions are rounded. They are few enough that a number
+of parts times a digit is exact in float32."""
 
 
 @pytree
@@ -358,7 +358,7 @@ class Sine(Schedule):
 
     @property
     def largest_norm(self) -> Array:
-        """Larger norm of `a + b` and `a - b`, of mean and amplitude."""
+        """Larger norm of mean plus amplitude and mean minus amplitude."""
         up, down = self.mean + self.amplitude, self.mean - self.amplitude
         return jnp.maximum(norm(up), norm(down))
 

@@ -46,7 +46,8 @@ class Drag:
     turning: tuple[Array, Array] | None = None
     """Decay rates of angular momenta about d3, and about d1 and d2 [1/s]."""
     flow: Vec3 | None = None
-    """Velocity of the fluid at the nodes, world frame [m/s]; `None` at rest."""
+    """Velocity of the fluid at the nodes, world frame [m/s]; `None` for a fluid at
+    rest."""
 
     @property
     def grows_with_speed(self) -> bool:

@@ -63,8 +63,8 @@ class Rod:
     rest_curvatures: Float[Array, "3 n-1"]
     """Curvature and twist of the unstressed shape, material frame [1/m]."""
     joint_mean: JointMean = static(default="arithmetic")
-    """Mean of the bend-twist stiffnesses of two elements that is that of their joint:
-    weighted by length ("arithmetic"), or of springs in series ("series")."""
+    """Mean of two elements' bend-twist stiffnesses at their joint: weighted by length
+    ("arithmetic"), or of springs in series ("series")."""
 
     def __repr__(self) -> str:
         """One line with elements, sizes and material; ranges for numbers that vary."""
@@ -188,7 +188,7 @@ class Layout:
     n_elements: int = 1
     """Elements of each rod; 1 for bodies and points, whose nodes are also elements."""
     is_rod: bool = False
-    """Whether it is made of rods, with one more node than elements."""
+    """Whether the member consists of rods, with one more node than elements."""
     is_stacked: bool = False
     """Whether arrays have a leading axis for several equal rods."""
 
