@@ -76,7 +76,7 @@ class LinearField(MagneticField):
     flux_density: Any
     """Flux density at the origin, world frame `(3,)` [T]."""
     gradient: Any
-    """Derivative of component i along axis j `(3, 3)` [T/m]."""
+    """Derivative of component i of the flux density along axis j `(3, 3)` [T/m]."""
     extent: Float[Array, ""]
     """Distance from the origin within which the rod stays [m]."""
 

@@ -61,7 +61,7 @@ from jaxrod.validation import Numbers, as_array, check_kind
 
 
 class ForceLength(ABC):
-    """Base of curves of force fraction over stretch; a subclass is a pytree."""
+    """Base of curves of force over stretch, as fractions of the full force."""
 
     @abstractmethod
     def energy(self, stretch: Array) -> Array:
@@ -125,7 +125,7 @@ _RUN_OUT = 0.05
 
 
 def _outlets() -> tuple[float, float]:
-    """Stretches where the cubic ends and the parabolas begin that take it to zero."""
+    """Stretches where the cubic ends and parabolas take it to zero."""
     slope = _CUBIC.deriv()
     before = (2 * _CUBIC - _RUN_OUT * slope).roots()
     after = (2 * _CUBIC + _RUN_OUT * slope).roots()
@@ -224,7 +224,7 @@ def constant_force() -> ConstantForce:
 HYPERBOLA = 0.25
 """Constant `h` of Hill's hyperbola: the smaller, the stronger its curvature [1]."""
 DRAWN_OUT = 1.5
-"""Constant `b`: largest force during lengthening, over that at zero speed [1]."""
+"""Constant `b`: largest force of a lengthening muscle over that at zero speed [1]."""
 
 
 @pytree
@@ -246,9 +246,10 @@ class Muscle(SectionLoad):
     activation: Scheduled
     """Fraction of the full force [1]: one number, one per fibre `(k,)`, or `(k, n)`."""
     curve: ForceLength
-    """Force fraction as a function of stretch."""
+    """Force-length curve: fraction of the full force as a function of stretch."""
     fastest: Float[Array, ""] | None = None
-    """Largest speed of shortening, in rest lengths per time [1/s]; `None`: no limit."""
+    """Largest speed of shortening, in rest lengths per time [1/s]; `None`: the force
+    does not depend on speed."""
     slowed: Float[Array, "k n+1"] | None = None
     """Factor of the force for the speed of shortening, at nodes [1]; `None`: one.
     `at_speed` sets it."""

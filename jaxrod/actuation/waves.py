@@ -202,7 +202,7 @@ class WorldWave(Effect):
         return Loads(couples=to_material(frame, (net * a, net * b, net * c)))
 
     def turning_tangent(self, rod: Rod, motion: Motion) -> None:
-        """None: the couples are constant in the world frame."""
+        """None: couples in the world frame do not change when elements rotate."""
 
     def resampled(self, rod: Rod, new_rod: Rod) -> WorldWave:
         """The same wave at the nodes of `new_rod`."""
@@ -228,7 +228,11 @@ def travelling_wave(
     head: End = "base",
     into: Clamp | tuple[Clamp, ...] | None = None,
 ) -> TravellingWave:
-    """A wave of bending or twist that runs along a rod, about an axis of its sections.
+    """A wave of bending or twist that runs along a rod and turns with its sections.
+
+    The moment about the axis is `amplitude(s) sin 2 pi (t / period - s / wavelength +
+    phase)`, with the arc length `s` from the head. Two waves about d1 and d2 lift a
+    body as it swings.
 
     Args:
         rod: The rod.

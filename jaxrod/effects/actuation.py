@@ -309,7 +309,7 @@ class SplineCouples(Schedule):
     """Schedule of couples from a spline with time-dependent controls or density."""
 
     averages: ElementAverages
-    """Averages of the spline over the elements."""
+    """Averages of the basis of the spline over the elements."""
     controls: Any
     """Control values about d1, d2, d3 `(3, n_controls)`, or a schedule of them [1]."""
     couple_density: Any
@@ -325,7 +325,11 @@ class SplineCouples(Schedule):
 
     @property
     def largest(self) -> Float[Array, "3 n"]:
-        """Bound: couples of absolute averages, largest controls and density [N m]."""
+        """Upper bound of the absolute couples at all times [N m].
+
+        It is computed from absolute averages, largest control values and largest
+        density.
+        """
         averages, controls, density = jax.tree.map(
             jnp.abs, (self.averages, *at_largest((self.controls, self.couple_density)))
         )

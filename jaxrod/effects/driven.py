@@ -262,6 +262,8 @@ def driven(
 ) -> Driven:
     """Moves an end of a rod along a path, and turns the wall that holds its element.
 
+    `jaxrod.reactions` gives the force, couple and power that this takes.
+
     Args:
         state: The state of the rod, from which displacement and angle are counted.
         end: The end that is driven.

@@ -48,7 +48,7 @@ class Buoyancy(Effect):
         return Loads(forces=(-masses * g[0], -masses * g[1], -masses * g[2]))
 
     def turning_tangent(self, rod: Rod, motion: Motion) -> None:
-        """None: the force is constant."""
+        """None: there are no couples that could change when elements rotate."""
 
     def energy(self, rod: Rod, state: RodState) -> Array:
         """Potential energy: balanced mass times gravity times position [J]."""

@@ -56,7 +56,7 @@ class Gravity(Effect):
         warn_of_weight(rod, self.acceleration)
 
     def turning_tangent(self, rod: Rod, motion: Motion) -> None:
-        """None: the weight is constant."""
+        """None: there are no couples that could change when elements rotate."""
 
     def energy(self, rod: Rod, state: RodState) -> Array:
         """Potential energy, minus the sum of m g . x over the nodes [J]."""
@@ -88,7 +88,7 @@ class EndLoad(Effect):
         return self._at_end(rod, vectors.split(self.force), couple)
 
     def turning_tangent(self, rod: Rod, motion: Motion) -> Matrix | None:
-        """None: force and couple are constant in the world frame."""
+        """None: couples in the world frame do not change when elements rotate."""
         return None
 
     def _at_end(self, rod: Rod, force: Vec3, couple: Vec3) -> Loads:
@@ -152,7 +152,7 @@ class UniformLoad(Effect):
         )
 
     def turning_tangent(self, rod: Rod, motion: Motion) -> Matrix | None:
-        """None: the couples are constant in the world frame."""
+        """None: couples in the world frame do not change when elements rotate."""
         return None
 
     def _on_elements(self, rod: Rod) -> tuple[Vec3, Vec3]:
