@@ -63,8 +63,7 @@ class Clamp(Effect):
     """Position of the wall [m], which only `health` uses. `None`: distance of the end
     node from the wall is not checked."""
     made_for: int | None = static(default=None)
-    """Number of elements of the state from which this support was made, for `check`;
-    `None` if not known."""
+    """Number of elements that the rod must have, see `check`; `None`: any number."""
 
     def check(self, rod: Rod) -> None:
         """Raises ValueError if the rod does not have `made_for` elements."""
@@ -175,8 +174,7 @@ class FixedEnd(Effect):
     end: End = static(default="base")
     """End of the rod that is held, "base" or "tip"."""
     made_for: int | None = static(default=None)
-    """Number of elements of the state from which this support was made, for `check`;
-    `None` if not known."""
+    """Number of elements that the rod must have, see `check`; `None`: any number."""
 
     def check(self, rod: Rod) -> None:
         """Raises ValueError if the rod does not have `made_for` elements."""

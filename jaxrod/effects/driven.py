@@ -70,8 +70,7 @@ class Driven(Effect):
     holds_element: bool = static(default=False)
     """Whether the wall holds the end element rigidly instead of through a joint."""
     made_for: int | None = static(default=None)
-    """Number of elements of the state from which this support was made, for `check`;
-    `None` if not known."""
+    """Number of elements that the rod must have, see `check`; `None`: any number."""
 
     @property
     def _joint(self) -> Clamp | None:
@@ -124,10 +123,7 @@ class Driven(Effect):
         )
 
     def constrain_rates(self, rod: Rod, motion: Motion) -> Motion:
-        """Sets velocities of the driven degrees of freedom.
-
-        The end node gets the velocity of its path, a held element that of the wall.
-        """
+        """Gives the end node the path's velocity, and a held element the wall's."""
         if self.holds_element:
             velocity, momentum = self._turning_element(rod)
             spin = velocity if motion.spin_is_velocity else momentum
@@ -143,10 +139,7 @@ class Driven(Effect):
     def constrain_accelerations(
         self, rod: Rod, motion: Motion, change: Motion
     ) -> Motion:
-        """Sets accelerations of the driven degrees of freedom.
-
-        The end node gets the acceleration of its path, a held element that of the wall.
-        """
+        """Gives the end node the path's acceleration, and a held element the wall's."""
         if self.holds_element:
             x, y, z = (
                 replace_end(a, b, self.end)

@@ -95,5 +95,5 @@ def check_made_for(name: str, count: int | None, rod: Rod) -> None:
 
 
 def made_again_for(count: int | None, rod: Rod) -> int | None:
-    """New value of a support's `made_for` when it is resampled for `rod`."""
+    """New `made_for` of a support of `rod`: its number of elements, or `None`."""
     return None if count is None else rod.n_elements

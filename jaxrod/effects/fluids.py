@@ -168,7 +168,7 @@ class FluidDrag(Effect):
         """Decay rates along and across the rod."""
 
     def loads(self, rod: Rod, motion: Motion) -> Loads:
-        """Drag as forces on nodes and couples on elements."""
+        """Drag as forces and couples, for methods that treat it as an explicit load."""
         return drag_loads(rod, motion, self.drag(rod, motion))
 
     def flow_at(self, motion: Motion) -> Vec3 | None:
@@ -213,7 +213,11 @@ class StokesDrag(FluidDrag):
         )
 
     def stability_bound(self, rod: Rod) -> StabilityBound:
-        """Larger drag coefficient of each node; rotational one of each element."""
+        """Bounds of the drag on nodes and elements.
+
+        They are the larger coefficient at each node and the rotational one of each
+        element.
+        """
         turning = self.turning
         return StabilityBound(
             node_drag=on_nodes(rod, jnp.maximum(self.along, self.across)),

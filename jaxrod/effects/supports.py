@@ -111,8 +111,7 @@ class Pin(Effect):
     axes: Axes = static(default=(True, True, True))
     """Flags of the world axes x, y, z along which the node is held."""
     made_for: int | None = static(default=None)
-    """Number of elements of the state from which this support was made, for `check`;
-    `None` if not known."""
+    """Number of elements that the rod must have, see `check`; `None`: any number."""
 
     def constrain_rates(self, rod: Rod, motion: Motion) -> Motion:
         """Sets the velocity of the node to zero along the held axes."""
@@ -133,10 +132,7 @@ class Pin(Effect):
         return (Held(self.node, self.axes),)
 
     def check(self, rod: Rod) -> None:
-        """Raises ValueError if the pin does not fit the rod.
-
-        The node must exist, and the rod must have `made_for` elements.
-        """
+        """Raises ValueError if the node is missing or `made_for` does not fit."""
         check_made_for("pin", self.made_for, rod)
         if not 0 <= self.node <= rod.n_elements:
             raise ValueError(
@@ -173,8 +169,7 @@ class Hinge(Effect):
     end: End = static(default="base")
     """End of the rod that is held, "base" or "tip"."""
     made_for: int | None = static(default=None)
-    """Number of elements of the state from which this support was made, for `check`;
-    `None` if not known."""
+    """Number of elements that the rod must have, see `check`; `None`: any number."""
 
     def check(self, rod: Rod) -> None:
         """Raises ValueError if the rod does not have `made_for` elements."""
