@@ -66,7 +66,7 @@ class PlanCost:
     """Shape of the plan between knots, one of `SHAPES`."""
 
     def actions(self, now: Array, knots: Array) -> Float[Array, "knots pieces action"]:
-        """Returns the actions of a plan, one per `hold` control steps, grouped by knot."""
+        """Returns a plan's actions, one per `hold` control steps, grouped by knot."""
         table = jnp.asarray(
             piece_weights(self.knots, self.spacing, self.hold, self.shape), knots.dtype
         )

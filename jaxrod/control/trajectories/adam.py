@@ -153,7 +153,7 @@ def adam(
 
 
 def _valued(problem: Problem, scaled: Array) -> tuple[Array, Array]:
-    """Returns the cost and its gradient by knots in units of the bounds' half widths."""
+    """Returns the cost and its gradient by knots, scaled by the bounds' half widths."""
 
     def value(scaled: Array) -> Array:
         knots = scaled * half_widths(problem)[None]

@@ -113,8 +113,7 @@ class Solution:
 
     @property
     def readouts(self) -> dict[str, np.ndarray]:
-        """Values over time by name and unit, from `problem.data.readouts`, if it exists.
-        """
+        """Values over time by name, from `problem.data.readouts` (empty without it)."""
         readouts = getattr(self.problem.data, "readouts", None)
         if readouts is None:
             return {}
