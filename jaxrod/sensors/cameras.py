@@ -176,7 +176,7 @@ class ImageMarkers(Sensor):
     name: str = static(default="image markers")
 
     def check(self, scene: LoadedRod) -> None:
-        """Raises a ValueError if a marker is beyond the end of the rod, unless traced."""
+        """Raises a ValueError if a marker is beyond the rod's end, unless traced."""
         self.markers.check(scene)
 
     def measure(self, scene: LoadedRod, state: RodState) -> Float[Array, "2 *k"]:

@@ -180,7 +180,7 @@ class StationSensor(Sensor):
     """Arc lengths of the stations in the unstressed rod [m]."""
 
     def check(self, scene: LoadedRod) -> None:
-        """Raises a ValueError if a station is beyond the end of the rod, unless traced."""
+        """Raises a ValueError if a station is beyond the rod's end, unless traced."""
         length = scene.rod.length
         if is_traced(self.arc_length, length):
             return

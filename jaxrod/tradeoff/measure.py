@@ -63,8 +63,8 @@ class Setting:
     """Integrator, "explicit" or "implicit"."""
     reductions: tuple[Reduction, ...] = ()
     """Cheaper or more precise methods: "planar" (motion in a plane), "untwisted"
-    (without twist), "inertia" (enlarged rotary inertia), "compensated" (positions with
-    compensated summation)."""
+    (without twist), "inertia" (enlarged transverse rotary inertia), "compensated"
+    (positions with compensated summation)."""
     safety: float = 0.9
     """Step size as a fraction of the stability limit, if `dt` is `None` [1]."""
 
