@@ -35,7 +35,7 @@ from jaxrod.structure import pytree
 from jaxrod.validation import Numbers, as_array, is_traced, numeric
 
 _BEYOND = 1e-5
-"""Largest distance of a station beyond the end, over the rod's length [1]."""
+"""Largest accepted distance of a station beyond the end, over the rod's length [1]."""
 
 
 class Sensor(ABC):
@@ -81,7 +81,7 @@ class Sensor(ABC):
 
     @abstractmethod
     def measure(self, scene: LoadedRod, state: RodState) -> Array:
-        """Computes the reading in a state; called by `read`, checked and compiled."""
+        """Computes the reading in a state; `read` calls it compiled, after `check`."""
 
     def check(self, scene: LoadedRod) -> None:  # noqa: B027
         """Raises if the scene lacks what the sensor measures; by default never."""
@@ -139,7 +139,7 @@ def _weights(rod: Rod, stations: Array, places: Array) -> Weights:
     before = from_here & to_here
     start = jnp.sum(jnp.where(before, row[:, :-1], 0), axis=1)
     length = jnp.sum(jnp.where(before, row[:, 1:] - row[:, :-1], 0), axis=1)
-    # NaN is in no interval.
+    # A station that is NaN is in no interval.
     safe = jnp.where(valid, length, 1)
     return Weights(before, (stations - start) / safe, valid)
 

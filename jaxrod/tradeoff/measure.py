@@ -302,8 +302,8 @@ def cost(
     """
     with jax.enable_x64(prepared.setting.dtype == "float64"):
         scene, state, controls, dt, substeps = _arguments(workload, prepared)
-        # For many rods a few periods suffice. One rod runs all periods: the overhead of
-        # a call is more than a thousand of the smallest steps.
+        # For many rods a few periods suffice. One rod runs all periods: a call's
+        # overhead is as long as a thousand of the smallest steps.
         periods = min(len(workload.controls), max(2, TIMED_PERIODS // batch))
         controls = controls[:periods]
         run = partial(_run, workload, batch > 1)
@@ -319,7 +319,7 @@ def cost(
         once()
         single = once()
         rounds = max(1, int(seconds / WINDOWS / single))
-        # A run that is longer than all windows together is not repeated.
+        # A run that takes longer than `seconds` is not repeated.
         repeats = WINDOWS if single < seconds else 0
         windows = [sum(once() for _ in range(rounds)) for _ in range(repeats)]
     simulated = rounds * periods * workload.period * batch

@@ -31,7 +31,7 @@ from jaxrod.tradeoff.workload import Workload, workload_of
 from jaxrod.validation import check_array, check_count, is_traced
 
 ELEMENTS = (4, 5, 6, 8, 10, 12, 14, 17, 20, 24, 28, 34, 40, 48, 56, 68, 80)
-"""Numbers of elements that are tried, in this order."""
+"""Numbers of elements of the rod among which `tune` chooses by default."""
 STEPS_FOR_IMPLICIT = 100
 """Smallest number of explicit steps that an implicit step must replace: implicit
 settings with smaller steps are not tried."""

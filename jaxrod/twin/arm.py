@@ -330,7 +330,8 @@ class Arm:
     ) -> Float[Array, "markers 3"]:
         """Positions of the markers in the registered frame of the camera [m].
 
-        That is the arm's frame up to small errors: `turn` rotates and `shift` moves it.
+        It differs from the arm's frame by the small rotation `turn` and displacement
+        `shift` in `values`.
         """
         places = [marker.at for marker in self.markers]
         sensor = markers(places, [marker.offset for marker in self.markers])
@@ -505,8 +506,8 @@ def read_arm(path: str | Path) -> Arm:
         path: Path of the file; docs/twin.md shows one with all entries.
 
     Raises:
-        DamagedFileError: If the file is not TOML, lacks an entry, has an unknown entry,
-            or a number is out of range; the message names the file.
+        DamagedFileError: If the file is not TOML, lacks an entry, has one that is not
+            allowed, or a number is out of range; the message names the file.
         OSError: If the file cannot be opened.
 
     Example:

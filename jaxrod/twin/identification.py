@@ -51,7 +51,7 @@ RECORDS = 2e-3
 interpolated to the recorded frames [s]."""
 LOWEST = {"friction": 0.0, "marker_masses": 0.0, "poisson_ratio": -0.9}
 HIGHEST = {"friction": 2.0, "poisson_ratio": 0.5}
-"""Lower and upper bounds of unknowns, in their units."""
+"""Upper bounds of unknowns, in their units; `LOWEST` has the lower bounds."""
 FITS = 6
 """Largest number of repetitions of a fit until the noise agrees with its residuals."""
 REGISTRATIONS = 4
@@ -380,7 +380,7 @@ def _fitted(
 
 
 class _Residuals(NamedTuple):
-    """Cost at a point, and residuals whose squares have the same gradient."""
+    """Cost at a point, and residuals whose sum of squares has the same gradient."""
 
     rows: np.ndarray
     slopes: np.ndarray
@@ -510,7 +510,10 @@ def _noise(found: Fit, drawn: np.ndarray, count: int, squares: float) -> float:
 
 
 def _mean_square(limit: float | None) -> float:
-    """Mean of (w r)^2 for a standard normal coordinate r with robust weight w."""
+    """Mean of (w r)^2 for a standard normal coordinate r with robust weight w [1].
+
+    `limit` is c in the module's formula; without it the mean is one.
+    """
     if limit is None:
         return 1.0
     distance = np.linspace(0, 12, 4001)
@@ -618,7 +621,7 @@ class _Group:
     before: Int[Array, " frames"]
     """Index of the stored state before each frame."""
     share: Float[Array, " frames"]
-    """Position of each frame between that state and the next, from 0 to 1 [1]."""
+    """Time of each frame between the stored states before and after it, from 0 to 1."""
 
 
 def _prepared(arm: Arm, recording: Recording) -> tuple[_Layout, _Group]:

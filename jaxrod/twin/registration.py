@@ -153,8 +153,8 @@ class _Moments:
     def costs(self, options: np.ndarray, turn: np.ndarray, shifts: np.ndarray) -> Any:
         """Sum over markers of |R q + t - p|^2 for each order and its shift [m^2].
 
-        `options` has an order per row: the recorded point of each marker. `turn` is R,
-        and `shifts` has the t of each order.
+        The recorded point q of each predicted marker p is a row of `options`. `turn` is
+        R, and `shifts` has the t of each row.
         """
         away = _turned(turn, self.seen).sum(axis=0) - self.made.sum(axis=0)
         moved = np.sum(shifts * (self.count * shifts + 2 * away), axis=-1)
@@ -200,7 +200,7 @@ class _Known:
 
     @property
     def whole(self) -> bool:
-        """Whether rotation and shift are known, or the shift follows from `origin`."""
+        """Whether the rotation is known, and so is the shift, directly or by `origin`."""
         return self.axes is not None and not (self.shift is self.origin is None)
 
     def likely(
@@ -232,10 +232,10 @@ class _Known:
         turn: np.ndarray,
         found: np.ndarray,
     ) -> np.ndarray:
-        """Shift of a recording for each order [m].
+        """Shift of a recording for each order in `options` [m].
 
-        It follows from the origin's marker if there is one, else it is the known shift,
-        else `found`.
+        It follows from the marker at the origin if there is one, else it is the known
+        shift, else `found`.
         """
         if self.origin is not None:
             seen = moments.seen[options[:, self.origin]]

@@ -159,7 +159,10 @@ def lower_root(*blocks: Array) -> Array:
 
 @jax.jit
 def _spread(process: Process, root: Array, by_state: Array, by_control: Array) -> Array:
-    """Root of the covariance after a period: A P A^T + B diag(s^2) B^T + Q."""
+    """Root of the covariance after a period, A P A^T + B diag(s^2) B^T + Q.
+
+    `root` is that of P, `by_state` is A and `by_control` is B.
+    """
     blocks = [by_state @ root]
     if process.control_noise is not None:
         blocks.append(by_control * jnp.ravel(process.control_noise)[None])

@@ -74,12 +74,12 @@ def fit(
             (one for each kind). If `None`, it is estimated from the residuals.
         logarithmic: Positive parameters that are found by their logarithm: all
             (`True`), none (`False`), or names.
-        scales: Sizes of changes that matter, for parameters that are not sought by
-            their logarithm. A parameter that is less certain than that counts as not
-            determined. By default the sizes of the start, and 1 where that is 0.
-        lower: Lower bounds, of all or some parameters. Parameters sought by their
+        scales: Scales of changes of parameters that are not found by their logarithm.
+            A parameter with a larger standard deviation counts as not determined. By
+            default the absolute values of the start, and 1 where that is 0.
+        lower: Lower bounds, of all or some parameters. Parameters found by their
             logarithm are bounded by a thousandth of the start by default.
-        upper: Upper bounds; by default a thousand times the start for parameters sought
+        upper: Upper bounds; by default a thousand times the start for parameters found
             by their logarithm. An explicit time step must be stable up to these bounds.
         iterations: Largest number of points tried after the first.
         initial_damping: Damping of the first step, as a fraction of the diagonal [1];
@@ -333,7 +333,7 @@ def _decomposed(jacobian: Array) -> tuple[Array, Array]:
 
 
 def _spreads(flat: Array, seen: Any, noise: Any) -> Any:
-    """Returns the root mean square residual of each kind of observation, unscaled."""
+    """Root mean square residual of each kind of observation, in its unit."""
     _, unravel = ravel_pytree(jax.tree.map(lambda s: s.astype(flat.dtype), seen))
     return jax.tree.map(
         lambda r, s, n: jnp.sqrt(jnp.sum((r * n) ** 2) / jnp.maximum(jnp.sum(s), 1)),

@@ -97,7 +97,7 @@ class Slopes:
     jump: Array
     """Change of a window's residuals if only the gap at its start closes."""
     ways: Array
-    """Derivatives of each window's initial state by shared, then own unknowns."""
+    """Derivatives of each window's initial state by the shared and the own unknowns."""
     shift: Array
     """Change of each window's initial state if all gaps up to it close."""
 
@@ -114,11 +114,11 @@ class ShootingResult:
     solution: Float[Array, " shared"]
     """Shared unknowns, which all trajectories have in common."""
     own: Any
-    """Own unknowns of each trajectory, a tree like the start, stacked by trajectory."""
+    """Own unknowns of trajectories (of their first states), stacked by trajectory."""
     states: Any
     """Initial states of windows, stacked by trajectory and window."""
     residuals: Float[Array, " residuals"]
-    """Residuals at the solution with gaps closed to first order, leaf after leaf."""
+    """Residuals at the solution with gaps closed to first order, flattened by leaf."""
     jacobian: Float[Array, "residuals shared"]
     """Jacobian of the residuals by the shared unknowns, projected orthogonally to the
     columns of the own unknowns."""
@@ -381,6 +381,8 @@ def schur_step(
     jacobian: Array, residuals: Array, mu: Array, point: Array, low: Array, high: Array
 ) -> tuple[Array, Array]:
     """Returns the damped Gauss-Newton step of shared and own unknowns.
+
+    Shared unknowns are common to all trajectories; each trajectory has own unknowns.
 
     Args:
         jacobian: Jacobians of the trajectories `(trajectory, residuals, shared + own)`.

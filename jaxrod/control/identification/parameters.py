@@ -15,8 +15,8 @@ from jaxrod.structure import pytree, static
 from jaxrod.validation import as_array, is_traced
 
 FARTHEST = 1e3
-"""Largest change of a parameter found by its logarithm, as a factor of its start [1]:
-default bounds are the start times and divided by it."""
+"""Factor between a parameter's start and its default bounds, if it is found by its
+logarithm: bounds are start / FARTHEST and start * FARTHEST [1]."""
 
 
 @pytree
@@ -35,7 +35,7 @@ class Parameters:
     start: dict[str, Any]
     """Values at which a search begins, $p_0$."""
     scales: dict[str, Any]
-    """Scales $s$ of the parameters, used unless they are in `logarithmic`."""
+    """Scales $s$ of all parameters, used for those that are not in `logarithmic`."""
     shapes: tuple[tuple[str, tuple[int, ...]], ...] = static()
     """Pairs of name and shape, in alphabetical order of names."""
     logarithmic: tuple[str, ...] = static()
@@ -97,9 +97,9 @@ class Parameters:
     def bound(self, given: Mapping[str, Any] | None, sign: int) -> Float[Array, " p"]:
         """Converts bounds of parameters to search variables, with defaults.
 
-        The default bound is the start times or divided by `FARTHEST` for logarithms,
-        and infinite otherwise. It keeps parameters away from zero, where derivatives by
-        the logarithm vanish. `sign` is -1 for lower bounds and 1 for upper bounds.
+        Parameters found by their logarithm have the default bounds start / FARTHEST and
+        start * FARTHEST, which keep them away from zero, where derivatives by the
+        logarithm vanish. Others have none. `sign` is -1 for lower, 1 for upper bounds.
         """
         far = dict(given or {})
         for name, shape in self.shapes:
@@ -120,8 +120,8 @@ def make_parameters(
         start: Values at which a search begins; numbers or arrays by name.
         logarithmic: Parameters found by their logarithm, so that they stay positive:
             names, or `True` for all, `False` for none.
-        scales: Sizes of changes that matter, for parameters that are not sought by
-            their logarithm; by default the sizes of the start, and 1 where that is 0.
+        scales: Scales $s$ of the search variables $(p - p_0) / s$ of parameters that
+            are not found by their logarithm; by default $|p_0|$, and 1 where that is 0.
 
     Raises:
         ValueError: There is no parameter, `logarithmic` or `scales` has an unknown

@@ -25,9 +25,9 @@ from jaxrod.validation import check_count, is_traced
 class MultipleShooting:
     r"""Windows with unknown initial states, for `fit`.
 
-    A film shows noisy positions and no velocities, so the initial state
-    $x_w$ of each window is unknown. `fit` finds the parameters $p$ and the unknowns $s$
-    of initial states together. There are two kinds of windows:
+    A recording has noisy positions and no velocities, so the initial state $x_w$ of
+    each window is unknown. `fit` finds the parameters $p$ and the unknowns $s$ of
+    initial states together. There are two kinds of windows:
 
     Independent windows (without `states`) minimise
 
@@ -40,7 +40,7 @@ class MultipleShooting:
     only a few times, a search may end in a local minimum near the best one, where
     initial states compensate for wrong parameters. Neither the misfit nor the standard
     deviations show this (docs/identification.md has such a rod). Use the result as a
-    start for joined windows, or test the fit on simulated films.
+    start for joined windows, or test the fit on simulated recordings.
 
     Joined windows (with `states`) follow each other along trajectories, and only the
     first state of each trajectory has unknowns,
@@ -49,7 +49,7 @@ class MultipleShooting:
 
     The minimum, and its standard deviations, are those of one long run of each
     trajectory. During the search windows may leave gaps, so that they follow the data
-    across bifurcations, where a single long run would lose them. It needs initial
+    across bifurcations, where a single long run would lose them. They need first
     parameters within a few tens of per cent of the true ones, and initial states close
     to the observed ones. One evaluation costs about one run of all windows, one after
     another, with a tangent for each parameter and for each unknown of a first state.
@@ -237,9 +237,9 @@ def windows(
         observed: A tree of arrays with the frames on the leading axis; the first frame
             is the start of the first window.
         frames: Number of frames in a window.
-        every: Frames from one start to the next; `frames` by default.
+        every: Number of frames from one start to the next; `frames` by default.
         with_starts: Whether a window includes the frame of its start, as needed if
-            initial states are sought (`MultipleShooting`).
+            initial states are unknown (`MultipleShooting`).
 
     Raises:
         ValueError: A count is out of range, or there are fewer frames than in a window.

@@ -52,8 +52,8 @@ INSTANT = 1e-6
 """Duration of the very short step whose Jacobian shows the free components, as a
 fraction of the time step [1]."""
 STILL = 1e-6
-"""Displacement of a component in that step, over its rate times the duration, below
-which the component counts as held [1]."""
+"""A component counts as held if its displacement in a very short step is below this
+fraction of its rate times the duration [1]."""
 _SHAKEN = 0.1
 """Size of the random change of a state that shows which components follow others, as a
 fraction of the shortest element (or of 1 m) [1]."""
@@ -181,7 +181,7 @@ class LocalCoordinates:
         return self.moved(state, self.directions(state, first=first), step)
 
     def moved(self, state: Any, directions: Array, step: Array) -> Any:
-        """State at coordinates `step` about a state, for its known `directions` B."""
+        """State at coordinates `step` about `state`, along `directions` (matrix B)."""
         return moved_by(self.model, state, jnp.sum(directions * step[None], axis=1))
 
     def difference(self, state: Any, other: Any) -> Float[Array, " size"]:

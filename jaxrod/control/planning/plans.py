@@ -86,7 +86,7 @@ class PlanCost:
         return lax.scan(interval, state, self.actions(now, knots))[1]
 
     def residuals(self, now: Array, knots: Array, state: Any) -> Float[Array, " all"]:
-        """Returns the residuals at all knots, divided by the root of their number."""
+        """Returns the environment's residuals at all K knots, divided by sqrt(K)."""
         found = self.along(
             now,
             knots,

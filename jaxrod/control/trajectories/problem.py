@@ -26,7 +26,8 @@ from jaxrod.validation import check_array, check_count, check_kind, check_seed
 Move = Callable[[Any, Any, Array, Array], Any]
 """`(data, state, control, interval) -> state`: the state after one interval."""
 Running = Callable[[Any, Any, Array, Array], Any]
-"""`(data, state, control, interval) -> residuals` by the state after the interval."""
+"""`(data, state, control, interval) -> residuals`; `state` is that after the interval.
+"""
 Final = Callable[[Any, Any], Any]
 """`(data, state) -> residuals`, for the last state."""
 Policy = Callable[[Any, Array], Array]

@@ -71,12 +71,12 @@ class ActuatedArm:
 
     @property
     def control_shape(self) -> tuple[int, int]:
-        """Shape of bending controls: about d1 and d2, at points along the arm."""
+        """Shape (2, n_controls) of controls about d1 and d2, at points of the arm."""
         return 2, self.spline.n_controls
 
     @property
     def prepared(self) -> ActuatedArm:
-        """The same arm with its spline averaged over elements, to do that only once."""
+        """Copy of the arm whose spline is averaged over the elements in advance."""
         averages = self.spline.averaged(self.scene.rod)
         return replace(self, spline=averages)
 

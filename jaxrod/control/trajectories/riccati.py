@@ -39,7 +39,7 @@ HALVINGS = 8
 
 @pytree
 class Linear:
-    """Linearised dynamics and residuals along a trajectory of `n` state numbers."""
+    """Linearised dynamics and residuals of all intervals of a trajectory."""
 
     states: Float[Array, "intervals n n"]
     """Derivatives $A_k$ of the next state by the state."""
