@@ -200,7 +200,7 @@ class _Known:
 
     @property
     def whole(self) -> bool:
-        """Whether the rotation is known, and so is the shift, directly or by `origin`."""
+        """Whether the rotation is known, and the shift or the marker at the origin too."""
         return self.axes is not None and not (self.shift is self.origin is None)
 
     def likely(

@@ -37,8 +37,8 @@ from jaxrod.validation import (
 )
 
 ROUNDING = 100
-"""Asymmetry, or size of a negative eigenvalue, that counts as round-off in a scaled
-covariance, over machine epsilon and number of coordinates [1]."""
+"""Largest asymmetry or negative eigenvalue of a scaled covariance matrix that counts as
+round-off, in units of machine epsilon times the matrix size [1]."""
 
 
 @pytree
