@@ -200,7 +200,7 @@ class _Known:
 
     @property
     def whole(self) -> bool:
-        """Whether the rotation is known, and the shift or the marker at the origin too."""
+        """Whether rotation and shift are known; a marker at the origin gives the shift."""
         return self.axes is not None and not (self.shift is self.origin is None)
 
     def likely(
