@@ -200,7 +200,7 @@ class _Known:
 
     @property
     def whole(self) -> bool:
-        """Whether rotation and shift are known (a marker at the origin gives shifts)."""
+        """Whether rotation and shift are known (a marker at `origin` gives shifts)."""
         return self.axes is not None and not (self.shift is self.origin is None)
 
     def likely(
