@@ -1,1 +1,1 @@
-"""Bodies of the tasks other than the arms: their materials, and the effects on them."""
+"""Bodies of the tasks other than the benchmark: materials, and effects on them."""
