@@ -110,7 +110,7 @@ class CurvedArm:
     def turned(
         self, angles: Float[Array, "2 segments"], action: Float[Array, " action"]
     ) -> Float[Array, "2 segments"]:
-        """Segment angles after an action: angles + largest_change action, cut off [rad].
+        """Angles after an action: angles + largest_change action, clipped [rad].
 
         Args:
             angles: Angles before the action [rad].
