@@ -9,9 +9,10 @@ each axis. Both are linear in time over a control step.
 
 The ball (radius 0.03 m, 11 g) begins at rest on the table, up to `spread` from the
 middle along x and along y, below the straight fingers. With `lowered` the wrist begins
-anywhere on its straight path from the top to the position around the ball. The goal is to lift the ball
-0.07 m above its starting height. The reward of a control step is the score after it
-divided by the number of control steps of an episode, so the return is the mean score:
+anywhere on its straight path from the top to the position around the ball. The goal is
+to lift the ball 0.07 m above its starting height. The reward of a control step is the
+score after it divided by the number of control steps of an episode, so the return is
+the mean score:
 
 | points | for |
 |---:|---|
