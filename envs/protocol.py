@@ -145,9 +145,9 @@ class Plannable(Environment, Protocol):
     """An environment that planners can use; training and evaluation do not need this.
 
     The tasks of the arm and `trivial` are plannable. `predict` and `cost` are pure and
-    differentiable. They do not foresee random events, so a plan knows no
-    more than an agent could. `jaxrod.control.mpc` takes such an environment; it needs
-    `residuals` only for planning by Gauss-Newton.
+    differentiable. They do not foresee random events, so a plan knows no more than an
+    agent could. `jaxrod.control.mpc` takes such an environment; it needs `residuals`
+    only for planning by Gauss-Newton.
 
     Example:
         >>> env = envs.make("tracking")
@@ -225,10 +225,10 @@ Point = Float[Array, "3"]
 
 @pytree
 class Snapshot:
-    """The rods at one moment, and the objects around them.
+    """The rods at one moment, and the objects around them, for drawing.
 
-    Shapes are those of one moment; `jax.vmap` puts a frame axis first. Everything but
-    the nodes and the centres of the spheres stays constant during an episode.
+    Array shapes are those of one moment; `jax.vmap` puts a frame axis first. Everything
+    but the nodes and the centres of the spheres stays constant during an episode.
 
     Example:
         >>> goal = (1.0, 0.0, 0.3), 0.05  # centre and radius [m]

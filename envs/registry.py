@@ -84,7 +84,7 @@ def origin_of(env: Environment) -> Origin | None:
 
 
 _MADE: dict[int, tuple[Callable[[], Any], Origin]] = {}
-"""Weak reference to each made environment, and its recipe, by `id(environment)`.
+"""Weak reference to each made environment, and its `Origin`, by `id(environment)`.
 
 The key is the identity, because an equal environment may have been made with other
 options, or without `make`.

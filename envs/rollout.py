@@ -74,8 +74,8 @@ def rollout(
             are clipped, and held for its `action_repeat`.
         params: Traced parameters.
         steps: Number of control steps, at least 1; required for a policy.
-        key: Random key: step k draws from `fold_in(key, k)`. May be omitted if the
-            task's steps draw nothing that matters.
+        key: Random key: step k draws from `fold_in(key, k)`. By default
+            `jax.random.key(0)`, for tasks whose steps are not random.
         collect: Function of a state; its results are stored for every step.
 
     Returns:

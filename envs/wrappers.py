@@ -40,7 +40,7 @@ class VectorState:
     observation: Float[Array, "num_envs observation"]
     """Current observation of each environment."""
     elapsed: Int[Array, " num_envs"]
-    """Control steps of the running episode, including its initial phase."""
+    """Control steps of the running episode, counted from its initial `phase`."""
     episode_return: Float[Array, " num_envs"]
     """Sum of the rewards of the running episode."""
     partial: Bool[Array, " num_envs"]

@@ -118,7 +118,11 @@ class _DrivenArm:
     controls: Float[Array, "3 n_controls"]
 
     def begin(self, given: tuple[RodState, Muscles]) -> tuple[Any, Muscles, Array]:
-        """First half drift; the flag, true, says that the commanded values are new."""
+        """Drifts half a time step to the first kick.
+
+        Returns:
+            Motion, muscles, and True, which says that the commanded values are new.
+        """
         state, muscles = given
         return self.stepper.begin(state), muscles, jnp.ones((), bool)
 

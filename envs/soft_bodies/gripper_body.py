@@ -116,7 +116,11 @@ class GripperBody:
         return jaxrod.freeze(flagged, state, moved), flagged
 
     def _told(self, wrist: Array, controls: Array) -> tuple[Array, Array]:
-        """Displacement of every finger's root [m], and pressure in its chamber [Pa]."""
+        """Converts wrist displacement and control values to those of each finger.
+
+        Returns:
+            Displacement of every finger's root [m], and pressure in its chamber [Pa].
+        """
         roots = jnp.broadcast_to(wrist, (N_FINGERS, 3))
         return roots, self.most_pressure * controls
 

@@ -139,8 +139,11 @@ class SnakeBody:
         return freeze(flagged, state, moved), flagged
 
     def couples(self, controls: Float[Array, " controls"]) -> Float[Array, "3 n"]:
-        """Couples on the elements: each joint's muscle moment, with opposite signs on
-        its two sides [N m]."""
+        """Couples of the muscles on the elements, material frame [N m].
+
+        The couple about d1, the vertical, is the muscle moment of the joint towards the
+        tail minus that of the joint towards the head.
+        """
         moments = self.strongest * jnp.sum(self.basis * controls[None, :], axis=1)
         about = vectors.pad(moments, 1, 0) - vectors.pad(moments, 0, 1)
         return jnp.stack([about, jnp.zeros_like(about), jnp.zeros_like(about)])

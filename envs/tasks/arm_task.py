@@ -126,7 +126,7 @@ class ArmTask(ABC):
         before: Any,
         params: Any,
     ) -> tuple[Float[Array, " observation"], Bool[Array, ""]]:
-        """Returned observation, and whether the episode is terminated ("paper").
+        """Observation to return, and whether the episode is terminated ("paper").
 
         By default a crash terminates it, and the observation is then zero.
         """
@@ -228,7 +228,7 @@ class Arm(Protocol):
         """State of the arm at the start of an episode."""
 
     def relaxed(self) -> Any:
-        """State of the muscles at the start of an episode; its type is the arm's."""
+        """State of the muscles at the start of an episode, as `advance` takes it."""
 
     def advance(
         self,
@@ -393,7 +393,7 @@ class BenchmarkTask(ArmTask):
         params: Any,
         control_steps: int = 1,
     ) -> tuple[ArmState, Bool[Array, ""]]:
-        """Moves the arm for control steps under one action; the target stays put.
+        """Moves the arm for control steps under one action, but not the target.
 
         Returns:
             The state, and whether the arm crashed.

@@ -9,8 +9,9 @@ tip from the target: $-d^2$, plus 0.5 within 10 cm, plus 1.5 more within 5 cm. A
 episode lasts 500 control steps (50 s).
 
 This is the task "follow" of Choi and Tong (arXiv 2511.06667). Reward and box are those
-of `tracking`. Arm, angles and their limits, target and duration are theirs. The
-dynamics and the damping are this library's (docs/tasks.md). Observed, in this order:
+of `tracking`. Arm, angles and their limits, target and duration are those of the paper.
+The dynamics and the damping are this library's (docs/tasks.md). Observed, in this
+order:
 
 | numbers | what |
 |---:|---|
@@ -52,8 +53,9 @@ CONTROL_PERIOD = 0.1
 LARGEST_CHANGE = 0.05
 """Largest change of an angle in a control step [rad]."""
 STEPS_PER_ELEMENT = 15
-"""Simulation steps of a control step, per element: 0.74 of the stability bound of the
-straight arm, 0.84 of the bound with all segments bent as far as possible."""
+"""Default number of simulation steps of a control step, per element. The time step is
+then 0.74 of the stability bound of the straight arm, and 0.84 of the bound with all
+segments bent as far as possible."""
 
 
 @pytree

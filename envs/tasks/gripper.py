@@ -92,11 +92,11 @@ GRASP, HALF = 0.065, 0.02
 """Distance of the middle of the line between the fingers below the wrist, and half the
 line's length [m]."""
 NEAR, FAR = 0.005, 0.1
-"""Distances of the ball from the line between the fingers at which nearness has full
-points, and no points [m]."""
+"""Distances of the ball from the line between the fingers at which the score has full
+points for nearness, and none [m]."""
 OPEN = 0.075
-"""Distance of the furthest fingertip from the ball's lowest point at which closing has
-no points [m]."""
+"""Distance of the furthest fingertip from the ball's lowest point at which the score
+has no points for closed fingers [m]."""
 LIFT = 0.07
 """Height by which the ball is to be lifted [m]."""
 BALL_SPEED = 0.1
@@ -221,8 +221,7 @@ class Gripper:
         action: Float[Array, " action"],
         params: GripperParams,
     ) -> Step:
-        """Advances one control step: moves the rate-limited control values, then the
-        fingers and the ball."""
+        """Advances one control step; control values follow the action, rate-limited."""
         action = action_of_size(action, self.action_size)
         period = self.substeps * params.dt
         fastest = jnp.asarray([RATE, *(SPEED / way for way in _REACH)], period.dtype)
@@ -314,7 +313,7 @@ def _told(
 
 
 def _between(state: GripperState) -> Float[Array, "3"]:
-    """Middle of the line between the fingers, below the wrist [m]."""
+    """Position of the middle of the line between the fingers, below the wrist [m]."""
     wrist, _ = _told(state.controls)
     return wrist + jnp.asarray([0.0, 0.0, HIGHEST - GRASP], wrist.dtype)
 
@@ -343,7 +342,7 @@ def _score(state: GripperState) -> Float[Array, ""]:
     furthest = jnp.max(vectors.safe_norm(vectors.split(tips.T)))
     lifted = jnp.clip(_height(state) / LIFT, 0, 1)
     near = 1 - jnp.clip((apart - NEAR) / (FAR - NEAR), 0, 1)
-    # Fingers that close above the ball earn nothing, because they could not reach
+    # Fingers that close above the ball get no points, because they could not reach
     # around it.
     around = 1 - jnp.clip((apart - NEAR) / BALL, 0, 1)
     closed = jnp.clip(1 - furthest / OPEN, 0, 1)

@@ -131,8 +131,7 @@ class ObstacleTask(BenchmarkTask):
 
     @property
     def observation_size(self) -> int:
-        """Size of the observation: 11 points and tip velocity of the arm, target, and 5
-        points per obstacle."""
+        """Length of the observation: 40, and 15 for the points of each obstacle."""
         return 3 * OBSERVED_NODES + 4 + 3 + 3 * OBSERVED_POINTS * self.n_obstacles
 
     def arm(self) -> Arm:
@@ -190,7 +189,7 @@ class ObstacleTask(BenchmarkTask):
         before: ArmState,
         params: Any,
     ) -> tuple[Float[Array, " observation"], Bool[Array, ""]]:
-        """Returned observation, and whether it was not finite, which ends the episode.
+        """Observation to return, and whether it was not finite and ends the episode.
 
         A number that is not finite is replaced by its value in the step before.
         """

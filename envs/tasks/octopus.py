@@ -172,8 +172,7 @@ class Octopus:
         action: Float[Array, " action"],
         params: OctopusParams,
     ) -> Step:
-        """Advances one control step: moves the rate-limited control values, then the
-        octopus."""
+        """Advances one control step; control values follow the action, rate-limited."""
         action = action_of_size(action, self.action_size)
         wanted = jnp.reshape(jnp.clip(action, -1, 1), (N_ARMS, 2))
         controls = limit_rate(state.controls, wanted, params.body.largest_change)

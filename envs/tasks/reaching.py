@@ -136,7 +136,7 @@ class Reaching(BenchmarkTask):
         before: ArmState,
         params: Any,
     ) -> tuple[Float[Array, " observation"], Bool[Array, ""]]:
-        """Returned observation, and whether the episode is terminated ("paper").
+        """Observation to return, and whether the episode is terminated ("paper").
 
         An arm has also crashed if an observed number is not finite.
         """

@@ -58,7 +58,7 @@ def crosses_itself(nodes: Float[Array, "2 n+1"]) -> Bool[Array, ""]:
     """
     starts, ends = nodes[:, :-1], nodes[:, 1:]
     n = starts.shape[1]
-    # Row i, column j: side of segment i on which segment j starts and ends.
+    # Entry (i, j): side of segment i on which the start, or the end, of segment j lies.
     edge = ends - starts
     start_side = _side(edge, starts, starts)
     end_side = _side(edge, starts, ends)
@@ -199,8 +199,7 @@ class Snake:
         action: Float[Array, " action"],
         params: SnakeParams,
     ) -> Step:
-        """Advances one control step: moves the rate-limited control values, then the
-        snake."""
+        """Advances one control step; control values follow the action, rate-limited."""
         action = action_of_size(action, self.action_size)
         snake = params.body
         controls = limit_rate(

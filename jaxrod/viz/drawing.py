@@ -235,7 +235,7 @@ def animation(
 
 
 class _Painter:
-    """Draws frames of a replay into RGB pictures, all from the same viewpoint."""
+    """Renderer of a replay's frames as RGB pictures, all from the same viewpoint."""
 
     def __init__(
         self,

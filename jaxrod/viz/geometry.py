@@ -22,7 +22,8 @@ from jaxrod.viz.rods import at_nodes
 
 _SIDES = 24
 _MOST_SEGMENTS = 4000
-"""Number of segments of all rods' tubes; if exceeded, the tubes have fewer sides."""
+"""Limit on the number of segments of all rods' tubes. Elements are divided into one to
+five segments to stay below it. With more elements than this, tubes have fewer sides."""
 
 
 class Triangles(NamedTuple):
@@ -40,7 +41,7 @@ class Shapes:
     """Converter of a replay's frames to triangles; surfaces are prepared once."""
 
     def __init__(self, replay: Recording, field: str | None = None) -> None:
-        """Prepares the surfaces of bodies; `field` is the label of the rods' colours."""
+        """Prepares surfaces of bodies; `field` is the label of the colouring field."""
         self.replay = replay
         self.field = field
         self.range = replay.field_range(field) if field else (0.0, 1.0)

@@ -11,7 +11,7 @@ from jaxrod.viz.geometry import Triangles
 from jaxrod.viz.raster import nearest, shares_at
 
 _LENS = np.tan(np.radians(14.0))
-"""Tangent of half the vertical angle of view: half the height per distance [1]."""
+"""Tangent of half the vertical angle of view, which is 28 degrees [1]."""
 _TAPS = 16
 """Number of samples of the shadow map per point, for soft edges of shadows."""
 _SKY, _GROUND = linear("#f8fafc"), linear("#dfe5ee")
@@ -147,7 +147,7 @@ def _on_screen(view: View, corners: np.ndarray, size: tuple[int, int]) -> np.nda
 
 
 def _rays(spots: np.ndarray, size: tuple[int, int]) -> np.ndarray:
-    """Rays through pixel centres, as camera coordinates at unit distance, (N, 3)."""
+    """Directions of rays through pixels, in camera coordinates with z = -1, (N, 3)."""
     width, height = size
     focal = 0.5 * height / _LENS
     x, y = np.asarray(spots, np.float32).T
@@ -158,8 +158,8 @@ def _rays(spots: np.ndarray, size: tuple[int, int]) -> np.ndarray:
 def _ground_distance(view: View, floor: float, rays: np.ndarray) -> np.ndarray:
     """Distance along the camera's axis at which rays hit the ground [m].
 
-    Infinite for rays that miss it. `rays` are the upward components of the rays, per
-    unit of this distance.
+    It is infinite for rays that miss the ground. `rays` are the upward components of
+    the rays, per unit of distance along the camera's axis.
     """
     with np.errstate(divide="ignore"):
         away = (floor - view.eye[view.up]) / rays
@@ -247,9 +247,9 @@ class _Lamp:
         self.span = span
 
     def reaches(self, places: np.ndarray, blur: float) -> np.ndarray:
-        """Share of the lamp's light that reaches each place: 0 in full shadow, else 1.
+        """Share of the lamp's light that reaches each place, from 0 (shadow) to 1.
 
-        Between them are soft edges, `blur` wide [m].
+        The edges of shadows are soft, over a width of `blur` [m].
         """
         own = places @ self.frame.T.astype(places.dtype)
         spots = (own[:, :2] - self.low[:2]) * self.scale + 0.07 * self.side

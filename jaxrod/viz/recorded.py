@@ -152,8 +152,9 @@ def _ground(
 ) -> tuple[list[Mesh], float | None]:
     """Meshes of the fixed bodies that rods may touch, and the height of a level plane.
 
-    A plane perpendicular to the axis `up` has no mesh: its height [m] is returned, or
-    None. Other bodies are cut off near the box from `low` to `high`.
+    A plane that faces upwards has no mesh; its height along the axis `up` is returned
+    [m], None if there is no such plane. Other planes, and bodies without triangles, are
+    drawn only near the box from `low` to `high`.
     """
     fixed: dict[Any, Body] = {}
     for member in _rods(model).values():

@@ -15,7 +15,7 @@ from jaxrod.viz.shapes import Arrows, Cylinder, Sphere
 
 Axis = Literal["x", "y", "z"]
 _EVERY = 8
-"""Stride of the frames whose mesh corners count for the bounding box."""
+"""Stride of the frames whose mesh corners are included in the bounding box."""
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -163,7 +163,7 @@ def extent(
 ) -> tuple[Float[np.ndarray, "3"], Float[np.ndarray, "3"]]:
     """Lowest and highest corner of a box that contains the shapes in all frames [m].
 
-    Of meshes, only every eighth frame and the last count.
+    Corners of meshes are checked only in every eighth frame and in the last one.
     """
     low, high = np.full(3, np.inf), np.full(3, -np.inf)
     for some in rods:
