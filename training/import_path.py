@@ -56,7 +56,7 @@ def import_path(value: Any) -> str | None:
 
 
 def import_path_in(module: str, value: Any) -> str | None:
-    """Import path of a variable of a module, None if the module does not hold `value`."""
+    """Import path of a variable of a module, None if no variable holds `value`."""
     held = getattr(sys.modules.get(module), "__dict__", {})
     names = [name for name, one in held.items() if one is value]
     return _path(module, names[0], value) if names else None

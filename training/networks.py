@@ -197,7 +197,7 @@ def check_outputs(
 
 
 def layers(params: Mapping[str, Any]) -> tuple[tuple[Array, Array], ...]:
-    """Pairs (kernel, bias) from the parameters of a `MultilayerPerceptron`, in order."""
+    """Pairs (kernel, bias) of a `MultilayerPerceptron`, first layer first."""
     count = sum(name.startswith("hidden_") for name in params)
     names = [f"hidden_{i}" for i in range(count)] + ["output"]
     return tuple((params[name]["kernel"], params[name]["bias"]) for name in names)

@@ -27,7 +27,7 @@ class RunningMoments:
 
 
 def no_moments(size: int, dtype: DTypeLike) -> RunningMoments:
-    """Moments before any sample: mean 0 and variance 1, so normalising changes nothing."""
+    """Moments before any sample: mean 0, variance 1, so normalising changes nothing."""
     return RunningMoments(
         jnp.zeros((), dtype), jnp.zeros(size, dtype), jnp.ones(size, dtype)
     )

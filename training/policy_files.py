@@ -251,7 +251,7 @@ def _check_description(description: dict[str, Any]) -> None:
 def _check_numbers(
     arrays: dict[str, np.ndarray], description: Mapping[str, Any]
 ) -> None:
-    """Raises ValueError unless the arrays fit the entries of policy.json and are finite."""
+    """Raises ValueError unless all arrays are finite and fit policy.json."""
     layers = range(description["layers"])
     names = {f"{part}_{i}" for i in layers for part in ("kernel", "bias")}
     names |= {f"observation_{part}" for part in ("count", "mean", "variance", "limit")}

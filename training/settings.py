@@ -45,9 +45,10 @@ class LearnerConfig:
     """Widths of the hidden layers of all built-in networks."""
     network: NetworkFactory | None = static(default=None)
     """Function that makes your own networks, `(role, output_size) -> flax module`;
-    `None` for multilayer perceptrons. The role is "policy" (observation -> action) or "critic"
-    (observation -> value; in SAC, TD3 and DDPG observation and action, concatenated).
-    SAC requires twice as many outputs of a policy as there are actions, means first."""
+    `None` for multilayer perceptrons. The role is "policy" (observation -> action) or
+    "critic" (observation -> value; in SAC, TD3 and DDPG observation and action,
+    concatenated). SAC requires twice as many outputs of a policy as there are actions,
+    means first."""
     spread_phases: bool = static(default=True)
     """Whether the first episodes start at random elapsed times, so that they end at
     different times; see `jaxrod.envs.VectorEnvironment`."""

@@ -186,7 +186,7 @@ class _Body:
         )
 
     def _pointer(self, value: Value, first: int) -> str:
-        """C expression of the address of entry `first` of a value that fills its buffer."""
+        """C address of entry `first` of a value that fills its buffer."""
         if value.known:
             return f"{self._constant(value.numbers, value.buffer.kind)} + {first}"
         name, at = self.where[value.buffer]
