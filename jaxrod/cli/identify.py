@@ -72,7 +72,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Fits, writes the folder, and prints the result."""
+    """Fits the arm to the recordings, writes the folder, and prints the result."""
     import jaxrod
 
     jaxrod.configure_cpu(1)
@@ -125,13 +125,13 @@ def _names(paths: list[Path]) -> list[str]:
 def _content(
     found: Twin, fitted: list[Comparison], forecasts: list[Comparison]
 ) -> dict[str, Any]:
-    """Content of twin.json."""
+    """Content of twin.json: fitted numbers, and errors of fits and forecasts."""
     import numpy as np
 
     from jaxrod.twin.identification import root_mean_square
 
     def numbers(values: Any) -> Any:
-        """Lists of numbers; null for those that are not finite."""
+        """Numbers as nested lists, with None for those that are not finite."""
         array = np.asarray(values, float).astype(object)
         array[~np.isfinite(values)] = None
         return array.tolist()

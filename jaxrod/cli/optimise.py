@@ -47,7 +47,7 @@ SOLVERS = {"levenberg-marquardt": 20, "adam": 150}
 """Names of the solvers, and their default limits of iterations."""
 
 SPEED_WEIGHT = 1e-3
-"""Cost of the squared speed of the tip at the end [s^2]."""
+"""Weight of the squared final speed of the tip in the cost [s^2]."""
 
 FILES = (
     "history.csv",
@@ -73,7 +73,7 @@ ASKED = (
     "elements",
     "double",
 )
-"""Arguments of the request that config.json stores."""
+"""Arguments of the command that config.json stores."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -159,7 +159,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Optimises, writes the folder, and prints the result."""
+    """Optimises the actuation, writes the folder, and prints the result."""
     import jaxrod
     from jaxrod.validation import check_array, check_count, check_seed
 
@@ -219,7 +219,7 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _solved(problem: Problem, args: argparse.Namespace) -> Solution:
-    """The best trajectory that the chosen solver finds."""
+    """Runs the chosen solver; returns the best trajectory that it found."""
     from jaxrod import control
     from jaxrod.training.progress import ProgressBar
 
@@ -250,7 +250,7 @@ def _solved(problem: Problem, args: argparse.Namespace) -> Solution:
 
 
 def arm_of(env: Environment) -> ActuatedArm:
-    """The arm of a clean task, straight and at rest, with the task's muscles."""
+    """Arm of a task of the clean variant, with its muscles, straight and at rest."""
     from jaxrod.control import ActuatedArm
     from jaxrod.envs.arm.clean import CleanArm
 
@@ -327,7 +327,7 @@ def _write(out: Path, result: Solution, summary: dict[str, Any]) -> None:
 
 
 def _knot_times(result: Solution) -> Any:
-    """Times of the knots [s]."""
+    """Times of the knots of the control values, evenly spaced [s]."""
     import numpy as np
 
     assert result.knots is not None

@@ -137,9 +137,9 @@ class _Graph:
     def read(self, value: Value, spread: bool) -> str:
         """Name of a value as a flat array.
 
-    If all numbers are one constant and `spread` is false, the array has one entry,
-    which ONNX broadcasts.
-    """
+        If all numbers are one constant and `spread` is false, the array has one entry,
+        which ONNX broadcasts.
+        """
         if value.known:
             numbers = value.numbers.ravel()
             return self.constant(
