@@ -63,7 +63,7 @@ def mean_over_devices(tree: Any, axis_name: str | None) -> Any:
 
     Args:
         tree: Any pytree of floats, such as gradients.
-        axis_name: Name of the mapped axis; `None` without one, which returns `tree`.
+        axis_name: Name of the mapped axis; `None` returns `tree` unchanged.
 
     Example:
         >>> mean = jax.vmap(

@@ -102,7 +102,7 @@ def check_steps(steps: int, per_update: int) -> int:
 
 
 def check_counts(config: Settings, *names: str) -> None:
-    """Raises ValueError unless each named setting is an integer of at least 1."""
+    """Raises ValueError unless each named setting is an integer from 1 to 2^31 - 1."""
     for name in names:
         _check_size(name, getattr(config, name))
 

@@ -93,7 +93,7 @@ class NoCheckoutError(ImportError):
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """Runs the command line.
+    """Runs one command; turns errors into messages on stderr and exit codes.
 
     Args:
         argv: Words after `jaxrod`; those of the process if None.

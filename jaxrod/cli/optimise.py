@@ -12,7 +12,8 @@ summary.json, trajectory.npz (knots, controls and the motion), convergence.png, 
 replay.html, a page that plays in any browser without a network. Ctrl-C stops Adam and
 writes the best so far.
 
-Exits with 0 when the tip ends within the tolerance, and with 1 when it does not.
+Exits with 0 when the tip ends within the tolerances of distance and speed, with 1 when
+it does not, and with 130 after Ctrl-C.
 """
 
 from __future__ import annotations

@@ -4,11 +4,11 @@ TASK is `tracking` (a soft arm follows a moving target), `reaching` (it reaches 
 with an orientation), `structured` (a planar arm in a maze), `unstructured` (an arm in a
 nest), `following` (a moving target, by curvatures, ten times a second), `snake` or
 `octopus` (they crawl along a heading), `gripper` (it lifts a ball) or `trivial` (solved
-in seconds, to try things out). The variants of the arms are `paper`, whose scores
-compare with the published ones, and `clean`; the others have `clean` only. TASK may
-also be your own: `mypackage.mymodule:make_task` or `folder/file.py:make_task` names the
-callable that makes it. Modules are also searched in the current folder
-(docs/extending.md).
+in seconds, to try things out). The first four have the variants `paper`, whose scores
+compare with the published ones, and `clean`; `trivial` has no variants, the others have
+`clean` only. TASK may also be your own: `mypackage.mymodule:make_task` or
+`folder/file.py:make_task` names the callable that makes it. Modules are also searched
+in the current folder (docs/extending.md).
 
 The run folder gets config.json, progress.csv (env_steps, wall_s,
 episode_return_mean, ...), episodes.csv, checkpoints/, policy/, summary.json,
@@ -340,7 +340,7 @@ def _trust(args: argparse.Namespace, said: Any = None) -> tuple[str, ...]:
 
 
 def _modules(algorithm: str, config: Any) -> list[str]:
-    """Modules that `--trust` must name to resume a run: of its learner and settings."""
+    """Modules that `--trust` must name to resume a run, apart from the task's."""
     paths = [algorithm, *_functions(config)]
     usual = () if config is None else _functions(type(config)())
     named = {path.rpartition(":")[0] for path in paths if path not in usual}

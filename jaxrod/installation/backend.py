@@ -91,9 +91,9 @@ def configure_cpu(
 def compile_for_rods() -> None:
     """Sets XLA's options as `configure_cpu` does, if `XLA_FLAGS` is not set.
 
-    Meant for library code, such as an adapter, whose caller may not know
-    `configure_cpu`. It changes neither the devices nor, once JAX has computed,
-    anything.
+    Adapters for other libraries call it, because their users may not know
+    `configure_cpu`. The number of devices is not changed. Once JAX has computed
+    anything, it has no effect.
     """
     if not _backend_is_running() and not os.environ.get("XLA_FLAGS", "").strip():
         os.environ["XLA_FLAGS"] = with_backend_options("")

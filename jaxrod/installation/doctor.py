@@ -299,8 +299,8 @@ def calls_that_differ(call: Callable[[], list[np.ndarray]], calls: int = CALLS) 
 def check_lanes() -> Check:
     """Compares a batch of steps in lanes with NumPy, or reports why lanes are off.
 
-    Lanes are jaxrod's compiler of batched steps: each entry of a vector register is one
-    element of the batch.
+    Lanes are compiled code in which each entry of a vector register, or each thread of
+    a GPU, advances one rod of the batch.
     """
     import jax
     import jax.numpy as jnp

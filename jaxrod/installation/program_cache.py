@@ -193,8 +193,8 @@ def keep_programs(
 def _folder_of_this_process(folder: Path) -> Path:
     """Makes a folder for this process, with hard links to all kept programs.
 
-    The least recently used programs are removed from `folder` until those that remain
-    take at most `MOST_BYTES`, as are folders that processes abandoned a week ago.
+    Folders that processes abandoned a week ago are removed. So are the least recently
+    used programs in `folder`, until the others take at most `MOST_BYTES`.
     """
     for abandoned in folder.glob(f"{_OWN}*"):
         with suppress(OSError):  # Another process may remove it at the same time.

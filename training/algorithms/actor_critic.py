@@ -19,7 +19,7 @@ from jaxrod.training.networks import check_outputs, initial_weights, make_networ
 from jaxrod.training.settings import LearnerConfig, Scalar
 
 ACTIVATION = "relu"
-"""Activation function of all hidden layers, as in the reference implementation."""
+"""Activation function of the hidden layers in SAC, TD3 and DDPG."""
 
 
 @pytree
@@ -62,7 +62,7 @@ def critic_values(
     observation: Float[Array, "batch observation"],
     action: Float[Array, "batch action"],
 ) -> Float[Array, "critics batch"]:
-    """Values Q_i(observation, action) of every critic i; normalised observations."""
+    """Values Q_i of every critic i, for normalised observations and actions."""
     inputs = jnp.concatenate([observation, action], axis=-1)
     network = _critic_network(config, inputs.dtype)
     values = [network.apply({"params": w}, inputs)[:, 0] for w in weights]

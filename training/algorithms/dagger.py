@@ -75,7 +75,7 @@ from jaxrod.training.settings import (
 )
 
 ACTIVATION = "tanh"
-"""Activation function of all hidden layers."""
+"""Activation function of the hidden layers of the policy network."""
 
 
 @pytree
@@ -121,14 +121,14 @@ class Advice:
     """Observations with the planner's actions, with any leading axes."""
 
     observation: Float[Array, "*batch observation"]
-    """Observation, not normalised."""
+    """Observation in the state from which the planner starts, not normalised."""
     action: Float[Array, "*batch action"]
     """Action of the planner."""
 
 
 @pytree
 class DAggerState(LearnerState):
-    """Complete state of a run: a run restored from it continues bit by bit."""
+    """Train state of a DAgger run: everything that is needed to continue it."""
 
     weights: Any
     """Weights of the policy network."""
@@ -322,7 +322,11 @@ def _act(
 def _fit(
     state: DAggerState, axis_name: str | None
 ) -> tuple[DAggerState, Float[Array, ""]]:
-    """Fits the network by least squares; returns the state and mean squared error."""
+    """Fits the network to the planner's actions by least squares.
+
+    Returns:
+        The updated state, and the mean squared error.
+    """
     config: DAggerConfig = state.config
     dtype = state.environments.observation.dtype
     network = policy_network(state.env, config, dtype)

@@ -98,7 +98,7 @@ class OffPolicyConfig(LearnerConfig):
 
 @pytree
 class OffPolicyState(LearnerState):
-    """Complete state of an off-policy run: restored, it continues bit by bit."""
+    """Train state of an off-policy run: everything that is needed to continue it."""
 
     learner: Learner
     """Weights and optimiser states."""

@@ -52,7 +52,7 @@ from jaxrod.training.settings import (
 )
 
 ACTIVATION = "tanh"
-"""Activation function of all hidden layers, as in the reference implementation."""
+"""Activation function of the hidden layers in PPO, TRPO and SHAC."""
 
 
 @pytree
@@ -75,7 +75,7 @@ class OnPolicyConfig(LearnerConfig):
 
 @pytree
 class OnPolicyState(LearnerState):
-    """Complete state of an on-policy run: restored, it continues bit by bit."""
+    """Train state of an on-policy run: everything that is needed to continue it."""
 
     weights: dict[str, Any]
     """Weights of the networks, under "policy" and "value"; in SHAC also "target"."""
@@ -89,12 +89,12 @@ class OnPolicyState(LearnerState):
 
 @pytree
 class Experience:
-    """Samples of one update for the policy and the value network."""
+    """Samples from which PPO or TRPO learns in one update."""
 
     observation: Float[Array, "steps num_envs observation"]
-    """Normalised observation."""
+    """Normalised observation from which the action was chosen."""
     action: Float[Array, "steps num_envs action"]
-    """Action as drawn, before clipping."""
+    """Action drawn by the policy, before clipping to [-1, 1]."""
     log_prob: Float[Array, "steps num_envs"]
     """Log density of the action under the policy that drew it."""
     advantage: Float[Array, "steps num_envs"]

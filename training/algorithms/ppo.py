@@ -182,8 +182,9 @@ def _loss(
 ) -> tuple[Float[Array, ""], dict[str, Array]]:
     """Loss of PPO on a batch, and its terms for the report.
 
-    L = -mean(min(q A, clip(q, 1 - eps, 1 + eps) A)) + c_v mean((V - V_target)^2) / 2
-    - c_e H, with the probability ratio q, the advantage A and the entropy H.
+    L = -mean(min(q A, clip(q, 1 - clip, 1 + clip) A))
+    + value_weight mean((V - value_target)^2) / 2 - entropy_weight H,
+    with the probability ratio q, the advantage A and the entropy H.
     """
     batch = jax.tree.map(lambda leaf: leaf.reshape(-1, *leaf.shape[2:]), batch)
     dtype = batch.observation.dtype

@@ -49,7 +49,7 @@ LARGEST_ENTROPY = math.log(2)
 def split_output(
     output: Float[Array, "*batch outputs"],
 ) -> tuple[Float[Array, "*batch action"], Float[Array, "*batch action"]]:
-    """Splits the policy network's output into mean and bounded log std of u."""
+    """Splits the output of the policy network into mean and bounded log std."""
     mean, log_std = jnp.split(output, 2, axis=-1)
     return mean, jnp.clip(log_std, *LOG_STD_LIMITS)
 

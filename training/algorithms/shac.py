@@ -73,8 +73,8 @@ class Window:
     raw: Float[Array, "steps num_envs observation"]
     """Observation from which the action was chosen, not normalised."""
     earned: Float[Array, "steps num_envs"]
-    """Term r_k of J: -reward_scale * action_repeat * cost after the decision, or
-    reward_scale * reward."""
+    """Term r_k of the objective: -reward_scale * action_repeat * (cost after the
+    decision), or reward_scale * reward."""
     reward: Float[Array, "steps num_envs"]
     """Reward of the decision, not scaled, for the report."""
     terminated: Bool[Array, "steps num_envs"]
@@ -129,7 +129,7 @@ def acted(
 def objective(
     window: Window, following: Float[Array, "steps num_envs"], discount: Scalar
 ) -> Float[Array, ""]:
-    """Sum of J over the starts of windows and of episodes, per decision.
+    """Objective: sum of J over the starts of windows and of episodes, per decision.
 
     J is the sum of gamma^k r_k from the start to the end of the window or of the
     episode, plus the discounted value there (0 if the task ended).
@@ -216,7 +216,8 @@ class SHACConfig(OnPolicyConfig):
     objective: str = static(default="cost")
     """Objective: the task's smooth "cost" is minimised, or its "reward" maximised."""
     critic: bool = static(default=True)
-    """Whether J includes the value V(s_h) at the end of a window; False gives APG."""
+    """Whether the objective includes the critic's value at the end of a window. False
+    gives the analytic policy gradient (APG)."""
     epochs: int = static(default=8)
     """Number of passes of the critic over the samples of one update."""
     minibatches: int = static(default=4)

@@ -176,7 +176,7 @@ def _improve_policy(
     old_mean, old_log_std = outputs(start, batch.observation)
 
     def objective(parameters: Array) -> tuple[Float[Array, ""], Float[Array, ""]]:
-        """Surrogate mean(q A) + c_e H with probability ratio q; mean KL(old, new)."""
+        """Surrogate mean(q A) + entropy_weight H, q the probability ratio; mean KL."""
         mean, log_std = outputs(parameters, batch.observation)
         noise = (batch.action - mean) * jnp.exp(-log_std)[None]
         ratio = jnp.exp(log_density(noise, log_std) - batch.log_prob)

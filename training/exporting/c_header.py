@@ -115,7 +115,7 @@ class _Body:
         return [*self.tables, *first, *index, *silent, *self.lines]
 
     def each(self, step: Each) -> None:
-        """Adds a loop over the numbers of an elementwise operation."""
+        """Adds a loop that computes an elementwise operation."""
         name, at = self.where[step.out]
         taken = "; ".join(
             f"const {TYPES[value.buffer.kind]} {letter} = {self._read(value)}"
@@ -169,7 +169,7 @@ class _Body:
         self.lines.append(f"  for (k = 0; k < {count}; k++) {statement}")
 
     def _read(self, value: Value) -> str:
-        """C expression of entry k of a value in flat order."""
+        """C expression of entry k of a value in flat order, k the C loop variable."""
         if value.uniform:
             return _literal(value.numbers.ravel()[0], value.buffer.kind)
         if value.known:

@@ -41,8 +41,8 @@ def export_c(
 
     The header is C99 and needs `math.h` alone. All memory is static: weights are
     constants, and each function has static scratch arrays, so two threads must not call
-    it at once. Normalisation of observations and clipping of actions
-    are part of it. `policy.h` declares
+    it at once. It includes the normalisation of observations and the clipping of
+    actions. `policy.h` declares
 
         void policy_act(const float observation[], float action[]);
 

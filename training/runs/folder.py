@@ -39,7 +39,7 @@ from jaxrod.validation import LARGEST_SEED
 SUMMARY = "summary.json"
 LEARNING_CURVE = "learning_curve.png"
 REPLAY = "replay.html"
-"""Name of the replay that the command line draws, as it does the learning curve."""
+"""Name of the page with a replay of one episode, which the command line draws."""
 
 _CONFIG_KINDS = {
     "task": TEXT,
@@ -129,8 +129,8 @@ class RunFolder(OwnedFolder):
         """Reads `summary.json`.
 
         Raises:
-            ValueError: There is no finished run in this folder, or the file is
-                damaged.
+            ValueError: There is no `summary.json`, because no run has ended in this
+                folder, or the file is damaged.
         """
         file = self.summary_file
         try:

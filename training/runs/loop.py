@@ -53,7 +53,8 @@ def train(
     Ctrl-C (or a SIGTERM) lets the current chunk of updates finish, saves, and returns
     the result so far; a second one stops at once. A stopped or killed run in a folder
     continues with `resume=True` from its last checkpoint, no matter when it was
-    stopped. It ends bit by bit as if it had never been interrupted.
+    stopped. On CPUs it ends bit by bit as if it had never been interrupted, on GPUs up
+    to round-off (see `jaxrod doctor`).
 
     Args:
         env: The environment. If `jaxrod.envs.make` made it, the run records the recipe,

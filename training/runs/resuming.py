@@ -54,7 +54,7 @@ _FACTS = {
 
 @pytree
 class Stored:
-    """The arrays that a checkpoint of a run holds."""
+    """Arrays in a checkpoint: train state and parameters of the environment."""
 
     learner: Any
     """The train state of the algorithm."""

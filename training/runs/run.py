@@ -80,7 +80,7 @@ class Result:
 
 
 class Run:
-    """One call of `jaxrod.training.train`, with its state on the host."""
+    """Host side of one call of `train`: steps so far, train state, records."""
 
     def __init__(
         self,
