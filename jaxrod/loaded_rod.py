@@ -333,8 +333,7 @@ def dissipate(scene: LoadedRod, motion: Motion, dt: Array) -> Motion:
 
 
 def damping_rates(scene: LoadedRod) -> tuple[Array, Array] | None:
-    """Total decay rates [1/s] of velocities and spins by all effects; `None` if
-    none."""
+    """Total decay rates [1/s] of velocities and of spins; `None` without damping."""
     total: tuple[Array, Array] | None = None
     for effect in scene.effects:
         rates = effect.damping_rates(scene.rod)

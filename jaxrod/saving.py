@@ -266,8 +266,7 @@ class _Writer:
         """Classes by the names they have in the file."""
 
     def node(self, value: Any, place: str) -> Any:
-        """JSON for a value; `place`, its path in the pytree, names arrays and
-        errors."""
+        """JSON for a value; `place`, its path in the pytree, names its arrays."""
         kind = type(value)
         if value is None or kind in (bool, int, str):
             return value
