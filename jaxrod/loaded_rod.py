@@ -114,8 +114,6 @@ class Method:
         """Raises ValueError if this method forbids an effect to change with time.
 
         It is called with the scene that has schedules or memory.
-
-        It is called with the scene that has schedules or memory.
         """
 
     def check_state(self, scene: LoadedRod, state: RodState) -> None:
@@ -162,8 +160,6 @@ class LoadedRod:
 
         It is needed for functions of one moment: energies, health, equilibrium,
         frequencies.
-
-        For functions of one moment: energies, health, equilibrium, frequencies.
         """
         if not self.depends_on_time:
             return self

@@ -50,8 +50,6 @@ class Model(ABC):
     """Base of all models: a scene of one rod, or a system of several members.
 
     The state of a scene is a `RodState`, that of a system a dict of states by member.
-
-    Each has its own kind of state: a `RodState`, or a dict of states by member.
     """
 
     @property

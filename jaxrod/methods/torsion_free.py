@@ -203,9 +203,6 @@ def _twisting_shares(rod: Rod, effects: tuple[Effect, ...]) -> Array:
     Both are computed on a generic rod, before and after its elements are rotated about
     their axes. They are zero for elastic walls, which are known not to twist. Shape
     (effects, 2).
-
-    They are computed on a generic rod, before and after its elements are rotated about
-    their axes. Walls are left out, because they are known not to twist.
     """
     before = trial_motion(rod)
     k = jnp.arange(rod.n_elements, dtype=rod.rest_lengths.dtype)

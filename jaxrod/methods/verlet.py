@@ -39,7 +39,7 @@ class Verlet(ABC):
 
     @abstractmethod
     def drift(self, motion: Any, dt: Array) -> Any:
-        """Moves nodes and rotates elements at unchanged rates for a time `dt` [s]."""
+        """Moves nodes and rotates elements, with unchanged rates, for `dt` [s]."""
 
     @abstractmethod
     def kick(self, motion: Any) -> Any:
@@ -79,9 +79,6 @@ class EvolvingVerlet:
 
     Loads and prescribed rates are evaluated in the middle of a step, where the kick
     acts. Positions of driven supports are evaluated at the end of a drift.
-
-    Loads and rates are those of the middle of a step, where the kick acts. Driven
-    supports have their positions at the end of a drift.
     """
 
     steps_of_end: ClassVar[int] = 1
