@@ -200,7 +200,7 @@ def _shares_outside(
 
 
 def _oblique_inertia(rod: Rod, oblique: Array) -> Array:
-    """Relative coupling of spin about the normal to other spin, n1 n2 (J1 - J2) / J."""
+    """Coupling of rotation about the normal to others, n1 n2 (J1 - J2) / J [1]."""
     if rod.is_round:
         return jnp.zeros_like(oblique[0])
     inertia = rod.principal_inertias

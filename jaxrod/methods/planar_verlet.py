@@ -57,7 +57,7 @@ class PlanarMotion:
     position: Vec2
     """In-plane components of the node positions [m]."""
     turn: Array
-    """Angle by which each element has rotated since the start of the call [rad]."""
+    """Angle by which each element has rotated since the start of the run [rad]."""
     direction: Vec2
     """In-plane components of the unit vectors d3."""
     velocity: Vec2
@@ -102,7 +102,7 @@ class PlanarRod:
     joint: Array
     """Bending stiffness about the normal over joint length [N m]."""
     joint_offsets: Array
-    """Joint angle at the start of the call minus that at rest [rad]."""
+    """Joint angle at the start of the run minus that at rest [rad]."""
 
     @staticmethod
     def create(rod: Rod, state: RodState, plane: PlaneName) -> PlanarRod:
@@ -162,7 +162,7 @@ class PlanarVerlet(Verlet):
     plane: PlaneName = static()
     """The plane of motion."""
     start: RodState
-    """State at the start of the call; its components out of the plane are kept."""
+    """State at the start of the run; its components out of the plane are kept."""
     constants: PlanarRod
     """Constants of the rod in the plane."""
     inverse_inertia: Array
