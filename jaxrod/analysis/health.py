@@ -309,7 +309,7 @@ def _largest_spin(rod: Rod, state: RodState) -> Array:
 
 
 def _violation(scene: LoadedRod, state: RodState) -> Array | None:
-    """Largest violation of all effects; `None` if none ties the rod to a place."""
+    """Largest violation of all effects' constraints; `None` if none ties the rod."""
     found = [effect.violation(scene.rod, state) for effect in scene.effects]
     worst = [value for value in found if value is not None]
     return functools.reduce(jnp.maximum, worst) if worst else None
@@ -368,8 +368,8 @@ class EnergyBalance:
     growth: Float[Array, ""]
     """Growth of the total energy [J]."""
     own: Float[Array, ""]
-    """Energy that does not depend on place: kinetic, elastic, held ends, contact
-    [J]."""
+    """Energy that does not depend on the origin: kinetic, elastic, of held ends and
+    contact [J]."""
     rounding: Float[Array, ""]
     """Largest growth that round-off can explain [J]."""
 
@@ -432,7 +432,7 @@ def energy_balance(
 def _rounding_of_positions(
     rod: Rod, state: RodState, dt: Array
 ) -> tuple[Float[Array, ""], Float[Array, ""]]:
-    """Elastic energy added by round-off in a step, and kinetic energy lost to it."""
+    """Elastic energy that round-off adds in a step, and kinetic energy lost [J]."""
     spacings = jnp.sum(jnp.spacing(state.positions) ** 2, axis=0)
     stiffness = jnp.max(rod.shear_stretch_stiffness, axis=0) / rod.rest_lengths
     shaken = jnp.sum(stiffness * (spacings[1:] + spacings[:-1])) / 12

@@ -78,7 +78,7 @@ class BlockTridiagonal:
         )
 
     def is_positive(self) -> Bool[Array, ""]:
-        """Whether all pivots are positive: a symmetric matrix is positive definite.
+        """Whether all pivots are positive: a symmetric matrix is then positive definite.
 
         False if it is not finite.
         """

@@ -176,7 +176,7 @@ def _times_coloured(push: Callable[[Array], Array], step: Array, reach: Reach) -
 
 
 def _mixing(effect: Effect, rod: Rod) -> Array:
-    """Largest relative error if each component is held fully or not at all [1]."""
+    """Relative error of assuming that components are held fully or not at all [1]."""
     alone, motion = LoadedRod(rod, (effect,), Method()), trial_motion(rod)
     nodes, turns = unstack_dofs(_any_step(rod))
 
