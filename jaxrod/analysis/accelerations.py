@@ -55,7 +55,7 @@ def total_loads(scene: LoadedRod, motion: Motion) -> Loads:
 
 
 def rates_of_change(scene: LoadedRod, motion: Motion) -> Motion:
-    """Time derivative of a motion; that of its spins is that of angular momenta.
+    """Time derivative of a motion, in which spins are angular momenta.
 
     Damping by `Effect.dissipate` counts with its rate in an infinitesimal step. A
     filter that removes the same fraction in every step, however short, has no such

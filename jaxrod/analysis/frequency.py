@@ -49,9 +49,11 @@ class Vibration:
     angular_frequency: Float[Array, ""]
     """Angular frequency [rad/s]."""
     displacements: Float[Array, "3 n+1"]
-    """Fraction of the kinetic energy in each node's motion, world frame [1]."""
+    """Fraction of the kinetic energy in each component of node motion, world frame
+    [1]."""
     turns: Float[Array, "3 n"]
-    """Fraction of the kinetic energy in each element's rotation, material frame [1]."""
+    """Fraction of the kinetic energy in each component of element rotation, material
+    frame [1]."""
 
 
 def highest_frequency(

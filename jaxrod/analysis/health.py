@@ -72,8 +72,9 @@ class HealthLimits:
     radius, the distance of a held end from its place and the depth of a node in a
     body."""
     largest_energy_growth: Float[Array, ""] | float = 0.1
-    """Largest unexplained growth, over the rod's own kinetic and elastic energy [1].
-    Valid steps gain up to 0.003 in free motion, and up to 0.1 in hard impacts."""
+    """Largest unexplained growth of the total energy, over the rod's kinetic and
+    elastic energy [1]. Valid steps gain up to 0.003 in free motion, and up to 0.1 in
+    hard impacts."""
 
 
 @pytree

@@ -101,7 +101,7 @@ class StableStep:
     """
 
     dt: Float[Array, ""]
-    """The largest safe step [s]."""
+    """Largest stable step times the safety factor [s]."""
     element: Int[Array, ""]
     """Index of the element with the highest frequency."""
     mode: Int[Array, ""]
@@ -142,7 +142,7 @@ def stable_dt(
     cent.
 
     Args:
-        scene: The scene, or a system. For a schedule, the bound on its magnitude counts.
+        scene: The scene, or a system; schedules count with their `largest` values.
         safety: Fraction of the limit to use, in (0, 1]: 0.5 is cautious, 0.9 fast.
             Above 0.9 a rod that is compressed while it moves may blow up.
         state: The deformation at which to measure, if any.
@@ -219,8 +219,8 @@ def compression(
     and without compression, at the largest values of schedules, as in `stable_dt`.
 
     Returns:
-        A factor of at most one, and the smallest extent of an element along d3 over
-        its rest length [1].
+        A factor of at most one, and the smallest extent of an element over its rest
+        length [1]: along d3 in consistent mode, between its nodes in PyElastica mode.
     """
     scene = scene.at_largest
     rod = scene.rod

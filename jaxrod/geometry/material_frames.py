@@ -119,7 +119,7 @@ def _carried_along(tangents: jax.Array, first: jax.Array) -> jax.Array:
 
 
 def check_frames(directors: Numbers, tangents: Any) -> Any:
-    """Checks given directors `(3, 3, n)`.
+    """Checks given directors `(3, 3, n)`, and returns them as an array.
 
     Raises:
         ValueError: If they are not orthonormal and right-handed, or d3 is not along

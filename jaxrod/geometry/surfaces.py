@@ -35,7 +35,10 @@ def cylinder(half: float, radius: float) -> Triangles:
 
 
 def along(triangles: Triangles, start: np.ndarray, end: np.ndarray) -> Triangles:
-    """Moves a surface so that its z axis becomes the line from `start` to `end`."""
+    """Moves a surface so that its z axis becomes the line from `start` to `end`.
+
+    The origin becomes the middle of the line.
+    """
     corners, faces = triangles
     axis = (end - start) / np.linalg.norm(end - start)
     # The shortest rotation from z; a half turn about x where the axis points to -z.

@@ -78,9 +78,9 @@ class BlockTridiagonal:
         )
 
     def is_positive(self) -> Bool[Array, ""]:
-        """Whether all pivots are positive: a symmetric matrix is then positive definite.
+        """Whether all pivots are positive. False if the matrix is not finite.
 
-        False if it is not finite.
+        A symmetric matrix is then positive definite.
         """
         _, pivots = _descend(self, jnp.zeros(self.diagonal.shape[:2], self.dtype))
         return jnp.all(pivots > 0)

@@ -60,7 +60,7 @@ def state_of(curve: Curve) -> RodState | None:
 
 
 def nodes_of(name: str, curve: Curve) -> Float[Array, "3 nodes"]:
-    """Nodes of a curve [m].
+    """Nodes of a curve as an array `(3, n + 1)` [m].
 
     Raises:
         ValueError: If they are not at least two points, in three rows.

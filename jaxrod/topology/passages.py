@@ -2,11 +2,10 @@ r"""Passages of curves through each other between two moments.
 
 Nodes are assumed to move in straight lines between the moments. The vector from a point
 of one segment to a point of another is then a map of a cube, whose coordinates are the
-positions along both segments and time.
-Segments pass through each other where the vector is zero. The signed number of passages
-is the solid angle of the image of the cube's surface over that of a sphere. It is an
-integer for motions of any size. The sum over all pairs is the jump of the Gauss
-integral.
+positions along both segments and time. Segments pass through each other where the
+vector is zero. The signed number of passages is the solid angle of the image of the
+cube's surface over that of a sphere. It is an integer for motions of any size. The sum
+over all pairs is the jump of the Gauss integral.
 """
 
 from __future__ import annotations
@@ -45,7 +44,8 @@ def crossings(
         twice.
 
     Raises:
-        ValueError: If numbers of nodes do not agree, or one of the others is missing.
+        ValueError: If numbers of nodes do not agree, or only one of `other_before` and
+            `other_after` is given.
 
     Example:
         >>> other = jnp.array([[-1.0, 1.0], [0.0, 0.0], [0.0, 0.0]])  # along x
@@ -101,7 +101,8 @@ def crossed(
     Arguments are those of `crossings`, which returns counts per pair of elements.
 
     Raises:
-        ValueError: If numbers of nodes do not agree, or one of the others is missing.
+        ValueError: If numbers of nodes do not agree, or only one of `other_before` and
+            `other_after` is given.
 
     Example:
         >>> other = jnp.array([[-1.0, 1.0], [0.0, 0.0], [0.0, 0.0]])  # along x

@@ -195,9 +195,9 @@ def link(
 ) -> Float[Array, ""]:
     """Link of a ribbon: linking number of its centreline and a line offset along d1.
 
-    It is an integer for closed ribbons. For other ends than "joined" it is the link of
-    the two lengthened lines, which is close to twist plus writhe for a long
-    `extension`.
+    It is an integer for closed ribbons. For other ends than "joined" it is the Gauss
+    integral of the two open or lengthened lines, which is close to twist plus writhe
+    for a long `extension`.
 
     Args:
         curve: A state, or nodes `(3, n + 1)` [m].
