@@ -63,7 +63,7 @@ def __getattr__(name: str) -> Any:
 
 
 def _place_of(name: str) -> str:
-    """End of an error message that names the namespace with a name; else "".
+    """Hint ": it is jaxrod.SPACE.NAME" for a name in a namespace, otherwise "".
 
     Files are searched as text, because nothing may be imported here.
     """

@@ -23,7 +23,7 @@ class DamagedFileError(ValueError):
 
 
 class LinkedFileError(ValueError):
-    """A link in a folder points outside it; nothing is written through the link."""
+    """A path to write to is a link, has other hard links, or is not a plain file."""
 
 
 class UntrustedError(ValueError):

@@ -248,7 +248,7 @@ def scene_of(scene: AnyScene, state: RodState) -> AnyScene:
 
 
 def check_memory(scene: LoadedRod, state: RodState, name: str = "state") -> None:
-    """Raises a `ValueError` if a state's memory is not that of the scene's effects."""
+    """Raises a `ValueError` if a state's memory does not fit the scene's effects."""
     if state.memory is None:
         return
     given, own = map(_described, (state.memory, memory_of(scene.effects)))

@@ -38,7 +38,7 @@ from jaxrod.files import (
 from jaxrod.structure import STORABLE
 
 VERSION = 1
-"""Version of the format; a new meaning gets a new number."""
+"""Version of the file format; a change of its meaning increases it."""
 
 _TREE = "structure.json"
 _FLOATS = {"nan": math.nan, "inf": math.inf, "-inf": -math.inf}
@@ -389,7 +389,7 @@ class _Reader:
             if field.name in nodes:
                 values[field.name] = self.node(nodes[field.name], where)
                 _check_field(field, values[field.name], f"tree{where}")
-            # A field that is younger than the file has its default.
+            # A field that was added after the file was written has its default.
             elif field.default is field.default_factory is dataclasses.MISSING:
                 raise ValueError(f"tree{where}, which {name} needs, is missing")
         return cls(**values)

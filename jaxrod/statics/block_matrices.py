@@ -369,6 +369,6 @@ def matrix_of(
     if like.size <= _COLUMNS_AT_ONCE:
         answers = jax.vmap(function)(seeds)
     else:
-        # In one batch, pairs of nodes times directions would take gigabytes.
+        # In one batch the intermediate values of all directions may take gigabytes.
         answers = lax.map(function, seeds, batch_size=_COLUMNS_AT_ONCE)
     return Dense(jnp.moveaxis(answers, 0, -1).reshape(*like.shape, *like.shape))

@@ -154,8 +154,8 @@ def find_rest(
         faster = jnp.maximum(search.shrinking**2, FASTEST)
         shrinking = jnp.where(taken, jnp.where(fast, faster, search.shrinking), slower)
         higher = jnp.maximum(search.inertia / shrinking, resisted / own)
-        # Round-off alone may judge a correction below the tolerance. More inertia would
-        # make it smaller still, so the full correction is tried next.
+        # Below the tolerance the ratio may be round-off alone. More inertia would make
+        # the correction smaller still, so the full correction is tried next.
         higher = jnp.where(largest <= tolerance, 0, higher)
         inertia = jnp.where(taken, lower, higher)
         inertia = jnp.where(first, 0, inertia)

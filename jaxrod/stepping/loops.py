@@ -154,7 +154,7 @@ def _in_blocks(integrator: Any, state: Any, n_cycles: int | Array) -> Any:
         return _looped(integrator, carry, length) if made is None else made
 
     carry = integrator.begin(state)
-    # The last block is shorter than the others: it ends before it would be renewed.
+    # The last block is shorter than the others, and may be empty.
     if isinstance(n_cycles, int):
         blocks, rest = divmod(n_cycles, every)
         carry = repeat(lambda carry: block(carry, every), carry, blocks)

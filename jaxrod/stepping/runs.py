@@ -109,7 +109,7 @@ def with_memory(scene: Model, state: State) -> State:
 def step(
     scene: Model, state: State, dt: ArrayLike, *, first: int | Int[Array, ""] = 0
 ) -> State:
-    """Takes one step: half drift, kick, half drift.
+    """Takes one step: half drift, kick, half drift in explicit methods.
 
     Pure; works inside jit, vmap and grad.
 

@@ -69,7 +69,7 @@ def crossings(
     def seen_from(segment: tuple[Array, Array, Array, Array]) -> Array:
         places = split(segment[0]), split(segment[1])
         places_later = split(segment[2]), split(segment[3])
-        # Index: place along the first segment, place along the second, moment.
+        # Indices: end of the first segment, end of the second, moment.
         vector = {
             (s, u, t): subtract(corners[u][t], (places, places_later)[t][s])
             for s in (0, 1)
