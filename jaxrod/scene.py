@@ -83,11 +83,11 @@ class Scene(LoadedRod, Model):
         return member_of_rod(self)
 
     def interfaces(self) -> dict[str, Member]:
-        """The rod as the only member, whose name is ""."""
+        """Dict of the rod as the only member, whose name is ""."""
         return {"": self.as_member()}
 
     def states_by_name(self, state: Any) -> Mapping[str, Any]:
-        """The state as that of the only member, whose name is ""."""
+        """Dict {"": state}: a scene has one member, whose name is ""."""
         return {"": state}
 
     def with_states(self, state: Any, changed: Mapping[str, Any]) -> Any:

@@ -68,8 +68,8 @@ class HealthLimits:
     largest_norm_error: Float[Array, ""] | float = 1e-3
     """Largest deviation of the squared norm of a quaternion from one [1]."""
     largest_violation: Float[Array, ""] | float = 1.0
-    """Largest violation of an effect's constraint, see `Effect.violation` [1]: over the
-    radius, the distance of a held end from its place and the depth of a node in a
+    """Largest violation of an effect's constraint (`Effect.violation`) over the radius
+    [1]: distance of a held end from its prescribed position, or depth of a node in a
     body."""
     largest_energy_growth: Float[Array, ""] | float = 0.1
     """Largest unexplained growth of the total energy, over the rod's kinetic and
@@ -103,7 +103,7 @@ class Health:
     norm: Bool[Array, ""]
     """Flag: an orientation is not a unit quaternion."""
     violation: Bool[Array, ""]
-    """Flag: a held end is off its place, or the rod is deep inside a body."""
+    """Flag: a held end is off its position, or a node is deep inside a body."""
     energy: Bool[Array, ""]
     """Flag: energy grew by more than work and round-off can explain."""
     smallest_stretch: Float[Array, ""]
@@ -128,7 +128,7 @@ class Health:
 
     @property
     def flagged(self) -> Bool[Array, ""]:
-        """Whether anything is wrong."""
+        """Whether any flag is set, or a number is not finite."""
         return (
             ~self.finite
             | self.stretch
@@ -310,7 +310,8 @@ def _largest_spin(rod: Rod, state: RodState) -> Array:
 
 
 def _violation(scene: LoadedRod, state: RodState) -> Array | None:
-    """Largest violation of all effects' constraints; `None` if none ties the rod."""
+    """Largest violation of all effects; `None` if no effect holds or touches the
+    rod."""
     found = [effect.violation(scene.rod, state) for effect in scene.effects]
     worst = [value for value in found if value is not None]
     return functools.reduce(jnp.maximum, worst) if worst else None

@@ -113,9 +113,9 @@ Rates = tuple[Array, Array | None]
 def _change(
     rate: Vec3, drive: Vec3, axis: Vec3, along: Rates, across: Rates, dt: Array
 ) -> Vec3:
-    """Change of vectors over a step, with a constant drive and with decay.
+    """Change of vectors v over a step by v' = drive - (g + q |v|) v, drive constant.
 
-    Components along and across the axis decay at different rates.
+    Components along and across the axis have different rates g and q.
     """
     on_rate, on_drive = vectors.dot(axis, rate), vectors.dot(axis, drive)
     rate = vectors.subtract(rate, vectors.scale(on_rate, axis))

@@ -277,7 +277,7 @@ class EvolvingImplicit:
     """Number of the first step, counted from time zero."""
 
     def begin(self, state: RodState) -> tuple[Motion, Now]:
-        """Unpacks a state and makes it satisfy the scene's constraints."""
+        """Motion that satisfies all constraints, with step number and memory."""
         now = Now(self.first, memory_in(self.scene, state))
         return self._at(now, 0.0).begin(state), now
 
@@ -302,7 +302,7 @@ class EvolvingImplicit:
         return after, remembering(last.scene, after, self.implicit.dt, now)
 
     def end(self, carry: tuple[Motion, Now]) -> RodState:
-        """Packs a motion into a state."""
+        """Packs a motion and the memory of effects into a state."""
         motion, now = carry
         state = state_of(motion)
         return replace(state, memory=now.memory) if any(now.memory) else state

@@ -74,7 +74,7 @@ class Planar(Method):
         return self.of.loads(scene, motion)
 
     def check_evolving(self, scene: LoadedRod) -> None:
-        """Raises ValueError if a changing effect prescribes positions off the plane."""
+        """Raises ValueError if a moving support holds nodes along the normal."""
         for effect in scene.evolving_effects:
             if _places_across(effect, scene.rod, self.plane):
                 axes = "".join(sorted(self.plane))
@@ -168,7 +168,7 @@ def check_planar(scene: LoadedRod, method: Planar, state: RodState) -> None:
 def _shares_outside(
     scene: LoadedRod, method: Planar, state: RodState
 ) -> Float[Array, " parts"]:
-    """Largest component of each of `_PARTS` out of the plane, relative to its scale."""
+    """Largest out-of-plane component of each of `_PARTS`, over its typical size [1]."""
     out = PLANES[method.plane][2]
     rod = scene.rod
     frame = state.directors
@@ -208,7 +208,8 @@ def _oblique_inertia(rod: Rod, oblique: Array) -> Array:
 
 
 def _shares_of_state(rod: Rod, method: Planar, state: RodState) -> dict[str, Array]:
-    """Out-of-plane fractions of a state, by the names in `_PARTS` [1]."""
+    """Out-of-plane fractions of positions, velocities and so on, by part of
+    `_PARTS`."""
     a, b, out = PLANES[method.plane]
     n1, n2, n3 = (axis[out] for axis in state.directors)
     length = jnp.sum(rod.rest_lengths)

@@ -202,7 +202,7 @@ class PyElastica(Method):
 
     @property
     def has_energy(self) -> bool:
-        """False: loads depend on the thinning of stretched elements."""
+        """False: PyElastica's loads are not the gradient of an energy."""
         return False
 
     @property

@@ -122,7 +122,7 @@ def check_walls_stand(scene: LoadedRod) -> None:
 def _holds_elements(effect: Effect, rod: Rod) -> bool:
     """Whether an effect constrains orientations or spins of elements.
 
-    For batches of rods it is not known: each rod is checked when it steps.
+    False for batches of rods: each of their rods is checked when it steps.
     """
     if rod.batch_shape:
         return False
@@ -282,7 +282,8 @@ class TorsionFreeStepper(Verlet):
     """Constants of the step without twist, for one scene and one step size."""
 
     start: RodState
-    """State at the start of the run; without a wall its first frame is continued."""
+    """State at the start of the run. Without a wall, d1 and d2 continue from its first
+    element."""
     inverse_lengths: Array
     """Inverse rest lengths of the elements [1/m]."""
     stiffness: tuple[Array, Array]

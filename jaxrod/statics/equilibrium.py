@@ -179,7 +179,7 @@ class _RodPlace:
     """
 
     configuration: Motion
-    """The configuration."""
+    """Positions and orientations; rates are zero."""
     units: Float[Array, "1 6"]
     """Units of steps: the length of the rod [m], and one [rad]."""
     loads: Float[Array, "n+1 6"]
@@ -187,7 +187,7 @@ class _RodPlace:
     tangent: Tangent
     """Tangent stiffness, with springs against loose modes [N/m, N, N m]."""
     mass: Float[Array, "n+1 6 6"]
-    """Mass matrix, blocks in the world frame; zero where held [kg, kg m^2]."""
+    """Diagonal blocks of the mass matrix, world frame; zero where held [kg, kg m^2]."""
     loose: Bool[Array, ""]
     """Whether nothing resists some motion of the rod as a whole."""
 
@@ -304,7 +304,7 @@ def _no_increment(motion: Motion) -> Increment:
 
 
 def _keep_held(scene: LoadedRod, found: Motion, start: Motion) -> Motion:
-    """The configuration found, with components that the scene holds as at the start."""
+    """Configuration `found`, with the held components taken from `start`."""
     nodes, elements = unstack_dofs(_at_rest(scene, start).free)
     turning = (elements[0] == 1) | (elements[1] == 1) | (elements[2] == 1)
     free = nodes, (turning,) * 4

@@ -154,7 +154,7 @@ class LoadBalance:
         )
 
     def mass(self) -> Float[Array, "n+1 6 6"]:
-        """Masses of nodes and rotary inertias, world frame; zero where held."""
+        """Blocks of masses and rotary inertias, world frame; zero where held."""
         rod = self.scene.rod
         frame = directors(self.base.orientation)
         turning = stacked(turned_diagonal(frame, vectors.split(rod.principal_inertias)))
@@ -238,7 +238,7 @@ class LoadBalance:
     def with_held_components(
         self, guess: Float[Array, "n+1 6"], found: Increment
     ) -> Increment:
-        """Increment found, with held components as in the guess."""
+        """Increment `found`, with held components taken from the step `guess`."""
         free = Increment(*unstack_dofs(self.free))
         displacement, turn = unstack_dofs(guess)
         own = to_material(directors(self.base.orientation), turn)
