@@ -310,8 +310,7 @@ def _largest_spin(rod: Rod, state: RodState) -> Array:
 
 
 def _violation(scene: LoadedRod, state: RodState) -> Array | None:
-    """Largest violation of all effects; `None` if no effect holds or touches the
-    rod."""
+    """Largest violation of all effects; `None` if none holds or touches the rod."""
     found = [effect.violation(scene.rod, state) for effect in scene.effects]
     worst = [value for value in found if value is not None]
     return functools.reduce(jnp.maximum, worst) if worst else None

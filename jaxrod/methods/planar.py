@@ -208,8 +208,7 @@ def _oblique_inertia(rod: Rod, oblique: Array) -> Array:
 
 
 def _shares_of_state(rod: Rod, method: Planar, state: RodState) -> dict[str, Array]:
-    """Out-of-plane fractions of positions, velocities and so on, by part of
-    `_PARTS`."""
+    """Largest out-of-plane fraction of positions, velocities and so on, by name."""
     a, b, out = PLANES[method.plane]
     n1, n2, n3 = (axis[out] for axis in state.directors)
     length = jnp.sum(rod.rest_lengths)

@@ -289,7 +289,7 @@ class TorsionFreeStepper(Verlet):
     stiffness: tuple[Array, Array]
     """Shear and axial stiffness [N]."""
     rest_stretch: Array
-    """Length at rest over rest length [1]."""
+    """Unstressed over reference length of an element, 1 + axial rest strain [1]."""
     joint: Array
     """Bending stiffness over joint length, including wall joints [N m]."""
     inverse_inertia: Array

@@ -1,8 +1,9 @@
 """Tangent stiffness of effects: derivatives of their loads by the configuration.
 
 An effect may have it in closed form (`Effect.turning_tangent`). Any other effect is
-differentiated. If it depends on neighbours only (`Effect.reach`), three colours of
-directions suffice, and five for second neighbours; otherwise all directions are used.
+differentiated. If it depends on neighbours only (`Effect.reach`), every third node and
+element is perturbed at once (colouring), for second neighbours every fifth. Otherwise
+each is perturbed by itself.
 """
 
 from __future__ import annotations

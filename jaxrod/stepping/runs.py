@@ -261,7 +261,7 @@ def rollout(
 def rollout_times(
     dt: ArrayLike, n_steps: int, every: int = 1
 ) -> Float[Array, " records"]:
-    """Times of the records of `rollout`, counted in integers.
+    """Times of the records of `rollout`, from integer counts of steps.
 
     Args:
         dt: Step size [s].
