@@ -334,7 +334,7 @@ class PlanarVerlet(Verlet):
         return components[0], components[1], components[2]
 
     def _orientation(self, motion: PlanarMotion) -> Quaternion:
-        """Orientations of the first state, rotated about the normal by the angles."""
+        """Orientations of the first state, rotated about the normal by `turn`."""
         zero = jnp.zeros_like(motion.turn)
         turn = [zero, zero, zero]
         turn[PLANES[self.plane][2]] = jnp.sin(0.5 * motion.turn)

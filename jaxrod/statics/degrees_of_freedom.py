@@ -88,7 +88,7 @@ def _differ(one: Quaternion, other: Quaternion) -> Array:
 
 
 def stack_dofs(nodes: Vec3, elements: Vec3) -> Float[Array, "n+1 6"]:
-    """Rows of a node's and an element's components, with zeros for a last element."""
+    """Rows of a node's and an element's components; the last element is zeros."""
     padded = [vectors.pad(entry, 0, 1) for entry in elements]
     return jnp.stack([*nodes, *padded], axis=-1)
 

@@ -193,7 +193,8 @@ class _RodPlace:
 
     @property
     def driven(self) -> Bool[Array, ""]:
-        """False: a load along a loose mode gives a large step, which suffices."""
+        """False: if loads drive a loose mode, steps do not vanish, so none
+        converges."""
         return jnp.zeros((), bool)
 
     def at(self, configuration: Motion) -> _RodPlace:

@@ -113,7 +113,7 @@ def newton(
 
 
 def _largest_share(step: Float[Array, "n+1 6"]) -> Array:
-    """Fraction of a correction, at most 1, that rotates no element too far [1]."""
+    """Fraction of a correction, at most 1, that rotates elements by 1 rad at most."""
     turned = largest(unstack_dofs(step)[1])
     return jnp.minimum(1, LARGEST_TURN / jnp.maximum(turned, LARGEST_TURN))
 
