@@ -193,8 +193,7 @@ class _RodPlace:
 
     @property
     def driven(self) -> Bool[Array, ""]:
-        """False: if loads drive a loose mode, steps do not vanish, so none
-        converges."""
+        """False: if loads drive a loose mode, no step is below the tolerance."""
         return jnp.zeros((), bool)
 
     def at(self, configuration: Motion) -> _RodPlace:
