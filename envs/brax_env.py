@@ -38,24 +38,25 @@ __all__ = ["BraxEnv", "patched_jax"]
 
 @pytree
 class Running:
-    """State of the physics that brax carries and restores at a restart."""
+    """Content of brax's `pipeline_state`, which brax restores at a restart."""
 
     state: Any
     """State of the environment."""
     elapsed: UInt32[Array, ""]
-    """Control steps of the running episode. It exceeds the episode length once the
-    episode has ended before the time limit."""
+    """Control steps since the episode began; the episode length plus 1 once the episode
+    has ended before the time limit."""
 
 
 class BraxEnv(Env):
     """An environment with brax's interface.
 
-    Under brax's own training wrappers, a batch of it is
-    `jaxrod.envs.VectorEnvironment`, restarts included: environment i has the i-th
+    Under brax's own training wrappers, a batch of it has the results of
+    `jaxrod.envs.VectorEnvironment`, restarts included: environment i uses the i-th
     random key given to `reset`. Three things follow brax's conventions:
 
-    - brax's `AutoResetWrapper` would replay the first episode for ever. It restores the
-      start from `info`, so every step puts a fresh start there.
+    - brax's `AutoResetWrapper` restores the start of an episode from `info`. Unchanged,
+      it would replay the first episode for ever, so every step writes a new random
+      start there.
     - brax's `EpisodeWrapper` knows one kind of truncation: its own clock running out.
       It treats every other end as a termination by the task. So a step truncated before
       the time limit advances that clock instead of being `done`, and at the time limit
@@ -104,7 +105,7 @@ class BraxEnv(Env):
 
     @property
     def backend(self) -> str:
-        """Name of the simulator."""
+        """Name of the physics simulator, as brax reports it: "jaxrod"."""
         return "jaxrod"
 
     def reset(self, rng: UInt32[Array, "2"]) -> State:
@@ -130,7 +131,7 @@ class BraxEnv(Env):
         )
 
     def step(self, state: State, action: Float[Array, " action"]) -> State:
-        """Advances one control step; an ended episode stays as it is, without reward.
+        """Advances one control step; an ended episode does not change, with reward 0.
 
         Args:
             state: State from `reset` or from the step before.
@@ -158,7 +159,7 @@ class BraxEnv(Env):
         return jax.tree.map(lambda a, b: jnp.where(over, a, b), still, following)
 
     def _advance(self, state: State, action: Float[Array, " action"]) -> State:
-        """One control step of a running episode."""
+        """Advances a running episode by one control step, and updates brax's `info`."""
         info = dict(state.info)
         ticks = info["ticks"] + 1
         observation, following, reward, terminated, truncated, scalars = self.env.step(
@@ -204,7 +205,7 @@ class BraxEnv(Env):
         return _number(observation, jnp.float32), Running(state, elapsed)
 
     def _params(self) -> Any:
-        """The parameters, hidden from constant folding.
+        """Parameters behind an optimisation barrier, so that XLA cannot fold them.
 
         brax's programs hold them as constants. XLA folds constants ahead of time, and
         the result differs in the last bit from a computation with arguments.
@@ -213,7 +214,7 @@ class BraxEnv(Env):
 
     @functools.cached_property
     def _scalars(self) -> tuple[str, ...]:
-        """Names of the scalars that a step returns."""
+        """Names of the scalars in `info` of a step, with "flagged"; for `metrics`."""
 
         def one_step(key: Key[Array, ""]) -> dict[str, Array]:
             _, state = self.env.reset(key, self.sys)
@@ -225,12 +226,12 @@ class BraxEnv(Env):
 
 
 def _key(rng: UInt32[Array, "2"], index: UInt32[Array, ""]) -> Key[Array, ""]:
-    """Key number `index` of an environment."""
+    """Random key number `index` of an environment: `fold_in` of its raw key `rng`."""
     return jax.random.fold_in(jax.random.wrap_key_data(rng), index)
 
 
 def _number(value: Array, dtype: Any = float) -> Array:
-    """A number of the dtype that brax itself uses, so that its scans can carry it."""
+    """Casts a value to the dtype that brax uses, so that brax's scans can carry it."""
     return jnp.asarray(value, dtype)
 
 
@@ -252,10 +253,10 @@ def patched_jax() -> Iterator[None]:
 
 
 def _device_put_replicated(x: Any, devices: Sequence[jax.Device]) -> Any:
-    """A copy of every array for every device, along a new first axis.
+    """Copies every array to every device, along a new first axis.
 
-    The axis has the name that brax's learners give it. Under another name the programs
-    would be compiled for the first epoch, and again for the next.
+    The mesh axis is named "i", as in brax's learners. Under another name the programs
+    would be compiled twice: for the first epoch, and again for the next.
     """
     one_each = NamedSharding(Mesh(np.array(devices), ("i",)), PartitionSpec("i"))
     return jax.tree.map(

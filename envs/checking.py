@@ -58,8 +58,8 @@ def check_environment(env: Environment) -> None:
         env: The environment.
 
     Raises:
-        ValueError: They are not what `Environment` promises, or a method raises, with
-            that exception as the cause.
+        ValueError: The results are not what `Environment` promises, or a method raises,
+            with that exception as the cause.
 
     Example:
         >>> env = envs.make("trivial")
@@ -114,7 +114,7 @@ def _called(
 
 
 def _remedy(error: Exception) -> str:
-    """Advice for errors whose JAX message alone does not tell what to change."""
+    """Advice to append to a JAX error that does not say what to change, or ""."""
     if isinstance(error, jax.errors.TracerBoolConversionError):
         # JAX names the place in the lines that follow the first.
         return (
@@ -199,11 +199,11 @@ def _a(word: str) -> str:
 
 
 def action_of_size(action: ArrayLike, size: int) -> Array:
-    """The action, if it is a vector of the given size.
+    """Returns the action as an array, after a check that its shape is `(size,)`.
 
     Raises:
-        ValueError: If the shape differs: an action that could be broadcast would drive
-            other actuators than intended.
+        ValueError: If the shape differs: broadcasting the action would drive actuators
+            that the caller did not intend.
     """
     check_action_shape("action", action, (size,))
     return jnp.asarray(action)
@@ -233,7 +233,7 @@ def check_action_shape(name: str, given: Any, shape: tuple[int, ...]) -> None:
 
 
 def check_variant(variant: str, variants: Collection[str]) -> None:
-    """Raises a ValueError unless the variant of a task is one of the known ones."""
+    """Raises a ValueError unless `variant` is one of `variants`."""
     if variant not in variants:
         known = ", ".join(variants)
         raise ValueError(f"variant must be one of {known}; got {variant!r}")

@@ -1,4 +1,4 @@
-"""Snapshots of a task turned into a replay or a still."""
+"""Conversion of a task's snapshots into a replay or a still picture."""
 
 from __future__ import annotations
 
@@ -15,12 +15,12 @@ from jaxrod.viz import Cylinder, Replay, Sphere, frame
 
 
 def drawable(env: Environment) -> TypeGuard[Drawable]:
-    """Whether the environment can be drawn."""
+    """Whether an environment can be drawn: has `snapshot` and `control_period`."""
     return not missing(env)
 
 
 def missing(env: Environment) -> str:
-    """Parts that an environment lacks for drawing, in a sentence; empty if none."""
+    """Sentence that lists what an environment lacks for drawing; empty if nothing."""
     lacks = []
     if not callable(getattr(env, "snapshot", None)):
         lacks.append("no method snapshot(state, params)")
@@ -32,10 +32,10 @@ def missing(env: Environment) -> str:
 
 
 def snapshots(env: Drawable, states: Any, params: Any) -> Snapshot:
-    """Snapshots of many states, along the first axis of every leaf.
+    """Snapshots of many states, stacked along the first axis of every leaf.
 
-    They are not compiled, so that every number equals that of a single state's
-    snapshot.
+    `env.snapshot` is not compiled here, so that every number equals that of a single
+    state's snapshot.
 
     Raises:
         ValueError: The environment returns something other than a `Snapshot`.
@@ -59,7 +59,7 @@ def replay(
     readouts: Mapping[str, Any] | None = None,
     title: str = "",
 ) -> Replay:
-    """Replay of a motion.
+    """Makes a replay from the snapshots of all frames.
 
     Args:
         seen: Snapshots of the frames, stacked along the first axis of every leaf.
@@ -69,7 +69,7 @@ def replay(
         title: Heading of the replay.
 
     Raises:
-        ValueError: A number is impossible, or a radius or a cylinder changes.
+        ValueError: A number is not valid, or a radius or a cylinder changes.
     """
     seen = jax.tree.map(np.asarray, seen)
     return Replay.from_rollout(
@@ -95,7 +95,7 @@ def replay(
 
 
 def edge_lengths(env: Drawable, params: Any) -> Float[np.ndarray, "rods n"]:
-    """Lengths of all elements at the start of an episode [m]."""
+    """Element lengths of all rods at the start of an episode [m]."""
     _, start = env.reset(jax.random.key(0), params)
     nodes = _nodes(env.snapshot(start, params))
     return np.linalg.norm(nodes[..., 1:] - nodes[..., :-1], axis=1)
@@ -104,7 +104,7 @@ def edge_lengths(env: Drawable, params: Any) -> Float[np.ndarray, "rods n"]:
 def picture(
     seen: Snapshot, lengths: Float[np.ndarray, "rods n"], seconds: float
 ) -> UInt8[np.ndarray, "480 640 3"]:
-    """A still of one moment, always from the same viewpoint.
+    """RGB picture of one snapshot, always from the same viewpoint.
 
     Args:
         seen: Snapshot of the moment.
@@ -128,13 +128,13 @@ def picture(
 
 
 def _nodes(seen: Snapshot) -> Float[np.ndarray, "rods 3 n+1"]:
-    """Nodes of all rods at one moment [m]."""
+    """Node positions of a snapshot [m]; a single rod gets a leading axis."""
     nodes = np.asarray(seen.positions, float)
     return nodes if nodes.ndim == 3 else nodes[None]
 
 
 def _lasting(name: str, values: Any) -> np.ndarray:
-    """Values that must be the same in all frames."""
+    """First of the values of all frames; raises a ValueError unless all are equal."""
     if not np.array_equal(values, np.broadcast_to(values[:1], values.shape)):
         raise ValueError(f"{name} of a snapshot must not change during an episode")
     return values[0]

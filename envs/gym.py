@@ -41,11 +41,11 @@ VARIANTS = {
     "gripper": ("clean",),
     "following": ("clean",),
 }
-"""The tasks, and the variants of each."""
+"""Tasks that are registered with Gymnasium, and the variants of each."""
 
 
 def ids() -> tuple[str, ...]:
-    """Returns the registered ids."""
+    """Returns the ids that are registered with Gymnasium."""
     return tuple(_id(task, variant) for task in VARIANTS for variant in VARIANTS[task])
 
 
@@ -56,11 +56,11 @@ def _id(task: str, variant: str) -> str:
 class GymnasiumEnv(gymnasium.Env[np.ndarray, np.ndarray]):
     """An environment as a `gymnasium.Env`.
 
-    It is a batch of one of `jaxrod.envs.VectorEnvironment`, up to round-off, and equal
-    to the `GymnasiumVectorEnv` of one to the last bit. The seed s starts it with
-    `jax.random.key(s)`, and the episode after an ended one is the batch's next episode.
-    If `reset` is called without a seed in mid-episode, a new seed is drawn from
-    `np_random`.
+    Its results equal those of `jaxrod.envs.VectorEnvironment` with one environment up
+    to round-off, and those of `GymnasiumVectorEnv` with one environment to the last
+    bit. The seed s starts a batch of one environment with `jax.random.key(s)`. `reset`
+    without a seed starts the next episode of this batch if the previous one has ended,
+    and otherwise draws a new seed from `np_random`.
     """
 
     metadata = METADATA
@@ -151,7 +151,7 @@ class GymnasiumEnv(gymnasium.Env[np.ndarray, np.ndarray]):
         )
 
     def render(self) -> np.ndarray | None:
-        """A picture, RGB of shape (480, 640, 3), or None without a render mode.
+        """Draws a picture, RGB of shape (480, 640, 3); None without a render mode.
 
         Raises:
             gymnasium.error.ResetNeeded: `reset` was not called before.
@@ -243,7 +243,7 @@ class GymnasiumVectorEnv(
         return observed(self._batch.started().observation), {}
 
     def _where(self, options: dict[str, Any]) -> np.ndarray | None:
-        """Mask of the environments that start an episode; None for all."""
+        """Checked `reset_mask`, true for the environments to reset; None for all."""
         if not options:
             return None
         if self._mode is not AutoresetMode.DISABLED or set(options) != {"reset_mask"}:
@@ -305,7 +305,10 @@ class GymnasiumVectorEnv(
         )
 
     def render(self) -> tuple[np.ndarray, ...] | None:
-        """A picture of every environment, RGB of shape (480, 640, 3).
+        """Draws every environment, RGB of shape (480, 640, 3).
+
+        Returns:
+            A picture of each environment; None without a render mode.
 
         Raises:
             gymnasium.error.ResetNeeded: `reset` was not called before.
@@ -318,7 +321,7 @@ class GymnasiumVectorEnv(
 
 
 def _mode(given: AutoresetMode | str) -> AutoresetMode:
-    """The mode, given as the enumeration member or as its value."""
+    """Autoreset mode from its enumeration member or value; otherwise a ValueError."""
     try:
         return AutoresetMode(given)
     except ValueError:
@@ -329,7 +332,7 @@ def _mode(given: AutoresetMode | str) -> AutoresetMode:
 
 
 def _infos(step: VectorStep, ended: np.ndarray) -> dict[str, Any]:
-    """Scalars of the running episodes, and final ones of the ended episodes."""
+    """`infos` of `SAME_STEP`: scalars of running episodes, final data of ended ones."""
     infos: dict[str, Any] = _masked(step.info, ~ended)
     if not ended.any():
         return infos
@@ -346,7 +349,10 @@ def _infos(step: VectorStep, ended: np.ndarray) -> dict[str, Any]:
 
 
 def _masked(scalars: Mapping[str, Any], where: np.ndarray) -> dict[str, np.ndarray]:
-    """Scalars with their masks, in Gymnasium's layout; empty if the mask is empty."""
+    """Scalars of the environments in a mask, zero elsewhere, in Gymnasium's layout.
+
+    The entry "_name" is the mask of "name". Empty if no environment is in the mask.
+    """
     if not where.any():
         return {}
     infos = {}

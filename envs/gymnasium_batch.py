@@ -1,4 +1,4 @@
-"""The running batch behind the Gymnasium adapters: seeds, NumPy inputs and outputs."""
+"""Batch behind the Gymnasium and Stable Baselines adapters, with NumPy in and out."""
 
 from __future__ import annotations
 
@@ -22,11 +22,11 @@ from jaxrod.envs.wrappers import VectorEnvironment, VectorState, VectorStep
 from jaxrod.installation.backend import compile_for_rods
 
 METADATA: dict[str, Any] = {"render_modes": ["rgb_array"], "render_fps": 714}
-"""Metadata that Gymnasium reads from both classes before an environment exists."""
+"""Default metadata of both Gymnasium classes, read before an environment exists."""
 
 
 class Batch:
-    """Environments that restart by themselves, and their current state.
+    """Batch of environments that restart by themselves, with its current state.
 
     Attributes:
         env: The environment.
@@ -134,7 +134,7 @@ class Batch:
         )
 
     def packed(self) -> Packed:
-        """The state, packed.
+        """Current state of the batch, packed into flat arrays.
 
         Raises:
             gymnasium.error.ResetNeeded: `reset` was not called before.
@@ -144,11 +144,11 @@ class Batch:
         return self._packed
 
     def unpacked(self, packed: Packed) -> VectorState:
-        """The unpacked state."""
+        """State of the batch as a pytree, from flat arrays that `packed` returned."""
         return self._layout.unpack(packed)
 
     def started(self) -> VectorState:
-        """The current state.
+        """Current state of the batch as a pytree.
 
         Raises:
             gymnasium.error.ResetNeeded: `reset` was not called before.
@@ -156,7 +156,7 @@ class Batch:
         return self.unpacked(self.packed())
 
     def picture(self, state: VectorState, index: int) -> UInt8[np.ndarray, "h w 3"]:
-        """A picture of environment number `index`.
+        """Draws environment number `index` of a state as an RGB picture.
 
         Raises:
             ValueError: The environment cannot be drawn.
@@ -172,12 +172,12 @@ class Batch:
 
 
 def observed(observation: Array) -> Float[np.ndarray, "..."]:
-    """A private copy of an observation: float32 and writable."""
+    """Copies an observation into a new writable NumPy array of float32."""
     return np.array(observation, np.float32)
 
 
 def random_key(seed: int) -> Key[Array, ""]:
-    """`jax.random.key(seed)`; a distinct key for every larger seed, too."""
+    """`jax.random.key(seed)` below 2^32; larger seeds also fold in their upper bits."""
     key = jax.random.key(seed & 0xFFFFFFFF)
     while seed := seed >> 32:
         key = jax.random.fold_in(key, seed & 0xFFFFFFFF)
@@ -192,7 +192,7 @@ def _reset(
 
 
 class Program:
-    """The compiled control step of a batch."""
+    """Compiled control step of a batch, from packed arrays to packed arrays."""
 
     def __init__(
         self, batch: VectorEnvironment, state: Layout, params: Layout, in_order: bool
@@ -201,12 +201,12 @@ class Program:
 
         Args:
             batch: The batch.
-            state: Layout of its packed state.
-            params: Layout of its packed parameters.
-            in_order: Whether its kernels are to run one after another.
+            state: Layout of the batch's packed state.
+            params: Layout of the packed parameters.
+            in_order: Whether XLA is to run the kernels one after another.
         """
         self.outcome: Layout
-        """Layout of the packed results; known once the step has been traced."""
+        """Layout of the packed `VectorStep`; set when the step is traced."""
 
         def step(
             packed: Packed,
@@ -234,10 +234,10 @@ def _program(
     in_order: bool,
     waits: bool,
 ) -> Program:
-    """The compiled control step, shared by all equal batches.
+    """Compiled control step, cached so that equal batches share it.
 
-    Batches with waiting environments get their own program, so that other batches do
-    not pay for it.
+    Steps with waiting environments (`waits`) have a separate program, so that other
+    steps do not pay for the selection.
     """
     del waits
     return Program(batch, state, params, in_order)
@@ -246,7 +246,10 @@ def _program(
 def _without(
     waiting: Bool[Array, " num_envs"], before: VectorState, outcome: VectorStep
 ) -> VectorStep:
-    """Outcome of a step in which some environments wait."""
+    """Results of a step, where waiting environments have no reward and do not end.
+
+    Their observation is the one before the step.
+    """
     nothing = jnp.zeros_like(outcome.reward)
     shown, final = outcome.observation, outcome.final_observation
     return dataclasses.replace(
@@ -261,7 +264,7 @@ def _without(
 
 @jax.jit
 def _chosen(where: Bool[Array, " num_envs"], these: Any, those: Any) -> Any:
-    """Leaves of `these` where the mask holds, of `those` elsewhere."""
+    """Rows of `these` where the mask is true, of `those` elsewhere; axis 0: batch."""
     return jax.tree.map(
         lambda a, b: jnp.where(
             jnp.reshape(where, where.shape + (1,) * (jnp.ndim(a) - 1)), a, b
@@ -287,36 +290,38 @@ def _in_order_options() -> dict[str, Any] | None:
 
 
 Packed = tuple[tuple[Any, ...], tuple[Any, ...]]
-"""One flat array per dtype, and the leaves that stay unpacked."""
+"""Packed pytree: one flat array per dtype, and the leaves that stay unpacked."""
 
 
 @dataclasses.dataclass(frozen=True)
 class Place:
-    """Position of a leaf in the flat arrays."""
+    """Position of a leaf of a pytree in the flat arrays."""
 
     array: int
     """Index of the flat array."""
     start: int
-    """Index of its first number."""
+    """Index of the leaf's first number in that array."""
     stop: int
-    """Index after its last number."""
+    """Index after the leaf's last number."""
     shape: tuple[int, ...]
     """Shape of the leaf."""
     key: str | None
-    """Implementation of the random keys that it holds; `None` for numbers."""
+    """Name of the implementation if the leaf holds random keys; `None` for numbers."""
 
 
 @dataclasses.dataclass(frozen=True)
 class Layout:
-    """Packing of a pytree into few flat arrays; equal for equal structures, hashable.
+    """Rule for packing a pytree into one flat array per dtype.
 
-    A call of a compiled program has a cost for every array that goes in and comes out.
-    A control step of one arm takes some 10 microseconds; its 46 arguments and 11
-    results took 300.
+    Layouts are hashable, and equal for trees of equal structure, shapes and dtypes.
+
+    Packing saves time: a call of a compiled program has a cost for every argument and
+    every result. A control step of one arm takes some 10 microseconds; its 46 arguments
+    and 11 results took 300.
     """
 
     structure: Any
-    """Structure of the tree."""
+    """Structure of the tree, as `jax.tree.structure` returns it."""
     dtypes: tuple[np.dtype, ...]
     """Dtypes of the flat arrays."""
     places: tuple[Place | None, ...]
@@ -324,7 +329,7 @@ class Layout:
     number: an array would lose its weak type."""
 
     def pack(self, tree: PyTree) -> Packed:
-        """The packed arrays.
+        """Packs a tree: ravels and concatenates its leaves by dtype.
 
         Raises:
             ValueError: The tree does not match the one from which the layout was made.
@@ -353,7 +358,7 @@ class Layout:
         return tuple(map(jnp.concatenate, parts)), tuple(others)
 
     def unpack(self, packed: Packed) -> PyTree:
-        """The tree; its leaves are NumPy arrays if the flat arrays are."""
+        """Restores a packed tree; its leaves are NumPy if the flat arrays are."""
         arrays, others = packed
         left = iter(others)
         leaves = []
@@ -370,7 +375,7 @@ class Layout:
 
 
 def layout(tree: PyTree) -> Layout:
-    """Layout for packing trees like this one, of arrays or traced."""
+    """Layout for packing trees like this one, whose leaves may be tracers."""
     leaves, structure = jax.tree.flatten(tree)
     found: list[tuple[np.dtype, tuple[int, ...], str | None] | None] = []
     for leaf in leaves:

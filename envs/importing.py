@@ -1,9 +1,9 @@
-"""A user's own callable, found by `module:callable` or `file.py:callable`.
+"""Import of a user's own callable from `module:callable` or `file.py:callable`.
 
-An import path that the user types is trusted. A path that a file names may come from
-anybody. It is imported only if the user trusts its module (`check_trusted`). A list of
-everything that is too dangerous to call could never be complete, so there is a list of
-allowed modules instead. It is empty by default.
+An import path that the user types is trusted. An import path in a saved file may come
+from anybody. It is imported only if the user trusts its module (`check_trusted`). A
+list of everything that is too dangerous to call could never be complete, so there is a
+list of allowed modules instead. It is empty by default.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from jaxrod.files import UntrustedError
 
 
 class _NotThereError(ValueError):
-    """There is no such module or file."""
+    """Error: the module or file of an import path does not exist."""
 
 
 def import_callable(
@@ -34,8 +34,8 @@ def import_callable(
     Args:
         where: `package.module:callable`, or `folder/file.py:callable` for a file that
             imports nothing from its own folder. One plain name follows the colon.
-        trust: Trusted modules if a file names the path, see `check_trusted`; None if
-            the user names it.
+        trust: Trusted modules, for a path from a file, see `check_trusted`; None for a
+            path that the user typed.
 
     Raises:
         ValueError: There is no such module, file or callable; it belongs to Python's
@@ -86,10 +86,9 @@ def check_trusted(where: str, trust: Collection[str]) -> None:
             such as `package.module:NAME`.
 
     Raises:
-        UntrustedError: Its module is not trusted, or belongs to Python's standard
-            library.
-        ValueError: `where` is no import path, or `trust` is a string instead of a
-            tuple.
+        UntrustedError: `where` is not an import path, or its module is not trusted or
+            belongs to Python's standard library.
+        ValueError: `trust` is a string instead of a tuple.
     """
     if isinstance(trust, str):
         raise ValueError(f"trust must be a tuple of names, such as ({trust!r},)")
@@ -151,7 +150,7 @@ def check_home(
 
 
 def canonical_path(where: str) -> str:
-    """The same import path, with absolute file names: valid in every folder."""
+    """Import path with an absolute file name, so that it is valid in every folder."""
     place, _, name = where.rpartition(":")
     return f"{Path(place).resolve()}:{name}" if _is_file(place) else where
 
@@ -185,7 +184,7 @@ def _by_name(name: str) -> ModuleType:
 
 
 def _from_file(path: Path) -> ModuleType:
-    """The module in a file; the same object for the same file."""
+    """Imports the module in a file; later calls return the same module object."""
     path = path.resolve()
     if not path.is_file():
         raise _NotThereError(f"there is no file {path}")

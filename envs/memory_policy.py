@@ -3,6 +3,7 @@
 A policy without memory is a function of the observation. A policy with memory has two
 methods instead. They act on whole batches, so that decisions for the whole batch (that
 a plan is due, say) are made once:
+- `init(observation, state) -> memory` at the start of an episode;
 - `act(memory, observation, state) -> (action, memory)` at every decision.
 
 Leaves of observation and state have a leading batch axis; memory is any pytree. A
@@ -52,7 +53,7 @@ class MemoryPolicy(Protocol):
     def act(
         self, memory: Any, observation: Float[Array, "batch observation"], state: Any
     ) -> tuple[Float[Array, "batch action"], Any]:
-        """Actions, and the updated memory.
+        """Chooses the actions; returns them and the updated memory.
 
         Args:
             memory: Memory from `init` or from the previous decision.
@@ -69,17 +70,17 @@ class WithoutMemory:
     """Function from observations (batch, observation_size) to actions."""
 
     def init(self, observation: Array, state: Any) -> None:
-        """Empty memory."""
+        """Returns None, as a function has no memory."""
         del observation, state
 
     def act(self, memory: None, observation: Array, state: Any) -> tuple[Array, None]:
-        """Actions for the observations."""
+        """Returns the function's actions, and None as the memory."""
         del memory, state
         return self.policy(observation), None
 
 
 def has_memory(policy: Any) -> TypeGuard[MemoryPolicy]:
-    """Whether a policy has a memory, rather than being a function."""
+    """Whether a policy is a `MemoryPolicy` with `init` and `act`, not a function."""
     return isinstance(policy, MemoryPolicy)
 
 
@@ -116,7 +117,7 @@ class OneEpisode:
     """Function of one observation, or a `MemoryPolicy`."""
 
     def init(self, observation: Float[Array, " observation"], state: Any) -> Any:
-        """Initial memory of an episode."""
+        """Initial memory of an episode; None for a function."""
         if not has_memory(self.policy):
             return None
         return self.policy.init(*_in_front((observation, state)))
@@ -124,7 +125,7 @@ class OneEpisode:
     def act(
         self, memory: Any, observation: Float[Array, " observation"], state: Any
     ) -> tuple[Float[Array, " action"], Any]:
-        """The action in [-1, 1], and the updated memory."""
+        """Returns the action, clipped to [-1, 1], and the updated memory."""
         if not has_memory(self.policy):
             return jnp.clip(self.policy(observation), -1, 1), None
         action, memory = self.policy.act(memory, *_in_front((observation, state)))
@@ -148,5 +149,5 @@ def held_for(policy: Any) -> int:
 
 
 def _in_front(tree: Any) -> Any:
-    """A batch of one."""
+    """Adds a leading batch axis of length 1 to every leaf."""
     return jax.tree.map(lambda leaf: leaf[None], tree)

@@ -1,13 +1,14 @@
-"""The environment protocol: two pure functions, four properties, and optional drawing.
+"""The environment protocol: pure functions, four properties, and optional extensions.
 
-An environment is a *namespace*: static, stateless and hashable. Everything that changes
-in time is in the state it returns. All its numbers are in its parameters. Both are
-pytrees. So `jax.vmap` makes a batch of it, `jax.grad` differentiates through it, and
-changing a number recompiles nothing.
+An environment object is static, stateless and hashable. Everything that changes in time
+is in the state that its functions return. All physical numbers are in its parameters.
+Both are pytrees. So `jax.vmap` makes a batch of it, `jax.grad` differentiates through
+it, and changing a number recompiles nothing.
 
 Time limit: an environment counts its own control steps with an integer in its state and
 returns `truncated` at step `episode_length`. Wrappers may end an episode earlier, never
-later; `jaxrod.envs.wrappers.VectorEnvironment` does so to spread the phases of a batch.
+later; `jaxrod.envs.wrappers.VectorEnvironment` does so to let the episodes of a batch
+end at different times.
 """
 
 from __future__ import annotations
@@ -26,7 +27,7 @@ State = Any
 """State of one environment: any pytree of arrays."""
 
 Info = dict[str, Array]
-"""Scalars about one step, always under the same keys."""
+"""Diagnostics of one step: scalars by name, under the same names in every step."""
 
 Step = tuple[
     Float[Array, " observation"],
@@ -40,7 +41,7 @@ Step = tuple[
 
 
 class Environment(Protocol):
-    """One arm with a task; see the module docstring.
+    """Simulated body with a task: observations, actions, rewards and episodes.
 
     Implementations are usually frozen dataclasses whose fields are structure
     (counts, names, flags), so that equal environments share compiled programs.
@@ -74,7 +75,7 @@ class Environment(Protocol):
         """Control steps after which an episode is truncated."""
 
     def default_params(self) -> Params:
-        """Parameters of the task as published; every float is a traced leaf."""
+        """Default parameters of the task; every float is a traced leaf."""
 
     def reset(
         self, key: Key[Array, ""], params: Params
@@ -132,7 +133,7 @@ class Drawable(Environment, Protocol):
         """Time between actions [s]."""
 
     def snapshot(self, state: State, params: Params) -> Snapshot:
-        """Bodies to be drawn.
+        """Rods, objects and readouts to draw for a state.
 
         Args:
             state: Current state.
@@ -143,10 +144,10 @@ class Drawable(Environment, Protocol):
 class Plannable(Environment, Protocol):
     """An environment that planners can use; training and evaluation do not need this.
 
-    The four tasks of the arm are plannable, and so is `following`. `predict` and `cost`
-    are pure and differentiable. They do not foresee random events, so a plan knows no
-    more than an agent could. `jaxrod.control.mpc` takes such an environment; it needs
-    `residuals` only for planning by Gauss-Newton.
+    The tasks of the arm and `trivial` are plannable. `predict` and `cost` are pure and
+    differentiable. They do not foresee random events, so a plan knows no more than an
+    agent could. `jaxrod.control.mpc` takes such an environment; it needs `residuals`
+    only for planning by Gauss-Newton.
 
     Example:
         >>> env = envs.make("tracking")
@@ -179,7 +180,7 @@ class Plannable(Environment, Protocol):
     def cost(
         self, state: State, action: Float[Array, " action"], params: Params
     ) -> Float[Array, ""]:
-        """Smooth cost of a state and of the action that led there.
+        """Smooth cost of a state and of the action that led to it, for planners.
 
         It is smallest where the reward is largest. It has a slope even where the reward
         is a step function, which has none.
@@ -197,10 +198,10 @@ class Plannable(Environment, Protocol):
 
 
 class Channel(NamedTuple):
-    """Consecutive entries of an observation or of an action, for those who wire them.
+    """Number, name and unit of consecutive entries of an observation or an action.
 
-    An environment may have `observation_channels` and `action_channels`, tuples of
-    these in order. Policies that are exported carry them along.
+    An environment may have `observation_channels` and `action_channels`: tuples of
+    channels, in the order of the entries. Exported policies include them.
 
     Example:
         >>> env = envs.make("trivial")
@@ -211,23 +212,23 @@ class Channel(NamedTuple):
     size: int
     """Number of entries."""
     name: str
-    """Description of the entries, with their order."""
+    """Quantity that the entries hold, and their order."""
     unit: str
-    """Quantity that an entry of one stands for, "1" if it has no unit."""
+    """Unit: with "0.03 m" an entry of 1 means 0.03 m; "1" for dimensionless entries."""
 
 
 Number = Float[Array, ""] | float
-"""One number."""
+"""Scalar: an array without axes, or a float."""
 Point = Float[Array, "3"]
-"""Position [m]."""
+"""Coordinates x, y, z of a point [m]."""
 
 
 @pytree
 class Snapshot:
-    """The rods at one moment, and the objects around them.
+    """The rods at one moment, and the objects around them, for drawing.
 
-    Shapes are those of one moment; `jax.vmap` puts a frame axis first. Everything but
-    the nodes and the centres of the spheres stays constant during an episode.
+    Array shapes are those of one moment; `jax.vmap` puts a frame axis first. Everything
+    but the nodes and the centres of the spheres stays constant during an episode.
 
     Example:
         >>> goal = (1.0, 0.0, 0.3), 0.05  # centre and radius [m]
@@ -237,7 +238,7 @@ class Snapshot:
     """
 
     positions: Float[Array, "*rods 3 n+1"]
-    """Nodes of the rod [m]; several rods of one size are stacked along a first axis."""
+    """Positions of the nodes [m]; rods of equal size are stacked along a first axis."""
     radii: Float[Array, "*#rods n"]
     """Radii of the elements [m]."""
     spheres: tuple[tuple[Point, Number], ...] = ()

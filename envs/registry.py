@@ -1,4 +1,4 @@
-"""Environments by the name of their task, imported on demand."""
+"""Registry of the built-in tasks; `make` imports a task when it is first needed."""
 
 from __future__ import annotations
 
@@ -27,12 +27,12 @@ _FACTORIES = {
 
 @dataclasses.dataclass(frozen=True)
 class Origin:
-    """Recipe of an environment: `make(task, **options)` makes it again."""
+    """Arguments of `make` with which an environment was made."""
 
     task: str
     """Task as passed to `make`; the path of a file is made absolute."""
     options: Mapping[str, Any]
-    """Options with non-default values, and the variant."""
+    """Options of `make` with non-default values, and always the variant."""
 
 
 def names() -> tuple[str, ...]:
@@ -78,13 +78,13 @@ def make(task: str, /, **options: Any) -> Environment:
 
 
 def origin_of(env: Environment) -> Origin | None:
-    """Recipe of an environment from `make`; None for any other environment."""
+    """Task and options with which `make` made an environment; None if it did not."""
     remembered, how = _MADE.get(id(env), (lambda: None, None))
     return how if remembered() is env else None
 
 
 _MADE: dict[int, tuple[Callable[[], Any], Origin]] = {}
-"""Weak reference to an environment and its recipe, by the environment's identity.
+"""Weak reference to each made environment, and its `Origin`, by `id(environment)`.
 
 The key is the identity, because an equal environment may have been made with other
 options, or without `make`.
@@ -94,7 +94,7 @@ options, or without `make`.
 def _made_by(
     task: str, build: Callable[..., Any], options: Mapping[str, Any]
 ) -> Environment:
-    """Environment from a user's own callable."""
+    """Calls a user's callable, and checks that the result is an environment."""
     try:
         env = build(**options)
         check_facts(env)
@@ -117,9 +117,9 @@ def _remember(env: Environment, how: Origin) -> None:
 def _chosen(
     task: str, build: Callable[..., Any], options: Mapping[str, Any]
 ) -> dict[str, Any]:
-    """Checks the names of options; returns those with non-default values.
+    """Checks the names of options; returns the options with non-default values.
 
-    The variant is always included: it tells runs apart.
+    The variant is always included, because it identifies the physics.
 
     Raises:
         ValueError: There is no such option, or one is missing.
@@ -158,7 +158,7 @@ def _chosen(
 
 
 def _same(a: Any, b: Any) -> bool:
-    """Whether two values of an option are the same."""
+    """Whether two option values are identical, or equal and of the same type."""
     try:
         return a is b or (type(a) is type(b) and bool(a == b))
     except (TypeError, ValueError):  # For example an array.

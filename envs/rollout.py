@@ -1,4 +1,4 @@
-"""One environment stepped many times, with cheap reverse-mode gradients.
+"""Rollouts of one environment, with reverse-mode gradients that need little memory.
 
 Reverse mode through a plain loop stores the intermediate values of every step. Here the
 steps are grouped into blocks of about the square root of their number. Only the states
@@ -39,9 +39,9 @@ class Rollout:
     """
 
     observation: Float[Array, " observation"]
-    """Last observation."""
+    """Observation after the last step, or at the end of the episode."""
     state: Any
-    """Last state."""
+    """State after the last step, or at the end of the episode."""
     reward: Float[Array, " steps"]
     """Reward of every control step; zero once the episode has ended."""
     running: Bool[Array, " steps"]
@@ -60,7 +60,7 @@ def rollout(
     key: Key[Array, ""] | None = None,
     collect: Callable[[Any], Any] | None = None,
 ) -> Rollout:
-    """Steps one environment; pure, differentiable, for `jax.vmap`.
+    """Simulates one environment for many steps; pure, differentiable, for `jax.vmap`.
 
     The gradient equals that of a plain loop. Its memory grows as about twice the square
     root of the number of steps, which may be any number. Once the episode has ended, by
@@ -74,12 +74,12 @@ def rollout(
             are clipped, and held for its `action_repeat`.
         params: Traced parameters.
         steps: Number of control steps, at least 1; required for a policy.
-        key: Random key: step k draws from `fold_in(key, k)`. May be omitted if the
-            task's steps draw nothing that matters.
+        key: Random key: step k draws from `fold_in(key, k)`. By default
+            `jax.random.key(0)`, for tasks whose steps are not random.
         collect: Function of a state; its results are stored for every step.
 
     Returns:
-        See `Rollout`.
+        The last observation and state, and the rewards of all steps.
 
     Raises:
         ValueError: `steps` is missing, below 1, or not the number of the actions.
@@ -149,7 +149,11 @@ def rollout(
 
 
 def _scanned(step: Any, carry: Any, along: Any, length: int) -> tuple[Any, Any]:
-    """A scan as two nested, checkpointed loops, plus a loop for the remainder."""
+    """`lax.scan` as two nested, checkpointed loops of about sqrt(length) steps each.
+
+    A third loop runs the remaining steps. Gradients need the memory of about
+    2 sqrt(length) carries instead of `length`.
+    """
     remembered = jax.checkpoint(step, prevent_cse=False)
     block = max(1, math.isqrt(length))
     blocks, rest = divmod(length, block)

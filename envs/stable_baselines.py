@@ -30,9 +30,9 @@ Indices = None | int | Iterable[int]
 class StableBaselinesVecEnv(VecEnv):
     """`jaxrod.envs.VectorEnvironment` for Stable Baselines 3, equal up to round-off.
 
-    `seed(s)` before `reset` starts the batch with `jax.random.key(s)`; without it,
-    episodes are fresh. The environments of the batch are one pure function: `get_attr`
-    and `env_method` query this function, and none of its attributes can be set.
+    `seed(s)` before `reset` starts the batch with `jax.random.key(s)`. Otherwise
+    `reset` draws a seed. All environments of the batch are one immutable object:
+    `get_attr` and `env_method` query it, and `set_attr` is refused.
     """
 
     metadata: dict[str, Any]
@@ -98,10 +98,11 @@ class StableBaselinesVecEnv(VecEnv):
         """Advances all environments by one control step.
 
         Returns:
-            Observations (num_envs, observation_size); rewards and ends (num_envs,); and
-            one dictionary for each environment. The dictionary is empty unless the
-            episode ended. Then it holds the last observation of that episode, whether
-            the episode was cut short, and the environment's scalars.
+            Observations (num_envs, observation_size); rewards and flags of ended
+            episodes (num_envs,); and one dictionary for each environment. The
+            dictionary is empty unless the episode ended. Then it holds the last
+            observation of that episode, whether the episode was cut short, and the
+            environment's scalars.
 
         Raises:
             gymnasium.error.ResetNeeded: `reset` was not called before.
@@ -177,5 +178,5 @@ class StableBaselinesVecEnv(VecEnv):
     def env_is_wrapped(
         self, wrapper_class: type, indices: Indices = None
     ) -> list[bool]:
-        """Always False: no environment of the batch has a wrapper of its own."""
+        """Returns False for every index: environments of a batch have no wrappers."""
         return [False for _ in self._get_indices(indices)]

@@ -20,17 +20,17 @@ from jaxrod.structure import pytree
 
 @pytree
 class TrivialParams:
-    """Parameters of the task."""
+    """Parameters of the trivial task: step length and end of the line."""
 
     stride: float | Float[Array, ""] = 0.2
-    """Distance one full action moves the point [m]."""
+    """Distance by which an action of 1 moves the point [m]."""
     edge: float | Float[Array, ""] = 2.0
-    """Distance from zero at which the point runs off the line [m]."""
+    """Distance from zero beyond which the episode is terminated [m]."""
 
 
 @pytree
 class TrivialState:
-    """State of the task."""
+    """State of the trivial task: position of the point, and a step count."""
 
     position: Float[Array, ""]
     """Position of the point [m]."""
@@ -57,16 +57,16 @@ class Trivial:
 
     @property
     def optimal_return(self) -> float:
-        """Mean return of the best policy at the default parameters.
+        """Mean return of the best policy at the default parameters [1].
 
-        After k steps |x| = max(0, |x_0| - stride k), and the mean of its square
-        over |x_0| uniform in [0, 1] is (1 - stride k)^3 / 3 while positive.
+        After k steps |x| = max(0, |x_0| - stride k). The mean of its square over |x_0|
+        uniform in [0, 1] is (1 - stride k)^3 / 3 if 1 > stride k, otherwise 0.
         """
         lost = (max(0.0, 1 - 0.2 * k) ** 3 / 3 for k in range(1, 6))
         return self.episode_length - sum(list(lost)[: self.episode_length])
 
     def default_params(self) -> TrivialParams:
-        """Parameters for which `optimal_return` holds."""
+        """Default parameters, for which `optimal_return` holds."""
         return TrivialParams()
 
     def reset(
@@ -83,7 +83,7 @@ class Trivial:
         action: Float[Array, " action"],
         params: TrivialParams,
     ) -> Step:
-        """Moves the point; see the class docstring."""
+        """Moves the point: x' = x + stride a, with reward 1 - x'^2."""
         action = action_of_size(action, self.action_size)
         position = state.position + params.stride * action[0]
         steps = state.steps + 1
@@ -100,7 +100,7 @@ class Trivial:
         params: TrivialParams,
         control_steps: int = 1,
     ) -> TrivialState:
-        """Predicts the state under one action."""
+        """Predicts the state under a held action: x + control_steps stride a."""
         position = state.position + control_steps * params.stride * action[0]
         return TrivialState(position, state.steps + control_steps)
 
@@ -110,7 +110,7 @@ class Trivial:
         action: Float[Array, " action"],
         params: TrivialParams,
     ) -> Float[Array, "1"]:
-        """Position of the point."""
+        """Residual for planners: position of the point, whose square is the cost."""
         del action, params
         return state.position[None]
 
@@ -120,5 +120,5 @@ class Trivial:
         action: Float[Array, " action"],
         params: TrivialParams,
     ) -> Float[Array, ""]:
-        """Squared distance from zero, which the reward subtracts."""
+        """Cost for planners: squared position x^2; the reward is 1 - cost."""
         return jnp.sum(self.residuals(state, action, params) ** 2)

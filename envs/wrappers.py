@@ -32,25 +32,25 @@ class VectorState:
     """
 
     keys: Key[Array, " num_envs"]
-    """One random key per environment, which never changes."""
+    """One random key per environment, constant over all steps."""
     ticks: UInt[Array, " num_envs"]
     """Control steps since the batch was made; index of the random draws."""
     states: Any
-    """States of the environments."""
+    """States of the environments, stacked along the first axis of every leaf."""
     observation: Float[Array, "num_envs observation"]
     """Current observation of each environment."""
     elapsed: Int[Array, " num_envs"]
-    """Control steps of the running episode, including its initial phase."""
+    """Control steps of the running episode, counted from its initial `phase`."""
     episode_return: Float[Array, " num_envs"]
     """Sum of the rewards of the running episode."""
     partial: Bool[Array, " num_envs"]
-    """Whether the running episode began in mid-course, so that its return does not
-    count."""
+    """Whether the running episode began with `elapsed` above 0, so that its return does
+    not count."""
 
 
 @pytree
 class EpisodeRecord:
-    """Results of the episodes that end in a step.
+    """Returns and lengths of the episodes that end in a step.
 
     Example:
         >>> env = envs.make("trivial", episode_length=1)
@@ -65,11 +65,11 @@ class EpisodeRecord:
     """Whether a complete episode ended in this step; the other fields are valid where
     it is true."""
     episode_return: Float[Array, "*batch"]
-    """Sum of its rewards."""
+    """Sum of the rewards of the ended episode."""
     length: Int[Array, "*batch"]
-    """Its number of control steps."""
+    """Number of control steps of the ended episode."""
     flagged: Bool[Array, "*batch"]
-    """Whether a numerical health flag ended it."""
+    """Whether a numerical health flag ended the episode."""
 
 
 @pytree
@@ -99,10 +99,10 @@ class VectorStep:
     """Whether the episode was cut short: the value of the next state is that of
     `final_observation`. Terminated takes precedence if both hold."""
     info: dict[str, Array]
-    """The environment's scalars before the restart. `"flagged"` is always among them;
-    the environment raises it, or a number that is not finite."""
+    """The environments' scalars before the restart, by name. `"flagged"` is always
+    among them: true if the environment reports it, or if a result is not finite."""
     episodes: EpisodeRecord
-    """The complete episodes that ended here."""
+    """Results of the complete episodes that ended in this step."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -111,8 +111,9 @@ class VectorEnvironment:
 
     The batch keeps the clock of every episode and applies the time limit itself, in
     addition to the environment's own. The two agree, except in the first episodes of a
-    batch with spread phases and after restarts in mid-course. Those episodes start as
-    if part of them had passed, end early, and do not count for the score.
+    batch with `spread_phases`, and after restarts with a `restart_phase` above 0. Those
+    episodes start as if part of them had passed, end early, and do not count for the
+    score.
 
     A step that returns a non-finite number is reported as flagged, has zero reward, and
     truncates the episode there. Its final observation is the one before the step. A
@@ -129,7 +130,7 @@ class VectorEnvironment:
     """
 
     env: Environment
-    """The environment."""
+    """Environment of which the batch holds copies."""
 
     def reset(
         self,
@@ -140,7 +141,7 @@ class VectorEnvironment:
         spread_phases: bool = False,
         phase: Int[Array, ""] | int = 0,
     ) -> VectorState:
-        """Starts the batch.
+        """Starts an episode in every environment of a new batch.
 
         Args:
             key: Typed random key.
@@ -263,20 +264,21 @@ class VectorEnvironment:
 def _randomness(
     keys: Key[Array, " num_envs"], index: UInt[Array, " num_envs"]
 ) -> Key[Array, " num_envs"]:
-    """Folds `index` into the keys; unused results are never computed."""
+    """Random key number `index` of each environment: `fold_in(key, index)`."""
     return jax.vmap(jax.random.fold_in)(keys, index)
 
 
 def _select(done: Bool[Array, " num_envs"], new: Array, old: Array) -> Array:
-    """`new` for the environments that are done, `old` for the others."""
+    """Rows of `new` where `done` is true, of `old` elsewhere; axis 0 is the batch."""
     mask = jnp.reshape(done, done.shape + (1,) * (jnp.ndim(old) - 1))
     return jnp.where(mask, new, old)
 
 
 class EnvironmentWrapper:
-    """Base of an environment around another, with its facts and functions.
+    """Base class of wrappers: forwards properties, parameters and `reset`.
 
-    A frozen dataclass inherits it, and replaces what differs.
+    Subclasses are frozen dataclasses. They define `step`, and override what differs
+    from the wrapped environment.
     """
 
     env: Environment
@@ -289,7 +291,7 @@ class EnvironmentWrapper:
 
     @property
     def name(self) -> str:
-        """Name of the task."""
+        """Name of the wrapped environment's task."""
         return self.env.name
 
     @property
@@ -308,11 +310,11 @@ class EnvironmentWrapper:
         return self.env.episode_length
 
     def default_params(self) -> Any:
-        """Parameters of the environment."""
+        """Default parameters of the wrapped environment."""
         return self.env.default_params()
 
     def reset(self, key: Key[Array, ""], params: Any) -> tuple[Array, Any]:
-        """Starts an episode."""
+        """Starts an episode of the wrapped environment."""
         return self.env.reset(key, params)
 
 
@@ -324,7 +326,7 @@ class ActionRepeat(EnvironmentWrapper):
     arm. An agent that decides at every step explores with noise that the arm averages
     out, and has to look hundreds of decisions ahead.
 
-    An episode may end in between; rewards of the remaining control steps do not count.
+    An episode may end in between: rewards of the remaining control steps do not count.
     `info` is that of the last step that counts. It also holds `"control_steps"`, the
     number of steps that counted, for `VectorEnvironment`'s clock.
 
@@ -341,12 +343,12 @@ class ActionRepeat(EnvironmentWrapper):
     """
 
     env: Environment
-    """The environment."""
+    """The wrapped environment."""
     times: int
-    """Number of control steps per decision."""
+    """Number of control steps for which each action is held."""
 
     def __post_init__(self) -> None:
-        """Checks the number."""
+        """Checks that `times` is at least 1."""
         if self.times < 1:
             raise ValueError(f"times must be at least 1, got {self.times}")
 
@@ -375,7 +377,7 @@ class ActionRepeat(EnvironmentWrapper):
 
 
 def _counted(outcome: Any, control_steps: Array) -> Any:
-    """Outcome of a step, with the number of control steps added to its `info`."""
+    """Results of a `step`, with the number of control steps added to `info`."""
     *most, info = outcome
     return (*most, info | {"control_steps": control_steps})
 

@@ -33,7 +33,7 @@ __version__ = "0.2.0"
 
 
 def _module_of_each_name() -> dict[str, str]:
-    """Modules of all public names, read from the stub `__init__.pyi`."""
+    """Maps each public name to its module, as read from the stub `__init__.pyi`."""
     stub = ast.parse(Path(__file__).with_suffix(".pyi").read_text())
     return {
         alias.name: node.module or ""
@@ -63,7 +63,10 @@ def __getattr__(name: str) -> Any:
 
 
 def _place_of(name: str) -> str:
-    """The end of a message: the namespace that has a name. Nothing is imported."""
+    """Hint ": it is jaxrod.SPACE.NAME" for a name in a namespace, otherwise "".
+
+    Files are searched as text, because nothing may be imported here.
+    """
     here = Path(__file__).parent
     for space in sorted(_NAMESPACES):
         for file in (here / f"{space}.py", here / space / "__init__.py"):

@@ -1,4 +1,4 @@
-"""Names for effects, couplings, methods and members of your own.
+"""Base classes and helpers for effects, couplings, methods and members of your own.
 
 An effect acts on one rod, a coupling on members of a system, a method steps a scene,
 and a member is a part of a system that is neither a rod nor a rigid body. Each is a

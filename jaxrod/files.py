@@ -23,7 +23,7 @@ class DamagedFileError(ValueError):
 
 
 class LinkedFileError(ValueError):
-    """A link in a folder points outside it; nothing is written through the link."""
+    """A path to write to is a link, has other hard links, or is not a plain file."""
 
 
 class UntrustedError(ValueError):
@@ -48,7 +48,7 @@ def refuse_link(path: Path) -> None:
 
 
 def make_folder(path: Path) -> None:
-    """Makes a folder inside an existing one, unless it is already there.
+    """Makes a folder and the folders above it that are missing, if it does not exist.
 
     Raises:
         LinkedFileError: If it is a link, whatever its target.
@@ -59,7 +59,7 @@ def make_folder(path: Path) -> None:
 
 
 def open_to_write(path: Path, flags: int) -> int:
-    """Opens a file in a given folder, for writing in place.
+    """Opens a plain file for writing in place, and returns its descriptor.
 
     The file is not truncated: the caller does that after checking that it is the right
     one.
@@ -151,7 +151,7 @@ def write_atomically(
 
 
 def _keep_names(folder: Path) -> None:
-    """Waits until a folder's list of files is on the disk, if the system can."""
+    """Flushes a folder's list of files to the disk (`fsync`), if the system can."""
     if os.name != "posix":
         return
     with suppress(OSError):  # Some network file systems cannot.
@@ -164,7 +164,7 @@ def _keep_names(folder: Path) -> None:
 
 @contextmanager
 def naming(path: Path) -> Iterator[None]:
-    """Gives errors of the operating system the name of the file they are about."""
+    """Context in which errors of the operating system name the file `path`."""
     try:
         yield
     except OSError as error:
@@ -175,11 +175,12 @@ def naming(path: Path) -> Iterator[None]:
 
 @contextmanager
 def reading(path: Path) -> Iterator[None]:
-    """Turns any failure to read a file into an error that names it.
+    """Context in which any failure to read a file becomes an error that names it.
 
     Raises:
-        DamagedFileError: If anything but an error of the operating system was raised.
-        UntrustedError: Passed on unchanged, because the file is not damaged.
+        DamagedFileError: If anything but the following is raised.
+        UntrustedError: If one is raised inside; the path is added to its message.
+        ImportError: If one is raised inside; it is passed on unchanged.
         OSError: If the file cannot be opened.
     """
     try:
@@ -198,7 +199,7 @@ def reading(path: Path) -> Iterator[None]:
 
 
 def _reason(error: Exception) -> str:
-    """Reason of an error, on one line."""
+    """Explanation of an error, as one short line of text."""
     if isinstance(error, RecursionError):
         return "it is nested too deeply"
     if isinstance(error, KeyError):
@@ -246,7 +247,7 @@ def _without_doubles(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
 
 
 def read_plain(path: Path) -> bytes:
-    """Reads a whole file; a pipe or a device would have no end.
+    """Reads a whole file; refuses pipes and devices, which may have no end.
 
     Raises:
         ValueError: If it is neither a file nor a folder.
@@ -289,7 +290,7 @@ def _refuse_constant(name: str) -> None:
 
 
 Kind = tuple[str, Callable[[Any], bool]]
-"""Kind of an entry: its description and a test for it."""
+"""Kind of a JSON value: its description, and a test that is true for such values."""
 
 TEXT: Kind = ("text", lambda value: isinstance(value, str))
 OBJECT: Kind = ("an object", lambda value: isinstance(value, dict))
@@ -312,7 +313,7 @@ def whole(smallest: int, largest: int = 2**63 - 1) -> Kind:
 
 
 def one_of(*choices: str) -> Kind:
-    """Kind of one of several words."""
+    """Kind for text that is one of the given words."""
     return (
         f"one of {', '.join(choices)}",
         lambda value: isinstance(value, str) and value in choices,
@@ -320,7 +321,7 @@ def one_of(*choices: str) -> Kind:
 
 
 def optional(kind: Kind) -> Kind:
-    """Kind of an entry that may be null."""
+    """Kind for null and for values of the given kind."""
     words, test = kind
     return f"{words} or null", lambda value: value is None or test(value)
 
@@ -330,10 +331,10 @@ def check_entries(
     kinds: Mapping[str, Kind],
     may_lack: Mapping[str, Kind] | None = None,
 ) -> None:
-    """Checks the entries of a file's content; there may be others.
+    """Checks the kinds of the entries of a JSON object; it may have other entries, too.
 
     Args:
-        content: Content of the file.
+        content: The JSON object.
         kinds: Kind of each required entry.
         may_lack: Kind of each optional entry.
 
@@ -357,7 +358,7 @@ def _check_entry(
 
 
 def _shown(value: Any) -> str:
-    """Short text for a value, as part of a sentence."""
+    """Short text for a value, to be part of a message."""
     try:
         said = repr(value)
     except (ValueError, RecursionError):  # An integer of thousands of digits.

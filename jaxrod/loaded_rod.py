@@ -1,4 +1,4 @@
-"""A loaded rod: one rod, the effects on it and its method, as a method sees a scene.
+"""A loaded rod: one rod, the effects on it, and the method that steps it.
 
 `jaxrod.scene.Scene` is a loaded rod that is also a model: it can be stepped and asked
 for its energies. Methods, statics and analyses do not import that file; they take
@@ -30,23 +30,24 @@ AnyScene = TypeVar("AnyScene", bound="LoadedRod")
 
 @runtime_checkable
 class Evolvable(Protocol):
-    """A stepper that can follow a scene that depends on time or has memory."""
+    """A stepper that can be made for scenes that depend on time or have memory."""
 
     def evolving(self, scene: LoadedRod, first: Array) -> Stepper:
-        """Stepper that follows the scene in time.
+        """Stepper that evaluates the scene's schedules and memory in every step.
 
         Args:
-            scene: The scene with its schedules; this stepper has it without them.
+            scene: The scene with its schedules. The scene of this stepper has their
+                values at the first step instead.
             first: Number of the first step, counted from time zero.
         """
 
 
 @pytree
 class Method:
-    """Method of stepping a scene: an elastic law, its reduction and an integrator.
+    """Method of stepping a scene: an elastic law, its simplifications, an integrator.
 
-    `jaxrod.consistent()`, `planar()` and others return one. A subclass of your own is a
-    pytree.
+    `jaxrod.consistent()`, `planar()` and others return one. Decorate a subclass of your
+    own with `extend.pytree`.
 
     Example:
         >>> scene.method, isinstance(scene.method, extend.Method)
@@ -58,10 +59,11 @@ class Method:
     twist: ClassVar[bool] = True
     """Whether elements rotate about their axes."""
     explicit: ClassVar[bool] = True
-    """Whether `stable_dt` bounds the step."""
+    """Whether steps are explicit, so that they are stable only below `stable_dt`."""
     steps_in_systems: ClassVar[bool] = False
-    """Whether its stepper has the parts of a step, on motions that couplings see:
-    `enter`, `leave`, `drift`, `constrain_rates`, and `kick` with loads of couplings."""
+    """Whether rods with this method can be members of a system. Its stepper must then
+    have `enter`, `leave`, `drift`, `constrain_rates`, and a `kick` that takes the loads
+    of couplings, all on `Motion`."""
 
     @property
     def has_energy(self) -> bool:
@@ -70,47 +72,60 @@ class Method:
 
     @property
     def solves_damping(self) -> bool:
-        """Whether damping by rates is solved with the kick, not multiplied after it."""
+        """Whether damping rates and loads are integrated together in each kick.
+
+        Otherwise the rates of motion are multiplied by a decay factor after the kick.
+        """
         return True
 
     @property
     def solves_drag(self) -> bool:
-        """Whether `Effect.drag` is solved with the loads instead of being one."""
+        """Whether `Effect.drag` and loads are integrated together in each kick.
+
+        Otherwise drag is one of the loads.
+        """
         return False
 
     def stepper(self, scene: LoadedRod, state: RodState, dt: Array) -> Stepper:
-        """Integrator with its constants computed for one call."""
+        """Integrator of a scene for steps of `dt` [s], with its constants computed.
+
+        Some constants depend on `state`, the first state of the run.
+        """
         # Not abstract: checks of single effects make scenes that are never stepped.
         raise NotImplementedError
 
     def loads(self, scene: LoadedRod, motion: Motion) -> Loads:
-        """All loads on the rod: forces [N], and couples [N m] that turn its inertia.
+        """Sum of internal and external loads, for analyses such as `stable_dt`.
 
-        Stability and frequencies ask for them.
+        Forces on nodes are in the world frame [N], couples on elements in the material
+        frame [N m]. A couple over the inertia at rest is an angular acceleration.
         """
         internal = internal_loads(elastic_law(scene.rod), motion)
         assert internal.forces is not None and internal.couples is not None
         return external_loads(scene, motion, internal.forces, internal.couples)
 
     def check(self, scene: LoadedRod) -> None:
-        """Raises ValueError if the scene does not fit this method in any state.
+        """Raises ValueError if this method cannot step the scene from any state.
 
         Traced values are not checked.
         """
 
     def check_evolving(self, scene: LoadedRod) -> None:
-        """Raises ValueError if an effect that evolves does not fit this method.
+        """Raises ValueError if this method forbids an effect to change with time.
 
         It is called with the scene that has schedules or memory.
         """
 
     def check_state(self, scene: LoadedRod, state: RodState) -> None:
-        """Raises ValueError if this concrete state does not fit this method."""
+        """Raises ValueError if this method cannot step the scene from this state.
+
+        The values of the state are known, not traced.
+        """
 
 
 @pytree
 class LoadedRod:
-    """Base of `Scene`: a rod, its effects and a method, without what steps them.
+    """Base of `Scene`: a rod, its effects and a method, without energies and runs.
 
     Only the listed `effects` are in the compiled program.
 
@@ -124,7 +139,7 @@ class LoadedRod:
     effects: tuple[Effect, ...]
     """Effects on the rod, in the order in which they are applied."""
     method: Method
-    """Method that steps it."""
+    """Method that steps the rod."""
 
     def __repr__(self) -> str:
         """One line: the rod, the effects by their classes, the method."""
@@ -132,7 +147,7 @@ class LoadedRod:
 
     @property
     def depends_on_time(self) -> bool:
-        """Whether an effect has a number that is a schedule."""
+        """Whether a parameter of an effect is a schedule."""
         return depends_on_time(self.effects)
 
     @property
@@ -141,9 +156,10 @@ class LoadedRod:
         return remembers(self.effects)
 
     def at(self, time: ArrayLike | Clock) -> Self:
-        """Scene at a time [s]: schedules are replaced by their values.
+        """Scene at a time [s], in which schedules are replaced by their values.
 
-        For functions of one moment: energies, health, equilibrium, frequencies.
+        It is needed for functions of one moment: energies, health, equilibrium,
+        frequencies.
         """
         if not self.depends_on_time:
             return self
@@ -152,23 +168,24 @@ class LoadedRod:
 
     @property
     def at_largest(self) -> Self:
-        """Scene with every schedule replaced by the bound on its size."""
+        """Scene in which every schedule is replaced by the bound on its magnitude."""
         if not self.depends_on_time:
             return self
         return replace(self, effects=at_largest(self.effects))
 
     @property
     def stirred(self) -> Self:
-        """Scene with arbitrary memory and with schedules at their bounds.
+        """Scene with arbitrary memory, and schedules at the bounds on their magnitudes.
 
-        For checks of effects: a value that is zero now may leave a plane later.
+        For checks of effects: a load that is zero now may leave the plane or twist
+        later.
         """
         effects = recalled(self.effects, stirred(memory_of(self.effects)))
         return replace(self, effects=effects).at_largest
 
     @property
     def evolves(self) -> bool:
-        """Whether it depends on time or has memory."""
+        """Whether the scene depends on time or has memory."""
         return self.depends_on_time or self.remembers
 
     @property
@@ -181,7 +198,7 @@ class LoadedRod:
         )
 
     def check_moment(self) -> None:
-        """Raises a `ValueError` if it depends on time."""
+        """Raises a `ValueError` if the scene depends on time: `at` is needed first."""
         if self.depends_on_time:
             raise ValueError(
                 "this is defined at one moment, but an effect of the scene has a "
@@ -189,14 +206,14 @@ class LoadedRod:
             )
 
     def recalling(self, state: Any) -> Self:
-        """Scene with the memory of its effects as in a state."""
+        """Scene whose effects have the memory that is stored in a state."""
         if state.memory is None or not self.remembers:
             return self
         return replace(self, effects=recalled(self.effects, state.memory))
 
 
 def check_scene(scene: Any) -> None:
-    """Checks that something is a scene, and a single one.
+    """Checks that an argument is one scene, neither a system nor a batch.
 
     Raises:
         TypeError: If it is of another type.
@@ -231,7 +248,7 @@ def scene_of(scene: AnyScene, state: RodState) -> AnyScene:
 
 
 def check_memory(scene: LoadedRod, state: RodState, name: str = "state") -> None:
-    """Raises a `ValueError` if a state's memory is not that of the scene's effects."""
+    """Raises a `ValueError` if a state's memory does not fit the scene's effects."""
     if state.memory is None:
         return
     given, own = map(_described, (state.memory, memory_of(scene.effects)))
@@ -243,7 +260,7 @@ def check_memory(scene: LoadedRod, state: RodState, name: str = "state") -> None
 
 
 def _described(memory: Any) -> Any:
-    """Names and shapes of a memory."""
+    """Tree structure and shapes of the memory of effects, for comparison."""
     leaves, structure = jax.tree.flatten(memory)
     return structure, [jnp.shape(leaf) for leaf in leaves]
 
@@ -263,7 +280,7 @@ def check_scene_and_state(scene: LoadedRod, state: RodState) -> None:
 def external_loads(
     scene: LoadedRod, motion: Motion, forces: Vec3, couples: Vec3
 ) -> Loads:
-    """Adds the loads of all effects to given forces and couples."""
+    """Adds all effects' loads to forces [N] and to couples, material frame [N m]."""
     for effect in scene.effects:
         loads = effect.loads_after(scene.rod, motion, Loads(forces, couples))
         forces = accumulate(forces, loads.forces)
@@ -272,26 +289,26 @@ def external_loads(
 
 
 def constrain(scene: LoadedRod, motion: Motion) -> Motion:
-    """Applies all constraints on configuration."""
+    """Applies the constraints of all effects on positions and orientations."""
     for effect in scene.effects:
         motion = effect.constrain(scene.rod, motion)
     return motion
 
 
 def constrain_rates(scene: LoadedRod, motion: Motion) -> Motion:
-    """Applies all constraints on rates."""
+    """Applies the constraints of all effects on velocities and spins."""
     for effect in scene.effects:
         motion = effect.constrain_rates(scene.rod, motion)
     return motion
 
 
 def dissipates(scene: LoadedRod) -> bool:
-    """Whether an effect of the scene has damping that is solved separately."""
+    """Whether an effect defines `dissipate`, damping that is applied after loads."""
     return any(type(e).dissipate is not Effect.dissipate for e in scene.effects)
 
 
 def without_dissipation(scene: LoadedRod) -> LoadedRod:
-    """The scene without the effects that only dissipate."""
+    """Scene without the effects that define `dissipate` and no other hook."""
     hooks = [name for name in vars(Effect) if not name.startswith("_")]
 
     def only_dissipates(effect: Effect) -> bool:
@@ -303,7 +320,7 @@ def without_dissipation(scene: LoadedRod) -> LoadedRod:
 
 
 def dissipate(scene: LoadedRod, motion: Motion, dt: Array) -> Motion:
-    """Applies all damping that is solved separately, for a step."""
+    """Applies all effects' `Effect.dissipate` to velocities and spins, for `dt` [s]."""
     for effect in scene.effects:
         if type(effect).dissipate is not Effect.dissipate:
             # The kick has given held components a rate, which is removed first.

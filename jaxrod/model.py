@@ -34,13 +34,13 @@ class Stepper(Protocol):
     """
 
     steps_of_end: ClassVar[int]
-    """Number of steps that `end` finishes, 1 or 0."""
+    """Number of steps that `end` completes: 1 for position Verlet, else 0."""
 
     def begin(self, state: Any) -> Any:
         """Carry before the first step, from the initial state."""
 
     def cycle(self, carry: Any) -> Any:
-        """Takes a step that `end` does not finish."""
+        """Carry one step later: the body of the loop."""
 
     def end(self, carry: Any) -> Any:
         """Final state, from the carry after the last cycle."""
@@ -49,58 +49,58 @@ class Stepper(Protocol):
 class Model(ABC):
     """Base of all models: a scene of one rod, or a system of several members.
 
-    Each has its own kind of state: a `RodState`, or a dict of states by member.
+    The state of a scene is a `RodState`, that of a system a dict of states by member.
     """
 
     @property
     @abstractmethod
     def depends_on_time(self) -> bool:
-        """Whether a number is a schedule."""
+        """Whether a parameter of the model is a schedule."""
 
     @property
     @abstractmethod
     def remembers(self) -> bool:
-        """Whether an effect has memory."""
+        """Whether an effect has memory from step to step."""
 
     @property
     @abstractmethod
     def evolves(self) -> bool:
-        """Whether it depends on time or has memory."""
+        """Whether the model depends on time or has memory."""
 
     @abstractmethod
     def at(self, time: Any) -> Self:
-        """The model at a time [s]: schedules are replaced by their values."""
+        """The model at a time [s], in which schedules are replaced by their values."""
 
     @abstractmethod
     def check_moment(self) -> None:
-        """Raises a `ValueError` if it depends on time."""
+        """Raises a `ValueError` if the model depends on time: `at` is needed first."""
 
     @abstractmethod
     def recalling(self, state: Any) -> Self:
-        """The model with the memory of its effects as in a state."""
+        """The model whose effects have the memory that is stored in a state."""
 
     @abstractmethod
     def with_memory(self, state: Any) -> Any:
-        """State with the initial memory of its effects, if it has none yet."""
+        """The state; if it has no memory, with the initial memory of all effects."""
 
     @abstractmethod
     def interfaces(self) -> dict[str, Any]:
-        """Its members by name; a scene has a single member, without a name."""
+        """The model's members by name; a scene has one member, whose name is ""."""
 
     @abstractmethod
     def states_by_name(self, state: Any) -> Mapping[str, Any]:
-        """States of its members by name."""
+        """States of the members by name, taken from a state of the model."""
 
     @abstractmethod
     def with_states(self, state: Any, changed: Mapping[str, Any]) -> Any:
-        """The state after the states of the named members were replaced."""
+        """Copy of a state of the model, with the states of named members replaced."""
 
     @abstractmethod
     def contact_forces(self, state: Any) -> list[tuple[str, Vec3]]:
-        """Forces of contact on all nodes of members, world frame [N], for replays.
+        """Contact forces on the nodes of members, world frame [N], for replays.
 
-        Each entry belongs to one effect or coupling: a member's name, and the forces on
-        its nodes in one row.
+        Each entry is due to one effect or coupling: the name of a member, and the
+        forces on its nodes. The nodes of equal rods follow each other in flat arrays.
         """
 
     @abstractmethod
@@ -119,7 +119,7 @@ class Model(ABC):
 
     @abstractmethod
     def run_stepper(self, state: Any, dt: Array, first: Array | None) -> Stepper:
-        """Integrator of a run; `first` is used if the model evolves."""
+        """Integrator of a run; the number `first` of its first step sets the time."""
 
     @abstractmethod
     def step_warning(self, dt: Array, state: Any) -> tuple[str | None, bool]:
@@ -128,7 +128,8 @@ class Model(ABC):
         Args:
             dt: Step size [s].
             state: State of the rod, if the bound is to account for compression. In
-                consistent mode it is read, and so waited for, only if that matters.
+                consistent mode its values are read, which waits for JAX, only if `dt`
+                is near the bound.
 
         Returns:
             The warning, and whether the step may become unstable if a rod is compressed
@@ -137,7 +138,7 @@ class Model(ABC):
 
     @abstractmethod
     def stable_step(self, safety: ArrayLike, *, state: Any = None) -> Any:
-        """Largest stable step times a safety factor, in the field `dt`: `stable_dt`."""
+        """Result of `jaxrod.stable_dt`: `safety` times the largest stable step."""
 
     @abstractmethod
     def health(
@@ -150,7 +151,7 @@ class Model(ABC):
         work_input: ArrayLike = 0.0,
         n_steps: ArrayLike = 1000,
     ) -> Any:
-        """Flags of a state and the values behind them: `jaxrod.health`."""
+        """Result of `jaxrod.health`: flags of a state, and the values behind them."""
 
     @abstractmethod
     def equilibrium(
@@ -160,7 +161,7 @@ class Model(ABC):
         tolerance: ArrayLike | None = None,
         max_iterations: int = 100,
     ) -> Any:
-        """Configuration in which all loads balance: `jaxrod.equilibrium`."""
+        """Result of `jaxrod.equilibrium`: a configuration whose loads balance."""
 
     @abstractmethod
     def squared_frequencies(self, state: Any) -> np.ndarray:

@@ -51,7 +51,7 @@ def make_private_folder(folder: Path) -> None:
     """Makes a folder, and those above it that are missing, for this user alone.
 
     Raises:
-        OSError: If it cannot be made; with its name.
+        OSError: If it cannot be made; the message names it.
     """
     for missing in reversed([folder, *folder.parents]):
         if not missing.is_dir():

@@ -38,11 +38,11 @@ from jaxrod.files import (
 from jaxrod.structure import STORABLE
 
 VERSION = 1
-"""Version of the format; a new meaning gets a new number."""
+"""Version of the file format; a change of its meaning increases it."""
 
 _TREE = "structure.json"
 _FLOATS = {"nan": math.nan, "inf": math.inf, "-inf": -math.inf}
-"""Floats that JSON has no words for."""
+"""Floats that JSON cannot represent, by the text that stands for them."""
 _FAR = {"envs", "training", "viz"}
 """Namespaces that are not imported to look for a class."""
 
@@ -99,16 +99,16 @@ def save(path: str | os.PathLike[str], thing: Any, *, overwrite: bool = False) -
 def load(path: str | os.PathLike[str], classes: Iterable[type] = ()) -> Any:
     """Reads what `save` has written, equal to the last bit.
 
-    No file can make it import a module or run code: it makes instances of jaxrod's
-    classes and of those given, and nothing else. It does not check whether the numbers
-    make sense.
+    It never runs code from a file or imports a module that a file names: it makes
+    instances of jaxrod's classes and of those given, and nothing else. It does not
+    check whether the numbers make sense.
 
     Args:
         path: The file.
         classes: Classes of your own that may be in the file.
 
     Returns:
-        What was saved. Arrays of JAX are on the default device.
+        The saved object. Arrays of JAX are on the default device.
 
     Raises:
         ValueError: If the file is damaged, of a newer format, or has a class that is
@@ -171,7 +171,7 @@ def _check_place(target: Path, overwrite: bool) -> None:
 
 
 def _contents(file: Path) -> tuple[dict[str, Any], dict[str, bytes]]:
-    """Description and other members of a file.
+    """Parsed `structure.json` of a file, and the bytes of its `.npy` members by name.
 
     Members are not compressed, so they cannot have more bytes than the file.
 
@@ -201,7 +201,7 @@ def _contents(file: Path) -> tuple[dict[str, Any], dict[str, bytes]]:
 
 
 def _array(name: str, content: bytes) -> np.ndarray:
-    """Array of a member. Its size is compared with the bytes before it is made."""
+    """Array of a `.npy` member, whose header must agree with the number of bytes."""
     file = io.BytesIO(content)
     if np.lib.format.read_magic(file) != (1, 0):
         raise ValueError(f"{name} is of another version of the npy format than 1.0")
@@ -229,14 +229,14 @@ def _name(cls: type) -> str:
 
 
 def _own() -> dict[str, type]:
-    """Classes of jaxrod that have been imported, but for those that share a name."""
+    """Imported classes of jaxrod by their names in files, if these are unique."""
     counts = Counter(map(_name, STORABLE))
     own = [cls for cls in STORABLE if cls.__module__.startswith("jaxrod.")]
     return {_name(cls): cls for cls in own if counts[_name(cls)] == 1}
 
 
 def _given(classes: Iterable[type]) -> dict[str, type]:
-    """Classes of the user by name."""
+    """Maps the names of the user's classes in files to the classes."""
     found: dict[str, type] = {}
     for cls in classes:
         if not isinstance(cls, type) or cls not in STORABLE:
@@ -249,7 +249,7 @@ def _given(classes: Iterable[type]) -> dict[str, type]:
 
 
 def _check_field(field: dataclasses.Field[Any], value: Any, where: str) -> None:
-    """Raises unless the value of a static field can be part of a structure."""
+    """Raises ValueError if the value of a static field is not hashable."""
     try:
         if field.metadata.get("static"):
             hash(value)
@@ -258,7 +258,7 @@ def _check_field(field: dataclasses.Field[Any], value: Any, where: str) -> None:
 
 
 class _Writer:
-    """JSON for a tree, and its arrays by name."""
+    """Converts a pytree to JSON, and collects its arrays by name."""
 
     def __init__(self) -> None:
         self.arrays: dict[str, np.ndarray] = {}
@@ -266,7 +266,7 @@ class _Writer:
         """Classes by the names they have in the file."""
 
     def node(self, value: Any, place: str) -> Any:
-        """JSON for a value. The value's place is for names and messages."""
+        """JSON for a value; `place`, its path in the pytree, names its arrays."""
         kind = type(value)
         if value is None or kind in (bool, int, str):
             return value
@@ -324,7 +324,7 @@ class _Writer:
         return self._stored("array", value, place, **weak)
 
     def _stored(self, kind: str, value: Any, place: str, **more: Any) -> dict[str, Any]:
-        """JSON for an array, which is kept under the name that it gives."""
+        """Adds an array to `arrays` under a unique name; returns JSON with the name."""
         array = np.asarray(value, order="C")
         if array.dtype.kind not in "biufc":
             raise ValueError(
@@ -339,17 +339,18 @@ class _Writer:
 
 
 class _Reader:
-    """Values for the JSON of a tree and its arrays."""
+    """Rebuilds a pytree from its JSON and its arrays."""
 
     def __init__(self, given: Mapping[str, type]) -> None:
         self.arrays: dict[str, np.ndarray] = {}
         self.wide = ""
-        """An array that JAX would make narrower now."""
+        """Description of an array that needs 64-bit types, which are turned off; else
+        ""."""
         self._given = given
         self._classes = {**_own(), **given}
 
     def node(self, node: Any, place: str) -> Any:
-        """Value for JSON.
+        """Value that JSON stands for; `place`, its path in the pytree, is for messages.
 
         Raises:
             ValueError: If `save` never writes such JSON.
@@ -388,13 +389,13 @@ class _Reader:
             if field.name in nodes:
                 values[field.name] = self.node(nodes[field.name], where)
                 _check_field(field, values[field.name], f"tree{where}")
-            # A field that is younger than the file has its default.
+            # A field that was added after the file was written has its default.
             elif field.default is field.default_factory is dataclasses.MISSING:
                 raise ValueError(f"tree{where}, which {name} needs, is missing")
         return cls(**values)
 
     def _class(self, name: str) -> type:
-        """Class of a name, which is looked up and never imported."""
+        """Class for a name in a file: an imported one of jaxrod's, or the user's."""
         if name not in self._classes:
             _import_core()
             self._classes = {**_own(), **self._given}
@@ -410,7 +411,7 @@ class _Reader:
         )
 
     def _taken(self, name: str) -> np.ndarray:
-        """An array by its name, which occurs once."""
+        """Removes an array from `arrays` and returns it: each occurs only once."""
         if name not in self.arrays:
             raise ValueError(f"it lacks {name:.80}.npy")
         return self.arrays.pop(name)
@@ -431,7 +432,7 @@ class _Reader:
 
 
 def _import_core() -> None:
-    """Imports all public names of the core, whatever the file says."""
+    """Imports all public names of jaxrod, except envs, training and viz."""
     for name in sorted({*dir(jaxrod)} - _FAR):
         # A namespace may lack an optional package.
         with contextlib.suppress(AttributeError):

@@ -70,7 +70,7 @@ class Scene(LoadedRod, Model):
         return LoadedRod.__repr__(self)
 
     def with_memory(self, state: Any) -> RodState:
-        """State with the initial memory of its effects, if it has none yet."""
+        """The state; if it has no memory, with the initial memory of all effects."""
         check_scene(self)
         check_kind("state", state, RodState)
         rod_state: RodState = state
@@ -83,19 +83,19 @@ class Scene(LoadedRod, Model):
         return member_of_rod(self)
 
     def interfaces(self) -> dict[str, Member]:
-        """The rod as the only member, without a name."""
+        """Dict of the rod as the only member, whose name is ""."""
         return {"": self.as_member()}
 
     def states_by_name(self, state: Any) -> Mapping[str, Any]:
-        """The state under the name of the only member."""
+        """Dict {"": state}: a scene has one member, whose name is ""."""
         return {"": state}
 
     def with_states(self, state: Any, changed: Mapping[str, Any]) -> Any:
-        """The changed state, or the given one if there is none."""
+        """The state named "" in `changed` if there is one, otherwise `state`."""
         return changed.get("", state)
 
     def contact_forces(self, state: Any) -> list[tuple[str, Vec3]]:
-        """Forces of fixed bodies on the nodes [N], for each effect."""
+        """Contact forces of fixed bodies on the nodes [N], one entry per effect."""
         return [("", forces) for forces in self.as_member().contact_forces(state)]
 
     def with_effect(self, effect: Effect) -> Scene:
@@ -103,7 +103,7 @@ class Scene(LoadedRod, Model):
         return replace(self, effects=(*self.effects, effect))
 
     def check_run(self, state: Any, dt: ArrayLike, first: Array | None) -> Array:
-        """Checks the arguments of a run; returns the step in the rod's dtype."""
+        """Checks the arguments of a run; returns the step [s] in the rod's dtype."""
         check_scene_and_state(self, state)
         dtype = self.rod.rest_lengths.dtype
         step = as_array("dt", dt, "s", positive=True, dtype=dtype)
@@ -125,7 +125,7 @@ class Scene(LoadedRod, Model):
         return step
 
     def run_stepper(self, state: Any, dt: Array, first: Array | None) -> Stepper:
-        """Integrator of a run; `first` is used if the scene evolves."""
+        """Integrator of a run; the number `first` of its first step sets the time."""
         if first is None:
             return self.method.stepper(self, state, dt)
         start = self.at(Clock(first, jnp.zeros_like(dt), dt))
@@ -142,7 +142,7 @@ class Scene(LoadedRod, Model):
         return scene_step_warning(self, dt, state)
 
     def stable_step(self, safety: ArrayLike, *, state: Any = None) -> StableStep:
-        """Largest stable step times a safety factor: `stable_dt`."""
+        """Result of `jaxrod.stable_dt`: `safety` times the largest stable step."""
         return scene_stable_step(self, safety, state=state)
 
     def health(
@@ -155,7 +155,7 @@ class Scene(LoadedRod, Model):
         work_input: ArrayLike = 0.0,
         n_steps: ArrayLike = 1000,
     ) -> Health:
-        """Flags of a state and the values behind them: `jaxrod.health`."""
+        """Result of `jaxrod.health`: flags of a state, and the values behind them."""
         return scene_health(
             self,
             state,
@@ -173,7 +173,7 @@ class Scene(LoadedRod, Model):
         tolerance: ArrayLike | None = None,
         max_iterations: int = 100,
     ) -> Equilibrium:
-        """Configuration in which all loads balance: `jaxrod.equilibrium`."""
+        """Result of `jaxrod.equilibrium`: a configuration whose loads balance."""
         return scene_equilibrium(
             self, state, tolerance=tolerance, max_iterations=max_iterations
         )
@@ -269,7 +269,7 @@ def make_scene(rod: Rod, *effects: Effect, method: Method | None = None) -> Scen
 
 
 def _check_evolution(scene: Scene) -> None:
-    """Raises ValueError if an effect must not depend on time or have memory."""
+    """Raises ValueError if an effect has a schedule or memory that is not allowed."""
     for effect in scene.evolving_effects:
         name = type(effect).__name__
         memories = [getattr(effect, field) for field in memory_fields(effect)]

@@ -19,7 +19,8 @@ STORABLE: set[type] = set()
 """Dataclasses that `jaxrod.save` may put into a file."""
 
 Given = jax.typing.ArrayLike | Callable[[Any], Any]
-"""A number, an array or a schedule, which is called with a clock."""
+"""Value of a `Leaf` field: a number, an array, or a schedule (a function of a
+clock)."""
 
 
 class Leaf:
@@ -44,11 +45,11 @@ class Leaf:
 
     # Type checkers read from these the type of a field and of its argument.
     def __get__(self, owner: Any, kind: Any = None) -> jax.Array:
-        """Returns the array."""
+        """Declares that the field is read as an array."""
         raise NotImplementedError
 
     def __set__(self, owner: Any, value: Given) -> None:
-        """Takes a number, an array or a schedule."""
+        """Declares that the field accepts a number, an array or a schedule."""
         raise NotImplementedError
 
 
@@ -95,7 +96,7 @@ def memory(**options: Any) -> Any:
 
 
 def storable(cls: type[T]) -> type[T]:
-    """Lets `jaxrod.save` store a dataclass, as it does all pytrees."""
+    """Decorates a dataclass so that `jaxrod.save` can store it, as it does pytrees."""
     STORABLE.add(cls)
     return cls
 

@@ -29,7 +29,7 @@ Given = ParamSpec("Given")
 Made = TypeVar("Made")
 
 MOST = 2**31 - 1
-"""Largest count: of steps, of iterations."""
+"""Largest number of steps or of iterations that may be asked for."""
 
 
 def is_traced(*values: Any) -> bool:
@@ -38,11 +38,12 @@ def is_traced(*values: Any) -> bool:
 
 
 def knows_constants(function: Callable[Given, Made]) -> Callable[Given, Made]:
-    """Decorates a function so that values computed from known values stay known.
+    """Decorates a function so that it can read known values inside `jax.jit`, too.
 
-    Inside `jax.jit` JAX traces every operation, even one on arrays that were made
-    outside: `float(jnp.min(radii))` fails there although `is_traced(radii)` is false.
-    It is for functions that read values: checks, and numbers that become structure.
+    There JAX traces every operation, even one on arrays that were made outside:
+    `float(jnp.min(radii))` fails although `is_traced(radii)` is false. The decorator
+    makes JAX evaluate operations on known values at once. It is for functions that read
+    values: checks, and numbers that become structure.
     """
 
     @functools.wraps(function)
@@ -94,7 +95,7 @@ def check_kind(name: str, value: Any, kind: type | tuple[type, ...]) -> None:
 
 
 def check_count(name: str, value: Any, smallest: int, largest: float = MOST) -> int:
-    """Returns `value` as an int, or raises if it is not a count within bounds."""
+    """Returns `value` as an int; raises if it is not an integer within bounds."""
     if isinstance(value, jax.core.Tracer):
         raise ValueError(
             f"{name} must be an integer known when the program is traced, not one "
@@ -114,7 +115,10 @@ LARGEST_SEED = 2**32 - 1
 
 
 def check_seed(seed: Any, name: str = "seed") -> int:
-    """Returns a seed as an int; raises if it is not unique to its random numbers."""
+    """Returns a seed as an int; raises unless it is from 0 to `LARGEST_SEED`.
+
+    A larger seed would give the same random numbers as a smaller one.
+    """
     whole = isinstance(seed, int | np.integer) and not isinstance(seed, bool)
     if not whole or not 0 <= seed <= LARGEST_SEED:
         raise ValueError(
@@ -254,7 +258,7 @@ def as_array(
 def check_held(
     name: str, value: np.ndarray, unit: str, dtype: Any, *, each: bool = False
 ) -> None:
-    """Raises unless a floating-point dtype can hold float64 values.
+    """Raises ValueError unless a floating-point dtype can hold float64 values.
 
     It can if they and their reciprocals are normal numbers of the dtype: neither
     infinite nor rounded to zero. Entries of an array (a vector, say) may vanish if they
@@ -409,7 +413,7 @@ def _is_real(leaf: Any) -> bool:
 
 
 def _first(value: np.ndarray, is_bad: np.ndarray, unit: str) -> str:
-    """First bad entry as text, with its unit and index."""
+    """Text for the first entry at which `is_bad` is true, with its unit and index."""
     unit = f" {unit}" if unit else ""
     if value.ndim == 0:
         return f"{value[()]:g}{unit}"
@@ -418,7 +422,7 @@ def _first(value: np.ndarray, is_bad: np.ndarray, unit: str) -> str:
 
 
 def _shown(value: Any) -> str:
-    """Text of a value as it was given, cut short if it is long."""
+    """Text for a value in a message, cut short if it is long."""
     try:
         text = repr(value)
     except ValueError:  # Python writes no integers of thousands of digits

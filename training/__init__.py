@@ -1,4 +1,4 @@
-"""Learners: policies trained in compiled programs, with host code between programs."""
+"""Training of policies: learning algorithms, runs, evaluation and export."""
 
 if __name__ != "jaxrod.training":
     raise ImportError(

@@ -1,4 +1,4 @@
-"""An algorithm as a record of functions for the shared loop, and the registry."""
+"""Learning algorithms as records of functions, and the registry of their names."""
 
 from __future__ import annotations
 
@@ -26,9 +26,9 @@ class Metrics:
     """Metrics of one update.
 
     Attributes:
-        scalars: Named numbers, the same on every device.
-        episodes: The complete episodes that ended, shape (steps, num_envs), in
-            chronological order.
+        scalars: Scalar metrics by name, equal on every device.
+        episodes: Results of the episodes, arrays of shape (steps, num_envs) in
+            chronological order, valid where `finished` is true.
 
     Example:
         >>> none = envs.EpisodeRecord(*jnp.zeros((4, 8, 16)))  # 8 steps of 16
@@ -56,14 +56,14 @@ def steps_per_update(config: Any) -> int:
 
 
 def mean_over_devices(tree: Any, axis_name: str | None) -> Any:
-    """The mean of every leaf over the devices of a mapped axis, if there is one.
+    """Averages every leaf over the devices of a mapped axis, if there is one.
 
-    Leaves of one dtype are exchanged as one array: on a network the number of exchanges
-    costs more than their content.
+    Leaves of one dtype are exchanged as one array, because on a network the number of
+    messages costs more than their size.
 
     Args:
         tree: Any pytree of floats, such as gradients.
-        axis_name: Name of the mapped axis; `None` without one, which returns `tree`.
+        axis_name: Name of the mapped axis; `None` returns `tree` unchanged.
 
     Example:
         >>> mean = jax.vmap(
@@ -90,7 +90,7 @@ def mean_over_devices(tree: Any, axis_name: str | None) -> Any:
 
 
 def check_nothing(config: Any, num_devices: int) -> None:
-    """Accepts any configuration."""
+    """Accepts any configuration: the default of `Algorithm.validate`."""
 
 
 @dataclass(frozen=True)
@@ -102,10 +102,10 @@ class Algorithm:
     weights, optimiser, environments, keys. Anything that is not a number (the
     environment, say) is static structure, see `jaxrod.extend.static`. Two states made
     by `init` from configurations that differ only in numbers share one program. `train`
-    checks all of this, with clear messages, before it compiles anything.
+    checks all of this before it compiles anything.
 
-    For `--resume` and `jaxrod evaluate` to find it again, it has to be a variable of a
-    module that can be imported: it is recorded as `module:NAME`.
+    A run records the algorithm as `module:NAME`. So it must be a variable of a module
+    that can be imported, or `--resume` and `jaxrod evaluate` cannot find it.
 
     Example:
         >>> learner = training.find_algorithm("ppo")
@@ -116,23 +116,25 @@ class Algorithm:
     """
 
     name: str
-    """Name for display, and in the registry."""
+    """Name for display; for a built-in algorithm also its name in `find_algorithm`."""
     config_type: type
     """Class of the configuration: a `jaxrod.extend.pytree` whose instance without
     arguments holds the defaults. Fields that are not static are numbers. `config.json`
     must be able to hold every field, as numbers, text, booleans, tuples of these, or
     functions of a module."""
     steps_per_update: Callable[[Any], int]
-    """`config -> int`: control steps of one update, of all environments together."""
+    """`config -> int`: number of control steps of one update, summed over all
+    environments."""
     init: Callable[..., Any]
     """`(key, env, config, env_params, total_steps) -> state`: the train state before
     the first update. All randomness comes from the key; `total_steps` is the length of
     the whole run, for schedules. Pure: it is compiled, and vectorised over keys."""
     update: Callable[..., tuple[Any, Metrics]]
     """`state -> (state, Metrics)`: one update; the state keeps its structure, shapes
-    and types. With `partition`: `(state, axis_name=None) -> (state, Metrics)`. Under a
-    mapped axis of that name the state holds this device's share. Replicated leaves must
-    stay equal on all devices, see `mean_over_devices`."""
+    and types. With `partition` it is `(state, axis_name=None) -> (state, Metrics)`.
+    Under a mapped axis of that name the state holds this device's part of the split
+    leaves. Replicated leaves must stay equal on all devices, see
+    `mean_over_devices`."""
     policy: Callable[[Any], Policy]
     """`state -> policy`: the deterministic policy, a pytree of arrays. It is called as
     `policy(observation) -> action` with any leading axes."""
@@ -141,14 +143,14 @@ class Algorithm:
     the wrong setting. The default accepts every configuration."""
     partition: Callable[[Any], Any] | None = None
     """`state -> tree prefix of PartitionSpec`: which leaves are split over the devices
-    (axis `DEVICE_AXIS`) and which are replicated. None, the default: runs on one
-    device."""
+    (axis `DEVICE_AXIS`) and which are replicated. None, the default, limits the
+    algorithm to one device."""
 
     def checked(self, config: Any) -> Any:
-        """Checks a configuration of this algorithm; None gives its defaults.
+        """Returns a configuration of this algorithm, or its defaults if it is None.
 
         Raises:
-            ValueError: It belongs to another algorithm.
+            ValueError: The configuration belongs to another algorithm.
         """
         config = self.config_type() if config is None else config
         if not isinstance(config, self.config_type):
@@ -186,14 +188,13 @@ def find_algorithm(name: str, trust: Collection[str] | None = None) -> Algorithm
     Args:
         name: One of `algorithm_names()`, or the import path of your own algorithm,
             `module:NAME`.
-        trust: If a file holds the name, the modules that may be imported because of
-            it, see `jaxrod.envs.importing.check_trusted`; None if the user gives the
-            name.
+        trust: Modules that may be imported if the name was read from a file, see
+            `jaxrod.envs.importing.check_trusted`; None if the user typed the name.
 
     Raises:
         ValueError: There is no algorithm of this name, or the object found is not an
             `Algorithm`.
-        UntrustedError: A file names it, and it is not trusted.
+        UntrustedError: The name was read from a file and its module is not trusted.
         ImportError: The import path leads to nothing.
 
     Example:
@@ -216,10 +217,10 @@ def find_algorithm(name: str, trust: Collection[str] | None = None) -> Algorithm
 
 
 def recorded_name(algorithm: Algorithm) -> str:
-    """Name by which `find_algorithm` finds an algorithm, if there is one.
+    """Name of an algorithm for `config.json`, by which `find_algorithm` finds it.
 
-    For an algorithm that is in no module, this is its own name, which `find_algorithm`
-    does not find.
+    It is the name in the registry or an import path. An algorithm that is no variable
+    of a module gets its `name`, which `find_algorithm` does not find.
     """
     if algorithm.name in _ALGORITHMS:
         return algorithm.name

@@ -41,15 +41,15 @@ class Evaluation:
     """
 
     returns: Float[np.ndarray, " episodes"]
-    """Sums of the rewards."""
+    """Return of each episode: the undiscounted sum of its rewards."""
     lengths: Int[np.ndarray, " episodes"]
-    """Numbers of control steps."""
+    """Length of each episode [control steps]."""
     flagged: Bool[np.ndarray, " episodes"]
-    """Whether a numerical health flag ended the episode."""
+    """Whether a numerical health flag ended the episode, such as a non-finite state."""
 
     @property
     def mean(self) -> float:
-        """Mean return."""
+        """Mean of the returns."""
         return float(np.mean(self.returns))
 
     @property
@@ -71,14 +71,14 @@ def evaluate(
     seed: int = 0,
     env_params: Any = None,
 ) -> Evaluation:
-    """Runs complete episodes side by side.
+    """Runs complete episodes of a policy in parallel and returns their results.
 
     Args:
         env: The environment.
         policy: Function from observations (episodes, observation_size) to actions: a
             `Policy`, whose actions are held for its `action_repeat` control steps; or
             any other such function, called at every control step. Or a
-            `jaxrod.envs.MemoryPolicy`, which has a memory and sees the states.
+            `jaxrod.envs.MemoryPolicy`, which also reads the states and keeps a memory.
         episodes: Number of episodes.
         seed: Seed of the random numbers.
         env_params: Parameters of the environment, None for its defaults.

@@ -1,4 +1,4 @@
-"""Objects by import path, `module:NAME`: so a run can find a user's code again."""
+"""Import paths `module:NAME`, by which a run records and finds a user's code."""
 
 from __future__ import annotations
 
@@ -20,12 +20,12 @@ def find_object(path: str, trust: Collection[str] | None = None) -> Any:
     Args:
         path: `module:NAME`, such as "my_package.learners:MY_ALGORITHM"; NAME is one
             plain name, without dots.
-        trust: If a file holds the path, the modules that may be imported because of it,
-            see `jaxrod.envs.importing.check_trusted`; None if the user gives the path.
+        trust: Modules that may be imported if the path was read from a file, see
+            `jaxrod.envs.importing.check_trusted`; None if the user typed the path.
 
     Raises:
         ValueError: `path` is no import path.
-        UntrustedError: A file names it, and it is not trusted.
+        UntrustedError: The path was read from a file and its module is not trusted.
         ImportError: There is no such module or object, or importing it failed.
     """
     name, colon, attribute = path.partition(":")
@@ -44,9 +44,9 @@ def find_object(path: str, trust: Collection[str] | None = None) -> Any:
 
 
 def import_path(value: Any) -> str | None:
-    """Import path of a function or class, None if no path leads to it.
+    """Import path `module:NAME` of a function or class, None if no path leads to it.
 
-    A module that is run as a script is named after its file.
+    If its module is run as a script, the module's name is that of the file.
     """
     module = getattr(value, "__module__", None)
     name = getattr(value, "__qualname__", None)
@@ -56,7 +56,7 @@ def import_path(value: Any) -> str | None:
 
 
 def import_path_in(module: str, value: Any) -> str | None:
-    """Import path of an object that a module holds, None if it does not hold it."""
+    """Import path of a variable of a module, None if no variable holds `value`."""
     held = getattr(sys.modules.get(module), "__dict__", {})
     names = [name for name, one in held.items() if one is value]
     return _path(module, names[0], value) if names else None
@@ -74,7 +74,7 @@ def _path(module: str, name: str, value: Any) -> str | None:
 
 
 def _importable(module: str) -> str | None:
-    """Name under which another process can import a module."""
+    """Name by which another process can import a module, None if it cannot."""
     if module != "__main__":
         return module
     main = sys.modules["__main__"]

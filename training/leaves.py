@@ -1,4 +1,4 @@
-"""Leaves of a pytree by their paths, as arrays that NumPy can write without pickle."""
+"""Leaves of a pytree by name, as arrays that NumPy can write without pickle."""
 
 from __future__ import annotations
 
@@ -10,34 +10,40 @@ import numpy as np
 
 
 def named_leaves(tree: Any, root: str) -> dict[str, Any]:
-    """Leaves by root and path; empty leaves are left out, as they hold no numbers."""
+    """Leaves of a tree by name: `root` followed by the path of the leaf.
+
+    Leaves without elements are left out.
+    """
     leaves = jax.tree.leaves_with_path(tree)
     return {_name(root, path): leaf for path, leaf in leaves if leaf.size}
 
 
 def with_leaves(template: Any, root: str, leaves: dict[str, Any]) -> Any:
-    """A copy of a tree with the leaves of the given names replaced."""
+    """Copy of a tree in which leaves are replaced by name, as in `named_leaves`."""
     return jax.tree_util.tree_map_with_path(
         lambda path, leaf: leaves.get(_name(root, path), leaf), template
     )
 
 
 def described(leaf: Any) -> str:
-    """Dtype and shape of a leaf."""
+    """Dtype and shape of a leaf as text, such as "float32[3]"."""
     return f"{leaf.dtype}{list(_numbers(leaf).shape)}"
 
 
 def to_array(leaf: Any) -> np.ndarray:
-    """A leaf as an array that NumPy can write; bfloat16 and similar become integers."""
+    """A leaf as an array that NumPy can write.
+
+    Types that NumPy lacks, such as bfloat16, become unsigned integers of equal bits.
+    """
     array = np.asarray(_numbers(leaf))
     return array.view(f"u{array.itemsize}") if array.dtype.kind == "V" else array
 
 
 def from_array(array: np.ndarray, leaf: Any) -> Any:
-    """Converts an array into a leaf of the same kind as another leaf.
+    """Converts an array from `to_array` back into a leaf like `leaf`.
 
     Raises:
-        ValueError: Its dtype or shape differs.
+        ValueError: The dtype or shape differs from that of `leaf`.
     """
     numbers = _numbers(leaf)
     dtype = np.dtype(numbers.dtype)
@@ -50,7 +56,12 @@ def from_array(array: np.ndarray, leaf: Any) -> Any:
 
 
 def differences_of_leaves(wanted: dict[str, str], found: dict[str, str]) -> str:
-    """Differences between two sets of described leaves as text, empty if none."""
+    """The first differences between two sets of leaves as text, empty if none.
+
+    Args:
+        wanted: Required leaves: their descriptions by name, as from `described`.
+        found: Leaves that a file holds, in the same form.
+    """
     apart = [f"lacks {name}" for name in sorted(wanted.keys() - found.keys())]
     apart += [f"also has {name}" for name in sorted(found.keys() - wanted.keys())]
     apart += [
@@ -70,7 +81,7 @@ def is_key(leaf: Any) -> bool:
 
 
 def _hint(apart: list[str]) -> str:
-    """Usual cause, as a hint, if all numbers differ in precision."""
+    """Hint at JAX_ENABLE_X64 if the first differences are float32 against float64."""
     double = all("float32" in one and "float64" in one for one in apart[:3])
     return " (has JAX_ENABLE_X64 changed?)" if double else ""
 
@@ -80,5 +91,5 @@ def _name(root: str, path: Any) -> str:
 
 
 def _numbers(leaf: Any) -> Any:
-    """A leaf, or the raw data of a random key."""
+    """The leaf itself, or the raw integers if it is a random key."""
     return jax.random.key_data(leaf) if is_key(leaf) else leaf

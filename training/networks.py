@@ -1,7 +1,8 @@
-"""The networks of the learners: the only file that depends on flax.
+"""Networks of the learners, as flax modules.
 
-If a configuration has a `network`, a factory `(role, output_size) -> flax module`, it
-makes policy and critics. Otherwise they are multilayer perceptrons.
+If a configuration has a `network`, a function `(role, output_size) -> flax module`,
+that function makes the policy and critic networks. Otherwise they are multilayer
+perceptrons.
 """
 
 from __future__ import annotations
@@ -24,7 +25,7 @@ ACTIVATIONS: dict[str, Callable[[Array], Array]] = {
     "relu": nn.relu,
     "elu": nn.elu,
 }
-"""Activation functions by name."""
+"""Activation functions of the hidden layers, by name."""
 
 
 class MultilayerPerceptron(nn.Module):
@@ -48,7 +49,7 @@ class MultilayerPerceptron(nn.Module):
     def __call__(
         self, inputs: Float[Array, "*batch inputs"]
     ) -> Float[Array, "*batch outputs"]:
-        """Applies the network to the last axis."""
+        """Outputs of the network; the last axis of `inputs` holds the components."""
 
         def dense(size: int, gain: float, name: str) -> nn.Dense:
             return nn.Dense(
@@ -99,13 +100,12 @@ def make_network(
     activation: str,
     dtype: DTypeLike,
 ) -> nn.Module:
-    """The network of a role, without weights.
+    """The flax module for a role, without weights.
 
     Args:
         config: Configuration of a learner. Its `network` makes the module; None stands
-            for a multilayer perceptron with its `hidden_sizes`. In a policy the output
-            of the perceptron starts near 0 (gain 0.01), so that learning begins
-            undecided.
+            for a multilayer perceptron with its `hidden_sizes`. The last layer of a
+            policy starts with gain 0.01, so that the first actions are near 0.
         role: "policy" or "critic".
         output_size: Number of outputs of the network.
         activation: Activation function of the perceptron.
@@ -126,10 +126,10 @@ def make_network(
 
 
 def own_network(network: NetworkFactory, role: str, output_size: int) -> nn.Module:
-    """The network that a user's factory makes for a role, without weights.
+    """The flax module that a user's function makes for a role, without weights.
 
     Raises:
-        ValueError: The factory's result is no flax module.
+        ValueError: The function's result is no flax module.
     """
     module: Any = network(role, output_size)
     if not isinstance(module, nn.Module):
@@ -151,7 +151,8 @@ def initial_weights(network: nn.Module, key: Key[Array, ""], inputs: Array) -> A
         inputs: One input, of shape (size,); its values do not matter.
 
     Raises:
-        ValueError: The network keeps more than weights, such as running statistics.
+        ValueError: The network has other variables than weights, such as running
+            statistics.
     """
     variables = network.init(key, inputs)
     others = sorted(set(variables) - {"params"})
@@ -171,11 +172,11 @@ def initial_weights(network: nn.Module, key: Key[Array, ""], inputs: Array) -> A
 def check_outputs(
     network: nn.Module, weights: Any, inputs: Array, output_size: int
 ) -> None:
-    """Raises ValueError unless a network maps the last axis to `output_size` numbers.
+    """Raises ValueError unless a network has `output_size` outputs, batched or not.
 
     Args:
         network: A flax module.
-        weights: Its parameters.
+        weights: Parameters of the network.
         inputs: One input, of shape (size,); its values do not matter.
         output_size: Required number of outputs for one input.
     """
@@ -196,7 +197,7 @@ def check_outputs(
 
 
 def layers(params: Mapping[str, Any]) -> tuple[tuple[Array, Array], ...]:
-    """Weights of a `MultilayerPerceptron` as (kernel, bias), first layer first."""
+    """Pairs (kernel, bias) of a `MultilayerPerceptron`, first layer first."""
     count = sum(name.startswith("hidden_") for name in params)
     names = [f"hidden_{i}" for i in range(count)] + ["output"]
     return tuple((params[name]["kernel"], params[name]["bias"]) for name in names)
@@ -204,7 +205,7 @@ def layers(params: Mapping[str, Any]) -> tuple[tuple[Array, Array], ...]:
 
 @pytree
 class NetworkPolicy:
-    """A user's network on normalised observations.
+    """Deterministic policy: a user's network applied to normalised observations.
 
     Example:
         >>> from flax import linen
@@ -224,13 +225,13 @@ class NetworkPolicy:
     weights: Any
     """Parameters of the network."""
     network: NetworkFactory = static()
-    """Factory of the network."""
+    """Function of the user that makes the network."""
     output_size: int = static()
     """Number of outputs of the network."""
     action_size: int = static()
-    """Number of actions: the first outputs."""
+    """Number of actions; they are the first outputs of the network."""
     output: str = static(default="clip")
-    """Bound of the action: "clip" or "tanh"."""
+    """Function that bounds actions to [-1, 1]: "clip" or "tanh"."""
     action_repeat: int = static(default=1)
     """Control steps for which an action is held, as in training."""
 

@@ -19,7 +19,7 @@ class RunningMoments:
     """
 
     count: Float[Array, ""]
-    """Number of samples seen."""
+    """Number of samples so far."""
     mean: Float[Array, " size"]
     """Mean of the samples."""
     variance: Float[Array, " size"]
@@ -27,7 +27,7 @@ class RunningMoments:
 
 
 def no_moments(size: int, dtype: DTypeLike) -> RunningMoments:
-    """Moments before any sample, with which normalising is the identity."""
+    """Moments before any sample: mean 0, variance 1, so normalising changes nothing."""
     return RunningMoments(
         jnp.zeros((), dtype), jnp.zeros(size, dtype), jnp.ones(size, dtype)
     )
@@ -36,14 +36,14 @@ def no_moments(size: int, dtype: DTypeLike) -> RunningMoments:
 def batch_moments(
     samples: Float[Array, "count size"], axis_name: str | None = None
 ) -> RunningMoments:
-    """Moments of one batch.
+    """Count, mean and variance of one batch of samples, per component.
 
     The first sample is subtracted before anything is summed. So a large mean does not
     cost digits of the variance.
 
     Args:
         samples: One sample per row.
-        axis_name: Mapped axis over which the batch is spread, if any.
+        axis_name: Mapped device axis over which the batch is split; None without one.
     """
     origin = samples[:1]
     shifted = samples - origin
@@ -87,9 +87,9 @@ def normalise(
     samples: Float[Array, "*batch size"],
     limit: float | Float[Array, ""],
 ) -> Float[Array, "*batch size"]:
-    """Shifts and scales samples to mean 0 and variance 1, clipped to +-`limit`.
+    """Normalised samples: (x - mean) / sqrt(variance + 1e-8), clipped to +-`limit`.
 
-    A component that never varied is divided by 1e-4 instead of 0.
+    The 1e-8 keeps a component that never varied finite.
     """
     leading = tuple(range(samples.ndim - 1))
     mean = jnp.expand_dims(moments.mean, leading)

@@ -15,9 +15,9 @@ ACTIVATIONS = {
     "relu": lambda x: jnp.maximum(x, 0),
     "elu": lambda x: jnp.where(x > 0, x, jnp.expm1(jnp.minimum(x, 0))),
 }
-"""Activation functions by name, without a framework."""
+"""Activation functions of the hidden layers by name, in plain JAX."""
 OUTPUTS = {"clip": lambda x: jnp.clip(x, -1, 1), "tanh": jnp.tanh}
-"""Functions that bound actions, by name."""
+"""Functions that bound actions to [-1, 1], by name."""
 
 
 class Policy(Protocol):
@@ -43,7 +43,9 @@ class Policy(Protocol):
 
 @pytree
 class MLPPolicy:
-    """Multilayer perceptron on normalised observations; needs no framework.
+    """Deterministic policy: a multilayer perceptron on normalised observations.
+
+    It needs no network library.
 
     Example:
         >>> policy = training.untrained_policy(envs.make("tracking"))
@@ -58,9 +60,9 @@ class MLPPolicy:
     layers: tuple[tuple[Array, Array], ...]
     """Pairs (kernel, bias) of the layers, kernels of shape (inputs, outputs)."""
     activation: str = static(default="tanh")
-    """Activation between the layers, a name in `ACTIVATIONS`."""
+    """Activation function between the layers, a name in `ACTIVATIONS`."""
     output: str = static(default="clip")
-    """Bound of the action, a name in `OUTPUTS`."""
+    """Function that bounds actions to [-1, 1], a name in `OUTPUTS`."""
     action_repeat: int = static(default=1)
     """Control steps for which an action is held, as in training."""
 

@@ -1,9 +1,9 @@
-"""Policies as two files without pickle: policy.json and policy.npz.
+"""Policies stored as two files without pickle: policy.json and policy.npz.
 
-A multilayer perceptron (format 1) is written so that any program can read it: its
-layers, its activation, its normalisation. Any other policy (format 2) is written as
-arrays under their paths in the pytree. To read it, the code that trained it must make a
-policy of the same structure, see `load_policy`.
+A multilayer perceptron (format 1) can be read by any program: the files hold its
+layers, activation and normalisation. Any other policy (format 2) is stored as arrays
+under their paths in the pytree. To read it, the code that trained it must make a policy
+of the same structure, see `load_policy`.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ from jaxrod.training.normalisation import RunningMoments
 from jaxrod.training.policy import ACTIVATIONS, OUTPUTS, MLPPolicy
 
 PERCEPTRON, PYTREE = 1, 2
-"""Formats of the files; a new meaning gets a new number."""
+"""Format numbers in policy.json: a multilayer perceptron, and any other pytree."""
 
 _ROOT = "policy"
 _MAY_LACK = {"action_repeat": whole(1, 2**31 - 1), "about": OBJECT}
@@ -48,7 +48,7 @@ _MAY_LACK = {"action_repeat": whole(1, 2**31 - 1), "about": OBJECT}
 def save_policy(
     policy: Any, folder: str | Path, about: Mapping[str, Any] | None = None
 ) -> None:
-    """Writes `policy.json` (the description) and `policy.npz` (the numbers).
+    """Writes a policy as `policy.json` (description) and `policy.npz` (arrays).
 
     Args:
         policy: An `MLPPolicy`, or any other pytree of arrays.
@@ -87,7 +87,7 @@ def load_policy(folder: str | Path, like: Any = None) -> Any:
             `MLPPolicy`. `jaxrod.training.restore_policy` makes it from a run.
 
     Returns:
-        An `MLPPolicy`, or a policy like `like`.
+        An `MLPPolicy`, or a policy with the structure of `like`.
 
     Raises:
         ValueError: The folder holds no policy, or one of another format or structure;
@@ -148,13 +148,13 @@ def load_policy(folder: str | Path, like: Any = None) -> Any:
 
 
 def needs_structure(folder: str | Path) -> bool:
-    """Whether `load_policy` needs `like` for the policy in a folder."""
+    """Whether `load_policy` needs its argument `like` for the policy in a folder."""
     file = Path(folder) / "policy.json"
     return file.is_file() and read_json(file).get("format") == PYTREE
 
 
 def _perceptron(policy: MLPPolicy) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
-    """Description and numbers of a multilayer perceptron."""
+    """Entries of policy.json and arrays of policy.npz for a multilayer perceptron."""
     arrays = {
         "observation_count": policy.moments.count,
         "observation_mean": policy.moments.mean,
@@ -175,7 +175,7 @@ def _perceptron(policy: MLPPolicy) -> tuple[dict[str, Any], dict[str, np.ndarray
 
 
 def _pytree(policy: Any) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
-    """Description and numbers of any other policy."""
+    """Entries of policy.json and arrays of policy.npz for a policy of any structure."""
     leaves = named_leaves(jax.tree.map(jnp.asarray, policy), _ROOT)
     kinds = {name: str(leaf.dtype) for name, leaf in leaves.items()}
     arrays = {name: to_array(leaf) for name, leaf in leaves.items()}
@@ -183,13 +183,18 @@ def _pytree(policy: Any) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
 
 
 def _put_into(like: Any, file: Path, arrays: dict[str, np.ndarray]) -> Any:
-    """A policy with the structure of another policy and the numbers of a file.
+    """A policy with the structure of `like` and the arrays of a policy.npz.
 
-    The floating-point precision may differ: policies may be evaluated in another
-    precision than they were trained in.
+    The arrays may have another floating-point precision than the leaves of `like`,
+    because a policy may be evaluated in another precision than it was trained in.
+
+    Args:
+        like: Policy that gives the names, kinds and shapes of the leaves.
+        file: File that held the arrays, for messages.
+        arrays: Arrays by name of the leaf.
 
     Raises:
-        ValueError: The numbers do not fit such a policy.
+        ValueError: The names, kinds or shapes differ, or a number is NaN.
     """
     leaves = named_leaves(like, _ROOT)
     for name in leaves.keys() & arrays.keys():
@@ -216,12 +221,12 @@ def _put_into(like: Any, file: Path, arrays: dict[str, np.ndarray]) -> Any:
 
 
 def _kind(array: Any) -> str:
-    """Kind and shape of an array, without its precision."""
+    """Kind and shape of an array without its precision, such as "float[3]"."""
     return f"{np.dtype(array.dtype).name.rstrip('0123456789')}{list(array.shape)}"
 
 
 def _check_description(description: dict[str, Any]) -> None:
-    """Raises ValueError unless this can describe a policy."""
+    """Raises ValueError unless the entries of policy.json describe a policy."""
     if description.get("format") == PYTREE:
         check_entries(description, {"leaves": OBJECT}, _MAY_LACK)
         return
@@ -246,7 +251,7 @@ def _check_description(description: dict[str, Any]) -> None:
 def _check_numbers(
     arrays: dict[str, np.ndarray], description: Mapping[str, Any]
 ) -> None:
-    """Raises ValueError unless these are the numbers of the policy described."""
+    """Raises ValueError unless all arrays are finite and fit policy.json."""
     layers = range(description["layers"])
     names = {f"{part}_{i}" for i in layers for part in ("kernel", "bias")}
     names |= {f"observation_{part}" for part in ("count", "mean", "variance", "limit")}

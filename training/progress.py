@@ -1,4 +1,4 @@
-"""Progress on stderr: share done, speed, result so far, time left."""
+"""Progress of a run on stderr: percentage, speed, time left, result so far."""
 
 from __future__ import annotations
 
@@ -15,8 +15,9 @@ class ProgressBar:
     """Shows the progress of a run or an optimisation.
 
     On a terminal one line is redrawn. Elsewhere (a notebook, a log file) a line is
-    printed whenever another tenth is done or half a minute has passed. A run with a
-    name shares the stream with others: only its tenths are printed.
+    printed after every tenth of the total, and after every 30 s without a line. A run
+    with a name shares the stream with other runs: it prints a line after every tenth
+    only.
     """
 
     def __init__(
@@ -32,7 +33,7 @@ class ProgressBar:
         """Starts the clock.
 
         Args:
-            total: Largest possible count.
+            total: Count at which the work is complete.
             unit: Name of the counted things, in the plural.
             done: Count before the clock starts.
             name: Name of one of several runs, printed before its lines.
@@ -51,7 +52,7 @@ class ProgressBar:
         self.restart()
 
     def restart(self) -> None:
-        """Restarts the clock: the time so far was spent on other work."""
+        """Restarts the clock that the speed is measured with."""
         self._began = self._printed = time.monotonic()
 
     def update(self, done: int, reached: str) -> None:
@@ -59,7 +60,7 @@ class ProgressBar:
 
         Args:
             done: Current count.
-            reached: Result so far, as text.
+            reached: Result so far as text, such as "return 17.3".
         """
         if not self._enabled:
             return
@@ -84,7 +85,7 @@ class ProgressBar:
             self._write(text + "\n")
 
     def close(self) -> None:
-        """Ends the line that is being redrawn."""
+        """Ends the redrawn line with a line break, so that other output can follow."""
         if self._open:
             self._write("\n")
             self._open = False
@@ -95,14 +96,14 @@ class ProgressBar:
 
 
 def progress_line(done: int, total: int, unit: str, rate: float, reached: str) -> str:
-    """The text of the bar.
+    """One line of progress: bar, percentage, counts, speed, time left, result so far.
 
     Args:
         done: Current count.
-        total: Largest possible count.
+        total: Count at which the work is complete.
         unit: Name of the counted things, in the plural.
         rate: Counts per second; 0 if it is not known yet.
-        reached: Result so far, as text.
+        reached: Result so far as text, such as "return 17.3".
     """
     filled = min(_WIDTH, _WIDTH * done // total)
     bar = "#" * filled + "-" * (_WIDTH - filled)
@@ -124,14 +125,17 @@ def _short(count: int) -> str:
 
 
 def duration(seconds: float) -> str:
-    """A time as text, such as "3.4 min"."""
+    """Duration as text in s, min or h, such as "3.4 min"."""
     if seconds < 100:
         return f"{seconds:.0f} s"
     return f"{seconds / 60:.1f} min" if seconds < 6000 else f"{seconds / 3600:.1f} h"
 
 
 def reached(row: Mapping[str, Any]) -> str:
-    """Result so far from a row of progress: rewards until the first episode ends."""
+    """Result so far as text, from a row of the progress table.
+
+    It is the mean return, or the mean reward until the first episode has ended.
+    """
     if row["episode_return_mean"] not in (None, ""):
         return f"return {float(row['episode_return_mean']):,.1f}"
     if row.get("reward_mean") not in (None, ""):

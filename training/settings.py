@@ -1,6 +1,6 @@
-"""The settings that all learners share, and checks of settings.
+"""Settings that all learners share, and checks of settings.
 
-Checks run on the host, before anything is compiled.
+The checks run on the host, before anything is compiled.
 """
 
 from __future__ import annotations
@@ -14,20 +14,20 @@ from jaxrod.structure import pytree, static
 from jaxrod.validation import check_count
 
 Scalar = float | Float[Array, ""]
-"""A number of a configuration, before or after it is traced."""
+"""Numeric setting: a Python float, or a JAX array inside a traced train state."""
 
 NetworkFactory = Callable[[str, int], Any]
-"""Factory of a user's own networks: `(role, output_size) -> flax module`."""
+"""Function of a user that makes networks: `(role, output_size) -> flax module`."""
 
 Settings = Any
-"""A configuration: a pytree with the named fields."""
+"""Any configuration, whose fields the checks read by name."""
 
 
 @pytree
 class LearnerConfig:
-    """Settings common to all learners. Traced numbers change without recompiling.
+    """Settings common to all learners; each learner has its own defaults for some.
 
-    Learners have their own defaults for some of these.
+    Fields that are not static are traced numbers: changing them recompiles nothing.
 
     Example:
         >>> config = training.LearnerConfig(num_envs=64, discount=0.95)
@@ -38,19 +38,20 @@ class LearnerConfig:
     num_envs: int = static(default=128)
     """Number of environments that run in parallel."""
     rollout_steps: int = static(default=128)
-    """Decisions of each environment in one update."""
+    """Number of decisions of each environment in one update."""
     action_repeat: int = static(default=1)
-    """Control steps for which every action is held."""
+    """Number of control steps for which every action is held: those of one decision."""
     hidden_sizes: tuple[int, ...] = static(default=(64, 64))
     """Widths of the hidden layers of all built-in networks."""
     network: NetworkFactory | None = static(default=None)
-    """Factory of your own networks, `(role, output_size) -> flax module`; `None` for
-    multilayer perceptrons. The role is "policy" (observation -> action) or "critic"
-    (observation -> value; in SAC, TD3 and DDPG observation and action, concatenated).
-    SAC requires twice as many outputs of a policy as there are actions, means first."""
+    """Function that makes your own networks, `(role, output_size) -> flax module`;
+    `None` for multilayer perceptrons. The role is "policy" (observation -> action) or
+    "critic" (observation -> value; in SAC, TD3 and DDPG observation and action,
+    concatenated). SAC requires twice as many outputs of a policy as there are actions,
+    means first."""
     spread_phases: bool = static(default=True)
-    """Whether the first episodes start in mid-course, see
-    `jaxrod.envs.VectorEnvironment`."""
+    """Whether the first episodes start at random elapsed times, so that they end at
+    different times; see `jaxrod.envs.VectorEnvironment`."""
     discount: Scalar = 0.99
     """Discount factor gamma, per decision."""
     reward_scale: Scalar = 0.1
@@ -59,14 +60,15 @@ class LearnerConfig:
     """Bound to which normalised observations are clipped."""
     short_steps: Scalar = 0.0
     """Control steps from the start of the run during which episodes are cut short, so
-    that more episodes begin. They are truncated and do not count for the score."""
+    that more episodes begin. Such episodes are truncated, not terminated, and do not
+    count for the score."""
     short_length: Scalar = 500.0
-    """Control steps of an episode that is cut short."""
+    """Length of an episode that is cut short [control steps]."""
 
 
 WIDEST_LAYER = 16_384
-"""Largest number of units of a hidden layer. Weights between two such layers take 1
-GB."""
+"""Largest number of units of a hidden layer. The weights between two such layers take
+1 GB."""
 
 MOST_LAYERS = 1_000
 """Largest number of hidden layers that the file of a policy can hold."""
@@ -76,10 +78,15 @@ LARGEST_COUNT = 2**31 - 1
 
 
 def check_steps(steps: int, per_update: int) -> int:
-    """Number of updates in a number of control steps, rounded up.
+    """Number of updates of a run: ceil(steps / per_update).
+
+    Args:
+        steps: Control steps of the run.
+        per_update: Control steps of one update.
 
     Raises:
-        ValueError: They are less than one update, or too many to count.
+        ValueError: `steps` is less than one update, or more than `LARGEST_COUNT`
+            updates.
     """
     if steps < per_update:
         raise ValueError(
@@ -95,13 +102,13 @@ def check_steps(steps: int, per_update: int) -> int:
 
 
 def check_counts(config: Settings, *names: str) -> None:
-    """Raises ValueError unless each named setting is an integer of at least 1."""
+    """Raises ValueError unless each named setting is an integer from 1 to 2^31 - 1."""
     for name in names:
         _check_size(name, getattr(config, name))
 
 
 def _check_size(name: str, value: Any) -> None:
-    """Raises ValueError unless it is a valid size of a loop or an array."""
+    """Raises ValueError unless a setting is an integer from 1 to `LARGEST_COUNT`."""
     if check_count(name, value, 1) > LARGEST_COUNT:
         raise ValueError(f"{name} must be at most {LARGEST_COUNT}, got {value}")
 

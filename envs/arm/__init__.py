@@ -1,1 +1,1 @@
-"""The soft arm, and the common parts of its tasks."""
+"""The benchmark's soft arm, its obstacles and its moving target."""

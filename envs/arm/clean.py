@@ -3,9 +3,8 @@
 It has the consistent elastic law, a wall-accurate clamp, damping integrated exactly,
 and couples per metre instead of per element, with the same sum as the published
 couples. When a numerical health flag rises the arm is frozen at its last sound state.
-Its energy
-is not checked: the check costs more than another half control step, and it raises no
-flag on sound arms (`tests/envs/test_energy.py`).
+Its energy is not checked: the check costs more than another half control step, and it
+raises no flag on sound arms (`tests/envs/test_energy.py`).
 """
 
 from __future__ import annotations
@@ -50,32 +49,33 @@ class CleanArm:
     """Parameters of the arm and of everything that acts on it."""
 
     rod: Rod
-    """The arm."""
+    """Geometry and material of the arm."""
     rest: RodState
-    """The arm at the start of an episode."""
+    """State of the arm at the start of an episode."""
     held: Clamp
-    """Clamp at the wall."""
+    """Clamp of the arm's base at the wall."""
     viscosity: Float[Array, ""]
-    """Viscous force per length and speed [kg/(m s)]; the same value for rotation."""
+    """Viscous force per length and speed [kg/(m s)]; the same number is the couple per
+    length and angular velocity [kg m/s]."""
     spline: ElementAverages
     """Spline through the control points, averaged over the arm's elements."""
     couple_density: Float[Array, ""]
     """Couple per length for a control value of one [N m/m]."""
     largest_change: Float[Array, ""] | None
-    """Largest change of a control value from one control step to the next; `None` if
-    they jump."""
+    """Largest change of a control value from one control step to the next [1]; `None`
+    if control values jump to the commanded ones."""
     obstacles: tuple[Contact, ...] = ()
-    """Contact with the obstacles."""
+    """Contact effects, each with one or more obstacles."""
     limits: HealthLimits = dataclasses.field(default_factory=HealthLimits)
     """Health limits beyond which the arm is frozen."""
     method: Method = dataclasses.field(default_factory=consistent)
-    """Stepping method, restricted to the plane of motion if there is one."""
+    """Stepping method, restricted to the plane of motion if any."""
     nearest: int | None = static(default=None)
     """Number of nearest obstacles that each contact point considers in a control step;
     `None` for all."""
 
     def relaxed(self) -> Array | None:
-        """Control values at the start of an episode; None if they are not stored."""
+        """Control values at the start, all zero; None without a rate limit."""
         if self.largest_change is None:
             return None
         return jnp.zeros((3, self.spline.n_controls), self.rod.radii.dtype)
@@ -91,15 +91,16 @@ class CleanArm:
         """Advances the arm by simulation steps under one action.
 
         Args:
-            state: The arm.
-            muscles: Control values of the control step before.
-            controls: Commanded values [1] about d1, d2 and d3.
+            state: State of the arm.
+            muscles: Control values of the previous control step; None without a rate
+                limit.
+            controls: Commanded control values about d1, d2 and d3 [1].
             dt: Time step [s].
             n_steps: Number of steps, at least 1.
 
         Returns:
-            The arm, the control values, and whether a health flag rose; the arm is then
-            unchanged.
+            The state of the arm, the control values, and whether a health flag rose; if
+            so, the state is unchanged.
         """
         if self.largest_change is not None and muscles is not None:
             muscles = controls = limit_rate(muscles, controls, self.largest_change)
@@ -113,12 +114,12 @@ class CleanArm:
         controls: Float[Array, "3 n_controls"] | None = None,
         near: RodState | None = None,
     ) -> Scene:
-        """Scene of the arm under these control values.
+        """Scene of the arm under given control values.
 
         Args:
             controls: Control values [1]; `None` for the arm without its muscles.
-            near: State from which the arm is about to move. If it is given, obstacles
-                that are not among the `nearest` may be left out.
+            near: State from which the arm is about to move. Each contact point then
+                considers only the `nearest` obstacles in this state; `None` for all.
         """
         obstacles = self.obstacles
         if near is not None and self.nearest is not None:
@@ -153,7 +154,7 @@ def clean_arm(
     largest_stretch: float = 2.5,
     plane: PlaneName | None = None,
 ) -> CleanArm:
-    """The arm at rest.
+    """Makes the arm of the `clean` variants, straight and at rest.
 
     Args:
         n_elements: Number of elements.
@@ -162,10 +163,10 @@ def clean_arm(
         spline: Spline through the control points, in rest arc length.
         published_elements: Number of elements of the published arm, each with a couple
             of 75 N m; the sum of these couples is spread over the length.
-        largest_rate: Largest rate of a control value [1/s].
-        obstacles: Contact with the obstacles.
+        largest_rate: Largest rate of a control value [1/s]; None for no limit.
+        obstacles: Contact effects of the obstacles.
         nearest: Number of nearest obstacles that each contact point considers in a
-            control step.
+            control step; None for all.
         smallest_stretch: Stretch below which an arm is flagged [1].
         largest_stretch: Stretch above which an arm is flagged [1].
         plane: Plane of motion, if any.

@@ -10,27 +10,28 @@ from jaxrod.structure import pytree
 from jaxrod.validation import Numbers, check_array
 
 OBSERVED_POINTS = 5
-"""Number of observed points of every cylinder, including both ends."""
+"""Number of equidistant observed points of every cylinder, including both ends."""
 
 
 @pytree
 class Cylinders:
-    """Fixed round cylinders."""
+    """A number m of fixed round cylinders."""
 
     starts: Float[Array, "3 m"]
     """Centre of one end of each cylinder [m]."""
     directions: Float[Array, "3 m"]
     """Unit vectors from `starts` to the other end."""
     normals: Float[Array, "3 m"]
-    """Unit vectors; only the published broad phase uses them."""
+    """Unit vectors across the cylinders, from which the published broad phase computes
+    their bounding boxes; the published maze has wrong ones."""
     lengths: Float[Array, " m"]
-    """Lengths [m]."""
+    """Lengths of the cylinders [m]."""
     radii: Float[Array, " m"]
-    """Radii [m]."""
+    """Radii of the cylinders [m]."""
 
     @property
     def centres(self) -> Float[Array, "3 m"]:
-        """Centres of the cylinders [m]."""
+        """Midpoint of the axis of each cylinder [m]."""
         return self.starts + 0.5 * self.lengths[None, :] * self.directions
 
     @property
@@ -47,12 +48,12 @@ def cylinders(
     length: float,
     radius: float,
 ) -> Cylinders:
-    """Cylinders of equal length and radius.
+    """Makes cylinders of equal length and radius.
 
     Args:
         starts: Centre of one end of each cylinder, `(m, 3)` [m].
         directions: Vectors from `starts` to the other end, of any length, `(m, 3)`.
-        normals: Unit vectors `(m, 3)`.
+        normals: Unit vectors for the published bounding boxes, `(m, 3)`.
         length: Length of every cylinder [m].
         radius: Radius of every cylinder [m].
     """
@@ -77,9 +78,10 @@ def cylinders(
 def points_along(
     starts: Float[Array, "3 m"], cylinders: Cylinders
 ) -> Float[Array, " 15m"]:
-    """Five equidistant points from each start along each cylinder's direction.
+    """Five equidistant points from each start along the cylinder's direction [m].
 
-    The order is cylinder by cylinder, point by point, x, y, z [m].
+    Both ends are included. The result is flat: cylinder by cylinder, point by point,
+    x, y, z.
     """
     parts = jnp.linspace(0, 1, OBSERVED_POINTS, dtype=starts.dtype)
     along = cylinders.lengths[None, :] * cylinders.directions

@@ -1,8 +1,8 @@
 """A target sphere that wanders through a box: straight flight, bounces, new headings.
 
-This is the published benchmark's target, including its quirks. Its wall test only flips
-the velocity. So a target that starts within its radius of a wall flips at every test
-and does not move along that axis (30 % of episodes have such an axis).
+This is the published benchmark's target, including its quirks. The wall test only flips
+the sign of the velocity. So a target that starts within its radius of a wall flips at
+every test and does not move along that axis (30 % of episodes have such an axis).
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ class TargetParams:
     radius: Float[Array, ""]
     """Radius of the sphere for the wall tests [m]."""
     speed: Float[Array, ""]
-    """Speed [m/s]."""
+    """Constant speed of the target [m/s]."""
 
 
 @pytree
@@ -33,13 +33,13 @@ class Target:
     """Position and velocity of the target."""
 
     position: Float[Array, "3"]
-    """Centre [m]."""
+    """Centre of the sphere [m]."""
     velocity: Float[Array, "3"]
-    """Velocity [m/s]."""
+    """Velocity of the sphere [m/s]."""
 
 
 def heading(key: Key[Array, ""], speed: Array) -> Float[Array, "3"]:
-    """A random velocity of the given speed.
+    """Draws a random velocity of the given speed [m/s].
 
     Both angles are uniform over a full turn, as published. So headings cluster around
     the z axis instead of being uniform over the sphere.
@@ -51,14 +51,14 @@ def heading(key: Key[Array, ""], speed: Array) -> Float[Array, "3"]:
 
 
 def start(key: Key[Array, ""], params: TargetParams) -> Target:
-    """A target anywhere in the box, with a random heading."""
+    """Draws a target uniformly in the box, with a random heading."""
     place, turn = jax.random.split(key)
     position = jax.random.uniform(place, (3,), minval=params.lower, maxval=params.upper)
     return bounce(Target(position, heading(turn, params.speed)), params)
 
 
 def bounce(target: Target, params: TargetParams) -> Target:
-    """Flips the velocity along every axis on which the sphere crosses a wall."""
+    """Flips the velocity along every axis on which the sphere overlaps a wall."""
     outside = (target.position - params.radius < params.lower) | (
         target.position + params.radius > params.upper
     )
@@ -85,17 +85,16 @@ def wander(
     chance: Array,
     dt: Array,
 ) -> Target:
-    """One move: back from a wall that was crossed, or possibly in a new direction.
+    """Moves the target for `dt`: after a bounce, or perhaps with a new heading.
 
-    The centre may leave the box by one move and returns in the next, because the walls
-    are tested before a move, not after it. A new heading takes effect with the next
-    move, so the current velocity is that of the last move.
+    The walls are tested before the move, not after it. So the centre may leave the box
+    by one move, and returns in the next. The returned velocity is that of this move.
 
     Args:
         key: Typed random key; `None` for a move without a new heading.
         target: Target before the move.
         params: Parameters of the target.
-        chance: Probability of a new heading, unless the target is behind a wall [1].
+        chance: Probability of a new heading, unless the target bounces [1].
         dt: Duration of the move [s].
     """
     velocity = bounce(target, params).velocity

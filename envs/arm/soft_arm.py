@@ -13,28 +13,29 @@ from jaxrod.control.trajectories.reach import ActuatedArm
 CONTROL_PERIOD = 1.4e-3
 """Time between actions in every case [s]."""
 LENGTH = 1.0
-"""[m]"""
+"""Length of the arm [m]."""
 RADIUS = 0.05
-"""[m]"""
+"""Radius of the arm [m]."""
 DENSITY = 1000.0
-"""[kg/m^3]"""
+"""Density of the arm [kg/m^3]."""
 YOUNGS_MODULUS = 1e7
-"""[Pa]"""
+"""Young's modulus of the arm [Pa]."""
 VISCOSITY = 30.0
-"""Viscous force per length and speed [kg/(m s)]; the same value for rotation [kg
-m/s]."""
+"""Viscous force per length and speed [kg/(m s)]; the same number is the couple per
+length and angular velocity [kg m/s]."""
 TORQUE_PER_ELEMENT = 75.0
 """Couple on an element for a control value of one [N m]."""
 REFERENCE_ELEMENTS = 20
-"""Elements of the published arm in Cases 1 and 2."""
+"""Number of elements of the published arm in Cases 1 and 2."""
 COUPLE_DENSITY = TORQUE_PER_ELEMENT * REFERENCE_ELEMENTS / LENGTH
-"""The couples of all elements, spread over the length [N m/m]."""
+"""Couple per length for a control value of one: the sum over all elements, spread over
+the length [N m/m]."""
 
 
 def published_rod(
     n_elements: int, start: tuple[float, float, float], axis: str
 ) -> tuple[Rod, RodState]:
-    """The arm with the published moduli, straight and at rest.
+    """Makes the arm with the published moduli, straight and at rest.
 
     Args:
         n_elements: Number of elements: 20 in Cases 1 and 2, 50 in Cases 3 and 4.
@@ -61,7 +62,10 @@ def clean_rod(
     axis: str,
     dtype: Any = None,
 ) -> tuple[Rod, RodState]:
-    """The same arm of incompressible material: G = E/3, shear correction 27/28."""
+    """Makes the arm of incompressible material: G = E/3, shear correction 27/28.
+
+    Its dimensions, density and Young's modulus are those of `published_rod`.
+    """
     return straight_rod(
         n_elements,
         length=LENGTH,
@@ -88,7 +92,7 @@ def actuated_arm(
     viscosity: float = VISCOSITY,
     dtype: Any = None,
 ) -> ActuatedArm:
-    """The benchmark's soft arm under the consistent law, straight and at rest.
+    """Makes the benchmark's soft arm with the consistent law, straight and at rest.
 
     It is 1 m long, 5 cm in radius, with 1000 kg/m^3, 10 MPa, and incompressible. It is
     clamped at the origin, points along +y, and is in a viscous medium.
@@ -97,8 +101,8 @@ def actuated_arm(
         n_elements: Number of elements, at least 2.
         n_controls: Number of control points along the arm, per direction.
         couple_density: Couple per rest length for a control value of one [N m/m].
-        viscosity: Force per length and speed [kg/(m s)], and couple per length and
-            spin [kg m/s].
+        viscosity: Force per length and speed [kg/(m s)]; the same number is the couple
+            per length and angular velocity [kg m/s].
         dtype: Floating-point type; by default JAX's default.
 
     Raises:

@@ -1,1 +1,1 @@
-"""The arm as published: the laws of its simulator."""
+"""The published benchmark's arm, with the laws of the published simulator."""

@@ -1,9 +1,9 @@
 """The arm of the `paper` variants: the published simulator, driven by its muscles.
 
 It follows PyElastica's law and order of operations, plus three features of its first
-release: viscous drag, contact forces that depend on all loads found so far, and muscles
-that may change from one simulation step to the next. An arm that cannot leave a plane
-moves exactly in that plane.
+release: viscous drag, contact forces that depend on the loads computed before them, and
+muscles that may change from one simulation step to the next. An arm whose motion stays
+in a plane is computed in that plane.
 """
 
 from __future__ import annotations
@@ -38,22 +38,22 @@ class PublishedArm:
     """Parameters of the published arm and of everything that acts on it."""
 
     rod: Rod
-    """The arm."""
+    """Geometry and material of the arm."""
     rest: RodState
-    """The arm at the start of an episode."""
+    """State of the arm at the start of an episode."""
     held: FixedEnd
-    """Clamp at its base."""
+    """Clamp at the base of the arm."""
     drag: ViscousDrag
     """Viscous drag of the medium."""
     muscles: MuscleParams
-    """Parameters of the muscles."""
+    """Spline, couple and rate limit of the muscles."""
     contact: PublishedContact | None
     """Contact with the obstacles; `None` if there are none."""
     method: PyElastica | Planar
-    """PyElastica's method, restricted to the plane of motion if there is one."""
+    """PyElastica's stepping method, restricted to the plane of motion if any."""
 
     def relaxed(self) -> Muscles:
-        """The muscles at the start of an episode."""
+        """Muscles at the start of an episode: no activation, no couples."""
         return relaxed(self.rod, self.muscles)
 
     def advance(
@@ -67,14 +67,15 @@ class PublishedArm:
         """Advances the arm by simulation steps under one action.
 
         Args:
-            state: The arm.
-            muscles: Muscles in the step before.
-            controls: Commanded values [1] about d1, d2 and d3.
+            state: State of the arm.
+            muscles: State of the muscles after the previous step.
+            controls: Commanded control values about d1, d2 and d3 [1].
             dt: Time step [s].
             n_steps: Number of steps, at least 1.
 
         Returns:
-            The arm, the muscles, and whether a node's position is no longer finite.
+            The states of arm and muscles, and whether a node's position is no longer
+            finite.
         """
         stepper = self.method.stepper(self.scene(), state, dt)
         if self.muscles.largest_change is None:
@@ -105,7 +106,11 @@ class PublishedArm:
 
 @pytree
 class _DrivenArm:
-    """The arm with muscles that change in every step; one cycle runs kick to kick."""
+    """Stepper of an arm whose muscles change in every step (position Verlet).
+
+    A step is half a drift, a kick and half a drift. A cycle joins the two half drifts:
+    it is a kick and a full drift to the next kick.
+    """
 
     arm: PublishedArm
     stepper: Any
@@ -113,18 +118,22 @@ class _DrivenArm:
     controls: Float[Array, "3 n_controls"]
 
     def begin(self, given: tuple[RodState, Muscles]) -> tuple[Any, Muscles, Array]:
-        """The first drift; the last entry states that the action is new."""
+        """Drifts half a time step to the first kick.
+
+        Returns:
+            Motion, muscles, and True, which says that the commanded values are new.
+        """
         state, muscles = given
         return self.stepper.begin(state), muscles, jnp.ones((), bool)
 
     def cycle(self, carry: tuple[Any, Muscles, Array]) -> tuple[Any, Muscles, Array]:
-        """Muscles, kick, and a drift to the next kick."""
+        """Updates the muscles, kicks, and drifts one time step to the next kick."""
         kicked, muscles = self._kicked(carry)
         moved = self.stepper.drift(kicked, self.stepper.dt)
         return moved, muscles, jnp.zeros((), bool)
 
     def end(self, carry: tuple[Any, Muscles, Array]) -> tuple[RodState, Muscles]:
-        """The last kick, and half a drift."""
+        """Updates the muscles, kicks, and drifts half a time step to the end."""
         kicked, muscles = self._kicked(carry)
         moved = self.stepper.drift(kicked, 0.5 * self.stepper.dt)
         return self.stepper.leave(moved), muscles
@@ -148,7 +157,7 @@ def published_arm(
     obstacles: Cylinders | None = None,
     plane: PlaneName | None = None,
 ) -> PublishedArm:
-    """The arm at rest, with the published numbers.
+    """Makes the published arm, straight and at rest.
 
     Args:
         n_elements: Number of elements: 20 in Cases 1 and 2, 50 in Cases 3 and 4.
@@ -156,8 +165,8 @@ def published_arm(
         axis: Axis along the arm: "y" (Cases 1, 2) or "z" (Cases 3, 4).
         spline: Spline through the control points, in rest arc length.
         largest_change: Largest change of a control value in a simulation step; `None`
-            if they jump.
-        obstacles: Cylinders that it may touch.
+            if control values jump to the commanded ones.
+        obstacles: Cylinders that the arm may touch; `None` for no contact.
         plane: Plane of motion, if any; obstacles are perpendicular to it.
     """
     rod, rest = published_rod(n_elements, start, axis)
@@ -187,18 +196,19 @@ def published_arm(
 
 @pytree
 class ViscousDrag(Effect):
-    r"""Drag of the first Elastica, which the published benchmark used.
+    r"""Viscous drag of the first release of Elastica, which the benchmark used.
 
-    Explicit viscous forces and couples per current length, $f = -\nu\, \bar v\, \ell$
-    and $c = -\nu\, \omega\, \ell$; PyElastica mode only. PyElastica 1.0 has no such
-    drag. It belongs to the benchmark and is kept out of the simulator.
+    Each element of current length $\ell$ gets the force $f = -\nu\, \bar v\, \ell$ and
+    the couple $c = -\nu\, \omega\, \ell$, explicit in time; PyElastica mode only.
+    PyElastica 1.0 has no such drag.
     """
 
     viscosity: Float[Array, ""]
-    """Force per length and speed [kg/(m s)], and couple per length and spin."""
+    """Force per length and speed [kg/(m s)]; the same number is the couple per length
+    and angular velocity [kg m/s]."""
 
     def loads(self, rod: Rod, motion: Motion) -> Loads:
-        """Drag of each element; its two nodes share the force equally."""
+        """Drag forces and couples; half of an element's force acts on each node."""
         drag = -self.viscosity * motion.lengths
         x, y, z = motion.velocity
         means = (0.5 * (x[1:] + x[:-1]), 0.5 * (y[1:] + y[:-1]), 0.5 * (z[1:] + z[:-1]))
@@ -209,7 +219,7 @@ class ViscousDrag(Effect):
         )
 
     def stability_bound(self, rod: Rod) -> StabilityBound:
-        """Bound of explicit drag, for the rod at its rest length."""
+        """Drag of nodes and elements at rest length, which limits the time step."""
         drag = self.viscosity * rod.rest_lengths
         nodes = 0.5 * (vectors.pad(drag, 0, 1) + vectors.pad(drag, 1, 0))
         return StabilityBound(node_drag=nodes, element_drag=drag)
@@ -217,30 +227,31 @@ class ViscousDrag(Effect):
 
 @pytree
 class MuscleParams:
-    """Parameters of the muscles."""
+    """Spline, couple and rate limit of the muscles of the published arm."""
 
     spline: ControlSpline
-    """Spline through the control points, in rest arc length."""
+    """Spline along the arm through the control values, over rest arc length."""
     torque: Float[Array, ""]
     """Couple on an element for a control value of one [N m]."""
     largest_change: Float[Array, ""] | None
-    """Largest change of a control value in a simulation step; `None` if they jump."""
+    """Largest change of a control value in a simulation step [1]; `None` if control
+    values jump to the commanded ones."""
 
 
 @pytree
 class Muscles:
-    """State of the muscles: rate-limited control values, held couples.
+    """State of the muscles: rate-limited control values, and the resulting couples.
 
-    Every direction (bending about d1, about d2, twist) is a muscle of its own. In a
-    simulation step in which its control values differ from the commanded ones, they
-    move towards them, at most by a given change if there is one. The couples are then
-    evaluated on the spline through the control values, at the elements' far ends, in
-    the current arc length. Once the commanded values are reached the couples stay
-    constant, for any motion of the arm.
+    Each direction (bending about d1, about d2, twist) is a separate muscle. While its
+    control values differ from the commanded ones, they move towards them in every
+    simulation step, by `largest_change` at most. The couples are then read from the
+    spline through the control values, at the far end of each element, in current arc
+    length. Once the commanded values are reached the couples stay constant, for any
+    motion of the arm.
     """
 
     applied: Float[Array, "3 n_controls"]
-    """Control values [1] about d1, d2 and d3."""
+    """Control values after the rate limit, about d1, d2 and d3 [1]."""
     couples: Float[Array, "3 n"]
     """Couples on the elements, material frame [N m]."""
 
@@ -261,15 +272,15 @@ def contract(
     renewed: Bool[Array, ""],
     params: MuscleParams,
 ) -> Muscles:
-    """Returns the muscles in the next simulation step.
+    """Moves the control values towards the commanded ones, and updates the couples.
 
     Args:
-        muscles: State in the step before.
+        muscles: Muscles after the previous simulation step.
         commanded: Commanded control values [1].
         lengths: Current lengths of the elements [m].
-        renewed: Whether the commanded values are new in this step. If they happen to
-            equal the old ones the couples do not change, but from now on they follow
-            the derivatives of the new values.
+        renewed: Whether the commanded values are new in this step. If they equal the
+            old ones, the couples keep their values, but their derivatives become those
+            with respect to the new commanded values.
         params: Parameters of the muscles.
     """
     missing = commanded - muscles.applied

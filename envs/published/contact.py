@@ -7,13 +7,13 @@ element are pushed by $-F \hat n$ in full (the base by half of it), where
 $$F = \max(0,\ (f - f_c)\cdot\hat n)
       + \tfrac12 [\gamma > 0]\,(k \gamma + \nu\, \bar v \cdot \hat n).$$
 
-$f$ is the mean of all forces on the two nodes found so far. $f_c$ is the force that
-this cylinder has taken up so far in this step. The first term cancels the force that
-presses the element against the cylinder. Elements and cylinders are treated one after
-another, so every force depends on those before it.
+$f$ is the mean over the two nodes of all forces computed so far. $f_c$ is the sum of
+the forces that this cylinder has taken up so far in this step, from all elements. The
+first term cancels the force that presses the element against the cylinder. Elements and
+cylinders are treated one after another, so every force depends on those before it.
 
-Before that, a cylinder is skipped altogether unless its box and the arm's overlap. The
-box is wrong for a cylinder whose `normal` is parallel to its direction: it then has no
+The broad phase skips a cylinder unless its bounding box and the arm's overlap. The box
+is wrong for a cylinder whose `normal` is parallel to its direction: it then has no
 width. (PyElastica 1.0 still has this box, but not the first term of the force.)
 """
 
@@ -37,10 +37,10 @@ from jaxrod.methods.planar_verlet import PLANES, PlaneName
 from jaxrod.structure import pytree, static
 
 Components = tuple[Array, ...]
-"""Three components of a vector field, or the two in a plane."""
+"""Components of a vector field, one array each: three, or two in a plane."""
 
 FARTHEST_GAP = 1e-5
-"""Gap up to which the force-cancelling term acts [m]."""
+"""Largest gap between element and cylinder at which forces are cancelled [m]."""
 
 PARALLEL = 1e-6
 """Squared sine of an angle below which element and cylinder count as parallel."""
@@ -48,22 +48,22 @@ PARALLEL = 1e-6
 
 @pytree
 class PublishedContact(Effect):
-    """The published contact of an arm with cylinders; PyElastica mode only.
+    """Published contact law of an arm with cylinders; PyElastica mode only.
 
     It must be listed after all other effects that exert forces.
     """
 
     cylinders: Cylinders
     stiffness: Float[Array, ""]
-    """Stiffness k [N/m]."""
+    """Contact force per overlap, k [N/m]."""
     damping: Float[Array, ""]
-    """Damping nu [kg/s]."""
+    """Contact force per speed of approach, nu [kg/s]."""
     plane: PlaneName | None = static(default=None)
     """Plane perpendicular to all cylinders, if the arm and everything that acts on it
     stay in it: forces out of this plane are ignored."""
 
     def loads_after(self, rod: Rod, motion: Motion, before: Loads) -> Loads:
-        """Contact forces, which depend on all forces found so far."""
+        """Contact forces on the nodes, from all forces of the effects listed before."""
         if before.forces is None:
             raise ValueError("PublishedContact needs the forces found so far")
         forces = self._seen(before.forces)
@@ -81,9 +81,11 @@ class PublishedContact(Effect):
     def encounters(
         self, rod: Rod, motion: Motion
     ) -> tuple[Components, Float[Array, "m n"]]:
-        """Unit vectors from element to cylinder, and the elastic and viscous push [N].
+        """Contact normals n, and pushes 1/2 (k overlap + nu v . n) [N].
 
-        Both are zero without contact.
+        Entry (j, i) is cylinder j and element i. A normal is the unit vector from the
+        element's closest point to the cylinder's, zero beyond `FARTHEST_GAP`. A push is
+        zero without overlap.
         """
         lengths = motion.lengths
         radii = rod.radii * jnp.sqrt(rod.rest_lengths / lengths)
@@ -107,7 +109,7 @@ class PublishedContact(Effect):
         return normal, jnp.where(active & (overlap > 0), push, 0)
 
     def _seen(self, vector: Vec3) -> Components:
-        """Components of a vector that contact uses."""
+        """Components of a vector in the plane of motion; all three without a plane."""
         if self.plane is None:
             return vector
         a, b, _ = PLANES[self.plane]
@@ -116,7 +118,7 @@ class PublishedContact(Effect):
     def _closest_in_plane(
         self, motion: Motion, cylinders: Cylinders
     ) -> tuple[Components, Float[Array, "m n"]]:
-        """Version of `_closest_points` in a plane, where cylinder axes are points."""
+        """Planar version of `_closest_points`: a cylinder's axis is a point."""
         offset = tuple(
             c[None, :-1] - start[:, None]
             for c, start in zip(motion.position, cylinders.starts, strict=True)
@@ -134,7 +136,7 @@ def boxes_overlap(
     lengths: Float[Array, " n"],
     radii: Float[Array, " n"],
 ) -> Bool[Array, " m"]:
-    """Whether the box of the arm and the published box of each cylinder overlap."""
+    """Whether each cylinder's published bounding box overlaps that of the arm."""
     margin = jnp.max(radii) + jnp.max(lengths)
     d1 = vectors.split(cylinders.normals)
     d3 = vectors.split(cylinders.directions)
@@ -152,11 +154,11 @@ def boxes_overlap(
 def _closest_points(
     motion: Motion, cylinders: Cylinders
 ) -> tuple[Vec3, Float[Array, "m n"]]:
-    """Vectors from elements to cylinder axes between their closest points [m].
+    """Vector from each element to each cylinder axis between their closest points [m].
 
     Returns:
-        The vectors, and the squared distance of each element's first node from each
-        cylinder's start [m^2].
+        The vectors (cylinder, element), and the squared distance of each element's
+        first node from each cylinder's start [m^2].
     """
     edge = _rows(vectors.inner_difference(motion.position))
     axis = _columns(vectors.split(cylinders.directions))
@@ -182,24 +184,24 @@ def _closest_points(
 
 
 def _rows(field: Vec3) -> Vec3:
-    """A field with one value per element, as rows."""
+    """Adds a leading axis to a field over elements: shape (n,) becomes (1, n)."""
     return field[0][None, :], field[1][None, :], field[2][None, :]
 
 
 def _columns(field: Vec3) -> Vec3:
-    """A field with one value per cylinder, as columns."""
+    """Adds a trailing axis to a field over cylinders: shape (m,) becomes (m, 1)."""
     return field[0][:, None], field[1][:, None], field[2][:, None]
 
 
 def _sweep(
     forces: Components, normals: Components, pushes: Float[Array, "m n"]
 ) -> Components:
-    """Adds contact forces element by element, cylinder by cylinder.
+    """Adds the contact forces of all cylinders and elements to the node forces [N].
 
-    Cylinder j can treat element i as soon as it has treated element i - 1 and the
-    cylinder before it has treated element i + 1. So all cylinders work at the same
-    time, each two elements behind the previous one, and pass on the nodes they have
-    finished.
+    The published loops run over cylinders, then over elements. Cylinder j can treat
+    element i once it has treated element i - 1 and cylinder j - 1 has treated element
+    i + 1. So all cylinders are treated in parallel, each two elements behind the
+    previous one.
 
     Each component is a separate array: stacked, they would cost XLA four times as much.
     """
@@ -235,7 +237,7 @@ def _sweep(
 
 
 def _skewed(field: Float[Array, "m n"], rounds: int) -> Float[Array, "rounds m"]:
-    """A field arranged by round: in round r cylinder j is at element r - 2 j - 1."""
+    """Field arranged by round of `_sweep`: row r, column j has element r - 2 j - 1."""
     count, n = field.shape
     wide = jnp.pad(field, ((0, 0), (1, rounds + 1 - n)))
     flat = jnp.reshape(wide, (count * (rounds + 2),))[: count * rounds]
@@ -243,10 +245,10 @@ def _skewed(field: Float[Array, "m n"], rounds: int) -> Float[Array, "rounds m"]
 
 
 def _each(function: Callable[..., Array], *fields: Components) -> Components:
-    """Applies a function to each component of the fields in turn."""
+    """Applies a function to the fields' components, one component at a time."""
     return tuple(map(function, *fields))
 
 
 def _dot(a: Components, b: Components) -> Array:
-    """Scalar product, entry by entry."""
+    """Scalar product of two vector fields at each entry: the sum of a_k b_k."""
     return reduce(lambda s, t: s + t, (x * y for x, y in zip(a, b, strict=True)))

@@ -1,1 +1,1 @@
-"""Bodies of the tasks other than the arms: their materials, and the effects on them."""
+"""Soft bodies of the tasks outside the benchmark, and the effects on them."""

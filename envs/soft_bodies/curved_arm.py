@@ -1,4 +1,4 @@
-r"""A soft arm that takes the commanded curvature, segment by segment.
+r"""A soft arm whose rest curvature is commanded, segment by segment.
 
 The arm is the benchmark's (1 m, 5 cm, 10 MPa, 1000 kg/m^3). It stands upright on the
 ground and is subject to gravity. Each of its five equal segments has an angle about
@@ -44,9 +44,9 @@ from jaxrod.schedules import Ramp
 from jaxrod.structure import pytree
 
 N_SEGMENTS = 5
-"""Number of segments, each with its own angle about each transverse axis."""
+"""Number of equal segments, each with an angle about each transverse axis."""
 GRAVITY = 9.8
-"""[m/s^2]"""
+"""Gravitational acceleration [m/s^2]."""
 DAMPING = 4.0
 """Damping rate of translation and rotation [1/s]."""
 MOST_ANGLE = 2.0
@@ -58,17 +58,17 @@ class CurvedArm:
     """Parameters of the arm and of everything that acts on it."""
 
     rod: Rod
-    """The arm, with scaled transverse rotary inertia."""
+    """Geometry and material of the arm, with scaled transverse rotary inertia."""
     rest: RodState
-    """State upright, straight and at rest."""
+    """State of the arm upright, straight and at rest."""
     held: Clamp
-    """Clamp at the ground."""
+    """Clamp of the arm's base at the ground."""
     weight: Gravity
-    """Gravity along the arm, downwards."""
+    """Gravity, downwards."""
     damping: ExponentialDamping
-    """Damping of translation and rotation."""
+    """Exponential damping of translation and rotation."""
     shares: Float[Array, "n+1 segments"]
-    """Curvature of the joint at each node for a unit angle of each segment [1/m]."""
+    """Rest curvature at each node's joint per angle of each segment [1/m per rad]."""
     most_angle: Float[Array, ""]
     """Largest angle of a segment about an axis, either way [rad]."""
     largest_change: Float[Array, ""]
@@ -87,14 +87,15 @@ class CurvedArm:
         """Advances the arm by the simulation steps of one control step.
 
         Args:
-            state: The arm.
+            state: State of the arm.
             before: Angles of the segments about d1 and d2 at the beginning [rad].
             after: Angles at the end; linear in time in between [rad].
             dt: Time step [s].
             n_steps: Number of steps, at least 1.
 
         Returns:
-            The arm, and whether a health flag rose; the arm is then unchanged.
+            The state of the arm, and whether a health flag rose; if so, the state is
+            unchanged.
         """
         curvature = Ramp(
             first=self.curvatures(before),
@@ -109,7 +110,7 @@ class CurvedArm:
     def turned(
         self, angles: Float[Array, "2 segments"], action: Float[Array, " action"]
     ) -> Float[Array, "2 segments"]:
-        """Angles after an action changes them [rad].
+        """Angles after an action: angles + largest_change action, clipped [rad].
 
         Args:
             angles: Angles before the action [rad].
@@ -120,7 +121,7 @@ class CurvedArm:
         return jnp.clip(angles + change, -self.most_angle, self.most_angle)
 
     def curvatures(self, angles: Float[Array, "2 segments"]) -> Float[Array, "3 n+1"]:
-        """Rest curvature of the joint at each node, without twist [1/m]."""
+        """Rest curvature at each node's joint about d1 and d2; no twist [1/m]."""
         about = jnp.sum(self.shares[None] * angles[:, None, :], axis=-1)
         return jnp.concatenate([about, jnp.zeros_like(about[:1])])
 
@@ -135,7 +136,7 @@ class CurvedArm:
 
 
 def curved_arm(n_elements: int, largest_change: float) -> CurvedArm:
-    """The arm at rest, in JAX's default precision.
+    """Makes the arm, upright and at rest, in JAX's default precision.
 
     Args:
         n_elements: Number of elements.
@@ -162,7 +163,11 @@ def curved_arm(n_elements: int, largest_change: float) -> CurvedArm:
 
 
 def _shares(n_elements: int) -> np.ndarray:
-    """Mean curvature over each node's joint, for a unit angle of each segment [1/m]."""
+    """Curvature at each node's joint per angle of each segment (n+1, segments) [1/m].
+
+    A segment of length L with a unit angle has curvature 1/L. A joint reaches from
+    midpoint to midpoint of adjacent elements, and gets the mean over this length.
+    """
     nodes = np.linspace(0.0, 1.0, n_elements + 1)
     middles = 0.5 * (nodes[1:] + nodes[:-1])
     starts, ends = np.append(0.0, middles), np.append(middles, 1.0)

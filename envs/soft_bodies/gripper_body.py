@@ -1,9 +1,10 @@
 r"""A gripper of three soft fingers, a ball and the table it lies on.
 
-The fingers hang from a wrist that follows commands. They are one member of equal rods,
-of soft silicone. A chamber on the outer side of each bends it inwards under pressure
-and outwards under suction. The ball is a rigid body. Fingers touch the ball and the
-table, and the ball touches the table, all with friction.
+The fingers hang from a wrist whose position is commanded. They are of soft silicone,
+and form one member of the system: a stack of equal rods. A chamber on the outer side of
+each finger bends it inwards under pressure and outwards under suction. The ball is a
+rigid body. Fingers touch the ball and the table, and the ball touches the table, all
+with friction.
 """
 
 from __future__ import annotations
@@ -31,35 +32,35 @@ RADIUS = 0.008
 DENSITY = 1100.0
 """Density of a finger [kg/m^3]."""
 YOUNGS_MODULUS = 5e5
-"""[Pa]"""
+"""Young's modulus of a finger [Pa]."""
 BASE = 0.05
-"""Distance of the fingers' roots from the middle of the wrist [m]."""
+"""Horizontal distance of the fingers' roots from the middle of the wrist [m]."""
 AREA, OFFSET = 4e-5, 5e-3
 """Cross-section of a chamber [m^2], and its distance from the finger's axis [m]."""
 MOST_PRESSURE = 1.25e5
 """Largest pressure in the chambers [Pa]: a free finger bends to 15/m, 1.5 rad over its
 length."""
 RATE = 15.0
-"""Damping rate of the fingers [1/s]."""
+"""Exponential damping rate of the fingers [1/s]."""
 BALL = 0.03
 """Radius of the ball [m]."""
 BALL_DENSITY = 100.0
-"""[kg/m^3]"""
+"""Density of the ball [kg/m^3]."""
 GRAVITY = 9.81
-"""[m/s^2]"""
+"""Gravitational acceleration [m/s^2]."""
 FRICTION = 0.8
-"""[1]"""
+"""Friction coefficient of fingers, ball and table [1]."""
 STIFFNESS, DAMPING, FRICTION_DRAG = 4e4, 4.0, 4.0
-"""Contact of fingers and ball, per length of a finger [N/m^2], [kg/(m s)], [kg/(m s)].
-When random actions press the ball into the table with about 1 N, the tips sink into the
-ball by less than 0.8 of their radius. At 5e3 N/m^2 their centreline entered the
-ball."""
+"""Contact of fingers and ball, per length of a finger: stiffness [N/m^2], damping
+[kg/(m s)], and largest friction per slip speed [kg/(m s)]. When random actions press
+the ball into the table with about 1 N, the tips sink into the ball by less than 0.8 of
+their radius. With 5e3 N/m^2 their centreline entered the ball."""
 TABLE_STIFFNESS = 500.0
 """Stiffness of the contact of ball and table [N/m]."""
 SUNK = 4 / 3 * math.pi * BALL**3 * BALL_DENSITY * GRAVITY / TABLE_STIFFNESS
-"""Indentation of the table when it carries the full weight of the ball [m]."""
+"""Indentation of the table under the full weight of the ball, m g / k [m]."""
 HIGHEST = 0.2
-"""Height of the wrist above the table at the start [m]."""
+"""Height of the wrist above the table in the state `rest`, its highest [m]."""
 
 
 @pytree
@@ -70,15 +71,15 @@ class GripperBody:
     """Members "fingers" and "ball"; the first two effects of the fingers are the wrist
     and the chambers."""
     rest: dict[str, RodState | jaxrod.systems.BodyState]
-    """Fingers straight down, the ball below them on the table, all at rest."""
+    """States at rest: fingers straight down, the ball below them on the table."""
     most_pressure: Float[Array, ""]
-    """Pressure in a chamber for a control value of one [Pa]."""
+    """Pressure in a chamber per control value of the chamber [Pa]."""
     limits: HealthLimits = dataclasses.field(default_factory=HealthLimits)
     """Health limits beyond which everything is frozen."""
 
     @property
     def fingers(self) -> Scene:
-        """The fingers, with a leading axis."""
+        """Scene of the fingers; every leaf has a leading axis over the three."""
         fingers: Any = self.system.members["fingers"]
         return fingers
 
@@ -93,15 +94,15 @@ class GripperBody:
         """Advances fingers and ball by the simulation steps of one control step.
 
         Args:
-            state: Fingers and ball.
-            before: Displacement of the wrist from its start [m], and control values of
-                the chambers [1], at the beginning.
+            state: State of fingers and ball.
+            before: Displacement of the wrist from its place in `rest` [m], and control
+                values of the chambers [1], at the beginning.
             after: The same at the end; linear in time in between.
             dt: Time step [s].
             n_steps: Number of steps, at least 1.
 
         Returns:
-            Fingers and ball, and whether a health flag rose; they are then unchanged.
+            The state, and whether a health flag rose; if so, the state is unchanged.
         """
         duration = jnp.broadcast_to(n_steps * dt, (N_FINGERS,))
         moving = [
@@ -115,12 +116,16 @@ class GripperBody:
         return jaxrod.freeze(flagged, state, moved), flagged
 
     def _told(self, wrist: Array, controls: Array) -> tuple[Array, Array]:
-        """Displacement of every root [m], and pressure in every chamber [Pa]."""
+        """Converts wrist displacement and control values to those of each finger.
+
+        Returns:
+            Displacement of every finger's root [m], and pressure in its chamber [Pa].
+        """
         roots = jnp.broadcast_to(wrist, (N_FINGERS, 3))
         return roots, self.most_pressure * controls
 
     def _acting(self, wrist: Ramp, pressure: Ramp) -> System:
-        """The system with the commanded wrist and chamber pressures."""
+        """System whose wrist displacement [m] and chamber pressures [Pa] are ramps."""
         driven: Any
         chamber: Any
         driven, chamber, *others = self.fingers.effects
@@ -137,7 +142,7 @@ class GripperBody:
 
 
 def gripper_body(n_elements: int) -> GripperBody:
-    """Gripper and ball at rest, in JAX's default precision.
+    """Makes gripper and ball, at rest, in JAX's default precision.
 
     Args:
         n_elements: Number of elements of every finger.

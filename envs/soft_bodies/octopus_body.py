@@ -1,10 +1,11 @@
 r"""An octopus on the sea floor: a rigid head, eight soft arms, water and ground.
 
-The arms are one member of equal rods, attached to the lower side of the head, of soft
-silicone (an elastic modulus of 30 kPa). Arms and head are a tenth denser than the water
-and lie on the floor, with friction. The water drags on the arms. Muscles impose a
-separate curvature on every arm (`jaxrod.actuation.ActiveShape`), sideways and upwards,
-uniform along the arm. An arm in free space would take this curvature.
+The arms are of soft silicone (an elastic modulus of 30 kPa), attached to the lower side
+of the head. In the system they are one member: a stack of equal rods. Arms and head are
+a tenth denser than the water. The arms lie on the floor, with friction. The water drags
+on the arms. Muscles impose a separate curvature on every arm
+(`jaxrod.actuation.ActiveShape`), sideways and upwards, uniform along the arm. An arm in
+free space would take this curvature.
 
 Transverse rotary inertia of the arms is scaled up (`jaxrod.scale_inertia`); slow motion
 in water is insensitive to it.
@@ -35,16 +36,16 @@ RADII = (0.012, 0.006)
 HEAD = 0.03
 """Radius of the head [m]."""
 DENSITY, WATER = 1100.0, 1000.0
-"""[kg/m^3]"""
+"""Densities of arms and head, and of the water [kg/m^3]."""
 YOUNGS_MODULUS = 3e4
-"""[Pa]"""
+"""Young's modulus of the arms [Pa]."""
 GRAVITY = 9.81
-"""[m/s^2]"""
+"""Gravitational acceleration [m/s^2]."""
 FRICTION = 0.6
-"""[1]"""
+"""Friction coefficient of the arms on the floor [1]."""
 MOST_CURVATURE = 15.0
-"""Largest curvature of an arm from its muscles, about either axis: 3 rad over its
-length [1/m]."""
+"""Largest curvature that the muscles impose on an arm about either transverse axis, 3
+rad over the arm's length [1/m]."""
 
 
 @pytree
@@ -54,11 +55,11 @@ class OctopusBody:
     system: System
     """Members "arms" and "head"; the arms' last effect is their muscles."""
     rest: dict[str, RodState | jaxrod.systems.BodyState]
-    """All arms straight, parallel to the floor, and at rest."""
+    """States at rest: all arms straight and parallel to the floor."""
     angles: Float[Array, "8"]
     """Directions of the arms at rest, measured from x towards y [rad]."""
     most_curvature: Float[Array, ""]
-    """Curvature for a control value of one [1/m]."""
+    """Rest curvature of an arm for a control value of one [1/m]."""
     largest_change: Float[Array, ""]
     """Largest change of a control value from one control step to the next [1]."""
     limits: HealthLimits = dataclasses.field(default_factory=HealthLimits)
@@ -66,7 +67,7 @@ class OctopusBody:
 
     @property
     def arms(self) -> Scene:
-        """The arms, with a leading axis."""
+        """Scene of the arms; every leaf has a leading axis over the eight."""
         arms: Any = self.system.members["arms"]
         return arms
 
@@ -81,7 +82,7 @@ class OctopusBody:
         """Advances the octopus by the simulation steps of one control step.
 
         Args:
-            state: The octopus.
+            state: State of the octopus.
             before: Control values of every arm at the beginning, sideways (to the left
                 as seen from the head) and upwards [1].
             after: Control values at the end [1].
@@ -89,7 +90,7 @@ class OctopusBody:
             n_steps: Number of steps, at least 1.
 
         Returns:
-            The octopus, and whether a health flag rose; it is then unchanged.
+            The state, and whether a health flag rose; if so, the state is unchanged.
         """
         duration = n_steps * dt
         curvature = Ramp(
@@ -105,7 +106,7 @@ class OctopusBody:
         return jaxrod.freeze(flagged, state, moved), flagged
 
     def _with_curvature(self, curvature: Array | Ramp) -> System:
-        """The system with muscles of this curvature."""
+        """System whose arm muscles impose a rest curvature (8, 3), or a ramp of it."""
         muscles = ActiveShape(curvature=curvature, strain=None)
         effects = (*self.arms.effects[:-1], muscles)
         arms = dataclasses.replace(self.arms, effects=effects)
@@ -113,12 +114,15 @@ class OctopusBody:
         return dataclasses.replace(self.system, members=members)
 
     def _curvatures(self, controls: Float[Array, "8 2"]) -> Float[Array, "8 3"]:
-        """Curvatures about the vertical and the horizontal axis; no twist [1/m]."""
+        """Rest curvatures of the arms about d1 (vertical) and d2 (horizontal) [1/m].
+
+        They are `most_curvature` times the control values. The third, twist, is zero.
+        """
         return self.most_curvature * jnp.pad(controls, ((0, 0), (0, 1)))
 
 
 def octopus_body(n_elements: int, largest_change: float) -> OctopusBody:
-    """The octopus at rest, in JAX's default precision.
+    """Makes the octopus, at rest, in JAX's default precision.
 
     Args:
         n_elements: Number of elements of every arm.

@@ -45,29 +45,29 @@ from jaxrod.schedules import Ramp
 from jaxrod.structure import pytree
 
 LENGTH = 0.35
-"""[m]"""
+"""Length of the snake [m]."""
 RADIUS = 0.011 * LENGTH
-"""[m]"""
+"""Radius of the snake [m]."""
 DENSITY = 1000.0
-"""[kg/m^3]"""
+"""Density of the snake [kg/m^3]."""
 YOUNGS_MODULUS = 1e6
-"""[Pa]"""
+"""Young's modulus of the snake [Pa]."""
 PERIOD = 2.0
 """Period of the published gait [s]."""
 GRAVITY = 9.80665
-"""[m/s^2]"""
+"""Gravitational acceleration [m/s^2]."""
 FROUDE = 0.1
-"""Froude number: ratio of inertial forces to friction at the published period [1]."""
+"""Froude number, length / (period^2 g friction): inertia over friction [1]."""
 DAMPING = 2e-3
-"""PyElastica's damping rate of translation [1/s]; the rate of rotation is m/J times
-this."""
+"""PyElastica's damping rate of translation [1/s]. The rate of rotation is this number
+times m/J, with mass m and moment of inertia J of an element in SI units."""
 RELAXATION_TIME = 0.05
 """Ratio of viscous to elastic bending stiffness [s]. The lowest free vibration, with a
 period of 0.56 s, has a damping ratio of 0.28. PyElastica's snake has no such damping,
-and a policy would learn to exploit its shaking."""
+and a policy would learn to exploit the vibration."""
 DRAG_RATE = 1000.0
-"""Largest friction per mass and slip speed [1/s]: the snake creeps at 1.7 mm/s or
-less."""
+"""Largest ratio of friction per mass to slip speed [1/s]. Friction is regularised, so
+the snake creeps, at 1.7 mm/s or less."""
 
 
 @pytree
@@ -75,13 +75,14 @@ class SnakeBody:
     """Parameters of the snake and of everything that acts on it."""
 
     rod: Rod
-    """The snake, its head last, with scaled transverse rotary inertia."""
+    """Geometry and material of the snake, with scaled transverse rotary inertia; the
+    head is the last node."""
     rest: RodState
-    """State straight along x, at rest, its middle at the origin."""
+    """State of the snake straight along x, at rest, with its middle at the origin."""
     ground: FlatGround
-    """The ground under the snake."""
+    """Friction of the ground under the snake."""
     damping: ExponentialDamping
-    """Damping of translation and rotation."""
+    """Exponential damping of translation and rotation."""
     relaxation_time: Float[Array, ""]
     """Ratio of viscous to elastic bending stiffness [s]."""
     basis: Float[Array, "n-1 controls"]
@@ -94,7 +95,10 @@ class SnakeBody:
     """Health limits beyond which the snake is frozen."""
 
     def scene(self) -> Scene:
-        """Scene without muscles and viscosity; the latter does not limit the step."""
+        """Scene of the snake without muscles and bending viscosity.
+
+        Neither of them limits the time step.
+        """
         return Scene(self.rod, (self.ground, self.damping), planar("xy"))
 
     def advance(
@@ -108,14 +112,14 @@ class SnakeBody:
         """Advances the snake by the simulation steps of one control step.
 
         Args:
-            state: The snake.
+            state: State of the snake.
             before: Control values at the beginning [1].
             after: Control values at the end [1].
             dt: Time step [s].
             n_steps: Number of steps, at least 1.
 
         Returns:
-            The snake, and whether a health flag rose; it is then unchanged.
+            The state, and whether a health flag rose; if so, the state is unchanged.
         """
         scene = self.scene()
         couples = Ramp(
@@ -135,17 +139,21 @@ class SnakeBody:
         return freeze(flagged, state, moved), flagged
 
     def couples(self, controls: Float[Array, " controls"]) -> Float[Array, "3 n"]:
-        """Couples on the elements, opposite on the two sides of every joint [N m]."""
+        """Couples of the muscles on the elements, material frame [N m].
+
+        The couple about d1, the vertical, is the muscle moment of the joint towards the
+        tail minus that of the joint towards the head.
+        """
         moments = self.strongest * jnp.sum(self.basis * controls[None, :], axis=1)
         about = vectors.pad(moments, 1, 0) - vectors.pad(moments, 0, 1)
         return jnp.stack([about, jnp.zeros_like(about), jnp.zeros_like(about)])
 
     def centre(self, state: RodState) -> Float[Array, "2"]:
-        """Centre of mass in the plane [m]."""
+        """Centre of mass of the snake, x and y [m]."""
         return _mean(self.rod.node_masses, state.positions[:2])
 
     def centre_velocity(self, state: RodState) -> Float[Array, "2"]:
-        """Velocity of the centre of mass [m/s]."""
+        """Velocity of the centre of mass, x and y [m/s]."""
         return _mean(self.rod.node_masses, state.velocities[:2])
 
     def bends(self, state: RodState) -> Float[Array, " n-1"]:
@@ -155,7 +163,7 @@ class SnakeBody:
         return jnp.arctan2(cross, x[:-1] * x[1:] + y[:-1] * y[1:])
 
     def bend_rates(self, state: RodState) -> Float[Array, " n-1"]:
-        """Rates of these angles [rad/s]."""
+        """Rates of the angles between neighbouring elements [rad/s]."""
         about = angular_velocities(self.rod, state)[0]
         return about[1:] - about[:-1]
 
@@ -167,7 +175,7 @@ def _mean(masses: Array, field: Float[Array, "2 n+1"]) -> Float[Array, "2"]:
 def snake_body(
     n_elements: int, n_controls: int, strongest: float, largest_change: float
 ) -> SnakeBody:
-    """The snake at rest, in JAX's default precision.
+    """Makes the snake, at rest, in JAX's default precision.
 
     Args:
         n_elements: Number of elements, a multiple of `n_controls + 1`.
@@ -220,22 +228,22 @@ def snake_body(
 class FlatGround(Effect):
     """Anisotropic friction of a rod that lies on flat ground with its full weight.
 
-    A rod that moves in the plane of the ground always presses on it with its weight per
-    length. So the friction of `jaxrod.contact` with `friction=(forward, backward,
-    sideways)` has a known normal force, and the motion is planar. This takes a third of
-    the work of a rod in space that rests on a stiff ground, and there is no vertical
+    The friction law is that of `jaxrod.contact` with `friction=(forward, backward,
+    sideways)`. The normal force is known: a rod that moves in the plane of the ground
+    presses on it with its weight per length. So the motion is planar. This takes a
+    third of the work of a rod in space on stiff ground, and there is no vertical
     vibration to resolve.
     """
 
     weight: Float[Array, ""]
     """Normal force per length of rod [N/m]."""
     friction: Float[Array, "3"]
-    """Coefficients forward (along d3), backward and sideways [1]."""
+    """Friction coefficients forward (along d3), backward and sideways [1]."""
     friction_drag: Float[Array, ""]
-    """Largest friction per length and slip speed [kg/(m s)]."""
+    """Largest ratio of friction per length to slip speed [kg/(m s)]."""
 
     def loads(self, rod: Rod, motion: Motion) -> Loads:
-        """Friction on the nodes, with the mean direction of the adjacent elements."""
+        """Friction forces on the nodes; forward is the mean d3 of adjacent elements."""
         axis = _at_nodes(directors(motion.orientation)[2])
         density = directional_friction_force(
             self.weight, motion.velocity, axis, self.friction, self.friction_drag
@@ -243,18 +251,18 @@ class FlatGround(Effect):
         return Loads(forces=vectors.scale(_lengths(rod), density))
 
     def stability_bound(self, rod: Rod) -> StabilityBound:
-        """Bound from the drag at the onset of slip."""
+        """Friction per slip speed of each node at rest, which limits the time step."""
         return StabilityBound(node_drag=self.friction_drag * _lengths(rod))
 
 
 def _lengths(rod: Rod) -> Array:
-    """Length of rod that belongs to each node [m]."""
+    """Rest length of each node: half of each adjacent element [m]."""
     half = 0.5 * rod.rest_lengths
     return vectors.pad(half, 0, 1) + vectors.pad(half, 1, 0)
 
 
 def _at_nodes(axis: Vec3) -> Vec3:
-    """Unit vectors at the nodes, halfway between those of the adjacent elements."""
+    """Unit vectors at the nodes: normalised sums of those of the adjacent elements."""
     x, y, z = (vectors.pad(c, 0, 1) + vectors.pad(c, 1, 0) for c in axis)
     size = vectors.safe_norm((x, y, z))
     return vectors.scale(1 / size, (x, y, z))
@@ -264,32 +272,34 @@ def _at_nodes(axis: Vec3) -> Vec3:
 class BendingViscosity(Effect):
     r"""Viscosity of bending about the vertical: joints resist their rate of bending.
 
-    The moment $-\tau B\,\dot\phi/\hat D$ of every joint, of a Kelvin-Voigt material
-    with the relaxation time $\tau$, changes angular momenta $P$ about the normal only.
-    In a plane $A = \Delta^T (\tau B/\hat D)\,\Delta\,J^{-1}$ is constant, so a backward
-    Euler step is one matrix product, $P \leftarrow (1 + hA)^{-1} P$. It does not limit
-    the time step. It costs a fraction of `jaxrod.internal_damping`, which also damps
-    stretch, shear and twist, in space. A mode of angular frequency $\omega$ decays at
-    $\tau\omega^2/2$.
+    The moment of a joint is $-\tau B\,\dot\phi/\hat D$ (Kelvin-Voigt), with relaxation
+    time $\tau$, bending stiffness $B$, rest length $\hat D$ and angle $\phi$ of the
+    joint. It changes only the elements' angular momenta $P$ about the vertical. In a
+    plane the matrix $A = \Delta^T (\tau B/\hat D)\,\Delta\,J^{-1}$ is constant, with
+    rotary inertia $J$ and differences $\Delta$ of neighbouring elements. So a backward
+    Euler step of size $h$ is one matrix product, $P \leftarrow (1 + hA)^{-1} P$. It
+    does not limit the time step. It costs a fraction of `jaxrod.internal_damping`,
+    which also damps stretch, shear and twist, in space. A mode of angular frequency
+    $\omega$ decays at the rate $\tau\omega^2/2$.
     """
 
     kept: Float[Array, "n n"]
-    """Matrix from the angular momenta before a step to those after it [1]."""
+    """Matrix (1 + h A)^-1 from angular momenta before a step to those after it [1]."""
 
     def dissipate(self, scene: Scene, motion: Motion, dt: Array) -> Motion:
-        """Returns the motion after the bending rates have decayed for one step."""
+        """Returns the motion after viscosity has slowed the bending for one step."""
         x, y, z = motion.spin
         slowed = jnp.sum(self.kept * z[None, :], axis=1)
         return dataclasses.replace(motion, spin=(x, y, slowed))
 
 
 def bending_viscosity(rod: Rod, relaxation_time: Array, dt: Array) -> BendingViscosity:
-    """Viscous bending about the vertical, for a round, level rod in the plane "xy".
+    """Makes the bending viscosity of a round, level rod in the plane "xy".
 
     Args:
         rod: The rod, in a scene of the consistent law.
         relaxation_time: Ratio of viscous to elastic stiffness [s].
-        dt: Time step of the simulation, the same that will be used [s].
+        dt: Time step h of the simulation in which the effect is used [s].
     """
     n = rod.n_elements
     eye = jnp.eye(n, dtype=rod.rest_lengths.dtype)

@@ -1,9 +1,9 @@
 r"""Tasks in which the tip of a soft arm goes to a target, such as `tracking`.
 
-`ArmTask` is their common base: a step, a reward by the distance of the tip from the
-target, a smooth cost for planners, and a picture. `BenchmarkTask` adds the published
-benchmark's arm, with couples along it that a few control values set every 1.4 ms. Each
-of its tasks defines the targets and the observed numbers.
+`ArmTask` is their base class: a step, a reward by the distance of the tip from the
+target, a smooth cost for planners, and a snapshot. `BenchmarkTask` adds the published
+benchmark's arm. A few control values set the couples along it every 1.4 ms. Each
+subclass defines the target and the observation.
 """
 
 from __future__ import annotations
@@ -31,36 +31,37 @@ from jaxrod.validation import Numbers, check_count
 Variant = Literal["paper", "clean"]
 
 OBSERVED_NODES = 11
-"""Number of observed points of the arm, including base and tip."""
+"""Number of observed nodes of the arm, equidistant, including base and tip."""
 COST_WIDTH = 0.1
-"""Distance from the target beyond which the cost of a plan grows linearly [m]."""
+"""Distance from the target beyond which a planner's cost grows linearly [m]."""
 
 
 @pytree
 class Bonus:
-    """Distances within which the two bonuses of the reward are paid, inclusive."""
+    """Largest distances from the target at which the reward has its two bonuses."""
 
     near: Float[Array, ""]
-    """Distance within which the first bonus is paid [m]."""
+    """Largest distance at which the reward has the first bonus, 0.5 [m]."""
     touching: Float[Array, ""]
-    """Distance within which the second bonus is paid as well [m]."""
+    """Largest distance at which the reward also has the second bonus, 1.5 [m]."""
 
 
 class ArmTask(ABC):
-    """Base of the tasks; a frozen dataclass inherits it.
+    """Base class of tasks in which an arm's tip goes to a target.
 
-    States have the fields `arm`, `target` (with a `position`) and `steps`; parameters
-    have `arm`, `dt`, `target`, `bonus` and, with a variant "paper", `crash_reward`.
+    Subclasses are frozen dataclasses. Their states have the fields `arm`, `target`
+    (with a `position`) and `steps`. Their parameters have `arm`, `dt`, `target`,
+    `bonus` and, with a variant "paper", `crash_reward`.
     """
 
     variant: str
-    """Variant of the physics."""
+    """Variant of the physics: "paper" (as published) or "clean" (this library's)."""
     n_elements: int
-    """Elements of the arm."""
+    """Number of elements of the arm."""
     substeps: int
-    """Simulation steps per control step."""
+    """Number of simulation steps per control step."""
     episode_length: int
-    """Control steps per episode."""
+    """Number of control steps per episode."""
 
     control_period: ClassVar[float] = CONTROL_PERIOD
     """Time between actions [s]."""
@@ -80,11 +81,14 @@ class ArmTask(ABC):
     ) -> tuple[Any, Bool[Array, ""]]:
         """Returns the state one control step later, and whether the arm crashed.
 
+        An arm crashes when its state is not finite ("paper") or when a health flag
+        rises ("clean").
+
         Args:
             key: Random key of the step; `None` for a step without random events.
             state: Current state.
             action: In [-1, 1].
-            params: Numbers of the task.
+            params: Parameters of the task.
         """
 
     @abstractmethod
@@ -98,7 +102,7 @@ class ArmTask(ABC):
         action: Float[Array, " action"],
         params: Any,
     ) -> Step:
-        """Advances one control step: the arm follows the action, the target moves."""
+        """Advances one control step: moves arm and target, then rewards the state."""
         before = state
         state, crashed = self.moved(key, state, action, params)
         observation = self.observe(state, params)
@@ -122,20 +126,23 @@ class ArmTask(ABC):
         before: Any,
         params: Any,
     ) -> tuple[Float[Array, " observation"], Bool[Array, ""]]:
-        """The observation to show, and whether a crash ends the episode ("paper")."""
+        """Observation to return, and whether the episode is terminated ("paper").
+
+        By default a crash terminates it, and the observation is then zero.
+        """
         del before, params
         return jnp.where(crashed, 0, observation), crashed
 
     def reward(self, state: Any, params: Any) -> Float[Array, ""]:
-        """Reward of a control step of a sound arm."""
+        """Reward of a state whose arm has not crashed; see `distance_reward`."""
         return distance_reward(squared_distance(state), params.bonus)
 
     def scalars(self, arm: RodState, target: Any) -> dict[str, Array]:
-        """Scalars of a step: distance of the tip from the target [m].
+        """Scalars of a step's `info`: distance of the tip from the target [m].
 
         Args:
-            arm: Last sound arm; after a crash, the arm before it.
-            target: The target.
+            arm: State of the arm; after a crash, the last one before it.
+            target: State of the target.
         """
         squared = jnp.sum((arm.tip - target.position) ** 2)
         return {"distance": jnp.sqrt(jnp.maximum(squared, 1e-12))}
@@ -147,14 +154,15 @@ class ArmTask(ABC):
         params: Any,
         control_steps: int = 1,
     ) -> Any:
-        """Predicts the state under one action; random events are not foreseen.
+        """Predicts the state under one action, without random events.
 
-        As long as none occurs, this equals `step`: a target keeps its velocity.
+        A target keeps its heading. As long as no random event occurs, this equals
+        `step`.
 
         Args:
             state: Current state.
             action: In [-1, 1].
-            params: Numbers of the task.
+            params: Parameters of the task.
             control_steps: Number of control steps for which the action is held.
         """
 
@@ -170,7 +178,7 @@ class ArmTask(ABC):
         params: Any,
         width: float = COST_WIDTH,
     ) -> Float[Array, " residuals"]:
-        """Residuals for planners, from the tip's offset; see `tip_residuals`."""
+        """Residuals whose squares sum to the planners' cost; see `tip_residuals`."""
         del action
         return tip_residuals(
             state.arm.tip - state.target.position, params.bonus.touching, width
@@ -183,20 +191,20 @@ class ArmTask(ABC):
         params: Any,
         width: float = COST_WIDTH,
     ) -> Float[Array, ""]:
-        """Smooth cost of a state, least where the reward is greatest [1].
+        """Smooth cost of a state for planners: sum of the squared residuals [1].
 
-        It is the sum of the squared residuals.
+        It is smallest where the reward is largest.
 
         Args:
             state: State after the control step.
             action: Action of that step.
-            params: Numbers of the task.
+            params: Parameters of the task.
             width: Distance from the target beyond which the cost grows linearly [m].
         """
         return jnp.sum(self.residuals(state, action, params, width) ** 2)
 
     def snapshot(self, state: Any, params: Any) -> Snapshot:
-        """The arm and the target."""
+        """Snapshot of arm and target, with their distance as a readout."""
         tip, target = state.arm.tip, state.target.position
         distance = jnp.sqrt(jnp.sum((tip - target) ** 2))
         return Snapshot(
@@ -213,14 +221,14 @@ class Arm(Protocol):
 
     @property
     def rod(self) -> Rod:
-        """The arm's parameters."""
+        """Geometry and material of the arm."""
 
     @property
     def rest(self) -> RodState:
-        """The arm at the start of an episode."""
+        """State of the arm at the start of an episode."""
 
     def relaxed(self) -> Any:
-        """Memory of the muscles at the start of an episode."""
+        """State of the muscles at the start of an episode, as `advance` takes it."""
 
     def advance(
         self,
@@ -233,91 +241,92 @@ class Arm(Protocol):
         """Advances the arm by simulation steps under one action.
 
         Args:
-            state: The arm.
-            muscles: Memory of its muscles.
-            controls: Commanded values [1] about d1, d2 and d3.
+            state: State of the arm.
+            muscles: State of the muscles.
+            controls: Commanded control values about d1, d2 and d3 [1].
             dt: Time step [s].
             n_steps: Number of steps, at least 1.
 
         Returns:
-            The arm, the memory of its muscles, and whether it crashed.
+            The states of arm and muscles, and whether the arm crashed.
         """
 
 
 @pytree
 class ArmParams:
-    """Numbers of a task; every one is a traced leaf."""
+    """Parameters of a task of the benchmark's arm; every number is a traced leaf."""
 
     arm: Arm
-    """The arm and everything that acts on it, obstacles included."""
+    """Parameters of the arm and of everything that acts on it, obstacles included."""
     dt: Float[Array, ""]
     """Time step of the simulation [s]."""
     target: Any
-    """Parameters of the target."""
+    """Parameters of the target; their type depends on the task."""
     bonus: Bonus
-    """Distances within which the bonuses are paid."""
+    """Distances from the target at which the reward has its bonuses."""
     crash_reward: Float[Array, ""]
-    """Reward of a step after which the arm is broken ("paper")."""
+    """Reward of a step in which the arm crashes ("paper")."""
 
 
 @pytree
 class ArmState:
-    """State of an episode."""
+    """State of a task of the benchmark's arm."""
 
     arm: RodState
-    """The arm."""
+    """State of the arm."""
     muscles: Any
-    """Memory of its muscles."""
+    """State of the muscles; its type depends on the variant."""
     target: Any
-    """The target."""
+    """State of the target, with a `position`; its type depends on the task."""
     steps: Int[Array, ""]
     """Control steps since reset."""
 
 
 class BenchmarkTask(ArmTask):
-    """Base of the benchmark's four cases: couples along an arm, renewed every 1.4 ms.
+    """Base class of the benchmark's four cases: an arm under couples along its length.
 
-    Eleven points of the arm and the velocity of its tip are observed, then `seen`.
+    Actions set the couples every 1.4 ms. Observed are eleven points of the arm, the
+    velocity of its tip, and then the numbers that `seen` returns.
     """
 
     base: ClassVar[tuple[float, float, float]] = (0.0, 0.0, 0.0)
     """Position of the clamped end [m]."""
     axis: ClassVar[str] = "y"
-    """Axis along the arm."""
+    """World axis along the arm at rest, "y" or "z"."""
     plane: ClassVar[PlaneName | None] = None
-    """Plane of motion, if any."""
+    """Plane to which the motion is restricted, such as "zx"; None for none."""
     n_directions: ClassVar[int]
-    """Directions of actuation: about d1; or d1 and d2; or d1, d2 and twist."""
+    """Number of directions of couples: 1 (about d1), 2 (d1, d2) or 3 (and twist)."""
     largest_rate: ClassVar[float | None] = None
-    """Largest rate of a control value [1/s]; `None` if they jump."""
+    """Largest rate of a control value [1/s]; `None` if control values may jump."""
     crash_reward: ClassVar[float]
-    """Reward of a step after which the arm is broken ("paper")."""
+    """Reward of a step in which the arm crashes ("paper")."""
 
     @property
     @abstractmethod
     def n_controls(self) -> int:
-        """Number of control points per direction."""
+        """Number of control points along the arm, per direction."""
 
     def control_points(self) -> int | Numbers:
-        """Number of control points, or their arc lengths [m]."""
+        """Number of equidistant control points, or their arc lengths [m]."""
         return self.n_controls
 
     @abstractmethod
     def first_target(self, key: Key[Array, ""], params: Any) -> Any:
-        """The target at the start of an episode."""
+        """State of the target at the start of an episode."""
 
     @abstractmethod
     def seen(self, state: ArmState, params: Any) -> tuple[Array, ...]:
-        """Parts of the observation that follow the points and velocity of the arm."""
+        """Vectors to append to the observed points and velocity of the arm."""
 
     @property
     @abstractmethod
     def seen_channels(self) -> tuple[Channel, ...]:
-        """Description of `seen`."""
+        """Size, name and unit of each group of entries that `seen` returns."""
 
     @property
     def observation_channels(self) -> tuple[Channel, ...]:
-        """Description of the observation."""
+        """Size, name and unit of each group of entries of the observation."""
         return (
             Channel(
                 3 * OBSERVED_NODES,
@@ -330,7 +339,7 @@ class BenchmarkTask(ArmTask):
 
     @property
     def action_channels(self) -> tuple[Channel, ...]:
-        """Description of the action."""
+        """Size, name and unit of each group of entries of the action."""
         return tuple(
             Channel(self.n_controls, f"control values about {axis}, base to tip", "1")
             for axis in ("d1", "d2", "d3")[: self.n_directions]
@@ -342,7 +351,7 @@ class BenchmarkTask(ArmTask):
         return self.n_directions * self.n_controls
 
     def arm(self) -> Arm:
-        """The arm at rest, and everything that acts on it."""
+        """Makes the arm, at rest, with everything that acts on it."""
         spline = control_spline(self.control_points(), LENGTH)
         if self.variant == "paper":
             return published_arm(self.n_elements, self.base, self.axis, spline)
@@ -355,7 +364,7 @@ class BenchmarkTask(ArmTask):
         )
 
     def common_params(self, arm: Arm) -> dict[str, Any]:
-        """Parameters that all tasks have, except the target's, in JAX's precision."""
+        """Fields of `ArmParams` except `target`, in JAX's default precision."""
         number = functools.partial(jnp.asarray, dtype=arm.rod.radii.dtype)
         return {
             "arm": arm,
@@ -367,7 +376,7 @@ class BenchmarkTask(ArmTask):
     def reset(
         self, key: Key[Array, ""], params: Any
     ) -> tuple[Float[Array, " observation"], ArmState]:
-        """Starts with the arm straight and at rest."""
+        """Starts an episode with the arm straight and at rest."""
         state = ArmState(
             arm=params.arm.rest,
             muscles=params.arm.relaxed(),
@@ -384,7 +393,11 @@ class BenchmarkTask(ArmTask):
         params: Any,
         control_steps: int = 1,
     ) -> tuple[ArmState, Bool[Array, ""]]:
-        """The state after control steps under one action, and whether the arm broke."""
+        """Moves the arm for control steps under one action, but not the target.
+
+        Returns:
+            The state, and whether the arm crashed.
+        """
         action = action_of_size(action, self.action_size)
         values = jnp.reshape(action, (self.n_directions, self.n_controls))
         controls = jnp.pad(values, ((0, 3 - self.n_directions), (0, 0)))
@@ -409,7 +422,7 @@ class BenchmarkTask(ArmTask):
         return super().predict(state, action, params, control_steps)
 
     def observe(self, state: ArmState, params: Any) -> Float[Array, " observation"]:
-        """Points of the arm, speed and direction of its tip, then `seen`."""
+        """Observation: points of the arm, velocity of its tip, then `seen`."""
         return jnp.concatenate(
             [
                 observed_points(state.arm),
@@ -425,11 +438,11 @@ def squared_distance(state: Any) -> Float[Array, ""]:
 
 
 def distance_reward(distance_squared: Array, bonus: Bonus) -> Array:
-    """Minus the squared distance, plus 0.5 nearby, plus 1.5 more when touching.
+    """Reward: -distance^2 + 0.5 (distance <= near) + 1.5 (distance <= touching).
 
     Args:
         distance_squared: Squared distance of the tip from the target [m^2].
-        bonus: Distances within which the bonuses are paid.
+        bonus: The distances `near` and `touching`.
     """
     return (
         -distance_squared
@@ -441,12 +454,12 @@ def distance_reward(distance_squared: Array, bonus: Bonus) -> Array:
 def tip_residuals(
     way: Float[Array, "3"], touching: Array, width: float | Array
 ) -> Float[Array, "3"]:
-    r"""Smooth substitute for the reward's distance; the sum of squares is the cost [1].
+    r"""Residuals along the offset of the tip; their squares sum to the cost [1].
 
-    With $s = |way|/width$ the squares sum to $2\,(width/touching)^2\,(\sqrt{1 + s^2} -
-    1)$. This is about $(|way|/touching)^2$ nearby and linear far away, with a nonzero
-    slope everywhere except at the target. The reward's bonuses are steps, which have no
-    slope.
+    With $s = |way|/width$ the cost is $2\,(width/touching)^2\,(\sqrt{1 + s^2} - 1)$.
+    This is about $(|way|/touching)^2$ near the target and linear far away, with a
+    nonzero slope everywhere except at the target. The reward's bonuses are steps, which
+    have no slope.
 
     Args:
         way: Vector from the target to the tip [m].
@@ -459,13 +472,13 @@ def tip_residuals(
 
 
 def observed_points(arm: RodState) -> Float[Array, "33"]:
-    """X coordinates of eleven equidistant nodes, then y, then z [m]."""
+    """Positions of eleven equidistant nodes: all x, then all y, then all z [m]."""
     n_elements = arm.positions.shape[-1] - 1
     return jnp.ravel(arm.positions[:, :: n_elements // (OBSERVED_NODES - 1)])
 
 
 def speed_and_direction(velocity: Float[Array, "3"]) -> Float[Array, "4"]:
-    """Speed [m/s] and direction of a velocity; zeros at rest."""
+    """Speed [m/s], then the unit vector of a velocity; all zero at rest."""
     squared = jnp.sum(velocity**2)
     moving = squared > 0
     speed = jnp.where(moving, jnp.sqrt(jnp.where(moving, squared, 1)), 0)
@@ -474,7 +487,7 @@ def speed_and_direction(velocity: Float[Array, "3"]) -> Float[Array, "4"]:
 
 
 def speed_channels(whose: str) -> tuple[Channel, ...]:
-    """Description of `speed_and_direction`."""
+    """Channels of `speed_and_direction`; `whose` names the moving point."""
     return (
         Channel(1, f"speed of {whose}", "m/s"),
         Channel(3, f"direction of the velocity of {whose}: x, y, z", "1"),
@@ -488,10 +501,10 @@ def checked_sizes(
     substeps: int | None,
     episode_length: int,
 ) -> tuple[int, int]:
-    """Checked numbers of elements and substeps, by default those of the variant.
+    """Checks a task's sizes; returns the numbers of elements and of substeps.
 
-    Arms of more elements take more steps by default, since the largest stable step is
-    proportional to the length of an element.
+    `usual` has the defaults of each variant. Arms with more elements take more substeps
+    by default, since the largest stable step is proportional to the element length.
 
     Raises:
         ValueError: If an argument does not fit.

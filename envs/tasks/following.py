@@ -9,8 +9,9 @@ tip from the target: $-d^2$, plus 0.5 within 10 cm, plus 1.5 more within 5 cm. A
 episode lasts 500 control steps (50 s).
 
 This is the task "follow" of Choi and Tong (arXiv 2511.06667). Reward and box are those
-of `tracking`. Arm, angles and their limits, target and duration are theirs. The
-dynamics and the damping are this library's (docs/tasks.md). Observed, in this order:
+of `tracking`. Arm, angles and their limits, target and duration are those of the paper.
+The dynamics and the damping are this library's (docs/tasks.md). Observed, in this
+order:
 
 | numbers | what |
 |---:|---|
@@ -52,16 +53,17 @@ CONTROL_PERIOD = 0.1
 LARGEST_CHANGE = 0.05
 """Largest change of an angle in a control step [rad]."""
 STEPS_PER_ELEMENT = 15
-"""Simulation steps of a control step, per element: 0.74 of the stability bound of the
-straight arm, 0.84 of the bound with all segments bent as far as possible."""
+"""Default number of simulation steps of a control step, per element. The time step is
+then 0.74 of the stability bound of the straight arm, and 0.84 of the bound with all
+segments bent as far as possible."""
 
 
 @pytree
 class FollowingParams:
-    """Numbers of the task; every one is a traced leaf."""
+    """Parameters of the following task; every number is a traced leaf."""
 
     arm: CurvedArm
-    """The arm and everything that acts on it."""
+    """Parameters of the arm and of everything that acts on it."""
     dt: Float[Array, ""]
     """Time step of the simulation [s]."""
     target: TargetParams
@@ -69,19 +71,20 @@ class FollowingParams:
     chance: Float[Array, ""]
     """Probability of a new heading in a control step [1]."""
     bonus: Bonus
-    """Distances within which the bonuses are paid."""
+    """Distances from the target at which the reward has its bonuses."""
 
 
 @pytree
 class FollowingState:
-    """State of an episode."""
+    """State of the following task."""
 
     arm: RodState
-    """The arm."""
+    """State of the arm."""
     angles: Float[Array, "2 segments"]
-    """Angles by which the segments bend if they are free [rad]."""
+    """Commanded angles of the segments about d1 and d2: their bend without loads
+    [rad]."""
     target: Target
-    """The target."""
+    """Position and velocity of the target."""
     steps: Int[Array, ""]
     """Control steps since reset."""
 
@@ -99,10 +102,10 @@ class Following(ArmTask):
     control_period = CONTROL_PERIOD
 
     observation_size = 6 * N_SEGMENTS + 2 * N_SEGMENTS + 9
-    """Five points of the arm and their velocities, angles, target: 49 numbers."""
+    """49 numbers: five points of the arm, their velocities, ten angles, target."""
 
     action_size = 2 * N_SEGMENTS
-    """Changes of five angles about d1, then of five about d2."""
+    """10 numbers: changes of the segments' angles, five about d1, then d2."""
 
     observation_channels = (
         Channel(3 * N_SEGMENTS, "ends of the segments: x, then y, then z", "m"),
@@ -121,7 +124,7 @@ class Following(ArmTask):
     )
 
     def default_params(self) -> FollowingParams:
-        """Numbers of the task, in JAX's default precision."""
+        """Default parameters of the task, in JAX's default precision."""
         arm = curved_arm(self.n_elements, LARGEST_CHANGE)
 
         def numbers(value: float | list[float]) -> Array:
@@ -143,7 +146,7 @@ class Following(ArmTask):
     def reset(
         self, key: Key[Array, ""], params: FollowingParams
     ) -> tuple[Float[Array, " observation"], FollowingState]:
-        """Starts with the arm upright and at rest, the target anywhere in its box."""
+        """Starts with the arm upright and at rest, and a random target in the box."""
         state = FollowingState(
             arm=params.arm.rest,
             angles=jnp.zeros((2, N_SEGMENTS), params.dt.dtype),
@@ -159,7 +162,10 @@ class Following(ArmTask):
         action: Float[Array, " action"],
         params: FollowingParams,
     ) -> tuple[FollowingState, Bool[Array, ""]]:
-        """Returns the next state and whether a flag rose; no key, no new heading."""
+        """Returns the state one control step later, and whether a health flag rose.
+
+        Without a key the target keeps its heading.
+        """
         action = action_of_size(action, self.action_size)
         angles = params.arm.turned(state.angles, action)
         arm, flagged = params.arm.advance(
@@ -177,7 +183,7 @@ class Following(ArmTask):
         return FollowingState(arm, angles, target, state.steps + 1), flagged
 
     def snapshot(self, state: FollowingState, params: FollowingParams) -> Snapshot:
-        """The arm, and the target drawn with the radius that counts as touching."""
+        """Snapshot of arm and target, whose radius is the bonus distance `touching`."""
         return dataclasses.replace(
             super().snapshot(state, params),
             spheres=((state.target.position, params.bonus.touching),),
@@ -201,7 +207,7 @@ class Following(ArmTask):
         )
 
     def _ends(self) -> np.ndarray:
-        """Interpolation weights of the nodes at the segment ends, (segments, n + 1)."""
+        """Weights that interpolate node values at segment ends, (segments, n+1)."""
         nodes = np.linspace(0.0, 1.0, self.n_elements + 1)
         ends = np.arange(1, N_SEGMENTS + 1) / N_SEGMENTS
         return np.maximum(1 - self.n_elements * np.abs(ends[:, None] - nodes), 0)
@@ -214,7 +220,7 @@ def following(
     substeps: int | None = None,
     episode_length: int = 500,
 ) -> Following:
-    """Makes the task of following a target; see the module.
+    """Makes the task of following a target; see the module docstring.
 
     Args:
         variant: "clean", the only one: the library's own physics.

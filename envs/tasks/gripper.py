@@ -8,10 +8,11 @@ Pressure changes by at most 75 kPa in 0.1 s. The wrist moves at 0.2 m/s at most 
 each axis. Both are linear in time over a control step.
 
 The ball (radius 0.03 m, 11 g) begins at rest on the table, up to `spread` from the
-middle along x and along y, below the open fingers. With `lowered` the wrist begins
-somewhere on its straight path down to around the ball. The goal is to lift the ball
-0.07 m above its starting height. The reward of a control step is the score after it
-divided by the number of control steps of an episode, so the return is the mean score:
+middle along x and along y, below the straight fingers. With `lowered` the wrist begins
+anywhere on its straight path from the top to the position around the ball. The goal is
+to lift the ball 0.07 m above its starting height. The reward of a control step is the
+score after it divided by the number of control steps of an episode, so the return is
+the mean score:
 
 | points | for |
 |---:|---|
@@ -70,55 +71,59 @@ VARIANTS: tuple[Variant, ...] = ("clean",)
 CONTROL_PERIOD = 0.1
 """Time between actions [s]."""
 SUCTION = 0.2
-"""Suction at a control value of -1, as a share of the pressure at a control value of 1,
-both relative to the surroundings [1]."""
+"""Suction at a control value of -1 over the pressure at a control value of 1, both
+relative to the surroundings [1]."""
 SLACK = 2 * SUCTION / (1 + SUCTION) - 1
 """Control value for zero pressure relative to the surroundings [1]."""
 RATE = 10.0
-"""Largest rate of the control value of the pressure [1/s]."""
+"""Largest rate of the pressure's control value [1/s]."""
 SPEED = 0.2
 """Largest speed of the wrist along each axis [m/s]."""
 STEPS_PER_ELEMENT = 48
-"""Simulation steps of a control step, per element of a finger: 0.87 of the stability
-bound at full pressure."""
+"""Default number of simulation steps of a control step, per element of a finger. The
+time step is then 0.87 of the stability bound at full pressure."""
 LEAST_STEPS = 360
-"""Fewest simulation steps of a control step by default. With fewer than eight elements
-the contact of the fingertips bounds the step more than the fingers do."""
+"""Smallest default number of simulation steps of a control step. With fewer than eight
+elements the contact of the fingertips limits the time step more than the fingers do."""
 LOWEST, ASIDE = 0.11, 0.02
-"""Lowest height of the wrist above the table, its largest displacement aside [m]."""
+"""Lowest height of the wrist above the table, and its largest displacement along x and
+y [m]."""
 GRASP, HALF = 0.065, 0.02
 """Distance of the middle of the line between the fingers below the wrist, and half the
 line's length [m]."""
 NEAR, FAR = 0.005, 0.1
-"""Distances of the ball from the line for full points and for no points [m]."""
+"""Distances of the ball from the line between the fingers at which the score has full
+points for nearness, and none [m]."""
 OPEN = 0.075
-"""Distance from the furthest tip to the ball's lowest point that counts as open [m]."""
+"""Distance of the furthest fingertip from the ball's lowest point at which the score
+has no points for closed fingers [m]."""
 LIFT = 0.07
 """Height by which the ball is to be lifted [m]."""
 BALL_SPEED = 0.1
-"""Unit of the ball's velocity [m/s]."""
+"""Unit of the ball's velocity in the observation [m/s]."""
 
 
 @pytree
 class GripperParams:
-    """Numbers of the task; every one is a traced leaf."""
+    """Parameters of the gripper task; every number is a traced leaf."""
 
     body: GripperBody
-    """The gripper, the ball and everything that acts on them."""
+    """Parameters of gripper, ball and everything that acts on them."""
     dt: Float[Array, ""]
     """Time step of the simulation [s]."""
     spread: Float[Array, ""]
-    """Largest distance of the ball from the middle at the start, along x and y [m]."""
+    """Largest offset of the ball from the middle at the start, along x and y [m]."""
     lowered: Float[Array, ""]
-    """Largest share of the wrist's way down by which it may start lowered [1]."""
+    """Largest share of the wrist's path down to the ball already done at the start: 0
+    starts at the top, 1 anywhere on the path [1]."""
 
 
 @pytree
 class GripperState:
-    """State of an episode."""
+    """State of the gripper task."""
 
     body: SystemState
-    """Fingers and ball."""
+    """States of fingers and ball."""
     controls: Float[Array, "4"]
     """Current control values: pressure, then position of the wrist [1]."""
     steps: Int[Array, ""]
@@ -127,7 +132,7 @@ class GripperState:
 
 @dataclasses.dataclass(frozen=True)
 class Gripper:
-    """The gripper; see the module docstring. Make one with `gripper`."""
+    """The gripper task; see the module docstring. Make one with `gripper`."""
 
     n_elements: int
     substeps: int
@@ -138,10 +143,10 @@ class Gripper:
     name: str = "gripper"
 
     observation_size = 3 + 3 + 1 + 4 + 6 * N_FINGERS
-    """Ball, control values, tips and middles of the fingers: 29 numbers."""
+    """29 numbers: ball, control values, tips and middles of the fingers."""
 
     action_size = 4
-    """Pressure, and position of the wrist along three axes: 4 numbers."""
+    """4 numbers: pressure of all chambers, position of the wrist along x, y and z."""
 
     observation_channels = (
         Channel(
@@ -173,7 +178,7 @@ class Gripper:
     """Time between actions [s]."""
 
     def default_params(self) -> GripperParams:
-        """Numbers of the task, in JAX's default precision."""
+        """Default parameters of the task, in JAX's default precision."""
         body = gripper_body(self.n_elements)
         kind = body.most_pressure.dtype
         return GripperParams(
@@ -186,7 +191,7 @@ class Gripper:
     def reset(
         self, key: Key[Array, ""], params: GripperParams
     ) -> tuple[Float[Array, " observation"], GripperState]:
-        """Starts with open fingers above the ball, which lies near the middle."""
+        """Starts with straight fingers above or around the ball, near the middle."""
         kind = params.dt.dtype
         aside_key, height_key = jax.random.split(key)
         aside = params.spread * jax.random.uniform(aside_key, (2,), kind, -1.0)
@@ -246,7 +251,7 @@ class Gripper:
         )
 
     def snapshot(self, state: GripperState, params: GripperParams) -> Snapshot:
-        """Fingers and ball."""
+        """Snapshot of fingers and ball, with the ball's height as a readout."""
         return Snapshot(
             positions=state.body["fingers"].positions,
             radii=params.body.fingers.rod.radii,
@@ -274,10 +279,10 @@ class Gripper:
     def scripted_action(
         self, state: GripperState, params: GripperParams
     ) -> Float[Array, " action"]:
-        """Down around the ball, close, wait, lift: the baseline to compare with.
+        """Scripted baseline: lowers open fingers around the ball, closes them, lifts.
 
         Args:
-            state: Current state; only its clock, the wrist and the ball are used.
+            state: Current state; only step count, wrist and ball are used.
             params: Traced parameters.
         """
         place = state.body["ball"].positions[:, 0]
@@ -289,13 +294,18 @@ class Gripper:
 
 
 _REACH = ASIDE, ASIDE, (HIGHEST - LOWEST) / 2
-"""Displacement of the wrist for a change of its control values by one [m]."""
+"""Displacement of the wrist per control value, along x, y and z [m]."""
 
 
 def _told(
     controls: Float[Array, "4"],
 ) -> tuple[Float[Array, "3"], Float[Array, "3"]]:
-    """Displacement of the wrist from its highest place [m], and pressure shares [1]."""
+    """Physical quantities of control values, as `GripperBody.advance` takes them.
+
+    Returns:
+        Displacement of the wrist from its highest position [m], and the pressure of
+        each chamber over the largest pressure [1].
+    """
     top = jnp.asarray([0.0, 0.0, 1.0], controls.dtype)
     wrist = (controls[1:] - top) * jnp.asarray(_REACH, controls.dtype)
     pressure = (1 + SUCTION) / 2 * (controls[0] + 1) - SUCTION
@@ -303,7 +313,7 @@ def _told(
 
 
 def _between(state: GripperState) -> Float[Array, "3"]:
-    """Middle of the line between the fingers, below the wrist [m]."""
+    """Position of the middle of the line between the fingers, below the wrist [m]."""
     wrist, _ = _told(state.controls)
     return wrist + jnp.asarray([0.0, 0.0, HIGHEST - GRASP], wrist.dtype)
 
@@ -314,16 +324,16 @@ def _height(state: GripperState) -> Float[Array, ""]:
 
 
 def _borne(state: GripperState) -> Float[Array, ""]:
-    """Share of the ball's weight that the table does not carry, from its indentation.
+    """Share of the ball's weight that the table does not carry, 0 to 1 [1].
 
-    It rises with the grip of fingers below the ball's middle, from the moment they
-    touch it until it is off the table. It is zero where they press the ball down.
+    It is 1 + height / SUNK, from the ball's indentation of the table. It rises as the
+    fingers grip the ball below its middle, and is zero if they press the ball down.
     """
     return jnp.clip(1 + _height(state) / SUNK, 0, 1)
 
 
 def _score(state: GripperState) -> Float[Array, ""]:
-    """Points by the module's table."""
+    """Score of a state, 0 to 100 points, by the table in the module docstring."""
     place = state.body["ball"].positions[:, 0]
     x, y, z = vectors.split(place - _between(state))
     apart = vectors.safe_norm((x, y, z - jnp.clip(z, -HALF, HALF)))
@@ -332,7 +342,7 @@ def _score(state: GripperState) -> Float[Array, ""]:
     furthest = jnp.max(vectors.safe_norm(vectors.split(tips.T)))
     lifted = jnp.clip(_height(state) / LIFT, 0, 1)
     near = 1 - jnp.clip((apart - NEAR) / (FAR - NEAR), 0, 1)
-    # Fingers that close above the ball earn nothing, because they could not reach
+    # Fingers that close above the ball get no points, because they could not reach
     # around it.
     around = 1 - jnp.clip((apart - NEAR) / BALL, 0, 1)
     closed = jnp.clip(1 - furthest / OPEN, 0, 1)
@@ -349,7 +359,7 @@ def gripper(
     spread: float = 0.01,
     lowered: float = 1.0,
 ) -> Gripper:
-    """Makes the gripper.
+    """Makes the gripper task; see the module docstring.
 
     Args:
         variant: "clean", the only one: the library's own physics.
@@ -359,8 +369,8 @@ def gripper(
         episode_length: Control steps per episode.
         spread: Largest distance of the ball from the middle at the start, along x and
             along y, up to 0.02 m [m].
-        lowered: Largest share of its way down to the ball by which the wrist may be
-            lowered at the start, drawn uniformly from 0 to this, at most 1.
+        lowered: Largest share of the wrist's path down to the ball that is already done
+            at the start, at most 1. The share is drawn uniformly from 0 to this.
 
     Raises:
         ValueError: If an argument does not fit.

@@ -12,7 +12,7 @@ from jaxrod.validation import check_array
 
 
 def check_turn(turn: float) -> float:
-    """Checks the largest angle of a heading from x, either way [rad].
+    """Checks and returns the largest angle of a heading from x, either way [rad].
 
     Raises:
         ValueError: If it is below 0 or beyond pi.
@@ -30,11 +30,12 @@ def drawn_heading(key: Key[Array, ""], turn: Float[Array, ""]) -> Float[Array, "
 
 
 def along_heading(vector: Array, heading: Float[Array, "2"]) -> Array:
-    """Components of a vector along the heading and to its left; the rest unchanged.
+    """Rotates a vector's x and y into components along the heading and to its left.
 
     Args:
-        vector: Components x, y, then any others; each may be an array.
-        heading: Unit vector.
+        vector: Components x, y, then any others, which stay unchanged; each component
+            may be an array.
+        heading: Unit vector in the plane.
     """
     along, left = heading
     x, y = vector[0], vector[1]

@@ -1,10 +1,11 @@
-r"""Common parts of Cases 3 and 4 of the benchmark: a fixed target past obstacles.
+r"""Common parts of Cases 3 and 4 of the benchmark: a fixed target behind obstacles.
 
-The arm grows along +z from (0, 0.5, 0) m. It is driven through two or a few control
-points per direction, whose values change by at most 100 per second. Actions are renewed
-every 1.4 ms, 3571 times (5 s). Reward per control step, at distance $d$ of the tip from
-the target: $-d^2$, plus 0.5 within 10 cm, plus 1.5 more within 5 cm. Eleven points of
-the arm, the tip's velocity, the target, and five points of every obstacle are observed.
+At rest the arm extends along +z from (0, 0.5, 0) m. Couples are set at two or a few
+control points per direction, whose values change by at most 100 per second. Actions are
+renewed every 1.4 ms, 3571 times (5 s). Reward per control step, at distance $d$ of the
+tip from the target: $-d^2$, plus 0.5 within 10 cm, plus 1.5 more within 5 cm. Eleven
+points of the arm, the tip's velocity, the target, and five points of every obstacle are
+observed.
 """
 
 from __future__ import annotations
@@ -40,56 +41,56 @@ SIZES: dict[Variant, tuple[int, int]] = {
     "paper": (PUBLISHED_ELEMENTS, 14),
     "clean": (40, 13),
 }
-"""Default elements and simulation steps per control step.
+"""Default numbers of elements, and of simulation steps per control step.
 
 "clean" has more elements than accuracy requires (docs/clean_settings.md), so that
 nothing passes between two nodes of an arm that the strongest actions stretch.
 """
 CONTROL_STEPS = 3571
 PLACED = (0.4, 0.9)
-"""The paper's two control points, in lengths of the arm."""
+"""Arc lengths of the paper's two control points, over the arm's length [1]."""
 STIFFNESS = 2e8
 """Stiffness of contact in "clean" [N/m^2]. The strongest actions stretch the arm
-twofold, to a tension of 100 kN. Drawn over a cylinder, the arm presses on it with 1
-MN/m, as in a first touch at 100 m/s. The overlap is then half a centimetre to 2 cm,
+twofold, to a tension of 100 kN. Pulled over a cylinder, the arm presses on it with 1
+MN/m, as in an impact at 100 m/s. The overlap is then half a centimetre to 2 cm,
 less than the arm's radius of 5 cm. With half the stiffness, one arm of ten thousand was
-drawn into a cylinder past its centreline (`benchmarks/extremes`)."""
+pulled into a cylinder beyond its centreline (`benchmarks/extremes`)."""
 FREE_ENDS = (0.0, 0.0)
-"""Neither end of the arm has a face in contact ("clean"; see `jaxrod.contacts.ends`). A
-face would count as 10 cm of arm on a tip that weighs as much as 1.25 cm of arm. It
-would require 44 steps per control step in the maze and 51 in the nest. Without a face
-the tip is no stiffer for its mass than the rest of the arm."""
+"""Flags of the arm's two ends in "clean": 0 means without a face in contact, see
+`jaxrod.contacts.ends`. A face would have the stiffness of 10 cm of arm, on a tip with
+the mass of 1.25 cm of arm. It would require 44 steps per control step in the maze and
+51 in the nest. Without a face the tip is no stiffer for its mass than the rest."""
 SMALLEST_STRETCH = 0.15
 LARGEST_STRETCH = 3.0
 """Largest element stretch in "clean" before the arm is flagged [1]. Saturated actions
-stretch elements to 2.5, and impacts on a cylinder compress them below 0.3. Throughout
-0.15 to 3 the time step is far below the stable one of a free arm, and within the bound
-that counts every obstacle in view."""
+stretch elements to 2.5, and impacts on a cylinder compress them below 0.3. From 0.15 to
+3 the time step is far below the stability bound of a free arm, and below the bound with
+contact at every obstacle that a point considers."""
 DAMPING = 4e3
-"""Damping of contact in "clean": a twentieth of critical [kg/(m s)]."""
+"""Damping of contact in "clean": a twentieth of critical damping [kg/(m s)]."""
 
 
 @pytree
 class FixedTarget:
-    """A sphere to reach."""
+    """Target sphere that does not move."""
 
     position: Float[Array, "3"]
-    """Centre [m]."""
+    """Centre of the sphere [m]."""
     radius: Float[Array, ""]
-    """Radius of the sphere to draw [m]."""
+    """Radius with which the sphere is drawn [m]."""
 
 
 @pytree
 class ObstacleParams(ArmParams):
-    """Numbers of the task; every one is a traced leaf."""
+    """Parameters of Cases 3 and 4; every number is a traced leaf."""
 
     shown: Float[Array, " 15m"]
-    """Observed points of the obstacles, five of each [m]."""
+    """Observed points of the m obstacles, five of each, as x, y, z [m]."""
 
 
 @dataclasses.dataclass(frozen=True)
 class ObstacleTask(BenchmarkTask):
-    """Base of the two tasks; see the module docstring."""
+    """Base class of Cases 3 and 4; see the module docstring."""
 
     variant: Variant
     n_elements: int
@@ -107,30 +108,34 @@ class ObstacleTask(BenchmarkTask):
     target_position: ClassVar[tuple[float, float, float]]
     """Position of the target [m]."""
     contact_points: ClassVar[int]
-    """Contact points per element ("clean")."""
+    """Number of contact points per element of the arm ("clean")."""
     nearest_obstacles: ClassVar[int | None]
     """Number of nearest obstacles that each contact point considers in a control step
     ("clean"); `None` for all."""
 
     @abstractmethod
     def obstacles(self) -> Cylinders:
-        """The obstacles."""
+        """Makes the cylinders that are the obstacles."""
 
     @abstractmethod
     def bodies(self, obstacles: Cylinders) -> Body:
-        """The obstacles as bodies of the library's contact ("clean")."""
+        """Converts the cylinders to bodies for `jaxrod.contact` ("clean")."""
 
     @abstractmethod
     def observed_starts(self, obstacles: Cylinders) -> Float[Array, "3 m"]:
-        """Observed points of the obstacles at the start [m]."""
+        """Point at which each cylinder's observed points begin [m].
+
+        The five points are equidistant from there, along the cylinder's direction and
+        over its length.
+        """
 
     @property
     def observation_size(self) -> int:
-        """Eleven points, the tip's velocity, the target, five points per obstacle."""
+        """Length of the observation: 40, and 15 for the points of each obstacle."""
         return 3 * OBSERVED_NODES + 4 + 3 + 3 * OBSERVED_POINTS * self.n_obstacles
 
     def arm(self) -> Arm:
-        """The arm at rest, and everything that acts on it, obstacles included."""
+        """Makes the arm, at rest, with everything that acts on it and the obstacles."""
         obstacles = self.obstacles()
         spline = control_spline(self.control_points(), LENGTH)
         if self.variant == "paper":
@@ -164,7 +169,7 @@ class ObstacleTask(BenchmarkTask):
         )
 
     def default_params(self) -> ObstacleParams:
-        """Numbers of the task, in JAX's default precision."""
+        """Default parameters of the task, in JAX's default precision."""
         arm, obstacles = self.arm(), self.obstacles()
         number = functools.partial(jnp.asarray, dtype=arm.rod.radii.dtype)
         return ObstacleParams(
@@ -174,7 +179,7 @@ class ObstacleTask(BenchmarkTask):
         )
 
     def first_target(self, key: Key[Array, ""], params: Any) -> FixedTarget:
-        """The target; nothing is random."""
+        """State of the fixed target, the same in all episodes; `key` is not used."""
         return params.target
 
     def ended(
@@ -184,18 +189,21 @@ class ObstacleTask(BenchmarkTask):
         before: ArmState,
         params: Any,
     ) -> tuple[Float[Array, " observation"], Bool[Array, ""]]:
-        """A non-finite number ends the episode, and is shown unchanged."""
+        """Observation to return, and whether it was not finite and ends the episode.
+
+        A number that is not finite is replaced by its value in the step before.
+        """
         finite = jnp.isfinite(observation)
         shown = jnp.where(finite, observation, self.observe(before, params))
         return shown, ~jnp.all(finite)
 
     def seen(self, state: ArmState, params: Any) -> tuple[Array, ...]:
-        """Position of the target, points of the obstacles."""
+        """Observed position of the target, then the points of the obstacles."""
         return state.target.position, params.shown
 
     @property
     def seen_channels(self) -> tuple[Channel, ...]:
-        """Description of `seen`."""
+        """Size, name and unit of each group of entries that `seen` returns."""
         points = f"{OBSERVED_POINTS} points along each obstacle, start first: x, y, z"
         return (
             Channel(3, "position of the target: x, y, z", "m"),
@@ -203,7 +211,7 @@ class ObstacleTask(BenchmarkTask):
         )
 
     def snapshot(self, state: ArmState, params: Any) -> Snapshot:
-        """The arm, the target and the obstacles."""
+        """Snapshot of the arm, the target and the obstacles."""
         obstacles = self.obstacles()
         starts, ends = obstacles.starts.T, obstacles.ends.T
         return dataclasses.replace(

@@ -56,40 +56,41 @@ CONTROL_PERIOD = 0.1
 LARGEST_RATE = 4.0
 """Largest rate of a control value [1/s]."""
 STEPS_PER_ELEMENT = 7
-"""Simulation steps of a control step, per element of an arm: about 0.8 of the stability
-bound."""
+"""Default number of simulation steps of a control step, per element of an arm. The time
+step is then about 0.8 of the stability bound."""
 LEAST_STEPS = 37
-"""Fewest simulation steps of a control step by default. With fewer than six elements
-the contact of the tips with the floor bounds the step more than the arms do."""
+"""Smallest default number of simulation steps of a control step. With fewer than six
+elements the contact of the tips with the floor limits the time step more than the arms
+do."""
 SPEED = 0.1
-"""Unit of observed velocities [m/s]."""
+"""Unit of the velocities in the observation [m/s]."""
 STROKE = (4.0, 1.0, 0.5)
-"""Period [s], and sizes sideways and upwards [1], of the scripted stroke: the best of
-24 that were tried, with periods of 1 to 4 s."""
+"""Period [s], and amplitudes of the control values sideways and upwards [1], of the
+scripted stroke: the best of 24 that were tried, with periods of 1 to 4 s."""
 
 
 @pytree
 class OctopusParams:
-    """Numbers of the task; every one is a traced leaf."""
+    """Parameters of the octopus task; every number is a traced leaf."""
 
     body: OctopusBody
-    """The octopus and everything that acts on it."""
+    """Parameters of the octopus and of everything that acts on it."""
     dt: Float[Array, ""]
     """Time step of the simulation [s]."""
     turn: Float[Array, ""]
     """Largest angle of the heading from x, either way [rad]."""
     stroke: Float[Array, "3"]
-    """Scripted baseline: period [s], sizes sideways and upwards [1]."""
+    """Scripted baseline: period [s], amplitudes sideways and upwards [1]."""
 
 
 @pytree
 class OctopusState:
-    """State of an episode."""
+    """State of the octopus task."""
 
     body: SystemState
-    """The octopus."""
+    """States of arms and head."""
     controls: Float[Array, "8 2"]
-    """Current control values [1]."""
+    """Current control values of each arm, sideways and upwards [1]."""
     heading: Float[Array, "2"]
     """Unit vector along which the octopus should move."""
     steps: Int[Array, ""]
@@ -98,7 +99,7 @@ class OctopusState:
 
 @dataclasses.dataclass(frozen=True)
 class Octopus:
-    """The octopus; see the module docstring. Make one with `octopus`."""
+    """The octopus task; see the module docstring. Make one with `octopus`."""
 
     n_elements: int
     substeps: int
@@ -108,10 +109,11 @@ class Octopus:
     name: str = "octopus"
 
     observation_size = 3 + 3 + 4 + 1 + 3 * N_ARMS + 2 * N_ARMS
-    """Motion and orientation of the head, tips, control values: 51 numbers."""
+    """51 numbers: motion and orientation of the head, tips of the arms, control
+    values."""
 
     action_size = 2 * N_ARMS
-    """Curvature sideways and upwards of every arm: 16 numbers."""
+    """16 numbers: commanded curvatures of each arm, sideways and upwards."""
 
     observation_channels = (
         Channel(
@@ -141,7 +143,7 @@ class Octopus:
     """Time between actions [s]."""
 
     def default_params(self) -> OctopusParams:
-        """Numbers of the task, in JAX's default precision."""
+        """Default parameters of the task, in JAX's default precision."""
         body = octopus_body(self.n_elements, LARGEST_RATE * CONTROL_PERIOD)
         kind = body.angles.dtype
         return OctopusParams(
@@ -170,7 +172,7 @@ class Octopus:
         action: Float[Array, " action"],
         params: OctopusParams,
     ) -> Step:
-        """Advances one control step: muscles approach the action, rate-limited."""
+        """Advances one control step; control values follow the action, rate-limited."""
         action = action_of_size(action, self.action_size)
         wanted = jnp.reshape(jnp.clip(action, -1, 1), (N_ARMS, 2))
         controls = limit_rate(state.controls, wanted, params.body.largest_change)
@@ -196,7 +198,7 @@ class Octopus:
         )
 
     def snapshot(self, state: OctopusState, params: OctopusParams) -> Snapshot:
-        """The arms and the head."""
+        """Snapshot of arms and head, with the distance covered as a readout."""
         place = state.body["head"].positions[:, 0]
         way = jnp.sum(place[:2] * state.heading)
         return Snapshot(
@@ -227,14 +229,14 @@ class Octopus:
     def scripted_action(
         self, state: OctopusState, params: OctopusParams
     ) -> Float[Array, " action"]:
-        """Rowing: arms beside the head sweep backwards on the floor, forwards above it.
+        """Scripted baseline: arms row backwards on the floor, and forwards above it.
 
-        The baseline to compare with. All arms share one period. Each arm sweeps
-        sideways in proportion to how far it points to the side. The stroke only goes
+        All arms have the same period. The amplitude of an arm's sideways sweep is in
+        proportion to how far it points to the side of the heading. The stroke only goes
         straight ahead.
 
         Args:
-            state: Current state; only its clock and its heading are used.
+            state: Current state; only step count and heading are used.
             params: Traced parameters.
         """
         period, sideways, upwards = params.stroke
@@ -255,7 +257,7 @@ def octopus(
     episode_length: int = 100,
     turn: float = 0.0,
 ) -> Octopus:
-    """Makes the octopus.
+    """Makes the octopus task; see the module docstring.
 
     Args:
         variant: "clean", the only one: the library's own physics.

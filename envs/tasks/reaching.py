@@ -4,7 +4,7 @@ Eighteen control values shape the couples along the arm, six about each material
 (two of bending, one of twist), and are renewed every 1.4 ms. The goal stands still
 during an episode of 1428 control steps (2 s). It is a point in a box around the arm,
 and a frame whose d3 is vertical, turned about the vertical by up to 90 degrees from the
-arm's frame at rest. Let $d$ be the distance of the tip from it and $\delta =
+arm's frame at rest. Let $d$ be the distance of the tip from the goal and $\delta =
 \sin^2(\varphi/2)$ the misalignment, where $\varphi$ is the angle between the last
 element's frame and the goal's. The reward per control step is $-d^2 - \delta^2/2$, plus
 up to 1.5 within 10 cm, plus up to 4.5 more within 5 cm:
@@ -57,21 +57,21 @@ SIZES: dict[Variant, tuple[int, int]] = {
     "paper": (REFERENCE_ELEMENTS, 7),
     "clean": (REFERENCE_ELEMENTS, 4),
 }
-"""Default elements and simulation steps per control step."""
+"""Default numbers of elements, and of simulation steps per control step."""
 
 
 @pytree
 class GoalParams:
-    """Distribution of goals."""
+    """Parameters of the random goals: a box of positions, and a range of angles."""
 
     lower: Float[Array, "3"]
-    """Lower corner of the box [m]."""
+    """Lower corner of the box of positions [m]."""
     upper: Float[Array, "3"]
-    """Upper corner of the box [m]."""
+    """Upper corner of the box of positions [m]."""
     largest_yaw: Float[Array, ""]
-    """Largest rotation about the vertical, either way [rad]."""
+    """Largest rotation of the goal's frame about the vertical, either way [rad]."""
     radius: Float[Array, ""]
-    """Radius of the sphere to draw [m]."""
+    """Radius of the sphere with which the goal is drawn [m]."""
 
 
 @pytree
@@ -79,18 +79,19 @@ class Goal:
     """Position and orientation that the tip should reach."""
 
     position: Float[Array, "3"]
-    """Position of the tip [m]."""
+    """Position for the tip [m]."""
     orientation: Float[Array, "4"]
-    """Orientation as observed: unit quaternion (w, x, y, z), world to material, with w
-    >= 0."""
+    """Orientation for the last element: unit quaternion (w, x, y, z), world to
+    material, with w >= 0."""
 
 
 @pytree
 class ReachingParams(ArmParams):
-    """Numbers of the task; every one is a traced leaf."""
+    """Parameters of the reaching task; every number is a traced leaf."""
 
     aligned: Float[Array, "2"]
-    """Largest misalignments for the last bonus, nearby and touching [1]."""
+    """Largest misalignments for the alignment bonus, within 10 cm and within 5 cm of
+    the goal [1]."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -108,10 +109,11 @@ class Reaching(BenchmarkTask):
     crash_reward = -10_000.0
 
     observation_size = 3 * OBSERVED_NODES + 4 + 4 + 7 + 4
-    """Eleven points, velocity and frame of the tip, and of the goal: 52 numbers."""
+    """52 numbers: eleven points of the arm, velocity and frame of its tip, then
+    position, velocity and frame of the goal."""
 
     def default_params(self) -> ReachingParams:
-        """Numbers of the task, in JAX's default precision."""
+        """Default parameters of the task, in JAX's default precision."""
         arm = self.arm()
         number = functools.partial(jnp.asarray, dtype=arm.rod.radii.dtype)
         target = GoalParams(
@@ -124,7 +126,7 @@ class Reaching(BenchmarkTask):
         return ReachingParams(**self.common_params(arm), target=target, aligned=aligned)
 
     def first_target(self, key: Key[Array, ""], params: Any) -> Goal:
-        """A goal anywhere in its box."""
+        """Draws a goal anywhere in its box, turned about the vertical."""
         return random_goal(key, params.target)
 
     def ended(
@@ -134,17 +136,20 @@ class Reaching(BenchmarkTask):
         before: ArmState,
         params: Any,
     ) -> tuple[Float[Array, " observation"], Bool[Array, ""]]:
-        """The arm also counts as broken if an observed number is not finite."""
+        """Observation to return, and whether the episode is terminated ("paper").
+
+        An arm has also crashed if an observed number is not finite.
+        """
         crashed |= ~jnp.all(jnp.isfinite(observation))
         return super().ended(observation, crashed, before, params)
 
     def reward(self, state: ArmState, params: Any) -> Float[Array, ""]:
-        """Reward by distance and misalignment."""
+        """Reward of a state by distance and misalignment; see `reaching_reward`."""
         misalignment = misaligned(state.arm, state.target)
         return reaching_reward(squared_distance(state), misalignment, params)
 
     def scalars(self, arm: RodState, target: Goal) -> dict[str, Array]:
-        """Distance of the tip from the goal [m], and its misalignment [1]."""
+        """Scalars of `info`: distance from the goal [m] and misalignment of the tip."""
         misalignment = misaligned(arm, target)
         return super().scalars(arm, target) | {"misalignment": misalignment}
 
@@ -155,18 +160,19 @@ class Reaching(BenchmarkTask):
         params: Any,
         width: float = COST_WIDTH,
     ) -> Float[Array, "6"]:
-        r"""Residuals for planners: the tip's offset and rotation from the goal.
+        r"""Residuals whose squares sum to the planners' cost: offset, then rotation.
 
-        The three numbers of the rotation are $\sin(\varphi/2)$ times its axis, divided
-        by the square root of the largest misalignment that still gets a bonus. Before
-        this division their squares sum to the misalignment.
+        The three of the tip's offset are those of `tip_residuals`. The three of its
+        rotation from the goal's frame are $\sin(\varphi/2)$ times the axis, whose
+        squares sum to the misalignment, divided by the square root of the largest
+        misalignment with a bonus within 5 cm.
         """
         way = super().residuals(state, action, params, width)
         turn = turn_from(tip_frame(state.arm), state.target.orientation)
         return jnp.concatenate([way, turn / jnp.sqrt(params.aligned[1])])
 
     def seen(self, state: ArmState, params: Any) -> tuple[Array, ...]:
-        """Frame of the tip; position, velocity and frame of the goal."""
+        """Observed frame of the tip, then position, velocity and frame of the goal."""
         goal = state.target
         # The goal's velocity is zero; it is observed as in Case 1.
         still = jnp.zeros_like(goal.orientation)
@@ -189,9 +195,10 @@ def random_goal(key: Key[Array, ""], params: GoalParams) -> Goal:
 
 
 def frame_at_yaw(yaw: Float[Array, ""]) -> Float[Array, "4"]:
-    r"""The arm's frame at rest, turned about the vertical, as observed.
+    r"""Quaternion (w, x, y, z) of the arm's rest frame turned about the vertical, y.
 
-    $d_1 = (-\sin\theta, 0, \cos\theta)$, $d_2 = (\cos\theta, 0, \sin\theta)$, d3 up.
+    It rotates from the world to the material frame. At the yaw $\theta$ [rad] the frame
+    is $d_1 = (-\sin\theta, 0, \cos\theta)$, $d_2 = (\cos\theta, 0, \sin\theta)$, d3 up.
     """
     half = jnp.pi / 4 - 0.5 * yaw
     s, c = jnp.sin(half), jnp.cos(half)
@@ -199,17 +206,18 @@ def frame_at_yaw(yaw: Float[Array, ""]) -> Float[Array, "4"]:
 
 
 def tip_frame(arm: RodState) -> Float[Array, "4"]:
-    """The last element's frame as observed."""
+    """Unit quaternion (w, x, y, z) of the last element, world to material, w >= 0."""
     w, x, y, z = arm.orientations[:, -1]
     sign = jnp.where(w < 0, -1, 1)
     return sign * jnp.stack([w, -x, -y, -z])
 
 
 def turn_from(frame: Float[Array, "4"], goal: Float[Array, "4"]) -> Float[Array, "3"]:
-    """Vector part of the rotation between two frames given as unit quaternions [1].
+    """Vector part of the quaternion that rotates one frame into the other [1].
 
-    Its squares sum to the misalignment. Changing the sign of either quaternion only
-    changes the sign of the result.
+    It is sin(phi/2) times the axis of the rotation by phi, so its squares sum to the
+    misalignment. Both frames are unit quaternions (w, x, y, z). A change of sign of
+    either only changes the sign of the result.
     """
     w, x, y, z = frame
     a, b, c, d = goal
@@ -223,14 +231,14 @@ def turn_from(frame: Float[Array, "4"], goal: Float[Array, "4"]) -> Float[Array,
 
 
 def misaligned(arm: RodState, goal: Goal) -> Array:
-    """Misalignment of the last element's frame from the goal's, 0 to 1 [1]."""
+    """Misalignment of the last element, sin^2(phi/2) = 1 - (q . q_goal)^2, 0 to 1."""
     return 1 - jnp.sum(tip_frame(arm) * goal.orientation) ** 2
 
 
 def reaching_reward(
     distance_squared: Array, misalignment: Array, params: ReachingParams
 ) -> Array:
-    """Reward of a control step; see the module docstring."""
+    """Reward -d^2 - misalignment^2 / 2, plus the bonuses of the module docstring."""
     near = distance_squared <= params.bonus.near**2
     touching = distance_squared <= params.bonus.touching**2
     aligned = misalignment <= params.aligned
@@ -250,7 +258,7 @@ def reaching(
     substeps: int | None = None,
     episode_length: int = 1428,
 ) -> Reaching:
-    """Makes the reaching task.
+    """Makes the reaching task (Case 2); see the module docstring.
 
     Args:
         variant: "paper" or "clean".

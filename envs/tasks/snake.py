@@ -58,7 +58,7 @@ def crosses_itself(nodes: Float[Array, "2 n+1"]) -> Bool[Array, ""]:
     """
     starts, ends = nodes[:, :-1], nodes[:, 1:]
     n = starts.shape[1]
-    # Row i, column j: side of segment i on which segment j starts and ends.
+    # Entry (i, j): side of segment i on which the start, or the end, of segment j lies.
     edge = ends - starts
     start_side = _side(edge, starts, starts)
     end_side = _side(edge, starts, ends)
@@ -70,7 +70,10 @@ def crosses_itself(nodes: Float[Array, "2 n+1"]) -> Bool[Array, ""]:
 def _side(
     edge: Float[Array, "2 n"], start: Float[Array, "2 n"], point: Float[Array, "2 m"]
 ) -> Float[Array, "n m"]:
-    """Signed area: above 0 for a point left of a segment, below 0 right of it."""
+    """Side of segment i on which point j lies: cross product edge x (point - start).
+
+    Positive to the left of the segment, negative to its right [m^2].
+    """
     x = point[0][None, :] - start[0][:, None]
     y = point[1][None, :] - start[1][:, None]
     return edge[0][:, None] * y - edge[1][:, None] * x
@@ -87,23 +90,25 @@ STRONGEST = 4e-3
 LARGEST_RATE = 4.0
 """Largest rate of a control value [1/s]."""
 STEPS_PER_ELEMENT = 7
-"""Simulation steps of a control step, per element: about 0.8 of the stability bound."""
+"""Default number of simulation steps of a control step, per element. The time step is
+then about 0.8 of the stability bound."""
 SPEED = LENGTH / PERIOD
-"""Unit of the observed velocity [m/s]."""
+"""Unit of the velocity in the observation [m/s]."""
 BEND = 10.0
-"""Unit of the observed curvature [1/m]."""
+"""Unit of the curvature in the observation [1/m]."""
 BEND_RATE = 2 * math.pi / PERIOD * BEND
-"""Unit of the observed rate of curvature [1/(m s)]."""
+"""Unit of the rate of curvature in the observation [1/(m s)]."""
 GAIT = (3.4e-3, 3.3e-3, 4.2e-3, 2.6e-3, 3.6e-3, 3.5e-3)
-"""Coefficients of the B-spline of the published gait's moments, from the head [N m]."""
+"""B-spline coefficients of the moment amplitude of the published gait, head first [N
+m]."""
 
 
 @pytree
 class SnakeParams:
-    """Numbers of the task; every one is a traced leaf."""
+    """Parameters of the snake task; every number is a traced leaf."""
 
     body: SnakeBody
-    """The snake and everything that acts on it."""
+    """Parameters of the snake and of everything that acts on it."""
     dt: Float[Array, ""]
     """Time step of the simulation [s]."""
     turn: Float[Array, ""]
@@ -112,12 +117,12 @@ class SnakeParams:
 
 @pytree
 class SnakeState:
-    """State of an episode."""
+    """State of the snake task."""
 
     body: RodState
-    """The snake."""
+    """State of the snake's body."""
     controls: Float[Array, "6"]
-    """Current control values [1]."""
+    """Current control values of the muscles, tail to head [1]."""
     heading: Float[Array, "2"]
     """Unit vector along which the snake should move."""
     steps: Int[Array, ""]
@@ -126,7 +131,7 @@ class SnakeState:
 
 @dataclasses.dataclass(frozen=True)
 class Snake:
-    """The snake; see the module docstring. Make one with `snake`."""
+    """The snake task; see the module docstring. Make one with `snake`."""
 
     n_elements: int
     substeps: int
@@ -136,10 +141,10 @@ class Snake:
     name: str = "snake"
 
     observation_size = 2 + 2 + 1 + 3 * N_CONTROLS
-    """Motion, curvature and control values: 23 numbers."""
+    """23 numbers: motion, curvatures, their rates, and control values."""
 
     action_size = N_CONTROLS
-    """A control value at each control point, from tail to head."""
+    """6 numbers: a commanded control value per control point, tail to head."""
 
     observation_channels = (
         Channel(
@@ -165,7 +170,7 @@ class Snake:
     """Time between actions [s]."""
 
     def default_params(self) -> SnakeParams:
-        """Numbers of the task, in JAX's default precision."""
+        """Default parameters of the task, in JAX's default precision."""
         change = LARGEST_RATE * CONTROL_PERIOD
         body = snake_body(self.n_elements, N_CONTROLS, STRONGEST, change)
         kind = body.rod.radii.dtype
@@ -194,7 +199,7 @@ class Snake:
         action: Float[Array, " action"],
         params: SnakeParams,
     ) -> Step:
-        """Advances one control step: muscles approach the action, rate-limited."""
+        """Advances one control step; control values follow the action, rate-limited."""
         action = action_of_size(action, self.action_size)
         snake = params.body
         controls = limit_rate(
@@ -222,7 +227,7 @@ class Snake:
         )
 
     def snapshot(self, state: SnakeState, params: SnakeParams) -> Snapshot:
-        """The snake."""
+        """Snapshot of the snake, with the distance covered as a readout."""
         way = jnp.sum(params.body.centre(state.body) * state.heading)
         return Snapshot(
             positions=state.body.positions,
@@ -256,14 +261,14 @@ class Snake:
     def scripted_action(
         self, state: SnakeState, params: SnakeParams
     ) -> Float[Array, " action"]:
-        """The published gait, straight ahead: the baseline to compare with.
+        """Scripted baseline: the published gait, straight ahead.
 
         A wave of moments runs from head to tail, with the snake's length as wavelength
         and a period of two seconds. Its amplitude along the body is the published
-        B-spline. It grows during the first period.
+        B-spline, and grows from zero during the first period.
 
         Args:
-            state: Current state; only its clock is used.
+            state: Current state; only its step count is used.
             params: Traced parameters.
         """
         from_head = 1 - np.arange(1, N_CONTROLS + 1) / (N_CONTROLS + 1)
@@ -283,7 +288,7 @@ def snake(
     episode_length: int = 200,
     turn: float = 0.0,
 ) -> Snake:
-    """Makes the snake.
+    """Makes the snake task; see the module docstring.
 
     Args:
         variant: "clean", the only one: the library's own physics.

@@ -1,7 +1,7 @@
-"""Case 3 of the benchmark: a planar arm through a maze of eight parallel cylinders.
+"""Case 3 of the benchmark: a planar arm reaches through a maze of eight cylinders.
 
 The cylinders are 0.1 m in radius, parallel to y, and leave gaps of 0.12 m between them
-and before the target; the arm, 0.1 m thick, bends in the plane y = 0.5 m only. See
+and before the target. The arm, 0.1 m thick, bends in the plane y = 0.5 m only. See
 `jaxrod.envs.tasks.obstacle_task` for what this task has in common with Case 4.
 
 Variants:
@@ -50,11 +50,11 @@ CYLINDER_LENGTH = 1.0
 
 @dataclasses.dataclass(frozen=True)
 class StructuredObstacles(ObstacleTask):
-    """The task; see the module docstring. Make one with `structured_obstacles`."""
+    """Task of Case 3, see the module docstring. Make it with `structured_obstacles`."""
 
     controls: int | None = None
-    """Number of equidistant control points; `None` for the two that the paper placed by
-    hand."""
+    """Number of equidistant control points; `None` for the two points of the paper, at
+    0.4 m and 0.9 m."""
 
     name = "structured"
     n_directions = 1
@@ -63,32 +63,35 @@ class StructuredObstacles(ObstacleTask):
     plane = "zx"
     contact_points = 1
     nearest_obstacles = 3
-    """Number of nearest obstacles kept per point of the arm. No point is nearer than 10
-    cm to a fourth cylinder. The arm, 5 cm in radius, would touch it only if the point
-    moved 5 cm in a control step."""
+    """Number of nearest cylinders that each contact point of the arm considers, chosen
+    at the start of a control step. No point is nearer than 10 cm to a fourth cylinder.
+    The arm, 5 cm in radius, would touch it only if the point moved 5 cm in the step."""
 
     @property
     def n_controls(self) -> int:
-        """Number of control points."""
+        """Number of control points along the arm."""
         return len(PLACED) if self.controls is None else self.controls
 
     def control_points(self) -> int | Numbers:
-        """Number of control points, or their arc lengths [m]."""
+        """Number of equidistant control points, or their arc lengths [m]."""
         return PLACED if self.controls is None else self.controls
 
     def obstacles(self) -> Cylinders:
-        """The maze. The published normals are mistakenly parallel to the axes."""
+        """Makes the cylinders of the maze.
+
+        As published, their normals are parallel to their axes, which is a mistake.
+        """
         x, z = np.array(AXES).T
         along = np.tile([0.0, 1.0, 0.0], (len(AXES), 1))
         starts = np.stack([x, np.zeros_like(x), z], 1)
         return cylinders(starts, along, along, length=CYLINDER_LENGTH, radius=RADIUS)
 
     def bodies(self, obstacles: Cylinders) -> Body:
-        """Spheres in the plane of motion, where the maze is a set of circles."""
+        """Spheres in the plane of motion, which the cylinders intersect in circles."""
         return Sphere(obstacles.centres.T, obstacles.radii)
 
     def observed_starts(self, obstacles: Cylinders) -> Float[Array, "3 m"]:
-        """Starts of the cylinders."""
+        """Start of each cylinder, at which its observed points begin [m]."""
         return obstacles.starts
 
 
@@ -100,7 +103,7 @@ def structured_obstacles(
     substeps: int | None = None,
     episode_length: int = CONTROL_STEPS,
 ) -> StructuredObstacles:
-    """Makes the task.
+    """Makes the task of Case 3; see the module docstring.
 
     Args:
         variant: "paper" or "clean".

@@ -45,7 +45,7 @@ SIZES: dict[Variant, tuple[int, int]] = {
     "paper": (REFERENCE_ELEMENTS, 7),
     "clean": (30, 5),
 }
-"""Default elements and simulation steps per control step."""
+"""Default numbers of elements, and of simulation steps per control step."""
 HEADING_STEPS = 500
 
 
@@ -64,10 +64,10 @@ class Tracking(BenchmarkTask):
     crash_reward = -1000.0
 
     observation_size = 3 * OBSERVED_NODES + 4 + 7
-    """Eleven points of the arm, the tip's velocity, the target: 44 numbers."""
+    """44 numbers: eleven points of the arm, velocity of the tip, target."""
 
     def default_params(self) -> ArmParams:
-        """Numbers of the task, in JAX's default precision."""
+        """Default parameters of the task, in JAX's default precision."""
         arm = self.arm()
         number = functools.partial(jnp.asarray, dtype=arm.rod.radii.dtype)
         target = TargetParams(
@@ -79,7 +79,7 @@ class Tracking(BenchmarkTask):
         return ArmParams(**self.common_params(arm), target=target)
 
     def first_target(self, key: Key[Array, ""], params: Any) -> Target:
-        """A target anywhere in its box."""
+        """Draws a target anywhere in its box, with a random heading."""
         return moving_target.start(key, params.target)
 
     def moved(
@@ -90,7 +90,14 @@ class Tracking(BenchmarkTask):
         params: Any,
         control_steps: int = 1,
     ) -> tuple[ArmState, Bool[Array, ""]]:
-        """The state after some control steps; without a key there is no new heading."""
+        """Moves arm and target for control steps under one action.
+
+        With a key the target takes a new heading if the step count is a multiple of
+        500; without a key it keeps its heading.
+
+        Returns:
+            The state, and whether the arm crashed.
+        """
         state, crashed = super().moved(key, state, action, params, control_steps)
         # The published environment tests the walls after every half step.
         tests = 2 * control_steps * self.substeps
@@ -103,7 +110,7 @@ class Tracking(BenchmarkTask):
         return dataclasses.replace(state, target=target), crashed
 
     def seen(self, state: ArmState, params: Any) -> tuple[Array, ...]:
-        """Position of the target, then its speed and direction."""
+        """Observed target: its position, then its speed and direction."""
         target = state.target
         return target.position, speed_and_direction(target.velocity)
 
@@ -120,7 +127,7 @@ def tracking(
     substeps: int | None = None,
     episode_length: int = 7142,
 ) -> Tracking:
-    """Makes the tracking task.
+    """Makes the tracking task (Case 1); see the module docstring.
 
     Args:
         variant: "paper" or "clean".

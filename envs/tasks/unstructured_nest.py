@@ -1,6 +1,6 @@
-"""Case 4 of the benchmark: an arm through a nest of twelve cylinders at random angles.
+"""Case 4 of the benchmark: an arm reaches through a nest of twelve random cylinders.
 
-The cylinders are 3 cm in radius; the arm moves in space. See
+The cylinders are 3 cm in radius, at random angles. The arm moves in space. See
 `jaxrod.envs.tasks.obstacle_task` for what this task has in common with Case 3. The
 nest is the published one, or is drawn from a seed as the released generator draws it.
 It is the same in all episodes.
@@ -9,7 +9,7 @@ Variants:
 
 - `"paper"`: the published environment in every detail, so that scores compare. Contact
   follows the published law (`jaxrod.envs.published.contact`). The observed points of an
-  obstacle start at the arm's base instead of at the obstacle, as published: so its
+  obstacle start at the arm's base instead of at the obstacle, as published. So its
   position is not observed. A number that is not finite costs 100 and ends the episode.
 - `"clean"`: the same task with the library's own physics, see `jaxrod.envs.arm.clean`.
   Obstacles are observed at their true positions. When a numerical health flag rises the
@@ -39,7 +39,7 @@ LENGTH = 1.0
 RADIUS = 0.03
 COUNT = 12
 TARGET_HEIGHT = 0.35
-"""Height z of the target; the released generator places the cylinders around it [m]."""
+"""Coordinate z of the target, around which the generator places the cylinders [m]."""
 
 # Start, direction, normal of each cylinder, from the published figure of Case 4.
 _PUBLISHED = """
@@ -59,14 +59,14 @@ _PUBLISHED = """
 
 
 def published_nest() -> Cylinders:
-    """The nest of the published figure; the published scores are consistent with it."""
+    """Makes the nest of the published figure, with which the published scores agree."""
     numbers = np.array(_PUBLISHED.split(), float).reshape(COUNT, 3, 3)
     starts, directions, normals = numbers.swapaxes(0, 1)
     return cylinders(starts, directions, normals, length=LENGTH, radius=RADIUS)
 
 
 def random_nest(seed: int) -> Cylinders:
-    """A nest as the released generator draws it: centres in the plane of the base.
+    """Draws a nest like the published generator: centres in the plane y = 0.5 m.
 
     Args:
         seed: Seed of the nest; the same number gives the same nest everywhere.
@@ -86,10 +86,10 @@ def random_nest(seed: int) -> Cylinders:
 
 @dataclasses.dataclass(frozen=True)
 class UnstructuredNest(ObstacleTask):
-    """The task; see the module docstring. Make one with `unstructured_nest`."""
+    """Task of Case 4; see the module docstring. Make one with `unstructured_nest`."""
 
     nest: int | None = None
-    """Seed of the nest; `None` for the published nest."""
+    """Seed of a random nest; `None` for the published nest."""
 
     name = "unstructured"
     n_directions = 2
@@ -98,8 +98,9 @@ class UnstructuredNest(ObstacleTask):
     target_position = (-0.8, 0.5, TARGET_HEIGHT)
     plane = None
     contact_points = 2
-    """Contact points per element. When the arm is stretched twofold its nodes are 5 cm
-    apart. A thin cylinder between two of them would push them further apart."""
+    """Number of contact points per element. When the arm is stretched twofold its nodes
+    are 5 cm apart. With one point per element a thin cylinder between two of them would
+    push them further apart."""
     nearest_obstacles = 4
     """Number of nearest cylinders that each contact point considers, chosen at the
     start of a control step. Few places in the nest have a fifth cylinder within the
@@ -111,15 +112,18 @@ class UnstructuredNest(ObstacleTask):
         return PLACED
 
     def obstacles(self) -> Cylinders:
-        """The nest."""
+        """Makes the cylinders of the nest."""
         return published_nest() if self.nest is None else random_nest(self.nest)
 
     def bodies(self, obstacles: Cylinders) -> Body:
-        """The nest as capsules: the published contact also has round ends."""
+        """Cylinders as capsules, because the published contact also has round ends."""
         return Capsule(obstacles.starts.T, obstacles.ends.T, obstacles.radii)
 
     def observed_starts(self, obstacles: Cylinders) -> Float[Array, "3 m"]:
-        """Starts of the cylinders; in "paper" the arm's base for each of them."""
+        """Point at which each cylinder's observed points begin [m].
+
+        It is the cylinder's start in "clean", and the arm's base in "paper".
+        """
         if self.variant == "clean":
             return obstacles.starts
         base = jnp.asarray(self.base, obstacles.starts.dtype)
@@ -134,7 +138,7 @@ def unstructured_nest(
     substeps: int | None = None,
     episode_length: int = CONTROL_STEPS,
 ) -> UnstructuredNest:
-    """Makes the task.
+    """Makes the task of Case 4; see the module docstring.
 
     Args:
         variant: "paper" or "clean".

@@ -35,7 +35,7 @@ from jaxrod.validation import check_kind
 
 @pytree
 class ActiveShape(SectionLoad):
-    """A shape that is added to the rest shape of the rod; see `active_shape`.
+    """Curvature and strain added to the rest shape of a rod; see `active_shape`.
 
     Example:
         >>> shape = actuation.active_shape(rod, curvature=(0.0, 2.0, 0.0))
@@ -45,16 +45,17 @@ class ActiveShape(SectionLoad):
     """
 
     curvature: Scheduled | None
-    """Curvature at the joint of each node `(3, n + 1)`, or of all `(3, 1)` [1/m]."""
+    """Curvature added at the joint of each node `(3, n + 1)`, or at all joints `(3,)`,
+    material frame [1/m]."""
     strain: Scheduled | None
-    """Strain of each element `(3, n)`, or of all `(3, 1)` [1]."""
+    """Strain added in each element `(3, n)`, or in all `(3,)`, material frame [1]."""
     walls: Walls = ()
-    """Walls into which the curvature continues."""
+    """Walls at ends of the rod into which the curvature continues."""
 
     reach: ClassVar[Reach] = "neighbours"
 
     def stored(self, rod: Rod, strains: SectionStrains) -> Array:
-        """Contribution to the stored energy of the rod [J]."""
+        """Elastic energy with the added shape, minus that without [J]."""
         total = jnp.zeros((), rod.rest_lengths.dtype)
         if self.curvature is not None:
             curvature, stiffness = _wide(self.curvature), self._stiffness(rod)
@@ -74,7 +75,7 @@ class ActiveShape(SectionLoad):
         return total
 
     def stress(self, rod: Rod, strains: SectionStrains) -> SectionStress:
-        """Force and moment to add to the elastic ones."""
+        """Force and moment that the added shape adds to the elastic ones."""
         force = moment = None
         if self.curvature is not None:
             moment = vectors.split(-self._stiffness(rod) * _wide(self.curvature))
@@ -83,7 +84,7 @@ class ActiveShape(SectionLoad):
         return SectionStress(force, moment)
 
     def stability_bound(self, rod: Rod) -> StabilityBound:
-        """Bound of the force and moment, which turn with the elements."""
+        """Bound of the stiffness of force and moment, which turn with the elements."""
         force = moment = None
         if self.curvature is not None:
             bent = self._stiffness(rod) * _wide(self.curvature)
@@ -94,7 +95,7 @@ class ActiveShape(SectionLoad):
         return transport_bound(rod, force, moment)
 
     def resampled(self, rod: Rod, new_rod: Rod) -> ActiveShape:
-        """The same shape on a rod with another number of elements."""
+        """The same shape for `new_rod`, interpolated along the rod."""
         return replace(
             self,
             curvature=_resampled(
@@ -117,7 +118,7 @@ class ActiveShape(SectionLoad):
 
 
 def _wide(values: Array) -> Array:
-    """Values at the current time, with an axis along the rod."""
+    """Values as a matrix: three numbers `(3,)` become a column `(3, 1)`."""
     return values[:, None] if values.ndim == 1 else values
 
 

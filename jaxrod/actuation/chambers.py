@@ -59,22 +59,22 @@ class Chamber(SectionLoad):
     pressure: Scheduled
     """Pressure above that outside, one number or one per chamber `(k,)` [Pa]."""
     walls: Walls = ()
-    """Walls into which the chambers continue."""
+    """Walls at ends of the rod into which the chambers continue."""
 
     def stored(self, rod: Rod, strains: SectionStrains) -> Array:
-        """Negative pressure times the change of volume from rest [J]."""
+        """Minus pressure times the increase of volume over that at rest [J]."""
         length = vectors.safe_norm(self.path.segments(strains))
         rest = vectors.safe_norm(self.path.rest_segments(rod))
         return -jnp.sum(self._push[:, None] * (length - rest))
 
     def stability_bound(self, rod: Rod) -> StabilityBound:
-        """Bound of the axial force, which follows the axes."""
+        """Bound of the stiffness of the axial forces, which turn with the chambers."""
         shape = (self.path.count, rod.n_elements + 1)
         push = jnp.broadcast_to(jnp.abs(self._push)[:, None], shape)
         return self.path.bound(rod, push, jnp.zeros_like(push), pulls=False)
 
     def resampled(self, rod: Rod, new_rod: Rod) -> Chamber:
-        """The same chambers in a rod with another number of elements."""
+        """The same chambers in `new_rod`, which has another number of elements."""
         return replace(self, path=self.path.resampled(rod, new_rod))
 
     @property
@@ -100,14 +100,15 @@ class WoundChamber(SectionLoad):
     radius: Float[Array, "k"]
     """Radius of the cross-section of each chamber [m]."""
     angle: Float[Array, "k"]
-    """Angle of the fibres to the axis, right-handed if positive [rad]."""
+    """Angle of the fibres to the axis of each chamber, right-handed if positive
+    [rad]."""
     pressure: Scheduled
     """Pressure above that outside, one number or one per chamber `(k,)` [Pa]."""
     walls: Walls = ()
-    """Walls into which the chambers continue."""
+    """Walls at ends of the rod into which the chambers continue."""
 
     def stored(self, rod: Rod, strains: SectionStrains) -> Array:
-        """Negative pressure times the change of volume from rest [J]."""
+        """Minus pressure times the increase of volume over that at rest [J]."""
         rest = vectors.safe_norm(self.path.rest_segments(rod))
         length = vectors.safe_norm(self.path.segments(strains))
         turns = jnp.tan(self.angle)[:, None] * rest / self.radius[:, None]
@@ -119,7 +120,7 @@ class WoundChamber(SectionLoad):
         return -jnp.sum(self._pressure[:, None] * volume)
 
     def stability_bound(self, rod: Rod) -> StabilityBound:
-        """Bound of the axial force, the moment and their derivatives at rest."""
+        """Bound of the stiffness of the axial force and the moment near rest."""
         rest = vectors.safe_norm(self.path.rest_segments(rod))
         cot = jnp.abs(1 / jnp.tan(self.angle))[:, None]
         r = self.radius[:, None]
@@ -139,17 +140,17 @@ class WoundChamber(SectionLoad):
         )
 
     def resampled(self, rod: Rod, new_rod: Rod) -> WoundChamber:
-        """The same chambers in a rod with another number of elements."""
+        """The same chambers in `new_rod`, which has another number of elements."""
         return replace(self, path=self.path.resampled(rod, new_rod))
 
     def _turns_at_rest(self, rod: Rod) -> Array:
-        """Twist of the joints of the unstressed rod [rad]."""
+        """Twist of the joint at each node of the unstressed rod `(1, n + 1)` [rad]."""
         rest = rod.rest_curvatures[2] * rod.joint_lengths
         return vectors.pad(rest, 1, 1)[None, :]
 
     @property
     def _pressure(self) -> Array:
-        """Pressure in each chamber [Pa]."""
+        """Pressure in each chamber above that outside `(k,)` [Pa]."""
         return jnp.broadcast_to(self.pressure, self.radius.shape)
 
 

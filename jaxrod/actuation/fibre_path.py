@@ -58,7 +58,7 @@ class FibrePath:
         return e1 - c * y + dx, e2 + c * x + dy, e3 + (a * y - b * x)
 
     def rest_segments(self, rod: Rod) -> Vec3:
-        """Segments of the fibres in the unstressed rod."""
+        """Segment of each fibre around each node in the unstressed rod [m]."""
         edges = vectors.scale(
             rod.rest_lengths, _along_axis(vectors.split(rod.rest_strains))
         )
@@ -69,12 +69,12 @@ class FibrePath:
     def bound(
         self, rod: Rod, force: Array, slope: Array, *, pulls: bool
     ) -> StabilityBound:
-        """Bound on the stiffness of forces along the fibres, about the straight rod.
+        """Stability bound of forces along the fibres, about the straight rod.
 
         Args:
             rod: The rod.
             force: Bound on the force of each fibre around each node `(k, n + 1)` [N].
-            slope: Bound on its derivative by the fibre's length, same shape [N/m].
+            slope: Bound on the derivative of that force by length, same shape [N/m].
             pulls: Whether all fibres pull; then they add no stiffness against shear.
         """
         span = self.rest_segments(rod)
@@ -107,7 +107,7 @@ class FibrePath:
         )
 
     def resampled(self, rod: Rod, new_rod: Rod) -> FibrePath:
-        """The same path at the nodes of a rod with another number of elements."""
+        """The same path at the nodes of `new_rod`, interpolated along the rod."""
         old, new = node_places(rod), node_places(new_rod)
         return replace(self, offsets=resampled_along(self.offsets, old, new))
 
@@ -132,7 +132,7 @@ def _size(*components: Array) -> Array:
 
 
 def fibre_path(rod: Rod, offsets: Numbers | None) -> FibrePath:
-    """Makes a path from its offsets, and checks them.
+    """Makes a `FibrePath` from offsets, after checking them.
 
     Args:
         rod: The rod.
@@ -165,7 +165,7 @@ def helical_offsets(
         radius: Distance from the centreline, one number, or one per node [m].
         turns: Number of turns from the base of the rod to its tip, right-handed if
             positive, at most 100 in size.
-        angles: Angle of each fibre at the start, from d1 towards d2, at most 1000 in
+        angles: Angle of each fibre at the base, from d1 towards d2, at most 1000 in
             size `(k,)` [rad].
 
     Raises:

@@ -1,7 +1,8 @@
-r"""Magnetised rods in a field: energy $-m\cdot B$.
+r"""Magnetised rods in a magnetic field, with the energy $-m\cdot B$.
 
-An element with the magnetic moment $m$, which turns with it, experiences in the flux
-density $B(x)$ the couple $m\times B$ and the force $(\nabla B)^T m$ at its middle.
+An element with the magnetic moment $m$, which turns with the element, experiences in
+the flux density $B(x)$ the couple $m\times B$ and the force $(\nabla B)^T m$ at its
+middle.
 """
 
 from __future__ import annotations
@@ -28,7 +29,7 @@ from jaxrod.validation import Numbers, as_array, check_kind
 
 
 class MagneticField(ABC):
-    """Base of fields that vary in space; a subclass is a pytree.
+    """Base of magnetic fields that vary in space; a subclass is a pytree.
 
     Its numbers may be schedules.
 
@@ -52,17 +53,17 @@ class MagneticField(ABC):
 
     @abstractmethod
     def __call__(self, place: Vec3) -> Vec3:
-        """Flux density at places, world frame [T]."""
+        """Flux density at given points, world frame [T]."""
 
     @property
     @abstractmethod
     def largest(self) -> Any:
-        """Bounds on flux density [T], its first [T/m] and second derivative [T/m^2]."""
+        """Bounds of flux density [T], its first [T/m] and second derivative [T/m^2]."""
 
 
 @pytree
 class LinearField(MagneticField):
-    """A field that varies linearly in space.
+    """A magnetic field that varies linearly in space.
 
     Example:
         >>> gradient = jnp.diag(jnp.array([1.0, 1.0, -2.0]))  # [T/m], trace zero
@@ -73,14 +74,14 @@ class LinearField(MagneticField):
     """
 
     flux_density: Any
-    """Flux density at the origin `(3,)` [T]."""
+    """Flux density at the origin, world frame `(3,)` [T]."""
     gradient: Any
-    """Derivative of component i along axis j `(3, 3)` [T/m]."""
+    """Derivative of component i of the flux density along axis j `(3, 3)` [T/m]."""
     extent: Float[Array, ""]
     """Distance from the origin within which the rod stays [m]."""
 
     def __call__(self, place: Vec3) -> Vec3:
-        """Flux density [T]."""
+        """Flux density at given points, world frame [T]."""
         x, y, z = (
             self.flux_density[i]
             + self.gradient[i, 0] * place[0]
@@ -92,7 +93,7 @@ class LinearField(MagneticField):
 
     @property
     def largest(self) -> tuple[Array, Array, Array]:
-        """Bounds from the largest numbers within the extent."""
+        """Bounds within the extent: |B| + |gradient| extent, |gradient|, and zero."""
         slope = jnp.sqrt(jnp.sum(self.gradient**2))
         size = jnp.sqrt(jnp.sum(self.flux_density**2)) + slope * self.extent
         return size, slope, jnp.zeros_like(slope)
@@ -110,14 +111,15 @@ class Magnetisation(Effect):
     """
 
     moment_per_length: Float[Array, "3 m"]
-    """Magnetic moment per length, material frame, per element or one (m = 1) [A m]."""
+    """Magnetic moment per length, material frame, of each element or of all (m = 1)
+    [A m]."""
     field: Any
     """Flux density, world frame `(3,)` [T], or a `MagneticField`."""
 
     reach: ClassVar[Reach] = "neighbours"
 
     def loads(self, rod: Rod, motion: Motion) -> Loads:
-        """Couples, and forces if the field varies in space."""
+        """Couples on elements, and forces on nodes if the field varies in space."""
         frame = directors(motion.orientation)
         own = self._moments(rod)
         if not isinstance(self.field, MagneticField):
@@ -132,7 +134,7 @@ class Magnetisation(Effect):
         )
 
     def energy(self, rod: Rod, state: RodState) -> Array:
-        """Negative moment times flux density [J]."""
+        """Energy: minus the sum of magnetic moment times flux density [J]."""
         motion = motion_of(state)
         moment = to_world(directors(motion.orientation), self._moments(rod))
         if isinstance(self.field, MagneticField):
@@ -142,13 +144,14 @@ class Magnetisation(Effect):
         return -jnp.sum(vectors.dot(moment, flux))
 
     def stability_bound(self, rod: Rod) -> StabilityBound:
-        """Bound of couples that turn and of forces that vary in space."""
+        """Bound of the stiffness of turning couples and of forces varying in space."""
         moment = vectors.safe_norm(self._moments(rod))
         if not isinstance(self.field, MagneticField):
             size = jnp.sqrt(jnp.sum(self.field**2))
             return StabilityBound(elements=moment * size)
         size, slope, curved = self.field.largest
-        # Coupling of displacement and rotation, split by the element's length.
+        # Displacement and rotation are coupled; Young's inequality with the element's
+        # length as weight splits the coupling.
         return StabilityBound(
             nodes=at_nodes(moment * (curved + slope / rod.rest_lengths)),
             elements=moment * (size + slope * rod.rest_lengths),
@@ -156,11 +159,14 @@ class Magnetisation(Effect):
 
     @property
     def twists(self) -> str | None:
-        """None: moments may be across the rod; `make_scene` tests their values."""
+        """None: not every magnetisation twists a rod.
+
+        `make_scene` tests the values of `loads` instead.
+        """
         return None
 
     def resampled(self, rod: Rod, new_rod: Rod) -> Magnetisation:
-        """The same moments per length, at the new elements."""
+        """The same magnetic moments per length in `new_rod`, interpolated along it."""
         old, new = middle_places(rod), middle_places(new_rod)
         moments = resampled_along(self.moment_per_length, old, new)
         return replace(self, moment_per_length=moments)
@@ -186,7 +192,7 @@ def magnetisation(
     Args:
         rod: The rod.
         moment_per_length: Magnetisation times the area of the section, material frame:
-            `(3,)`, or one per element `(3, n)` [A m].
+            `(3,)`, or one vector per element `(3, n)` [A m].
         field: Flux density, world frame `(3,)`, or a schedule of it [T]; or a
             `MagneticField`, such as `linear_field` makes.
 

@@ -21,11 +21,10 @@ $$g(u) = \frac{1 - u}{1 + u/h} \ (0 < u < 1), \qquad
 
 It is zero beyond $u = 1$ and at most $b$ during lengthening. At zero speed it is one.
 
-A force-length curve gives the fraction of the full force as a function of stretch.
-
-It is the fraction $f(\lambda)$, about one at $\lambda = 1$, and its integral
-$F(\lambda) = \int_1^\lambda f$, which is the stored energy of a fully active muscle of
-unit force and length. Both are smooth enough for a step: $f$ has a continuous slope.
+A force-length curve $f(\lambda)$ is the fraction of the full force at the stretch
+$\lambda$, about one at $\lambda = 1$. Its integral $F(\lambda) = \int_1^\lambda f$ is
+the stored energy of a fully active muscle of unit force and length. The slope of $f$ is
+continuous.
 """
 
 from __future__ import annotations
@@ -62,29 +61,29 @@ from jaxrod.validation import Numbers, as_array, check_kind
 
 
 class ForceLength(ABC):
-    """Base of force-length curves; a subclass is a pytree."""
+    """Base of curves of force over stretch, as fractions of the full force."""
 
     @abstractmethod
     def energy(self, stretch: Array) -> Array:
-        """Integral of the force fraction from stretch 1 [1]."""
+        """Integral of the force fraction from stretch 1 to `stretch` [1]."""
 
     @property
     @abstractmethod
     def largest(self) -> Array | float:
-        """Bound on the force fraction [1]."""
+        """Upper bound of the force fraction [1]."""
 
     @property
     @abstractmethod
     def steepest(self) -> Array | float:
-        """Bound on the slope of the force fraction [1]."""
+        """Upper bound of the slope of the force fraction over stretch [1]."""
 
 
 @pytree
 class ConstantForce(ForceLength):
-    """The same force at any length."""
+    """Force fraction of one at any stretch."""
 
     def energy(self, stretch: Array) -> Array:
-        """Stretch minus one [1]."""
+        """Integral of the force fraction: stretch minus one [1]."""
         return stretch - 1
 
     @property
@@ -94,7 +93,7 @@ class ConstantForce(ForceLength):
 
     @property
     def steepest(self) -> float:
-        """Largest slope, zero [1]."""
+        """Largest slope of the force fraction, zero [1]."""
         return 0.0
 
 
@@ -106,7 +105,7 @@ class GaussianForce(ForceLength):
     """Width $w$ [1]."""
 
     def energy(self, stretch: Array) -> Array:
-        """Integral of the Gaussian [1]."""
+        """Integral of the force fraction from stretch 1 to `stretch` [1]."""
         scale = self.width * np.sqrt(np.pi / 2)
         return scale * erf((stretch - 1) / (np.sqrt(2) * self.width))
 
@@ -117,7 +116,7 @@ class GaussianForce(ForceLength):
 
     @property
     def steepest(self) -> Array:
-        """Slope at one width from the maximum [1]."""
+        """Largest slope $e^{-1/2}/w$, at one width from the maximum [1]."""
         return np.exp(-0.5) / self.width
 
 
@@ -126,7 +125,7 @@ _RUN_OUT = 0.05
 
 
 def _outlets() -> tuple[float, float]:
-    """Stretches at which the cubic ends and parabolas continue it to zero."""
+    """Stretches where the cubic ends and parabolas take it to zero."""
     slope = _CUBIC.deriv()
     before = (2 * _CUBIC - _RUN_OUT * slope).roots()
     after = (2 * _CUBIC + _RUN_OUT * slope).roots()
@@ -140,17 +139,17 @@ def _outlets() -> tuple[float, float]:
 class CubicForce(ForceLength):
     r"""Cubic $f = 3.06\lambda^3 - 13.64\lambda^2 + 18.01\lambda - 6.44$ where positive.
 
-    It fits the muscles of an octopus (Chang et al., 2021). Its maximum is 0.99045. It
-    ends near the stretches 0.577 and 1.596: there it continues to zero along a parabola
-    0.05 wide, so that its slope is continuous.
+    It fits the muscles of an octopus (Chang et al., 2021). Its maximum is 0.99045. At
+    the stretches 0.577 and 1.596 the cubic ends. From there $f$ falls to zero along
+    parabolas 0.05 wide, so that its slope is continuous.
     """
 
     _ends: ClassVar[tuple[float, float]] = _outlets()
 
     def energy(self, stretch: Array) -> Array:
-        """Integral of the force fraction from a stretch of 1 [1].
+        """Integral of the force fraction from stretch 1 to `stretch` [1].
 
-        It covers the cubic and the parabolas at its ends, and is constant beyond them.
+        It is constant beyond the parabolas at both ends of the cubic.
         """
         first, last = self._ends
         whole = _CUBIC.integ(lbnd=1.0)
@@ -169,7 +168,7 @@ class CubicForce(ForceLength):
 
     @property
     def steepest(self) -> float:
-        """Slope at the shorter end of the cubic [1]."""
+        """Largest slope, where the cubic ends at short lengths [1]."""
         return float(_CUBIC.deriv()(self._ends[0]))
 
 
@@ -225,7 +224,7 @@ def constant_force() -> ConstantForce:
 HYPERBOLA = 0.25
 """Constant `h` of Hill's hyperbola: the smaller, the stronger its curvature [1]."""
 DRAWN_OUT = 1.5
-"""Constant `b`: largest force during lengthening, over that at zero speed [1]."""
+"""Constant `b`: largest force of a lengthening muscle over that at zero speed [1]."""
 
 
 @pytree
@@ -241,31 +240,33 @@ class Muscle(SectionLoad):
 
     reach: ClassVar[Reach] = "second neighbours"
     path: FibrePath
-    """Path of the fibres."""
+    """Offsets of the fibres from the centreline."""
     force: Float[Array, "k n"]
-    """Full force, per element; or one for the whole rod (n = 1) [N]."""
+    """Full force of each fibre in each element, or in the whole rod (n = 1) [N]."""
     activation: Scheduled
     """Fraction of the full force [1]: one number, one per fibre `(k,)`, or `(k, n)`."""
     curve: ForceLength
-    """Force fraction as a function of stretch."""
+    """Force-length curve: fraction of the full force as a function of stretch."""
     fastest: Float[Array, ""] | None = None
-    """Largest speed of shortening, in rest lengths per time [1/s]; `None`: no limit."""
+    """Largest speed of shortening, in rest lengths per time [1/s]; `None`: the force
+    does not depend on speed."""
     slowed: Float[Array, "k n+1"] | None = None
-    """Factor of the force at the current speed, at nodes; see `at_speed` [1]."""
+    """Factor of the force for the speed of shortening, at nodes [1]; `None`: one.
+    `at_speed` sets it."""
     walls: Walls = ()
-    """Walls into which the fibres continue."""
+    """Walls at ends of the rod into which the fibres continue."""
     across: bool = static(default=False)
     """Whether the fibres contract across the rod."""
 
     def at_speed(self, rod: Rod, motion: Motion) -> Muscle:
-        """The muscle with the force factor for its current speed of shortening."""
+        """The muscle with `slowed` set for the present speed of shortening."""
         if self.fastest is None:
             return self
         share = force_at_speed(self._shortening(rod, motion) / self.fastest)
         return replace(self, slowed=share)
 
     def _shortening(self, rod: Rod, motion: Motion) -> Array:
-        """Speed of shortening around each node, in rest lengths `(k, n + 1)` [1/s]."""
+        """Speed of shortening at nodes, in rest lengths per time `(k, n + 1)` [1/s]."""
         rest = vectors.safe_norm(self.path.rest_segments(rod))
 
         def stretch(position: Vec3, orientation: Quaternion) -> Array:
@@ -282,7 +283,7 @@ class Muscle(SectionLoad):
         return -jax.jvp(stretch, here, (motion.velocity, turning))[1]
 
     def stored(self, rod: Rod, strains: SectionStrains) -> Array:
-        """Energy of the fibres [J]."""
+        """Energy of the fibres, summed over fibres and nodes; see the module [J]."""
         rest = vectors.safe_norm(self.path.rest_segments(rod))
         stretch = vectors.safe_norm(self.path.segments(strains)) / rest
         pull = self._pull(rod)
@@ -291,7 +292,7 @@ class Muscle(SectionLoad):
         return jnp.sum(pull * rest * self.curve.energy(stretch))
 
     def stability_bound(self, rod: Rod) -> StabilityBound:
-        """Bound of the forces and their derivatives near the unstressed shape."""
+        """Bound of stiffness and drag of the fibres near the unstressed shape."""
         largest, steepest = self.curve.largest, self.curve.steepest
         if self.across:
             steepest = 0.5 * steepest + 1.5 * largest
@@ -312,7 +313,7 @@ class Muscle(SectionLoad):
         return replace(bound, node_drag=drag.nodes, element_drag=drag.elements)
 
     def resampled(self, rod: Rod, new_rod: Rod) -> Muscle:
-        """The same muscles on a rod with another number of elements."""
+        """The same muscles in `new_rod`, interpolated along the rod."""
         old, new = middle_places(rod), middle_places(new_rod)
         activation = self.activation
         if isinstance(activation, Array) and activation.ndim == 2:
@@ -325,7 +326,10 @@ class Muscle(SectionLoad):
         )
 
     def _pull(self, rod: Rod) -> Array:
-        """Active force at rest length, times the speed factor `(k, n + 1)` [N]."""
+        """Force at rest length of each fibre around each node `(k, n + 1)` [N].
+
+        It is the activation times the full force times the factor `slowed`.
+        """
         active = self.activation
         if active.ndim < 2:
             active = active.reshape(-1, 1)
@@ -339,10 +343,10 @@ class Muscle(SectionLoad):
 
 
 def force_at_speed(speed: Array) -> Array:
-    """Factor of a muscle's force that depends on its speed, by Hill's hyperbola [1].
+    """Force of a muscle over that at zero speed, by Hill's hyperbola [1].
 
     Args:
-        speed: Speed of shortening, over the largest; negative for lengthening [1].
+        speed: Speed of shortening over the largest one; negative for lengthening [1].
     """
     shorter = jnp.minimum(jnp.where(speed > 0, speed, 0), 1)
     longer = jnp.where(speed > 0, 0, -speed)
@@ -378,8 +382,8 @@ def muscle(
         across: Whether the fibres contract across the rod, which makes it thinner and
             longer.
         fastest: Largest speed of shortening, in rest lengths per time [1/s]. Fibres
-            pull less the faster they shorten, not at all at this speed, and up to half
-            as much again while they lengthen. By default speed does not matter.
+            pull less the faster they shorten, not at all at this speed, and up to 1.5
+            times as much while they lengthen. By default the speed has no effect.
         into: The `clamp` of an end, or a tuple of two, into whose wall the fibres
             continue.
 

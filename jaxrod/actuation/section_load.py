@@ -17,9 +17,8 @@ Joints are at the nodes. An array over nodes, of length `n + 1`, has the joints 
 inner nodes and, at an end with a wall, the joint between the wall and the end element.
 At free ends the rotation is zero, and a moment is left out.
 
-The stability bound needs bounds on the stiffness of such actuators.
-
-In small motions about the straight rod, $s$ is the stretch of an element,
+The stability bound needs bounds of the stiffness of such actuators. In small motions
+about the straight rod, $s$ is the stretch of an element,
 $\gamma = e_\perp - \ell\theta$ its shear (the displacement of its nodes across the rod
 minus that of its own rotation), and $\phi$ the rotation of a joint. An actuator adds at
 most $\sum k_s s^2 + k_\gamma \gamma^2 + k_\phi \phi^2$ to twice the energy. Each part
@@ -64,7 +63,7 @@ Walls = tuple[Wall, ...]
 
 @pytree
 class SectionStrains:
-    """Strains of a rod in the material frames of its sections.
+    """Strains of elements and joints of a rod, in material frames.
 
     Example:
         >>> zero, long = jnp.zeros(10), jnp.full(10, 0.11)
@@ -76,14 +75,16 @@ class SectionStrains:
     """
 
     edges: Vec3
-    """Vectors from each node to the next in the element's material frame, `n` [m]."""
+    """Vector from each node to the next, in the frame of the element, `n` entries
+    [m]."""
     rotations: Vec3
-    """Joint rotation at each node, material frame, `n + 1` [rad]; zero at free ends."""
+    """Rotation vector of the joint at each node, material frame, `n + 1` entries [rad];
+    zero at free ends."""
 
 
 @pytree
 class SectionStress:
-    """Stress of an actuator; components that it does not have are `None`.
+    """Force and moment of an actuator in a rod; `None` for the one that is zero.
 
     Example:
         >>> zero, turns = jnp.zeros(10), (jnp.zeros(11), jnp.zeros(11), jnp.zeros(11))
@@ -95,9 +96,11 @@ class SectionStress:
     """
 
     force: Vec3 | None = None
-    """Force in elements, material frame, positive along d3 in tension, `n` [N]."""
+    """Force in each element, material frame, positive along d3 in tension, `n` entries
+    [N]."""
     moment: Vec3 | None = None
-    """Joint moment at each node, material frame, `n + 1` [N m]; unused at free ends."""
+    """Moment of the joint at each node, material frame, `n + 1` entries [N m]; unused
+    at free ends."""
 
 
 class SectionLoad(Effect):
@@ -122,10 +125,10 @@ class SectionLoad(Effect):
     """
 
     walls: Walls = ()
-    """Walls into which it continues; a field in subclasses that support walls."""
+    """Walls into which the actuator continues; a field in subclasses with walls."""
 
     def stored(self, rod: Rod, strains: SectionStrains) -> Array:
-        """Stored energy [J]."""
+        """Stored energy of the actuator at the given strains [J]."""
         # Not abstract: a subclass may have `stress` alone.
         raise NotImplementedError(
             f"{type(self).__name__} must have stored(rod, strains) or "
@@ -133,7 +136,7 @@ class SectionLoad(Effect):
         )
 
     def stress(self, rod: Rod, strains: SectionStrains) -> SectionStress:
-        """Force and moment: by default the derivatives of the stored energy."""
+        """Force and moment; by default the derivatives of the stored energy."""
         slope = jax.grad(lambda there: self.stored(rod, there))(strains)
         return SectionStress(slope.edges, slope.rotations)
 
@@ -142,7 +145,7 @@ class SectionLoad(Effect):
         return self
 
     def loads(self, rod: Rod, motion: Motion) -> Loads:
-        """Stress, as it acts on nodes and elements."""
+        """Forces on nodes and couples on elements from the stress; see the module."""
         strains, couplings = self._strains(motion)
         stress = self.at_speed(rod, motion).stress(rod, strains)
         forces, couples = None, None
@@ -159,18 +162,18 @@ class SectionLoad(Effect):
         return Loads(forces, couples)
 
     def energy(self, rod: Rod, state: RodState) -> Array | float:
-        """Stored energy, zero if there is none [J]."""
+        """Stored energy in a state [J]; zero if the subclass defines none."""
         if type(self).stored is SectionLoad.stored:
             return 0.0
         return self.stored(rod, self._strains(motion_of(state))[0])
 
     @property
     def twists(self) -> str | None:
-        """Name of the stress, all of which is in the material frame."""
+        """Name, for error messages, of the stress, which turns with the sections."""
         return "stress in the material frame"
 
     def _strains(self, motion: Motion) -> tuple[SectionStrains, Array]:
-        """Strains, and the couplings of the joints (see `joint_couples`)."""
+        """Strains, and coupling coefficients of the joints (see `joint_couples`)."""
         edges = to_material(directors(motion.orientation), motion.edges)
         rotation, coupling = joint_rotations(motion.orientation)
         x, y, z = (vectors.pad(part, 1, 1) for part in rotation)
@@ -185,7 +188,7 @@ class SectionLoad(Effect):
 
 
 def _wall_joint(wall: Wall, orientation: Quaternion) -> tuple[Vec3, Array]:
-    """Rotation of the joint between a wall and the end element, and its coupling."""
+    """Rotation vector [rad] and coupling coefficient of the joint at a wall."""
     frame = split_quaternion(wall.orientation)
     element = at_end(orientation, wall.end)
     before, after = (frame, element) if wall.end == "base" else (element, frame)
@@ -204,7 +207,7 @@ def _without_free_ends(moment: Vec3, held: Sequence[str]) -> Vec3:
 
 
 def _inner_sum(a: Vec3) -> Vec3:
-    """Sums of neighbours, with one entry fewer than `a`."""
+    """Sums of neighbouring entries, one fewer than entries of `a`."""
     return a[0][1:] + a[0][:-1], a[1][1:] + a[1][:-1], a[2][1:] + a[2][:-1]
 
 
@@ -225,18 +228,19 @@ def walls_of(into: Clamp | tuple[Clamp, ...] | None) -> Walls:
 
 
 def lengths_at_nodes(rod: Rod) -> Array:
-    """Rest length around each node, half of each neighbouring element's [m]."""
+    """Rest length around each node: half of each neighbouring element [m]."""
     return at_nodes(rod.rest_lengths)
 
 
 def at_nodes(of_elements: Array) -> Array:
-    """Quantity of the elements, half of it at each of their nodes."""
+    """Shares a quantity of elements among nodes: half to each node of an element."""
     half = 0.5 * of_elements
     return vectors.pad(half, 0, 1) + vectors.pad(half, 1, 0)
 
 
 _LEAST_WEIGHT = 1e-6
-"""Smallest weight of one part of a fibre's elongation, relative to all parts [1]."""
+"""Smallest weight of one part of a fibre's elongation, over the sum of all parts
+[1]."""
 
 
 def section_bound(
@@ -245,12 +249,12 @@ def section_bound(
     shear: Array | None = None,
     turning: Array | None = None,
 ) -> StabilityBound:
-    r"""Bound of stiffness against stretch, shear, bending and twist.
+    r"""Stability bound of stiffness against stretch, shear, bending and twist.
 
     Args:
         rod: The rod.
-        stretch: $k_s$ of each element, also for displacement across the rod `(n,)`
-            [N/m].
+        stretch: $k_s$ of each element `(n,)` [N/m]; it may also resist displacement
+            across the rod.
         shear: $k_\gamma$ of each element `(n,)` [N/m].
         turning: $k_\phi$ of the joint at each node `(n + 1,)` [N m].
     """
@@ -270,7 +274,7 @@ def section_bound(
 def transport_bound(
     rod: Rod, force: Array | None = None, moment: Array | None = None
 ) -> StabilityBound:
-    """Bound of a stress that is constant in the material frame and turns with it.
+    """Stability bound of a stress that is constant in the material frame.
 
     Args:
         rod: The rod.
@@ -294,14 +298,14 @@ def fibre_bound(
     across: Array,
     lever: Array,
 ) -> StabilityBound:
-    """Bound of springs along fibres, which stretch, shear and bend the rod together.
+    """Stability bound of springs along fibres, which stretch, shear and bend the rod.
 
     Args:
         rod: The rod.
         stiffness: Stiffness of each fibre around each node `(k, n + 1)` [N/m].
         along: Component of the fibre along the rod, same shape [1].
-        across: Component of the fibre across the rod [1].
-        lever: Elongation per rotation of the joint [m].
+        across: Component of the fibre across the rod, same shape [1].
+        lever: Elongation of the fibre per rotation of the joint, same shape [m].
     """
     # Any weights give a bound; these do not change if the rod's ends are swapped.
     moves, rocking, inertia = (
@@ -319,7 +323,10 @@ def fibre_bound(
 
 
 def cross_bound(rod: Rod, coupling: Array) -> StabilityBound:
-    """Bound of a coupling of shear and twist, `2 coupling gamma phi` at nodes [N]."""
+    """Stability bound of a coupling of shear `gamma` and twist `phi` at nodes.
+
+    It adds `2 coupling gamma phi` to twice the energy; `coupling` is a force [N].
+    """
     inertia = jnp.min(rod.inertias, axis=0)
     rate = jnp.sqrt(4 / inertia / (_moves(rod) + _rocking(rod)))
     # The twist at a node is bounded with the shear of both neighbouring elements.
@@ -328,7 +335,7 @@ def cross_bound(rod: Rod, coupling: Array) -> StabilityBound:
 
 
 def together(*bounds: StabilityBound) -> StabilityBound:
-    """Sum of several bounds."""
+    """Sum of the stiffnesses of several stability bounds; their drag is ignored."""
 
     def total(name: str) -> Array | None:
         parts = [getattr(bound, name) for bound in bounds]
@@ -339,35 +346,41 @@ def together(*bounds: StabilityBound) -> StabilityBound:
 
 
 def _at_each_node(values: Array) -> Array:
-    """Mean of the values of the elements next to every node."""
+    """Mean of the values of the two elements at each node."""
     before, after = _beside_nodes(values)
     return 0.5 * (before + after)
 
 
 def _beside_nodes(values: Array) -> tuple[Array, Array]:
-    """Values of the elements before and after every node, repeated at the ends."""
+    """Values of the elements before and after each node, repeated at the ends."""
     padded = jnp.pad(values, (1, 1), mode="edge")
     return padded[:-1], padded[1:]
 
 
 def _moves(rod: Rod) -> Array:
-    """Squared frequency of displaced nodes per stiffness of elements [1/kg]."""
+    """Squared frequency of the two nodes of each element, per stiffness [1/kg].
+
+    It is `2 (1 / m + 1 / m')` for their masses.
+    """
     inverse = 1 / rod.node_masses
     return 2 * (inverse[1:] + inverse[:-1])
 
 
 def _rocking(rod: Rod) -> Array:
-    """Squared frequency of elements rotating between fixed nodes, same unit [1/kg]."""
+    """Squared frequency of each element rotating between fixed nodes, per stiffness.
+
+    It is the squared length over the rotary inertia [1/kg].
+    """
     return rod.rest_lengths**2 / jnp.min(rod.inertias, axis=0)
 
 
 def _of_elements(at_nodes: Array) -> Array:
-    """Mean over each element's two nodes, a bound on the effect of both joints."""
+    """Mean of values at the two nodes of each element."""
     return 0.5 * (at_nodes[1:] + at_nodes[:-1])
 
 
 def _share(whole: Array, part: Array) -> Array:
-    """Inverse weight of one of three terms, in a bound on the square of their sum."""
+    """Factor `whole / part` of one term's square, in a bound of the square of a sum."""
     # Proportional to the part plus a small constant, so that the round-off of a part
     # that is zero adds nothing.
     weight = part + _LEAST_WEIGHT * whole

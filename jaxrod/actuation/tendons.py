@@ -14,8 +14,7 @@ $$T_j = T_{j-1} \exp(-\mu\,\theta_j\,\phi_j), \qquad
 
 with the speed $v_j$ at which the cable slips towards its base, where it is pulled. The
 share $s$ of friction remains at rest: one after the cable was pulled in, minus one
-after it was let out. Loads at zero speed are those of statics: an equilibrium stays at
-rest.
+after it was let out. Loads at zero speed are those of `equilibrium`.
 """
 
 from __future__ import annotations
@@ -51,37 +50,43 @@ class Tendon(Effect):
     """
 
     eyelets: Float[Array, "k 2 m"]
-    """Offsets from the centreline along d1 and d2 [m]."""
+    """Offsets of the `m` eyelets of each cable from the centreline, along d1 and d2
+    [m]."""
     tension: Scheduled
-    """Tension at the base, one number or one per cable `(k,)`; `None` with a length
-    [N]."""
+    """Tension at the base [N], one number or one per cable `(k,)`; `None` if a length
+    is given."""
     length: Scheduled
-    """Length to which cables are wound up, one number or one per cable `(k,)`; `None`
-    with a tension [m]."""
+    """Length to which cables are wound up [m], one number or one per cable `(k,)`;
+    `None` if a tension is given."""
     stiffness: Float[Array, ""] | None
-    """Stiffness of a cable that is wound up to a length [N/m]."""
+    """Stiffness of a cable that is wound up to a length [N/m]; otherwise `None`."""
     onset: Float[Array, ""] | None
-    """Elongation over which such a cable changes from slack to taut [m]."""
+    """Elongation over which a cable wound up to a length becomes taut [m]."""
     anchors: Float[Array, "3 k"] | None = None
-    """Points from which cables come, world frame [m]; `None`: from the first eyelet."""
+    """Points in space from which the cables come, world frame [m]; `None`: cables begin
+    at their first eyelets."""
     friction: Float[Array, ""] | None = None
-    """Coefficient of friction at the eyelets [1]."""
+    """Coefficient of friction at the eyelets [1]; `None` without friction."""
     slip_speed: Float[Array, ""] | None = None
-    """Speed of slip at which friction is 0.76 of its full size [m/s]."""
+    """Speed of slip at which friction is 0.76 (tanh 1) of its full size [m/s]."""
     friction_at_rest: Float[Array, "..."] | None = None
-    """Share of friction that remains at rest, one number or one per cable `(k,)`: above
-    zero after the cable was pulled in [1]."""
+    """Share $s$ of friction that remains at rest, one number or one per cable `(k,)`
+    [1]. It is positive after the cable was pulled in, negative after it was let out."""
     first: int = static(default=0)
-    """Number of the element with the first eyelet."""
+    """Index of the element with the first eyelet."""
 
     @property
     def actual_reach(self) -> Reach:
-        """Reach "any" if a cable's tension depends on its length or on friction."""
+        """Range of the loads along the rod.
+
+        It is "any" if a cable's tension depends on its length or on friction, otherwise
+        "second neighbours".
+        """
         decided_here = self.length is None and self.friction is None
         return "second neighbours" if decided_here else "any"
 
     def loads(self, rod: Rod, motion: Motion) -> Loads:
-        """Pulls of the pieces on their eyelets."""
+        """Forces on nodes and couples on elements, from the pulls at the eyelets."""
         levers, points = self._points(motion)
         pieces, lengths = _pieces(points)
         along = vectors.scale(1 / lengths, pieces)
@@ -102,7 +107,11 @@ class Tendon(Effect):
         )
 
     def energy(self, rod: Rod, state: RodState) -> Array:
-        """Energy of the cables [J]; for constant tension, its work from length zero."""
+        """Energy of the cables [J].
+
+        It is elastic energy for a given length, and tension times length for a given
+        tension.
+        """
         lengths = self.cable_lengths(motion_of(state))
         if self.length is None:
             return jnp.sum(self._tension(lengths) * lengths)
@@ -111,7 +120,7 @@ class Tendon(Effect):
         return 0.5 * self.stiffness * jnp.sum(taut**2)
 
     def cable_lengths(self, motion: Motion) -> Float[Array, "k"]:
-        """Length of each cable, from its anchor or first eyelet to its last [m]."""
+        """Length of each cable, from anchor or first eyelet to last eyelet [m]."""
         return jnp.sum(_pieces(self._points(motion)[1])[1], axis=1)
 
     def cable_tensions(self, motion: Motion) -> Float[Array, "k"]:
@@ -119,7 +128,7 @@ class Tendon(Effect):
         return self._tension(self.cable_lengths(motion))
 
     def stability_bound(self, rod: Rod) -> StabilityBound:
-        """Bound for turning pieces, stretching cables and friction.
+        """Bound of the stiffness of turning and stretched cables, and of friction.
 
         It holds for turns of the cable of up to a quarter of a radian at an eyelet, and
         for the pull of a cable that is as long as the rod.
@@ -160,21 +169,21 @@ class Tendon(Effect):
 
     @property
     def twists(self) -> str:
-        """Name of the eyelets, which turn with the elements."""
+        """Name, for error messages, of the eyelets, which turn with the elements."""
         return "eyelets off the centreline"
 
     def resampled(self, rod: Rod, new_rod: Rod) -> Tendon:
-        """Raises ValueError: eyelets belong to certain elements."""
+        """Raises ValueError: eyelets belong to certain elements of one rod."""
         raise ValueError(
             "a tendon's eyelets belong to certain elements: it cannot be resampled to "
             "another number of elements"
         )
 
     def _points(self, motion: Motion) -> tuple[Vec3, Vec3]:
-        """Levers of the eyelets and points of the cables, world frame [m].
+        """Levers of the eyelets, and positions of anchors and eyelets, world frame [m].
 
-        Levers have the shape of cables and eyelets `(k, m)`, and points, if there are
-        anchors, `(k, m + 1)`.
+        A lever is the vector from the middle of an element to its eyelet. Levers have
+        the shape `(k, m)`; positions have `(k, m + 1)` if there are anchors.
         """
         held = slice(self.first, self.first + self.eyelets.shape[2])
         d1, d2, _ = directors(motion.orientation)
@@ -199,7 +208,7 @@ class Tendon(Effect):
         return self.stiffness * taut * share
 
     def _taut(self, lengths: Array) -> tuple[Array, Array]:
-        """Elongation of the cables [m], and its derivative by their length [1]."""
+        """Elongation of each cable, zero if slack [m]; its derivative by length [1]."""
         assert self.onset is not None
         width = self.onset
         past = jnp.maximum(lengths - self.length + 0.5 * width, 0)
@@ -208,7 +217,7 @@ class Tendon(Effect):
         return taut, jnp.where(full, 1, past / width)
 
     def _largest_pull(self, rod: Rod) -> Array:
-        """Bound on the tension of all cables together [N]."""
+        """Upper bound of the sum of the tensions of all cables [N]."""
         if self.length is None:
             return jnp.sum(jnp.abs(self._tension(self.eyelets[:, 0, 0])))
         assert self.stiffness is not None and self.onset is not None
@@ -217,7 +226,7 @@ class Tendon(Effect):
         return jnp.sum(self.stiffness * (longest + 0.5 * self.onset))
 
     def _held_back(self, rod: Rod, motion: Motion, levers: Vec3, along: Vec3) -> Array:
-        """Fraction of the base tension left by friction in each piece `(k, m)` [1]."""
+        """Tension of each piece of cable over that at the base `(k, pieces)` [1]."""
         assert self.friction is not None and self.slip_speed is not None
         held = slice(self.first, self.first + self.eyelets.shape[2])
         x, y, z = (part[None, held] for part in motion.angular_velocities(rod))
@@ -229,8 +238,8 @@ class Tendon(Effect):
             if self.anchors is not None:
                 speed = jnp.pad(speed, ((0, 0), (1, 0)))
             rates = rates + along[axis] * (speed[:, 1:] - speed[:, :-1])
-        # The far end of the cable is fixed, so the cable slips at an eyelet by the
-        # amount that the pieces beyond it shorten.
+        # The last eyelet holds the cable, which therefore slips at an eyelet by the
+        # shortening of the pieces after it.
         beyond = jnp.cumsum(rates[:, ::-1], axis=1)[:, ::-1][:, 1:]
         before = along[0][:, :-1], along[1][:, :-1], along[2][:, :-1]
         after = along[0][:, 1:], along[1][:, 1:], along[2][:, 1:]
@@ -240,7 +249,10 @@ class Tendon(Effect):
         return jnp.exp(-jnp.pad(jnp.cumsum(lost, axis=1), ((0, 0), (1, 0))))
 
     def _slip_share(self, slip: Array) -> Array:
-        """Share of friction at speeds of slip over the slip speed `(k, m)` [1]."""
+        r"""Friction over its full size at the eyelets between pieces [1].
+
+        It is $\phi$ in the formulas of the module; `slip` is over the slip speed.
+        """
         moving = jnp.tanh(slip)
         if self.friction_at_rest is None:
             return moving
@@ -252,18 +264,18 @@ class Tendon(Effect):
 
 
 def _pieces(points: Vec3) -> tuple[Vec3, Array]:
-    """Straight pieces between the points of the cables, and their lengths [m]."""
+    """Vectors along the straight pieces of each cable, and their lengths [m]."""
     x, y, z = (part[:, 1:] - part[:, :-1] for part in points)
     return (x, y, z), vectors.safe_norm((x, y, z))
 
 
 def _net(pull: Array) -> Array:
-    """Net pull of the pieces on either side of each point."""
+    """Net pull at each point of a cable: of the piece after it minus that before it."""
     return jnp.pad(pull, ((0, 0), (0, 1))) - jnp.pad(pull, ((0, 0), (1, 0)))
 
 
 def _placed(of_eyelets: Vec3, first: int, n: int) -> Vec3:
-    """Sums over all cables, on the elements that have the eyelets."""
+    """Sums of eyelet vectors over all cables, zero on elements without eyelets."""
 
     def one(part: Array) -> Array:
         total = jnp.sum(part, axis=0)
@@ -286,7 +298,7 @@ def tendon(
     slip_speed: Numbers = 1e-2,
     friction_at_rest: Numbers | None = None,
 ) -> Tendon:
-    """Cables through eyelets on a rod, fixed at the last one.
+    """Cables through eyelets on a rod, each fixed at its last eyelet.
 
     Args:
         rod: The rod.

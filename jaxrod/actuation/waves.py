@@ -4,15 +4,14 @@ At the joint at arc length $s$ acts the moment
 
 $$\tau = r(t)\,A(s) \sin 2\pi\left(\frac tT - \frac s\lambda + \varphi\right),$$
 
-with a plus sign on the element after it and a minus sign on the element before it: it
-bends an unloaded rod by the curvature $\tau/B$. $r$ rises from 0 to 1 while the wave is
-ramped up.
+with a plus sign on the element after the joint and a minus sign on the element before
+it. The wave bends an unloaded rod by the curvature $\tau/B$. $r$ rises from 0 to 1
+while the wave is ramped up.
 
-Amplitudes along a rod may be clamped uniform cubic B-splines.
-
-With $K$ coefficients there are $K - 3$ equal pieces. The first and the last coefficient
-are the values at the ends. The curve passes near the others, not through them, and
-never exceeds the largest of them.
+The amplitude $A(s)$ may be a clamped uniform cubic B-spline. With $K$ coefficients it
+has $K - 3$ equal pieces. The first and the last coefficient are the values at the ends.
+The curve passes near the others, not through them, and never exceeds the largest of
+them.
 """
 
 from __future__ import annotations
@@ -56,14 +55,14 @@ DEGREE = 3
 
 
 def b_spline_basis(count: int, places: Any) -> Array | np.ndarray:
-    """Contribution of each coefficient at places along a rod.
+    """Basis functions of a clamped uniform cubic B-spline at positions along a rod.
 
     Args:
         count: Number of coefficients, at least 4.
-        places: Places from 0 to 1 `(m,)`; slightly outside, the end pieces continue.
+        places: Positions from 0 to 1 `(m,)`; slightly outside, the end pieces continue.
 
     Returns:
-        The basis `(m, count)`, on the host unless the places are traced.
+        The basis `(m, count)`, a NumPy array unless positions are traced.
     """
     xp = module_for(places)
     inner = np.linspace(0.0, 1.0, count - DEGREE + 1)
@@ -94,19 +93,22 @@ FEWEST_COEFFICIENTS = 4
 
 @pytree
 class Wave(Schedule):
-    """A sine in time whose phase varies from node to node, ramped up."""
+    """Schedule of a sine in time whose amplitude and phase vary from node to node."""
 
     amplitudes: Float[Array, " n+1"]
-    """Amplitudes at the nodes."""
+    """Amplitude of the moment at each node [N m]."""
     phases: Float[Array, " n+1"]
-    """Phases at time zero, in periods [1]."""
+    """Phase at each node at time zero, in periods [1]."""
     period: Float[Array, ""]
     """Period [s]."""
     ramp_up: Float[Array, ""] | None = None
-    """Time in which it rises to its full size [s]; `None`: full size at once."""
+    """Time in which the wave rises to its full size [s]; `None`: full size at once."""
 
     def __call__(self, clock: Clock) -> Array:
-        """The values at a time, as exact after a million periods as in the first."""
+        """Moments at the nodes at the time of a clock [N m].
+
+        They are as exact after a million periods as in the first.
+        """
         turns = clock.phase(self.period) + self.phases
         values = self.amplitudes * jnp.sin(2 * jnp.pi * turns)
         if self.ramp_up is None:
@@ -115,11 +117,11 @@ class Wave(Schedule):
 
     @property
     def largest(self) -> Array:
-        """Absolute values of the amplitudes."""
+        """Bound of the moments: absolute amplitudes [N m]."""
         return jnp.abs(self.amplitudes)
 
     def resampled_along(self, old: Any, new: Any) -> Wave:
-        """The wave resampled from arc lengths `old` to arc lengths `new` [m]."""
+        """The wave interpolated from arc lengths `old` to arc lengths `new` [m]."""
         return replace(
             self,
             amplitudes=resampled_along(self.amplitudes, old, new),
@@ -129,9 +131,10 @@ class Wave(Schedule):
 
 @pytree
 class TravellingWave(SectionLoad):
-    r"""A moment at every joint about an axis of the section; see `travelling_wave`.
+    r"""Wave of joint moments about an axis of the section; see `travelling_wave`.
 
-    At a fixed time its energy is $-\sum_k \tau_k\, a\cdot\phi_k$.
+    At a fixed time its energy is $-\sum_k \tau_k\, a\cdot\phi_k$, with the moments
+    $\tau_k$, the axis $a$ and the joint rotations $\phi_k$.
 
     Example:
         >>> wave = actuation.travelling_wave(rod, 0.25, period=2.0, wavelength=1.0)
@@ -143,35 +146,35 @@ class TravellingWave(SectionLoad):
     moments: Scheduled
     """Moment at the joint of each node `(n + 1,)`, or a schedule of it [N m]."""
     axis: Float[Array, "3"]
-    """Unit vector of the axis, material frame."""
+    """Unit vector along the axis, material frame."""
     walls: Walls = ()
-    """Walls into which the wave continues."""
+    """Walls at ends of the rod into which the wave continues."""
 
     reach: ClassVar[Reach] = "neighbours"
 
     def stored(self, rod: Rod, strains: SectionStrains) -> Array:
-        """Negative work of the moments from the straight rod [J]."""
+        """Energy: minus the sum of moments times joint angles about the axis [J]."""
         angle = vectors.dot(vectors.split(self.axis), strains.rotations)
         return -jnp.sum(self.moments * angle)
 
     def stress(self, rod: Rod, strains: SectionStrains) -> SectionStress:
-        """Moments in the joints."""
+        """Joint moments: the negative moments of the wave about its axis."""
         a, b, c = vectors.split(self.axis)
         size = -self.moments
         return SectionStress(moment=(size * a, size * b, size * c))
 
     def stability_bound(self, rod: Rod) -> StabilityBound:
-        """Bound of the moments, which turn with the elements."""
+        """Bound of the stiffness of the moments, which turn with the elements."""
         return transport_bound(rod, moment=self.moments)
 
     def resampled(self, rod: Rod, new_rod: Rod) -> TravellingWave:
-        """The same wave at the new nodes."""
+        """The same wave at the nodes of `new_rod`."""
         return replace(self, moments=_resampled(self.moments, rod, new_rod))
 
 
 @pytree
 class WorldWave(Effect):
-    """A moment at every joint about an axis of space; see `muscle_torques`.
+    """Wave of joint moments about an axis in space; see `muscle_torques`.
 
     It has no energy. The couples on the two elements of a joint are opposite.
 
@@ -188,10 +191,10 @@ class WorldWave(Effect):
     moments: Scheduled
     """Moment at the joint of each node `(n + 1,)`, or a schedule of it [N m]."""
     direction: Float[Array, "3"]
-    """Direction of the axis, world frame; its length is a factor."""
+    """Direction of the axis, world frame; its length multiplies the moments."""
 
     def loads(self, rod: Rod, motion: Motion) -> Loads:
-        """Couples, positive on the element after a joint, negative on that before."""
+        """Couples: plus the joint moment on the element after, minus on that before."""
         inner = self.moments[1:-1]
         net = vectors.pad(inner, 1, 0) - vectors.pad(inner, 0, 1)
         a, b, c = vectors.split(self.direction)
@@ -199,10 +202,10 @@ class WorldWave(Effect):
         return Loads(couples=to_material(frame, (net * a, net * b, net * c)))
 
     def turning_tangent(self, rod: Rod, motion: Motion) -> None:
-        """None: the couples are constant in the world frame."""
+        """None: couples in the world frame do not change when elements rotate."""
 
     def resampled(self, rod: Rod, new_rod: Rod) -> WorldWave:
-        """The same wave at the new nodes."""
+        """The same wave at the nodes of `new_rod`."""
         return replace(self, moments=_resampled(self.moments, rod, new_rod))
 
 
@@ -241,7 +244,8 @@ def travelling_wave(
         axis: Axis in the material frame, of any length `(3,)`: d1 and d2 bend, d3
             twists.
         phase: Phase at time zero at the head, in periods: 0.25 makes it a cosine.
-        ramp_up: Time in which it rises from zero, above 0 [s]; at once by default.
+        ramp_up: Time in which the wave rises from zero, above 0 [s]; at once by
+            default.
         head: The end at which waves begin, "base" or "tip".
         into: The `clamp` of an end, or a tuple of two, into whose wall the wave
             continues.
@@ -299,7 +303,7 @@ def muscle_torques(
         direction: Direction in the world frame `(3,)`; its length is a factor, as in
             PyElastica.
         phase_shift: Phase at time zero at the tip [rad].
-        ramp_up_time: Time in which it rises from zero, above 0 [s].
+        ramp_up_time: Time in which the wave rises from zero, above 0 [s].
 
     Raises:
         ValueError: If an argument is out of range or of the wrong shape.
@@ -329,7 +333,7 @@ def muscle_torques(
 
 
 def _amplitudes(amplitude: Numbers, shares: Any, kind: Any) -> Array:
-    """Amplitudes at places along the rod, given as fractions of its length."""
+    """Amplitudes of a wave at fractions `shares` of the length of a rod [N m]."""
     given = numeric("amplitude", amplitude, "N m")
     given = check_array("amplitude", given, [given.shape], "N m", dtype=kind)
     if given.ndim == 0:

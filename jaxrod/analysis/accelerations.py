@@ -33,7 +33,7 @@ from jaxrod.rods.motion import Loads, Motion
 
 
 def total_loads(scene: LoadedRod, motion: Motion) -> Loads:
-    """All loads under the consistent law, with damping by rates.
+    """All loads under the consistent law, including the damping by decay rates.
 
     Returns:
         Forces on nodes (world frame) [N], couples on elements (material frame) [N m].
@@ -55,10 +55,11 @@ def total_loads(scene: LoadedRod, motion: Motion) -> Loads:
 
 
 def rates_of_change(scene: LoadedRod, motion: Motion) -> Motion:
-    """Derivative of a motion by time; that of spins is the rate of angular momentum.
+    """Time derivative of a motion, in which spins are angular momenta.
 
-    Damping that is solved separately counts with its rate in an infinitesimal step. A
-    filter that takes off the same in every step, however short, has no such rate.
+    Damping by `Effect.dissipate` counts with its rate in an infinitesimal step. A
+    filter that removes the same fraction in every step, however short, has no such
+    rate.
     """
     # A barrier: without it XLA's CPU compiler fuses the loads with all that follows.
     total = lax.optimization_barrier(total_loads(scene, motion))
@@ -84,6 +85,6 @@ def rates_of_change(scene: LoadedRod, motion: Motion) -> Motion:
 
 
 def _turning(orientation: Quaternion, spin: Vec3) -> Quaternion:
-    """Derivative of quaternions by time, at angular velocities in the world frame."""
+    """Time derivative of quaternions, 1/2 (0, w) q, with w in the world frame."""
     half = vectors.scale(0.5, spin)
     return multiply_quaternions((jnp.zeros_like(half[0]), *half), orientation)

@@ -49,9 +49,11 @@ class Vibration:
     angular_frequency: Float[Array, ""]
     """Angular frequency [rad/s]."""
     displacements: Float[Array, "3 n+1"]
-    """Fraction of the kinetic energy in each node's motion, world frame [1]."""
+    """Fraction of the kinetic energy in each component of node motion, world frame
+    [1]."""
     turns: Float[Array, "3 n"]
-    """Fraction of the kinetic energy in each element's rotation, material frame [1]."""
+    """Fraction of the kinetic energy in each component of element rotation, material
+    frame [1]."""
 
 
 def highest_frequency(
@@ -156,7 +158,7 @@ def _measure(scene: LoadedRod, state: RodState, size: int) -> Vibration:
 
 
 def no_damping(rod: Rod) -> InertiaFactors:
-    """Factors of one for every node mass and every rotary inertia."""
+    """Inertia factors without damping: one for every node and every element."""
     return jnp.ones_like(rod.node_masses), jnp.ones_like(rod.rest_lengths)
 
 
@@ -195,7 +197,7 @@ def linearised(
     state: RodState,
     inertia_factors: InertiaFactors,
 ) -> Callable[[Array], Array]:
-    """Map from motions to their negative accelerations.
+    """Linear map of small motions, M^(-1/2) K M^(-1/2): minus their accelerations.
 
     Coordinates are node displacements, then rotations, scaled by the square root of
     inertia. In them the map is symmetric if the loads have a potential.
@@ -308,7 +310,7 @@ def _norm(a: Array) -> Array:
 
 @jax.jit
 def _stiffness(scene: LoadedRod, state: RodState) -> jax.Array:
-    """Stiffness over inertia, in coordinates in which it is symmetric [rad^2/s^2]."""
+    """Matrix M^(-1/2) K M^(-1/2) of all degrees of freedom [rad^2/s^2]."""
     apply = linearised(scene, state, no_damping(scene.rod))
     size = state.positions.size + state.angular_momenta.size
     return jax.vmap(apply)(jnp.eye(size, dtype=state.positions.dtype))
@@ -316,6 +318,6 @@ def _stiffness(scene: LoadedRod, state: RodState) -> jax.Array:
 
 @jax.jit
 def _free(scene: LoadedRod, state: RodState) -> jax.Array:
-    """Flags of degrees of freedom that are free; node displacements, then rotations."""
+    """Whether each degree of freedom is free: node displacements, then rotations."""
     nodes, elements = degrees_of_freedom(scene, motion_of(state))
     return jnp.concatenate([*nodes, *elements]) != 0

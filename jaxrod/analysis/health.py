@@ -68,12 +68,13 @@ class HealthLimits:
     largest_norm_error: Float[Array, ""] | float = 1e-3
     """Largest deviation of the squared norm of a quaternion from one [1]."""
     largest_violation: Float[Array, ""] | float = 1.0
-    """Largest violation of an effect's constraint, see `Effect.violation` [1]: over the
-    radius, the distance of a held end from its place and the depth of a node in a
+    """Largest violation of an effect's constraint (`Effect.violation`) over the radius
+    [1]: distance of a held end from its prescribed position, or depth of a node in a
     body."""
     largest_energy_growth: Float[Array, ""] | float = 0.1
-    """Largest unexplained growth, over the rod's own kinetic and elastic energy [1].
-    Valid steps gain up to 0.003 in free motion, and up to 0.1 in hard impacts."""
+    """Largest unexplained growth of the total energy, over the rod's kinetic and
+    elastic energy [1]. Valid steps gain up to 0.003 in free motion, and up to 0.1 in
+    hard impacts."""
 
 
 @pytree
@@ -102,7 +103,7 @@ class Health:
     norm: Bool[Array, ""]
     """Flag: an orientation is not a unit quaternion."""
     violation: Bool[Array, ""]
-    """Flag: a held end is off its place, or the rod is deep inside a body."""
+    """Flag: a held end is off its position, or a node is deep inside a body."""
     energy: Bool[Array, ""]
     """Flag: energy grew by more than work and round-off can explain."""
     smallest_stretch: Float[Array, ""]
@@ -127,7 +128,7 @@ class Health:
 
     @property
     def flagged(self) -> Bool[Array, ""]:
-        """Whether anything is wrong."""
+        """Whether any flag is set, or a number is not finite."""
         return (
             ~self.finite
             | self.stretch
@@ -309,7 +310,7 @@ def _largest_spin(rod: Rod, state: RodState) -> Array:
 
 
 def _violation(scene: LoadedRod, state: RodState) -> Array | None:
-    """Largest violation of all effects; `None` if none ties the rod to a place."""
+    """Largest violation of all effects; `None` if none holds or touches the rod."""
     found = [effect.violation(scene.rod, state) for effect in scene.effects]
     worst = [value for value in found if value is not None]
     return functools.reduce(jnp.maximum, worst) if worst else None
@@ -368,8 +369,8 @@ class EnergyBalance:
     growth: Float[Array, ""]
     """Growth of the total energy [J]."""
     own: Float[Array, ""]
-    """Energy that does not depend on place: kinetic, elastic, held ends, contact
-    [J]."""
+    """Energy that does not depend on the origin: kinetic, elastic, of held ends and
+    contact [J]."""
     rounding: Float[Array, ""]
     """Largest growth that round-off can explain [J]."""
 
@@ -432,7 +433,7 @@ def energy_balance(
 def _rounding_of_positions(
     rod: Rod, state: RodState, dt: Array
 ) -> tuple[Float[Array, ""], Float[Array, ""]]:
-    """Elastic energy added by round-off in a step, and kinetic energy lost to it."""
+    """Elastic energy that round-off adds in a step, and kinetic energy lost [J]."""
     spacings = jnp.sum(jnp.spacing(state.positions) ** 2, axis=0)
     stiffness = jnp.max(rod.shear_stretch_stiffness, axis=0) / rod.rest_lengths
     shaken = jnp.sum(stiffness * (spacings[1:] + spacings[:-1])) / 12

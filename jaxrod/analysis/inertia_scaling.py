@@ -6,7 +6,7 @@ irrelevant mode then limits the step. Increasing only the transverse rotary iner
 slows it; mass and polar inertia, which carry axial and torsional waves, do not change.
 The change of bending frequencies grows with the square of the radius of gyration. It
 stays within the discretisation error while the enlarged radius of gyration is below
-that of a sphere as long as the element.
+half the length of the element.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ from jaxrod.structure import pytree
 from jaxrod.validation import Numbers, as_array, check_count, check_kind, is_traced
 
 SHARE_OF_OTHER_LIMITS = 0.9
-"""Largest automatic step, as a fraction of the limit of stretch and twist."""
+"""Automatic step as a fraction of the limit set by stretch and twist [1]."""
 _ROUNDS = 200
 
 
@@ -55,15 +55,15 @@ def scale_inertia(scene: LoadedRod, dt: Numbers | None = None) -> InertiaScaling
     """Enlarges the transverse rotary inertia of a scene's rod for larger steps.
 
     Without `dt` the inertia is enlarged until stretch or twist limits the step, but
-    never beyond the radius of gyration of a sphere as long as the element. A rod
-    thicker than its elements are long is not changed. With `dt` it is enlarged as far
-    as that step requires, without regard to the frequencies; `frequency_changes` gives
-    their changes. Rates of rotational damping act on the
-    enlarged inertia: the couples that they represent grow with it.
+    never beyond a radius of gyration of half the element's length. A round rod whose
+    radius exceeds the length of its elements is not changed. With `dt` it is enlarged
+    as far as that step requires, without regard to the frequencies; `frequency_changes`
+    gives their changes. Rates of rotational damping act on the enlarged inertia: the
+    couples that they represent grow with it.
 
     Args:
-        scene: The scene; effects and damping do not change. For a schedule, the bound
-            on its size counts.
+        scene: The scene; effects and damping do not change. A schedule counts with the
+            bound on its magnitude.
         dt: Step size to be made stable [s].
 
     Returns:
@@ -142,21 +142,21 @@ def _scaled(scene: LoadedRod, factors: Array) -> LoadedRod:
 
 
 def _reasonable(rod: Rod) -> Array:
-    """Factor by which an element reaches the inertia of a ball of its length, or 1."""
+    """Factors that raise the radius of gyration to half the element's length, or 1."""
     largest = rod.linear_density * rod.rest_lengths**2 / 4
     return jnp.maximum(largest / jnp.max(rod.rotary_inertia[:-1], axis=0), 1)
 
 
 @jax.jit
 def _other_limit(scene: LoadedRod) -> Array:
-    """Step that stretch and twist allow [s]."""
+    """Largest step that is stable for stretch and twist [s]."""
     bounds = frequency_bounds(scene, no_damping(scene.rod))
     return 2 / jnp.max(bounds[1:])
 
 
 @jax.jit
 def _factors(scene: LoadedRod, dt: Array, largest: Array) -> Array:
-    """Smallest factors with which `dt` is stable, limited to `largest`."""
+    """Smallest inertia factors with which `dt` is stable, limited to `largest` [1]."""
     eps = jnp.finfo(dt.dtype).eps
     budget = 2 / dt * (1 - 100 * eps)
 

@@ -20,10 +20,10 @@ proportion to the stretch of a compressed rod. Under the consistent law compress
 fraction $\varepsilon$ raises the highest frequency by at most the fraction
 $0.6\,\varepsilon$, and never by more than 8 % (at $\varepsilon = 1/3$). A safety factor
 of 0.9 covers this; a factor of 0.99 covers rods that are never compressed by more than
-1.5 %. Violent vibrations of single elements need
-more margin: Verlet has resonances of third and fourth order at $\sqrt3/2$ and
-$\sqrt2/2$ of the limit. Undamped rods with strains of 0.1 and joint angles of one
-radian blew up at safety factors of 0.72 and above; at 0.65 none of 64 did.
+1.5 %. Violent vibrations of single elements need more margin: Verlet has resonances of
+third and fourth order at $\sqrt3/2$ and $\sqrt2/2$ of the limit. Undamped rods with
+strains of 0.1 and joint angles of one radian blew up at safety factors of 0.72 and
+above; at 0.65 none of 64 did.
 
 Damping enters the limit as added inertia. Solved exactly in the kick (consistent mode),
 a rate $g$ turns an inertia $m$ into $m\,\frac{gh}2\coth\frac{gh}2$. As a factor after
@@ -75,18 +75,19 @@ Details = TypeVar("Details")
 
 MODE_NAMES = ("shear and bending", "stretch", "twist")
 COMPRESSED = 0.9
-"""Smallest fraction of the bound that remains in consistent mode under compression."""
+"""Smallest fraction of the bound to which compression lowers it in consistent mode."""
 ROUNDING = 1e-4
-"""Fraction of the bound lost to round-off of positions without compression."""
+"""Largest fraction of the bound that the round-off of positions alone may cost [1]."""
 _MOST_ROUNDS = 100
 """Largest number of rounds, far more than needed: bisection alone takes sixty."""
 _DECAY_SLOPE = 0.5
-"""Bound on the inertia that exactly solved damping adds, over its exponent."""
+"""Bound on ((x/2) coth(x/2) - 1) / x: inertia added by exactly solved damping of
+exponent x, over x."""
 _FACTOR_TURN = 1.2784645427610738
 """Root of 1 + exp x = x exp x."""
 _FACTOR_SLOPE = 1.7955607383343108
-"""Value of (1 + exp x) / 2x at this root: the bound for damping applied after a
-kick."""
+"""Value of (1 + exp x) / 2x at this root: the slope in x that replaces (1 + exp x) / 2
+beyond it, for damping applied after a kick."""
 
 
 @pytree
@@ -100,9 +101,9 @@ class StableStep:
     """
 
     dt: Float[Array, ""]
-    """The largest safe step [s]."""
+    """Largest stable step times the safety factor [s]."""
     element: Int[Array, ""]
-    """The element with the highest frequency."""
+    """Index of the element with the highest frequency."""
     mode: Int[Array, ""]
     """Index into `MODE_NAMES` of the limiting motion."""
     angular_frequency: Float[Array, ""]
@@ -141,7 +142,7 @@ def stable_dt(
     cent.
 
     Args:
-        scene: The scene, or a system; for a schedule, the bound on its size counts.
+        scene: The scene, or a system; schedules count with their `largest` values.
         safety: Fraction of the limit to use, in (0, 1]: 0.5 is cautious, 0.9 fast.
             Above 0.9 a rod that is compressed while it moves may blow up.
         state: The deformation at which to measure, if any.
@@ -218,8 +219,8 @@ def compression(
     and without compression, at the largest values of schedules, as in `stable_dt`.
 
     Returns:
-        A factor of at most one, and the smallest extent of an element along d3 over
-        its rest length [1].
+        A factor of at most one, and the smallest extent of an element over its rest
+        length [1]: along d3 in consistent mode, between its nodes in PyElastica mode.
     """
     scene = scene.at_largest
     rod = scene.rod
@@ -271,25 +272,25 @@ def _measured(scene: LoadedRod, safety: Array, state: RodState) -> StableStep:
 
 @pytree
 class Bracket:
-    """Two places around the zero of a decreasing function, and the next place to try.
+    """Interval around the zero of a decreasing function, and the next argument to try.
 
     It is narrowed by Chandrupatla's method: inverse quadratic interpolation through the
-    last three places if it can be trusted, else bisection. It takes one function value
-    per narrowing, and no derivative.
+    last three points if it can be trusted, else bisection. Each narrowing takes one
+    function value, and no derivative.
     """
 
     place: Float[Array, ""]
-    """Place to evaluate next."""
+    """Argument at which to evaluate the function next."""
     last: tuple[Array, Array]
-    """Place evaluated last, and the value there."""
+    """Argument evaluated last, and the value there: one end of the interval."""
     other: tuple[Array, Array]
-    """Other end of the bracket, and the value there, of opposite sign."""
+    """Other end of the interval, and the value there, of opposite sign."""
     former: tuple[Array, Array]
-    """Former end of the bracket, and the value there."""
+    """Former end of the interval, and the value there."""
 
     @staticmethod
     def between(lower: Array, upper: Array) -> Bracket:
-        """Bracket of two places at which nothing has been evaluated."""
+        """Bracket from two arguments at which the function is not yet evaluated."""
         # Guessed values of a function that decreases like a hyperbolic tangent: only
         # their signs must be right.
         guess = jnp.tanh(0.5 * (upper - lower))
@@ -299,20 +300,20 @@ class Bracket:
 
     @property
     def width(self) -> Float[Array, ""]:
-        """Distance between the ends."""
+        """Length of the interval."""
         return jnp.abs(self.other[0] - self.last[0])
 
     @property
     def lower(self) -> Float[Array, ""]:
-        """End at which the function is not negative."""
+        """Lower end of the interval, where the function is not negative."""
         return jnp.minimum(self.last[0], self.other[0])
 
     def narrowed(self, value: Array, shift: float) -> Bracket:
-        """Bracket after the value at its `place` is known.
+        """Bracket after the function has been evaluated at `place`.
 
         Args:
-            value: Value of the function there.
-            shift: Smallest distance of the next place from either end.
+            value: Value of the function at `place`.
+            shift: Smallest distance of the next argument from either end.
         """
         same = (value >= 0) == (self.last[1] >= 0)
         last = self.place, value
@@ -338,20 +339,20 @@ def _not_zero(a: Array) -> Array:
 
 
 _Search = tuple[Array, Array, Bracket, Any]
-"""Round, step without damping, bracket of the logarithm of the step over the latter,
-and further details."""
+"""Number of the round, step without damping h0, bracket of log(h / h0) for the step h,
+and details of the last measurement."""
 
 
 class _Found(NamedTuple):
-    """The step at which h times the frequency is 2, and further details."""
+    """The step h at which h times the highest frequency is 2, and details."""
 
     step: Array
     undamped: Array
     """Step without damping and drag [s]."""
     uncertainty: Array
-    """Width of the bracket; the step is its lower end [1]."""
+    """Width of the bracket of log h; the step is its lower end [1]."""
     details: Any
-    """Details of the last measurement."""
+    """Details that the last measurement returned."""
 
 
 _Model = tuple[LoadedRod, RodState | None]
@@ -359,13 +360,13 @@ _Measure = Callable[[_Model, InertiaFactors], tuple[Array, Any]]
 
 
 def _bounds(model: _Model, factors: InertiaFactors) -> tuple[Array, Array]:
-    """Bound on the highest frequency, and the bounds of every element and motion."""
+    """Bound on the highest frequency [rad/s], and all bounds by motion and element."""
     frequencies = frequency_bounds(model[0], factors)
     return jnp.max(frequencies), frequencies
 
 
 def _vibration(model: _Model, factors: InertiaFactors) -> tuple[Array, Vibration]:
-    """Highest frequency at a state, and the motion that has it."""
+    """Highest frequency at a state [rad/s], and the vibration that has it."""
     scene, state = model
     assert state is not None
     vibration = fastest_vibration(scene, state, factors)
@@ -379,8 +380,8 @@ def _largest_step(
     """Step h at which h times the frequency, including damping, is 2.
 
     Args:
-        measure: Function from factors of the inertias to the highest frequency and
-            further details.
+        measure: Function from factors of the inertias to the highest frequency [rad/s]
+            and further details.
         tolerance: Width at which the bracket is narrow enough [1].
         model: The scene, and the state at which to measure.
         nothing: Details with the structure of those that `measure` gives.
@@ -464,7 +465,7 @@ def _largest_step_jvp(
 
 
 def _brackets(scene: LoadedRod, undamped: Array) -> tuple[Array, Array]:
-    """Logarithms of steps, relative to that without damping, that bracket the step.
+    """Lower and upper bound on log(h / h0): step h with damping, h0 without.
 
     With the largest rate of drag everywhere and no damping, the balance is a quadratic
     equation. The same is true with the largest rate of damping and no drag. The step
@@ -511,14 +512,14 @@ def _is_damped(scene: LoadedRod) -> bool:
 def _drag_rates(
     scene: LoadedRod, dt: Array | None, *, whole: bool = True
 ) -> tuple[Array | None, Array | None]:
-    """Rates of explicit drag [1/s] of nodes and of elements.
+    """Decay rates of nodes and of elements by drag that is part of the loads [1/s].
 
     Args:
         scene: The scene.
-        dt: Step for whose damped inertias slip is divided between nodes and elements;
-            `None` for inertias without damping.
-        whole: Whether both get their full parts of slip. If not, both get less than any
-            division would give them.
+        dt: Step size [s]. Friction at the surface is divided between nodes and elements
+            by their inertias with damping at this step; without damping if `None`.
+        whole: Whether both get their full parts of friction. If not, both get less than
+            any division would give them.
     """
     rod = scene.rod
     transverse, polar = rod.inertias
@@ -552,14 +553,14 @@ def _drag_rates(
 
 
 def _added(scene: LoadedRod) -> Callable[[Array], Array]:
-    """Function that returns the relative inertia that damping adds."""
+    """Function of rate times step: inertia that damping adds, relative to the true."""
     return _added_by_decay if scene.method.solves_damping else _added_by_factor
 
 
 def _inertia_factors(scene: LoadedRod, dt: Array) -> InertiaFactors:
-    """Ratios of effective and true masses and rotary inertias of a rod with damping.
+    """Effective over true inertia of nodes and elements, for a step `dt` with damping.
 
-    They are not positive if no rod is stable at this step, of any stiffness.
+    Factors that are not positive mean that this step is unstable for any stiffness.
     """
     rates, drags = damping_rates(scene) or (None, None), _drag_rates(scene, dt)
     factors = []
@@ -662,7 +663,7 @@ def _larger_root(first: Array, second: Array, coupling: Array) -> Array:
 
 
 def _joint_bounds(rod: Rod, transverse: Array, polar: Array) -> tuple[Array, Array]:
-    r"""Bounds of joints on each element, in bending and in twist [rad^2/s^2].
+    r"""Contributions of joints to each element's bound, bending and twist [rad^2/s^2].
 
     Each is half of a joint's squared frequency, computed with half the inertia of
     either element. In a joint bent by $\theta$ at rest, bending is stiffer by the

@@ -16,13 +16,13 @@ from jaxrod.rods.rod import Rod, RodState
 from jaxrod.scene import Scene, make_scene
 
 MOST_RODS = 100_000
-"""Largest number of rods; a larger number must be a mistake."""
+"""Largest number of rods in an assembly; a larger number must be a mistake."""
 
 Made = tuple[Rod, RodState]
 
 
 def equal_rods(n_elements: int, each: Mapping[str, Any], **rod: Any) -> Made:
-    """Equal straight rods with a leading axis.
+    """Rod and state of equal straight rods, in arrays with a leading axis over rods.
 
     Args:
         n_elements: Elements of each rod.
@@ -39,7 +39,7 @@ def equal_rods(n_elements: int, each: Mapping[str, Any], **rod: Any) -> Made:
 
 
 def rods_along(curves: Sequence[np.ndarray], **rod: Any) -> Made:
-    """Rods of `n` elements along curves `(3, n + 1)` [m], with a leading axis."""
+    """Rods of `n` elements along curves `(3, n + 1)` [m], stacked on a leading axis."""
     made = [rod_along(curve, **rod) for curve in curves]
     stacked: Made = jax.tree.map(lambda *leaves: jnp.stack(leaves), *made)
     return stacked

@@ -61,10 +61,11 @@ def nest(
         stiffness: Force of all contacts per length and penetration [N/m^2].
         damping: Damping of all contacts [kg/(m s)].
         friction: Coefficient of Coulomb friction [1].
-        seed: Seed of the random angles and places.
+        seed: Seed of the random angles and positions.
         points_per_element: Contact points per element, as in
             `jaxrod.systems.rod_contact`.
-        max_contacts: Rods that may touch one place at a time, for `stable_dt`.
+        max_contacts: Number of rods that may touch a rod at one place and time, for
+            `stable_dt`.
         effects: Effects on every rod, in addition to contact with the pot.
         **rod: Material, passed to `jaxrod.straight_rod`.
 

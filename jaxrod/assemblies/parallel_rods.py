@@ -15,11 +15,11 @@ from jaxrod.systems.system import System, make_system
 from jaxrod.validation import Numbers, as_array, check_count, numeric
 
 TOUCHING = 1.05
-"""Distance over the sum of radii up to which rods are neighbours."""
+"""Distance of rods over the sum of their radii up to which they are glued [1]."""
 
 
 def hexagonal_places(rings: int, spacing: float) -> np.ndarray:
-    """Places of rods in a hexagonal bundle: 1, 7, 19, 37, ... of them.
+    """Positions of the rods in a hexagonal bundle of 1, 7, 19, 37, ... rods.
 
     Args:
         rings: Number of rings around the rod in the middle.

@@ -1,4 +1,4 @@
-r"""Woven rods: braids around a tube, and nets of two layers.
+r"""Woven rods: braids around a tube, and plane nets of crossing rods.
 
 A strand of length $b$ that winds $N$ times around a tube of radius $R$ and length $L$
 has $b^2 = L^2 + (2\pi N R)^2$: a braid that becomes wider becomes shorter, like the
@@ -49,13 +49,12 @@ def braid(
         n_elements: Elements of each strand. Pinned strands have to cross at nodes, so
             with `joined="pinned"` it must be a multiple of `2 * strands * turns`, which
             must be a whole number.
-        radius: Radius of the tube, from its axis to the centrelines of the strands
-            [m].
+        radius: Radius of the tube, from its axis to the centrelines of the strands [m].
         length: Length of the tube [m].
         turns: Turns of each strand around the tube [1].
         thickness: Radius of the strands [m].
         joined: "pinned" or "free".
-        plate_density: Density of the plates [kg/m^3].
+        plate_density: Density of the discs [kg/m^3].
         effects: Effects on every strand.
         **rod: Material, passed to `jaxrod.rod_along`.
 
@@ -126,7 +125,7 @@ def braid(
 
 
 def _pins(strands: int, n_elements: int, parts: int, state: dict[str, Any]) -> Any:
-    """Ties where strands cross between the plates."""
+    """Ties that pin the strands together where they cross between the discs."""
     per = n_elements // parts
     first, second = [], []
     left, right = (np.asarray(state[name].positions) for name in ("left", "right"))

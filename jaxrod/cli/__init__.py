@@ -1,19 +1,20 @@
 """The command line: `jaxrod COMMAND ...`.
 
-Each command is a module of this package, named after it, or a program in the folder
-`benchmarks` of a checkout. Those programs run the published grid and compare with other
-simulators; they are not installed. A module has
+Each command is a module of this package, named after the command, or a program in the
+folder `benchmarks` of a checkout. Those programs run the published grid and compare
+with other simulators; they are not installed. A module has
 
 - a docstring: a description of the command, shown by `jaxrod COMMAND --help`;
-- `add_arguments(parser)`: declares its arguments, and may set `parser.epilog` to
-  worked examples;
+- `add_arguments(parser)`: declares the arguments of the command, and may set
+  `parser.epilog` to worked examples;
 - `run(args) -> int`: executes the command and returns the exit code.
 
 Only the module of the requested command is imported.
 
 Exit codes: 0 done; 1 done, but with a bad result (such as a machine that fails `jaxrod
-doctor`), or the installation lacks what the command needs; 2 the request cannot be
-carried out; 70 a fault of jaxrod (with its traceback); 130 interrupted.
+doctor`), or the release of JAX is unsound, or the command needs a checkout; 2 the
+request cannot be carried out; 70 a fault of jaxrod (with its traceback); 130
+interrupted; 141 the output's reader has closed its pipe.
 """
 
 from __future__ import annotations
@@ -67,10 +68,10 @@ PROGRAMS = {
     "tradeoff": "benchmarks.tradeoff.run",
     "benchmark": "benchmarks.rod_steps.run",
 }
-"""Commands that are programs of a checkout."""
+"""Modules of the commands that are programs of a checkout, by command."""
 
 BROKEN = 70
-"""Exit code after an unexpected error."""
+"""Exit code after an unexpected error, which is a fault of jaxrod."""
 
 EPILOG = """\
 * in a checkout of the repository, installed with `pip install -e .`
@@ -92,10 +93,10 @@ class NoCheckoutError(ImportError):
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """Runs the command line.
+    """Runs one command; turns errors into messages on stderr and exit codes.
 
     Args:
-        argv: Arguments after the program's name; those of the process if None.
+        argv: Words after `jaxrod`; those of the process if None.
 
     Returns:
         The exit code.
@@ -148,7 +149,7 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 @contextmanager
 def _warnings_as_sentences(command: str) -> Iterator[None]:
-    """Shows warnings without the source line that issued them."""
+    """Shows warnings as one line on stderr, without the source line, in the context."""
 
     def show(
         message: Warning | str,
@@ -170,7 +171,11 @@ def _warnings_as_sentences(command: str) -> Iterator[None]:
 def _parser(
     arguments: Sequence[str],
 ) -> tuple[argparse.ArgumentParser, str | None]:
-    """Builds the parser; only the chosen command gets its arguments."""
+    """Builds the parser; returns it with the name of the chosen command.
+
+    Only the chosen command gets its arguments, because only its module is imported. The
+    name is None if there is no such command.
+    """
     parser = argparse.ArgumentParser(
         prog="jaxrod",
         description="Soft, slender rods on JAX: simulate, differentiate, train.",
@@ -208,7 +213,7 @@ def module_of(command: str) -> ModuleType:
 
 
 def _program(command: str) -> ModuleType:
-    """Imports a program of the checkout around the package."""
+    """Imports the module of a command in the checkout that contains the package."""
     root = Path(jaxrod.__file__).resolve().parents[1]
     name = PROGRAMS[command]
     if not root.joinpath(*name.split(".")).with_suffix(".py").is_file():
@@ -229,7 +234,7 @@ def _program(command: str) -> ModuleType:
 
 
 def _sentence(error: ValueError | OSError | ImportError) -> str:
-    """Turns an error into one sentence for the user."""
+    """Message of an error for the user, with the file or the package it is about."""
     if isinstance(error, ModuleNotFoundError) and error.name:
         package = error.name.partition(".")[0]
         if package in EXTRAS:

@@ -37,7 +37,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Plays the episodes and prints their results."""
+    """Plays the episodes and prints their returns."""
     import jaxrod
     from jaxrod.validation import check_seed
 

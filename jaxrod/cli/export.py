@@ -1,8 +1,8 @@
 """Write the policy of a run for a controller.
 
 --c writes a C99 header that needs math.h alone, --onnx a model for ONNX runtimes.
-Beside each FILE is its contract, FILE.json: entries and units of observation and
-action, the rate, the normalisation, how memory starts, the sha256 of FILE.
+Next to each FILE its contract is written, FILE.json: entries and units of observation
+and action, the rate, the normalisation, the initial memory, the SHA-256 of FILE.
 """
 
 from __future__ import annotations

@@ -1,12 +1,12 @@
-"""Find the numbers of a measured arm from recordings of its markers.
+"""Find the parameters of a measured arm from recordings of its markers.
 
 The arm is a TOML file: its rod, tendons and markers as drawn, and a standard deviation
-of each number that is not known exactly. Recordings are CSV files with a time, the
+of each parameter that is not known exactly. Recordings are CSV files with a time, the
 inputs of the tendons, and the coordinates of the markers, in any order (docs/twin.md
 has both). An arm that rests gives a pose, one that moves a motion.
 
-The folder gets twin.json (the numbers with their standard deviations, and the errors of
-all recordings) and report.html. With --forecast, recordings that are not fitted are
+The folder gets twin.json (the parameters with their standard deviations, and the errors
+of all recordings) and report.html. With --forecast, recordings that are not fitted are
 predicted, which is the test that counts.
 
 Exits with 1 when the search did not converge.
@@ -72,7 +72,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Fits, writes the folder, and prints the result."""
+    """Fits the arm to the recordings, writes the folder, and prints the result."""
     import jaxrod
 
     jaxrod.configure_cpu(1)
@@ -125,13 +125,13 @@ def _names(paths: list[Path]) -> list[str]:
 def _content(
     found: Twin, fitted: list[Comparison], forecasts: list[Comparison]
 ) -> dict[str, Any]:
-    """Content of twin.json."""
+    """Content of twin.json: fitted parameters, and errors of fits and forecasts."""
     import numpy as np
 
     from jaxrod.twin.identification import root_mean_square
 
     def numbers(values: Any) -> Any:
-        """Lists of numbers; null for those that are not finite."""
+        """Numbers as nested lists, with None for those that are not finite."""
         array = np.asarray(values, float).astype(object)
         array[~np.isfinite(values)] = None
         return array.tolist()

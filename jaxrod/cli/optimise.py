@@ -12,7 +12,8 @@ summary.json, trajectory.npz (knots, controls and the motion), convergence.png, 
 replay.html, a page that plays in any browser without a network. Ctrl-C stops Adam and
 writes the best so far.
 
-Exits with 0 when the tip ends within the tolerance, and with 1 when it does not.
+Exits with 0 when the tip ends within the tolerances of distance and speed, with 1 when
+it does not, and with 130 after Ctrl-C.
 """
 
 from __future__ import annotations
@@ -47,7 +48,7 @@ SOLVERS = {"levenberg-marquardt": 20, "adam": 150}
 """Names of the solvers, and their default limits of iterations."""
 
 SPEED_WEIGHT = 1e-3
-"""Cost of the squared speed of the tip at the end [s^2]."""
+"""Weight of the squared final speed of the tip in the cost [s^2]."""
 
 FILES = (
     "history.csv",
@@ -73,7 +74,7 @@ ASKED = (
     "elements",
     "double",
 )
-"""Arguments of the request that config.json stores."""
+"""Arguments of the command that config.json stores."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -159,7 +160,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Optimises, writes the folder, and prints the result."""
+    """Optimises the actuation, writes the folder, and prints the result."""
     import jaxrod
     from jaxrod.validation import check_array, check_count, check_seed
 
@@ -219,7 +220,7 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _solved(problem: Problem, args: argparse.Namespace) -> Solution:
-    """The best trajectory that the chosen solver finds."""
+    """Runs the chosen solver; returns the best trajectory that it found."""
     from jaxrod import control
     from jaxrod.training.progress import ProgressBar
 
@@ -250,7 +251,7 @@ def _solved(problem: Problem, args: argparse.Namespace) -> Solution:
 
 
 def arm_of(env: Environment) -> ActuatedArm:
-    """The arm of a clean task, straight and at rest, with the task's muscles."""
+    """Arm of a task of the clean variant, with its muscles, straight and at rest."""
     from jaxrod.control import ActuatedArm
     from jaxrod.envs.arm.clean import CleanArm
 
@@ -327,7 +328,7 @@ def _write(out: Path, result: Solution, summary: dict[str, Any]) -> None:
 
 
 def _knot_times(result: Solution) -> Any:
-    """Times of the knots [s]."""
+    """Times of the knots of the control values, evenly spaced [s]."""
     import numpy as np
 
     assert result.knots is not None

@@ -1,4 +1,4 @@
-"""One episode of a policy, recorded for viewing."""
+"""Recording of one episode of a policy, as a replay."""
 
 from __future__ import annotations
 
@@ -21,14 +21,14 @@ FRAMES_PER_SECOND = 60.0
 
 @pytree
 class Frame:
-    """One moment of an episode."""
+    """A recorded moment of an episode, or several along a leading axis."""
 
     state: Any
     """State of the environment."""
     reward: Float[Array, "*frames"]
-    """Mean reward of the control steps since the previous frame."""
+    """Mean reward per control step since the previous frame."""
     running: Bool[Array, "*frames"]
-    """Whether the episode is still running."""
+    """Whether the episode was still running when the interval to this frame began."""
 
 
 def record(
@@ -94,7 +94,16 @@ def _play(
     count: int,
     stride: int,
 ) -> tuple[Frame, Frame]:
-    """The first frame, and `count` more, `stride` control steps apart."""
+    """Plays an episode; returns its first frame and `count` more, stacked.
+
+    Args:
+        policy: The policy, of either kind.
+        params: Parameters of the environment.
+        key: Typed random key.
+        env: The environment.
+        count: Number of frames after the first.
+        stride: Control steps between two frames.
+    """
     start_key, step_key = jax.random.split(key)
     observation, start = env.reset(start_key, params)
     acting, repeat = OneEpisode(policy), held_for(policy)

@@ -105,9 +105,17 @@ def write_replay(
     seconds: float | None = None,
     seed: int = 0,
 ) -> Path | None:
-    """Plays the policy and writes a page that shows it, if the task can be drawn.
+    """Plays one episode of a policy and writes it as an HTML page.
 
-    The page is `out`; if that is None, `replay.html` in the run folder.
+    Args:
+        run: The run.
+        policy: Policy of the run.
+        out: Page to write; None for `replay.html` in the run folder.
+        seconds: Simulated time to show [s]; None for a whole episode.
+        seed: Seed of the episode.
+
+    Returns:
+        The page; None if the task cannot be drawn, after a message.
     """
     from jaxrod import viz
     from jaxrod.cli import recording

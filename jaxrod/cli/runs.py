@@ -1,4 +1,4 @@
-"""Opens runs of `jaxrod train`, with clear errors if something is wrong."""
+"""Opening of stored runs for the commands, with errors that name the cause."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ _SCORE_WINDOW = 50
 
 
 def score_window(task: str) -> int:
-    """Number of last training episodes of a seed whose mean return is the final score.
+    """Number of last training episodes whose mean return is the final score of a run.
 
     As in the paper, it is 10 in Cases 3 and 4 and 50 in the others.
     """
@@ -36,8 +36,8 @@ class StoredRun:
 
     Attributes:
         path: Folder of the run.
-        config: The request, as in `config.json`.
-        env: The environment it was trained on.
+        config: Content of `config.json`: task, algorithm, settings, seed.
+        env: The environment of the run.
         trust: Modules that may be imported because the run names them.
     """
 
@@ -48,14 +48,14 @@ class StoredRun:
 
     @property
     def title(self) -> str:
-        """Short description of the run."""
+        """Short description of the run, see `describe`."""
         return describe(self.config)
 
     def policy(self) -> Policy:
         """Reads the deterministic policy.
 
         Raises:
-            ValueError: There is none yet, or it is damaged or belongs to another task.
+            ValueError: There is no policy yet, or it is damaged or of another run.
             UntrustedError: The run names an untrusted algorithm or network of a user.
         """
         from jaxrod.training import MLPPolicy, restore_policy
@@ -92,7 +92,7 @@ class StoredRun:
 
 
 def add_run(parser: argparse.ArgumentParser) -> None:
-    """Declares the folder of a run, and `--trust`."""
+    """Declares the positional argument RUN, the folder of a run, and `--trust`."""
     parser.add_argument(
         "run_folder", type=settings.path, metavar="RUN", help="folder of a run"
     )
@@ -122,7 +122,7 @@ def open_run(path: Path, trust: Collection[str] = ()) -> StoredRun:
 
     Raises:
         ValueError: There is no run, or its `config.json` is damaged.
-        UntrustedError: Its task is a user's own, and not trusted.
+        UntrustedError: The task of the run is a user's own, and not trusted.
     """
     from jaxrod import envs
 
@@ -151,7 +151,7 @@ def open_run(path: Path, trust: Collection[str] = ()) -> StoredRun:
 def _made_again(
     file: Path, task: str, options: Mapping[str, Any], trust: Collection[str]
 ) -> Environment:
-    """The environment of a user's own task, which may have changed since the run."""
+    """Makes the environment of a user's own task; errors name `file`, the config."""
     try:
         return make_task(task, options, trust)
     except UntrustedError as error:
@@ -187,12 +187,12 @@ def make_task(
         task: Task, as for `jaxrod.envs.make`.
         options: Options of the task. Lists, JSON's only sequences, become tuples,
             because an environment has to be hashable.
-        trust: Trusted modules if a file names the task, see `open_run`; None if the
-            user names it.
+        trust: Trusted modules if the task was read from a file, see `open_run`; None if
+            the user typed it.
 
     Raises:
         ValueError: There is no such task, or it does not take these options.
-        UntrustedError: A file names it, and it is not trusted.
+        UntrustedError: The task was read from a file and is not trusted.
     """
     from jaxrod import envs
     from jaxrod.envs.importing import check_trusted, import_callable
@@ -223,7 +223,7 @@ def describe(config: Mapping[str, Any]) -> str:
 
 
 def printable(text: str) -> str:
-    """One line of text that is safe to print: control characters become escapes."""
+    """Text as one line that is safe to print: control characters become escapes."""
     line = " ".join(text.split("\n"))
     return "".join(
         sign if sign.isprintable() else sign.encode("unicode_escape").decode()
@@ -246,10 +246,10 @@ def add_out(parser: argparse.ArgumentParser, default: str) -> None:
 
 
 def check_folder(folder: OwnedFolder, overwrite: bool) -> None:
-    """Refuses a folder that must not, or was not asked to, be replaced.
+    """Checks that a command may write its result into a folder.
 
     Raises:
-        ValueError: The folder cannot be used; with the reason.
+        ValueError: The folder holds other files, or a result and `overwrite` is False.
     """
     folder.check_replaceable()
     if folder.exists and not overwrite:

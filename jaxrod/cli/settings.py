@@ -1,4 +1,4 @@
-"""Settings of an algorithm as words on the command line: NAME=VALUE."""
+"""Parsing of command line words: settings NAME=VALUE, counts and paths."""
 
 from __future__ import annotations
 
@@ -14,9 +14,9 @@ from pathlib import Path
 from typing import Any
 
 _WIDTH = 88
-"""Width of a listing in columns."""
+"""Width of the listing of settings [characters]."""
 _USUAL = "default"
-"""Word for the default function."""
+"""Word that stands for a setting that is None, such as the default network."""
 
 
 def configure(
@@ -25,12 +25,14 @@ def configure(
     words: Sequence[str],
     trust: Collection[str] = (),
 ) -> Any:
-    """The configuration: defaults, then stored settings, then NAME=VALUE words.
+    """Configuration from defaults, stored settings and NAME=VALUE words.
+
+    A word takes precedence over a stored setting, and that over a default.
 
     Args:
-        defaults: Settings of the learner.
-        stored: Settings from a file.
-        words: Settings that the user types, which are trusted.
+        defaults: Default settings of the learner.
+        stored: Settings from a file, by name.
+        words: Settings that the user typed, whose modules are trusted.
         trust: Modules that may be imported because the file names them.
 
     Raises:
@@ -55,7 +57,7 @@ def configure(
 
 
 def _parse(name: str, text: str, default: Any) -> Any:
-    """Reads a value of the same type as the default."""
+    """Converts the text of a setting to a value of the same type as its default."""
     from jaxrod.training.runs.recorded_settings import KINDS, find_function, is_function
 
     if is_function(default):
@@ -77,7 +79,7 @@ def _parse(name: str, text: str, default: Any) -> Any:
 
 
 def word_of(value: Any) -> str:
-    """A value in the form that `--set` reads; not for functions."""
+    """Text of a setting in the form that `--set` reads; not for functions."""
     if isinstance(value, tuple):
         return ",".join(map(str, value))
     return str(value).lower() if isinstance(value, bool) else str(value)
@@ -106,7 +108,7 @@ def options(words: Sequence[str]) -> dict[str, Any]:
 
 
 def listing(defaults: Any) -> str:
-    """Listing of every setting with its default and its meaning."""
+    """Lines NAME=DEFAULT MEANING for every setting, as `--set help` prints them."""
     from jaxrod.training.import_path import import_path
     from jaxrod.training.runs.recorded_settings import is_function
 
@@ -135,8 +137,8 @@ def count(text: str) -> int:
     """Reads a count such as 300, 500k, 10M or 1e7.
 
     Raises:
-        argparse.ArgumentTypeError: It is not a count. Argparse shows only the messages
-            of this error type.
+        argparse.ArgumentTypeError: The text is not a count. Argparse shows only the
+            messages of this error type.
     """
     sizes = {"k": 1_000, "M": 1_000_000, "G": 1_000_000_000}
     number, size = (text[:-1], sizes[text[-1]]) if text[-1:] in sizes else (text, 1)
@@ -162,7 +164,7 @@ def path(text: str) -> Path:
     """Reads the path of a file or folder.
 
     Raises:
-        argparse.ArgumentTypeError: It is empty. An empty path is mostly an unset
+        argparse.ArgumentTypeError: The text is empty. An empty path is mostly an unset
             variable of the shell, and would mean the current folder.
     """
     if not text.strip():
@@ -171,7 +173,7 @@ def path(text: str) -> Path:
 
 
 def field_meanings(kind: type) -> dict[str, str]:
-    """The string under each field of a class and its bases, on one line.
+    """Docstrings of the fields of a class and its bases, by field, each on one line.
 
     Python keeps no docstrings of fields, so they are read from the source. A class
     without source (typed into an interpreter) has none.
@@ -199,7 +201,7 @@ def _own_meanings(kind: type) -> dict[str, str]:
 
 
 def _text(statement: ast.stmt) -> str:
-    """Text of a statement that is a string; empty for any other statement."""
+    """Content of a statement that is only a string; empty for other statements."""
     if not isinstance(statement, ast.Expr):
         return ""
     value: Any = statement.value

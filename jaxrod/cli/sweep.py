@@ -198,7 +198,7 @@ def run(args: argparse.Namespace) -> int:
 
 @contextmanager
 def _place(args: argparse.Namespace, number: int) -> Iterator[Place]:
-    """Machine or cluster on which so many runs are trained."""
+    """Machine or Ray cluster, as the arguments request, for a number of runs."""
     if args.ray is None:
         from jaxrod.cli.sweeps.running import ThisMachine
 
@@ -232,10 +232,16 @@ def _check_folders(runs: Sequence[SweepRun], out: Path) -> None:
 
 
 def _train(runs: Sequence[SweepRun], out: Path, place: Place, more: list[str]) -> int:
-    """Trains the unfinished runs; returns the exit code.
+    """Trains the unfinished runs of a sweep and writes results.csv.
+
+    Args:
+        runs: All runs of the sweep.
+        out: Folder of the sweep.
+        place: Machine or cluster that trains the runs.
+        more: Words that are added to the commands of all runs.
 
     Returns:
-        0 if all runs finished, 1 if some failed, 130 if interrupted.
+        Exit code: 0 if all runs finished, 1 if some failed, 130 if interrupted.
     """
     from jaxrod.cli.sweeps.results import Results
     from jaxrod.cli.sweeps.running import last_row, log_of, train_all, wait_for

@@ -4,11 +4,11 @@ TASK is `tracking` (a soft arm follows a moving target), `reaching` (it reaches 
 with an orientation), `structured` (a planar arm in a maze), `unstructured` (an arm in a
 nest), `following` (a moving target, by curvatures, ten times a second), `snake` or
 `octopus` (they crawl along a heading), `gripper` (it lifts a ball) or `trivial` (solved
-in seconds, to try things out). The variants of the arms are `paper`, whose scores
-compare with the published ones, and `clean`; the others have `clean` only. TASK may
-also be your own: `mypackage.mymodule:make_task` or `folder/file.py:make_task` names the
-callable that makes it. Modules are also searched in the current folder
-(docs/extending.md).
+in seconds, to try things out). The first four have the variants `paper`, whose scores
+compare with the published ones, and `clean`; `trivial` has no variants, the others have
+`clean` only. TASK may also be your own: `mypackage.mymodule:make_task` or
+`folder/file.py:make_task` names the callable that makes it. Modules are also searched
+in the current folder (docs/extending.md).
 
 The run folder gets config.json, progress.csv (env_steps, wall_s,
 episode_return_mean, ...), episodes.csv, checkpoints/, policy/, summary.json,
@@ -172,7 +172,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Trains, draws, and prints the result."""
+    """Trains a policy, draws its pictures, and prints the result."""
     import jaxrod
     from jaxrod.envs import check_environment, names
     from jaxrod.envs.importing import canonical_path
@@ -328,9 +328,8 @@ def _trust(args: argparse.Namespace, said: Any = None) -> tuple[str, ...]:
     """Modules and import paths that may be imported if a file names them.
 
     Args:
-        args: Arguments of the command: the modules of --trust, and other names that the
-            user gives.
-        said: Settings as the user has given them.
+        args: Arguments of the command: modules of `--trust`, task and algorithm.
+        said: Settings that the user typed; their functions are trusted.
     """
     from jaxrod.envs.importing import canonical_path
 
@@ -341,7 +340,7 @@ def _trust(args: argparse.Namespace, said: Any = None) -> tuple[str, ...]:
 
 
 def _modules(algorithm: str, config: Any) -> list[str]:
-    """Modules to trust when this run is resumed, other than its task's."""
+    """Modules that `--trust` must name to resume a run, apart from the task's."""
     paths = [algorithm, *_functions(config)]
     usual = () if config is None else _functions(type(config)())
     named = {path.rpartition(":")[0] for path in paths if path not in usual}
@@ -349,7 +348,7 @@ def _modules(algorithm: str, config: Any) -> list[str]:
 
 
 def _functions(settings: Any) -> list[str]:
-    """Import paths of the settings that are functions."""
+    """Import paths of those settings that are functions; `settings` may be None."""
     from jaxrod.training.import_path import import_path
 
     fields = () if settings is None else dataclasses.fields(settings)
@@ -358,7 +357,7 @@ def _functions(settings: Any) -> list[str]:
 
 
 def _logs(args: argparse.Namespace, out: Path) -> bool:
-    """Whether to write an event file: as requested, or as in the resumed run."""
+    """Whether to write an event file: as --log says, or else as the resumed run did."""
     from jaxrod.training import RunFolder
 
     if args.log is None and args.resume:
@@ -369,7 +368,7 @@ def _logs(args: argparse.Namespace, out: Path) -> bool:
 def _draw(
     out: Path, policy: Any, trust: Collection[str], replay: bool
 ) -> list[Path | None]:
-    """Draws the pictures of a finished run."""
+    """Draws the learning curve, and the replay if wanted; returns the paths."""
     stored = runs.open_run(out, trust)
     drawn = [draw_learning_curve(out, stored.config)]
     if replay:
@@ -378,7 +377,7 @@ def _draw(
 
 
 def _lines(summary: Mapping[str, Any], config: Mapping[str, Any]) -> list[str]:
-    """The result as lines of text."""
+    """Summary of a finished run as lines of text."""
     final = summary["final_score"]
     score = "no episode was completed"
     if final is not None:
@@ -402,7 +401,7 @@ def _lines(summary: Mapping[str, Any], config: Mapping[str, Any]) -> list[str]:
 
 
 def _folder(args: argparse.Namespace, variant: str | None) -> Path:
-    """Folder of the run; by default it is named after the task and the settings."""
+    """Folder of the run: `--out`, or runs/TASK-VARIANT-OPTIONS-ALGORITHM-SEED."""
     from jaxrod import envs
 
     if args.out is not None:
@@ -421,7 +420,7 @@ def _folder(args: argparse.Namespace, variant: str | None) -> Path:
 
 
 def short_name(task: str) -> str:
-    """Name of a task for a folder; for a user's own task, its file and its callable."""
+    """Name of a task for folders, such as "arm-make" for "tasks/arm.py:make"."""
     place, colon, name = task.rpartition(":")
     return f"{Path(place.removesuffix('.py')).name}-{name}" if colon else task
 
@@ -433,7 +432,7 @@ def _default_variant(task: str) -> str | None:
 def _chosen(
     given: Any, stored: Mapping[str, Any] | None, name: str, default: Any
 ) -> Any:
-    """The value given now, or that of the stored run, or the default."""
+    """The first of: the value typed now, that of the stored run, the default."""
     if given is not None:
         return given
     return stored.get(name, default) if stored else default

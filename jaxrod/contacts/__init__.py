@@ -1,1 +1,1 @@
-"""Contact of a rod with bodies that stand still."""
+"""Contact of a rod with fixed bodies."""

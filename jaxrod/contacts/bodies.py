@@ -1,7 +1,7 @@
 r"""Fixed bodies that a rod can touch, each given by its signed distance.
 
 A body gives, at any point, the distance to its surface (negative inside) and the
-outward unit normal there, which is the distance's gradient. Its numbers are traced:
+outward unit normal there, which is the distance's gradient. Its parameters are traced:
 `vmap` over a body makes random obstacles, `grad` with respect to it moves an obstacle.
 
 Values and gradients are finite everywhere. Where the nearest point of a surface is not
@@ -40,11 +40,11 @@ from jaxrod.structure import pytree, static
 from jaxrod.validation import Numbers, as_array, check_array, is_traced
 
 _ROUNDED = 1e-6
-"""Width within which distances are smoothed, as a fraction of a body's size [1]."""
+"""Smoothing length d in sqrt(x^2 + d^2) for |x|, over a body's size [1]."""
 
 
 class Body(ABC):
-    """Base of all bodies.
+    """Base of all bodies, which are given by signed distance and normal.
 
     Example:
         >>> @extend.pytree
@@ -65,7 +65,7 @@ class Body(ABC):
         """Signed distance [m], negative inside, and outward normal at each point."""
 
     def of_ends(self) -> Body:
-        """The body as seen by the first and the last point."""
+        """Body for the first and last point; only `OneForEach` depends on points."""
         return self
 
     @property
@@ -75,7 +75,7 @@ class Body(ABC):
 
     @property
     def inradius(self) -> Array | None:
-        """Radius of the largest ball inside [m]; `None` if it is not known."""
+        """Radius of the largest ball inside the body [m]; `None` if it is not known."""
         return None
 
     def solid(self) -> Solid:
@@ -94,12 +94,12 @@ class Body(ABC):
 
     @property
     def is_convex(self) -> bool:
-        """Whether it is known to be convex."""
+        """Whether the body is known to be convex."""
         return True
 
     @property
     def is_half_space(self) -> bool:
-        """Whether it is a half space, which cannot be a moving body."""
+        """Whether the body is a half space, which cannot be a moving body."""
         return False
 
     @property
@@ -109,9 +109,9 @@ class Body(ABC):
 
     @property
     def row_of_balls(self) -> tuple[Array, Array, Array] | None:
-        """First centre, last centre and radius of the row of balls that fills it [m].
+        """First centre, last centre and radius of a row of balls along the body [m].
 
-        It is `None` for bodies that no row of balls fills.
+        The row extends from end to end. It is `None` for bodies without such a row.
         """
         return None
 
@@ -141,16 +141,16 @@ class Sphere(Body):
 
     @property
     def count(self) -> int | None:
-        """Number of bodies, from the shape of the numbers."""
+        """Number of bodies: the length of a leading axis; `None` for a single one."""
         return _count(self.radius.shape)
 
     @property
     def inradius(self) -> Array:
-        """Radius [m]."""
+        """Radius of the sphere [m]."""
         return self.radius
 
     def solid(self) -> Solid:
-        """Volume, and inertia of a full ball."""
+        """Volume 4/3 pi r^3, and moments of inertia 2/5 r^2 per mass."""
         radius = self.radius
         square = 0.4 * radius * radius
         return Solid(
@@ -162,13 +162,13 @@ class Sphere(Body):
         )
 
     def mesh(self) -> Triangles:
-        """Triangles of the ball."""
+        """Triangles of the surface of the ball, for drawing."""
         corners, faces = surfaces.ball(float(self.radius))
         return np.asarray(self.centre) + corners, faces
 
     @property
     def centre_of_normals(self) -> Array:
-        """Centre [m]."""
+        """Centre of the ball, through which all normals pass [m]."""
         return self.centre
 
 
@@ -192,7 +192,7 @@ class Capsule(Body):
     """Radius [m]."""
 
     def surface(self, points: Vec3) -> tuple[Array, Vec3]:
-        """Distance from the line between the centres minus the radius, and normal."""
+        """Distance from the segment between centres minus the radius; the normal."""
         axis = vectors.split(self.end - self.start)
         relative = _from_point(self.start, points)
         share = vectors.dot(relative, axis) / vectors.dot(axis, axis)
@@ -201,7 +201,7 @@ class Capsule(Body):
 
     @property
     def count(self) -> int | None:
-        """Number of bodies, from the shape of the numbers."""
+        """Number of bodies: the length of a leading axis; `None` for a single one."""
         return _count(self.radius.shape)
 
     @property
@@ -210,7 +210,7 @@ class Capsule(Body):
         return self.radius
 
     def solid(self) -> Solid:
-        """Volume, and inertia about the axis and across it."""
+        """Volume, and moments of inertia per mass, about the axis and across it."""
         centre, orientation, half = pose_of_axis(self.start, self.end)
         radius, square = self.radius, self.radius * self.radius
         middle = 2 * jnp.pi * square * half
@@ -230,7 +230,7 @@ class Capsule(Body):
         )
 
     def mesh(self) -> Triangles:
-        """Triangles of the cylinder and the half balls."""
+        """Triangles of the cylinder and the half balls, for drawing."""
         start, end = np.asarray(self.start), np.asarray(self.end)
         half = float(np.linalg.norm(end - start)) / 2
         return surfaces.along(surfaces.capsule(half, float(self.radius)), start, end)
@@ -259,7 +259,7 @@ class Cylinder(Body):
     """Radius [m]."""
 
     def surface(self, points: Vec3) -> tuple[Array, Vec3]:
-        """Distance and normal from the distances to the mantle and the nearer end."""
+        """Distance and normal, from the distances to curved side and nearer end."""
         axis, length = _unit(self.end - self.start)
         relative = _from_point(0.5 * (self.start + self.end), points)
         along = vectors.dot(relative, axis)
@@ -275,17 +275,17 @@ class Cylinder(Body):
 
     @property
     def count(self) -> int | None:
-        """Number of bodies, from the shape of the numbers."""
+        """Number of bodies: the length of a leading axis; `None` for a single one."""
         return _count(self.radius.shape)
 
     @property
     def inradius(self) -> Array:
-        """Radius of the cylinder, or half its length [m]."""
+        """Radius of the cylinder, or half its length if that is less [m]."""
         x, y, z = jnp.moveaxis(self.end - self.start, -1, 0)
         return jnp.minimum(self.radius, 0.5 * vectors.safe_norm((x, y, z)))
 
     def solid(self) -> Solid:
-        """Volume, and inertia about the axis and across it."""
+        """Volume, and moments of inertia per mass, about the axis and across it."""
         centre, orientation, half = pose_of_axis(self.start, self.end)
         square = self.radius * self.radius
         across = square / 4 + half * half / 3
@@ -298,14 +298,14 @@ class Cylinder(Body):
         )
 
     def mesh(self) -> Triangles:
-        """Triangles of the mantle and the ends."""
+        """Triangles of the curved side and the ends, for drawing."""
         start, end = np.asarray(self.start), np.asarray(self.end)
         half = float(np.linalg.norm(end - start)) / 2
         return surfaces.along(surfaces.cylinder(half, float(self.radius)), start, end)
 
     @property
     def row_of_balls(self) -> tuple[Array, Array, Array]:
-        """Places a radius from the ends, and the radius [m]."""
+        """Points on the axis, a radius from each end, and the radius [m]."""
         middle = 0.5 * (self.start + self.end)
         axis = self.end - self.start
         length = jnp.sqrt(jnp.sum(axis * axis))
@@ -315,7 +315,7 @@ class Cylinder(Body):
 
 @pytree
 class Plane(Body):
-    """Everything below a plane.
+    """Half space below a plane, such as the ground.
 
     Example:
         >>> floor = shapes.plane((0.0, 0.0, -0.5))
@@ -330,7 +330,7 @@ class Plane(Body):
     """Normal that points out of the body, of any length."""
 
     def surface(self, points: Vec3) -> tuple[Array, Vec3]:
-        """Height above the plane, and the normal."""
+        """Height above the plane, along its normal, and the unit normal."""
         normal, _ = _unit(self.normal)
         distance = vectors.dot(_from_point(self.point, points), normal)
         x, y, z = (jnp.broadcast_to(c, distance.shape) for c in normal)
@@ -338,12 +338,12 @@ class Plane(Body):
 
     @property
     def count(self) -> int | None:
-        """Number of bodies, from the shape of the numbers."""
+        """Number of bodies: the length of a leading axis; `None` for a single one."""
         return _count(self.normal.shape[:-1])
 
     @property
     def is_half_space(self) -> bool:
-        """True."""
+        """True: a plane bounds a half space."""
         return True
 
     @property
@@ -358,7 +358,7 @@ class Plane(Body):
 
 @pytree
 class Box(Body):
-    """A block with right angles.
+    """A rectangular block.
 
     Example:
         >>> block = shapes.box((0.0, 0.0, 0.0), (1.0, 2.0, 3.0))
@@ -371,10 +371,10 @@ class Box(Body):
     half_lengths: Float[Array, "3"]
     """Distances from the centre to the faces, along the box's own axes [m]."""
     orientation: Float[Array, "4"]
-    """Orientation of the box's axes (w, x, y, z)."""
+    """Quaternion (w, x, y, z) from the box's axes to the world, of any length."""
 
     def surface(self, points: Vec3) -> tuple[Array, Vec3]:
-        """Distance and normal from the distances to the pairs of faces."""
+        """Signed distance and normal, from the distances to each pair of faces."""
         frame = directors(normalise(split_quaternion(self.orientation)))
         x, y, z = to_material(frame, _from_point(self.centre, points))
         a, b, c = self.half_lengths[0], self.half_lengths[1], self.half_lengths[2]
@@ -385,7 +385,7 @@ class Box(Body):
 
     @property
     def count(self) -> int | None:
-        """Number of bodies, from the shape of the numbers."""
+        """Number of bodies: the length of a leading axis; `None` for a single one."""
         return _count(self.centre.shape[:-1])
 
     @property
@@ -394,7 +394,7 @@ class Box(Body):
         return jnp.min(self.half_lengths, axis=-1)
 
     def solid(self) -> Solid:
-        """Volume, and inertia about the box's axes."""
+        """Volume, and moments of inertia per mass about the box's axes."""
         a, b, c = self.half_lengths * self.half_lengths / 3
         identity = jnp.asarray(IDENTITY, self.half_lengths.dtype)
         orientation = self.orientation / jnp.sqrt(jnp.sum(self.orientation**2))
@@ -407,7 +407,7 @@ class Box(Body):
         )
 
     def mesh(self) -> Triangles:
-        """Triangles of the six faces."""
+        """Triangles of the six faces, for drawing."""
         corners, faces = surfaces.box(np.asarray(self.half_lengths))
         frame = directors(normalise(split_quaternion(self.orientation)))
         axes = np.array([[float(x) for x in axis] for axis in frame])
@@ -436,14 +436,14 @@ class SignedDistance(Body):
     """Number of axes of every leaf of the parameters, for a single body."""
 
     def surface(self, points: Vec3) -> tuple[Array, Vec3]:
-        """The function and its gradient at each point."""
+        """Signed distance and normal: the function and its gradient at each point."""
         at_each = jax.vmap(jax.value_and_grad(self.function), in_axes=(0, None))
         distances, normals = at_each(jnp.stack(points, axis=-1), self.parameters)
         return distances, (normals[:, 0], normals[:, 1], normals[:, 2])
 
     @property
     def count(self) -> int | None:
-        """Number of bodies, from axes beyond those of a single body."""
+        """Number of bodies: the length of a leading axis; `None` for a single one."""
         leaves = jax.tree.leaves(self.parameters)
         leading = {
             leaf.shape[: leaf.ndim - rank]
@@ -458,12 +458,12 @@ class SignedDistance(Body):
 
     @property
     def is_convex(self) -> bool:
-        """False: nothing is known about the function."""
+        """False: it is not known whether the body is convex."""
         return False
 
 
 def _count(leading: tuple[int, ...]) -> int | None:
-    """Number of bodies, from the leading axes of their numbers."""
+    """Number of bodies, from the leading axes of their arrays; `None` without any."""
     if len(leading) > 1:
         raise ValueError(f"bodies must have at most one leading axis, got {leading}")
     return leading[0] if leading else None
@@ -474,29 +474,30 @@ def _from_point(origin: Float[Array, "3"], points: Vec3) -> Vec3:
 
 
 def _unit(vector: Float[Array, "3"]) -> tuple[Vec3, Array]:
-    """Direction and length of a vector."""
+    """Unit vector along a vector, and the vector's length."""
     components = vectors.split(vector)
     length = jnp.sqrt(vectors.dot(components, components))
     return vectors.scale(1 / length, components), length
 
 
 def _round(relative: Vec3, radius: Array) -> tuple[Array, Vec3]:
-    """Distance and normal of a ball around the origin of `relative`."""
+    """Signed distance and normal of a ball around the origin of `relative`."""
     rounded = (_ROUNDED * radius) * (_ROUNDED * radius)
     length = jnp.sqrt(vectors.dot(relative, relative) + rounded)
     return length - radius, vectors.scale(1 / length, relative)
 
 
 def _sign(a: Array) -> Array:
-    """One or minus one, never zero."""
+    """Sign of a number: -1 if it is negative, else 1."""
     return jnp.where(a < 0, -1, 1).astype(a.dtype)
 
 
 def _corner(faces: tuple[Array, ...], size: Array) -> tuple[Array, tuple[Array, ...]]:
-    """Distance to faces that meet at right angles, and their shares in the normal.
+    """Distance to faces that meet at right angles, and weights of their normals.
 
-    For a point outside of several faces the nearest point is on the edge between them.
-    For a point inside only the nearest face counts.
+    The weighted sum of the normals of the faces is the normal of the body. For a point
+    outside of several faces the nearest point is on the edge between them. For a point
+    inside only the nearest face counts.
 
     Args:
         faces: Distance to each face, negative on its inner side [m].
@@ -694,7 +695,7 @@ def _ends(start: Numbers, end: Numbers) -> tuple[Array, Array]:
 
 
 def _with_length(name: str, value: Numbers, shapes: list[tuple[int, ...]]) -> Array:
-    """Vector whose length is valid, so that it can be normalised."""
+    """Checks that a vector can be normalised, and converts it to an array."""
     checked = check_array(name, value, shapes, "")
     dtype = jnp.result_type(float)
     if not is_traced(checked):
@@ -703,7 +704,7 @@ def _with_length(name: str, value: Numbers, shapes: list[tuple[int, ...]]) -> Ar
 
 
 def _check_length(name: str, vector: np.ndarray, dtype: Any) -> None:
-    """Raises unless the square of the vector's length is within a type's limits."""
+    """Raises unless the square of a vector's length is within the limits of a type."""
     limits = jnp.finfo(dtype)
     shortest, longest = float(limits.tiny) ** 0.5, float(limits.max) ** 0.5
     if not shortest <= math.hypot(*vector) <= longest:

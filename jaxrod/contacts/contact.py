@@ -61,13 +61,13 @@ from jaxrod.validation import Numbers, as_array, check_array, check_count, is_tr
 
 @pytree
 class Contact(Effect):
-    """A rod against one fixed body, or against several of one kind.
+    """Contact of a rod with one fixed body, or with several of one kind.
 
     See `contact`, and `near_contact` for contact with the nearest bodies only.
     """
 
     body: Body
-    """The body; for several bodies its numbers have a leading axis."""
+    """Body or bodies; for several bodies its arrays have a leading axis."""
     stiffness: Float[Array, ""]
     """Force per length of rod and penetration [N/m^2]."""
     onset: Float[Array, ""]
@@ -80,15 +80,17 @@ class Contact(Effect):
     friction_drag: Float[Array, ""] | None = None
     """Largest friction per length of rod and slip speed [kg/(m s)]."""
     n_bodies: int | None = static(default=None)
-    """Number of bodies, if their numbers have a leading axis."""
+    """Number of bodies along a leading axis; `None` for a single body."""
     near: tuple[Body, ...] | None = None
-    """Bodies near each of `contact_points`, used instead of all bodies."""
+    """Nearest bodies of each point, for each entry of `contact_points`; `None` to test
+    all bodies."""
     n_near: int | None = static(default=None)
-    """Number of bodies that each point sees, if not all."""
+    """Number of nearest bodies that are tested at each point; `None` for all."""
     points_per_element: int = static(default=1)
     """Contact points per element."""
     stick_ratio: Float[Array, ""] | None = None
-    """Friction at the onset of slip over that of sliding, if it is directional [1]."""
+    """Coefficient of sticking friction over that of sliding, for directional friction
+    [1]; `None` for one."""
     free_ends: Float[Array, "2"] | None = None
     """Flags of the two ends: 1 if free, 0 if the rod continues in another rod. Both are
     free by default."""
@@ -97,7 +99,7 @@ class Contact(Effect):
 
     @property
     def obstacle(self) -> tuple[Body, int | None]:
-        """The body, and the number of bodies if there are several."""
+        """Body that the rod can touch; number of bodies, `None` for a single one."""
         return self.body, self.n_bodies
 
     @property
@@ -107,11 +109,11 @@ class Contact(Effect):
 
     @property
     def twists(self) -> str | None:
-        """Cause of twist: friction, which makes rods roll."""
+        """Name of the cause of twist: friction, which makes rods roll; else `None`."""
         return None if self.friction is None else "friction"
 
     def loads(self, rod: Rod, motion: Motion) -> Loads:
-        """Normal forces, and friction with its couples."""
+        """Contact forces on nodes, and friction couples on elements, material frame."""
         loads = Loads()
         for points, bodies in self._in_view(rod):
             loads = self._add_loads(loads, rod, motion, points, bodies)
@@ -121,7 +123,7 @@ class Contact(Effect):
         return Loads(loads.forces, to_material(frame, loads.couples))
 
     def stability_bound(self, rod: Rod) -> StabilityBound:
-        """Stiffness and drag as if every point touched all bodies it sees."""
+        """Bounds of stiffness and drag as if each point touched all its bodies."""
         count = self.n_near or self.n_bodies or 1
         stiff, at_nodes, at_elements = _lengths_in_bounds(self._points(rod))
         stiff, at_nodes, at_elements = (
@@ -152,7 +154,7 @@ class Contact(Effect):
         return total
 
     def violation(self, rod: Rod, state: RodState) -> Array:
-        """Deepest penetration of a node over the radius.
+        """Deepest penetration of a node over the radius [1].
 
         It is one where the centreline reaches a surface. Contact of adequate stiffness
         never lets it get that deep.
@@ -168,7 +170,7 @@ class Contact(Effect):
         check_spacing(self.body.inradius, rod, self.points_per_element)
 
     def force_directions(self, rod: Rod, motion: Motion) -> Vec3:
-        """Normals of the bodies, whether the rod touches or not.
+        """Normals of the bodies at the nodes, whether the rod touches them or not.
 
         They are set to zero deep inside, where no node gets: there the nearest face of
         a short post is its top or its bottom.
@@ -184,18 +186,18 @@ class Contact(Effect):
         return jax.vmap(normals)(self.body)
 
     def resampled(self, rod: Rod, new_rod: Rod) -> Contact:
-        """The contact with all bodies again, since the contact points have changed."""
+        """The contact for `new_rod`, with all its points tested against all bodies."""
         return dataclasses.replace(self, near=None, n_near=None)
 
     def with_free_ends(self, free: Float[Array, "2"]) -> Contact:
-        """The contact with these flags of free ends: a continued end has no face."""
+        """The contact with flags of free ends; only free ends have an end face."""
         return dataclasses.replace(self, free_ends=free)
 
     def _points(self, rod: Rod) -> list[Points]:
         return contact_points(rod, self.points_per_element, self.free_ends)
 
     def _in_view(self, rod: Rod) -> list[tuple[Points, list[Body]]]:
-        """Groups of contact points, each with a list of the bodies it sees."""
+        """Groups of contact points, each with a list of the bodies to test."""
         points = self._points(rod)
         if self.near is None:
             everything = _one_by_one(self.body, self.n_bodies)
@@ -208,7 +210,7 @@ class Contact(Effect):
     def _energy_at(
         self, rod: Rod, position: Vec3, points: Points, bodies: list[Body]
     ) -> Array:
-        """Energy of the springs at some contact points [J]."""
+        """Energy of the springs at one group of contact points [J]."""
         radii = points.of_elements(rod.radii)
         place = points.of_nodes(position)
 
@@ -235,7 +237,7 @@ class Contact(Effect):
         points: Points,
         bodies: list[Body],
     ) -> Loads:
-        """Adds forces, and couples in the world frame, of some contact points."""
+        """Adds the loads on one group of contact points, couples in the world frame."""
         position = points.of_nodes(motion.position)
         velocity = points.of_nodes(motion.velocity)
         radii = points.of_elements(rod.radii)
@@ -309,17 +311,17 @@ class Contact(Effect):
         return Loads(forces, accumulate((x, y, z), loads.couples))
 
     def _depth(self, radii: Array) -> Callable[[Array], Array]:
-        """Function from distance to penetration, positive; see `Ends.counted`."""
+        """Function from distance to positive penetration [m], for `Ends.counted`."""
         return lambda distance: depth_from_onset(radii - distance, self.onset * radii)
 
     def _density(self, radii: Array, distance: Array) -> Array:
-        """Energy per length of the springs [J/m]."""
+        """Spring energy per length of rod at a distance from the surface [J/m]."""
         return energy_density(radii - distance, self.onset * radii, self.stiffness)
 
     def _friction(
         self, push: Array, slip: Vec3, normal: Vec3, axis: Vec3 | None
     ) -> Vec3:
-        """Force per length [N/m] at a slip velocity [m/s] under a normal force."""
+        """Friction force per length [N/m], at a slip velocity and a normal force."""
         assert self.friction is not None and self.friction_drag is not None
         if axis is None:
             return friction_force(push, slip, self.friction, self.friction_drag)
@@ -334,31 +336,31 @@ class Contact(Effect):
 
 
 class _Pushed(NamedTuple):
-    """Forces on points or ends [N], and couples in the world frame [N m]."""
+    """Forces on contact points or ends [N], and couples there, world frame [N m]."""
 
     force: Vec3
     couple: Vec3 | None
 
 
 class _OfBody(NamedTuple):
-    """Loads of one body."""
+    """Loads of one body on a group of contact points and on the ends of the rod."""
 
     along_rod: _Pushed
     """Loads on the contact points other than the ends."""
     at_ends: _Pushed | None
-    """Loads on the ends."""
+    """Loads on the ends; `None` if they are not among the points."""
     beside: Vec3 | None
-    """Forces at the places beside the ends [N]."""
+    """Forces at the points beside the ends, where `Ends` measures slopes [N]."""
 
 
 def _each(change: Callable[[Array], Array], vector: Vec3) -> Vec3:
-    """Applies a function to every component."""
+    """Applies a function to each component of a vector."""
     x, y, z = (change(component) for component in vector)
     return x, y, z
 
 
 def _lengths_in_bounds(points: list[Points]) -> tuple[Array, Array, Array]:
-    """Contact lengths for the stiffness and drag of nodes, and of elements [m]."""
+    """Contact lengths in bounds: of nodes' stiffness and drag, elements' drag [m]."""
     stiff, slow, turning = [], [], []
     for some in points:
         bound = longest = some.lengths
@@ -375,7 +377,7 @@ def _lengths_in_bounds(points: list[Points]) -> tuple[Array, Array, Array]:
 
 
 def _one_by_one(body: Body, count: int | None) -> list[Body]:
-    """Several bodies with a leading axis as a list; a single one as a list of one."""
+    """Splits bodies with a leading axis into a list; `count` is `None` for one body."""
     if count is None:
         return [body]
     return [jax.tree.map(operator.itemgetter(k), body) for k in range(count)]
@@ -453,7 +455,7 @@ def contact(
         An effect to list in a scene.
 
     Raises:
-        ValueError: If a number is out of range, or if friction has no drag.
+        ValueError: If a number is out of range, or friction is given without drag.
         TypeError: If the bodies are not bodies, or not all of one kind.
 
     Example:

@@ -1,12 +1,12 @@
 r"""The law of contact at a point: normal force, friction, energy, all per length.
 
 These are pure functions of the penetration $p$, the separation speed $v_n$, the slip
-velocity and the parameters of the contact; `jaxrod.contacts.contact` computes these.
-Along the normal a spring and a dashpot act. Their force never pulls, and its slope is
-continuous at $v_n = 0$:
+velocity and the parameters of the contact; `jaxrod.contacts.contact` computes $p$,
+$v_n$ and the slip. Along the normal a spring and a dashpot act. Their force never
+pulls, and its slope is continuous at $v_n = 0$:
 
 $$F_n = k\,\langle p\rangle - c\,s\,v_n \ (v_n < 0), \qquad
-  F_n = \frac{(k\langle p\rangle)^2}{k\langle p\rangle + c\,s\,v_n} \ (v_n > 0),$$
+  F_n = \frac{(k\langle p\rangle)^2}{k\langle p\rangle + c\,s\,v_n} \ (v_n > 0).$$
 
 The dashpot never resists by more than $c\,|v_n|$, which is its part of the stability
 bound. Within the onset its force also grows with the depth, at the rate $c\,|v_n|/w$. A
@@ -45,8 +45,8 @@ from jaxrod.structure import pytree
 STRIBECK = 3.0
 """Slip speed at which sticking friction fades, over the onset speed u_s [1]."""
 _ALONG_THE_NORMAL = 1e-6
-"""Sine of the angle between axis and normal below which an axis has no direction along
-the surface, approximately [1]."""
+"""Sine of the angle between axis and normal below which the projection of the axis on
+the surface fades to zero [1]."""
 
 
 def normal_force(
@@ -56,12 +56,12 @@ def normal_force(
     stiffness: Array,
     damping: Array | None = None,
 ) -> Array:
-    """Force per length along the normal [N/m].
+    """Normal force per length of a spring and a dashpot, which never pull [N/m].
 
     Args:
         depth: Penetration [m].
         leaving: Separation speed, positive when the point leaves the surface [m/s].
-        width: Width of the onset [m].
+        width: Width of the smooth onset of contact [m].
         stiffness: Force per length and penetration [N/m^2].
         damping: Force per length and speed [kg/(m s)].
     """
@@ -92,7 +92,7 @@ def energy_density(depth: Array, width: Array, stiffness: Array) -> Array:
 
 
 def friction_force(push: Array, slip: Vec3, friction: Array, drag: Array) -> Vec3:
-    """Force per length along the surface, isotropic [N/m].
+    """Friction force per length, against the slip, at most `friction * push` [N/m].
 
     Args:
         push: Normal force per length [N/m].
@@ -109,16 +109,16 @@ def friction_force(push: Array, slip: Vec3, friction: Array, drag: Array) -> Vec
 
 @pytree
 class PenaltyLaw:
-    """Numbers of the law with isotropic friction, per length or per contact."""
+    """Parameters of the law with isotropic friction, per length or per contact."""
 
     stiffness: Array
-    """Force per penetration [N/m^2] or [N/m]."""
+    """Normal force per penetration: [N/m^2] if per length, else [N/m]."""
     damping: Array | None
-    """Force per normal speed [kg/(m s)] or [kg/s]."""
+    """Dashpot force per normal speed: [kg/(m s)] if per length, else [kg/s]."""
     friction: Array | None
-    """Coefficient of friction [1]."""
+    """Coefficient of Coulomb friction [1]."""
     friction_drag: Array | None
-    """Largest friction per slip speed [kg/(m s)] or [kg/s]."""
+    """Largest friction per slip speed: [kg/(m s)] if per length, else [kg/s]."""
 
     @property
     def has_rates(self) -> bool:
@@ -127,13 +127,13 @@ class PenaltyLaw:
 
     @property
     def largest_drag(self) -> Array | None:
-        """Largest force per speed: across surfaces by dashpots, along by friction."""
+        """Larger of `damping` and `friction_drag`; `None` if both are missing."""
         if self.damping is None or self.friction_drag is None:
             return self.friction_drag if self.damping is None else self.damping
         return jnp.maximum(self.damping, self.friction_drag)
 
     def energy(self, depth: Array, width: Array) -> Array:
-        """Energy of the spring at a depth [m] with an onset of some width [m].
+        """Spring energy at a penetration [m], with an onset of the given width [m].
 
         It is per length [J/m] for contact of rods, per contact [J] otherwise; see
         `energy_density`.
@@ -141,7 +141,7 @@ class PenaltyLaw:
         return energy_density(depth, width, self.stiffness)
 
     def spring(self, depth: Array, width: Array) -> Array:
-        """Force of the spring alone."""
+        """Normal force of the spring alone, without dashpot [N/m] or [N]."""
         return normal_force(depth, jnp.zeros_like(depth), width, self.stiffness)
 
     def forces(
@@ -152,14 +152,15 @@ class PenaltyLaw:
         rate: Vec3 | None,
         turning: Vec3 | None = None,
     ) -> tuple[Array, Vec3 | None]:
-        """Size of the normal force, and friction (`None` without friction).
+        """Size of the normal force, and vector of friction (`None` without friction).
 
         Args:
             depth: Penetration [m].
-            width: Width of the onset [m].
+            width: Width of the smooth onset of contact [m].
             normal: Unit vector along which the normal force pushes.
             rate: Relative velocity [m/s]; `None` if `has_rates` is false.
-            turning: Further slip velocity, along the surface [m/s].
+            turning: Slip velocity along the surface from the spins of the bodies, added
+                to that of `rate` [m/s].
         """
         leaving = jnp.zeros_like(depth) if rate is None else vectors.dot(rate, normal)
         push = normal_force(depth, leaving, width, self.stiffness, self.damping)
@@ -180,7 +181,7 @@ def directional_friction_force(
     drag: Array,
     stick_ratio: Array | None = None,
 ) -> Vec3:
-    """Force per length along the surface, with coefficients along an axis and across.
+    """Friction force per length, with coefficients along an axis and across it [N/m].
 
     Args:
         push: Normal force per length [N/m].
@@ -221,15 +222,15 @@ def along_surface(axis: Vec3, normal: Vec3) -> Vec3:
 
 
 def depth_from_onset(depth: Array, width: Array) -> Array:
-    """Depth beyond the onset of contact [m], positive; `width` without contact."""
+    """Penetration plus half the onset width, positive; `width` without contact [m]."""
     return _started(depth, width)[1]
 
 
 def _started(depth: Array, width: Array) -> tuple[Array, Array]:
-    """Whether there is contact, and the depth beyond its onset [m], always finite.
+    """Whether there is contact, and the penetration plus half the onset width [m].
 
-    Depths within round-off of the onset count as no contact, because ratios of
-    vanishing numbers would have no gradient.
+    The latter is `width` without contact. Depths within round-off of the onset count as
+    no contact, because ratios of vanishing numbers would have no gradient.
     """
     inside = depth + 0.5 * width
     touches = inside > float(jnp.finfo(width.dtype).eps) ** 0.5 * width

@@ -17,9 +17,9 @@ $$\ell = \frac{h}{2}\,\frac{p}{\sqrt[4]{p^4 + (3hm/2)^4}} + 2 a m^2.$$
   side.
 
 The energy is proportional to this length. Its derivative with respect to $m$ is a pair
-of forces along the normals at the end and at a place beside it, between which the rise
-is measured. This place is an element or a radius away, whichever is farther, but at
-most half the rod.
+of forces along the normals at the end and at a point beside it, between which the rise
+is measured. This point is one element away, or a radius but at most half the rod,
+whichever is farther.
 """
 
 from __future__ import annotations
@@ -35,32 +35,35 @@ from jaxrod.geometry.vectors import Vec3
 from jaxrod.structure import pytree
 
 MOST_RATIO = 1e6
-"""Bound of the ratio 3hm/2p [1]. Its fourth power is finite in single precision. The
-side of the rod hardly counts at much smaller ratios already."""
+"""Upper bound of the ratio 3hm/2p [1]. Its fourth power is finite in single precision.
+At much smaller ratios already the side of the rod hardly counts."""
 
 
 @pytree
 class Ends:
-    """Both ends of each of some rods, whose contact points are in one row."""
+    """Ends of one or several rods, in the order: first and last end of each rod."""
 
     half_spacings: Float[Array, " ends"]
-    """Lengths of the ends by the trapezoidal rule [m]."""
+    """Half the spacing of contact points at each end: its length by the trapezoidal
+    rule [m]."""
     radii: Float[Array, " ends"]
-    """Radii of the faces [m]."""
+    """Radius of each end face [m]."""
     free: Float[Array, " ends"]
     """Flags: 1 where the end is free, 0 where the rod continues in another rod [1]."""
     reaches: Float[Array, " ends"]
-    """Rest lengths from the ends to the places beside them [m]."""
+    """Rest length from each end to the point beside it. The slope of the rod to a
+    surface is measured between both [m]."""
     shares: Float[Array, "rods 2 points"]
-    """Interpolation weights of a rod's points at the places beside its ends [1]."""
+    """Weights by which a rod's contact points are interpolated at the points beside
+    both of its ends [1]."""
 
     def of_points(self, field: Array) -> Float[Array, " ends"]:
-        """Values at the ends of a field on the points."""
+        """Values at the ends of a field on the contact points."""
         rods = field.reshape(len(self.shares), -1)
         return jnp.concatenate([rods[:, :1], rods[:, -1:]], axis=1).reshape(-1)
 
     def beside(self, field: Vec3) -> Vec3:
-        """Vectors at one place near each end, interpolated from the points."""
+        """Vector field at the point beside each end, from values at the points."""
 
         def one(component: Array) -> Array:
             rods = component.reshape(len(self.shares), 1, -1)
@@ -69,13 +72,13 @@ class Ends:
         return one(field[0]), one(field[1]), one(field[2])
 
     def to_points(self, values: Float[Array, " ends"]) -> Array:
-        """Values at the ends scattered to the points, zero elsewhere."""
+        """Values at the ends, scattered to the contact points; zero elsewhere."""
         rods, others = values.reshape(-1, 2), self.shares.shape[2] - 1
         first = vectors.pad(rods[:, :1], 0, others)
         return (first + vectors.pad(rods[:, 1:], others, 0)).reshape(-1)
 
     def from_beside(self, values: Float[Array, " ends"]) -> Array:
-        """Component of forces beside the ends, shared among the points."""
+        """Forces beside the ends, divided among points: the transpose of `beside`."""
         return jnp.sum(self.shares * values.reshape(-1, 2, 1), axis=1).reshape(-1)
 
     def counted(
@@ -84,11 +87,15 @@ class Ends:
         beside: Float[Array, " ends"],
         depth: Callable[[Array], Array],
     ) -> Float[Array, " ends"]:
-        """Lengths that the ends stand for at a surface [m]; see the module.
+        """Length that each end stands for at a surface [m].
+
+        It is h/2 / (1 + (3hm/2p)^4)^(1/4) + 2 a m^2 with the spacing h, the penetration
+        p, the radius a, and the slope m of the distance along the rod. Where the rod
+        continues it is h/2.
 
         Args:
             own: Distances of the ends from the surface [m].
-            beside: Distances of the places beside the ends from the surface [m].
+            beside: Distances of the points beside the ends from the surface [m].
             depth: Function from distances to penetrations [m]. Its values must be
                 positive; without contact any positive value will do.
         """
@@ -107,16 +114,17 @@ class Ends:
         depth: Callable[[Array], Array],
         density: Float[Array, " ends"],
     ) -> tuple[Array, Array, Array]:
-        """Lengths of the ends [m], and the forces that follow from their changes.
+        """Lengths of the ends [m], and forces from their derivatives by distance.
 
         Args:
-            own: As for `counted`.
-            beside: As for `counted`.
-            depth: As for `counted`.
+            own: Distances of the ends from the surface [m].
+            beside: Distances of the points beside the ends from the surface [m].
+            depth: Function from distances to penetrations, as for `counted` [m].
             density: Energy per length at the ends [J/m].
 
         Returns:
-            The lengths, and forces along the normals at the ends and beside them [N].
+            The lengths, and forces along the normals at the ends and beside them:
+            -density times the derivative of the length by the distance there [N].
         """
         counted, pulled = jax.vjp(
             lambda own, beside: self.counted(own, beside, depth), own, beside
@@ -125,18 +133,19 @@ class Ends:
         return counted, -by_own, -by_beside
 
     def longest(self) -> Array:
-        """Largest lengths that the ends can stand for, scattered to the points [m]."""
+        """Largest lengths that ends can stand for, scattered to contact points [m]."""
         return self.to_points(self.half_spacings + 2 * self.free * self.radii)
 
     def bound(self) -> Array:
-        """Lengths for an upper bound of the stiffness, on the points [m].
+        """Lengths at contact points that bound the stiffness of the ends [m].
 
-        The bound holds for penetrations up to a quarter of the radius. This quarter is
-        a fraction c of the distance to the place beside the end. The Hessian of the
-        energy over the stiffness has two parts. Its part from the half spacing is at
-        most 1.3 half spacings for the end and 0.43 half spacings for the place beside
-        it. Its part from the thickness is at most 1 + 6c + 2c^2 thicknesses for the end
-        and 2c + 2c^2 thicknesses for the place beside it.
+        The stiffness is at most these lengths times the stiffness per length. The bound
+        holds for penetrations up to a quarter of the radius. This quarter is a fraction
+        c of the distance to the point beside the end. The Hessian of the energy over
+        the stiffness has two parts. Its part from the half spacing is at most 1.3 half
+        spacings for the end and 0.43 half spacings for the point beside it. Its part
+        from the thickness is at most 1 + 6c + 2c^2 thicknesses for the end and 2c +
+        2c^2 thicknesses for the point beside it.
         """
         c = 0.25 * self.radii / self.reaches
         thickness = 2 * self.radii
@@ -153,18 +162,18 @@ def ends_of(
     per_element: int,
     free: Float[Array, "2"] | None = None,
 ) -> Ends:
-    """The ends of a rod among its nodes.
+    """Both ends of one rod, whose contact points are its nodes.
 
     Args:
         rest_lengths: Rest lengths of the elements [m].
         radii: Radii of the elements [m].
-        per_element: Contact points per element.
+        per_element: Number of contact points per element.
         free: Flags of the first and the last end: 1 if the end is free, 0 where the rod
             continues in another rod. Both are free by default.
     """
 
     def at_start(lengths: Array, radius: Array) -> tuple[Array, Array]:
-        """Rest length to the place beside the first end, and weights of the nodes."""
+        """Rest length to the point beside the first end; weights of nodes there."""
         reach = jnp.maximum(lengths[0], jnp.minimum(radius, 0.5 * jnp.sum(lengths)))
         before = jnp.cumsum(lengths) - lengths
         passed = jnp.clip((reach - before) / lengths, 0, 1)

@@ -26,13 +26,14 @@ from jaxrod.validation import check_count, check_kind
 
 @pytree
 class OneForEach(Body):
-    """A separate body for each point: its numbers have a trailing axis over points."""
+    """A separate body for each contact point, along a trailing axis of the arrays."""
 
     body: Body
-    """All bodies, of one kind, as one body with leading and trailing axes."""
+    """All bodies, of one kind, as one body. Its arrays have a trailing axis over
+    points, and a leading axis if there are several bodies at each point."""
 
     def of_ends(self) -> OneForEach:
-        """The bodies of the first and of the last point."""
+        """The bodies for the first and the last contact point only."""
 
         def ends(leaf: Array) -> Array:
             return jnp.concatenate([leaf[..., :1], leaf[..., -1:]], axis=-1)
@@ -62,7 +63,7 @@ class OneForEach(Body):
 
 
 def near_contact(contact: Contact, rod: Rod, state: RodState, count: int) -> Contact:
-    """The same contact, but each point sees only the bodies nearest to it now.
+    """The same contact, but each point is tested against its nearest bodies only.
 
     This is exact as long as every body that a point touches is among its `count`
     nearest ones. Choose them again before a point can reach another body. `stable_dt`
@@ -73,7 +74,7 @@ def near_contact(contact: Contact, rod: Rod, state: RodState, count: int) -> Con
         contact: Contact with several bodies.
         rod: The rod.
         state: State of the rod, at which the nearest bodies are chosen.
-        count: Number of bodies that each point sees, at most all.
+        count: Number of nearest bodies to test at each point, at most all.
 
     Returns:
         An effect to list in a scene in place of `contact`, for this rod.

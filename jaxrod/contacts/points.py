@@ -2,11 +2,11 @@
 
 Contact acts per length of rod. Its integral is a sum over points, each weighted by the
 length it stands for (the trapezoidal rule), so loads do not depend on the number of
-elements. The ends have a law of their own (`jaxrod.contacts.ends`). The points are the
-nodes: the tip is one of them, and a force there is a force on a node.
-Long elements have more points between their nodes; both nodes share the forces there by
-the lever rule. The transfer of loads to the rod is the transpose of the interpolation
-of its motion at the points, so no momentum and no power is lost.
+elements. The ends follow a separate law (`jaxrod.contacts.ends`). The points are the
+nodes: the tip is one of them, and a force there is a force on a node. Long elements
+have more points between their nodes; both nodes share the forces there by the lever
+rule. The transfer of loads to the rod is the transpose of the interpolation of its
+motion at the points, so no momentum and no power is lost.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ from jaxrod.validation import is_traced, warn
 
 
 class Points(Protocol):
-    """Contact points of a rod."""
+    """Interface of contact points of a rod: interpolation to them and its transpose."""
 
     @property
     def lengths(self) -> Array:
@@ -34,45 +34,45 @@ class Points(Protocol):
 
     @property
     def ends(self) -> Ends | None:
-        """The ends of the rod, if they are among the points."""
+        """Ends of the rod, if they are among the points; else `None`."""
 
     def of_nodes(self, field: Vec3) -> Vec3:
-        """Values at the points of a field on the nodes."""
+        """Nodal vector field, interpolated at the points."""
 
     def of_elements(self, field: Array) -> Array:
-        """Values at the points of a field on the elements."""
+        """Element field, interpolated at the points."""
 
     def to_nodes(self, field: Vec3) -> Vec3:
-        """Forces at the points, transferred to the nodes."""
+        """Forces at the points, divided between nodes: the transpose of `of_nodes`."""
 
     def to_elements(self, field: Array) -> Array:
-        """Component of couples at the points, transferred to the elements."""
+        """Component of couples at points, on elements: transpose of `of_elements`."""
 
 
 @pytree
 class AtNodes:
-    """The nodes as contact points; fields on elements are averaged by length."""
+    """Nodes of a rod as contact points; element fields are averaged by length."""
 
     lengths: Array
     """Rest length of rod that each point stands for, zero at the ends [m]."""
     ends: Ends
-    """Both ends."""
+    """Both ends of the rod."""
     share_of_first: Array
-    """Share of an element in the average at its first node [1]."""
+    """Weight of each element in the average at its first node [1]."""
     share_of_last: Array
-    """Share of an element in the average at its last node [1]."""
+    """Weight of each element in the average at its last node [1]."""
 
     def of_nodes(self, field: Vec3) -> Vec3:
-        """The field itself."""
+        """The nodal field unchanged: the points are the nodes."""
         return field
 
     def of_elements(self, field: Array) -> Array:
-        """Averages of neighbouring elements."""
+        """Averages of an element field at the nodes, weighted by rest length."""
         first, last = self.share_of_first * field, self.share_of_last * field
         return vectors.pad(first, 0, 1) + vectors.pad(last, 1, 0)
 
     def to_nodes(self, field: Vec3) -> Vec3:
-        """The field itself."""
+        """The forces unchanged: the points are the nodes."""
         return field
 
     def to_elements(self, field: Array) -> Array:
@@ -87,17 +87,17 @@ class BetweenNodes:
     lengths: Array
     """Rest length of rod that each point stands for [m]."""
     fraction: Array
-    """Fraction of the way from an element's first node to its last [1]."""
+    """Fraction along each element, from first to last node, of its point [1]."""
     ends: None = None
 
     def of_nodes(self, field: Vec3) -> Vec3:
-        """Values interpolated between the element's nodes."""
+        """Nodal vector field, interpolated at the point of each element."""
         way = vectors.scale(self.fraction, vectors.inner_difference(field))
         x, y, z = (component[:-1] for component in field)
         return vectors.add((x, y, z), way)
 
     def of_elements(self, field: Array) -> Array:
-        """The field itself."""
+        """The element field unchanged: each element has one point."""
         return field
 
     def to_nodes(self, field: Vec3) -> Vec3:
@@ -111,19 +111,22 @@ class BetweenNodes:
         return x, y, z
 
     def to_elements(self, field: Array) -> Array:
-        """The field itself."""
+        """The couples unchanged: each element has one point."""
         return field
 
 
 def contact_points(
     rod: Rod, per_element: int, free_ends: Float[Array, "2"] | None = None
 ) -> list[Points]:
-    """The nodes, and `per_element - 1` equidistant points inside every element.
+    """The nodes, and `per_element - 1` equidistant points in every element.
+
+    Points at the same fraction of all elements are one entry of the list.
 
     Args:
         rod: The rod.
         per_element: Contact points per element.
-        free_ends: As for `ends_of`.
+        free_ends: Flags of the first and the last end: 1 if the end is free, 0 where
+            the rod continues in another rod. Both are free by default.
     """
     lengths = rod.rest_lengths
     spacing = lengths / per_element
@@ -142,14 +145,15 @@ def contact_points(
 
 
 class ThinBodyWarning(UserWarning):
-    """A body fits between neighbouring contact points of a rod."""
+    """Warning that a body fits between neighbouring contact points of a rod."""
 
 
 def check_spacing(inradius: Array | None, rod: Rod, per_element: int) -> None:
-    """Warns where neighbouring points are farther apart than the sum of the radii.
+    """Warns where points are farther apart than rod radius plus body inradius.
 
     Args:
-        inradius: Inradius of the body or bodies, if it is known [m].
+        inradius: Radius of the largest ball in each body; `None` if it is not known
+            [m].
         rod: The rod.
         per_element: Contact points per element.
     """

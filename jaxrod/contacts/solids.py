@@ -29,22 +29,23 @@ class Solid:
     centre: Float[Array, "3"]
     """Centre of mass [m]."""
     orientation: Float[Array, "4"]
-    """Quaternion from the principal axes to the world."""
+    """Quaternion (w, x, y, z) from the principal axes to the world."""
     volume: Float[Array, ""] | None = None
     """Volume [m^3]; `None` if it is not known."""
     gyration: Float[Array, "3"] | None = None
-    """Moments of inertia over the mass, at uniform density [m^2]."""
+    """Moments of inertia about the principal axes over the mass, at uniform density
+    [m^2]; `None` if they are not known."""
 
 
 def ends_along_z(half: Array) -> tuple[Array, Array]:
-    """Ends of an axis along z about the origin."""
+    """End points (0, 0, -half) and (0, 0, half) of an axis [m]."""
     zero = jnp.zeros_like(half)
     end = jnp.stack([zero, zero, half])
     return -end, end
 
 
 def pose_of_axis(start: Array, end: Array) -> tuple[Array, Array, Array]:
-    """Middle, quaternion that turns z into the axis, and half the length."""
+    """Midpoint [m], quaternion that turns z into the axis, and half the length [m]."""
     way = end - start
     length = jnp.sqrt(jnp.sum(way * way))
     x, y, z = vectors.split(way / length)

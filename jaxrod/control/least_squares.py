@@ -1,6 +1,7 @@
 r"""Least squares within bounds, by damped Gauss-Newton steps (Levenberg-Marquardt).
 
-With residuals $r(z)$, their Jacobian $J$ and a ridge $\rho$ about $z_0$, a step solves
+For residuals $r(z)$ with Jacobian $J$ and a ridge $\rho$ about $z_0$, it minimises
+$|r|^2 + \rho |z - z_0|^2$. A step $d$ with damping $\mu$ solves
 
 $$(J^T J + \rho I + \mu D)\, d = -\big(J^T r + \rho (z - z_0)\big), \qquad
 D = \mathrm{diag}(J^T J) + \rho I$$
@@ -37,7 +38,7 @@ from jaxtyping import Array, Bool, Float, Int
 from jaxrod.structure import pytree
 
 FASTER, SLOWER = 3.0, 4.0
-"""Divisor of the damping after an accepted step, and factor otherwise."""
+"""Divisor of the damping after an accepted step, factor after a rejected one [1]."""
 LADDER = (64.0, 16.0, 4.0, 1.0, 1 / 4, 1 / 16)
 """Dampings tried at once, relative to the last damping [1]; the largest first."""
 MOST_DAMPING = 1e12
@@ -46,7 +47,7 @@ MOST_DAMPING = 1e12
 
 @pytree
 class LeastSquares:
-    """The best point that was found, and the history of the search.
+    """Best point found by `least_squares`, and the history of the search.
 
     Example:
         >>> found = control.least_squares(lambda x: x**2 - 4.0, jnp.array(1.0))
@@ -61,7 +62,7 @@ class LeastSquares:
     jacobian: Float[Array, "residuals unknowns"]
     """Jacobian of the residuals at the solution, by the flattened unknowns."""
     cost: Float[Array, ""]
-    """Sum of squares at the solution, with the ridge."""
+    """Sum of squared residuals at the solution, plus the ridge term."""
     converged: Bool[Array, ""]
     """Whether the last step changed the cost, or the unknowns, by less than the
     tolerance."""
@@ -84,7 +85,7 @@ class Search:
     damping: Array
     """Damping of the step to the candidate, as a fraction of the diagonal [1]."""
     share: Array
-    """Fraction of the damped step that is taken [1]."""
+    """Fraction of the damped step that leads to the candidate [1]."""
     candidate: Any
     """Point to try next."""
     tried: Array
@@ -104,7 +105,7 @@ def levenberg_marquardt_loop(
     initial_damping: Any,
     iterations: int,
 ) -> Search:
-    """Searches for the least sum of squares of any problem by damped steps.
+    """Minimises a cost by damped steps, with the problem given as functions.
 
     A point is accepted if its cost and its derivatives are finite and the cost falls.
 
@@ -112,12 +113,14 @@ def levenberg_marquardt_loop(
         evaluate: Takes a point; returns the point (corrected where necessary), the
             residuals and derivatives there, any pytree, and the cost.
         propose: Takes the search with its new best point, whether a step was tried, and
-            whether it was accepted; returns the damping, the point to try next and, if
-            it changes, the share, by the names of the fields.
+            whether it was accepted; returns a dict of the new `damping`, `candidate`
+            and, if it changes, `share`, as in `Search`.
         is_still: Takes the search before the trial, the cost that was tried, and
-            whether it was accepted; returns whether the finite step changed too little.
+            whether it was accepted; returns whether the step changed too little to
+            continue.
         start: First point.
-        nothing: Result of `evaluate` before anything is known.
+        nothing: Placeholder for residuals and derivatives before the first evaluation,
+            with their shapes.
         initial_damping: Damping of the first step.
         iterations: Largest number of points tried after the start.
     """
@@ -267,7 +270,7 @@ def least_squares(
         return point, (values, slopes), total(values, point)
 
     def is_still(search: Search, cost: Array, better: Array) -> Array:
-        # Each unknown is compared by itself, because units differ.
+        # The unknowns are compared one by one, because their units differ.
         moved = jnp.abs(search.candidate - search.point)
         scale = jnp.abs(search.point) + jnp.abs(search.candidate)
         gained = (search.cost - cost) <= small * search.cost
@@ -323,9 +326,9 @@ def least_squares(
 
 
 def broadcast_like(bound: Any, start: Any, sign: int) -> Any:
-    """Broadcasts a number, or a tree, to the unknowns; infinite if `None`.
+    """Broadcasts a number or a tree `bound` to the shapes of `start`.
 
-    `sign` is the sign of that infinity.
+    `None` becomes `sign` times infinity.
     """
     if bound is None:
         bound = sign * jnp.inf
@@ -369,7 +372,11 @@ def _step(
     low: Array,
     high: Array,
 ) -> Array:
-    """Returns the damped Gauss-Newton step of the unknowns that are not at a bound."""
+    """Returns the damped Gauss-Newton step d; zero for unknowns held at a bound.
+
+    With J restricted to the free unknowns, it solves
+    (J^T J + rho + mu diag(J^T J + rho)) d = -(J^T r + pull).
+    """
     slope = jacobian.T @ residuals + pull
     held = ((point <= low) & (slope > 0)) | ((point >= high) & (slope < 0))
     free = jnp.where(held, 0, 1).astype(point.dtype)

@@ -1,1 +1,1 @@
-"""Damping solved separately after the kick: of the material, and of short waves."""
+"""Damping that is solved after the loads of a step: of material, and of short waves."""

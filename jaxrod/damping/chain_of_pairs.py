@@ -1,17 +1,18 @@
-r"""Linear systems along a rod with unknowns of joints and of elements in turn.
+r"""Linear systems along a rod whose unknowns alternate between joints and elements.
 
-On a rod of $N$ elements they are in threes: $\kappa_0, s_0, \kappa_1, \dots,
-s_{N-1}, \kappa_N$; joint $k$ is before element $k$. Each three is coupled with the next
-two. The couplings $S$ are symmetric and positive semidefinite. The weights $W \ge 0$
-are diagonal, and
+On a rod of $N$ elements the unknowns are vectors of three components,
+$\kappa_0, s_0, \kappa_1, \dots, s_{N-1}, \kappa_N$; joint $k$ is before element $k$.
+Each vector is coupled with the next two. The couplings $S$ are symmetric and positive
+semidefinite, the weights $W \ge 0$ are diagonal, and the solution is
 
 $$p = (1 + W S)^{-1} W b = (W^{-1} + S)^{-1} b.$$
 
-Elimination of the second form without pivoting ($L D L^T$) needs only the inverses of
-the pivots. They are $w/(1 + w\sigma)$, where $\sigma$ is what is left of the diagonal
-of $S$: weights may be zero, and may be huge.
+The second form is solved by elimination without pivoting ($L D L^T$), which needs only
+the inverses of the pivots. They are $w/(1 + w\sigma)$, where $\sigma$ is the diagonal
+entry of $S$ after the earlier eliminations: weights may be zero, and may be huge.
 
-It goes from both ends to the middle at once, so that all operations are on two numbers.
+Elimination proceeds from both ends of the rod to the middle element at once. Every
+operation is therefore on two numbers, one for each side.
 """
 
 from __future__ import annotations
@@ -29,41 +30,44 @@ from jaxrod.geometry.vectors import Vec3
 from jaxrod.structure import pytree
 
 _Triangle = list[list[Any]]
-"""A symmetric matrix: the entries of each row up to the diagonal."""
+"""Symmetric matrix as rows, each of which ends at the diagonal."""
 _Kept = list[tuple[Array, list[Array]]]
-"""Eliminated unknowns: each is a number minus parts of the unknowns after it."""
+"""Eliminated unknowns in order. Each is a pair of a number and factors: the unknown is
+the number minus the factors times the unknowns after it."""
 
 
 @pytree
 class ChainOfPairs:
-    """Weights and couplings of the joints and elements of a rod; `N` is odd.
+    """Weights $W$ and couplings $S$ of the joints and elements of a rod; `N` is odd.
 
-    Rows of a coupling are those of what is named first. Of the coupling of a three with
-    itself, entries up to the diagonal are read.
+    Couplings are 3 x 3 matrices. A coupling of "a with b" has the components of a as
+    rows and those of b as columns. Only entries up to the diagonal are read of the
+    coupling of a joint or element with itself.
     """
 
     joint_weights: Vec3
-    """Weights of the `N + 1` joints."""
+    """Weights $W$ of the `N + 1` joints, one per component."""
     element_weights: Vec3
-    """Weights of the `N` elements."""
+    """Weights $W$ of the `N` elements, one per component."""
     joints: Matrix
-    """Couplings of each joint with itself."""
+    """Coupling of each joint with itself."""
     elements: Matrix
-    """Couplings of each element with itself."""
+    """Coupling of each element with itself."""
     before: Matrix
-    """Couplings of each element with the joint before it."""
+    """Coupling of each element with the joint before it."""
     after: Matrix
-    """Couplings of each element with the joint after it."""
+    """Coupling of each element with the joint after it."""
     across_elements: Matrix
-    """Couplings of the joint before each element with the joint after it."""
+    """Coupling of the joint before each element with the joint after it."""
     across_nodes: Matrix
-    """Couplings of the element before each of the `N - 1` inner nodes with the next."""
+    """Coupling of the element before with the element after each of the `N - 1` inner
+    nodes."""
 
     def solve(self, joints: Vec3, elements: Vec3) -> tuple[Vec3, Vec3]:
-        """Unknowns of joints and elements, for a right-hand side of each.
+        """Unknowns $p$ of joints and elements for the right-hand sides $b$ of both.
 
-        Without those of an element at the end, they are zero for it and the joint after
-        it; they are left out of the result.
+        Right-hand sides may be given for `N - 1` elements and `N` joints. Those of the
+        last element and joint are then zero, and their unknowns are not returned.
         """
         n = len(elements[0])
         more = len(self.element_weights[0]) - n
@@ -71,7 +75,7 @@ class ChainOfPairs:
         joints, elements = (_padded(side, more) for side in (joints, elements))
         weights = [*self.joint_weights, *self.element_weights]
         right = [*joints, *elements]
-        # Seen from the last joint on, before is after.
+        # From the tip towards the base, the joint after an element comes before it.
         rounds = jax.tree.map(
             lambda first, last: jnp.stack([first[:half], last[::-1][:half]], axis=1),
             (weights, self._own(self.before), right, self._onwards),
@@ -81,7 +85,7 @@ class ChainOfPairs:
         rest = jax.tree.map(lambda _: none, (self._own(self.before), right))
         if half:
             rest, kept = lax.scan(_eliminate_round, rest, rounds)
-        # Without barriers, XLA works much out again, and compiles for long.
+        # Without barriers, XLA repeats many computations, and compilation is slow.
         joints, elements, rest = lax.optimization_barrier((joints, elements, rest))
         middle = self._middle(half, joints, elements, rest)
         first, last, element = lax.optimization_barrier(middle)
@@ -96,15 +100,20 @@ class ChainOfPairs:
         )
 
     def _own(self, between: Matrix) -> _Triangle:
-        """Couplings of joints and elements next to them with themselves."""
+        """Coupling of each pair of a joint and an adjacent element with itself.
+
+        `between` is the coupling of that element with that joint.
+        """
         joints = [list(self.joints[i][: i + 1]) for i in range(3)]
         return joints + [[*between[i], *self.elements[i][: i + 1]] for i in range(3)]
 
     @property
     def _onwards(self) -> tuple[Matrix, Matrix, Matrix]:
-        """Couplings of the next joint with this one and with the element between them.
+        """Couplings with the next joint and element, from base to tip.
 
-        The third are those of the next element with that element.
+        The first is that of the next joint with the present one, the second that of the
+        next joint with the element between, the third that of the next element with
+        that element.
         """
         return (
             transpose(self.across_elements),
@@ -114,13 +123,20 @@ class ChainOfPairs:
 
     @property
     def _backwards(self) -> tuple[Matrix, Matrix, Matrix]:
-        """The same for a joint, element and next joint in the reverse order."""
+        """The couplings of `_onwards` for the opposite order, from tip to base."""
         return self.across_elements, transpose(self.before), self.across_nodes
 
     def _middle(
         self, at: int, joints: Vec3, elements: Vec3, rest: Any
     ) -> tuple[list[Array], list[Array], list[Array]]:
-        """Unknowns of the joints beside the middle element, and of that element."""
+        """Unknowns of the joints before and after the middle element, and its own.
+
+        Args:
+            at: Index of the middle element.
+            joints: Right-hand sides of all joints.
+            elements: Right-hand sides of all elements.
+            rest: Couplings and right-hand sides that elimination adds from both sides.
+        """
         (one, one_right), (other, other_right) = (
             jax.tree.map(lambda c, k=k: c[k], rest) for k in range(2)
         )
@@ -157,13 +173,17 @@ class ChainOfPairs:
 
 
 def _padded(a: Vec3, after: int) -> Vec3:
-    """Vectors with zeros after the last."""
+    """Vector field with `after` zeros appended."""
     x, y, z = (vectors.pad(c, 0, after) for c in a)
     return x, y, z
 
 
 def _in_order(count: int, ends: list[Array], *middle: list[Array]) -> Vec3:
-    """The first of the rows whose ends are side by side, with the middle apart."""
+    """First `count` unknowns in their order along the rod.
+
+    `ends` has the unknowns of each round, first on the base side and second on the tip
+    side; `middle` has the unknowns at the middle.
+    """
     x, y, z = (
         jnp.concatenate([both[:, 0], jnp.stack(between), both[::-1, 1]])[:count]
         for both, *between in zip(ends, *middle, strict=True)
@@ -172,7 +192,16 @@ def _in_order(count: int, ends: list[Array], *middle: list[Array]) -> Vec3:
 
 
 def _eliminate_round(rest: Any, given: Any) -> tuple[Any, Any]:
-    """Eliminates a joint and the element after it; on the other side, before it."""
+    """Eliminates the next joint and element from the base, and from the tip.
+
+    Args:
+        rest: Couplings and right-hand sides added by earlier rounds.
+        given: Weights, couplings and right-hand sides of this round.
+
+    Returns:
+        Couplings and right-hand sides added for the next round, and the eliminated
+        unknowns.
+    """
     weights, own, right, (to_joint, past_element, to_element) = given
     matrix, right = jax.tree.map(jnp.add, (own, right), rest)
     zeros = [[0.0] * (i + 1) for i in range(3)]
@@ -185,7 +214,7 @@ def _eliminate_round(rest: Any, given: Any) -> tuple[Any, Any]:
 
 
 def _solve_round(following: list[Array], kept: Any) -> tuple[list[Array], list[Array]]:
-    """Unknowns of a round, from those of the round after it."""
+    """Unknowns of the joint and element of a round, from those of the next round."""
     joint, element = kept
     elements = _solve(element, following)
     joints = _solve(joint, [*elements, *following[:3]])
@@ -195,10 +224,10 @@ def _solve_round(following: list[Array], kept: Any) -> tuple[list[Array], list[A
 def _eliminate(
     matrix: _Triangle, right: list[Any], weights: list[Array]
 ) -> tuple[_Kept, _Triangle, list[Any]]:
-    """Eliminates the first unknowns.
+    """Eliminates the first unknowns of a system, one for each weight.
 
     Returns:
-        What is kept of them, and the couplings and right-hand sides of the others.
+        The eliminated unknowns, and couplings and right-hand sides of the others.
     """
     kept = []
     for weight in weights:
@@ -218,7 +247,7 @@ def _eliminate(
 
 
 def _solve(kept: _Kept, following: list[Array]) -> list[Array]:
-    """Eliminated unknowns, from those that were not eliminated."""
+    """Values of eliminated unknowns, from those of the unknowns after them."""
     known = list(following)
     for own, parts in reversed(kept):
         for part, unknown in zip(parts, known, strict=True):

@@ -1,16 +1,17 @@
 r"""Damping of short waves: filters of velocities and spins along the rod.
 
-With $D$ the differences of neighbours and $M$ the inertia,
+With $D$ the differences of neighbours, $M$ the inertia, $r$ the rates, $g$ the decay
+rate, $h$ the step and $p$ the order,
 
 $$B = M^{-1} D^T w D, \qquad r \mathrel{-}= (1 - e^{-gh})\,B^p\,r,$$
 
 $w$ is a quarter of the mass between two nodes, or of the smaller inertia of two
 elements, so that no eigenvalue of $B$ is above one. A wave of wave number $k$ on a
-uniform rod has the eigenvalue $\sin^2(k\ell/2)$. The wave that alternates from node to
-node decays at the rate $g$; long waves decay at a fraction of that rate, proportional
-to $k^{2p}$. The rigid-body motion of the rod is removed before and restored afterwards.
-Momentum, angular momentum and rigid motion therefore do not change, and energy only
-falls.
+uniform rod with elements of length $\ell$ has the eigenvalue $\sin^2(k\ell/2)$. The
+wave that alternates from node to node decays at the rate $g$; long waves decay at a
+fraction of that rate, proportional to $k^{2p}$. The rigid-body motion of the rod is
+removed before and restored afterwards. Momentum, angular momentum and rigid motion
+therefore do not change, and energy only falls.
 """
 
 from __future__ import annotations
@@ -33,15 +34,16 @@ from jaxrod.validation import Numbers, as_array, check_count
 
 @pytree
 class ShortWaveDamping(Effect):
-    """A conservative filter with a rate; see the module."""
+    """Filter of short waves that conserves momentum; see `short_wave_damping`."""
 
     rate: Float[Array, ""]
-    """Rate at which motion that alternates from node to node decays [1/s]."""
+    """Decay rate $g$ of motion that alternates from node to node [1/s]."""
     order: int = static(default=2)
-    """Half the power of the wave number with which the rate falls."""
+    """Order $p$: long waves of wave number $k$ decay at rates proportional to
+    $k^{2p}$."""
 
     def dissipate(self, scene: LoadedRod, motion: Motion, dt: Array) -> Motion:
-        """Motion after short waves have decayed for a step."""
+        """Motion whose short waves have decayed for one step; see the module."""
         body = _Body(scene.rod, motion)
         turning = motion.angular_velocities(scene.rod)
         velocity, spin = body.deforming(motion.velocity, turning)
@@ -63,7 +65,7 @@ class ShortWaveDamping(Effect):
 
 
 class _Body:
-    """Inertia of a rod in a configuration, as a whole and along it."""
+    """Inertia and geometry of a rod, to separate rigid-body from other motion."""
 
     def __init__(self, rod: Rod, motion: Motion) -> None:
         self.masses = rod.node_masses
@@ -77,7 +79,7 @@ class _Body:
         self.total = total
 
     def deforming(self, velocity: Vec3, turning: Vec3) -> tuple[Vec3, Vec3]:
-        """Rates minus those of the rigid motion with the same momenta."""
+        """Rates minus those of the rigid-body motion with the same momenta."""
         m, r = self.masses, self.places
         a, b, c = (speed - jnp.sum(m * speed) / self.total for speed in velocity)
         orbital = vectors.scale(m, vectors.cross(r, (a, b, c)))
@@ -119,7 +121,7 @@ class _Body:
         return vectors.scale(1 / determinant, turned)
 
     def roughness(self, velocity: Vec3, turning: Vec3) -> tuple[Vec3, Vec3]:
-        """Product of `B` and the rates."""
+        """Applies `B` of the module to velocities and angular velocities (world)."""
         flux = vectors.scale(
             0.25 * self.element_masses, vectors.inner_difference(velocity)
         )
@@ -136,13 +138,13 @@ class _Body:
 
 @pytree
 class LaplacianFilter(Effect):
-    """PyElastica's filter of rates; see `laplacian_filter`."""
+    """PyElastica's filter of velocities and spins; see `laplacian_filter`."""
 
     order: int = static()
     """Number of times that the Laplacian is applied."""
 
     def dissipate(self, scene: LoadedRod, motion: Motion, dt: Array) -> Motion:
-        """Motion with filtered rates."""
+        """Motion with filtered velocities and spins; see `laplacian_filter`."""
         if not motion.spin_is_velocity:
             raise ValueError(
                 "laplacian_filter is PyElastica's, for method=pyelastica(): "
@@ -198,8 +200,8 @@ def laplacian_filter(order: int) -> LaplacianFilter:
 
     Every step subtracts from velocities and angular velocities, component by component,
     their Laplacian over -4, applied `order` times with zeros at both ends. Its strength
-    is per step, and momentum is lost near the ends. Other methods refuse it when they
-    step; use `short_wave_damping`, which has a rate, with them.
+    is per step, and momentum is lost near the ends. Other methods refuse this filter
+    when they step; `short_wave_damping`, which has a rate, is for them.
 
     Args:
         order: Number of times that the Laplacian is applied; 3 to 7 are usual in

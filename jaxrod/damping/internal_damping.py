@@ -1,21 +1,22 @@
-r"""Internal damping: viscosity of the rod's own material (Kelvin-Voigt).
+r"""Internal damping: viscosity of the material of the rod (Kelvin-Voigt).
 
 It adds $\tau S\,\dot\sigma$ and $\tau B\,\dot\kappa$ to the elastic stress and moment,
 with one relaxation time $\tau$. Rigid-body motion is not damped, and a mode of angular
 frequency $\omega$ decays at the rate $\tau\omega^2/2$.
 
-With $M$ the inertia, $G$ the derivatives of the strain rates by the rates $r$ and $D$
-their drag, each kick is followed by a backward Euler step of the damping alone, at
-fixed configuration. It solves for the impulses $p$ of the pair forces and couples:
+Each kick by the loads is followed by a backward Euler step of the damping alone, at
+fixed configuration. With the step $h$, the inertia $M$, the derivatives $G$ of the
+strain rates by the rates $r$, and their drag $D$, it solves for the impulses $p$ of the
+forces in elements and the couples in joints:
 
 $$(1 + h D\,G M^{-1} G^T)\,p = -h D\,G\,r, \qquad M\,\Delta r = G^T p.$$
 
 This is one block-tridiagonal system (`chain_of_pairs.py`). Components are along the
-axes of elements and joints, where $D$ is diagonal. Impulses in pairs keep momentum and
-angular momentum to round-off, whatever the accuracy of $p$. The step only adds inertia
-to that in the bound of `stable_dt`, $M + h G^T D G$: $\tau$ has no bound. The error is
-of first order in $h\tau\omega^2$, which is small for all motion that lasts more than a
-few steps.
+axes of elements and joints, where $D$ is diagonal. Each impulse acts in both directions
+and thus conserves momentum and angular momentum to round-off, whatever the accuracy of
+$p$. In the bound of `stable_dt` the damping only adds inertia, $M + h G^T D G$: $\tau$
+may be as large as desired. The error is of first order in $h\tau\omega^2$, which is
+small for all motion that lasts more than a few steps.
 """
 
 from __future__ import annotations
@@ -50,13 +51,13 @@ from jaxrod.validation import Numbers, as_array
 
 @pytree
 class InternalDamping(Effect):
-    """Viscosity of the material; see the module."""
+    """Viscosity of the material; see `internal_damping`."""
 
     relaxation_time: Float[Array, ""]
-    """Viscous over elastic stiffness [s]."""
+    """Relaxation time: viscous stiffness over elastic stiffness [s]."""
 
     def dissipate(self, scene: LoadedRod, motion: Motion, dt: Array) -> Motion:
-        """Motion after strain rates have decayed for a step."""
+        """Motion whose strain rates have decayed for one step, by backward Euler."""
         pairs = _pairs(scene, motion, self.relaxation_time * dt)
         inverse_masses = 1 / scene.rod.node_masses
         inverse_inertias = vectors.split(1 / scene.rod.principal_inertias)
@@ -64,7 +65,7 @@ class InternalDamping(Effect):
         if not motion.spin_is_velocity:
             spin = vectors.multiply(inverse_inertias, to_material(pairs.frame, spin))
         mobility = _mobility(scene, motion, inverse_masses, inverse_inertias)
-        # XLA would work out the frames again for each coupling, and compile for long.
+        # XLA would compute the frames again for each coupling, and compile slowly.
         chain = lax.optimization_barrier(pairs.chain(*mobility))
         joints, elements = pairs.strain_rates(motion.velocity, spin)
         pushes, turns = pairs.loads(*chain.solve(joints, elements))
@@ -81,27 +82,35 @@ class InternalDamping(Effect):
 
 @pytree
 class _Pairs:
-    """Pairs of forces at elements and of couples at joints, which strain rates drive.
+    """Geometry and drag of the impulses in elements and joints of a damping step.
 
-    Joint `k` of `n + 1` is before element `k`; the first and the last are to walls.
-    Components are along the axes of the element, or of the joint.
+    Every impulse acts on two nodes, or on two elements, in opposite directions. Joint
+    `k` of `n + 1` is before element `k`; the first and the last are joints to walls,
+    without drag at free ends. Components are along the axes of the element or the
+    joint.
     """
 
     frame: Matrix
-    """Axes of the elements, world frame."""
+    """Axes d1, d2, d3 of the elements, world frame."""
     edges: Vec3
     """Vectors from each node to the next, world frame [m]."""
     axes_before: Matrix
-    """Axes of the joints, in components of the element before."""
+    """Axes of the joints, in the material frame of the element before each."""
     axes_after: Matrix
-    """Axes of the joints, in components of the element after."""
+    """Axes of the joints, in the material frame of the element after each."""
     joint_drag: Vec3
-    """Impulse of a step per rate of a joint [N m s]."""
+    """Impulse in one step per rotation rate of each joint, about its axes [N m s^2]."""
     element_drag: Vec3
-    """Impulse of a step per strain rate of an element, times its length [N s^2/m]."""
+    """Impulse in one step per rate of the edge of each element, along its axes
+    [N s^2/m]."""
 
     def strain_rates(self, velocity: Vec3, spin: Vec3) -> tuple[Vec3, Vec3]:
-        """Rates of joints and of elements, from material angular velocities."""
+        """Rotation rates of joints [rad/s] and rates of edges of elements [m/s].
+
+        Args:
+            velocity: Velocities of the nodes, world frame [m/s].
+            spin: Angular velocities of the elements, material frame [rad/s].
+        """
         before, after = (_padded(spin, *ends) for ends in ((1, 0), (0, 1)))
         joints = vectors.subtract(
             to_material(self.axes_after, after), to_material(self.axes_before, before)
@@ -111,9 +120,13 @@ class _Pairs:
         return joints, vectors.add(stretched, vectors.cross(lever, spin))
 
     def loads(self, joints: Vec3, elements: Vec3) -> tuple[Vec3, Vec3]:
-        """Forces on nodes and couples on elements that do work on the strain rates.
+        """Impulses on nodes [N s] and elements [N m s], world frame.
 
-        World frame. Each is in a pair with its opposite, digit by digit.
+        Each impulse is cancelled by an opposite one to the last digit, except at walls.
+
+        Args:
+            joints: Impulses of couples in joints, along their axes.
+            elements: Impulses of forces in elements, along their axes.
         """
         n = len(self.edges[0])
         force = to_world(self.frame, elements)
@@ -127,14 +140,14 @@ class _Pairs:
         return (x, y, z), vectors.add(turns, wall)
 
     def chain(self, moving: Array, partly: Vec3, turning: Vec3) -> ChainOfPairs:
-        """Response of the strain rates to the pairs, with drag as weights.
+        """Linear system of the impulses: couplings G M^-1 G^T, and drag as weights.
 
         Args:
-            moving: Inverse masses of the nodes that are free.
-            partly: Inverse masses of the other nodes along each axis.
-            turning: Inverse inertias of the elements about their own axes.
+            moving: Inverse masses of nodes that are free along all axes, otherwise 0.
+            partly: Inverse masses of the other nodes along each axis; 0 where held.
+            turning: Inverse inertias of the elements about d1, d2, d3; 0 where held.
         """
-        # An element without drag makes their number odd.
+        # The number of elements must be odd: an element without drag is appended.
         more = 1 - len(self.edges[0]) % 2
         frame = _padded_rows(self.frame, 0, more)
         lever = _padded(to_material(self.frame, self.edges), 0, more)
@@ -178,7 +191,13 @@ class _Pairs:
 
 
 def _pairs(scene: LoadedRod, motion: Motion, duration: Array) -> _Pairs:
-    """Pairs for a configuration; `duration` is relaxation time times step [s^2]."""
+    """Makes `_Pairs` at a configuration.
+
+    Args:
+        scene: The scene, whose wall joints are damped, too.
+        motion: Configuration of the rod.
+        duration: Relaxation time times step [s^2].
+    """
     rod = scene.rod
     frame = directors(motion.orientation)
     drag = vectors.split(rod.joint_stiffness / rod.joint_lengths[None, :])
@@ -207,13 +226,17 @@ def _pairs(scene: LoadedRod, motion: Motion, duration: Array) -> _Pairs:
 def _joint_axes(
     scene: LoadedRod, q: Quaternion, frame: Matrix
 ) -> tuple[Matrix, Matrix]:
-    """Axes of the joints in components of the element before, and of that after."""
+    """Axes of the inner joints, in the frames of the elements before and after them.
+
+    With twist they are the axes of a frame midway between those of both elements;
+    without, those of a frame along the mean direction of both.
+    """
     if scene.method.twist:
         w, x, y, z = (c[:-1] for c in q)
         back = conjugate((w, x, y, z))
         w, x, y, z = (c[1:] for c in q)
         w, x, y, z = multiply_quaternions(back, (w, x, y, z))
-        # Half of the relative rotation, the shorter way around.
+        # Half of the relative rotation, by the smaller angle.
         way = jnp.where(w < 0, -1, 1)
         half = normalise((1 + way * w, way * x, way * y, way * z))
         axes = directors(half)
@@ -229,7 +252,7 @@ def _joint_axes(
 def _mobility(
     scene: LoadedRod, motion: Motion, inverse_masses: Array, inverse_inertias: Vec3
 ) -> tuple[Array, Vec3, Vec3]:
-    """Mobilities of what is not held: see `_Pairs.chain`."""
+    """Inverse masses and inertias of free components, as `_Pairs.chain` takes them."""
     nodes, elements = free_velocity_mask(scene, motion)
     x, y, z = (c != 0 for c in nodes)
     everywhere = x & y & z
@@ -242,7 +265,10 @@ def _mobility(
 
 
 def _with_walls(axes: Matrix) -> Matrix:
-    """Axes of the inner joints, and before and after them those of the end element."""
+    """Axes of all joints, from those of the inner joints.
+
+    The axes of the joints to walls are those of the end elements.
+    """
     one = jnp.ones((), axes[0][0].dtype)
     ends = [(1, 1, 0)]
     (a, b, c), (d, e, f), (g, h, i) = (
@@ -253,31 +279,31 @@ def _with_walls(axes: Matrix) -> Matrix:
 
 
 def _padded(a: Vec3, before: int, after: int) -> Vec3:
-    """Vectors with zeros before the first and after the last."""
+    """Vector field with `before` zeros before and `after` zeros after its entries."""
     x, y, z = (vectors.pad(c, before, after) for c in a)
     return x, y, z
 
 
 def _padded_rows(a: Matrix, before: int, after: int) -> Matrix:
-    """Matrices with zeros before the first and after the last."""
+    """Matrix field with `before` zeros before and `after` zeros after its entries."""
     x, y, z = (_padded(row, before, after) for row in a)
     return x, y, z
 
 
 def _part(matrix: Matrix, first: int | None, last: int | None) -> Matrix:
-    """Matrices from `first` up to `last`."""
+    """Entries of a matrix field from index `first` up to index `last`."""
     (a, b, c), (d, e, f), (g, h, i) = ([c[first:last] for c in row] for row in matrix)
     return (a, b, c), (d, e, f), (g, h, i)
 
 
 def _scaled_columns(a: Matrix, factors: Vec3) -> Matrix:
-    """Products with diagonal matrices."""
+    """Products of matrices with diagonal matrices, which scale their columns."""
     x, y, z = (vectors.multiply(row, factors) for row in a)
     return x, y, z
 
 
 def _products(a: Matrix, b: Matrix) -> Matrix:
-    """Products with transposed matrices: scalar products of rows."""
+    """Products of matrices `a` with transposed matrices `b`."""
     x, y, z = (to_material(b, row) for row in a)
     return x, y, z
 

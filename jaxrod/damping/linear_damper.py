@@ -1,7 +1,7 @@
 r"""PyElastica's `AnalyticalLinearDamper`, for `method=pyelastica()`.
 
-After a kick velocities and angular velocities are multiplied by factors. With the
-stretch $e$ they are
+After the loads have changed them, velocities and angular velocities are multiplied by
+factors. With the step $h$, the stretch $e$ and the moments of inertia $J_i$ they are
 
 $$e^{-\gamma_t h/m}, \quad \left(e^{-\gamma_r h/J_i}\right)^e
   \qquad\text{or}\qquad
@@ -34,12 +34,14 @@ class LinearDamper(Effect):
     """PyElastica's linear damper with one constant or two; see the module."""
 
     translational: Float[Array, ""]
-    """Damping of velocities: a rate [1/s], or `gamma_t` of every node [kg/s]."""
+    r"""Decay rate $g$ of velocities [1/s] if `rotational` is `None`; otherwise the drag
+    coefficient $\gamma_t$ of every node [kg/s]."""
     rotational: Float[Array, ""] | None = None
-    """Constant `gamma_r` of every element [N m s]; `None` with a single constant."""
+    r"""Rotational drag coefficient $\gamma_r$ of every element [N m s]; `None` with a
+    single constant."""
 
     def dissipate(self, scene: LoadedRod, motion: Motion, dt: Array) -> Motion:
-        """Motion after rates have decayed for a step."""
+        """Motion with velocities and spins multiplied by the factors of the module."""
         if not motion.spin_is_velocity:
             raise ValueError(
                 "linear_damper is PyElastica's, for method=pyelastica(): "
@@ -60,7 +62,10 @@ class LinearDamper(Effect):
 
 
 def _masses(rod: Rod) -> Array:
-    """Masses of elements computed from their nodes, as in PyElastica [kg]."""
+    """Masses of elements from node masses, as PyElastica's damper computes them [kg].
+
+    Each is the mean of two node masses, plus half of the end node's at an end.
+    """
     nodes = rod.node_masses
     mean = 0.5 * (nodes[1:] + nodes[:-1])
     return mean.at[0].add(0.5 * nodes[0]).at[-1].add(0.5 * nodes[-1])
@@ -76,7 +81,7 @@ def linear_damper(
 
     It takes PyElastica's `damping_constant`, or its two physical constants.
     PyElastica's `uniform_damping_constant` is `exponential_damping` here. Other methods
-    refuse it when they step.
+    refuse this damper when they step.
 
     Args:
         damping_constant: Decay rate of velocities [1/s]. The decay rate of spins is

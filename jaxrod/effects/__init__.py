@@ -1,1 +1,1 @@
-"""Influences on a rod: loads, damping, held ends, actuation."""
+"""Effects on a rod: loads, damping, supports, actuation."""

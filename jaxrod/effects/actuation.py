@@ -1,4 +1,4 @@
-r"""Actuation: couples along a rod, shaped by a spline through a few control values.
+r"""Couples along a rod in proportion to a spline through a few control values.
 
 The spline is the interpolating cubic with not-a-knot ends. It passes through the
 control values at the control points and through zero at both ends of the rod. It
@@ -46,7 +46,8 @@ from jaxrod.validation import (
 )
 
 MOST_CONTROLS = 1000
-"""Largest number of controls; the linear system is dense, so more must be a mistake."""
+"""Largest number of control values. The linear system is dense, so a larger number must
+be a mistake."""
 
 
 @pytree
@@ -65,11 +66,12 @@ class ControlSpline:
     """
 
     breaks: Float[Array, " pieces-1"]
-    """Arc lengths at which one cubic ends and the next begins [m]."""
+    """Arc lengths where one cubic piece ends and the next begins [m]."""
     origins: Float[Array, " pieces"]
-    """Arc lengths at which each cubic's local coordinate is zero [m]."""
+    """Arc length where the local coordinate of each cubic piece is zero [m]."""
     coefficients: Float[Array, "pieces 4 n_controls"]
-    """Coefficient of each power of the local coordinate, per unit of each control."""
+    """Coefficient of each power of the local coordinate in each piece, per unit of each
+    control value."""
 
     @property
     def n_controls(self) -> int:
@@ -79,11 +81,11 @@ class ControlSpline:
     def __call__(
         self, controls: Float[Array, "*batch n_controls"], points: Float[Array, " m"]
     ) -> Float[Array, "*batch m"]:
-        """Values of the spline at the given arc lengths [m]."""
+        """Spline values at arc lengths `points` [m], for given control values."""
         return _combined(self.basis(points), controls)
 
     def basis(self, points: Float[Array, " m"]) -> Float[Array, "m n_controls"]:
-        """Contribution of each control value at the given arc lengths [m]."""
+        """Spline values at the given arc lengths [m] per unit of each control value."""
         piece = jnp.sum(points[:, None] >= self.breaks[None, :], axis=1)
         local = points - self.origins[piece]
         powers = jnp.stack([jnp.ones_like(local), local, local**2, local**3])
@@ -116,7 +118,7 @@ class ElementAverages:
     """
 
     basis: Float[Array, "n n_controls"]
-    """Average over each element of each control value's contribution [1]."""
+    """Average over each element of the spline per unit of each control value [1]."""
 
     @property
     def n_controls(self) -> int:
@@ -124,13 +126,13 @@ class ElementAverages:
         return self.basis.shape[-1]
 
     def averaged(self, rod: Rod) -> ElementAverages:
-        """The averages themselves: they are those of this rod."""
+        """Returns this object, which is already averaged over elements."""
         return self
 
     def __call__(
         self, controls: Float[Array, "*batch n_controls"]
     ) -> Float[Array, "*batch n"]:
-        """The averages for given control values, in their unit."""
+        """Average of the spline over each element, for given control values."""
         return _combined(self.basis, controls)
 
 
@@ -166,7 +168,7 @@ def control_spline(
     if not is_traced(end):
         with np.errstate(all="ignore"):
             check_held("cube of length", end**3, "m^3", kind, each=True)
-    # In units of the length: with equidistant points only the length is then unknown.
+    # In units of the length: equidistant points are then known even if it is traced.
     if isinstance(controls, int | np.integer):
         count = check_count("controls", controls, 2, MOST_CONTROLS)
         inner = np.arange(1, count + 1) / (count + 1)
@@ -195,7 +197,7 @@ def control_spline(
 
 
 def _shares(controls: Numbers, end: Any, kind: Any) -> Any:
-    """Control points in units of the length."""
+    """Checks arc lengths of control points; returns them over the rod length [1]."""
     points = numeric("controls", controls, "m")
     if points.ndim != 1 or points.size < 2:
         raise ValueError(f"controls must be at least 2 positions, got {controls}")
@@ -213,7 +215,7 @@ def _shares(controls: Numbers, end: Any, kind: Any) -> Any:
 
 
 def _cardinal_coefficients(knots: Any) -> Any:
-    """Piecewise coefficients of the splines that are one at a single control point.
+    """Coefficients of the basis splines, each of which is one at one control point.
 
     The unknowns are the second derivatives at the knots. The first derivative is
     continuous at the inner knots. The third derivative is continuous at the first and
@@ -260,7 +262,7 @@ def _cardinal_coefficients(knots: Any) -> Any:
 
 @pytree
 class ElementCouples(Effect):
-    """Given couples on all elements, turning with them. The channel of control.
+    """Couples on all elements, constant in the material frame; see `spline_couples`.
 
     Example:
         >>> spline = actuation.control_spline(3)
@@ -271,24 +273,28 @@ class ElementCouples(Effect):
     """
 
     couples: Float[Array, "3 n"]
-    """Couples, material frame [N m]."""
+    """Couple on each element, material frame [N m]."""
 
     def loads(self, rod: Rod, motion: Motion) -> Loads:
-        """Couples on the elements."""
+        """The given couples on the elements, without forces."""
         return Loads(couples=(self.couples[0], self.couples[1], self.couples[2]))
 
     def turning_tangent(self, rod: Rod, motion: Motion) -> Matrix:
-        """Tangent of couples that turn with the elements."""
+        """Negative derivative of the couples by the elements' rotations, world frame.
+
+        It is the matrix of the cross product with each couple, which turns with its
+        element.
+        """
         couples = vectors.split(self.couples)
         return skew(to_world(directors(motion.orientation), couples))
 
     @property
     def twists(self) -> str:
-        """Name of the couples, all of which turn with the elements."""
+        """Name, for error messages, of the couples, which turn with the elements."""
         return "couples in the material frame"
 
     def resampled(self, rod: Rod, new_rod: Rod) -> ElementCouples:
-        """Couples of the same density per rest length, interpolated between middles."""
+        """Couples of the same density per rest length, interpolated along the rod."""
         density = interpolated(
             np.asarray(self.couples / rod.rest_lengths[None, :]),
             np.asarray(rod.arc_length_midpoints),
@@ -300,26 +306,30 @@ class ElementCouples(Effect):
 
 @pytree
 class SplineCouples(Schedule):
-    """Couples in proportion to a spline whose values or density depend on time."""
+    """Schedule of couples from a spline with time-dependent controls or density."""
 
     averages: ElementAverages
-    """The spline's averages over the elements."""
+    """Averages of the basis of the spline over the elements."""
     controls: Any
     """Control values about d1, d2, d3 `(3, n_controls)`, or a schedule of them [1]."""
     couple_density: Any
-    """Couple per rest length for a control value of one, or a schedule of it; one
-    number or three [N m/m]."""
+    """Couple per rest length for a control value of one [N m/m]: one number, or one
+    each about d1, d2, d3, or a schedule of either."""
     lengths: Float[Array, " n"]
     """Rest lengths of the elements [m]."""
 
     def __call__(self, clock: Clock) -> Float[Array, "3 n"]:
-        """Couples at a time [N m]."""
+        """Couples on the elements at the time of a clock, material frame [N m]."""
         controls, density = at_clock((self.controls, self.couple_density), clock)
         return _couples(self.averages, controls, density, self.lengths)
 
     @property
     def largest(self) -> Float[Array, "3 n"]:
-        """Couples when all controls are largest and their absolute values add [N m]."""
+        """Upper bound of the absolute couples at all times [N m].
+
+        It is computed from absolute averages, largest control values and largest
+        density.
+        """
         averages, controls, density = jax.tree.map(
             jnp.abs, (self.averages, *at_largest((self.controls, self.couple_density)))
         )
@@ -329,7 +339,7 @@ class SplineCouples(Schedule):
 def _couples(
     averages: ElementAverages, controls: Array, density: Array, lengths: Array
 ) -> Float[Array, "3 n"]:
-    """Couples on the elements [N m]."""
+    """Couples, material frame: density times spline average times rest length [N m]."""
     per_length = jnp.broadcast_to(density, (3,))[:, None] * averages(controls)
     return per_length * lengths[None, :]
 

@@ -1,7 +1,7 @@
-"""The base of every influence on a rod, and the hooks it may have.
+"""Base class of all effects on a rod, and the hooks that an effect may override.
 
-An effect is a frozen pytree whose numbers are traced leaves. It overrides the hooks
-it needs; the others cost nothing in the compiled step.
+An effect is a frozen pytree whose numbers are traced leaves. Hooks that it does not
+override cost nothing in the compiled step.
 """
 
 from __future__ import annotations
@@ -24,15 +24,15 @@ from jaxrod.rods.rod import Rod, RodState
 from jaxrod.structure import pytree
 
 Reach = Literal["neighbours", "second neighbours", "any"]
-"""Range along the rod over which the loads of an effect may depend on the state."""
+"""Range along the rod over which the loads of an effect depend on the state."""
 
 
 @pytree
 class StabilityBound:
     """Upper bounds of an effect's contribution to the stiffness and drag of a rod.
 
-    Each is one number, or one per node or element, or `None` if there is none.
-    `stable_dt` adds them up.
+    Each field is one number, or one per node or element; `None` if the effect
+    contributes nothing to it. `stable_dt` adds up the bounds of all effects.
 
     Example:
         >>> magnet = actuation.magnetisation(rod, (0.0, 0.0, 0.1), (0.0, 0.0, 0.5))
@@ -42,26 +42,29 @@ class StabilityBound:
     """
 
     nodes: Array | None = None
-    """Stiffness against displacement of a node [N/m]."""
+    """Stiffness against displacement of each node [N/m]."""
     elements: Array | None = None
-    """Stiffness against rotation of an element [N m]."""
+    """Stiffness against rotation of each element [N m]."""
     node_drag: Array | None = None
-    """Drag force on a node per speed, if `loads` contains it (explicit drag) [kg/s]."""
+    """Drag force on each node per speed, if `loads` contains it (explicit drag)
+    [kg/s]."""
     element_drag: Array | None = None
-    """Drag couple on an element per angular velocity, if in `loads` [N m s]."""
+    """Drag couple on each element per angular velocity, if `loads` contains it
+    [N m s]."""
     slip_drag: Array | None = None
-    """Friction on the surface at a node per speed of slip, perpendicular to what
-    `node_drag` drags [kg/s]. It acts on both translation and rotation; `drags` divides
-    it between them by inertia, damping included."""
+    """Friction force at each node per speed of slip of the rod's surface [kg/s]. Both
+    translation and rotation slip: `drags` divides this drag between them by inertia,
+    damping included. It is perpendicular to `node_drag`."""
     slip_couple: Array | None = None
-    """Friction about the axes of an element: drag times lever squared [N m s]."""
+    """Friction couple on each element per angular velocity, drag times squared lever
+    [N m s]."""
 
     def drags(self, moving: Array, turning: Array) -> tuple[Array | None, Array | None]:
-        """Drag on nodes and on elements, slip included.
+        """Bounds of the drag on nodes [kg/s] and on elements [N m s], with friction.
 
-        Slip is the sum of a velocity and of a spin times a lever. By Young's inequality
-        its square is at most `1 + moving` times the square of the first and
-        `1 + turning` times that of the second, if the product of both numbers is one.
+        The speed of slip is a velocity `v` plus a lever times an angular velocity,
+        `l w`. By Young's inequality `(v + l w)^2` is at most `(1 + moving) v^2 +
+        (1 + turning) (l w)^2`, if the product of `moving` and `turning` is one.
         """
         nodes, elements = self.node_drag, self.element_drag
         if self.slip_drag is not None:
@@ -74,7 +77,7 @@ class StabilityBound:
 
 
 def added_bounds(a: StabilityBound | None, b: StabilityBound) -> StabilityBound:
-    """Sum of two bounds; either may lack some parts."""
+    """Sum of two stability bounds; a part that is `None` counts as zero."""
     if a is None:
         return b
 
@@ -83,7 +86,7 @@ def added_bounds(a: StabilityBound | None, b: StabilityBound) -> StabilityBound:
             return y if x is None else x
         return x + y
 
-    # The slip of one may be in the direction of the other's drag, so they are added.
+    # Slip drag of `a` may act in the direction of node drag of `b`: both are added.
     even = jnp.asarray(1.0)
     drags = [
         one(*sides)
@@ -99,7 +102,7 @@ def added_bounds(a: StabilityBound | None, b: StabilityBound) -> StabilityBound:
 
 @pytree
 class Reaction:
-    """Force, couple and power of a support on a rod.
+    """Force and couple of a support on a rod, and the power that they put into it.
 
     Example:
         >>> wall = jaxrod.reactions(scene, state)[0]
@@ -108,15 +111,16 @@ class Reaction:
     """
 
     force: Float[Array, "3"]
-    """Force on the node it holds, world frame [N]."""
+    """Force of the support on the node that it holds, world frame [N]."""
     couple: Float[Array, "3"]
-    """Couple on the element it holds, world frame [N m]."""
+    """Couple of the support on the element that it holds, world frame [N m]."""
     power: Float[Array, ""]
-    """Power put into the rod; zero for a support that does not move [W]."""
+    """Power that the support puts into the rod [W]; zero if the support does not
+    move."""
 
     @staticmethod
     def of(force: Vec3, couple: Vec3 | None = None, power: Any = None) -> Reaction:
-        """Makes a reaction from components; those not given are zero."""
+        """Makes a reaction from components; a couple or power of `None` is zero."""
         none = jnp.zeros_like(force[0])
         turn = (none, none, none) if couple is None else couple
         return Reaction(
@@ -125,17 +129,18 @@ class Reaction:
 
 
 class Effect:
-    """Base of all effects: every hook does nothing.
+    """Base of all effects on a rod: every hook does nothing.
 
-    Hooks are pure. `loads` is called at the configuration in the middle of a step;
-    `constrain_rates` and `dissipate` after all loads have changed the rates;
+    Hooks are pure functions. `loads` is called at the configuration in the middle of a
+    step, `constrain_rates` and `dissipate` after all loads have changed the rates, and
     `constrain` after every change of configuration. A support has both constraints.
 
     `reach`, `turning_tangent`, `twists` and `wall` describe `loads` to methods that
     need to know more than its values. Without them every method gives correct results
     or refuses the effect. With them implicit steps and equilibria cost less, and a
-    scene without twist knows how the rod is held. A subclass that overrides `loads`
-    does not inherit them, and one that overrides constraints does not inherit `held`.
+    method without twist knows how the rod is held. A subclass that overrides `loads`
+    does not inherit these four, and one that overrides constraints does not inherit
+    `held`.
 
     Example:
         >>> @extend.pytree
@@ -156,19 +161,19 @@ class Effect:
 
     "neighbours" promises that the force on node `k` and the couple on element `k`
     depend on nodes and elements `k - 1`, `k` and `k + 1` alone, "second neighbours"
-    that they depend on `k - 2` to `k + 2` alone. Then the work of the linear systems of
-    implicit steps and of `equilibrium` is in proportion to the number of elements; with
+    that they depend on `k - 2` to `k + 2` alone. The linear systems of implicit steps
+    and of `equilibrium` then take work in proportion to the number of elements; with
     "any" they are dense. A false promise would give a wrong derivative. Both methods
     therefore test the effect numerically and refuse it if the promise does not hold.
     """
 
     @property
     def actual_reach(self) -> Reach:
-        """Range of the loads with the numbers of this effect; `reach` by default."""
+        """Range of `loads` for the numbers of this instance; `reach` by default."""
         return self.reach
 
     def __init_subclass__(cls, **kwargs: Any) -> None:
-        """Drops inherited declarations about hooks that this class overrides."""
+        """Resets inherited descriptions of hooks that a subclass overrides."""
         super().__init_subclass__(**kwargs)
         if cls.reach not in get_args(Reach):
             raise ValueError(
@@ -179,21 +184,21 @@ class Effect:
             if _says_of_others(cls, name, ("loads",)):
                 setattr(cls, name, vars(Effect)[name])
         if _says_of_others(cls, "held", ("constrain", "constrain_rates")):
-            # The class must declare itself what it holds. Type checkers take this
-            # assignment for a mistake; it restores the hook of the base class.
+            # The class must declare `held` itself. Type checkers take this assignment
+            # for a mistake; it restores the hook of the base class.
             cls.held = Effect.held  # type: ignore[method-assign]
 
     @property
     def obstacle(self) -> tuple[Any, int | None] | None:
-        """A fixed `Body` that the rod may touch, for replays; `None` without one.
+        """Fixed `Body` that the rod may touch, drawn in replays; `None` without one.
 
-        The second entry is the number of bodies, if the body's numbers have a leading
-        axis.
+        It is returned with the number of bodies stacked along a leading axis of its
+        numbers, or `None` for a single body.
         """
         return None
 
     def loads(self, rod: Rod, motion: Motion) -> Loads:
-        """Forces and couples at this moment."""
+        """Forces on nodes and couples on elements at this configuration and rates."""
         return Loads()
 
     def loads_after(self, rod: Rod, motion: Motion, before: Loads) -> Loads:
@@ -208,26 +213,26 @@ class Effect:
         return self.loads(rod, motion)
 
     def constrain(self, rod: Rod, motion: Motion) -> Motion:
-        """Constrains positions and orientations."""
+        """Motion with positions and orientations corrected to the constraint."""
         return motion
 
     def constrain_rates(self, rod: Rod, motion: Motion) -> Motion:
-        """Constrains velocities and spins."""
+        """Motion with velocities and spins that the constraint of the effect allows."""
         return motion
 
     def constrain_accelerations(
         self, rod: Rod, motion: Motion, change: Motion
     ) -> Motion:
-        """Derivative of the motion by time, with the accelerations of what is held.
+        """Time derivative of the motion, with accelerations that the constraint allows.
 
-        By default it is the derivative of `constrain_rates` with the numbers of the
-        effect fixed. A support that moves, with velocities that depend on time, must
-        have this, or accelerometers see no acceleration there.
+        By default this is the derivative of `constrain_rates` with the effect's numbers
+        fixed. A support whose velocity depends on time must override it; otherwise
+        accelerometers measure no acceleration of the support.
 
         Args:
             rod: The rod.
             motion: Its configuration and rates; spins are angular momenta.
-            change: Derivative of each of its parts by time, from all loads.
+            change: Time derivative of each part of `motion`, from all loads.
         """
         if type(self).constrain_rates is Effect.constrain_rates:
             return change
@@ -236,18 +241,18 @@ class Effect:
 
     @property
     def gravitational_field(self) -> Array | None:
-        """Acceleration of free fall, world frame [m/s^2]; `None` if it has none.
+        """Acceleration of free fall, world frame [m/s^2]; `None` except for gravity.
 
-        It is what an accelerometer does not see.
+        Accelerometers subtract it from the acceleration.
         """
         return None
 
     def dissipate(self, scene: Any, motion: Motion, dt: Array) -> Motion:
-        """Motion after rates have decayed for one step, at this configuration.
+        """Motion whose rates have decayed for one step at fixed configuration.
 
-        For damping that is solved separately, so that it does not limit the step. It is
-        called after loads and `damping_rates` have changed the rates and after
-        `constrain_rates`, which is called once more afterwards.
+        This hook is for damping that is solved separately, so that it does not limit
+        the step. It is called after loads and `damping_rates` have changed the rates
+        and after `constrain_rates`, which is called once more afterwards.
 
         Args:
             scene: The scene, with all effects.
@@ -257,11 +262,12 @@ class Effect:
         return motion
 
     def after_step(self, rod: Rod, motion: Motion, dt: Array) -> Effect:
-        """The effect with its memory one step later.
+        """Effect with its memory fields updated by one step.
 
-        Only changes of fields declared with `jaxrod.extend.memory()` are kept. Called
-        once a step, at the configuration where loads act, with the rates that follow
-        from them. In implicit steps it is called at the end of the step.
+        Only changes of fields declared with `jaxrod.extend.memory()` are kept. The hook
+        is called once a step, at the configuration where loads act, with the rates
+        after the loads have changed them. In implicit steps it is called at the end of
+        the step.
 
         Args:
             rod: The rod.
@@ -271,24 +277,27 @@ class Effect:
         return self
 
     def damping_rates(self, rod: Rod) -> tuple[Array, Array] | None:
-        """Decay rates [1/s] of velocities and spins; scalars or one per entry."""
+        """Decay rates of velocities and spins [1/s]; `None` without damping.
+
+        Each rate is one number, or one per node or element.
+        """
         return None
 
     def drag(self, rod: Rod, motion: Motion) -> Drag | None:
         """Decay rates along and across the rod, relative to the surrounding fluid.
 
-        Explicit steps of the consistent law solve drag together with the loads, so that
-        it never limits the step. Other methods take the drag from `loads`, which must
-        be `jaxrod.fluids.drag_loads` of it, with their `stability_bound`. An effect
-        with drag has no other loads.
+        `None` without drag. Explicit steps of the consistent law solve drag together
+        with the loads, so that it never limits the step. Other methods take the drag
+        from `loads`, which must be `jaxrod.fluids.drag_loads` of these rates, with
+        their `stability_bound`. An effect with drag has no other loads.
         """
         return None
 
     def stability_bound(self, rod: Rod) -> StabilityBound | None:
-        """Bounds on the derivatives of `loads`, for the stability bound.
+        """Upper bounds of the stiffness and drag in `loads`, for `stable_dt`.
 
-        An effect whose loads depend on the rod's configuration or rates must have
-        this hook, or `stable_dt` does not account for it. Constant loads need nothing.
+        An effect whose loads depend on the rod's configuration or rates must have this
+        hook, or `stable_dt` does not account for it. Constant loads need nothing.
         """
         return None
 
@@ -300,52 +309,52 @@ class Effect:
         """Deviation of a state from the constraint of the effect [1].
 
         It is zero where the constraint is met. A valid simulation stays below one;
-        `health` flags states above. `None` for an effect that does not tie the rod to a
-        place or orientation.
+        `health` flags states above. `None` for an effect that constrains no position or
+        orientation.
         """
         return None
 
     def reaction(self, rod: Rod, motion: Motion, needed: Loads) -> Reaction | None:
-        """Force, couple and power that hold the rod; `None` if nothing is held.
+        """Force, couple and power of a support on the rod; `None` if it holds nothing.
 
         Args:
             rod: The rod.
             motion: Its configuration and rates.
-            needed: The loads that would balance all others, so that no node and no
+            needed: Loads that would balance all other loads, so that no node and no
                 element accelerates.
         """
         return None
 
     def held(self, rod: Rod) -> tuple[Held, ...]:
-        """Nodes and elements that the effect holds, by structure alone.
+        """Degrees of freedom that the effect holds, whatever its traced numbers are.
 
-        `make_scene` refuses two effects that hold the same one. It cannot check effects
-        without this hook.
+        `make_scene` refuses two effects that hold the same degree of freedom. It cannot
+        check effects without this hook.
         """
         return ()
 
     def check(self, rod: Rod) -> None:
         """Warns or raises if the effect does not fit the rod; called by `make_scene`.
 
-        Numbers may be traced; their values cannot be checked then.
+        Values of traced numbers cannot be checked.
         """
 
     def force_directions(self, rod: Rod, motion: Motion) -> Vec3 | None:
         """Unit vectors of forces that may act later but are not in `loads` yet.
 
-        Used to check that they are in the plane of a planar scene.
+        Scenes of planar motion check that these directions are in their plane.
         """
         return None
 
     def resampled(self, rod: Rod, new_rod: Rod) -> Effect:
-        """The same influence on the rod with another number of elements.
+        """The same effect for `new_rod`: the rod `rod` with another number of elements.
 
         An effect with numbers per node or element must override this hook.
         """
         return self
 
     def with_free_ends(self, free: Float[Array, "2"]) -> Effect:
-        """The same influence on a rod whose ends may be tied to other rods.
+        """The same effect for a rod whose ends may be tied to other rods.
 
         `make_system` calls it where ends are tied, for effects that treat a free end
         differently from the rest of the rod.
@@ -357,38 +366,40 @@ class Effect:
         return self
 
     def turning_tangent(self, rod: Rod, motion: Motion) -> Matrix | None:
-        """Negative derivative of the couples by the elements' rotations, world frame.
+        """Negative derivative of couples by element rotations, world frame [N m].
 
-        For effects whose loads depend on nothing else: their forces are constant, and
-        the couple on an element changes with the element's own rotation only. `None`
-        if the couples in the world frame are constant, too. An effect without this hook
-        is differentiated automatically.
+        This hook is for effects with constant forces, whose couple on an element
+        depends on the rotation of that element alone. `None` states that the couples in
+        the world frame are constant, too. An effect without this hook is differentiated
+        automatically.
         """
         # Not `return None`, which means that the couples are constant.
         raise NotImplementedError
 
     @property
     def twists(self) -> str | None:
-        """Name of the part that twists a rod, or turns with it about its axis.
+        """Name, for error messages, of loads that twist a rod or turn with its frame.
 
-        A scene without twist refuses such an effect for any of its numbers. Twisting
-        that shows in the values of `loads` need not be declared.
+        A method without twist refuses an effect with such a name, whatever its numbers
+        are. `None` by default; twisting couples in the values of `loads` need no
+        declaration.
         """
         return None
 
     def wall(self, rod: Rod) -> Wall | None:
-        """The wall that holds the orientation at an end, if this effect has one.
+        """Wall that holds the orientation of the rod at one end; `None` without one.
 
-        A scene without twist takes the frames of elements from there. `loads` must then
-        contain nothing but the couple of the wall's elastic joint.
+        A method without twist takes the frames of elements from this wall. `loads` must
+        then contain nothing but the couple of the wall's elastic joint.
         """
         return None
 
 
 def _says_of_others(kind: type, name: str, hooks: tuple[str, ...]) -> bool:
-    """Whether the inherited declaration `name` was made for hooks that were overridden.
+    """Whether a class overrides one of `hooks` without also declaring `name`.
 
-    That is the case if a class overrides one of the hooks without declaring `name`.
+    `name` is an attribute that describes the hooks. Its inherited value then describes
+    those of a base class.
     """
     for base in kind.__mro__:
         if name in vars(base):

@@ -1,4 +1,4 @@
-"""Held ends: a wall that acts through half an element; an element held rigidly."""
+"""Clamped ends of a rod: joined to a wall by an elastic joint, or held rigidly."""
 
 from __future__ import annotations
 
@@ -47,29 +47,34 @@ _LARGEST_ANGLE = 2.5
 
 @pytree
 class Clamp(Effect):
-    """A wall: the end node held in place, the end element joined to the wall's frame.
+    """Clamped end: end node held in place, end element joined to the frame of a wall.
 
     Between wall and end element lies half an element. The wall therefore acts through
-    an elastic joint of that length, with the end element's own bending stiffness. The
-    static error is then second order in the number of elements: +0.5/n^2 for a
-    cantilever, compared with -1.5/n if the end element itself is held.
+    an elastic joint of that length, with the bending and twisting stiffness of the end
+    element. The static error is then second order in the number of elements: +0.5/n^2
+    for a cantilever, compared with -1.5/n if the end element itself is held.
     """
 
     orientation: Float[Array, "4"]
-    """Frame of the wall: the end element's orientation at rest (w, x, y, z)."""
+    """Frame of the wall: orientation of the end element at rest (w, x, y, z)."""
     end: End = static(default="base")
-    """The end that is clamped."""
+    """End of the rod that is clamped, "base" or "tip"."""
     position: Float[Array, "3"] | None = None
-    """Position of the wall [m], used by `health` only. `None`: that of the end node."""
+    """Position of the wall [m], which only `health` uses. `None`: distance of the end
+    node from the wall is not checked."""
     made_for: int | None = static(default=None)
-    """Number of elements of the state it was made from; `None` if not known."""
+    """Number of elements that the rod must have, see `check`; `None`: any number."""
 
     def check(self, rod: Rod) -> None:
-        """Raises ValueError if it was made from a state of another rod."""
+        """Raises ValueError if the rod does not have `made_for` elements."""
         check_made_for("clamp", self.made_for, rod)
 
     def _joint(self, rod: Rod, orientation: Quaternion) -> tuple[Vec3, Array, Vec3]:
-        """Rotation from the wall to the end element, coupling, and moment [N m]."""
+        """Rotation vector of the joint [rad], coupling coefficient and moment [N m].
+
+        The rotation is that from the wall to the end element. For the coefficient see
+        `rotations.rotation_log_and_coupling`.
+        """
         wall = conjugate(split_quaternion(self.orientation))
         rotation, coupling = rotation_log_and_coupling(
             multiply_quaternions(wall, orientation)
@@ -78,7 +83,7 @@ class Clamp(Effect):
         return rotation, coupling, vectors.multiply(stiffness, rotation)
 
     def _stiffness(self, rod: Rod) -> Float[Array, "3"]:
-        """Stiffness of the joint [N m], equal to that of half an element."""
+        """Stiffness of the joint: that of half an element about d1, d2, d3 [N m]."""
         index = 0 if self.end == "base" else -1
         half = 0.5 * rod.rest_lengths[..., index, None]
         return rod.bend_twist_stiffness[..., index] / half
@@ -93,7 +98,7 @@ class Clamp(Effect):
         )
 
     def turning_tangent(self, rod: Rod, motion: Motion) -> Matrix:
-        """Tangent of the joint's couple on the end element."""
+        """Negative derivative of the joint's couple by the end element's rotation."""
         orientation = at_end(motion.orientation, self.end)
         rotation, coupling, moment = self._joint(rod, orientation)
         stiffness = vectors.split(self._stiffness(rod))
@@ -103,34 +108,37 @@ class Clamp(Effect):
         return x, y, z
 
     def wall(self, rod: Rod) -> Wall:
-        """The wall and its joint."""
+        """Frame of the wall, stiffness of its joint, and clamped end."""
         return Wall(self.orientation, self._stiffness(rod), self.end)
 
     def constrain_rates(self, rod: Rod, motion: Motion) -> Motion:
-        """Stops the end node."""
+        """Sets the velocity of the end node to zero."""
         return replace(motion, velocity=zero_at_end(motion.velocity, self.end))
 
     def stability_bound(self, rod: Rod) -> StabilityBound:
-        """Stiffness of the wall joint, on the end element."""
+        """Largest stiffness of the wall joint, against rotation of the end element."""
         stiffness = jnp.max(self._stiffness(rod))
         return StabilityBound(elements=place(stiffness, rod.n_elements, self.end))
 
     def resampled(self, rod: Rod, new_rod: Rod) -> Clamp:
-        """Clamp for the new end element, whose middle has another frame if curved."""
+        """Clamp for `new_rod`, with the frame of the middle of its end element.
+
+        It differs from the old frame if the rod is curved at rest.
+        """
         frame = _frame_at_new_middle(self.orientation, rod, new_rod, self.end)
         return replace(
             self, orientation=frame, made_for=made_again_for(self.made_for, new_rod)
         )
 
     def held(self, rod: Rod) -> tuple[Held, ...]:
-        """The end node and the end element."""
+        """The end node along all axes, and the orientation of the end element."""
         return (held_end(self.end),)
 
     def violation(self, rod: Rod, state: RodState) -> Array:
-        """Larger of the end node's distance from the wall and the joint's angle.
+        """Larger of two ratios: distance over radius, and joint angle over 2.5 rad [1].
 
-        It is one at a distance of one radius, or at the angle at which joints are
-        flagged.
+        The distance is that of the end node from the wall. `HealthLimits` flags joints
+        above 2.5 rad.
         """
         orientation = at_end(split_quaternion(state.orientations), self.end)
         rotation, _, _ = self._joint(rod, orientation)
@@ -146,7 +154,7 @@ class Clamp(Effect):
         return _reaction_at(self.end, motion, needed, couples)
 
     def energy(self, rod: Rod, state: RodState) -> Array:
-        """Elastic energy of the wall joint [J]."""
+        """Elastic energy of the wall joint, rotation times moment over two [J]."""
         orientation = at_end(split_quaternion(state.orientations), self.end)
         rotation, _, moment = self._joint(rod, orientation)
         return 0.5 * vectors.dot(rotation, moment)
@@ -154,39 +162,43 @@ class Clamp(Effect):
 
 @pytree
 class FixedEnd(Effect):
-    """The end node and the whole end element held: PyElastica's `OneEndFixedBC`.
+    """End node and end element held rigidly, as by PyElastica's `OneEndFixedBC`.
 
-    It is first order in the number of elements (see `Clamp`); for comparisons.
+    The error is first order in the number of elements (see `Clamp`); for comparisons.
     """
 
     position: Float[Array, "3"]
-    """Position at which the end node is held [m]."""
+    """Position at which the end node is held, world frame [m]."""
     orientation: Float[Array, "4"]
-    """Orientation at which the end element is held (w, x, y, z)."""
+    """Orientation at which the end element is held (w, x, y, z), material to world."""
     end: End = static(default="base")
-    """The end that is held."""
+    """End of the rod that is held, "base" or "tip"."""
     made_for: int | None = static(default=None)
-    """Number of elements of the state it was made from; `None` if not known."""
+    """Number of elements that the rod must have, see `check`; `None`: any number."""
 
     def check(self, rod: Rod) -> None:
-        """Raises ValueError if it was made from a state of another rod."""
+        """Raises ValueError if the rod does not have `made_for` elements."""
         check_made_for("fixed_end", self.made_for, rod)
 
     def resampled(self, rod: Rod, new_rod: Rod) -> FixedEnd:
-        """Support for the new end element, whose middle has another frame if curved."""
+        """Support for `new_rod`, with the frame of the middle of its end element.
+
+        It differs from the old frame if the rod is curved at rest.
+        """
         frame = _frame_at_new_middle(self.orientation, rod, new_rod, self.end)
         return replace(
             self, orientation=frame, made_for=made_again_for(self.made_for, new_rod)
         )
 
     def held(self, rod: Rod) -> tuple[Held, ...]:
-        """The end node and the end element."""
+        """The end node along all axes, and the orientation of the end element."""
         return (held_end(self.end),)
 
     def violation(self, rod: Rod, state: RodState) -> Array:
-        """Displacement of the end section's rim from where it is held, over the radius.
+        """Bound on the displacement of the rim of the end section, over the radius [1].
 
-        It is the end node's distance over the radius plus twice sin(angle / 2).
+        It is the distance of the end node from the held position over the radius, plus
+        twice sin(angle / 2), with the angle from the held orientation.
         """
         actual = at_end(split_quaternion(state.orientations), self.end)
         held = split_quaternion(self.orientation)
@@ -195,7 +207,7 @@ class FixedEnd(Effect):
         return _offset(self.position, self.end, rod, state) + turned
 
     def wall(self, rod: Rod) -> Wall:
-        """The end element itself, held rigidly."""
+        """Wall that holds the end element rigidly at its orientation."""
         return Wall(self.orientation, None, self.end)
 
     def reaction(self, rod: Rod, motion: Motion, needed: Loads) -> Reaction:
@@ -204,7 +216,7 @@ class FixedEnd(Effect):
         return _reaction_at(self.end, motion, needed, needed.couples)
 
     def constrain(self, rod: Rod, motion: Motion) -> Motion:
-        """Puts the end node and end element back."""
+        """Puts the end node and the end element back where they are held."""
         x, y, z = (
             replace_end(a, b, self.end)
             for a, b in zip(motion.position, self.position, strict=True)
@@ -216,7 +228,7 @@ class FixedEnd(Effect):
         return replace(motion, position=(x, y, z), orientation=(q0, q1, q2, q3))
 
     def constrain_rates(self, rod: Rod, motion: Motion) -> Motion:
-        """Stops the end node and the end element."""
+        """Sets the velocity of the end node and the spin of the end element to zero."""
         return replace(
             motion,
             velocity=zero_at_end(motion.velocity, self.end),
@@ -225,7 +237,7 @@ class FixedEnd(Effect):
 
 
 def _reaction_at(end: End, motion: Motion, needed: Loads, couples: Vec3) -> Reaction:
-    """Reaction of the force needed at an end node and a couple on the end element."""
+    """Reaction of the force needed at an end node and of a couple on its element."""
     assert needed.forces is not None
     index = 0 if end == "base" else -1
     fx, fy, fz = (component[index] for component in needed.forces)
@@ -235,14 +247,17 @@ def _reaction_at(end: End, motion: Motion, needed: Loads, couples: Vec3) -> Reac
 
 
 def _offset(place: Array, end: End, rod: Rod, state: RodState) -> Array:
-    """Distance of an end node from a place, over the radius there [1]."""
+    """Distance of an end node from a point, over the radius of its element [1]."""
     index = 0 if end == "base" else -1
     apart = vectors.split(state.positions[:, index] - place)
     return vectors.safe_norm(apart) / rod.radii[index]
 
 
 def _frame_at_new_middle(orientation: Array, rod: Rod, new_rod: Rod, end: End) -> Array:
-    """Frame of an end element, carried along the rest curvature to another middle."""
+    """Frame of the middle of an end element, for the same element of `new_rod`.
+
+    It is carried along the rest curvature from the old middle to the new one.
+    """
     index, sign = (0, 1) if end == "base" else (-1, -1)
     way = sign * 0.5 * (new_rod.rest_lengths[index] - rod.rest_lengths[index])
     turn = vectors.split(way * rod.rest_curvatures[:, index])
@@ -277,7 +292,7 @@ def clamp(state: RodState, end: End = "base") -> Clamp:
 
 
 def fixed_end(state: RodState, end: End = "base") -> FixedEnd:
-    """Holds one end node and end element at their place in the given state.
+    """Holds one end node and end element where they are in the given state.
 
     Args:
         state: The state of the rod.

@@ -23,7 +23,7 @@ from jaxrod.geometry.vectors import Vec3, add, cross, dot, scale
 
 
 def half_angle_cosine(a: Vec3, b: Vec3) -> Array:
-    r"""$\cos(\theta/2) = |a + b|/2$, at least the machine epsilon."""
+    r"""Cosine of half the angle between unit vectors, $|a + b|/2$, at least epsilon."""
     middle = add(a, b)
     squared = 0.25 * dot(middle, middle)
     least = jnp.finfo(squared.dtype).eps ** 2
@@ -31,7 +31,7 @@ def half_angle_cosine(a: Vec3, b: Vec3) -> Array:
 
 
 def angle_over_sine(a: Vec3, b: Vec3) -> Array:
-    r"""Ratio $\theta/\sin\theta$ of the angle between two directions.
+    r"""Ratio $\theta/\sin\theta$, with $\theta$ the angle between two unit vectors.
 
     With $q = \cos(\theta/4)$ and $u = \tan^2(\theta/8) = (1 - q)/(1 + q)$ it is
     $2\,\arctan(\sqrt u)/\sqrt u$ over $q\,(1 + q) \cos(\theta/2)$.
@@ -44,17 +44,18 @@ def angle_over_sine(a: Vec3, b: Vec3) -> Array:
 
 
 def smallest_rotation(a: Vec3, b: Vec3) -> Quaternion:
-    """Smallest rotation that takes one direction to the other."""
+    """Rotation by the smallest angle that takes unit vector `a` to unit vector `b`."""
     half = half_angle_cosine(a, b)
     return (half, *scale(0.5 / half, cross(a, b)))
 
 
 def frame_along(direction: Vec3) -> Quaternion:
-    """A frame whose d3 is the given direction; d1 and d2 are arbitrary.
+    """Orientation whose d3 is the given unit vector; d1 and d2 are arbitrary.
 
-    It is the smallest rotation of the z axis; in the lower half of space a half turn
-    about x precedes it. It is never a rotation by nearly half a turn, whose axis would
-    be ill-defined.
+    If z is not negative, it is the smallest rotation of the z axis to the vector.
+    Otherwise a half turn about x comes first, and the smallest rotation begins at -z.
+    The smallest rotation is thus by a quarter turn at most, and its axis is
+    well-defined.
     """
     x, y, z = direction
     half = jnp.sqrt(0.5 * (1 + jnp.abs(z)))
@@ -70,19 +71,19 @@ def frame_along(direction: Vec3) -> Quaternion:
 
 
 def turned_to(orientation: Quaternion, direction: Vec3) -> Quaternion:
-    """Orientations turned by the smallest rotation that aligns d3 with a direction."""
+    """Orientations after the smallest rotation that aligns d3 with unit vectors."""
     d3 = directors(orientation)[2]
     turn = smallest_rotation(d3, direction)
     return normalise(multiply_quaternions(turn, orientation))
 
 
 def transported(root: Quaternion, direction: Vec3, end: End) -> Quaternion:
-    """Frames carried without twist from the element at one end along the rod.
+    """Orientations of all elements, without twist, from that of one end element.
 
     Args:
-        root: Orientation of the end element; scalars.
-        direction: Directions of all elements.
-        end: The end at which the root is.
+        root: Orientation of the end element, components are scalars.
+        direction: Unit vectors along all elements.
+        end: End of the rod at which `root` is given.
     """
     way = 1 if end == "base" else -1
     x, y, z = (c[::way] for c in direction)
@@ -98,7 +99,7 @@ def transported(root: Quaternion, direction: Vec3, end: End) -> Quaternion:
 
 
 def _products(q: Quaternion) -> Quaternion:
-    """Cumulative products of quaternions; later ones multiply from the left."""
+    """Cumulative products of quaternions: each product is a factor times the last."""
 
     def further(
         product: Quaternion, factor: Quaternion

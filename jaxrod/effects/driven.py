@@ -1,4 +1,4 @@
-"""Driven ends: the node follows a path, and a wall may turn the element."""
+"""Driven ends of rods: the node follows a path, and a wall may turn the element."""
 
 from __future__ import annotations
 
@@ -50,59 +50,62 @@ from jaxrod.validation import Numbers, check_kind
 
 @pytree
 class Driven(Effect):
-    """An end that follows a path; a wall turns its element, or it turns freely.
+    """An end of a rod that follows a path; a wall may turn its element.
 
     The wall acts through an elastic joint of half an element, as in a `Clamp`, or it
-    holds the element itself, as a `FixedEnd` does.
+    holds the element rigidly, as a `FixedEnd` does. Without a wall the element turns
+    freely.
     """
 
     place: Scheduled
-    """Position and motion of the end node; usually a schedule of them."""
+    """Position, velocity and acceleration of the end node: a `Placed`, or a schedule of
+    it."""
     turn: Scheduled
-    """Frame and rotation of the wall; `None` if the element turns freely."""
+    """Orientation, angular velocity and acceleration of the wall: a `Turned`, or a
+    schedule of it. `None` if the end element turns freely."""
     end: End = static(default="base")
-    """The end that is driven."""
+    """End of the rod that is driven, "base" or "tip"."""
     axes: Axes = static(default=(True, True, True))
     """World axes along which the node is driven; along the others it is free."""
     holds_element: bool = static(default=False)
-    """Whether the wall holds the end element itself."""
+    """Whether the wall holds the end element rigidly instead of through a joint."""
     made_for: int | None = static(default=None)
-    """Number of elements of the state it was made from; `None` if not known."""
+    """Number of elements that the rod must have, see `check`; `None`: any number."""
 
     @property
     def _joint(self) -> Clamp | None:
-        """Joint between the wall and the end element; `None` if there is none."""
+        """Elastic joint between wall and end element; `None` without a joint."""
         if self.turn is None or self.holds_element:
             return None
         return Clamp(self.turn.orientation, self.end)
 
     def loads(self, rod: Rod, motion: Motion) -> Loads:
-        """Couple of the wall joint on the end element."""
+        """Couple of the wall joint on the end element; no loads without a joint."""
         joint = self._joint
         return Loads() if joint is None else joint.loads(rod, motion)
 
     def turning_tangent(self, rod: Rod, motion: Motion) -> Matrix | None:
-        """Tangent of the joint's couple on the end element."""
+        """Negative derivative of the joint's couple by the end element's rotation."""
         joint = self._joint
         return None if joint is None else joint.turning_tangent(rod, motion)
 
     def energy(self, rod: Rod, state: RodState) -> Array | float:
-        """Elastic energy of the wall joint [J]."""
+        """Elastic energy of the wall joint [J]; zero without a joint."""
         joint = self._joint
         return 0.0 if joint is None else joint.energy(rod, state)
 
     def stability_bound(self, rod: Rod) -> StabilityBound | None:
-        """Stiffness of the wall joint, on the end element."""
+        """Rotational stiffness of the wall joint, on the end element."""
         joint = self._joint
         return None if joint is None else joint.stability_bound(rod)
 
     @property
     def twists(self) -> str | None:
-        """Name of the wall, which may turn about the rod's axis."""
+        """Name, for error messages, of the wall, which may turn about the rod axis."""
         return None if self.turn is None else "a wall that is driven"
 
     def constrain(self, rod: Rod, motion: Motion) -> Motion:
-        """Puts the end node on its path, and a held element in the wall's frame."""
+        """Puts the end node on its path and a held element in the frame of the wall."""
         if self.holds_element:
             w, x, y, z = (
                 replace_end(a, b, self.end)
@@ -148,7 +151,7 @@ class Driven(Effect):
         return replace(change, velocity=faster)
 
     def _turning_element(self, rod: Rod) -> tuple[Vec3, Vec3]:
-        """Rates of rotation of an element that the wall holds.
+        """Angular velocity and angular momentum of an end element held by the wall.
 
         Returns:
             Angular velocity, material frame [rad/s], and angular momentum, world frame
@@ -159,16 +162,16 @@ class Driven(Effect):
         return local, to_world(frame, vectors.multiply(self._inertia(rod), local))
 
     def _inertia(self, rod: Rod) -> Vec3:
-        """Moments of inertia of the end element, about its axes [kg m^2]."""
+        """Moments of inertia of the end element about d1, d2 and d3 [kg m^2]."""
         index = 0 if self.end == "base" else -1
         return vectors.split(rod.principal_inertias[:, index])
 
     def violation(self, rod: Rod, state: RodState) -> Array:
-        """Distance of the end node from the path along the axes, over the radius.
+        """Distance of the end node from its path along `axes`, over the radius [1].
 
-        With a wall joint it is the larger of this and the joint's violation, as in
-        `Clamp`. For a held element twice sin(angle / 2) between it and the wall is
-        added.
+        With a wall joint it is the larger of this ratio and the violation of that
+        joint, see `Clamp`. With a held element, twice sin(angle / 2) is added to the
+        ratio, with the angle between the element and the wall.
         """
         node = end_node(rod, self.end)
         apart = distance_from(self.place.position, node, self.axes, rod, state)
@@ -183,17 +186,17 @@ class Driven(Effect):
         )
 
     def held(self, rod: Rod) -> tuple[Held, ...]:
-        """The end node, and also the end element if a wall turns it."""
+        """End node along the driven axes; also the end element if there is a wall."""
         end = held_end(self.end, self.axes)
         return (end if self.turn is not None else replace(end, element=None),)
 
     def resampled(self, rod: Rod, new_rod: Rod) -> Driven:
-        """The same path and wall; raises if the rod's end is curved at rest."""
+        """The same path and wall for `new_rod`; raises if the end is curved at rest."""
         check_straight_end(rod, self.end)
         return replace(self, made_for=made_again_for(self.made_for, new_rod))
 
     def check(self, rod: Rod) -> None:
-        """Raises ValueError if it was made from a state of another rod."""
+        """Raises ValueError if the rod does not have `made_for` elements."""
         check_made_for("driven", self.made_for, rod)
 
     def reaction(self, rod: Rod, motion: Motion, needed: Loads) -> Reaction:
@@ -218,9 +221,10 @@ class Driven(Effect):
         return Reaction.of(force, couple, power + vectors.dot(couple, turning))
 
     def _couple_on_held(self, rod: Rod, motion: Motion, needed: Loads) -> Vec3:
-        """Couple that makes the held element turn with the wall, world frame [N m].
+        """Couple of the wall on the held end element, world frame [N m].
 
-        It also balances all other couples on the element.
+        It balances all other couples on the element and changes its angular momentum as
+        the rotation of the wall requires.
         """
         assert needed.couples is not None
         index = 0 if self.end == "base" else -1
@@ -229,7 +233,7 @@ class Driven(Effect):
         return vectors.add(to_world(frame, (a, b, c)), self._rate_of_momentum(rod))
 
     def _rate_of_momentum(self, rod: Rod) -> Vec3:
-        """Rate of the held element's angular momentum, world frame [N m]."""
+        """Rate of a held element's angular momentum, `I alpha + w x (I w)` [N m]."""
         frame = directors(split_quaternion(self.turn.orientation))
         faster = to_material(frame, vectors.split(self.turn.angular_acceleration))
         own = to_world(frame, vectors.multiply(self._inertia(rod), faster))
@@ -249,7 +253,7 @@ def driven(
     free_to_turn: bool = False,
     holds_element: bool = False,
 ) -> Driven:
-    """Moves an end along a path, and turns the wall that holds its element.
+    """Moves an end of a rod along a path, and turns the wall that holds its element.
 
     `jaxrod.reactions` gives the force, couple and power that this takes.
 

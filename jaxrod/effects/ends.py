@@ -1,4 +1,4 @@
-"""The two ends of a rod: access to the entries of a field there."""
+"""Access to the entries of a field at the two ends of a rod, "base" and "tip"."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ End = Literal["base", "tip"]
 
 @pytree
 class Wall:
-    """Support for the orientation of the element at one end of a rod.
+    """Wall that holds the orientation of a rod's end element, rigidly or by a joint.
 
     Example:
         >>> muscle = actuation.muscle(rod, 2.0, into=jaxrod.clamp(state))
@@ -27,28 +27,28 @@ class Wall:
     """
 
     orientation: Float[Array, "4"]
-    """The element's orientation at rest (w, x, y, z)."""
+    """Orientation of the end element when the wall joint is at rest (w, x, y, z)."""
     stiffness: Float[Array, "3"] | None = None
-    """Stiffness of the elastic joint between wall and element, about the element's
-    axes [N m]; `None` for an element that is held rigidly."""
+    """Stiffness of the elastic joint between the wall and the end element, about the
+    axes of the element [N m]; `None` for an element that is held rigidly."""
     end: End = static(default="base")
-    """The end that is held."""
+    """End of the rod that the wall holds, "base" or "tip"."""
 
 
 def zero_one_end(field: Array, end: End) -> Array:
-    """Field with the entry at one end set to zero."""
+    """Array over nodes or elements with its entry at one end set to zero."""
     if end == "base":
         return vectors.pad(field[1:], 1, 0)
     return vectors.pad(field[:-1], 0, 1)
 
 
 def replace_end(field: Array, value: Array, end: End) -> Array:
-    """Field with the entry at one end replaced."""
+    """Array over nodes or elements with its entry at one end set to `value`."""
     return zero_one_end(field, end) + place(value, field.shape[0], end)
 
 
 def zero_at_end(field: Vec3, end: End) -> Vec3:
-    """Vector field with the entry at one end set to zero."""
+    """Vector field over nodes or elements with its entry at one end set to zero."""
     a, b, c = (zero_one_end(component, end) for component in field)
     return a, b, c
 
@@ -61,31 +61,31 @@ def at_end(field: Quaternion, end: End) -> Quaternion:
 
 
 def place(value: Array, size: int, end: End) -> Array:
-    """Field that is zero except at one end."""
+    """Array of `size` entries, zero except for `value` at one end."""
     before, after = (0, size - 1) if end == "base" else (size - 1, 0)
     return vectors.pad(value[None], before, after)
 
 
 def only_at_end(value: Vec3, size: int, end: End) -> Vec3:
-    """Vector field that is zero except at one end."""
+    """Vector field of `size` entries, zero except for `value` at one end."""
     a, b, c = (place(component, size, end) for component in value)
     return a, b, c
 
 
 def check_end(end: End) -> End:
-    """Returns the name of an end; raises ValueError if it is not one."""
+    """Returns the end if it is "base" or "tip"; raises ValueError otherwise."""
     if not isinstance(end, str) or end not in ("base", "tip"):
         raise ValueError(f'end must be "base" or "tip", got {end!r}')
     return end
 
 
 def check_made_for(name: str, count: int | None, rod: Rod) -> None:
-    """Raises ValueError if a support was made from a state with other elements.
+    """Raises ValueError if a support was made for another number of elements.
 
     Args:
         name: Name of the support's factory.
-        count: Number of elements of the state it was made from; `None` if not known.
-        rod: The rod it holds.
+        count: Number of elements of the state it is from; `None` if not known.
+        rod: The rod that the support holds.
     """
     if count is not None and count != rod.n_elements:
         raise ValueError(
@@ -95,5 +95,5 @@ def check_made_for(name: str, count: int | None, rod: Rod) -> None:
 
 
 def made_again_for(count: int | None, rod: Rod) -> int | None:
-    """Number of elements to record when a support is resampled for another rod."""
+    """New `made_for` of a support of `rod`: its number of elements, or `None`."""
     return None if count is None else rod.n_elements

@@ -47,7 +47,7 @@ from jaxrod.validation import Numbers, as_array, is_traced, numeric
 
 @pytree
 class UniformFlow:
-    """A flow that is the same everywhere.
+    """A flow with the same velocity everywhere.
 
     Example:
         >>> drag = fluids.stokes_drag(0.1, 0.2, flow=(0.0, 0.0, 1.0))
@@ -59,10 +59,10 @@ class UniformFlow:
     """
 
     velocity: Float[Array, "3"]
-    """Velocity, world frame [m/s]."""
+    """Velocity of the fluid, world frame [m/s]."""
 
     def at(self, points: Vec3) -> Vec3:
-        """The velocity at each point [m/s]."""
+        """Velocity of the fluid at each point, world frame [m/s]."""
         x, y, z = (jnp.broadcast_to(v, points[0].shape) for v in self.velocity)
         return x, y, z
 
@@ -83,10 +83,11 @@ class FlowField:
     parameters: Any
     """Traced numbers of the flow: any pytree of arrays and schedules."""
     function: Callable[[Any, Any], Any] = static()
-    """Velocity `(3,)` [m/s] at one point `(3,)` [m], given the parameters."""
+    """Velocity of the fluid `(3,)` [m/s] at one point `(3,)` [m], world frame, as a
+    function of the point and the parameters."""
 
     def at(self, points: Vec3) -> Vec3:
-        """The velocity at each point [m/s]."""
+        """Velocity of the fluid at each point, world frame [m/s]."""
         at_each = jax.vmap(self.function, in_axes=(1, None), out_axes=1)
         found = at_each(jnp.stack(points), self.parameters)
         return found[0], found[1], found[2]
@@ -146,7 +147,7 @@ def as_flow(flow: Flow | Timed | None) -> Flow | None:
     """Checks an argument that may be a flow, a velocity or `None`.
 
     Raises:
-        ValueError: If it is not one of them.
+        ValueError: If it is none of these.
     """
     if flow is None or isinstance(flow, UniformFlow | FlowField):
         return flow
@@ -155,23 +156,23 @@ def as_flow(flow: Flow | Timed | None) -> Flow | None:
 
 @pytree
 class FluidDrag(Effect):
-    """Base of drag in a fluid that may flow."""
+    """Base of drag in a fluid at rest or in a flow."""
 
     flow: Flow | None
-    """Velocity of the fluid; `None` for a fluid at rest."""
+    """Flow of the fluid; `None` for a fluid at rest."""
 
     reach: ClassVar[Reach] = "neighbours"
 
     @abstractmethod
     def drag(self, rod: Rod, motion: Motion) -> Drag:
-        """Rates of decay along and across the rod."""
+        """Decay rates along and across the rod."""
 
     def loads(self, rod: Rod, motion: Motion) -> Loads:
-        """Drag as forces and couples, for methods without a drag solve."""
+        """Drag as forces and couples, for methods that treat it as an explicit load."""
         return drag_loads(rod, motion, self.drag(rod, motion))
 
     def flow_at(self, motion: Motion) -> Vec3 | None:
-        """Velocity of the fluid at the nodes [m/s]."""
+        """Velocity of the fluid at the nodes [m/s]; `None` for a fluid at rest."""
         return None if self.flow is None else self.flow.at(motion.position)
 
 
@@ -189,16 +190,17 @@ class StokesDrag(FluidDrag):
     """
 
     along: Float[Array, "*n"]
-    """Force per length and speed along the rod [kg/(m s)]."""
+    """Drag coefficient along the rod: force per length and speed [kg/(m s)]."""
     across: Float[Array, "*n"]
-    """Force per length and speed across the rod [kg/(m s)]."""
+    """Drag coefficient across the rod: force per length and speed [kg/(m s)]."""
     turning: Float[Array, "*n"] | None
-    """Couple per length and angular velocity about the axis [kg m/s]."""
+    """Drag coefficient about d3: couple per length and angular velocity [kg m/s];
+    `None` if zero."""
 
     reach: ClassVar[Reach] = "neighbours"
 
     def drag(self, rod: Rod, motion: Motion) -> Drag:
-        """Drag coefficients of nodes and elements, over mass or rotary inertia."""
+        """Decay rates: drag coefficients over node masses and over rotary inertia."""
         masses, turning = rod.node_masses, None
         if self.turning is not None:
             about = self.turning / rod.rotary_inertia[-1]
@@ -211,7 +213,11 @@ class StokesDrag(FluidDrag):
         )
 
     def stability_bound(self, rod: Rod) -> StabilityBound:
-        """Largest drag coefficients of nodes and elements."""
+        """Bounds of the drag on nodes and elements.
+
+        They are the larger coefficient at each node and the rotational one of each
+        element.
+        """
         turning = self.turning
         return StabilityBound(
             node_drag=on_nodes(rod, jnp.maximum(self.along, self.across)),
@@ -219,10 +225,10 @@ class StokesDrag(FluidDrag):
         )
 
     def resampled(self, rod: Rod, new_rod: Rod) -> StokesDrag:
-        """The same drag if its coefficients are uniform along the rod.
+        """The same drag, if its coefficients are uniform along the rod.
 
         Raises:
-            ValueError: If they differ from element to element.
+            ValueError: If a coefficient has one number per element.
         """
         if any(map(jnp.ndim, jax.tree.leaves(replace(self, flow=None)))):
             raise ValueError(
@@ -252,7 +258,7 @@ class QuadraticDrag(FluidDrag):
     reach: ClassVar[Reach] = "neighbours"
 
     def drag(self, rod: Rod, motion: Motion) -> Drag:
-        """Drag per speed of the nodes, over their masses."""
+        """Decay rates per speed: drag per squared speed over the node masses."""
         area = on_nodes(rod, self.density * rod.radii) / rod.node_masses
         still = jnp.zeros_like(self.density)
         return Drag(
@@ -265,7 +271,7 @@ class QuadraticDrag(FluidDrag):
 
 
 def on_nodes(rod: Rod, per_length: Array) -> Array:
-    """Quantity per length of the elements, integrated and shared by their nodes."""
+    """Integral of a quantity per length over elements, half at each of their nodes."""
     half = 0.5 * per_length * rod.rest_lengths
     return vectors.pad(half, 0, 1) + vectors.pad(half, 1, 0)
 
@@ -415,7 +421,7 @@ def quadratic_drag(
 
 
 def _coefficient(name: str, value: Numbers, unit: str) -> Array:
-    """Checks a coefficient: one number, or one per element."""
+    """Checks a drag coefficient, at least 0: one number, or one per element."""
     given = numeric(name, value, unit)
     if given.ndim > 1:
         raise ValueError(
@@ -440,7 +446,7 @@ class SlenderBodyDrag(Effect):
     """Dynamic viscosity of the fluid [Pa s]."""
 
     def loads(self, rod: Rod, motion: Motion) -> Loads:
-        """Half of every element's drag on each of its nodes."""
+        """Drag of every element, half of it on each of its nodes."""
         lengths = motion.lengths
         radii = rod.radii * jnp.sqrt(rod.rest_lengths / lengths)
         tangent = vectors.scale(1 / lengths, motion.edges)
@@ -455,7 +461,7 @@ class SlenderBodyDrag(Effect):
         return Loads(forces=vectors.pair_sum(half))
 
     def stability_bound(self, rod: Rod) -> StabilityBound:
-        """Drag across the unstretched rod."""
+        """Drag coefficient of each node across the unstretched rod."""
         return StabilityBound(
             node_drag=on_nodes(rod, self._per_length(rod.length, rod.radii))
         )
@@ -468,8 +474,8 @@ class SlenderBodyDrag(Effect):
 def slender_body_drag(viscosity: Numbers) -> SlenderBodyDrag:
     """PyElastica's `SlenderBodyTheory(dynamic_viscosity)`, for comparisons.
 
-    `stokes_drag` is the same except that it does not account for stretch. It does not
-    limit the step, and its coefficients can be chosen.
+    `stokes_drag` has the same form, but its coefficients can be chosen and do not
+    change when the rod stretches, and it does not limit the step.
 
     Args:
         viscosity: Dynamic viscosity of the fluid [Pa s].

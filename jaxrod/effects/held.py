@@ -17,7 +17,7 @@ ALL_AXES: Axes = (True, True, True)
 
 @dataclass(frozen=True)
 class Held:
-    """Degrees of freedom that an effect holds: of one node, of one element, or both.
+    """Degrees of freedom that one effect holds: of a node, of an element, or of both.
 
     Example:
         >>> jaxrod.pin_support(state, "tip", axes="yz").held(rod)
@@ -28,15 +28,16 @@ class Held:
     """
 
     node: int | None = None
-    """Number of the node; negative numbers count from the last."""
+    """Index of the held node, negative from the end; `None` if no node is held."""
     axes: Axes = ALL_AXES
     """World axes along which the node is held."""
     element: int | None = None
-    """Number of the element whose orientation is held, rigidly or by a joint."""
+    """Index of the element whose orientation is held, rigidly or by a joint; `None` if
+    none is."""
 
 
 def held_end(end: End, axes: Axes = ALL_AXES) -> Held:
-    """The node and the element at an end."""
+    """Degrees of freedom of an end: its node along `axes`, and its element."""
     index = 0 if end == "base" else -1
     return Held(index, axes, index)
 
@@ -74,7 +75,7 @@ def check_held_once(held: Iterable[tuple[str, Held]], n_elements: int) -> None:
 
 
 def _same(one: int | None, other: int | None, size: int) -> int | None:
-    """Position that two indices share; `None` if they differ or one is `None`."""
+    """Common position of two indices in `size` entries; `None` if they differ."""
     if one is None or other is None or one % size != other % size:
         return None
     return one % size

@@ -1,4 +1,4 @@
-"""Immersion in a fluid at rest: buoyancy, and the fluid mass that moves with a rod."""
+"""Immersion in a fluid at rest: buoyancy, and added mass of fluid moved by a rod."""
 
 from __future__ import annotations
 
@@ -31,23 +31,27 @@ class Buoyancy(Effect):
     acceleration: Float[Array, "3"]
     """Gravitational acceleration, world frame [m/s^2]."""
     added_mass: Float[Array, ""]
-    """Coefficient of the rod's added mass, which has no weight [1]."""
+    """Coefficient $C$ of the added mass that the rod's mass contains [1]."""
 
     def lifted(self, rod: Rod) -> Array:
-        """Mass whose weight buoyancy carries at each node [kg]."""
+        """Mass at each node whose weight buoyancy balances [kg].
+
+        Per length it is `(1 + C) density pi radius^2`: the displaced fluid, and the
+        added mass, which `gravity` pulls down although it has no weight.
+        """
         displaced = self.density * jnp.pi * rod.radii**2
         return on_nodes(rod, (1 + self.added_mass) * displaced)
 
     def loads(self, rod: Rod, motion: Motion) -> Loads:
-        """Buoyant force on the nodes."""
+        """Buoyant force on each node: minus its balanced mass times gravity."""
         masses, g = self.lifted(rod), self.acceleration
         return Loads(forces=(-masses * g[0], -masses * g[1], -masses * g[2]))
 
     def turning_tangent(self, rod: Rod, motion: Motion) -> None:
-        """None: the force is constant."""
+        """None: there are no couples that could change when elements rotate."""
 
     def energy(self, rod: Rod, state: RodState) -> Array:
-        """Work of gravity on the displaced fluid, measured from the origin [J]."""
+        """Potential energy: balanced mass times gravity times position [J]."""
         heights = jnp.sum(self.acceleration[:, None] * state.positions, axis=0)
         return jnp.sum(self.lifted(rod) * heights)
 
@@ -86,13 +90,14 @@ def buoyancy(
 
 
 def with_added_mass(rod: Rod, density: Numbers, coefficient: Numbers = 1.0) -> Rod:
-    r"""The rod with the mass of fluid that moves with it, $C\rho_f\pi r^2$ per length.
+    r"""The rod plus the mass of fluid that moves with it, $C\rho_f\pi r^2$ per length.
 
     The added mass is the same in all directions. That is right across the rod, where
     $C = 1$ for a circular section. It is wrong along the rod, where there is none:
-    axial waves are slower by $\sqrt{1 + C\rho_f/\rho}$, which slender rods hardly ever
-    show. It is not a model of a rod that swims by the thrust of fluid that it pushes
-    back (Lighthill's). The scene's momentum and kinetic energy count the added mass.
+    axial waves are slower by $\sqrt{1 + C\rho_f/\rho}$, which is seldom visible in
+    slender rods. It is not a model of a rod that swims by the thrust of fluid that it
+    pushes back (Lighthill's). The scene's momentum and kinetic energy count the added
+    mass.
 
     Args:
         rod: The rod, of round section.

@@ -1,4 +1,4 @@
-"""Loads that depend on the rod only: gravity, end loads, uniform loads, damping.
+"""Gravity, loads on an end, uniform loads, and exponential damping.
 
 All except damping may be schedules of time: see `jaxrod.schedules.ramp`, `sine` and
 `table`.
@@ -42,31 +42,31 @@ class Gravity(Effect):
 
     @property
     def gravitational_field(self) -> Array:
-        """The acceleration."""
+        """Gravitational acceleration, world frame [m/s^2]."""
         return self.acceleration
 
     def loads(self, rod: Rod, motion: Motion) -> Loads:
-        """Weight of the nodes."""
+        """Weights of the nodes, m g."""
         masses = rod.node_masses
         g = self.acceleration
         return Loads(forces=(masses * g[0], masses * g[1], masses * g[2]))
 
     def check(self, rod: Rod) -> None:
-        """Warns if its own weight would stretch the rod tenfold."""
+        """Warns if the weight of the rod would stretch it tenfold."""
         warn_of_weight(rod, self.acceleration)
 
     def turning_tangent(self, rod: Rod, motion: Motion) -> None:
-        """None: the weight is constant."""
+        """None: there are no couples that could change when elements rotate."""
 
     def energy(self, rod: Rod, state: RodState) -> Array:
-        """Negative work of gravity, measured from the origin [J]."""
+        """Potential energy, minus the sum of m g . x over the nodes [J]."""
         heights = jnp.sum(self.acceleration[:, None] * state.positions, axis=0)
         return -jnp.sum(rod.node_masses * heights)
 
 
 @pytree
 class EndLoad(Effect):
-    """A force and couple on one end of the rod (dead loads).
+    """Force and couple on one end of the rod, constant in the world frame (dead loads).
 
     Example:
         >>> load = jaxrod.end_load((0.0, 0.0, -2.0), end="base")
@@ -79,20 +79,20 @@ class EndLoad(Effect):
     couple: Float[Array, "3"]
     """Couple on the end element, world frame [N m]."""
     end: End = static(default="tip")
-    """The end that is loaded."""
+    """End of the rod that is loaded, "base" or "tip"."""
 
     def loads(self, rod: Rod, motion: Motion) -> Loads:
-        """Force and couple at the end."""
+        """Force on the end node and couple on the end element."""
         frame = directors(at_end(motion.orientation, self.end))
         couple = to_material(frame, vectors.split(self.couple))
         return self._at_end(rod, vectors.split(self.force), couple)
 
     def turning_tangent(self, rod: Rod, motion: Motion) -> Matrix | None:
-        """None: force and couple are constant in the world frame."""
+        """None: couples in the world frame do not change when elements rotate."""
         return None
 
     def _at_end(self, rod: Rod, force: Vec3, couple: Vec3) -> Loads:
-        """A force [N] and a material couple [N m], zero except at the end."""
+        """Loads of a world force [N] and a material couple [N m] on one end."""
         return Loads(
             forces=only_at_end(force, rod.n_elements + 1, self.end),
             couples=only_at_end(couple, rod.n_elements, self.end),
@@ -101,21 +101,21 @@ class EndLoad(Effect):
 
 @pytree
 class FollowerEndLoad(EndLoad):
-    """A force and couple on one end of the rod that turn with its end element.
+    """Force and couple on one end of the rod, constant in the frame of its end element.
 
-    Both are in the material frame of that element. They have no potential.
+    Both are components in that material frame. They have no potential.
     """
 
     reach: ClassVar[Reach] = "neighbours"
 
     def loads(self, rod: Rod, motion: Motion) -> Loads:
-        """Force, turned with the end element, and couple."""
+        """Force on the end node, rotated with the end element, and couple."""
         frame = directors(at_end(motion.orientation, self.end))
         force = to_world(frame, vectors.split(self.force))
         return self._at_end(rod, force, vectors.split(self.couple))
 
     def stability_bound(self, rod: Rod) -> StabilityBound:
-        """Bound of the turning force, on the end element and the end node."""
+        """Bound of the stiffness of the turning force, for the end node and element."""
         index = 0 if self.end == "base" else -1
         size = jnp.sqrt(jnp.sum(self.force**2))
         # The coupling is force times rotation times displacement. By Young's inequality
@@ -130,13 +130,13 @@ class FollowerEndLoad(EndLoad):
 
     @property
     def twists(self) -> str | None:
-        """Name of the option that makes the loads turn with the end element."""
+        """Name, for error messages, of the option that makes loads follow the rod."""
         return "follower=True"
 
 
 @pytree
 class UniformLoad(Effect):
-    """A force and couple per rest length all along the rod (dead loads)."""
+    """Force and couple per rest length, constant in the world frame (dead loads)."""
 
     force_per_length: Float[Array, "3"]
     """Force per rest length, world frame [N/m]."""
@@ -144,7 +144,7 @@ class UniformLoad(Effect):
     """Couple per rest length, world frame [N m/m]."""
 
     def loads(self, rod: Rod, motion: Motion) -> Loads:
-        """Forces, shared equally by an element's nodes, and couples on elements."""
+        """Half the force on an element at each of its nodes; couples on elements."""
         forces, couples = self._on_elements(rod)
         return Loads(
             forces=vectors.pair_sum(forces),
@@ -152,11 +152,14 @@ class UniformLoad(Effect):
         )
 
     def turning_tangent(self, rod: Rod, motion: Motion) -> Matrix | None:
-        """None: the couples are constant in the world frame."""
+        """None: couples in the world frame do not change when elements rotate."""
         return None
 
     def _on_elements(self, rod: Rod) -> tuple[Vec3, Vec3]:
-        """Half of each element's force [N] and its couple [N m], in the given frame."""
+        """Half of the force [N], and the couple [N m], on each element.
+
+        Both are in the frame in which the loads are given.
+        """
         lengths = rod.rest_lengths
         f, c = self.force_per_length, self.couple_per_length
         forces = (0.5 * lengths * f[0], 0.5 * lengths * f[1], 0.5 * lengths * f[2])
@@ -165,21 +168,21 @@ class UniformLoad(Effect):
 
 @pytree
 class FollowerLoad(UniformLoad):
-    """A force and couple per rest length that turn with the elements.
+    """Force and couple per rest length, constant in the frames of the elements.
 
-    Both are in the material frame. They have no potential.
+    Both are components in the material frame. They have no potential.
     """
 
     reach: ClassVar[Reach] = "neighbours"
 
     def loads(self, rod: Rod, motion: Motion) -> Loads:
-        """Forces, turned with the elements and shared by their nodes, and couples."""
+        """Forces rotated with the elements, half at each of their nodes; couples."""
         forces, couples = self._on_elements(rod)
         turned = to_world(directors(motion.orientation), forces)
         return Loads(forces=vectors.pair_sum(turned), couples=couples)
 
     def stability_bound(self, rod: Rod) -> StabilityBound:
-        """Bound of the turning forces, on nodes and elements."""
+        """Bound of the stiffness of the turning forces, for nodes and elements."""
         size = jnp.sqrt(jnp.sum(self.force_per_length**2)) * rod.rest_lengths
         # The coupling is force times rotation times displacement. By Young's inequality
         # it is at most half of the sum of both squares, with lengths as weights that
@@ -193,28 +196,29 @@ class FollowerLoad(UniformLoad):
 
     @property
     def twists(self) -> str | None:
-        """Name of the option that makes the loads turn with the elements."""
+        """Name, for error messages, of the option that makes loads follow the rod."""
         return "follower=True"
 
 
 @pytree
 class ExponentialDamping(Effect):
-    r"""Linear damping: rates decay exponentially when nothing else acts.
+    r"""Linear damping: without loads, velocities and spins decay exponentially.
 
-    $\dot v = f/m - g_t v$ and $\dot P = c - g_r P$. In consistent mode a kick solves
-    these exactly for the loads held constant over the step. It is second order, stable,
-    and has the right terminal velocity however large the rates are. In PyElastica
-    mode rates are multiplied by $e^{-g h}$ after the kick, as its
-    `AnalyticalLinearDamper` does.
+    $\dot v = f/m - g_t v$ and $\dot P = c - g_r P$, for velocities $v$ under forces $f$
+    and angular momenta $P$ under couples $c$. The consistent law solves these exactly
+    in each step, with loads held constant. That is second order, stable, and gives the
+    right terminal velocity however large the rates are. In PyElastica mode rates are
+    multiplied by $e^{-g h}$ after the loads have changed them, as by its
+    `AnalyticalLinearDamper`.
     """
 
     translational_rate: Float[Array, ""]
-    """Decay rate of velocities [1/s]."""
+    """Decay rate $g_t$ of velocities [1/s]."""
     rotational_rate: Float[Array, ""]
-    """Decay rate of spins [1/s]."""
+    """Decay rate $g_r$ of spins [1/s]."""
 
     def damping_rates(self, rod: Rod) -> tuple[Array, Array]:
-        """The two rates [1/s]."""
+        """Decay rates of velocities and of spins [1/s]."""
         return self.translational_rate, self.rotational_rate
 
 
@@ -246,7 +250,7 @@ def end_load(
     end: End = "tip",
     follower: bool = False,
 ) -> EndLoad:
-    """A force and couple on one end.
+    """Force and couple on one end of a rod.
 
     Args:
         force: Force on the end node `(3,)`, or a schedule of it [N]; in the world
@@ -280,13 +284,13 @@ def uniform_load(
     *,
     follower: bool = False,
 ) -> UniformLoad:
-    """A force and couple per rest length.
+    """Force and couple per rest length, uniform along a rod.
 
     Args:
         force_per_length: Force per rest length `(3,)`, or a schedule of it [N/m]; in
             the world frame, or in the material frame if `follower`.
         couple_per_length: Couple per rest length, in the same frame [N m/m].
-        follower: Whether they turn with the elements.
+        follower: Whether force and couple turn with the elements.
 
     Raises:
         ValueError: If a load is not three finite numbers.
@@ -308,11 +312,12 @@ def uniform_load(
 def exponential_damping(
     translational_rate: Numbers, rotational_rate: Numbers | None = None
 ) -> ExponentialDamping:
-    """Exponential decay of all rates.
+    """Exponential decay of velocities and spins.
 
     Args:
         translational_rate: Decay rate of velocities, at least 0 [1/s].
-        rotational_rate: Decay rate of spins, at least 0 [1/s]; the same by default.
+        rotational_rate: Decay rate of spins, at least 0 [1/s]; that of velocities by
+            default.
 
     Raises:
         ValueError: If a rate is negative, or not one finite number.

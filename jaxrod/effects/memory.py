@@ -1,6 +1,6 @@
-"""Memory of effects from step to step: fields declared with `memory()`.
+"""Memory of effects from step to step: values of fields declared with `memory()`.
 
-The values are part of the state, `RodState.memory`; the scene has their initial values.
+They are part of the state, `RodState.memory`; the scene has their initial values.
 """
 
 from __future__ import annotations
@@ -14,11 +14,11 @@ import jax.numpy as jnp
 from jaxrod.effects.base import Effect
 
 Memory = tuple[dict[str, Any], ...]
-"""Fields declared with `memory()`, by name, for each effect of a scene."""
+"""Values of fields declared with `memory()`, by name, for each effect of a scene."""
 
 
 def memory_fields(effect: Effect) -> list[str]:
-    """Names of the fields of an effect that are memory."""
+    """Names of the fields of an effect that are declared with `memory()`."""
     fields: tuple[dataclasses.Field[Any], ...] = ()
     if dataclasses.is_dataclass(type(effect)):
         # An effect is a dataclass by its decorator, but its type does not show that.
@@ -27,12 +27,12 @@ def memory_fields(effect: Effect) -> list[str]:
 
 
 def remembers(effects: tuple[Effect, ...]) -> bool:
-    """Whether any effect has memory."""
+    """Whether any effect has a field declared with `memory()`."""
     return any(map(memory_fields, effects))
 
 
 def memory_of(effects: tuple[Effect, ...]) -> Memory:
-    """Memory of the effects, as arrays."""
+    """Present values of the memory fields of all effects, as arrays."""
     return tuple(
         {
             name: jax.tree.map(jnp.asarray, getattr(effect, name))
@@ -43,7 +43,7 @@ def memory_of(effects: tuple[Effect, ...]) -> Memory:
 
 
 def recalled(effects: tuple[Effect, ...], memory: Memory) -> tuple[Effect, ...]:
-    """The effects with the given memory."""
+    """Effects with the values of their memory fields set to `memory`."""
     # An effect with memory is a dataclass, but its type does not show that.
     return tuple(
         dataclasses.replace(effect, **values) if values else effect  # type: ignore[type-var]
@@ -52,7 +52,7 @@ def recalled(effects: tuple[Effect, ...], memory: Memory) -> tuple[Effect, ...]:
 
 
 def stirred(memory: Memory) -> Memory:
-    """Memory with arbitrary values, to test how effects depend on it."""
+    """Memory with 0.739 added to real numbers, to test which effects depend on it."""
 
     def other(leaf: Any) -> Any:
         inexact = jnp.issubdtype(leaf.dtype, jnp.floating)

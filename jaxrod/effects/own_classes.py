@@ -1,7 +1,7 @@
-"""Checks of classes that users write: names of hooks, pytrees, shapes of loads.
+"""Checks of effects and couplings that users write: hook names, pytrees, load shapes.
 
-Without them a typing error is silent (a hook that nobody calls) or raises deep inside
-JAX. Classes of jaxrod are not checked: they have tests.
+Without them a misspelled hook is never called, without any message, or an error is
+raised deep inside JAX. Classes of jaxrod are not checked: they have tests.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from jaxrod.rods.motion import Loads
 from jaxrod.rods.rod import Rod
 
 ALIKE = 0.85
-"""Similarity by `difflib` above which one name counts as a misspelling of another."""
+"""Similarity by `difflib` above which a name counts as a misspelling of a hook."""
 
 
 def check_own_class(thing: Any, base: type, noun: str) -> None:
@@ -27,7 +27,7 @@ def check_own_class(thing: Any, base: type, noun: str) -> None:
 
     Args:
         thing: The effect or coupling.
-        base: The base class, whose public names are the hooks.
+        base: Base class, whose public methods are the hooks.
         noun: "an effect" or "a coupling", for messages.
 
     Raises:
@@ -49,16 +49,16 @@ def check_own_class(thing: Any, base: type, noun: str) -> None:
 
 
 def check_own_loads(effect: Effect, rod: Rod) -> None:
-    """Checks type and shapes of the loads of an effect that a user wrote.
+    """Checks the type and the shapes of the loads of an effect that a user wrote.
 
-    The loads are traced, not computed. Loads of batches of rods are not checked.
+    The loads are traced, not computed. Loads on batches of rods are not checked.
 
     Args:
-        effect: The effect at one time: its schedules are replaced by numbers.
+        effect: The effect, with schedules replaced by their values at one time.
         rod: The rod.
 
     Raises:
-        TypeError: If it returns something other than `jaxrod.extend.Loads`.
+        TypeError: If `loads` returns something other than `jaxrod.extend.Loads`.
         ValueError: If forces or couples do not fit the rod.
     """
     kind = type(effect)
@@ -75,8 +75,8 @@ def check_own_loads(effect: Effect, rod: Rod) -> None:
 
 
 def _check_loads(kind: type, found: Any, n_elements: int) -> None:
-    """Raises unless the returned value is `Loads` of the right shape."""
-    # The class is one of effects, which `type` does not show.
+    """Raises unless `found`, which a hook returned, is `Loads` of the right shapes."""
+    # `kind` is a subclass of `Effect`, which its annotation does not show.
     name = "loads" if kind.loads is not Effect.loads else "loads_after"  # type: ignore[attr-defined]
     if not isinstance(found, Loads):
         raise TypeError(
@@ -97,7 +97,7 @@ def _check_loads(kind: type, found: Any, n_elements: int) -> None:
 
 
 def _fits(given: Any, count: int) -> bool:
-    """Whether a value is three components that can be added to those of the rod."""
+    """Whether a value is three components that broadcast to `count` entries each."""
     if isinstance(given, jax.Array):
         return given.shape == (3, count)
     if not isinstance(given, tuple | list) or len(given) != 3:
@@ -106,7 +106,7 @@ def _fits(given: Any, count: int) -> bool:
 
 
 def _described(given: Any) -> str:
-    """Shape or shapes of forces or couples, as the caller gave them."""
+    """Shape or shapes of forces or couples that a hook returned, for a message."""
     if isinstance(given, tuple | list):
         shapes = ", ".join(str(jnp.shape(part)) for part in given)
         return f"{len(given)} of shapes {shapes}"
@@ -121,7 +121,7 @@ def _is_of_jaxrod(kind: type) -> bool:
 
 @functools.cache
 def _slip(kind: type, base: type, noun: str) -> str | None:
-    """Description of a fault in the methods of a class; `None` if there is none."""
+    """Error message for a misspelled or missing hook in a class; otherwise `None`."""
     bases = [each for each in kind.__mro__ if issubclass(each, base)]
     hooks = {n for each in bases if _is_of_jaxrod(each) for n in _public(each)}
     own = {n for each in bases if not _is_of_jaxrod(each) for n in _public(each)}
@@ -145,7 +145,7 @@ def _slip(kind: type, base: type, noun: str) -> str | None:
 
 
 def _public(kind: type) -> set[str]:
-    """Names of the public methods that a class itself defines, and of `reach`."""
+    """Names of public methods, and of `reach`, that a class defines itself."""
     return {
         name
         for name, value in vars(kind).items()

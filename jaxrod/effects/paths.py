@@ -1,7 +1,7 @@
-r"""Paths: schedules of places and orientations, with their rates.
+r"""Schedules of positions and orientations together with their time derivatives.
 
-A driven end needs the velocity and the acceleration of its path: they are derivatives
-of the schedule, by JAX.
+A driven end needs the velocity and the acceleration of its path. JAX computes both by
+differentiating the schedule.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from jaxrod.structure import pytree
 
 @pytree
 class Placed:
-    """A position with its velocity and acceleration."""
+    """A position with its velocity and acceleration at one time."""
 
     position: Float[Array, "3"]
     """Position, world frame [m]."""
@@ -37,15 +37,15 @@ class Placed:
 
 @pytree
 class Path(Schedule):
-    """Positions along a path, from a schedule of displacements."""
+    """Schedule of a position: a start plus a scheduled displacement."""
 
     start: Float[Array, "3"]
-    """Position at zero displacement [m]."""
+    """Position at zero displacement, world frame [m]."""
     displacement: Any
-    """Schedule of displacements from there `(3,)` [m]."""
+    """Schedule of the displacement from `start`, world frame `(3,)` [m]."""
 
     def __call__(self, clock: Clock) -> Placed:
-        """Position, velocity and acceleration at a time."""
+        """Position, velocity and acceleration at the time of a clock."""
 
         def place(clock: Clock) -> Array:
             return self.start + self.displacement(clock)
@@ -58,14 +58,14 @@ class Path(Schedule):
 
     @property
     def largest(self) -> Placed:
-        """Position with the largest displacement along every axis, at rest."""
+        """Position with the largest displacement along every axis, and zero rates."""
         still = jnp.zeros_like(self.start)
         return Placed(self.start + self.displacement.largest, still, still)
 
 
 @pytree
 class Turned:
-    """An orientation with its angular velocity and acceleration."""
+    """An orientation with its angular velocity and acceleration at one time."""
 
     orientation: Float[Array, "4"]
     """Unit quaternion (w, x, y, z), material to world."""
@@ -77,17 +77,17 @@ class Turned:
 
 @pytree
 class Turning(Schedule):
-    """Orientations that turn about a fixed axis."""
+    """Schedule of an orientation that rotates about a fixed axis."""
 
     start: Float[Array, "4"]
-    """Orientation at angle zero (w, x, y, z)."""
+    """Orientation at angle zero, unit quaternion (w, x, y, z), material to world."""
     axis: Float[Array, "3"]
-    """Unit vector along the axis, world frame."""
+    """Unit vector along the axis of rotation, world frame."""
     angle: Any
-    """Schedule of the angle [rad]."""
+    """Schedule of the angle of rotation [rad]."""
 
     def __call__(self, clock: Clock) -> Turned:
-        """Orientation, angular velocity and acceleration at a time."""
+        """Orientation, angular velocity and acceleration at the time of a clock."""
 
         def rate_at(clock: Clock) -> Array:
             return _rate(self.angle, clock)[1]
@@ -98,15 +98,19 @@ class Turning(Schedule):
 
     @property
     def largest(self) -> Turned:
-        """Orientation at an arbitrary angle if it turns: whole turns would not show."""
+        """Orientation for checks of planes; rates are zero.
+
+        The angle is zero if it always is, and otherwise arbitrary: its largest value
+        could be a whole turn, which looks like no rotation.
+        """
         largest = self.angle.largest
         angle = jnp.where(largest == 0, 0, jnp.asarray(0.739, largest.dtype))
         still = jnp.zeros_like(self.axis)
         return Turned(self._turned(angle), still, still)
 
     def _turned(self, angle: Array) -> Array:
-        # Not `rotation_exp`, which allows one turn at most: walls may wind rods up
-        # further.
+        # Not `rotation_exp`, which allows one turn at most: walls may wind rods up by
+        # more.
         half = 0.5 * angle
         x, y, z = vectors.scale(jnp.sin(half), vectors.split(self.axis))
         start = split_quaternion(self.start)
@@ -115,7 +119,7 @@ class Turning(Schedule):
 
 @pytree
 class _Constant(Schedule):
-    """A schedule with a constant value."""
+    """A schedule whose value is constant."""
 
     value: Array
 
@@ -128,7 +132,7 @@ class _Constant(Schedule):
 
 
 def schedule_of(name: str, value: Any, unit: str, shape: tuple[int, ...]) -> Schedule:
-    """Schedule, or a constant as a schedule; checked as in `as_timed`."""
+    """Checks an argument as `as_timed` does, and makes a schedule of a constant."""
     checked = as_timed(name, value, unit, shape)
     return checked if is_schedule(checked) else _Constant(checked)
 

@@ -1,6 +1,6 @@
-"""Supports that do not move: nodes held along axes, and hinges.
+"""Supports that do not move: nodes held along world axes, and hinges.
 
-Walls that hold an end completely are in `jaxrod.effects.clamps`, moving supports in
+Walls that clamp an end are in `jaxrod.effects.clamps`, moving supports in
 `jaxrod.effects.driven`.
 """
 
@@ -39,12 +39,12 @@ from jaxrod.validation import Numbers, check_kind
 
 
 def end_node(rod: Rod, end: End) -> int:
-    """Number of the node at an end."""
+    """Index of the node at an end of a rod."""
     return 0 if end == "base" else rod.n_elements
 
 
 def at_node(field: Vec3, value: Array, node: int, axes: Axes) -> Vec3:
-    """A field with the components along some axes replaced at one node."""
+    """Vector field over nodes, set to `value` at one node along the flagged axes."""
     here = np.arange(field[0].shape[0]) == node
     x, y, z = (
         jnp.where(here, value[k], component) if axes[k] else component
@@ -56,7 +56,7 @@ def at_node(field: Vec3, value: Array, node: int, axes: Axes) -> Vec3:
 def distance_from(
     place: Array, node: int, axes: Axes, rod: Rod, state: RodState
 ) -> Array:
-    """Distance of a node from a place along some axes, over the radius there [1]."""
+    """Distance of a node from a point along the flagged axes, over its radius [1]."""
     apart = (state.positions[:, node] - place) * jnp.asarray(axes, place.dtype)
     return (
         vectors.safe_norm(vectors.split(apart))
@@ -65,7 +65,7 @@ def distance_from(
 
 
 def force_at(needed: Loads, node: int, axes: Axes) -> Vec3:
-    """The components along some axes of the force needed at a node [N]."""
+    """Force needed at a node along the flagged axes, zero along others, world [N]."""
     assert needed.forces is not None
     x, y, z = (
         component[node] if held else jnp.zeros_like(component[node])
@@ -75,7 +75,7 @@ def force_at(needed: Loads, node: int, axes: Axes) -> Vec3:
 
 
 def own_couple(effect: Effect, rod: Rod, motion: Motion, end: End) -> Vec3:
-    """Couple of an effect on an end element, world frame [N m]."""
+    """Couple of an effect on the element at one end, world frame [N m]."""
     couples = effect.loads(rod, motion).couples
     assert couples is not None
     index = 0 if end == "base" else -1
@@ -91,7 +91,7 @@ def axes_named(axes: str) -> Axes:
 
 
 def check_straight_end(rod: Rod, end: End) -> None:
-    """Raises a `ValueError` if a rod's end is curved at rest."""
+    """Raises ValueError if the joint next to an end has curvature or twist at rest."""
     index = 0 if end == "base" else -1
     if np.any(np.asarray(rod.rest_curvatures[:, index]) != 0):
         raise ValueError(
@@ -102,37 +102,37 @@ def check_straight_end(rod: Rod, end: End) -> None:
 
 @pytree
 class Pin(Effect):
-    """A node held in place along world axes; elements turn freely."""
+    """A node held in place along world axes; elements rotate freely."""
 
     position: Float[Array, "3"]
-    """Position at which the node is held [m]; unused along axes that are not held."""
+    """Position at which the node is held, world frame [m]; unused along other axes."""
     node: int = static(default=0)
-    """Number of the node."""
+    """Index of the node."""
     axes: Axes = static(default=(True, True, True))
-    """World axes along which the node is held."""
+    """Flags of the world axes x, y, z along which the node is held."""
     made_for: int | None = static(default=None)
-    """Number of elements of the state it was made from; `None` if not known."""
+    """Number of elements that the rod must have, see `check`; `None`: any number."""
 
     def constrain_rates(self, rod: Rod, motion: Motion) -> Motion:
-        """Stops the node."""
+        """Sets the velocity of the node to zero along the held axes."""
         still = jnp.zeros_like(self.position)
         velocity = at_node(motion.velocity, still, self.node, self.axes)
         return replace(motion, velocity=velocity)
 
     def violation(self, rod: Rod, state: RodState) -> Array:
-        """Distance from the held position along the axes, over the radius there."""
+        """Distance from the held position along the held axes, over the radius [1]."""
         return distance_from(self.position, self.node, self.axes, rod, state)
 
     def reaction(self, rod: Rod, motion: Motion, needed: Loads) -> Reaction:
-        """The force that keeps the node where it is."""
+        """Force that keeps the node in place along the held axes."""
         return Reaction.of(force_at(needed, self.node, self.axes))
 
     def held(self, rod: Rod) -> tuple[Held, ...]:
-        """The node."""
+        """The node, along its held axes."""
         return (Held(self.node, self.axes),)
 
     def check(self, rod: Rod) -> None:
-        """Raises ValueError if there is no such node or the state was another rod's."""
+        """Raises ValueError if the node is missing or `made_for` does not fit."""
         check_made_for("pin", self.made_for, rod)
         if not 0 <= self.node <= rod.n_elements:
             raise ValueError(
@@ -140,7 +140,7 @@ class Pin(Effect):
             )
 
     def resampled(self, rod: Rod, new_rod: Rod) -> Pin:
-        """Pin at the end node of the new rod; raises for other nodes."""
+        """Pin at the same end of `new_rod`; raises if the node is not an end node."""
         if self.node not in (0, rod.n_elements):
             raise ValueError(
                 f"a pin at node {self.node} has no place on a rod of "
@@ -161,29 +161,29 @@ class Hinge(Effect):
     """
 
     position: Float[Array, "3"]
-    """Position at which the end node is held [m]."""
+    """Position at which the end node is held, world frame [m]."""
     axis: Float[Array, "3"]
-    """Unit vector along the hinge, world frame."""
+    """Unit vector $a$ along the hinge, world frame."""
     own_axis: Float[Array, "3"]
-    """The same axis at rest, in the frame of the end element."""
+    """Unit vector $e$ of the end element along the hinge at rest, material frame."""
     end: End = static(default="base")
-    """The end that is held."""
+    """End of the rod that is held, "base" or "tip"."""
     made_for: int | None = static(default=None)
-    """Number of elements of the state it was made from; `None` if not known."""
+    """Number of elements that the rod must have, see `check`; `None`: any number."""
 
     def check(self, rod: Rod) -> None:
-        """Raises ValueError if it was made from a state of another rod."""
+        """Raises ValueError if the rod does not have `made_for` elements."""
         check_made_for("hinge", self.made_for, rod)
 
     def _stiffness(self, rod: Rod) -> Array:
-        """Stiffness of the joint [N m]."""
+        """Stiffness $k$: larger bending stiffness over half an element length [N m]."""
         index = 0 if self.end == "base" else -1
         return jnp.max(rod.bend_twist_stiffness[:2, index]) / (
             0.5 * rod.rest_lengths[index]
         )
 
     def loads(self, rod: Rod, motion: Motion) -> Loads:
-        """Couple of the joint on the end element."""
+        r"""Couple $k\, e \times a$ of the joint on the end element."""
         frame = directors(at_end(motion.orientation, self.end))
         axis = to_material(frame, vectors.split(self.axis))
         pull = vectors.cross(vectors.split(self.own_axis), axis)
@@ -191,26 +191,30 @@ class Hinge(Effect):
         return Loads(couples=only_at_end(couple, rod.n_elements, self.end))
 
     def energy(self, rod: Rod, state: RodState) -> Array:
-        """Elastic energy of the joint [J]."""
+        """Elastic energy of the joint, $k |e - a|^2 / 2$ [J]."""
         frame = directors(at_end(split_quaternion(state.orientations), self.end))
         own = to_world(frame, vectors.split(self.own_axis))
         apart = vectors.subtract(own, vectors.split(self.axis))
         return 0.5 * self._stiffness(rod) * vectors.dot(apart, apart)
 
     def stability_bound(self, rod: Rod) -> StabilityBound:
-        """The joint's stiffness against rotation of the end element [N m]."""
+        """Stiffness of the joint against rotation of the end element."""
         return StabilityBound(
             elements=place(self._stiffness(rod), rod.n_elements, self.end)
         )
 
     def constrain_rates(self, rod: Rod, motion: Motion) -> Motion:
-        """Stops the end node."""
+        """Sets the velocity of the end node to zero."""
         node = end_node(rod, self.end)
         still = jnp.zeros_like(self.position)
         return replace(motion, velocity=at_node(motion.velocity, still, node, ALL_AXES))
 
     def violation(self, rod: Rod, state: RodState) -> Array:
-        """Larger of the end node's distance over the radius and twice sin(tilt / 2)."""
+        """Larger of two ratios: distance over radius, and $|e - a|$ [1].
+
+        The distance is that of the end node from its held position. $|e - a|$ is twice
+        sin(tilt / 2), with the tilt of the element from the hinge.
+        """
         frame = directors(at_end(split_quaternion(state.orientations), self.end))
         own = to_world(frame, vectors.split(self.own_axis))
         tilt = vectors.safe_norm(vectors.subtract(own, vectors.split(self.axis)))
@@ -220,11 +224,11 @@ class Hinge(Effect):
         )
 
     def held(self, rod: Rod) -> tuple[Held, ...]:
-        """The end node, and the end element, which turns about the axis only."""
+        """End node along all axes, and the end element, which turns about one axis."""
         return (held_end(self.end),)
 
     def resampled(self, rod: Rod, new_rod: Rod) -> Hinge:
-        """The same hinge; raises if the rod's end is curved at rest."""
+        """The same hinge for `new_rod`; raises if the end is curved at rest."""
         check_straight_end(rod, self.end)
         return replace(self, made_for=made_again_for(self.made_for, new_rod))
 
@@ -235,7 +239,7 @@ class Hinge(Effect):
 
 
 def pin_support(state: RodState, node: End | int = "base", *, axes: str = "xyz") -> Pin:
-    """Holds a node along world axes at its place in a state; elements may turn.
+    """Holds a node along world axes at its position in a state; elements may turn.
 
     Args:
         state: The state of the rod.
@@ -270,7 +274,7 @@ def pin_support(state: RodState, node: End | int = "base", *, axes: str = "xyz")
 
 
 def hinge_support(state: RodState, axis: Numbers, end: End = "base") -> Hinge:
-    """Holds an end node at its place in a state; its element turns about an axis.
+    """Holds an end node at its position in a state; its element turns about one axis.
 
     Args:
         state: The state of the rod, in which the hinge is at rest.

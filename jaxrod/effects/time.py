@@ -23,9 +23,10 @@ from jaxrod.validation import Numbers, as_array, is_traced, numeric
 Tree = TypeVar("Tree")
 
 _DIGIT = 10
-"""Bits per digit of the step count."""
+"""Bits per digit of the step count, which `Clock.phase` splits into digits."""
 _COARSE = 4096
-"""Parts of a period. A number of parts times a digit is exact in float32."""
+"""Parts of a period to which fractions are rounded. They are few enough that a number
+of parts times a digit is exact in float32."""
 
 
 @pytree
@@ -45,7 +46,7 @@ class Clock:
     step: Int[Array, ""]
     """Number of whole steps since time zero."""
     fraction: Float[Array, ""]
-    """Fraction of a step passed since then [1]."""
+    """Time since that whole step, in steps; may be above 1 [1]."""
     dt: Float[Array, ""]
     """Step size [s]."""
 
@@ -55,7 +56,7 @@ class Clock:
         return (self.step.astype(self.dt.dtype) + self.fraction) * self.dt
 
     def phase(self, period: Array) -> Float[Array, "..."]:
-        """Fraction of the current period that has passed, from 0 to 1 [1].
+        """Fraction of the current period that has passed at this time, from 0 to 1 [1].
 
         The error is a few round-offs, however many periods have passed. The step count
         is taken digit by digit, and the periods per step to twice the precision.
@@ -79,12 +80,12 @@ class Clock:
         return total - jnp.floor(total)
 
     def later(self, fraction: ArrayLike) -> Clock:
-        """Clock advanced by a fraction of a step."""
+        """Clock advanced by `fraction` steps."""
         return replace(self, fraction=self.fraction + fraction)
 
 
 def clock_at(time: ArrayLike | Clock, dtype: Any) -> Clock:
-    """A clock that shows a time [s]; a given clock is returned unchanged."""
+    """Clock that shows a given time [s]; a given clock is returned unchanged."""
     if isinstance(time, Clock):
         return time
     seconds = as_array("time", time, "s", dtype=dtype)
@@ -92,14 +93,14 @@ def clock_at(time: ArrayLike | Clock, dtype: Any) -> Clock:
 
 
 def _quotient(a: Array, b: Array) -> tuple[Array, Array]:
-    """Quotient of two numbers and its rounding error."""
+    """Quotient `a / b` and the rounding error that must be added to it."""
     quotient = a / b
     high, low = _product(quotient, b)
     return quotient, ((a - high) - low) / b
 
 
 def _product(a: Array, b: Array) -> tuple[Array, Array]:
-    """Product of two numbers and its rounding error (Dekker, 1971)."""
+    """Product `a b` and the rounding error that must be added to it (Dekker, 1971)."""
     splitter = 2.0 ** ((jnp.finfo(a.dtype).nmant + 2) // 2) + 1
 
     def halves(x: Array) -> tuple[Array, Array]:
@@ -115,8 +116,8 @@ def _product(a: Array, b: Array) -> tuple[Array, Array]:
 class Schedule(ABC):
     """Base of numbers that depend on time; a subclass is a pytree.
 
-    Stability bounds and checks of planes and axes use `largest`. In every component it
-    must be at least as large as any value of the schedule.
+    Stability bounds and checks of planes and axes use `largest`. Every component of it
+    must be at least as large as the absolute value of that component at any time.
 
     Example:
         >>> @extend.pytree
@@ -138,27 +139,28 @@ class Schedule(ABC):
 
     @abstractmethod
     def __call__(self, clock: Clock) -> Any:
-        """The value at a time."""
+        """Value of the schedule at the time of a clock."""
 
     @property
     @abstractmethod
     def largest(self) -> Any:
-        """Bound on the size of every component at all times, of the same shape."""
+        """Upper bound of the absolute value of each component at all times."""
 
     @property
     def largest_norm(self) -> Any:
-        """Bound on the Euclidean norm of all components at all times.
+        """Upper bound of the Euclidean norm of the value at all times.
 
-        It does not depend on the axes if a subclass computes it from its values.
+        By default it is the norm of `largest`, which depends on the axes. A subclass
+        that computes it from its values makes it independent of them.
         """
         return norm(self.largest)
 
     def resampled_along(self, old: Any, new: Any) -> Schedule:
-        """The schedule at other places, if its values are numbers along a rod.
+        """Schedule interpolated at other arc lengths, for values that vary along a rod.
 
         Args:
-            old: The present places along the rod [m].
-            new: The new places [m].
+            old: Arc lengths of the present values [m].
+            new: Arc lengths of the new values [m].
 
         Raises:
             ValueError: If it cannot be resampled; a subclass may override this.
@@ -171,18 +173,18 @@ class Schedule(ABC):
 
 @pytree
 class VectorInSpace(Schedule):
-    """A schedule of vectors whose bounds need only their norm, e.g. a field in space.
+    """A schedule of vectors of which bounds need only the norm, e.g. a field in space.
 
-    Its `largest` has the largest norm of the values, and is nonzero in every component
-    in which any value is. Bounds are therefore the same if everything is rotated, and
-    checks of planes see the values that may leave the plane.
+    `largest` is scaled so that its norm is the largest norm of the values. Bounds are
+    therefore the same if everything is rotated. A component of `largest` is zero only
+    if that component of the values is always zero, as checks of planes require.
     """
 
     schedule: Any
-    """The schedule of the values."""
+    """Schedule of the vectors."""
 
     def __call__(self, clock: Clock) -> Any:
-        """The value at a time."""
+        """Vector at the time of a clock."""
         return self.schedule(clock)
 
     @property
@@ -200,7 +202,7 @@ class VectorInSpace(Schedule):
 
 
 def norm(values: Array, *, each: bool = False) -> Array:
-    """Square root of the sum of squares.
+    """Square root of the sum of squares, with gradient zero where it is zero.
 
     Args:
         values: The numbers.
@@ -213,13 +215,13 @@ def norm(values: Array, *, each: bool = False) -> Array:
 
 
 Scheduled = Any
-"""A field of numbers that may be a schedule in a scene; hooks see the numbers."""
+"""Field of an effect that is a schedule or numbers in a scene, and numbers in hooks."""
 Timed = Numbers | Schedule
 """A number, a vector or an array of numbers, or a schedule of them."""
 
 
 def is_schedule(value: Any) -> bool:
-    """Whether a value depends on time."""
+    """Whether a value is a schedule, so that it depends on time."""
     return isinstance(value, Schedule)
 
 
@@ -229,12 +231,12 @@ def depends_on_time(tree: Any) -> bool:
 
 
 def at_clock(tree: Tree, clock: Clock) -> Tree:
-    """The tree with every schedule replaced by its value."""
+    """Pytree with every schedule replaced by its value at the time of a clock."""
     return _replaced(tree, lambda schedule: schedule(clock))
 
 
 def at_largest(tree: Tree) -> Tree:
-    """The tree with every schedule replaced by the bound on its size."""
+    """Pytree with every schedule replaced by its bound `Schedule.largest`."""
     return _replaced(tree, lambda schedule: schedule.largest)
 
 
@@ -249,7 +251,7 @@ def _replaced(tree: Tree, value: Callable[[Schedule], Any]) -> Tree:
 def as_timed_vector(
     name: str, value: Timed, unit: str, *shapes: tuple[int, ...], **limits: Any
 ) -> Any:
-    """Checks an argument that may depend on time and whose bounds need only its norm.
+    """Checks a vector that may depend on time and of which bounds need only the norm.
 
     See `as_timed` for the arguments.
     """
@@ -260,14 +262,14 @@ def as_timed_vector(
 def as_timed(
     name: str, value: Timed, unit: str, *shapes: tuple[int, ...], **limits: Any
 ) -> Any:
-    """Checks an argument that may depend on time.
+    """Checks an argument that may be a schedule; returns an array or the schedule.
 
     Args:
         name: The argument's name, for the message.
         value: The argument's value.
         unit: SI unit, for the message.
         *shapes: Shapes that the value may have.
-        **limits: Limits as in `as_array`; for values that do not depend on time.
+        **limits: Limits as in `as_array`; applied to constant values only.
 
     Raises:
         ValueError: If the value does not fit; the message names the argument.
@@ -307,18 +309,18 @@ class Ramp(Schedule):
     """Duration of the change [s]."""
 
     def __call__(self, clock: Clock) -> Array:
-        """The value at a time."""
+        """Value at the time of a clock."""
         part = jnp.clip((clock.time - self.start) / self.duration, 0, 1)
         return self.first + part * (self.last - self.first)
 
     @property
     def largest(self) -> Array:
-        """Larger absolute value of the two, component by component."""
+        """Larger absolute value of `first` and `last`, component by component."""
         return jnp.maximum(jnp.abs(self.first), jnp.abs(self.last))
 
     @property
     def largest_norm(self) -> Array:
-        """Norm of the longer value."""
+        """Larger norm of `first` and `last`."""
         return jnp.maximum(norm(self.first), norm(self.last))
 
 
@@ -345,13 +347,13 @@ class Sine(Schedule):
     r"""Phase $\varphi$, in periods [1]."""
 
     def __call__(self, clock: Clock) -> Array:
-        """The value at the clock's time; accurate after any number of periods."""
+        """Value at the time of a clock, accurate after any number of periods."""
         angle = 2 * jnp.pi * (clock.phase(self.period) + self.phase)
         return self.mean + self.amplitude * jnp.sin(angle)
 
     @property
     def largest(self) -> Array:
-        """Sum of the absolute values of mean and amplitude."""
+        """Bound `|a| + |b|` of each component."""
         return jnp.abs(self.mean) + jnp.abs(self.amplitude)
 
     @property
@@ -374,12 +376,12 @@ class Table(Schedule):
     """
 
     times: Float[Array, " k"]
-    """Times, increasing [s]."""
+    """Times of the values, increasing [s]."""
     values: Float[Array, "k ..."]
     """One value for each time."""
 
     def __call__(self, clock: Clock) -> Array:
-        """The value at a time."""
+        """Value at the time of a clock, by linear interpolation."""
         t = clock.time
         last = self.times.shape[0] - 1
         index = jnp.clip(jnp.sum(self.times <= t) - 1, 0, last - 1)
@@ -389,12 +391,12 @@ class Table(Schedule):
 
     @property
     def largest(self) -> Array:
-        """Largest absolute value of each component."""
+        """Largest absolute value of each component in the table."""
         return jnp.max(jnp.abs(self.values), axis=0)
 
     @property
     def largest_norm(self) -> Array:
-        """Norm of the longest value."""
+        """Largest norm of the values in the table."""
         return jnp.max(norm(self.values, each=True))
 
 
@@ -403,12 +405,15 @@ class Time(Schedule):
     """Time itself [s], for an effect that evaluates its own formula."""
 
     def __call__(self, clock: Clock) -> Array:
-        """The time [s]."""
+        """Time that a clock shows [s]."""
         return clock.time
 
     @property
     def largest(self) -> Array:
-        """An arbitrary time, for checks of planes: time has no bound [s]."""
+        """An arbitrary time other than zero, for checks of planes [s].
+
+        It is not a bound: time has none.
+        """
         return jnp.asarray(0.739)
 
 
@@ -450,7 +455,7 @@ def sine(
     mean: Numbers | None = None,
     phase: Numbers = 0.0,
 ) -> Sine:
-    """A sine about a mean.
+    """Sine about a mean value.
 
     Args:
         amplitude: Amplitude, in the unit of the scheduled number.
@@ -530,7 +535,7 @@ def time() -> Time:
 
 
 def _value(name: str, value: Numbers) -> Array:
-    """Checks a number or an array of numbers of any shape."""
+    """Converts a number or an array of any shape to an array, and checks it."""
     return as_array(name, value, "", [numeric(name, value).shape])
 
 

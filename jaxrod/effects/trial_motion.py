@@ -1,4 +1,4 @@
-"""A generic motion on which effects are tested numerically."""
+"""Motion without symmetries, on which effects are tested numerically."""
 
 from __future__ import annotations
 
@@ -12,9 +12,9 @@ from jaxrod.rods.rod import Rod
 
 
 def trial_motion(rod: Rod) -> Motion:
-    """An unstretched rod with arbitrary directions of elements and arbitrary rates.
+    """Unstretched rod with irregular directions of elements and irregular rates.
 
-    Its angular momenta are perpendicular to the elements.
+    The angular momentum of each element is perpendicular to the element.
     """
     k = jnp.arange(rod.n_elements, dtype=rod.rest_lengths.dtype)
     x, y, z = jnp.cos(1.1 * k + 0.3), jnp.sin(1.7 * k + 0.7), jnp.cos(0.6 * k - 0.5)

@@ -1,4 +1,4 @@
-"""Warnings about unlikely numbers, found by ratios that do not depend on units."""
+"""Warnings about unlikely numbers, detected by ratios without units."""
 
 from __future__ import annotations
 
@@ -9,7 +9,8 @@ from jaxrod.rods.rod import Rod
 from jaxrod.validation import is_traced, warn
 
 MOST_STRETCH = 9.0
-"""Strain of a rod hanging under its own weight at which it is ten times as long."""
+"""Weight over axial stiffness above which a rod is unlikely: at a strain of 9 it is ten
+times as long [1]."""
 
 
 class UnlikelyWarning(UserWarning):
@@ -17,7 +18,7 @@ class UnlikelyWarning(UserWarning):
 
 
 def warn_of_thickness(rod: Rod) -> None:
-    """Warns if a rod is thicker than it is long."""
+    """Warns if the largest radius of a rod is larger than its length."""
     radii, lengths = rod.radii, rod.rest_lengths
     # Inside jax.jit, values computed from known numbers are traced, too.
     if is_traced(radii, lengths) or lengths.ndim != 1:
@@ -32,7 +33,7 @@ def warn_of_thickness(rod: Rod) -> None:
 
 
 def warn_of_weight(rod: Rod, acceleration: Array) -> None:
-    """Warns if its own weight would stretch a rod tenfold.
+    """Warns if the weight of a rod would stretch it tenfold.
 
     Args:
         rod: The rod.

@@ -1,7 +1,7 @@
 """Material frames along a polyline: the orientations that factories give to elements.
 
 They are computed in float64 on the host if the line is known, and with JAX if it is
-traced. Both use the same formulas, with the module as the argument `xp`.
+traced. Both use the same formulas; `xp` is NumPy or JAX's NumPy.
 """
 
 from __future__ import annotations
@@ -94,7 +94,7 @@ def _first_normal(axis: Any, normal: Numbers | None) -> Any:
 
 
 def _carried(xp: ModuleType, vector: Any, start: Any, end: Any) -> Any:
-    """Turns a normal by the smallest rotation that takes one tangent to another."""
+    """Normal vector after the smallest rotation that takes tangent `start` to `end`."""
     axis = xp.cross(start, end)
     turned = (
         vector * xp.sum(start * end)
@@ -119,7 +119,7 @@ def _carried_along(tangents: jax.Array, first: jax.Array) -> jax.Array:
 
 
 def check_frames(directors: Numbers, tangents: Any) -> Any:
-    """Checks given directors `(3, 3, n)`.
+    """Checks given directors `(3, 3, n)`, and returns them as an array.
 
     Raises:
         ValueError: If they are not orthonormal and right-handed, or d3 is not along

@@ -13,24 +13,24 @@ Matrix = tuple[Vec3, Vec3, Vec3]
 
 
 def skew(a: Vec3) -> Matrix:
-    """Matrix whose product with a vector is the cross product with `a`."""
+    """Matrix A with A b = a x b for every vector b."""
     zero = jnp.zeros_like(a[0])
     return (zero, -a[2], a[1]), (a[2], zero, -a[0]), (-a[1], a[0], zero)
 
 
 def outer(a: Vec3, b: Vec3) -> Matrix:
-    """Outer product: matrix of the products of components."""
+    """Outer product: matrix with the entries a[i] b[j]."""
     return vectors.scale(a[0], b), vectors.scale(a[1], b), vectors.scale(a[2], b)
 
 
 def scaled_identity(a: Array) -> Matrix:
-    """Identity times a scalar field."""
+    """Identity matrix times a scalar field."""
     zero = jnp.zeros_like(a)
     return (a, zero, zero), (zero, a, zero), (zero, zero, a)
 
 
 def turned_diagonal(frame: tuple[Vec3, Vec3, Vec3], entries: Vec3) -> Matrix:
-    """World components of a matrix that is diagonal in the material frame."""
+    """Matrix in the world frame that is diag(entries) in the given frame."""
     one, two, three = (
         outer(vectors.scale(entry, axis), axis)
         for axis, entry in zip(frame, entries, strict=True)
@@ -48,23 +48,23 @@ def cross_rows(matrix: Matrix, a: Vec3) -> Matrix:
 
 
 def transpose(a: Matrix) -> Matrix:
-    """Transposed matrix."""
+    """Transposes every matrix of a field."""
     x, y, z = zip(*a, strict=True)
     return x, y, z
 
 
 def add(a: Matrix, b: Matrix) -> Matrix:
-    """Sum."""
+    """Sum a + b of matrix fields."""
     return vectors.add(a[0], b[0]), vectors.add(a[1], b[1]), vectors.add(a[2], b[2])
 
 
 def subtract(a: Matrix, b: Matrix) -> Matrix:
-    """Difference."""
+    """Difference a - b of matrix fields."""
     return add(a, scale(-1, b))
 
 
 def scale(factor: Array | float, a: Matrix) -> Matrix:
-    """Product with a scalar field."""
+    """Product of a matrix field with a number or a scalar field."""
     return (
         vectors.scale(factor, a[0]),
         vectors.scale(factor, a[1]),
@@ -73,6 +73,6 @@ def scale(factor: Array | float, a: Matrix) -> Matrix:
 
 
 def stacked(matrix: Matrix) -> Float[Array, "entries 3 3"]:
-    """Matrices stacked into one array."""
+    """Matrices of a field stacked into one array, one matrix per entry."""
     entries = jnp.stack([entry for row in matrix for entry in row], axis=-1)
     return entries.reshape(-1, 3, 3)

@@ -126,12 +126,12 @@ def multiply_quaternions(a: Quaternion, b: Quaternion) -> Quaternion:
 
 
 def conjugate(q: Quaternion) -> Quaternion:
-    """Inverse rotation."""
+    """Conjugate (w, -x, -y, -z): the inverse rotation of a unit quaternion."""
     return q[0], -q[1], -q[2], -q[3]
 
 
 def normalise(q: Quaternion) -> Quaternion:
-    """Quaternion scaled to unit length."""
+    """Quaternion scaled to unit norm."""
     inverse = lax.rsqrt(q[0] * q[0] + q[1] * q[1] + q[2] * q[2] + q[3] * q[3])
     return q[0] * inverse, q[1] * inverse, q[2] * inverse, q[3] * inverse
 
@@ -245,7 +245,7 @@ def freely_turned(
     parts: Sequence[tuple[Array | float, Vec3]],
     dt: Array,
 ) -> Quaternion:
-    """Orientation after a time of free rotation.
+    """Orientation of a rigid body after free rotation for a time, by the splitting.
 
     Args:
         orientation: Orientation, material to world.
@@ -272,7 +272,7 @@ def _turned(
     part: tuple[Array | float, Vec3],
     dt: Array,
 ) -> Quaternion:
-    """Orientation after one part's rotation, about an axis fixed in the body."""
+    """Orientation after rotation about c at the rate s (c . P), P in body axes."""
     factor, axis = part
     own = to_material(directors(orientation), momentum)
     rate = factor * vectors.dot(axis, own)

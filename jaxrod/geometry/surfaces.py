@@ -10,17 +10,17 @@ import numpy as np
 _AROUND = 40
 
 Triangles = tuple[np.ndarray, np.ndarray]
-"""Corners (V, 3) [m] and faces (F, 3)."""
+"""Corners (V, 3) [m], and faces (F, 3) as indices of corners."""
 
 
 def ball(radius: float) -> Triangles:
-    """A ball around the origin."""
+    """Triangulated surface of a ball around the origin."""
     polar = np.linspace(0, np.pi, _AROUND // 2 + 1)
     return turned(radius * np.sin(polar), -radius * np.cos(polar))
 
 
 def capsule(half: float, radius: float) -> Triangles:
-    """A capsule around the origin, whose axis runs from z = -half to z = half."""
+    """Triangulated capsule around the origin, with its axis from z = -half to half."""
     polar = np.linspace(0, np.pi / 2, _AROUND // 4 + 1)
     across = radius * np.sin(polar)
     up = half + radius * np.cos(polar)
@@ -28,14 +28,17 @@ def capsule(half: float, radius: float) -> Triangles:
 
 
 def cylinder(half: float, radius: float) -> Triangles:
-    """A cylinder along z around the origin, with flat ends."""
+    """Triangulated cylinder with flat ends, with its axis from z = -half to half."""
     return turned(
         np.array([0.0, radius, radius, 0.0]), np.array([-half, -half, half, half])
     )
 
 
 def along(triangles: Triangles, start: np.ndarray, end: np.ndarray) -> Triangles:
-    """Moves a surface such that its z axis becomes the line between two points."""
+    """Moves a surface so that its z axis becomes the line from `start` to `end`.
+
+    The origin becomes the middle of the line.
+    """
     corners, faces = triangles
     axis = (end - start) / np.linalg.norm(end - start)
     # The shortest rotation from z; a half turn about x where the axis points to -z.
@@ -48,7 +51,7 @@ def along(triangles: Triangles, start: np.ndarray, end: np.ndarray) -> Triangles
 
 
 def box(half_lengths: np.ndarray) -> Triangles:
-    """A block around the origin."""
+    """Triangulated block around the origin, with edges along the axes."""
     signs = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)])
     quads = [(0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4)]
     quads.append((1, 5, 7, 3))
@@ -57,7 +60,7 @@ def box(half_lengths: np.ndarray) -> Triangles:
 
 
 def turned(across: np.ndarray, along: np.ndarray) -> Triangles:
-    """Surface of revolution about z of a line in a plane through z.
+    """Surface of revolution about z, from points of its profile.
 
     Args:
         across: Distances from the axis [m], from the lowest point to the highest.
@@ -98,7 +101,7 @@ def of_distance(
     high: np.ndarray,
     cells: int = 36,
 ) -> Triangles:
-    """The surface where a signed distance is zero, by surface nets.
+    """Triangulated surface where a signed distance is zero, by surface nets.
 
     Every grid cell that the surface crosses gets a vertex, which is moved onto the
     surface along the normal. The cells around a crossed edge make a face.
@@ -110,7 +113,7 @@ def of_distance(
         cells: Number of cells along its longest side.
 
     Raises:
-        ValueError: The surface does not cross the box.
+        ValueError: If the surface does not cross the box.
     """
     step = float(np.max(high - low)) / cells
     counts = np.maximum(np.ceil((high - low) / step).astype(int), 1) + 1

@@ -29,12 +29,12 @@ def join(vector: Vec3) -> Float[Array, "3 n"]:
 
 
 def split_optional(stacked: Float[Array, "3 n"] | None) -> Vec3 | None:
-    """Splits an array that may be `None`."""
+    """Splits an array as `split` does; `None` stays `None`."""
     return None if stacked is None else split(stacked)
 
 
 def join_optional(vector: Vec3 | None) -> Float[Array, "3 n"] | None:
-    """Joins a vector field that may be `None`."""
+    """Joins a vector field as `join` does; `None` stays `None`."""
     return None if vector is None else join(vector)
 
 
@@ -53,34 +53,34 @@ def cross(a: Vec3, b: Vec3) -> Vec3:
 
 
 def add(a: Vec3, b: Vec3) -> Vec3:
-    """Sum."""
+    """Sum a + b of vector fields."""
     return a[0] + b[0], a[1] + b[1], a[2] + b[2]
 
 
 def add_optional(a: Vec3 | None, b: Vec3 | None) -> Vec3 | None:
-    """Sum of two vector fields that may be `None`."""
+    """Sum of two vector fields, either of which may be `None`, which counts as zero."""
     if a is None or b is None:
         return b if a is None else a
     return add(a, b)
 
 
 def subtract(a: Vec3, b: Vec3) -> Vec3:
-    """Difference."""
+    """Difference a - b of vector fields."""
     return a[0] - b[0], a[1] - b[1], a[2] - b[2]
 
 
 def scale(factor: Array | float, a: Vec3) -> Vec3:
-    """Product with a scalar field."""
+    """Product of a vector field with a number or a scalar field."""
     return factor * a[0], factor * a[1], factor * a[2]
 
 
 def multiply(a: Vec3, b: Vec3) -> Vec3:
-    """Product component by component: a diagonal matrix times a vector."""
+    """Product component by component: the diagonal matrix diag(a) times b."""
     return a[0] * b[0], a[1] * b[1], a[2] * b[2]
 
 
 def apply(function: Callable[[Array, Array], Array], a: Vec3, b: Vec3) -> Vec3:
-    """A function of two components, applied to each pair."""
+    """Applies a function to the x, the y and the z components of two vector fields."""
     return function(a[0], b[0]), function(a[1], b[1]), function(a[2], b[2])
 
 
@@ -94,17 +94,17 @@ def safe_norm(a: Vec3) -> Array:
 
 
 def pad(a: Array, before: int, after: int) -> Array:
-    """Appends zeros to a field along its last axis.
+    """Field with zeros added along its last axis, `before` in front and `after` behind.
 
-    It uses `lax.pad` instead of `jnp.concatenate`, which fuses with its neighbours and
-    leaves the batch axis in place under `vmap`.
+    `lax.pad` fuses with neighbouring operations and leaves the batch axis in place
+    under `vmap`, other than `jnp.concatenate`.
     """
     ends = [*[(0, 0, 0)] * (a.ndim - 1), (before, after, 0)]
     return lax.pad(a, jnp.zeros((), a.dtype), ends)
 
 
 def difference(a: Vec3) -> Vec3:
-    r"""Boundary-aware difference to the surrounding staggered grid.
+    r"""Differences of neighbours, with zeros beyond both ends.
 
     $(a_1,\ a_2 - a_1,\ \dots,\ a_n - a_{n-1},\ -a_n)$: one entry more than `a`. It is
     the transpose of the (negated) inner difference, so a field of internal loads
@@ -118,7 +118,7 @@ def difference(a: Vec3) -> Vec3:
 
 
 def pair_sum(a: Vec3) -> Vec3:
-    r"""Boundary-aware sum of neighbours onto the surrounding staggered grid.
+    r"""Sums of neighbours, with zeros beyond both ends.
 
     $(a_1,\ a_1 + a_2,\ \dots,\ a_{n-1} + a_n,\ a_n)$: one entry more than `a`.
     """
@@ -130,5 +130,5 @@ def pair_sum(a: Vec3) -> Vec3:
 
 
 def inner_difference(a: Vec3) -> Vec3:
-    """Differences of neighbours: one entry fewer than `a`."""
+    """Differences a[k+1] - a[k] of neighbours: one entry fewer than `a`."""
     return a[0][1:] - a[0][:-1], a[1][1:] - a[1][:-1], a[2][1:] - a[2][:-1]

@@ -1,1 +1,1 @@
-"""The installation: the release of JAX, its backend, and a report on both."""
+"""Checks and settings of the installation: release of JAX, XLA options, devices."""

@@ -1,4 +1,4 @@
-"""CPU settings that make rods fast, as measured, in one place.
+"""XLA options and CPU devices that make the simulation of rods fast.
 
 By default XLA's CPU compiler computes shared subexpressions of a step once per
 output and calls many small kernels per step. Two of its options change that. A second
@@ -20,8 +20,8 @@ from jaxrod.installation.program_cache import asked_for, keep_programs
 from jaxrod.validation import check_count, warn
 
 MOST_DEVICES = 1024
-"""Largest number of devices; a larger number must be a mistake, since XLA sets up
-each."""
+"""Largest number of CPU devices. A larger number is taken for a mistake, because XLA
+sets up every device."""
 
 _BACKEND_OPTIONS = {
     # One kernel computes all outputs that share work.
@@ -30,10 +30,11 @@ _BACKEND_OPTIONS = {
     "xla_cpu_small_while_loop_byte_threshold": "100000000",
 }
 _LIBRARY_FUSIONS = "--xla_cpu_experimental_ynn_fusion_type"
-"""Option that chooses which operations XLA leaves to YNNPACK. Since 0.12 these are all
-reductions and the operations that lead to them. The smallest distances of a nest in a
-batch of 256 then take ten times as long as in XLA's own code. XLA ends the process at
-an unknown option, so it is set only for releases that are known to have it."""
+"""Option that chooses which operations XLA leaves to the library YNNPACK; set to none.
+Since JAX 0.12 it gets all reductions and the operations that lead to them. The smallest
+distances between rods in a batch of 256 nests then take ten times as long as in XLA's
+own code. XLA ends the process at an unknown option, so it is set only for releases that
+are known to have it."""
 _LAST_WITH_LIBRARY_FUSIONS = (0, 12)
 
 
@@ -42,7 +43,7 @@ def configure_cpu(
     *,
     cache: bool | str | os.PathLike[str] | None = None,
 ) -> None:
-    """Applies the CPU settings jaxrod is measured with. Call it before using JAX.
+    """Applies the CPU settings that make rods fast. Call it before using JAX.
 
     Sets `XLA_FLAGS` for this process (options that you set yourself are kept), and the
     number of CPU devices a batch can be spread over. Compiled programs are kept on disk
@@ -86,10 +87,11 @@ def configure_cpu(
 
 
 def compile_for_rods() -> None:
-    """Sets XLA's options as `configure_cpu` does, if none are set.
+    """Sets XLA's options as `configure_cpu` does, if `XLA_FLAGS` is not set.
 
-    For code that only a short program calls, such as an adapter. It changes nothing
-    once JAX has computed or if `XLA_FLAGS` is set; the devices are not changed.
+    Adapters for other libraries call it, because their users may not know
+    `configure_cpu`. The number of devices is not changed. Once JAX has computed
+    anything, it has no effect.
     """
     if not _backend_is_running() and not os.environ.get("XLA_FLAGS", "").strip():
         os.environ["XLA_FLAGS"] = with_backend_options("")
@@ -100,10 +102,10 @@ def first_of_each(devices: Sequence[jax.Device], asked: int | None) -> list[jax.
 
     Args:
         devices: Devices of all processes.
-        asked: Value of --devices for each process; None for all.
+        asked: Number of devices from each process (`--devices`); None for all.
 
     Raises:
-        ValueError: A process has fewer devices.
+        ValueError: A process has fewer than `asked` devices.
     """
     if asked is None:
         return list(devices)
@@ -119,13 +121,13 @@ def first_of_each(devices: Sequence[jax.Device], asked: int | None) -> list[jax.
 
 
 def devices_that_fit(num_envs: int, asked: int | None, available: int | None) -> int:
-    """Number of devices to use: the requested one, or as many as divide the batch.
+    """Number of devices: `asked`, or the largest available one that divides the batch.
 
     Args:
-        num_envs: Number of environments to spread.
-        asked: Value of --devices.
-        available: Number of existing devices; None before JAX has started, for the
-            number of cores.
+        num_envs: Number of environments in the batch.
+        asked: Requested number (`--devices`); None if there is none.
+        available: Number of existing devices. None before JAX has started: the number
+            of cores then limits both.
     """
     if available is None:
         available = available_cores()
@@ -137,7 +139,7 @@ def devices_that_fit(num_envs: int, asked: int | None, available: int | None) ->
 
 
 def given_options() -> str:
-    """Options in `XLA_FLAGS`: its text, or the text of the file that it names.
+    """Options in `XLA_FLAGS`: its value, or the content of the file that it names.
 
     XLA ends the process at the first mistake. Only XLA knows its options, so words that
     look like options are not checked further.

@@ -33,10 +33,10 @@ if TYPE_CHECKING:
     import jax
 
 CALLS = 8
-"""Number of calls of one program that are compared."""
+"""Number of calls of one program whose results are compared with the first call."""
 
 ALL_BUT_NOTHING = 0.05
-"""Fraction of the memory below which almost none counts as free [1]."""
+"""Largest free fraction of a device's memory that is reported as almost none [1]."""
 
 
 @dataclass(frozen=True)
@@ -48,16 +48,16 @@ class Check:
     ok: bool
     """False if results computed here cannot be trusted."""
     detail: str
-    """Findings, with numbers."""
+    """Measured numbers and facts, as text."""
     advice: str = ""
-    """Advice on a remedy; empty if nothing is wrong or slow."""
+    """Advice on how to improve the result; empty if nothing is wrong or slow."""
 
 
 def run_checks() -> list[Check]:
     """Runs every check and returns the results; prints nothing.
 
-    A check that itself fails to run counts as failed, so the list is always
-    complete: a broken installation is described, not raised.
+    A check that raises an exception counts as failed, so a broken installation is
+    described in the list and raises nothing.
     """
     checks = [_guard("versions", check_versions)]
     found = _guard("devices", check_devices)
@@ -88,7 +88,7 @@ def check_device(device: jax.Device) -> Iterator[Check]:
 
 
 def check_versions() -> Check:
-    """Checks that jax and jaxlib are sound releases and belong together."""
+    """Checks that the releases of jax are sound and of one series, such as 0.12."""
     versions = {name: metadata.version(name) for name in ("jax", "jaxlib")}
     for plugin in ("jax-cuda12-plugin", "jax-cuda13-plugin", "jax-rocm7-plugin"):
         try:
@@ -126,7 +126,7 @@ def check_devices() -> Check:
 def check_batched_products(
     device: jax.Device, dtype: type[np.float32] | type[np.float64]
 ) -> Check:
-    """Squares the norm of `M @ r` for many r and compares with NumPy.
+    """Compares |M r|^2 for a batch of vectors r with NumPy.
 
     This is the program that jax 0.10.2 compiles wrongly on CPUs: in a batch of
     40 001, the rows after 32 768 (float32) or 16 384 (float64) come out wrong.
@@ -297,7 +297,11 @@ def calls_that_differ(call: Callable[[], list[np.ndarray]], calls: int = CALLS) 
 
 
 def check_lanes() -> Check:
-    """Compares batched steps in lanes with NumPy, or reports why there are no lanes."""
+    """Compares a batch of steps in lanes with NumPy, or reports why lanes are off.
+
+    Lanes are compiled code in which each entry of a vector register, or each thread of
+    a GPU, advances one rod of the batch.
+    """
     import jax
     import jax.numpy as jnp
 
@@ -313,7 +317,7 @@ def check_lanes() -> Check:
     @jax.tree_util.register_dataclass
     @dataclass(frozen=True)
     class Decay:
-        """Repeated multiplication, as a run of steps."""
+        """Repetition of value <- factor * value + 1, as steps for lanes."""
 
         factor: Any
 
@@ -353,7 +357,7 @@ def check_lanes() -> Check:
 
 
 def check_program_cache() -> Check:
-    """Reports where compiled programs are kept, and how large they are."""
+    """Reports in which folder compiled programs are kept, their number and size."""
     import jax
 
     settings: Any = jax.config
@@ -406,7 +410,7 @@ def _one_device_per_platform() -> list[jax.Device]:
 
 
 def _guard(name: str, check: Callable[[], Check]) -> Check:
-    """Runs a check; an exception becomes its result."""
+    """Runs a check; an exception becomes a failed check called `name`."""
     try:
         return check()
     except Exception as error:

@@ -1,4 +1,4 @@
-"""Facts about the machine and the releases that measurements depend on."""
+"""Facts on which measurements depend: processor, cores, devices, releases."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from typing import Any
 
 
 def processor() -> str:
-    """Name of the processor, as far as it can be found out."""
+    """Name of the processor, or its architecture if the system gives no name."""
     try:
         lines = Path("/proc/cpuinfo").read_text().splitlines()
     except OSError:
@@ -27,7 +27,7 @@ def available_cores() -> int:
 
 
 def machine_facts(load: float | None) -> dict[str, Any]:
-    """Processor, cores, devices, XLA's flags and releases, in a form for JSON.
+    """Processor, cores, load, devices, XLA's flags and releases, in a form for JSON.
 
     Args:
         load: Load average before anything was measured; None if there is none.
@@ -51,7 +51,7 @@ def machine_facts(load: float | None) -> dict[str, Any]:
 
 
 def processor_and_versions() -> str:
-    """Processor and releases in use, in one line."""
+    """Processor and releases of the packages that are used, as one line of text."""
     facts = machine_facts(None)
     versions = ", ".join(f"{name} {v}" for name, v in facts["versions"].items())
     return f"{facts['processor']}; {versions}"

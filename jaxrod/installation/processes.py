@@ -1,4 +1,4 @@
-"""Joins this process with the others of one program, on one machine or many."""
+"""Joins the processes of one JAX program, on one or several machines."""
 
 from __future__ import annotations
 
@@ -15,10 +15,10 @@ JOINED_WITHIN = 30
 """Time for which processes wait for each other at the beginning [s]."""
 
 LARGEST_PORT = 65_535
-"""Largest number of a port."""
+"""Largest number of a TCP port."""
 
 LONGEST_WAIT = 604_800
-"""Longest time for which processes wait, a week [s]."""
+"""Largest allowed value of `within`, a week [s]."""
 
 LOST_AFTER = 20
 """Time without contact after which a process counts as lost [s]."""
@@ -27,10 +27,10 @@ PATIENCE = 60
 """Time for which processes wait for each other at the end [s]."""
 
 GO_ON = "resume continues a run from its last checkpoint, with any number of processes"
-"""Advice after a process was lost."""
+"""Advice that ends the messages about a lost process."""
 
-# The last line before the fault is the message. Output of faults other than aborts is
-# passed on unchanged, with its lines of Python.
+# Program of the listening process. The last line before a fault is the message, printed
+# if the fault is an abort. The output of other faults is printed unchanged.
 _LISTENER = """
 import signal, sys
 for name in ("SIGINT", "SIGTERM", "SIGHUP"):
@@ -52,16 +52,16 @@ _last_words: list[Callable[[str], None]] = []
 
 
 class LastWords:
-    """A message for a process that the runtime aborts without asking Python.
+    """Prints a message when JAX's runtime aborts this process.
 
-    If another process of a program is lost, JAX's runtime writes many lines and aborts,
-    and no handler of Python's runs any more. `faulthandler` needs no interpreter. It
-    notifies a small process that was started before, which then prints the message.
-    Nothing is printed if this process ends in another way.
+    If another process of a program is lost, the runtime writes many lines and aborts,
+    and no handler in Python runs any more. But `faulthandler` still writes to a pipe. A
+    small process that was started before reads the pipe and prints the message. Nothing
+    is printed if this process ends in another way.
     """
 
     def __init__(self) -> None:
-        """Starts the listening process, unless `faulthandler` is in use already."""
+        """Starts the process that prints, unless `faulthandler` is in use already."""
         self._to: IO[str] | None = None
         if faulthandler.is_enabled():
             return
@@ -78,7 +78,7 @@ class LastWords:
         faulthandler.enable(self._to, all_threads=False)
 
     def __call__(self, sentence: str) -> None:
-        """Sets the message to print from now on, one line."""
+        """Replaces the message that would be printed, one line."""
         if self._to:
             try:
                 self._to.write(sentence.replace("\n", " ") + "\n")
@@ -96,10 +96,10 @@ def join_processes(
 ) -> None:
     """Joins the processes of one program; call it before JAX computes anything.
 
-    It calls `jax.distributed.initialize`, which knows SLURM, Open MPI and Kubernetes,
-    with timeouts after which a lost process is noticed. Without arguments the values
-    come from these launchers. If other processes are lost, JAX writes its own lines and
-    aborts this process. A message on the standard error then explains the reason.
+    It calls `jax.distributed.initialize` with timeouts after which a lost process is
+    noticed. Without arguments the values come from SLURM, Open MPI or Kubernetes. If
+    another process is lost, JAX writes its own lines and aborts this process. A message
+    on the standard error then explains the reason.
 
     Args:
         coordinator: Address and port of the first process, such as "10.0.0.1:1234".
@@ -109,7 +109,7 @@ def join_processes(
             process is aborted.
 
     Raises:
-        ValueError: If an argument makes no sense, the other processes are not known, or
+        ValueError: If an argument is invalid, no launcher describes the processes, or
             another program has the coordinator's port.
         RuntimeError: If the processes cannot be reached.
     """
@@ -188,7 +188,7 @@ def join_processes(
 
 
 def _check_port(port: int) -> None:
-    """Raises ValueError if this process cannot listen on a port; JAX would wait."""
+    """Raises ValueError if this process cannot listen on a port: JAX would hang."""
     both = socket.has_dualstack_ipv6()
     family = socket.AF_INET6 if both else socket.AF_INET
     try:

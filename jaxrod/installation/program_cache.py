@@ -1,9 +1,9 @@
 """Compiled programs kept on disk, so that a second process need not compile them.
 
 JAX keeps them (its persistent compilation cache); this module chooses the folder. JAX
-names a file after the program, XLA's options and the releases. It is not known whether
-the name includes the capabilities of the processor, and several machines may share a
-home directory. So there is a folder for every processor.
+names a file after the program, XLA's options and the releases. Whether the name covers
+the capabilities of the processor is not documented, and several machines may share a
+home directory. So there is a folder for every type of processor.
 
 JAX does not write whole files at once. So each process has its own folder inside, with
 hard links to all kept files. Files that it adds are moved to the common folder when the
@@ -39,10 +39,11 @@ from pathlib import Path
 from jaxrod.private_folders import make_private_folder, shared_with
 
 VARIABLE = "JAXROD_CACHE"
-"""Environment variable of the cache: 0 for none, 1, or a folder."""
+"""Environment variable of the cache: 0 for none, 1 for the default folder, or a
+folder."""
 
 SHORTEST_COMPILATION = 0.01
-"""Shortest compile time of programs that are kept [s], unless the user set it."""
+"""Shortest compile time of a program that is kept, unless the user set one [s]."""
 
 MOST_BYTES = 10**9
 """Largest size of all kept programs together [bytes]."""
@@ -77,7 +78,7 @@ def without_checksum() -> bool:
 
 
 def asked_for() -> bool | str | None:
-    """Value of the environment variable: no, yes, a folder, or None if not set."""
+    """Value of `JAXROD_CACHE`: False for 0, True for 1, a folder, None if not set."""
     value = os.environ.get(VARIABLE, "").strip()
     return {"": None, "0": False, "1": True}.get(value, value)
 
@@ -97,13 +98,16 @@ def obstacle() -> str | None:
 
 
 def chosen_folder() -> Path:
-    """Folder that the environment variable names, or the default one."""
+    """Folder that `JAXROD_CACHE` names, or the default folder."""
     asked = asked_for()
     return Path(asked).expanduser() if isinstance(asked, str) else default_folder()
 
 
 def kept_files(folder: Path) -> list[tuple[float, int, Path]]:
-    """Time of the last use [s], size [bytes] and path of each file that is kept."""
+    """Time of the last use [s since 1970], size [bytes] and path of each kept file.
+
+    The least recently used file is first.
+    """
     kept = []
     for entry in os.scandir(folder):
         if entry.is_file(follow_symlinks=False) and _KEPT.fullmatch(entry.name):
@@ -116,7 +120,7 @@ def kept_files(folder: Path) -> list[tuple[float, int, Path]]:
 def keep_programs(
     folder: str | os.PathLike[str] | None = None, *, asked: bool = True
 ) -> Path | None:
-    """Makes JAX keep the programs that it compiles from now on, and use those kept.
+    """Makes JAX keep the programs that it compiles from now on, and load kept ones.
 
     Args:
         folder: Folder of the programs; by default `default_folder()`, or the one that
@@ -187,7 +191,11 @@ def keep_programs(
 
 
 def _folder_of_this_process(folder: Path) -> Path:
-    """A new folder with links to all kept programs; unused files are removed."""
+    """Makes a folder for this process, with hard links to all kept programs.
+
+    Folders that processes abandoned a week ago are removed. So are the least recently
+    used programs in `folder`, until the others take at most `MOST_BYTES`.
+    """
     for abandoned in folder.glob(f"{_OWN}*"):
         with suppress(OSError):  # Another process may remove it at the same time.
             if abandoned.stat().st_mtime < time.time() - _WEEK:
@@ -207,7 +215,7 @@ def _folder_of_this_process(folder: Path) -> Path:
 
 
 def _give_back(own: Path, process: int) -> None:
-    """Moves the programs added by a process to the common folder; removes its own."""
+    """Moves the programs that a process added to the common folder; removes `own`."""
     if os.getpid() != process:
         return
     with suppress(OSError):
@@ -218,7 +226,10 @@ def _give_back(own: Path, process: int) -> None:
 
 
 def default_folder() -> Path:
-    """Folder `$XDG_CACHE_HOME/jaxrod/PROCESSOR`, or under `~/.cache` if not set."""
+    """Default folder: `$XDG_CACHE_HOME/jaxrod/HASH`, HASH of `processor_features`.
+
+    `~/.cache` replaces an `XDG_CACHE_HOME` that is not set.
+    """
     home = os.environ.get("XDG_CACHE_HOME", "").strip()
     caches = Path(home) if home else Path.home() / ".cache"
     digest = hashlib.sha256(processor_features().encode()).hexdigest()

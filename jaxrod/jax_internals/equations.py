@@ -1,4 +1,4 @@
-"""Equations of jaxprs: their parameters and the meaning of these.
+"""Parameters of the equations of jaxprs: the known names, and functions to read them.
 
 A parameter that is not listed here may change the meaning of an equation. A program
 with such a parameter is left to XLA.
@@ -66,12 +66,13 @@ _PARAMETERS: dict[str, str] = {
     "scan": "ft_in ft_out jaxpr length num_carry num_consts reverse unroll",
     "while": "body_jaxpr body_nconsts cond_jaxpr cond_nconsts",
 }
-"""Names of parameters by name of the primitive; a primitive not listed has none."""
+"""Names of the parameters that are understood, separated by spaces, by name of the
+primitive. A primitive that is not listed has no parameters."""
 _NONE_ONLY = frozenset({"accuracy", "out_dtype"})
-"""Parameters that any primitive may have, as long as they are `None`."""
+"""Parameters that any primitive may have, provided that their value is `None`."""
 _SHARDINGS = frozenset({"dst_sharding", "out_sharding", "sharding"})
-"""Parameters that any primitive may have, as long as they divide no axis. Within
-`jax.shard_map` they are not `None` even then, because they name a mesh."""
+"""Parameters that any primitive may have, provided that their sharding splits no axis
+over devices. Within `jax.shard_map` such a sharding names a mesh and is not `None`."""
 _CALLS = {
     "closed_call": "call_jaxpr",
     "custom_jvp_call": "call_jaxpr",
@@ -80,11 +81,11 @@ _CALLS = {
     "remat2": "jaxpr",
 }
 CALLS = tuple(_CALLS)
-"""Primitives that only call an inner program."""
+"""Names of the primitives that only call an inner program."""
 
 
 def unknown_parameter(equation: Any) -> str | None:
-    """Returns the reason why an equation is not understood; `None` if it is.
+    """Returns the reason why a parameter of an equation is not understood, or `None`.
 
     Args:
         equation: An equation of a jaxpr.
@@ -106,7 +107,7 @@ def unknown_parameter(equation: Any) -> str | None:
 
 
 def _divides_nothing(sharding: Any) -> bool:
-    """Whether every device holds the whole of an array with this sharding."""
+    """Whether a sharding splits no axis, so that every device holds the whole array."""
     if sharding is None:
         return True
     spec = getattr(sharding, "spec", None)
@@ -116,29 +117,32 @@ def _divides_nothing(sharding: Any) -> bool:
 
 
 class Parts(NamedTuple):
-    """A jaxpr and its constants."""
+    """A jaxpr and the values of its constants."""
 
     jaxpr: Any
     constants: tuple[Any, ...]
 
 
 def program_of(jaxpr: Any) -> Parts:
-    """Returns a jaxpr and its constants, which JAX keeps in one object or in two."""
+    """Returns the jaxpr and the constants of a closed jaxpr.
+
+    An open jaxpr is taken too; it has no constants.
+    """
     return Parts(getattr(jaxpr, "jaxpr", jaxpr), tuple(getattr(jaxpr, "consts", ())))
 
 
 def operand_types(closed: Any) -> list[Any]:
-    """Returns the types of the operands of a program."""
+    """Returns the types (shape and dtype) of the operands of a closed jaxpr."""
     return [variable.aval for variable in program_of(closed).jaxpr.invars]
 
 
 def result_types(closed: Any) -> list[Any]:
-    """Returns the types of the results of a program."""
+    """Returns the types (shape and dtype) of the results of a closed jaxpr."""
     return [atom.aval for atom in program_of(closed).jaxpr.outvars]
 
 
 def is_literal(atom: Any) -> bool:
-    """Whether an operand of an equation is a literal number."""
+    """Whether an operand of an equation is a literal number rather than a variable."""
     return hasattr(atom, "val")
 
 
@@ -152,13 +156,16 @@ def programs_within(equation: Any) -> Iterator[Any]:
 
 
 def called_program(equation: Any) -> Any:
-    """Returns the program that an equation calls, whose primitive is in `CALLS`."""
+    """Returns the inner program that an equation calls.
+
+    The primitive of the equation must be one of `CALLS`.
+    """
     return equation.params[_CALLS[equation.primitive.name]]
 
 
 @dataclass(frozen=True)
 class Scan:
-    """A loop of known length, `lax.scan`."""
+    """The parts of a `scan` equation, a loop of known length (`lax.scan`)."""
 
     body: Any
     length: int
@@ -168,9 +175,10 @@ class Scan:
 
 
 def scan_of(equation: Any) -> Scan:
-    """Returns the parts of a `scan` equation.
+    """Returns the body, length, direction and operand counts of a `scan` equation.
 
-    JAX 0.12 describes the operands by trees: of constants, of the carry, of rows.
+    JAX 0.12 keeps the operands (constants, carry, rows) in trees, which are counted
+    here; earlier versions keep their counts.
     """
     given = equation.params
     if "ft_in" in given:
@@ -182,18 +190,18 @@ def scan_of(equation: Any) -> Scan:
 
 @dataclass(frozen=True)
 class While:
-    """A loop with a condition, `lax.while_loop`."""
+    """The parts of a `while` equation, a loop with a condition (`lax.while_loop`)."""
 
     condition: Any
     n_condition: int
-    """Number of constants of the condition, the first operands."""
+    """Number of constants of the condition; they are the first operands."""
     body: Any
     n_body: int
-    """Number of constants of the body, the next operands."""
+    """Number of constants of the body; they follow those of the condition."""
 
 
 def while_of(equation: Any) -> While:
-    """Returns the parts of a `while` equation."""
+    """Returns condition, body and numbers of constants of a `while` equation."""
     given = equation.params
     return While(
         given["cond_jaxpr"],

@@ -1,6 +1,6 @@
-"""The binary interface by which XLA calls a kernel (FFI), accessed by byte offsets.
+"""XLA's binary interface for calls of foreign functions (FFI), used by byte offsets.
 
-A handler is a function of one pointer, to a call frame that refers to the buffers. The
+XLA calls a handler with one pointer, to a call frame that refers to the buffers. The
 layout of the frame is that of `xla/ffi/api/c_api.h`, which comes with jaxlib. The
 offsets used here are valid only for the structures listed below. So the header file is
 checked against this list before the first call.
@@ -15,7 +15,8 @@ from pathlib import Path
 import jax
 
 _EXTENSIONS = ("XLA_FFI_InternalExtension", "XLA_FFI_Extension_Base")
-"""Names of the same structure: since jaxlib 0.11, and before."""
+"""Names of the C structure at the beginning of extensions: since jaxlib 0.11, and
+before."""
 _EXTENSION = ("struct_size", "type", "next")
 _EXPECTED = {
     "XLA_FFI_Api_Version": (
@@ -29,7 +30,8 @@ _EXPECTED = {
     "XLA_FFI_Rets": ("struct_size", "extension_start", "size", "types", "rets"),
     "XLA_FFI_Metadata_Extension": ("extension_base", "metadata"),
 }
-"""Fields of the other structures that are read, in order."""
+"""All fields, in order, of other C structures that are read, by name of the
+structure."""
 _BEGINNINGS = {
     "XLA_FFI_CallFrame": (
         *("struct_size", "extension_start", "api", "ctx", "stage", "args", "rets"),
@@ -40,16 +42,17 @@ _BEGINNINGS = {
         "_XLA_FFI_API_STRUCT_FIELD(XLA_FFI_Error_Create)",
     ),
 }
-"""First fields of structures that may have more fields."""
+"""First fields, in order, of C structures that may have further fields, by name."""
 _STREAM_GET = "_XLA_FFI_API_STRUCT_FIELD(XLA_FFI_Stream_Get)"
-"""Fifth function of the interface: its place is behind those of four pointers."""
+"""Field with the function that returns the GPU stream of a call. It must be the
+ninth field of `XLA_FFI_Api`, the fifth function."""
 _STREAM = ("struct_size", "extension_start", "ctx", "stream")
-"""Fields of the structure in which a call asks for its stream."""
+"""Fields of the argument structure of the function that returns the GPU stream."""
 
 
 @cache
 def header() -> str:
-    """Returns the header of the interface, without comments; empty if not found."""
+    """Returns the text of XLA's FFI header without comments; empty if not found."""
     try:
         file = Path(jax.ffi.include_dir()) / "xla" / "ffi" / "api" / "c_api.h"
         return re.sub(r"//[^\n]*", "", file.read_text())
@@ -59,7 +62,7 @@ def header() -> str:
 
 @cache
 def unknown_layout() -> str | None:
-    """Returns the reason why the interface is not the expected one; `None` if it is."""
+    """Returns the reason why XLA's FFI lacks the expected layout, or `None`."""
     if not header():
         return "jaxlib's header of foreign functions is not found"
     if not any(_fields(name) == _EXTENSION for name in _EXTENSIONS):
@@ -83,7 +86,10 @@ def unknown_layout() -> str | None:
 
 @cache
 def unknown_stream() -> str | None:
-    """Returns the reason why a call's stream cannot be asked for; `None` if it can."""
+    """Returns the reason why the GPU stream of a call is unavailable, or `None`.
+
+    XLA's FFI must have the function that returns the stream at its expected offset.
+    """
     if _fields("XLA_FFI_Api")[8:9] != (_STREAM_GET,):
         return "jaxlib's XLA_FFI_Api has another layout than the one known"
     if _fields("XLA_FFI_Stream_Get_Args") != _STREAM:
@@ -92,7 +98,10 @@ def unknown_stream() -> str | None:
 
 
 def api_version() -> tuple[int | None, int | None]:
-    """Returns the major and minor version of the interface, read from the header."""
+    """Returns the major and minor version of XLA's FFI, read from its header.
+
+    A number that the header does not contain is `None`.
+    """
     numbers: list[int | None] = []
     for word in ("MAJOR", "MINOR"):
         found = re.search(rf"#define XLA_FFI_API_{word} (\d+)", header())
@@ -101,10 +110,10 @@ def api_version() -> tuple[int | None, int | None]:
 
 
 def handler_text(name: str, n_operands: int, n_results: int) -> str:
-    """Writes the handler of a kernel in LLVM IR.
+    """Returns LLVM IR of the function by which XLA calls a kernel on a CPU (handler).
 
-    It answers XLA's query of its version when it is registered, refuses a call with
-    another number of buffers than the kernel has, and otherwise calls `@kernel`.
+    When it is registered, XLA asks the handler for its version. A call with another
+    number of buffers than the kernel has is an error; any other call runs `@kernel`.
     """
     work = """
 call void @kernel(ptr %operands, ptr %results)
@@ -124,16 +133,16 @@ def launcher_text(
     threads: int,
     shared: int,
 ) -> str:
-    """Writes a handler that launches a kernel on the stream of the call.
+    """Returns LLVM IR of a handler that launches a CUDA kernel on the stream of a call.
 
     Args:
         name: Name of the handler.
         n_operands: Number of operands of the kernel.
-        n_results: Number of its results.
+        n_results: Number of results of the kernel.
         launch: Address of CUDA's `cuLaunchKernel`.
         function: Address of the loaded kernel.
         blocks: Number of blocks.
-        threads: Threads of a block.
+        threads: Number of threads in a block.
         shared: Shared memory of a block [bytes].
     """
     n = n_operands + n_results
@@ -190,14 +199,15 @@ ret ptr null
 def _handler(
     name: str, n_operands: int, n_results: int, work: str, failed: str = ""
 ) -> str:
-    """Writes a handler.
+    """Returns LLVM IR of a function by which XLA calls a kernel (handler).
 
     Args:
         name: Name of the handler.
         n_operands: Number of operands of the kernel.
-        n_results: Number of its results.
-        work: Code for a call with the right buffers. It may go to `%refuse`.
-        failed: Message for that case.
+        n_results: Number of results of the kernel.
+        work: LLVM IR that runs if the number of buffers is right. It may branch to
+            `%refuse`, which returns an error.
+        failed: Message of that error; empty if `work` does not branch there.
     """
     major, minor = api_version()
     words = f"jaxrod: a kernel of {n_operands} operands was called with others"

@@ -1,7 +1,7 @@
-"""Mesh axes over which arrays vary; they are part of types within `jax.shard_map`.
+"""Mesh axes over which arrays vary: part of array types within `jax.shard_map`.
 
-All operands and results of one operation vary over the same axes, as JAX's loops
-require of their carry.
+All operands and results of one operation must vary over the same axes, as JAX's loops
+require for their carry.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ def axes_of(*avals: Any) -> frozenset[str]:
 
 
 def pvary(arrays: Sequence[Any], axes: frozenset[str]) -> list[Any]:
-    """Returns the same arrays, all marked as varying over these axes."""
+    """Marks arrays as varying over mesh axes, and leaves their numbers unchanged."""
     made = []
     for array in arrays:
         missing = sorted(axes - axes_of(jax.typeof(array)))
@@ -36,7 +36,7 @@ def pvary(arrays: Sequence[Any], axes: frozenset[str]) -> list[Any]:
 
 
 def varying_aval(shape: tuple[int, ...], dtype: Any, like: Sequence[Any]) -> Any:
-    """Returns the type of an array that varies over all axes of the arrays `like`."""
+    """Returns an array type that varies over every mesh axis of the types `like`."""
     axes = axes_of(*like)
     if not axes:
         return jax.core.ShapedArray(shape, dtype)
@@ -44,7 +44,7 @@ def varying_aval(shape: tuple[int, ...], dtype: Any, like: Sequence[Any]) -> Any
 
 
 def varying_shape(aval: Any) -> jax.ShapeDtypeStruct:
-    """Returns the shape and dtype of an array, with the axes over which it varies."""
+    """Returns the shape, dtype and varying mesh axes of an array type, for tracing."""
     axes = axes_of(aval)
     if not axes:
         return jax.ShapeDtypeStruct(aval.shape, aval.dtype)
@@ -52,7 +52,10 @@ def varying_shape(aval: Any) -> jax.ShapeDtypeStruct:
 
 
 def _placed(axes: frozenset[str], like: Sequence[Any]) -> dict[str, Any]:
-    """Returns mesh and axes as keyword arguments for types of arrays."""
+    """Returns the keyword arguments that mark an array type as varying over mesh axes.
+
+    The mesh is that of the first type in `like` that varies.
+    """
     mesh = next(aval.sharding.mesh for aval in like if axes_of(aval))
     return {
         "sharding": NamedSharding(mesh, PartitionSpec()),

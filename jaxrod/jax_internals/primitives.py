@@ -21,7 +21,7 @@ _NEEDED = {
     "interpreters.batching": ("primitive_batchers",),
     "interpreters.mlir": ("lower_fun", "register_lowering"),
 }
-"""Names in JAX's modules that jaxrod's primitives need."""
+"""Names that jaxrod's primitives need, by the module of JAX that contains them."""
 _METHODS = ("bind", "def_abstract_eval", "def_impl")
 
 Rule = Callable[..., Any]
@@ -30,7 +30,7 @@ Program = Callable[..., Any]
 
 @cache
 def unknown_rules() -> str | None:
-    """Returns the reason why this JAX does not support primitives of jaxrod's own.
+    """Returns the reason why this version of JAX does not support custom primitives.
 
     Returns:
         The reason, or `None` if JAX supports them.
@@ -52,10 +52,10 @@ def unknown_rules() -> str | None:
 
 
 def new_primitive(name: str) -> Any:
-    """Makes a primitive with several results; `define` gives it its rules.
+    """Creates a JAX primitive with several results; `define` adds its rules.
 
     Args:
-        name: Name in printed programs.
+        name: Name of the primitive in printed jaxprs.
     """
     # The class has no public name outside jax.extend.
     primitive = type(lax.add_p)(name)
@@ -73,18 +73,18 @@ def define(
     jvp: Rule,
     transpose: Rule | None = None,
 ) -> None:
-    """Tells JAX how to run, batch and differentiate a primitive.
+    """Registers with JAX how to run, batch, differentiate and lower a primitive.
 
     Args:
         primitive: Primitive from `new_primitive`.
         reference: The same operation as a function that JAX can trace.
         static: Name of the one parameter that is not an array. JAX searches parameters
-            for programs and treats those it finds as its own, so this parameter must
-            hide its programs inside an object.
+            for jaxprs and transforms those that it finds, so this parameter must hide
+            its jaxprs inside an object.
         shapes: Rule that takes the types of the operands to those of the results.
         batched: Rule for `jax.vmap`.
         jvp: Rule for forward mode.
-        transpose: Rule for the cotangents of a linear operation.
+        transpose: Rule for the cotangents of the operands, if the operation is linear.
     """
     from jax.interpreters import ad, batching, mlir
 
@@ -103,15 +103,15 @@ def lower_on(
     reference: Program,
     choose: Callable[[str | None, Sequence[Any], Mapping[str, Any]], Program | None],
 ) -> None:
-    """Registers a special program for a primitive on one platform.
+    """Registers the choice between a special program and the reference on a platform.
 
     Args:
         platform: `"cpu"` or `"cuda"`.
-        primitive: A defined primitive.
+        primitive: A primitive with rules from `define`.
         reference: Program that is lowered if `choose` returns `None`.
         choose: Function that returns the program to compile, or `None`. It takes the
             reason why the compiled program may not contain kernels (`None` if it may),
-            the types of the results, and the parameters.
+            the types of the results, and the parameters of the primitive.
     """
     from jax.interpreters import mlir
 
@@ -134,9 +134,11 @@ def lower_on(
 
 
 def no_kernels_in(context: Any) -> str | None:
-    """Returns the reason why a program may not contain kernels; `None` if it may.
+    """Returns the reason why a compiled program may not contain kernels, or `None`.
 
-    Within `jax.shard_map` each device has its own rods, and a kernel for them.
+    Programs for export, for several platforms, and for batches that the compiler
+    spreads over devices may not. Within `jax.shard_map` each device may run a kernel of
+    its part.
 
     Args:
         context: JAX's context for lowering one equation.
@@ -159,7 +161,7 @@ def no_kernels_in(context: Any) -> str | None:
 
 
 def evaluate(closed: Any, *arrays: Any) -> list[Any]:
-    """Evaluates a program.
+    """Evaluates a closed jaxpr, or traces it if the operands are traced.
 
     Args:
         closed: A jaxpr with its constants, from `jax.make_jaxpr`.
@@ -173,7 +175,7 @@ def evaluate(closed: Any, *arrays: Any) -> list[Any]:
 
 
 def is_zero(tangent: Any) -> bool:
-    """Whether a tangent or cotangent is known to be zero."""
+    """Whether a tangent or cotangent is a symbolic zero."""
     from jax.interpreters import ad
 
     return type(tangent) is ad.Zero
@@ -187,7 +189,7 @@ def no_tangent(array: Any) -> Any:
 
 
 def filled_in(tangent: Any) -> Any:
-    """Returns a tangent or cotangent as an array; symbolic zeros become zeros."""
+    """Returns a tangent or cotangent as an array, with zeros for a symbolic zero."""
     from jax.interpreters import ad
 
     return ad.instantiate_zeros(tangent)

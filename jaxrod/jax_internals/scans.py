@@ -18,14 +18,18 @@ def scan(
     length: int | None = None,
     reverse: bool = False,
 ) -> tuple[Any, Any]:
-    """Runs `lax.scan`, and allows zero steps under `jax.disable_jit()` too.
+    """Runs `lax.scan`; zero steps are allowed also under `jax.disable_jit()`.
 
     Args:
-        function: Takes a carry and a row, and returns a carry and a row of results.
-        carry: First carry.
+        function: Step that takes a carry and a row, and returns the next carry and a
+            row of results.
+        carry: Carry before the first step.
         rows: Pytree of arrays, scanned along their leading axis.
         length: Number of steps; by default the number of rows.
         reverse: Whether the scan begins with the last row.
+
+    Returns:
+        The last carry, and the rows of results stacked along a leading axis.
     """
     leaves = jax.tree.leaves(rows)
     steps = len(leaves[0]) if length is None else length

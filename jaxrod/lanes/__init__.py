@@ -1,1 +1,1 @@
-"""Lanes: many rods at once, one in each lane of the processor's vector registers."""
+"""Lanes: batches of rods on a CPU, with one rod in each lane of a vector register."""

@@ -1,4 +1,4 @@
-"""The choice between lanes and XLA, and a record of the choices with their reasons."""
+"""The choice between jaxrod's own kernels (lanes) and XLA, and a record of choices."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ _mode = [os.environ.get("JAXROD_LANES", AUTO)]
 
 @dataclass(frozen=True)
 class LaneChoice:
-    """The choice between lanes and XLA for one compiled run.
+    """The choice between jaxrod's kernels and XLA for one compiled run.
 
     Example:
         >>> final = jaxrod.advance(scene, state, 1e-4, 10)
@@ -30,32 +30,36 @@ class LaneChoice:
     """
 
     taken: bool
-    """Whether lanes were chosen; otherwise XLA was."""
+    """Whether a kernel of lanes, rows or warps was chosen; otherwise XLA was."""
     why: str
-    """Reason as text."""
+    """Reason of the choice; if a kernel was chosen, its type, such as `"rows of 64
+    bytes"`."""
     rods: int
     """Number of rods in the batch; 1 without a batch."""
     operations: int = 0
-    """Operations in a step of one rod; for a whole run, the beginning and the end are
-    included."""
+    """Size of the kernel. Lanes: number of graph nodes, with inputs and constants. Rows
+    and warps: lines of LLVM IR that compute a value. Beginning and end of a run count
+    too."""
     seconds: float = 0.0
-    """Time to write and compile the kernel [s]."""
+    """Time spent on generating and compiling the kernel [s]."""
 
 
 _choices: deque[LaneChoice] = deque(maxlen=100)
 
 
 def use_lanes(mode: str) -> None:
-    """Sets when programs that are compiled from now on use lanes.
+    """Sets when programs compiled from now on use jaxrod's kernels instead of XLA.
 
-    Lanes are for CPUs. NVIDIA GPUs have warps instead: wherever they are faster in mode
+    On CPUs, lanes process as many rods at once as a vector register has numbers, and
+    rows process one rod, with its elements in the vector register. On NVIDIA GPUs,
+    warps of 32 threads process one scene each: wherever they are faster in mode
     `"auto"`, and wherever they are possible in modes `"always"` and `"rows"`. Other
     devices use XLA.
 
     Args:
-        mode: `"auto"` (whichever is faster), `"always"` (lanes wherever they are
-            possible), `"rows"` (rows wherever they are possible), or `"never"`. The
-            environment variable `JAXROD_LANES` sets the initial mode.
+        mode: `"auto"` (whichever is likely to be faster), `"always"` (lanes wherever
+            they are possible), `"rows"` (rows wherever they are possible), or
+            `"never"`. The environment variable `JAXROD_LANES` sets the initial mode.
 
     Raises:
         ValueError: The mode is unknown.
@@ -75,7 +79,9 @@ def use_lanes(mode: str) -> None:
 
 
 def lane_choices() -> list[LaneChoice]:
-    """Returns the latest choices between lanes and XLA, one for each compiled run.
+    """Returns the latest choices between kernels and XLA, one per compiled run.
+
+    At most 100 are kept, the oldest first.
 
     Example:
         >>> final = jaxrod.advance(scene, state, 1e-4, 10)
@@ -86,7 +92,14 @@ def lane_choices() -> list[LaneChoice]:
 
 
 def lane_mode() -> str:
-    """Returns the mode of lanes. Programs compiled in one mode serve no other mode."""
+    """Returns the mode of the choice between kernels and XLA, such as `"auto"`.
+
+    It is set by `use_lanes` or by the environment variable `JAXROD_LANES`. A program
+    that was compiled in one mode is not reused in another.
+
+    Raises:
+        ValueError: The environment variable has an unknown mode.
+    """
     if _mode[0] not in MODES:
         raise ValueError(
             f"JAXROD_LANES must be one of {', '.join(MODES)}; got {_mode[0]!r}"
@@ -95,12 +108,12 @@ def lane_mode() -> str:
 
 
 def lanes_wanted() -> bool:
-    """Whether runs are built in the form that lanes can take."""
+    """Whether runs are to be traced as primitives that kernels can replace."""
     return lane_mode() != NEVER and no_kernels_here() is None
 
 
 def no_kernels_here() -> str | None:
-    """Returns the reason why the default device has no kernels; `None` if it has."""
+    """Returns the reason why the default device has no kernels, or `None`."""
     device = jax.default_backend()
     if device == "cpu":
         return not_here()
@@ -113,10 +126,10 @@ def no_kernels_here() -> str | None:
 
 
 def slower() -> str | None:
-    """Returns the reason why batches are slower than they could be.
+    """Returns the reason why batches run in XLA rather than in jaxrod's kernels.
 
     Returns:
-        One sentence, or `None` if batches run in lanes, or on a GPU in warps.
+        One sentence; `None` if batches run in lanes, or on a GPU in warps.
     """
     reason = "the mode is 'never'" if lane_mode() == NEVER else no_kernels_here()
     if reason is None:
@@ -131,7 +144,10 @@ def slower() -> str | None:
 
 @cache
 def say_if_slower() -> None:
-    """Logs one line, once, if lanes are installed but cannot be used."""
+    """Records once per process why the default device has no kernels.
+
+    On a CPU with llvmlite installed, the reason is logged as a warning too.
+    """
     reason = no_kernels_here()
     if reason is None:
         return
@@ -141,12 +157,12 @@ def say_if_slower() -> None:
 
 
 def refused(words: str, rods: int = 1) -> None:
-    """Records that a run is left to XLA, and the reason."""
+    """Records that a run of `rods` rods is left to XLA, for the reason `words`."""
     note(LaneChoice(False, words, rods))
 
 
 def note(choice: LaneChoice) -> None:
-    """Records and logs a choice."""
+    """Appends a choice to the record that `lane_choices` returns, and logs it."""
     _choices.append(choice)
     _log.info(
         "%s for %d rods: %s",

@@ -1,12 +1,14 @@
-"""Scalar programs: graphs of operations on single numbers, each computed once.
+"""Graphs of operations on single numbers, in which each operation is computed once.
 
-A node is an integer. Its operation, its arguments and its kind (`f32`, `f64`, `i8` to
-`i64`, `u8` to `u64`, `b1`) are kept in parallel lists. The same operation on the same
-arguments is the same node (common subexpressions), and constants are folded.
+A node is an integer. The operation, the arguments and the number type ("kind") of each
+node are kept in parallel lists. Kinds are `f32`, `f64`, `i8` to `i64`, `u8` to `u64`
+and `b1`. The same operation on the same arguments is the same node (common
+subexpressions), and constants are folded.
 
-Folding does not change results, with two exceptions. Adding a constant zero leaves the
-sign of a zero as it is. A product with a constant zero is zero, even if the other
-factor is NaN or infinite, and the other factor is left out of the program.
+Folding does not change results, with two exceptions. Adding or subtracting a constant
+zero, or subtracting from it, may give a zero of the other sign. A product with a
+constant zero is that zero, even if the other factor is NaN, infinite or negative; the
+other factor is left out of the program.
 """
 
 from __future__ import annotations
@@ -33,27 +35,28 @@ DTYPES: dict[str, np.dtype] = {
     "u64": np.dtype(np.uint64),
     "b1": np.dtype(np.bool_),
 }
-"""Kinds of numbers, and the corresponding dtypes of arrays."""
+"""NumPy's dtypes by the name of a number type ("kind")."""
 KINDS = {dtype: kind for kind, dtype in DTYPES.items()}
 
 UNIFORM, FIXED, VARYING = 1, 2, 3
-"""Rates at which values change: the same for all rods and steps (uniform), the same for
-all steps of a rod (fixed), or new in every step (varying). Constants have rate 0."""
+"""Rates at which values change. A uniform value is the same for all rods and steps. A
+fixed value differs between rods but not between steps. A varying value changes in every
+step. Constants of the graph have rate 0."""
 
 
 class Graph:
-    """Nodes of a scalar program, in the order in which they were made."""
+    """Operations on single numbers, as numbered nodes in the order of creation."""
 
     def __init__(self) -> None:
-        """Makes an empty graph."""
+        """Creates an empty graph."""
         self.operations: list[str] = []
         self.arguments: list[tuple[int, ...]] = []
         self.kinds: list[str] = []
         self.rates: list[int] = []
         self.values: dict[int, Any] = {}
-        """Values of constants, by node."""
+        """Numbers of constants, by node."""
         self.places: dict[int, tuple[int, int]] = {}
-        """Places of inputs, by node: index of the array, and of the entry in it."""
+        """Number of the input array and flat index in it, by input node."""
         self._known: dict[Any, int] = {}
 
     def __len__(self) -> int:
@@ -61,7 +64,7 @@ class Graph:
         return len(self.operations)
 
     def constant(self, value: Any, kind: str) -> int:
-        """Returns the node of a constant."""
+        """Returns the node of a known number of type `kind`, such as `"f32"`."""
         number = np.asarray(value).astype(DTYPES[kind])[()]
         key = ("constant", kind, number.tobytes())
         node = self._known.get(key)
@@ -72,13 +75,17 @@ class Graph:
         return node
 
     def constants(self, array: Any) -> np.ndarray:
-        """Returns the nodes of all entries of an array of known numbers."""
+        """Returns an array of nodes for an array of known numbers."""
         array = np.asarray(array)
         kind = KINDS[array.dtype]
         return self.mapped(lambda value: self.constant(value, kind), array)
 
     def inputs(self, which: int, shape: tuple[int, ...], kind: str, rate: int) -> Any:
-        """Returns new nodes of all entries of input array number `which`."""
+        """Returns an array of new nodes, one for each entry of an input array.
+
+        The array has number `which` among the inputs, type `kind` (such as `"f32"`) and
+        rate of change `rate` (`UNIFORM`, `FIXED` or `VARYING`).
+        """
         nodes = np.empty(shape, np.int64)
         flat = nodes.reshape(-1)
         for entry in range(flat.size):
@@ -87,7 +94,10 @@ class Graph:
         return nodes
 
     def add(self, operation: str, arguments: tuple[int, ...], kind: str) -> int:
-        """Returns the node of an operation, which may exist already or be folded."""
+        """Returns the node of an operation: an existing, a simpler or a new one.
+
+        `kind` is the type of the result, such as `"f32"`.
+        """
         if OPERATIONS[operation].commutes and arguments[0] > arguments[1]:
             arguments = (arguments[1], arguments[0])
         key = (operation, arguments, kind)
@@ -101,7 +111,10 @@ class Graph:
         return node
 
     def mapped(self, function: Callable[..., int], *arrays: Any) -> np.ndarray:
-        """Applies a function to the entries of arrays, broadcast against each other."""
+        """Returns an array of the nodes that a function makes of entries of arrays.
+
+        The arrays are broadcast against each other.
+        """
         shaped = np.broadcast_arrays(*arrays)
         nodes = np.empty(shaped[0].shape, np.int64)
         columns = [array.reshape(-1).tolist() for array in shaped]
@@ -113,15 +126,18 @@ class Graph:
         return nodes
 
     def each(self, operation: str, kind: str, *arrays: Any) -> np.ndarray:
-        """Applies an operation to the entries of arrays of nodes."""
+        """Returns an array of the nodes of an operation, applied entry by entry.
+
+        The arrays of operands are broadcast. `kind` is the type of the results.
+        """
         return self.mapped(lambda *entries: self.add(operation, entries, kind), *arrays)
 
     def value(self, node: int) -> Any:
-        """Returns the number of a constant node, or `None`."""
+        """Returns the number of a constant node; `None` for any other node."""
         return self.values.get(node)
 
     def needed(self, outputs: Iterable[int]) -> list[int]:
-        """Returns all nodes on which outputs depend, in an order of computation.
+        """Returns the nodes on which outputs depend, each after its arguments.
 
         The order is depth first, output after output: values for one element are used
         before those for the next element are computed.
@@ -156,7 +172,7 @@ class Graph:
     def _folded(
         self, operation: str, arguments: tuple[int, ...], kind: str
     ) -> int | None:
-        """Returns a simpler node with the same result, or `None`."""
+        """Returns an existing or simpler node that equals an operation, or `None`."""
         known = [self.values.get(a) for a in arguments]
         if operation == "select":
             return _chosen(arguments, known)
@@ -208,7 +224,10 @@ class Graph:
         return arguments[0] if arguments[0] == arguments[1] else None
 
     def _divided(self, node: int, by: Any, kind: str) -> int | None:
-        """Returns a division by a power of two as an exact product, or `None`."""
+        """Returns the node of a quotient by 1 or by a power of two; otherwise `None`.
+
+        A quotient by a power of two becomes a product, which is exact.
+        """
         if by == 1:
             return node
         mantissa, exponent = math.frexp(float(by))
@@ -225,7 +244,10 @@ class Graph:
 
 
 def _chosen(arguments: tuple[int, ...], known: list[Any]) -> int | None:
-    """Folds `select(where, if_true, if_false)` if its result is known."""
+    """Returns the node that equals `select(condition, if_true, if_false)`, or `None`.
+
+    `known` has the numbers of the three arguments, `None` if they are not constants.
+    """
     if known[0] is not None:
         return arguments[1] if known[0] else arguments[2]
     return arguments[1] if arguments[1] == arguments[2] else None
@@ -233,14 +255,15 @@ def _chosen(arguments: tuple[int, ...], known: list[Any]) -> int | None:
 
 @dataclass(frozen=True)
 class Entries:
-    """The entries of one array of a program, for one rod."""
+    """Type, size and rate of change of one array of a rod's program."""
 
     kind: str
-    """Kind of the numbers."""
+    """Type of the numbers, such as `"f32"`."""
     size: int
     """Number of entries."""
     rate: int
-    """Rate at which they change, `UNIFORM`, `FIXED` or `VARYING`."""
+    """Rate at which the numbers change: `UNIFORM` (the same for all rods and steps),
+    `FIXED` (for each rod) or `VARYING` (in every step)."""
 
 
 @dataclass(frozen=True)
@@ -251,7 +274,7 @@ class Step:
     constants: Sequence[Entries]
     carry: Sequence[Entries]
     outputs: Sequence[Sequence[int]]
-    """Nodes of the next carry, by array."""
+    """Nodes of the next carry: a list of nodes for each array."""
 
 
 @dataclass(frozen=True)
@@ -259,10 +282,10 @@ class EndNodes:
     """The beginning and the end of a run, as nodes in the graph of the step."""
 
     given: Sequence[Entries]
-    """Arrays from which the first carry is computed."""
+    """Arguments of the run, from which its beginning computes the first carry."""
     begun: Sequence[Sequence[int]]
-    """Nodes of the first carry."""
+    """Nodes of the first carry: a list of nodes for each array."""
     made: Sequence[Entries]
-    """Arrays that are computed from the last carry."""
+    """Results of the run, which its end computes from the last carry."""
     ended: Sequence[Sequence[int]]
-    """Nodes of those arrays."""
+    """Nodes of the results: a list of nodes for each array."""

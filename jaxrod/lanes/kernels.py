@@ -1,9 +1,9 @@
-"""Kernels of runs: from the programs of a run to a call of its machine code.
+"""Kernels of runs: from the jaxprs of a run to a call of its machine code.
 
-Lanes are for batches of short programs: LLVM compiles their operations one by one, so
-that compilation takes longer for more elements. Rows are for the rest: single scenes,
-small batches and long rods. Their programs are loops, whose length does not grow with
-the elements.
+Lanes are for batches of short programs: a vector lane for each rod. LLVM compiles every
+operation of every element, so compilation takes longer for more elements. Rows are for
+single scenes, small batches and long rods: a loop over the elements for each operation.
+The length of such a program does not grow with the number of elements.
 """
 
 from __future__ import annotations
@@ -47,20 +47,22 @@ from jaxrod.lanes.warps.cuda import registered as registered_on_gpu
 from jaxrod.lanes.warps.kernels import kernel_of_warps
 
 MOST_OPERATIONS = 60_000
-"""Operations of the longest programs for which lanes are chosen. Longer programs do not
-fit the processor's instruction cache and take many seconds to compile, so rows are
-used."""
+"""Largest number of graph nodes for which lanes are chosen in mode `"auto"`. Longer
+programs do not fit the processor's instruction cache and take many seconds to compile,
+so rows are used."""
 
 
 def lowered_by_lanes(
     name: str, spec: RunSpec, results: Sequence[Any]
 ) -> Callable[..., Any] | None:
-    """Returns the program of a primitive in lanes, or `None` to leave it to XLA.
+    """Returns the CPU program of a primitive: a kernel's call, or `None` for XLA.
+
+    The kernel is one of lanes or of rows. The choice is recorded with its reason.
 
     Args:
         name: Name of the primitive.
-        spec: Structure of the operation.
-        results: Shapes and types of its results.
+        spec: Structure of the operation: step, number of steps, batch.
+        results: Shapes and types of the results of the primitive.
     """
     rods = spec.batch.size if spec.batch is not None else 1
     mode = lane_mode()
@@ -95,9 +97,9 @@ def lowered_by_lanes(
 def lowered_by_warps(
     name: str, spec: RunSpec, results: Sequence[Any]
 ) -> Callable[..., Any] | None:
-    """Returns the program of a primitive on a GPU, or `None` to leave it to XLA.
+    """Returns the GPU program of a primitive: a kernel's call, or `None` for XLA.
 
-    Arguments as in `lowered_by_lanes`.
+    The choice is recorded with its reason. Arguments as in `lowered_by_lanes`.
     """
     rods = spec.batch.size if spec.batch is not None else 1
     mode = lane_mode()
@@ -127,10 +129,10 @@ def lowered_by_warps(
 
 
 def _failed(error: Exception, rods: int) -> None:
-    """Leaves a run to XLA: it must not fail because there is no kernel for it.
+    """Records that a run is left to XLA because its kernel could not be compiled.
 
     Raises:
-        Exception: The error itself, in modes that demand kernels.
+        Exception: The error itself, in modes `"always"` and `"rows"`.
     """
     if lane_mode() in (ALWAYS, ROWS):
         raise error
@@ -139,7 +141,10 @@ def _failed(error: Exception, rods: int) -> None:
 
 
 def _of_lanes(name: str, spec: RunSpec, most: int) -> tuple[Kernel | None, str]:
-    """Returns the kernel of lanes, or `None` and the reason."""
+    """Returns a kernel with a rod in each vector lane, or `None` and the reason.
+
+    A graph of more than `most` nodes is a reason.
+    """
     body = spec.body
     shared = (True,) * body.n_constants
     if spec.batch is not None:
@@ -155,7 +160,7 @@ def _of_lanes(name: str, spec: RunSpec, most: int) -> tuple[Kernel | None, str]:
 
 
 def _of_rows(name: str, spec: RunSpec) -> tuple[Kernel | None, str]:
-    """Returns the kernel of rows, or `None` and the reason."""
+    """Returns a kernel that runs scenes one by one, or `None` and the reason."""
     body = spec.body
     batched = (False,) * body.n_constants
     if spec.batch is not None:
@@ -173,7 +178,11 @@ def _of_rows(name: str, spec: RunSpec) -> tuple[Kernel | None, str]:
 def _program(
     target: str, room: int, spec: RunSpec, rods: int, results: Sequence[Any]
 ) -> Callable[..., Any]:
-    """Returns a function that calls a kernel with a workspace of `room` bytes."""
+    """Returns a function that calls the kernel `target`, with `room` workspace bytes.
+
+    It takes the number of steps and the operands, and returns the results, which have
+    the types `results`.
+    """
     kept = spec.n_kept if spec.keeps else 0
     every = spec.every if kept else 2**31 - 1
     shapes = [jax.ShapeDtypeStruct(made.shape, made.dtype) for made in results]
@@ -232,7 +241,7 @@ def _back_kernel(
 
 
 def _width(body: LoopBody) -> int:
-    """Rods in a vector of the widest floats of the carry."""
+    """Number of rods in a vector register, for the widest float type of the carry."""
     sizes = [aval.dtype.itemsize for aval in chosen(body.avals, body.floating)] or [4]
     return max(vector_bytes() // max(sizes), 2)
 
@@ -240,15 +249,18 @@ def _width(body: LoopBody) -> int:
 def _unrolled_step(
     body: LoopBody, shared: tuple[bool, ...], most: int
 ) -> tuple[Step, Unroller, list[Any]]:
-    """Unrolls a step; returns it with its unroller and the nodes of its inputs.
+    """Unrolls a step to a graph of operations on single numbers.
 
     Args:
         body: The step.
         shared: Whether each constant is the same for all rods.
-        most: Largest number of operations in a step.
+        most: Largest number of graph nodes.
+
+    Returns:
+        The step as a graph, its unroller, and the nodes of its operands.
 
     Raises:
-        NotUnrolled: The step cannot be unrolled, or has more operations.
+        NotUnrolled: The step cannot be unrolled, or has more nodes.
     """
     graph = Graph()
     unroller = Unroller(graph)
@@ -270,16 +282,16 @@ def _unrolled_step(
 def _unrolled_run(
     body: LoopBody, ends: Ends, shared: tuple[bool, ...], most: int
 ) -> tuple[Step, EndNodes]:
-    """Unrolls a step, and the beginning and the end of a run of it, into one graph.
+    """Unrolls a step, and the beginning and end of a run, into one graph.
 
     Args:
         body: The step.
         ends: Beginning and end of the run.
         shared: Whether each constant is the same for all rods.
-        most: Largest total number of operations.
+        most: Largest number of nodes in the graph.
 
     Raises:
-        NotUnrolled: The run cannot be unrolled, or has more operations.
+        NotUnrolled: The run cannot be unrolled, or has more nodes.
     """
     step, unroller, inputs = _unrolled_step(body, shared, most)
     graph, n = step.graph, body.n_constants
@@ -301,15 +313,15 @@ def _unrolled_run(
 
 
 def _entries_of(aval: Any) -> Entries:
-    """Returns the entries of an array that changes in every step."""
+    """Returns type and size of an array whose numbers change in every step."""
     return Entries(kind_of(aval), math.prod(aval.shape), VARYING)
 
 
 def _check_length(operations: int, most: int) -> None:
-    """Refuses a program that is too long.
+    """Refuses a program with more than `most` operations.
 
     Raises:
-        NotUnrolled: It has more than `most` operations.
+        NotUnrolled: The program is too long.
     """
     if operations > most:
         raise NotUnrolled(f"a program of {operations} operations is longer than {most}")

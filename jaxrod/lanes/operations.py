@@ -1,8 +1,8 @@
-"""Operations of graphs in one table, with their constant folders and their code.
+"""Table of the operations on single numbers that kernels consist of.
 
-An elementary function that the C library has needs one row here, which gives it a
-rule, a constant folder if there is one, and a call from each lane. A separate vector
-function is added in `jaxrod.lanes.llvm.elementary`.
+To add an elementary function of the C library, add a row here. The row gives it an
+unrolling rule, constant folding if it has a NumPy function, and a call in each lane. A
+separate vector function is added in `jaxrod.lanes.llvm.elementary`.
 """
 
 from __future__ import annotations
@@ -19,38 +19,41 @@ class Operation:
     """An operation on single numbers."""
 
     name: str
-    """Name in the graph, and of the JAX primitive if `primitive` is set."""
+    """Name in graphs. If `primitive` is true, it is the name of the JAX primitive
+    too."""
     fold: Callable[..., Any] | None = None
-    """Function for constant folding, of NumPy's numbers."""
+    """Function of NumPy numbers that folds constants; `None` if they are not folded."""
     llvm: str | None = None
-    """LLVM's instruction for floats, or an intrinsic if it begins with `llvm.`."""
+    """LLVM's instruction for floats, or its intrinsic if the name begins with
+    `llvm.`."""
     symbol: str | None = None
-    """Function of the C library, in double precision."""
+    """Name of the function in the C library for double precision; `None` without
+    one."""
     operands: int = 1
     """Number of operands."""
     kinds: str = "f"
-    """First letters of the kinds of numbers that it takes: floats, signed and unsigned
-    integers (i, u), booleans (b)."""
+    """Types of the operands, by first letter: floats (f), signed integers (i), unsigned
+    integers (u), booleans (b)."""
     primitive: bool = True
-    """Whether it is a JAX primitive that makes numbers of the kind that it takes."""
+    """Whether it is a JAX primitive whose result has the type of its operands."""
     compares: bool = False
-    """Whether it is a JAX primitive that makes booleans."""
+    """Whether it is a JAX primitive whose result is boolean."""
     commutes: bool = False
     """Whether its two operands may be swapped."""
 
 
 def _library(name: str, operands: int = 1) -> Operation:
-    """Returns a function of the C library that JAX knows by the same name."""
+    """Returns an elementary function that JAX and the C library name alike."""
     return Operation(name, symbol=name, operands=operands)
 
 
 def _two(name: str, **more: Any) -> Operation:
-    """Returns an operation of two numbers, floats or integers."""
+    """Returns an operation with two operands, floats or integers by default."""
     return Operation(name, **{"operands": 2, "kinds": "fiu", **more})
 
 
 def _compares(name: str, fold: Callable[..., Any], **more: Any) -> Operation:
-    """Returns a comparison of two numbers."""
+    """Returns a comparison of two numbers of any type."""
     return _two(name, fold=fold, primitive=False, compares=True, kinds="fiub", **more)
 
 

@@ -1,8 +1,8 @@
-"""Rules of the primitives for repeated steps: batching, derivatives and lowering.
+"""JAX's rules of the primitives for repeated steps: batching, derivatives, lowering.
 
-Under `vmap` an operation stays one operation over a batch. Its reference is written
-once, with JAX's own loops. At compile time lanes replace the reference if they can and
-if that is faster.
+Under `vmap` an operation remains one operation over a batch. Its reference is written
+once, with JAX's own loops. At compile time a kernel replaces the reference if that is
+possible and faster.
 """
 
 from __future__ import annotations
@@ -60,7 +60,7 @@ def _abstract(primitive: Any) -> Callable[..., Any]:
 
 
 def _batched(primitive: Any) -> Callable[..., Any]:
-    """Returns the batching rule, which flattens a batch of batches to one batch."""
+    """Returns the `vmap` rule of a primitive, which merges nested batches into one."""
 
     def rule(arrays: Sequence[Any], axes: Sequence[Any], *, spec: RunSpec) -> Any:
         steps, *arrays = arrays
@@ -107,7 +107,10 @@ def _batched(primitive: Any) -> Callable[..., Any]:
 
 
 def _shareable(primitive: Any, spec: RunSpec) -> list[bool]:
-    """Whether each operand may be shared by all rods: constants and their tangents."""
+    """Whether each operand of a primitive may be shared by all rods of a batch.
+
+    Constants and their tangents may; the carry, checkpoints and cotangents may not.
+    """
     n_constants, n_carry = spec.body.n_constants, len(spec.body.avals)
     n_floats = sum(spec.body.floating)
     constants = [True] * n_constants
@@ -123,7 +126,7 @@ def _shareable(primitive: Any, spec: RunSpec) -> list[bool]:
 
 
 def _cycles_jvp(primals: Any, tangents: Any, *, spec: RunSpec) -> Any:
-    """JVP rule of `jaxrod_cycles`: the carry after all steps, and its tangent.
+    """Forward-mode rule of `jaxrod_cycles`: carry after all steps, and its tangent.
 
     Checkpoints are kept for the transpose if the number of steps is known.
     """
@@ -179,7 +182,7 @@ def _cycles_jvp(primals: Any, tangents: Any, *, spec: RunSpec) -> Any:
 
 
 def _tangent_transpose(cotangents: Any, steps: Any, *arrays: Any, spec: RunSpec) -> Any:
-    """Transpose rule of `jaxrod_cycles_tangent`: cotangents of its linear operands.
+    """Transpose rule of `jaxrod_cycles_tangent`: cotangents of the tangent operands.
 
     Raises:
         ValueError: The number of steps is traced.
@@ -229,7 +232,10 @@ def _tangent_transpose(cotangents: Any, steps: Any, *arrays: Any, spec: RunSpec)
 
 
 def _jvp_of_reference(primitive: Any) -> Callable[..., Any]:
-    """Returns the JVP rule of a primitive by its reference, for higher derivatives."""
+    """Returns the forward-mode rule that differentiates a primitive's reference.
+
+    It serves higher derivatives, and primitives without a rule of their own.
+    """
 
     def jvp(primals: Any, tangents: Any, *, spec: RunSpec) -> Any:
         known = [is_zero(t) for t in tangents]
@@ -254,7 +260,10 @@ def _jvp_of_reference(primitive: Any) -> Callable[..., Any]:
 
 
 def _kernels(primitive: Any, platform: str) -> Callable[..., Any]:
-    """Returns the choice of a program on a platform: a kernel, or `None`."""
+    """Returns a function that chooses a primitive's program when it is compiled.
+
+    The function returns the kernel's program on the platform, or `None` for XLA.
+    """
 
     def choose(unfit: str | None, results: Any, parameters: Any) -> Any:
         spec = parameters["spec"]

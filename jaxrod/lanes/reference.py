@@ -1,11 +1,12 @@
 """Repeated steps as JAX primitives, and their reference in JAX's own loops.
 
-Their first operands are the number of steps and the constants.
+A step takes constants and a carry to the next carry. The first operands of each
+primitive are the number of steps and the constants.
 
 - `jaxrod_run`: a whole run, from its arguments to its results: beginning, steps, end.
 - `jaxrod_cycles`: the carry after all steps; on request the checkpoints too.
 - `jaxrod_cycles_tangent`: the tangent of that carry; linear in the given tangents.
-- `jaxrod_cycles_adjoint`: the transpose of that tangent, from the checkpoints.
+- `jaxrod_cycles_adjoint`: the transpose of the tangent, computed back from checkpoints.
 """
 
 from __future__ import annotations
@@ -46,7 +47,10 @@ def _run(spec: RunSpec, steps: Any, *arrays: Any) -> list[Any]:
 
 
 def run_once(step: LoopBody, constants: Sequence[Any], given: Sequence[Any]) -> Any:
-    """Returns the results of a program that `as_step` turned into a step."""
+    """Returns the results of one evaluation of a program, by a kernel if possible.
+
+    The program is a step from `as_step`; `given` are its operands after the constants.
+    """
     n = len(given)
     results = [jnp.zeros(aval.shape, aval.dtype) for aval in step.avals[n:]]
     spec = RunSpec(step, 1)
@@ -82,10 +86,10 @@ def _cycles(spec: RunSpec, steps: Any, *arrays: Any) -> list[Any]:
 
 
 def _tangent(spec: RunSpec, steps: Any, *arrays: Any) -> list[Any]:
-    """Returns the tangent of the carry after all steps.
+    """Returns the tangents of the floating-point arrays of the carry after all steps.
 
-    Operands: constants, carry, checkpoints, tangents of constants, tangents of the
-    carry.
+    The operands in `arrays` are constants, carry, checkpoints, tangents of constants
+    and tangents of the carry.
     """
     body = spec.body
     n_kept = len(body.avals) if spec.keeps else 0
@@ -99,9 +103,10 @@ def _tangent(spec: RunSpec, steps: Any, *arrays: Any) -> list[Any]:
 
 
 def _adjoint(spec: RunSpec, steps: Any, *arrays: Any) -> list[Any]:
-    """Returns cotangents of the floats of the first carry, and of moving constants.
+    """Returns cotangents of the first carry, then of the constants that have tangents.
 
-    Operands: constants, checkpoints, cotangents of the floats of the last carry.
+    Only floating-point arrays of the carry have cotangents. The operands in `arrays`
+    are constants, checkpoints and the cotangents of the last carry.
     """
     body, floating = spec.body, spec.body.floating
     constants, kept, seeds = parted(arrays, body.n_constants, len(body.avals))
@@ -142,7 +147,10 @@ def _adjoint(spec: RunSpec, steps: Any, *arrays: Any) -> list[Any]:
 
 
 def _batched_reference(one: Callable[..., list[Any]]) -> Callable[..., list[Any]]:
-    """Returns the reference of a primitive, for specs with or without a batch."""
+    """Returns the reference of a primitive, mapped over the batch if there is one.
+
+    `one` is the reference for a single rod.
+    """
 
     def whole(steps: Any, *arrays: Any, spec: RunSpec) -> list[Any]:
         if spec.batch is None:

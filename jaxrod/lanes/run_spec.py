@@ -1,4 +1,4 @@
-"""A step as a program, and the programs of its derivatives."""
+"""A step of a run as a closed jaxpr, and the jaxprs of its derivatives."""
 
 from __future__ import annotations
 
@@ -18,16 +18,16 @@ from jaxrod.jax_internals.primitives import evaluate
 
 @dataclass(frozen=True, eq=False)
 class LoopBody:
-    """One step as a program: it takes constants and a carry to the next carry."""
+    """One step as a closed jaxpr: it takes constants and a carry to the next carry."""
 
     closed: Any
-    """Closed jaxpr of the step."""
+    """Closed jaxpr of the step; its operands are constants, then the carry."""
     n_constants: int
-    """Number of constants, which come first among the operands."""
+    """Number of constants."""
 
     @property
     def avals(self) -> Any:
-        """Types of the carry."""
+        """Types (shape and dtype) of the arrays of the carry."""
         return result_types(self.closed)
 
     @property
@@ -36,13 +36,13 @@ class LoopBody:
         return tuple(jnp.issubdtype(a.dtype, jnp.floating) for a in self.avals)
 
     def __call__(self, constants: Sequence[Any], carry: Sequence[Any]) -> list[Any]:
-        """Returns the next carry."""
+        """Returns the carry after the step."""
         return evaluate(self.closed, *constants, *carry)
 
 
 @dataclass(frozen=True, eq=False)
 class Ends:
-    """The beginning and the end of a run, as programs."""
+    """The beginning and the end of a run, as closed jaxprs."""
 
     begin: Any
     """Closed jaxpr that takes constants and the run's arguments to the first carry."""
@@ -50,71 +50,73 @@ class Ends:
     """Closed jaxpr that takes constants and the last carry to the run's results."""
 
     n_constants: int
-    """Number of constants, which come first among the operands of both."""
+    """Number of constants, which are the first operands of both jaxprs."""
 
     @property
     def given(self) -> Any:
-        """Types of the operands of `begin`: constants, then arguments."""
+        """Types of the operands of `begin`: constants, then arguments of the run."""
         return operand_types(self.begin)
 
     @cached_property
     def first(self) -> LoopBody:
-        """The beginning as a step."""
+        """The beginning as a step, so that a step's kernel can evaluate it."""
         return as_step(self.begin, self.n_constants)
 
     @cached_property
     def last(self) -> LoopBody:
-        """The end as a step."""
+        """The end as a step, so that a step's kernel can evaluate it."""
         return as_step(self.end, self.n_constants)
 
     @property
     def made(self) -> Any:
-        """Types of the results."""
+        """Types of the results of the run."""
         return result_types(self.end)
 
 
 @dataclass(frozen=True)
 class Batch:
-    """The batch of an operation."""
+    """Size of a batch of rods, and the operands that differ between its rods."""
 
     size: int
     """Number of rods."""
     rows: tuple[bool, ...]
-    """Whether each operand after the step count has a row for each rod."""
+    """Whether each operand after the number of steps has a leading axis of rods; an
+    operand without one is shared by all rods."""
 
 
 @dataclass(frozen=True)
 class RunSpec:
-    """The structure of an operation."""
+    """Static description of repeated steps: step, count, derivatives and batch."""
 
     body: LoopBody
     """The step."""
     length: int | None
-    """Number of steps; `None` if it is not known when the program is traced."""
+    """Number of steps; `None` if it is traced."""
     moving: tuple[bool, ...] = ()
-    """Whether each constant has a tangent."""
+    """Whether each constant has a tangent; empty without derivatives."""
     keeps: bool = False
-    """Whether intermediate carries (checkpoints) are results too."""
+    """Whether checkpoints (carries before steps 0, `every`, 2 `every`, ...) are kept,
+    for reverse mode."""
     batch: Batch | None = None
     """The batch; `None` for a single rod."""
     ends: Ends | None = None
-    """Beginning and end of a whole run."""
+    """Beginning and end of a whole run; `None` if steps alone are repeated."""
 
     @property
     def every(self) -> int:
-        """Steps between checkpoints: about the square root of the number of steps."""
+        """Number of steps between checkpoints: the integer square root of `length`."""
         return max(1, math.isqrt(max(self.length or 1, 1)))
 
     @property
     def n_kept(self) -> int:
-        """Number of checkpoints."""
+        """Number of checkpoints, `length / every` rounded up."""
         return -(-(self.length or 0) // self.every)
 
 
 def as_step(closed: Any, n_constants: int) -> LoopBody:
     """Returns a program as a step, whose carry is its arguments and its results.
 
-    This gives a program that runs once the derivatives and kernels of a step.
+    So a program that is evaluated once can use the kernels and derivatives of steps.
     """
     given = operand_types(closed)
     n = len(given)
@@ -127,9 +129,13 @@ def as_step(closed: Any, n_constants: int) -> LoopBody:
 
 
 def tangent_body(spec: RunSpec) -> tuple[Any, int]:
-    """Returns a step of the carry with its tangent, and its number of constants.
+    """Returns the jaxpr of a step that advances a carry and its tangent together.
 
-    The constants are followed by the tangents of those that have one.
+    Its operands are constants, tangents of the constants that have one, carry, and
+    tangents of the floating-point arrays of the carry.
+
+    Returns:
+        The closed jaxpr, and the number of its constants, including their tangents.
     """
     body, moving = spec.body, spec.moving
     floating = body.floating
@@ -162,10 +168,11 @@ def tangent_body(spec: RunSpec) -> tuple[Any, int]:
 
 
 def adjoint_body(spec: RunSpec) -> Any:
-    """Returns a step backwards (vector-Jacobian product) as a closed jaxpr.
+    """Returns the closed jaxpr of a reversed step (vector-Jacobian product).
 
     It takes constants, the carry before the step and the cotangents of the next carry.
-    It returns the cotangents of the carry, followed by those of the moving constants.
+    It returns the cotangents of the carry, then those of the constants that have a
+    tangent.
     """
     body, moving, floating = spec.body, spec.moving, spec.body.floating
     avals = operand_types(body.closed)
@@ -191,7 +198,7 @@ def adjoint_body(spec: RunSpec) -> Any:
 
 
 def parted(arrays: Sequence[Any], *sizes: int) -> list[Sequence[Any]]:
-    """Splits a sequence into parts of these sizes, and the rest."""
+    """Splits a sequence into parts of the given sizes, followed by the rest."""
     parts, begin = [], 0
     for size in sizes:
         parts.append(arrays[begin : begin + size])
@@ -200,14 +207,17 @@ def parted(arrays: Sequence[Any], *sizes: int) -> list[Sequence[Any]]:
 
 
 def chosen(things: Sequence[Any], flags: Sequence[bool]) -> list[Any]:
-    """Returns the entries whose flag is set."""
+    """Returns the entries whose flag is true."""
     return [thing for thing, flag in zip(things, flags, strict=True) if flag]
 
 
 def filled(
     things: Sequence[Any], flags: Sequence[bool], chosen: Sequence[Any]
 ) -> list[Any]:
-    """Replaces the entries whose flag is set by the chosen ones, in order."""
+    """Returns a list in which the entries whose flag is true are replaced, in order.
+
+    There is one entry in `chosen` for each true flag.
+    """
     rest = iter(chosen)
     return [
         next(rest) if flag else thing for thing, flag in zip(things, flags, strict=True)

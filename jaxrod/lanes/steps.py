@@ -1,4 +1,4 @@
-"""The steps of a run, built in the form that lanes can take."""
+"""The steps of a run as JAX primitives, which kernels can replace at compile time."""
 
 from __future__ import annotations
 
@@ -23,15 +23,16 @@ from jaxrod.lanes.run_spec import Ends, LoopBody, RunSpec, as_step
 
 
 def try_lanes(integrator: Any, given: Any, n_times: Any) -> Any:
-    """Runs an integrator's cycles from a state; `None` if XLA has to do the loop.
+    """Runs an integrator from a state to a result, by a primitive that has kernels.
 
     Args:
         integrator: A pytree with methods `begin`, `cycle` and `end`.
-        given: Argument of `begin`, the state.
+        given: State, the argument of `begin`.
         n_times: Number of cycles, an `int` or traced.
 
     Returns:
-        The result of `end` after all cycles, or `None`.
+        The result of `end` after all cycles; `None` if a kernel cannot run them, so
+        that the caller has to write the loop for XLA.
     """
     if not _kernels_wanted():
         return None
@@ -52,15 +53,16 @@ def try_lanes(integrator: Any, given: Any, n_times: Any) -> Any:
 
 
 def try_cycles(integrator: Any, carry: Any, n_times: Any) -> Any:
-    """Runs an integrator's cycles from a carry; `None` if XLA has to do the loop.
+    """Repeats an integrator's cycle from a carry, by a primitive that has kernels.
 
     Args:
         integrator: A pytree with a method `cycle`.
-        carry: Argument of `cycle`.
+        carry: Carry before the first cycle, the argument of `cycle`.
         n_times: Number of cycles, an `int` or traced.
 
     Returns:
-        The carry after all cycles, or `None`.
+        The carry after all cycles; `None` if a kernel cannot run them, so that the
+        caller has to write the loop for XLA.
     """
     if not _kernels_wanted():
         return None
@@ -77,7 +79,7 @@ def try_cycles(integrator: Any, carry: Any, n_times: Any) -> Any:
 
 
 def by_kernel(integrator: Any, name: str, given: Any) -> Any:
-    """Returns the result of a method of an integrator, by a kernel if possible.
+    """Calls a method of an integrator, by a kernel if possible, and otherwise by XLA.
 
     Args:
         integrator: A pytree.
@@ -109,7 +111,7 @@ def _kernels_wanted() -> bool:
 
 
 class _Parts:
-    """Methods of an integrator as programs, and the operands of a run."""
+    """Methods of an integrator as closed jaxprs, and the operands of a run of it."""
 
     def __init__(self, integrator: Any, given: Any, n_times: Any) -> None:
         constants, self.structure = jax.tree.flatten(integrator)
@@ -125,7 +127,10 @@ class _Parts:
         self.given = jax.tree.unflatten(jax.tree.structure(given), state)
 
     def program(self, name: str, argument: Any) -> tuple[Any, Any]:
-        """Returns a method as a closed jaxpr, and the tree of its result."""
+        """Returns a method as a closed jaxpr, and the tree structure of its result.
+
+        It is traced for `argument`, a pytree of arrays or array types.
+        """
         leaves, tree = jax.tree.flatten(argument)
         result: list[Any] = []
 
@@ -142,7 +147,7 @@ class _Parts:
         return closed, result[0]
 
     def like(self, tree: Any, closed: Any) -> Any:
-        """Returns the types of the results of a program, as a tree."""
+        """Returns a pytree of structure `tree` with a closed jaxpr's result types."""
         types = [varying_shape(aval) for aval in result_types(closed)]
         return jax.tree.unflatten(tree, types)
 
@@ -150,7 +155,12 @@ class _Parts:
 def _refused(
     parts: _Parts, carried: Any, begin: Any, body: Any, cycled: Any, *programs: Any
 ) -> bool:
-    """Whether a loop is left to XLA; the reason is recorded."""
+    """Whether a loop is left to XLA; if so, the reason is recorded.
+
+    Every jaxpr must be supported, and a step must keep the carry's types. `carried` and
+    `cycled` are the trees of the carry before and after a step. `begin` computes the
+    first carry; it is `None` if the carry is an operand.
+    """
     words = None
     for closed in (body, *programs):
         words = words or supported(closed)
@@ -165,6 +175,6 @@ def _refused(
 
 
 def _settled(leaf: Any) -> Any:
-    """Returns an array whose dtype is no longer weak."""
+    """Returns a value as an array without weak type, as carries of loops require."""
     array = jnp.asarray(leaf)
     return lax.convert_element_type(array, array.dtype)

@@ -1,4 +1,4 @@
-"""Methods: an elastic law, its reduction, and its integration in time.
+"""Methods: an elastic law, its simplifications, and its integration in time.
 
 | method | law | for |
 |---|---|---|

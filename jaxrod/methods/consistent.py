@@ -70,7 +70,7 @@ def asymmetric_drift(
     contrasts: tuple[Array, Array],
     dt: Array,
 ) -> Quaternion:
-    """Orientations after a time of free rotation.
+    """Orientations after free rotation for a time; inertias about d1 and d2 may differ.
 
     Args:
         q: Orientations.
@@ -90,7 +90,7 @@ class ConsistentStepper(Verlet):
     """Constants of the consistent step for one scene and one step size."""
 
     scene: LoadedRod
-    """The scene."""
+    """Scene that is stepped."""
     dt: Array
     """Step size [s]."""
     law: ElasticLaw
@@ -107,7 +107,7 @@ class ConsistentStepper(Verlet):
 
     @staticmethod
     def create(scene: LoadedRod, dt: Array) -> ConsistentStepper:
-        """Computes the constants once, outside the loop."""
+        """Computes the constants for a scene and a step size `dt` [s]."""
         contrast: Array | tuple[Array, Array]
         if scene.rod.is_round:
             transverse, polar = scene.rod.inertias
@@ -188,7 +188,7 @@ class ConsistentStepper(Verlet):
 
 @pytree
 class Consistent(Method):
-    """The consistent law in space, stepped by position Verlet; see the module."""
+    """The consistent law in three dimensions, stepped by position Verlet."""
 
     steps_in_systems = True
 
@@ -200,7 +200,7 @@ class Consistent(Method):
     def stepper(
         self, scene: LoadedRod, state: RodState, dt: Array
     ) -> ConsistentStepper:
-        """Constants of the step."""
+        """Stepper with the constants for a scene and a step size `dt` [s]."""
         return ConsistentStepper.create(scene, dt)
 
 

@@ -35,12 +35,12 @@ from jaxrod.rods.motion import Motion
 
 
 def has_drag(effect: Effect) -> bool:
-    """Whether an effect has drag, which a method may solve together with the loads."""
+    """Whether an effect defines `Effect.drag`, decay in a surrounding fluid."""
     return type(effect).drag is not Effect.drag
 
 
 def without_drag(scene: LoadedRod) -> LoadedRod:
-    """Scene without the effect whose drag is solved together with the loads."""
+    """Scene without its effect with drag, which is not integrated as a load."""
     if not any(map(has_drag, scene.effects)):
         return scene
     left = tuple(effect for effect in scene.effects if not has_drag(effect))
@@ -48,7 +48,7 @@ def without_drag(scene: LoadedRod) -> LoadedRod:
 
 
 def drag_on(scene: LoadedRod, motion: Motion) -> Drag | None:
-    """Drag on a rod of a scene; `None` if there is none.
+    """Drag rates of the scene's effect with drag; `None` if there is no such effect.
 
     Raises:
         ValueError: If several effects have drag.
@@ -106,13 +106,17 @@ def drag_kick(
 
 
 Rates = tuple[Array, Array | None]
-"""Decay rate [1/s], and its increase per speed [1/m]."""
+"""Decay rate g [1/s] and its increase per speed q [1/m], as in w' = -(g + q |w|) w;
+`None` instead of q if it is zero."""
 
 
 def _change(
     rate: Vec3, drive: Vec3, axis: Vec3, along: Rates, across: Rates, dt: Array
 ) -> Vec3:
-    """Change of a vector with a drive and with decay along an axis and across it."""
+    """Change of vectors v over a step by v' = drive - (g + q |v|) v, drive constant.
+
+    Components along and across the axis have different rates g and q.
+    """
     on_rate, on_drive = vectors.dot(axis, rate), vectors.dot(axis, drive)
     rate = vectors.subtract(rate, vectors.scale(on_rate, axis))
     drive = vectors.subtract(drive, vectors.scale(on_drive, axis))
@@ -135,7 +139,7 @@ def _change(
 
 
 def _decay(rate: Array, dt: Array) -> tuple[Array, Array]:
-    """Result of `_riccati` for a rate that does not depend on the speed."""
+    """Factors as from `_riccati`, for a decay rate that is independent of speed."""
     kick = Kick.create(None, rate, dt)
     assert kick.loss is not None
     return kick.gain, kick.loss
@@ -144,13 +148,15 @@ def _decay(rate: Array, dt: Array) -> tuple[Array, Array]:
 def _riccati(
     rates: Rates, speed: Array, size: Array, forward: Array, dt: Array
 ) -> tuple[Array, Array]:
-    """Change per drive, and fraction of the vector that is lost.
+    """Factors gain [s] and loss [1] in w(h) - w = gain a - loss w, with drive a.
+
+    They solve w' = a - g w - q |w| w over a step; see the module docstring.
 
     Args:
-        rates: Decay rate, and its increase per speed.
-        speed: Norm of the decaying vector.
-        size: Norm of the drive.
-        forward: Component of the drive in the direction of the vector.
+        rates: Decay rate g, and its increase per speed q.
+        speed: Norm of the decaying vector w.
+        size: Norm of the drive a.
+        forward: Component of the drive in the direction of w.
         dt: Step size [s].
     """
     linear, growth = rates
@@ -171,7 +177,7 @@ def _tanh_ratio(square: Array) -> Array:
 
 
 def check_drag(scene: LoadedRod) -> None:
-    """Raises ValueError for several effects with drag or drag without a stable step."""
+    """Raises ValueError for two effects with drag, or drag without a stable step."""
     now = scene.at(0.0)
     found = jax.eval_shape(lambda: drag_on(now, trial_motion(scene.rod)))
     limited = scene.method.explicit and not scene.method.solves_drag

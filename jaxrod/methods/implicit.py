@@ -75,7 +75,7 @@ class Implicit(Method):
         check_declared_properties(scene)
 
     def stepper(self, scene: LoadedRod, state: RodState, dt: Array) -> ImplicitStepper:
-        """Constants of the step."""
+        """Stepper with the constants for a scene and a step size `dt` [s]."""
         return ImplicitStepper.create(scene, self, dt)
 
 
@@ -135,7 +135,7 @@ class Base:
 
 @pytree
 class Increments:
-    """Increments of a stage over its base."""
+    """Changes of configuration and rates in a stage, from its base."""
 
     displacement: Vec3
     turn: Vec3
@@ -152,7 +152,7 @@ class ImplicitStepper:
     settings: Implicit
     law: ElasticLaw
     coefficient: Float[Array, ""]
-    """Coefficient gamma of the method [1]."""
+    """Coefficient gamma of the Runge-Kutta method [1]."""
     duration: Float[Array, ""]
     """Duration of a stage, gamma dt [s]."""
     dt: Float[Array, ""]
@@ -161,7 +161,7 @@ class ImplicitStepper:
 
     @staticmethod
     def create(scene: LoadedRod, settings: Implicit, dt: Array) -> ImplicitStepper:
-        """Computes the constants once, outside the loop."""
+        """Computes the constants for a scene and a step size `dt` [s]."""
         coefficient = 0.5 / (1 + jnp.sqrt(0.5 * (1 + settings.spectral_radius)))
         return ImplicitStepper(
             scene=scene,
@@ -182,7 +182,7 @@ class ImplicitStepper:
         return state_of(motion)
 
     def cycle(self, motion: Motion) -> Motion:
-        """Takes one step."""
+        """Motion after one step of two stages."""
         # Stage 2 starts at h (1 - 2 gamma) k1, here in units of stage 1's increment.
         second = 1 / self.coefficient - 2
 
@@ -207,7 +207,7 @@ class ImplicitStepper:
         return constrain_rates(self.scene, slowed)
 
     def rates(self, motion: Motion) -> tuple[Vec3, Vec3]:
-        """Velocities and angular velocities, world frame."""
+        """Velocities [m/s] and angular velocities [rad/s] of a motion, world frame."""
         one, two, three = self.scene.rod.principal_inertias
         frame = directors(motion.orientation)
         a, b, c = to_material(frame, motion.spin)
@@ -215,14 +215,17 @@ class ImplicitStepper:
         return motion.velocity, spin
 
     def second_base(self, motion: Motion, added: Increments, factor: Array) -> Base:
-        """Base of the second stage, with the rates at the end of the first."""
+        """Base of the second stage: `motion` plus `factor` times the first increments.
+
+        Its guessed rates are those at the end of the first stage.
+        """
         base = _add(motion, jax.tree.map(lambda a: factor * a, added))
         moved = _add(motion, added)
         rates = self.rates(moved)
         return Base(base, rates)
 
     def stage(self, base: Base) -> Increments:
-        """Increments over a base of a backward Euler step of gamma times the step.
+        """Increments of a backward Euler step of the size gamma `dt`, from a base.
 
         They are NaN where Newton's method does not converge.
         """
@@ -240,7 +243,7 @@ class ImplicitStepper:
             *lax.stop_gradient((balance, guess, tolerance)),
             self.settings.max_iterations,
         )
-        # Components that move at a prescribed rate have its derivative.
+        # Components with a prescribed rate get the derivative of that rate.
         increment = implicit_solution(
             balance, balance.with_held_components(guess, found.increment)
         )
@@ -266,19 +269,20 @@ class EvolvingImplicit:
 
     steps_of_end: ClassVar[int] = 0
     implicit: ImplicitStepper
-    """Stepper of the scene in its initial form."""
+    """Stepper of the scene in its initial form, whose `scene` is replaced in each
+    stage."""
     scene: LoadedRod
     """The scene with its schedules."""
     first: Int[Array, ""]
     """Number of the first step, counted from time zero."""
 
     def begin(self, state: RodState) -> tuple[Motion, Now]:
-        """Unpacks a state and makes it satisfy the scene's constraints."""
+        """Motion that satisfies all constraints, with step number and memory."""
         now = Now(self.first, memory_in(self.scene, state))
         return self._at(now, 0.0).begin(state), now
 
     def cycle(self, carry: tuple[Motion, Now]) -> tuple[Motion, Now]:
-        """Takes one step."""
+        """Motion, step number and memory after one step of two stages."""
         motion, now = carry
         coefficient = self.implicit.coefficient
         second = 1 / coefficient - 2
@@ -298,19 +302,19 @@ class EvolvingImplicit:
         return after, remembering(last.scene, after, self.implicit.dt, now)
 
     def end(self, carry: tuple[Motion, Now]) -> RodState:
-        """Packs a motion into a state."""
+        """Packs a motion and the memory of effects into a state."""
         motion, now = carry
         state = state_of(motion)
         return replace(state, memory=now.memory) if any(now.memory) else state
 
     def _at(self, now: Now, fraction: ArrayLike) -> ImplicitStepper:
-        """Stepper with the scene at a fraction of a step later."""
+        """Stepper whose scene is at the time `(now.step + fraction) * dt`."""
         scene = scene_at(self.scene, now, fraction, self.implicit.dt)
         return replace(self.implicit, scene=scene)
 
 
 def _add(motion: Motion, added: Increments) -> Motion:
-    """Motion with a stage's increments, or a multiple of them, added."""
+    """Motion with increments added; rotations are composed as quaternions."""
     turned = multiply_quaternions(motion.orientation, rotation_exp(added.turn))
     return replace(
         displaced(motion, added.displacement),

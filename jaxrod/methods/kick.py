@@ -13,14 +13,16 @@ class Kick:
     """Solution after a time h of r' = load / inertia - damping r, per component."""
 
     gain: Array
-    """Change of the rate per unit of load."""
+    """Change of the rate per unit of load: (1 - exp(-g h)) / (g inertia), with the
+    damping g."""
     loss: Array | None
-    """Fraction of the initial rate that is lost [1]; `None` without damping. Not the
-    fraction left: that is close to one, and its round-off would bias the damping."""
+    """Fraction of the initial rate that is lost, 1 - exp(-g h) [1]; `None` without
+    damping. The fraction left is not stored: it is close to one, and its round-off
+    would bias the damping."""
 
     @staticmethod
     def create(inverse_inertia: Array | None, damping: Array | None, dt: Array) -> Kick:
-        """Computes both factors for a step of size `dt` [s]."""
+        """Computes `gain` and `loss` for a step of size `dt` [s]."""
         duration = dt
         loss = None
         if damping is not None:
@@ -38,7 +40,7 @@ class Kick:
         return Kick(gain, loss)
 
     def __call__(self, rate: Array, load: Array) -> Array:
-        """Applies the kick to one component."""
+        """Rate after the kick, rate + gain load - loss rate, of one component."""
         change = self.gain * load
         if self.loss is not None:
             change = change - self.loss * rate

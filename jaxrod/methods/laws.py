@@ -1,4 +1,4 @@
-"""Method in space for each elastic law, by the law's name."""
+"""Method in three dimensions for each elastic law, by the law's name."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Progress of a scene that depends on time or has memory."""
+"""Step number and memory of a scene that depends on time or has memory."""
 
 from __future__ import annotations
 
@@ -18,28 +18,28 @@ from jaxrod.structure import pytree
 
 @pytree
 class Now:
-    """Progress of a scene in time."""
+    """Step number and memory of effects, which integrators carry from step to step."""
 
     step: Int[Array, ""]
-    """Number of whole steps since time zero."""
+    """Number of completed steps since time zero."""
     memory: Memory
-    """Memory of the effects."""
+    """Current memory of the effects."""
 
 
 def scene_at(scene: LoadedRod, now: Now, fraction: ArrayLike, dt: Array) -> LoadedRod:
-    """Scene at a fraction of a step after a whole step."""
+    """Scene at the time `(now.step + fraction) * dt`, with the memory in `now`."""
     clock = Clock(now.step, jnp.asarray(fraction, dt.dtype), dt)
     effects = at_clock(recalled(scene.effects, now.memory), clock)
     return replace(scene, effects=effects)
 
 
 def memory_in(scene: LoadedRod, state: RodState) -> Memory:
-    """Memory of the effects of a scene in a state."""
+    """Memory that a state has, or the initial memory of the effects if it has none."""
     return memory_of(scene.effects) if state.memory is None else state.memory
 
 
 def remembering(scene: LoadedRod, motion: Motion, dt: Array, now: Now) -> Now:
-    """Progress one step later, with the new memory of the effects."""
+    """Step number plus one, and the memory after `Effect.after_step` of all effects."""
     effects = tuple(e.after_step(scene.rod, motion, dt) for e in scene.effects)
     for before, after in zip(scene.effects, effects, strict=True):
         if type(after) is not type(before):
@@ -51,7 +51,7 @@ def remembering(scene: LoadedRod, motion: Motion, dt: Array, now: Now) -> Now:
 
 
 def _alike(new: Memory, old: Memory) -> Memory:
-    """New memory in the dtypes of the old one.
+    """New memory, converted to the dtypes of the old one.
 
     Raises:
         TypeError: If shapes differ, or integers have become floating-point numbers.

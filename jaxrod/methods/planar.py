@@ -41,40 +41,40 @@ _PARTS = (
 
 @pytree
 class Planar(Method):
-    """A law in a plane; see `planar`."""
+    """Method for motion in a plane, with either elastic law; see `planar`."""
 
     plane: PlaneName = static()
     """The plane of motion."""
     of: Consistent | PyElastica
-    """The law, as a method in space."""
+    """The elastic law, given as its method in three dimensions."""
 
     @property
     def has_energy(self) -> bool:
-        """Whether the law in space has an energy."""
+        """Whether loads of the law are the gradient of an energy."""
         return self.of.has_energy
 
     @property
     def solves_damping(self) -> bool:
-        """Whether the method in space solves damping with the kick."""
+        """Whether the law's method integrates damping together with the loads."""
         return self.of.solves_damping
 
     @property
     def solves_drag(self) -> bool:
-        """Whether the method in space solves drag together with the loads."""
+        """Whether the law's method integrates drag together with the loads."""
         return self.of.solves_drag
 
     def stepper(self, scene: LoadedRod, state: RodState, dt: Array) -> PlanarVerlet:
-        """Constants of the step."""
+        """Stepper in the plane for a scene, a first state and steps of `dt` [s]."""
         if isinstance(self.of, PyElastica):
             return PlanarPyElasticaStepper.create(scene, self.plane, state, dt)
         return PlanarConsistentStepper.create(scene, self.plane, state, dt)
 
     def loads(self, scene: LoadedRod, motion: Motion) -> Loads:
-        """All loads, as in space."""
+        """All loads, computed by the law's method in three dimensions."""
         return self.of.loads(scene, motion)
 
     def check_evolving(self, scene: LoadedRod) -> None:
-        """Raises ValueError if a driven support holds nodes across the plane."""
+        """Raises ValueError if a moving support holds nodes along the normal."""
         for effect in scene.evolving_effects:
             if _places_across(effect, scene.rod, self.plane):
                 axes = "".join(sorted(self.plane))
@@ -86,7 +86,7 @@ class Planar(Method):
                 )
 
     def check_state(self, scene: LoadedRod, state: RodState) -> None:
-        """Raises ValueError if the rod or a load leaves the plane."""
+        """Raises ValueError if the rod or a load leaves the plane: `check_planar`."""
         check_planar(scene, self, state)
 
 
@@ -125,7 +125,7 @@ def planar(plane: PlaneName, law: Consistent | PyElastica | None = None) -> Plan
 
 
 def _places_across(effect: Effect, rod: Rod, plane: PlaneName) -> bool:
-    """Whether an effect prescribes node positions normal to a plane."""
+    """Whether an effect prescribes node positions along a plane's normal."""
     out = PLANES[plane][2]
     touched = []
 
@@ -168,7 +168,7 @@ def check_planar(scene: LoadedRod, method: Planar, state: RodState) -> None:
 def _shares_outside(
     scene: LoadedRod, method: Planar, state: RodState
 ) -> Float[Array, " parts"]:
-    """Largest component of each of `_PARTS` out of the plane, relative to its scale."""
+    """Largest out-of-plane component of each of `_PARTS`, over its typical size [1]."""
     out = PLANES[method.plane][2]
     rod = scene.rod
     frame = state.directors
@@ -200,7 +200,7 @@ def _shares_outside(
 
 
 def _oblique_inertia(rod: Rod, oblique: Array) -> Array:
-    """Fraction of the inertia that couples rotation about the normal to the rest."""
+    """Coupling of rotation about the normal to others, n1 n2 (J1 - J2) / J [1]."""
     if rod.is_round:
         return jnp.zeros_like(oblique[0])
     inertia = rod.principal_inertias
@@ -208,7 +208,7 @@ def _oblique_inertia(rod: Rod, oblique: Array) -> Array:
 
 
 def _shares_of_state(rod: Rod, method: Planar, state: RodState) -> dict[str, Array]:
-    """Out-of-plane components of a state, relative to its scales."""
+    """Largest out-of-plane fraction of positions, velocities and so on, by name."""
     a, b, out = PLANES[method.plane]
     n1, n2, n3 = (axis[out] for axis in state.directors)
     length = jnp.sum(rod.rest_lengths)
@@ -237,7 +237,11 @@ def _shares_of_state(rod: Rod, method: Planar, state: RodState) -> dict[str, Arr
 def _shares_of_effects(
     scene: LoadedRod, method: Planar, state: RodState, n1: Array, n2: Array
 ) -> tuple[Array, Array, Array]:
-    """Out-of-plane parts of forces, couples and directions of possible forces."""
+    """Largest out-of-plane fractions of forces, couples and force directions [1].
+
+    The directions are those in which effects may push later. Loads are computed for the
+    rod as it is and for a bent one.
+    """
     rod = scene.rod
     out = PLANES[method.plane][2]
     stepper = method.stepper(scene, state, jnp.ones_like(rod.rest_lengths[0]))
@@ -249,14 +253,14 @@ def _shares_of_effects(
     )
     bent = stepper.view(replace(entered, turn=entered.turn + odd))
     zero = jnp.zeros_like(rod.rest_lengths[0])
-    # A held element has couples from the round-off of its own angle.
+    # The round-off of a held element's angle causes couples.
     roundings = 16 * jnp.sqrt(jnp.finfo(zero.dtype).eps)
     rounding = roundings * jnp.max(rod.bend_twist_stiffness) / jnp.min(rod.rest_lengths)
     force = couple = tilt = zero
     still = jnp.zeros_like(motion.position[0]), jnp.zeros_like(rod.rest_lengths)
     nothing = Loads(forces=(still[0],) * 3, couples=(still[1],) * 3)
     for effect, seen in itertools.product(scene.effects, (motion, bent)):
-        # One effect at a time: a small load must not hide behind a large one.
+        # One effect at a time: a large load must not hide a small one.
         loads = effect.loads_after(rod, seen, nothing)
         if loads.forces is not None:
             share = _share(loads.forces[out], jnp.stack(loads.forces), 0)
@@ -272,10 +276,10 @@ def _shares_of_effects(
 
 
 def _tilt(effect: Effect, scene: LoadedRod, motion: Motion, out: int) -> Array:
-    """Largest tilt of an effect's forces out of the plane, now or elsewhere in it.
+    """Largest out-of-plane component of an effect's possible force directions [1].
 
-    An oblique cylinder looks upright if it is seen end-on. It is therefore checked from
-    places all around the rod, near and far.
+    Directions are computed for the rod displaced to many places in the plane, because
+    they may lie in the plane at one place only, as on an oblique cylinder.
     """
     rod = scene.rod
     length = jnp.sum(rod.rest_lengths)
@@ -305,12 +309,12 @@ def _largest(values: Array) -> Array:
 
 
 def _share(part: Array, whole: Array, least: ArrayLike) -> Array:
-    """Largest magnitude of a part, relative to that of the whole.
+    """Ratio of the largest magnitude in `part` to that in `whole` [1].
 
     Args:
-        part: Some of the numbers.
-        whole: All numbers.
-        least: Smallest scale of the comparison.
+        part: Components that should be zero.
+        whole: All components.
+        least: Smallest denominator.
     """
     scale = jnp.maximum(_largest(whole), least)
     return _largest(part) / jnp.where(scale == 0, 1, scale)

@@ -56,7 +56,7 @@ class PlanarPyElasticaStepper(PlanarVerlet):
     def create(
         scene: LoadedRod, plane: PlaneName, state: RodState, dt: Array
     ) -> PlanarPyElasticaStepper:
-        """Computes the constants once, outside the loop."""
+        """Computes the constants for a scene, plane, first state and step `dt` [s]."""
         rod = scene.rod
         constants = PlanarRod.create(rod, state, plane)
         transverse = inertia_about_normal(rod, constants)
@@ -75,24 +75,24 @@ class PlanarPyElasticaStepper(PlanarVerlet):
         )
 
     def angle_turned(self, spin: Array, dt: Array) -> Array:
-        """Angle of rotation at the rate `spin` [rad]."""
+        """Angle of rotation at the angular velocity `spin` in a time `dt` [rad]."""
         return dt * spin
 
     def spin_from_momentum(self, momentum: Array) -> Array:
-        """Angular momentum over inertia [rad/s]."""
+        """Angular velocity: angular momentum over inertia [rad/s]."""
         return self.inverse_inertia * momentum
 
     def momentum_from_spin(self, spin: Array) -> Array:
-        """Angular velocity times inertia [kg m^2/s]."""
+        """Angular momentum: angular velocity times inertia [kg m^2/s]."""
         return self.inertia * spin
 
     def spin_in_space(self, spin: Array) -> tuple[Vec3, bool]:
-        """Angular velocity, material frame."""
+        """Angular velocity in the material frame [rad/s], and True."""
         n1, n2 = self.constants.normal
         return (n1 * spin, n2 * spin, jnp.zeros_like(spin)), True
 
     def spin_in_plane(self, spin: Vec3) -> Array:
-        """Component of the spin along the normal."""
+        """Component of the angular velocity along the normal [rad/s]."""
         n1, n2 = self.constants.normal
         return n1 * spin[0] + n2 * spin[1]
 
@@ -151,7 +151,7 @@ class PlanarConsistentStepper(PlanarVerlet):
     def create(
         scene: LoadedRod, plane: PlaneName, state: RodState, dt: Array
     ) -> PlanarConsistentStepper:
-        """Computes the constants once, outside the loop."""
+        """Computes the constants for a scene, plane, first state and step `dt` [s]."""
         rod = scene.rod
         constants = PlanarRod.create(rod, state, plane)
         transverse = inertia_about_normal(rod, constants)
@@ -168,26 +168,26 @@ class PlanarConsistentStepper(PlanarVerlet):
         )
 
     def angle_turned(self, spin: Array, dt: Array) -> Array:
-        """Angle of rotation at the rate P/J [rad]."""
+        """Angle of rotation at the rate P/J in a time `dt`, with P = `spin` [rad]."""
         return dt * self.inverse_inertia * spin
 
     def spin_from_momentum(self, momentum: Array) -> Array:
-        """The angular momentum itself [kg m^2/s]."""
+        """The angular momentum itself, which is the spin of this law [kg m^2/s]."""
         return momentum
 
     def momentum_from_spin(self, spin: Array) -> Array:
-        """The spin itself, an angular momentum [kg m^2/s]."""
+        """The spin itself, which is an angular momentum [kg m^2/s]."""
         return spin
 
     def spin_in_space(self, spin: Array) -> tuple[Vec3, bool]:
-        """Angular momentum, world frame."""
+        """Angular momentum in the world frame [kg m^2/s], and False."""
         zero = jnp.zeros_like(spin)
         components = [zero, zero, zero]
         components[PLANES[self.plane][2]] = spin
         return (components[0], components[1], components[2]), False
 
     def spin_in_plane(self, spin: Vec3) -> Array:
-        """Component of the spin along the normal."""
+        """Component of the angular momentum along the normal [kg m^2/s]."""
         return spin[PLANES[self.plane][2]]
 
     def kick(self, motion: PlanarMotion) -> PlanarMotion:
@@ -217,7 +217,7 @@ class PlanarConsistentStepper(PlanarVerlet):
     def _dragged(
         self, motion: PlanarMotion, forces: Vec2, couple: Array
     ) -> PlanarMotion:
-        """Motion after a kick with drag."""
+        """Motion after a kick by forces [N], couples [N m] and drag over one step."""
         a, b, out = PLANES[self.plane]
         push = [jnp.zeros_like(forces[0])] * 3
         push[a], push[b] = forces

@@ -57,17 +57,14 @@ class PlanarMotion:
     position: Vec2
     """In-plane components of the node positions [m]."""
     turn: Array
-    """Angle by which each element has rotated since the start of the call [rad]."""
+    """Angle by which each element has rotated since the start of the run [rad]."""
     direction: Vec2
     """In-plane components of the unit vectors d3."""
     velocity: Vec2
     """In-plane components of the node velocities [m/s]."""
     spin: Array
-    """Rotation rate of the elements about the normal, in the law's own variable.
-
-    Consistent mode: angular momentum [kg m^2/s]. PyElastica mode: angular velocity
-    [rad/s].
-    """
+    """Spin of the elements about the normal. Consistent law: angular momentum [kg
+    m^2/s]. PyElastica's law: angular velocity [rad/s]."""
     remainder: Vec2 | None = None
     """Accumulated round-off of the positions (Kahan) [m]; `None` without
     compensation."""
@@ -92,7 +89,7 @@ class PlanarMotion:
 
 @pytree
 class PlanarRod:
-    """Constants of a rod in a plane, computed from its state."""
+    """Constants of a rod in a plane, computed from the first state of a run."""
 
     normal: Vec2
     """Components of the plane's normal along d1 and d2 of every element."""
@@ -103,13 +100,13 @@ class PlanarRod:
     rest_strains: Vec2
     """Transverse and axial strain at rest [1]."""
     joint: Array
-    """Bending stiffness over joint length [N m]."""
+    """Bending stiffness about the normal over joint length [N m]."""
     joint_offsets: Array
-    """Joint angle at the start of the call minus that at rest [rad]."""
+    """Joint angle at the start of the run minus that at rest [rad]."""
 
     @staticmethod
     def create(rod: Rod, state: RodState, plane: PlaneName) -> PlanarRod:
-        """Computes the constants once, outside the loop."""
+        """Computes the constants from the rod, the first state and the plane."""
         _, _, out = PLANES[plane]
         orientation = split_quaternion(state.orientations)
         d1, d2, _ = directors(orientation)
@@ -132,14 +129,20 @@ class PlanarRod:
         )
 
     def stresses(self, across: Array, along: Array) -> Vec2:
-        """Shear and axial forces of elements, from edges in the element's frame [N]."""
+        """Shear and axial forces in the elements [N].
+
+        The edges are given by their components across and along the elements [m].
+        """
         inverse = self.inverse_lengths
         shear = self.stiffness[0] * (across * inverse - self.rest_strains[0])
         axial = self.stiffness[1] * (along * inverse - 1 - self.rest_strains[1])
         return shear, axial
 
     def moments(self, turn: Array) -> Array:
-        """Bending moments of the joints about the normal [N m]."""
+        """Bending moments of the joints about the normal [N m].
+
+        They are B/D times the change of the joint angle from rest.
+        """
         return self.joint * (turn[1:] - turn[:-1] + self.joint_offsets)
 
 
@@ -159,7 +162,7 @@ class PlanarVerlet(Verlet):
     plane: PlaneName = static()
     """The plane of motion."""
     start: RodState
-    """State at the start of the call; its components out of the plane are kept."""
+    """State at the start of the run; its components out of the plane are kept."""
     constants: PlanarRod
     """Constants of the rod in the plane."""
     inverse_inertia: Array
@@ -171,19 +174,19 @@ class PlanarVerlet(Verlet):
 
     @abstractmethod
     def spin_from_momentum(self, momentum: Array) -> Array:
-        """Spin in the law's own variable, from angular momentum about the normal."""
+        """Converts angular momentum about the normal to `PlanarMotion.spin`."""
 
     @abstractmethod
     def momentum_from_spin(self, spin: Array) -> Array:
-        """Angular momentum about the normal, from the law's own variable."""
+        """Converts `PlanarMotion.spin` to angular momentum about the normal."""
 
     @abstractmethod
     def spin_in_space(self, spin: Array) -> tuple[Vec3, bool]:
-        """Values of `spin` and `spin_is_velocity` of the motion that effects see."""
+        """Converts `PlanarMotion.spin` to `Motion.spin` and `spin_is_velocity`."""
 
     @abstractmethod
     def spin_in_plane(self, spin: Vec3) -> Array:
-        """Spin about the normal in the law's own variable, from that in space."""
+        """Converts `Motion.spin` to `PlanarMotion.spin`."""
 
     def enter(self, state: RodState) -> PlanarMotion:
         """Unpacks the in-plane part of a state."""
@@ -201,7 +204,7 @@ class PlanarVerlet(Verlet):
         return self.constrain_rates(self.constrain(motion))
 
     def leave(self, motion: PlanarMotion) -> RodState:
-        """Packs a motion into a state."""
+        """Packs a planar motion into a state in three dimensions."""
         _, _, out = PLANES[self.plane]
         start = self.start
         return RodState(
@@ -239,7 +242,7 @@ class PlanarVerlet(Verlet):
     def add_loads(
         self, motion: PlanarMotion, forces: Vec2, couple: Array
     ) -> tuple[Vec2, Array]:
-        """Adds the in-plane part of the loads of all effects."""
+        """Adds the in-plane forces and normal couples of all effects."""
         a, b, _ = PLANES[self.plane]
         n1, n2 = self.constants.normal
         in_space = self.view(motion)
@@ -257,7 +260,7 @@ class PlanarVerlet(Verlet):
         return forces, couple
 
     def constrain(self, motion: PlanarMotion) -> PlanarMotion:
-        """Applies all constraints on configuration."""
+        """Applies the constraints of all effects on positions and orientations."""
         a, b, out = PLANES[self.plane]
         free = self.view(motion)
         held = constrain(self.scene, free)
@@ -286,14 +289,14 @@ class PlanarVerlet(Verlet):
         )
 
     def constrain_rates(self, motion: PlanarMotion) -> PlanarMotion:
-        """Applies all constraints on rates."""
+        """Applies the constraints of all effects on velocities and spins."""
         a, b, _ = PLANES[self.plane]
         held = constrain_rates(self.scene, self.view(motion))
         velocity = held.velocity[a], held.velocity[b]
         return replace(motion, velocity=velocity, spin=self.spin_in_plane(held.spin))
 
     def dissipate(self, motion: PlanarMotion) -> PlanarMotion:
-        """Applies damping that is solved separately."""
+        """Applies the hook `dissipate` of all effects, for one step."""
         if not dissipates(self.scene):
             return motion
         a, b, _ = PLANES[self.plane]
@@ -302,7 +305,10 @@ class PlanarVerlet(Verlet):
         return replace(motion, velocity=velocity, spin=self.spin_in_plane(slowed.spin))
 
     def view(self, motion: PlanarMotion) -> Motion:
-        """Motion as effects see it. Fields that no effect reads cost nothing."""
+        """Motion in three dimensions, in the form that effects take.
+
+        The compiler drops fields that no effect reads.
+        """
         start = self.start
         spin, is_velocity = self.spin_in_space(motion.spin)
         return Motion(
@@ -315,20 +321,20 @@ class PlanarVerlet(Verlet):
         )
 
     def _remainder(self, motion: PlanarMotion) -> Vec3 | None:
-        """Remainder in space; its component out of the plane does not change."""
+        """Accumulated round-off in three dimensions; its normal component is kept."""
         if motion.remainder is None or self.start.remainders is None:
             return None
         return self._in_space(motion.remainder, self.start.remainders)
 
     def _in_space(self, inside: Vec2, outside: Array) -> Vec3:
-        """Three components from two in the plane and one out of it."""
+        """Three world components from two in the plane and one along the normal."""
         a, b, _ = PLANES[self.plane]
         components = [outside[0], outside[1], outside[2]]
         components[a], components[b] = inside
         return components[0], components[1], components[2]
 
     def _orientation(self, motion: PlanarMotion) -> Quaternion:
-        """Orientation at the start, rotated about the normal."""
+        """Orientations of the first state, rotated about the normal by `turn`."""
         zero = jnp.zeros_like(motion.turn)
         turn = [zero, zero, zero]
         turn[PLANES[self.plane][2]] = jnp.sin(0.5 * motion.turn)
@@ -338,7 +344,10 @@ class PlanarVerlet(Verlet):
 
 
 def spread(a: Array) -> Array:
-    """Difference to the surrounding grid: internal forces on nodes."""
+    """Differences a[k] - a[k-1], with zeros beyond the ends: one entry more than `a`.
+
+    For internal forces of elements it is the sum of forces on every node.
+    """
     return vectors.pad(a, 0, 1) - vectors.pad(a, 1, 0)
 
 
@@ -371,7 +380,10 @@ def _in_plane(orientation: Quaternion, normal: Vec2, out: int) -> Quaternion:
 
 
 def _but_for_rounding(component: Array) -> Array:
-    """Mean of a component, or zero if it is round-off: most normals are d1 or d2."""
+    """Mean of a component of the normals, or exactly zero if it is only round-off.
+
+    Most normals are along d1 or d2.
+    """
     mean = jnp.mean(component)
     return jnp.where(jnp.abs(mean) < 64 * jnp.finfo(mean.dtype).eps, 0, mean)
 

@@ -76,7 +76,7 @@ class PyElasticaStepper(Verlet):
 
     @staticmethod
     def create(scene: LoadedRod, dt: Array) -> PyElasticaStepper:
-        """Computes the constants once, outside the loop."""
+        """Computes the constants for a scene and a step size `dt` [s]."""
         rod: Rod = scene.rod
         inertia = vectors.split(rod.principal_inertias)
         rates = damping_rates(scene)
@@ -115,7 +115,7 @@ class PyElasticaStepper(Verlet):
         return constrain(self.scene, replace(motion, orientation=orientation).moved(dt))
 
     def internal_loads(self, motion: Motion) -> Loads:
-        """Internal forces and couples, gyroscopic and dilatation terms included."""
+        """Internal forces and couples, including gyroscopic and dilatation terms."""
         frame = directors(motion.orientation)
         edges, lengths = motion.edges, motion.lengths
         stretch = lengths * self.inverse_lengths
@@ -196,13 +196,13 @@ class PyElasticaStepper(Verlet):
 
 @pytree
 class PyElastica(Method):
-    """PyElastica's law and stepping order in space; see the module."""
+    """PyElastica's law and stepping order in three dimensions."""
 
     steps_in_systems = True
 
     @property
     def has_energy(self) -> bool:
-        """False: a stretched element changes its section, and loads with it."""
+        """False: PyElastica's loads are not the gradient of an energy."""
         return False
 
     @property
@@ -211,7 +211,7 @@ class PyElastica(Method):
         return False
 
     def loads(self, scene: LoadedRod, motion: Motion) -> Loads:
-        """All loads; couples grow with the stretch, as inertia shrinks with it."""
+        """All loads, with couples times the stretch e, as in J w' = e c."""
         step = jnp.ones((), scene.rod.rest_lengths.dtype)
         own = PyElasticaStepper.create(scene, step).internal_loads(motion)
         assert own.forces is not None and own.couples is not None
@@ -223,7 +223,7 @@ class PyElastica(Method):
     def stepper(
         self, scene: LoadedRod, state: RodState, dt: Array
     ) -> PyElasticaStepper:
-        """Constants of the step."""
+        """Stepper with the constants for a scene and a step size `dt` [s]."""
         return PyElasticaStepper.create(scene, dt)
 
 

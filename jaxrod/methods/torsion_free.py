@@ -75,16 +75,17 @@ def wall_of(scene: LoadedRod) -> Wall | None:
 
 
 def has_elastic_wall(effect: Effect, rod: Rod) -> bool:
-    """Whether an effect's only loads are those of an elastic joint to a wall."""
+    """Whether an effect is an elastic joint between a wall and an end of the rod."""
     wall = effect.wall(rod)
     return wall is not None and wall.stiffness is not None
 
 
 def check_structure(scene: LoadedRod) -> None:
-    """Checks that no effect is of a kind that twists; traced scenes are checked, too.
+    """Checks the kinds of effects: none may twist the rod. Scenes may be traced.
 
     Raises:
-        ValueError: If an effect is of such a kind.
+        ValueError: If an effect twists, holds elements without a `wall`, or if there
+            is more than one wall.
     """
     held = 0
     for effect in scene.effects:
@@ -105,7 +106,7 @@ def check_structure(scene: LoadedRod) -> None:
 
 
 def check_walls_stand(scene: LoadedRod) -> None:
-    """Checks that no wall depends on time or has memory.
+    """Checks that no wall that holds an orientation depends on time or has memory.
 
     Raises:
         ValueError: If a wall does: the frames of elements are taken from it once.
@@ -121,7 +122,7 @@ def check_walls_stand(scene: LoadedRod) -> None:
 def _holds_elements(effect: Effect, rod: Rod) -> bool:
     """Whether an effect constrains orientations or spins of elements.
 
-    For batches of rods it is not known: each rod is checked when it steps.
+    False for batches of rods: each of their rods is checked when it steps.
     """
     if rod.batch_shape:
         return False
@@ -197,10 +198,11 @@ def _refuse(demand: str, found: str) -> None:
 
 @jax.jit
 def _twisting_shares(rod: Rod, effects: tuple[Effect, ...]) -> Array:
-    """Fractions of each effect's loads that turn with the elements or twist them.
+    """Fractions of each effect's loads that turn with the elements and that twist them.
 
-    They are computed on a generic rod, before and after its elements are rotated about
-    their axes. Walls are left out, because they are known not to twist.
+    Both are computed on a generic rod, before and after its elements are rotated about
+    their axes. They are zero for elastic walls, which are known not to twist. Shape
+    (effects, 2).
     """
     before = trial_motion(rod)
     k = jnp.arange(rod.n_elements, dtype=rod.rest_lengths.dtype)
@@ -227,19 +229,19 @@ def _twisting_shares(rod: Rod, effects: tuple[Effect, ...]) -> Array:
 
 
 def _couples_across(orientation: Quaternion, couples: Vec3) -> Vec3:
-    """Component of couples perpendicular to d3, in the world frame."""
+    """World components of couples given in material frames, without those about d3."""
     d1, d2, _ = directors(orientation)
     return vectors.add(vectors.scale(couples[0], d1), vectors.scale(couples[1], d2))
 
 
 def _gap(one: Vec3, other: Vec3) -> Array:
-    """Largest change of a component, relative to the largest component."""
+    """Largest change of a component from `one` to `other`, relative to `one` [1]."""
     x, y, z = vectors.subtract(one, other)
     return _share(jnp.maximum(jnp.maximum(jnp.abs(x), jnp.abs(y)), jnp.abs(z)), one)
 
 
 def _share(part: Array, whole: Vec3) -> Array:
-    """Largest part relative to the largest component of the whole; zero for zero."""
+    """Largest entry of `part` over the largest component of `whole`; zero for zero."""
     size = jnp.max(jnp.abs(vectors.join(whole)))
     return jnp.max(part) / jnp.where(size > 0, size, 1)
 
@@ -262,7 +264,10 @@ class TorsionFreeMotion:
 
     @property
     def view(self) -> Motion:
-        """Motion as effects see it. Fields that no effect reads cost nothing."""
+        """Motion in the form that effects take, with untwisted frames.
+
+        The compiler drops fields that no effect reads.
+        """
         return Motion(
             position=self.position,
             orientation=frame_along(self.direction),
@@ -277,13 +282,14 @@ class TorsionFreeStepper(Verlet):
     """Constants of the step without twist, for one scene and one step size."""
 
     start: RodState
-    """The state at the start of the call."""
+    """State at the start of the run. Without a wall, d1 and d2 continue from its first
+    element."""
     inverse_lengths: Array
     """Inverse rest lengths of the elements [1/m]."""
     stiffness: tuple[Array, Array]
     """Shear and axial stiffness [N]."""
     rest_stretch: Array
-    """Length at rest over rest length [1]."""
+    """Unstressed over reference length of an element, 1 + axial rest strain [1]."""
     joint: Array
     """Bending stiffness over joint length, including wall joints [N m]."""
     inverse_inertia: Array
@@ -291,13 +297,14 @@ class TorsionFreeStepper(Verlet):
     velocity_kick: Kick
     spin_kick: Kick
     walls: tuple[Vec3 | None, Vec3 | None]
-    """Directions of the walls at the rod's base and tip; `None` without a wall."""
+    """Directions d3 of the elastic walls at the rod's base and tip; `None` without such
+    a wall."""
     root: End = static(default="base")
-    """The end from which frames are transported along the rod."""
+    """End from which frames are carried along the rod without twist."""
 
     @staticmethod
     def create(scene: LoadedRod, state: RodState, dt: Array) -> TorsionFreeStepper:
-        """Computes the constants once, outside the loop."""
+        """Computes the constants for a scene, a first state and a step `dt` [s]."""
         check_structure(scene)
         rod = scene.rod
         shear, _, axial = vectors.split(rod.shear_stretch_stiffness)
@@ -328,7 +335,7 @@ class TorsionFreeStepper(Verlet):
         )
 
     def enter(self, state: RodState) -> TorsionFreeMotion:
-        """Unpacks directions and the spin across them from a state."""
+        """Unpacks a state; only d3 is kept, and the spin perpendicular to it."""
         motion = constrain_rates(self.scene, constrain(self.scene, motion_of(state)))
         direction = directors(motion.orientation)[2]
         return TorsionFreeMotion(
@@ -375,7 +382,7 @@ class TorsionFreeStepper(Verlet):
         )
 
     def view(self, motion: TorsionFreeMotion) -> Motion:
-        """Motion as effects see it. Fields that no effect reads cost nothing."""
+        """Motion in the form that effects take, with untwisted frames."""
         return motion.view
 
     def kick(self, motion: TorsionFreeMotion) -> TorsionFreeMotion:
@@ -403,7 +410,7 @@ class TorsionFreeStepper(Verlet):
         return self.constrain_rates(self.dissipate(kicked))
 
     def dissipate(self, motion: TorsionFreeMotion) -> TorsionFreeMotion:
-        """Applies damping that is solved separately."""
+        """Applies the hook `dissipate` of all effects, for one step."""
         if not dissipates(self.scene):
             return motion
         slowed = dissipate(self.scene, motion.view, self.dt)
@@ -411,16 +418,20 @@ class TorsionFreeStepper(Verlet):
         return replace(motion, velocity=slowed.velocity, spin=spin)
 
     def constrain_rates(self, motion: TorsionFreeMotion) -> TorsionFreeMotion:
-        """Applies all constraints on rates."""
+        """Applies the constraints of all effects on velocities and spins."""
         held = constrain_rates(self.scene, motion.view)
         return replace(motion, velocity=held.velocity, spin=held.spin)
 
     def bending_couples(self, direction: Vec3) -> Vec3:
-        """Couples of the joints on the elements, world frame [N m]."""
+        """Couples of the joints on the elements, world frame [N m].
+
+        A joint of stiffness k between directions a and b has the couple k angle (a x b)
+        / sin(angle).
+        """
         start, finish = (int(wall is not None) for wall in self.walls)
 
         def ends(c: Array, k: int) -> tuple[Array, Array]:
-            """Components of the directions before and after every joint."""
+            """Component `k` of the directions before and after every joint."""
             for wall, where in zip(self.walls, ((1, 0, 0), (0, 1, 0)), strict=True):
                 if wall is not None:
                     c = lax.pad(c, wall[k], [where])
@@ -440,7 +451,7 @@ class TorsionFreeStepper(Verlet):
     def add_loads(
         self, motion: TorsionFreeMotion, forces: Vec3, couples: Vec3
     ) -> tuple[Vec3, Vec3]:
-        """Adds the loads of all effects, except couples that would twist the rod."""
+        """Adds all effects' loads, without couples about d3; all in the world frame."""
         in_space = motion.view
         for effect in self.scene.effects:
             if has_elastic_wall(effect, self.scene.rod):
@@ -458,7 +469,7 @@ class TorsionFreeStepper(Verlet):
         return forces, couples
 
     def constrain(self, motion: TorsionFreeMotion) -> TorsionFreeMotion:
-        """Applies all constraints on configuration."""
+        """Applies the constraints of all effects on positions and orientations."""
         free = motion.view
         held = constrain(self.scene, free)
         if held is free:
@@ -494,15 +505,15 @@ class TorsionFree(Method):
     def stepper(
         self, scene: LoadedRod, state: RodState, dt: Array
     ) -> TorsionFreeStepper:
-        """Constants of the step."""
+        """Stepper for a scene, a first state and steps of `dt` [s]."""
         return TorsionFreeStepper.create(scene, state, dt)
 
     def check(self, scene: LoadedRod) -> None:
-        """Raises ValueError if twist matters for the rod or an effect."""
+        """Raises ValueError if the rod or an effect needs twist."""
         check_torsion_free(scene)
 
     def check_evolving(self, scene: LoadedRod) -> None:
-        """Raises ValueError if a wall moves."""
+        """Raises ValueError if a wall that holds an orientation changes with time."""
         check_walls_stand(scene)
 
     def check_state(self, scene: LoadedRod, state: RodState) -> None:
@@ -511,15 +522,15 @@ class TorsionFree(Method):
 
 
 def torsion_free() -> TorsionFree:
-    """Drops twist and halves the arithmetic; neglects polar inertia.
+    """Method without twist, with half the arithmetic; it neglects polar inertia.
 
     For a naturally straight rod with isotropic sections, under loads that do not twist
     it. Couples about the axis whose values are not known on the host (traced ones) and
     spin about the axis in a state are dropped.
 
-    The directions d1 and d2 have no meaning here. Every call turns those of the first
-    element by the smallest rotation from where they were, so they depend on how a run
-    is divided into calls and records.
+    The directions d1 and d2 have no meaning here. If no wall holds an end, every call
+    turns those of the first element by the smallest rotation that follows its d3. So
+    they depend on how a run is divided into calls and records.
 
     Returns:
         The method, for `make_scene(..., method=...)`.

@@ -25,13 +25,13 @@ class Verlet(ABC):
 
     steps_of_end: ClassVar[int] = 1
     scene: LoadedRod
-    """The scene."""
+    """Scene that is stepped."""
     dt: Array
     """Step size [s]."""
 
     @abstractmethod
     def enter(self, state: RodState) -> Any:
-        """Unpacks a state into the form that drift and kick use."""
+        """Unpacks a state into the motion that `drift` and `kick` use."""
 
     @abstractmethod
     def leave(self, motion: Any) -> RodState:
@@ -39,18 +39,21 @@ class Verlet(ABC):
 
     @abstractmethod
     def drift(self, motion: Any, dt: Array) -> Any:
-        """Moves at unchanged rates for a time `dt` [s]."""
+        """Moves nodes and rotates elements, with unchanged rates, for `dt` [s]."""
 
     @abstractmethod
     def kick(self, motion: Any) -> Any:
-        """Changes the rates by all loads over one step, at fixed configuration."""
+        """Changes velocities and spins by all loads over one step, without moving."""
 
     def view(self, motion: Any) -> Motion:
-        """Motion as effects see it. Fields that no effect reads cost nothing."""
+        """Motion in the form that effects take.
+
+        The compiler drops fields that no effect reads.
+        """
         return motion
 
     def constrain_rates(self, motion: Any) -> Any:
-        """Applies all constraints on rates."""
+        """Applies the constraints of all effects on velocities and spins."""
         return constrain_rates(self.scene, motion)
 
     def begin(self, state: RodState) -> Any:
@@ -74,13 +77,14 @@ class Verlet(ABC):
 class EvolvingVerlet:
     """Position Verlet of a scene that depends on time or has memory.
 
-    Loads and rates are those of the middle of a step, where the kick acts. Driven
-    supports have their positions at the end of a drift.
+    Loads and prescribed rates are evaluated in the middle of a step, where the kick
+    acts. Positions of driven supports are evaluated at the end of a drift.
     """
 
     steps_of_end: ClassVar[int] = 1
     verlet: Verlet
-    """Stepper of the scene in its initial form."""
+    """Stepper of the scene in its initial form, whose `scene` is replaced in each
+    step."""
     scene: LoadedRod
     """The scene with its schedules."""
     first: Int[Array, ""]
@@ -108,7 +112,7 @@ class EvolvingVerlet:
         return replace(state, memory=now.memory) if any(now.memory) else state
 
     def _kick(self, carry: tuple[Any, Now]) -> tuple[Any, Now]:
-        """Motion after the kick, and the memory of effects, advanced by one step."""
+        """Motion after the kick, with the step number and memory after this step."""
         motion, now = carry
         present = self._at(now, 0.5)
         kicked = present.kick(motion)
@@ -116,6 +120,6 @@ class EvolvingVerlet:
         return kicked, remembering(present.scene, seen, self.verlet.dt, now)
 
     def _at(self, now: Now, fraction: float) -> Verlet:
-        """Stepper with the scene at a fraction of a step later."""
+        """Stepper whose scene is at the time `(now.step + fraction) * dt`."""
         scene = scene_at(self.scene, now, fraction, self.verlet.dt)
         return replace(self.verlet, scene=scene)

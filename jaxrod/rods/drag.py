@@ -25,9 +25,9 @@ from jaxrod.structure import pytree
 
 @pytree
 class Drag:
-    """Rates at which the surrounding fluid slows a rod down, at one moment.
+    """Decay rates by which the surrounding fluid slows a rod down, at one moment.
 
-    Each is one number or one per node; for `turning`, one per element.
+    Each is one number or one per node; for `turning`, one number or one per element.
 
     Example:
         >>> drag = fluids.stokes_drag(along=0.1, across=0.2).drag(rod, motion)
@@ -36,21 +36,22 @@ class Drag:
     """
 
     along: Array
-    """Decay rate of velocities along the rod [1/s]."""
+    r"""Decay rate $g_\parallel$ of velocities along the rod [1/s]."""
     across: Array
-    """Decay rate of velocities across the rod [1/s]."""
+    r"""Decay rate $g_\perp$ of velocities across the rod [1/s]."""
     along_per_speed: Array | None = None
-    """Increase of the decay rate along the rod per speed along it [1/m]."""
+    r"""Increase $q_\parallel$ of `along` per speed along the rod [1/m]."""
     across_per_speed: Array | None = None
-    """Increase of the decay rate across the rod per speed across it [1/m]."""
+    r"""Increase $q_\perp$ of `across` per speed across the rod [1/m]."""
     turning: tuple[Array, Array] | None = None
-    """Decay rates of angular momenta about d3 and across it [1/s]."""
+    """Decay rates of angular momenta about d3, and about d1 and d2 [1/s]."""
     flow: Vec3 | None = None
-    """Velocity of the fluid at the nodes, world frame [m/s]."""
+    """Velocity of the fluid at the nodes, world frame [m/s]; `None` for a fluid at
+    rest."""
 
     @property
     def grows_with_speed(self) -> bool:
-        """Whether a rate grows with the speed; depends on structure, not on values."""
+        """Whether the drag has rates per speed, whatever their values are."""
         return (self.along_per_speed, self.across_per_speed) != (None, None)
 
 
@@ -61,7 +62,7 @@ def node_tangents(motion: Motion) -> Vec3:
 
 
 def relative_velocity(motion: Motion, drag: Drag) -> Vec3:
-    """Velocities of the nodes relative to the fluid [m/s]."""
+    """Velocities of the nodes minus those of the fluid there, world frame [m/s]."""
     if drag.flow is None:
         return motion.velocity
     return vectors.subtract(motion.velocity, drag.flow)

@@ -72,17 +72,17 @@ class ElasticLaw:
     inverse_lengths: Array
     """Inverse rest length, per element [1/m]."""
     shear_stretch: Vec3
-    """Shear and axial stiffness, per element [N]."""
+    """Shear stiffness along d1, d2 and axial stiffness along d3, per element [N]."""
     joint: Vec3
     """Bend-twist stiffness over joint length, per joint [N m]."""
     rest_strains: Vec3
     """Shear-stretch strain at rest, per element [1]."""
     rest_rotations: Vec3
-    """Joint rotation at rest, per joint [rad]."""
+    """Joint rotation vector at rest, per joint [rad]."""
 
 
 def elastic_law(rod: Rod) -> ElasticLaw:
-    """Computes the constants of the internal loads."""
+    """Constants of the internal loads of a rod."""
     joint_lengths = rod.joint_lengths
     return ElasticLaw(
         inverse_lengths=1 / rod.rest_lengths,
@@ -94,15 +94,15 @@ def elastic_law(rod: Rod) -> ElasticLaw:
 
 
 def shear_stretch(edges: Vec3, orientation: Quaternion, inverse_lengths: Array) -> Vec3:
-    """Shear-stretch strain of each element, material frame [1]."""
+    """Shear-stretch strain of each element, `R^T e / l - e3`, material frame [1]."""
     a, b, c = to_material(directors(orientation), edges)
     return a * inverse_lengths, b * inverse_lengths, c * inverse_lengths - 1
 
 
 def joint_rotations(orientation: Quaternion) -> tuple[Vec3, Array]:
-    """Rotation vector [rad] from each element to the next, and its coupling.
+    """Rotation vector from each element to the next [rad], and coupling coefficient.
 
-    See `rotations.rotation_log_and_coupling` for the coupling coefficient.
+    See `rotations.rotation_log_and_coupling` for the coefficient.
     """
     w, x, y, z = orientation
     before = (w[:-1], x[:-1], y[:-1], z[:-1])
@@ -127,7 +127,7 @@ def joint_couples(rotation: Vec3, coupling: Array, moment: Vec3) -> tuple[Vec3, 
 
 
 def internal_loads(law: ElasticLaw, motion: Motion) -> Loads:
-    """Negative gradient of the stored energy.
+    """Internal loads of a rod: the negative gradient of its stored energy.
 
     Returns:
         Forces on nodes (world frame) [N], couples on elements (material frame) [N m].
@@ -152,7 +152,7 @@ def internal_loads(law: ElasticLaw, motion: Motion) -> Loads:
 def strains(
     rod: Rod, state: RodState
 ) -> tuple[Float[Array, "3 n"], Float[Array, "3 n-1"]]:
-    """Shear-stretch strain and curvature of a state.
+    """Shear-stretch strain, and curvature and twist, of a rod in a state.
 
     Returns:
         Shear-stretch strain per element, material frame [1] (zero if straight and
@@ -179,7 +179,7 @@ def strains(
 
 
 def stored_energy(rod: Rod, state: RodState) -> Float[Array, ""]:
-    """Elastic energy of the rod [J].
+    """Elastic energy of a rod: shear and stretch of elements, bending and twist [J].
 
     Raises:
         ValueError: If the state is not of that rod.
@@ -207,28 +207,28 @@ def stored_energy(rod: Rod, state: RodState) -> Float[Array, ""]:
 
 @pytree
 class ElementTangent:
-    """Tangent stiffness of one element of a rod."""
+    """Tangent stiffness of each element of a rod, world frame; see the module."""
 
     stretching: Matrix
-    """Derivative `D` of the pull by the edge."""
+    """Derivative $D$ of the force $N$ in the element by its edge [N/m]."""
     coupling: Matrix
-    """Derivative `K` of the pull by the rotation."""
+    """Derivative $K$ of the force $N$ in the element by its rotation [N]."""
     turning: Matrix
-    """Derivative of the couple by the rotation."""
+    r"""Derivative $-[e]_\times K$ of the couple $N\times e$ by the rotation [N m]."""
 
 
 @pytree
 class JointTangent:
-    """Tangent stiffness of one joint."""
+    """Tangent stiffness of each joint of a rod, world frame; see the module."""
 
     stiffness: Matrix
-    """Derivative `H` of the couple by the relative rotation."""
+    r"""Derivative $H$ of the couple $\mu$ by the relative rotation [N m]."""
     couple: Vec3
-    """Couple of the joint [N m], which turns with the element after the joint."""
+    r"""Couple $\mu$ of the joint, which turns with the element after it [N m]."""
 
 
 def element_tangent(law: ElasticLaw, motion: Motion) -> ElementTangent:
-    """Tangent of the shear-stretch energy, per element."""
+    """Tangent stiffness of shear and stretch of each element."""
     frame = directors(motion.orientation)
     edges, inverse = motion.edges, law.inverse_lengths
     local = to_material(frame, edges)
@@ -243,7 +243,7 @@ def element_tangent(law: ElasticLaw, motion: Motion) -> ElementTangent:
 
 
 def joint_tangent(law: ElasticLaw, motion: Motion) -> JointTangent:
-    """Tangent of the bend-twist energy, per joint."""
+    """Tangent stiffness of bending and twist of each joint."""
     rotation, coupling = joint_rotations(motion.orientation)
     w, x, y, z = motion.orientation
     after = (w[1:], x[1:], y[1:], z[1:])
@@ -254,10 +254,11 @@ def joint_tangent(law: ElasticLaw, motion: Motion) -> JointTangent:
 def turned_joint(
     after: Quaternion, rotation: Vec3, coupling: Array, stiffness: Vec3, moment: Vec3
 ) -> JointTangent:
-    """Tangent of a joint, given its state in the material frame after it.
+    """Tangent stiffness of a joint, world frame.
 
     Args:
-        after: Orientation of the element after the joint.
+        after: Orientation of the element after the joint. The vectors below are in the
+            material frame of that element.
         rotation: Rotation vector of the joint [rad].
         coupling: Coupling coefficient, see `rotations.rotation_log_and_coupling`.
         stiffness: Bend-twist stiffness over joint length [N m].
@@ -286,7 +287,7 @@ def turned_joint(
 def times_inverse(matrix: Matrix, rotation: Vec3, coupling: Array) -> Matrix:
     r"""Product of a matrix and $J^{-1} = 1 + \frac12[\phi]_\times + c[\phi]_\times^2$.
 
-    The latter is the derivative of a rotation vector when its rotation is continued, in
+    $J^{-1}$ is the derivative of a rotation vector when a further rotation follows, in
     the frame after it: $\log(e^{\phi} e^{\psi}) = \phi + J^{-1}\psi + O(\psi^2)$.
     """
 

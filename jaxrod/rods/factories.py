@@ -34,7 +34,7 @@ from jaxrod.validation import (
 MOST_ELEMENTS = 1_000_000
 """Largest number of elements; a larger number must be a mistake."""
 ROUNDED = 0.01
-"""Largest spacing of floating-point positions, as a fraction of an element's length."""
+"""Largest allowed spacing of floating-point node positions over element length [1]."""
 
 
 def straight_rod(

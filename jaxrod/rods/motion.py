@@ -1,4 +1,4 @@
-"""The state unpacked into component arrays, as used inside a step."""
+"""State of a rod as tuples of component arrays, which steps and effects use."""
 
 from __future__ import annotations
 
@@ -36,11 +36,10 @@ from jaxrod.structure import pytree, static
 
 @pytree
 class Motion:
-    """State of a rod as effects see it: tuples of arrays, one for each component.
+    """State of a rod as tuples of component arrays, for integrators and effects.
 
-    The integrators carry it from step to step, and effects see it. Unpacking the
-    state once per call instead of once per step keeps stacking and slicing
-    out of the compiled loop.
+    The state is unpacked into components once per call instead of once per step. This
+    keeps stacking and slicing of arrays out of the compiled loop.
 
     Example:
         >>> x, y, z = motion.position
@@ -51,20 +50,20 @@ class Motion:
     position: Vec3
     """Node positions, world frame [m]."""
     orientation: Quaternion
-    """Element orientations, material to world."""
+    """Orientations of the elements, unit quaternions, material to world."""
     velocity: Vec3
     """Node velocities, world frame [m/s]."""
     spin: Vec3
-    """Rotation rate of the elements, in the law's own variable.
+    """Rotation of the elements, in the variable that the law integrates.
 
-    Consistent mode: angular momentum, world frame [kg m^2/s]. PyElastica mode:
-    angular velocity, material frame [rad/s].
+    Consistent mode: angular momentum, world frame [kg m^2/s]. PyElastica mode: angular
+    velocity, material frame [rad/s].
     """
     remainder: Vec3 | None = None
     """Accumulated round-off of the positions (Kahan) [m]; `None` without
     compensation."""
     spin_is_velocity: bool = static(default=False)
-    """Whether `spin` is angular velocity, as in PyElastica mode, or momentum."""
+    """Whether `spin` is angular velocity (PyElastica mode) or angular momentum."""
 
     @property
     def edges(self) -> Vec3:
@@ -94,7 +93,7 @@ class Motion:
 
     @property
     def at_rest(self) -> Motion:
-        """The same configuration with zero rates."""
+        """The same configuration with zero velocities and spins."""
         still = jax.tree.map(jnp.zeros_like, (self.velocity, self.spin))
         return replace(self, velocity=still[0], spin=still[1])
 
@@ -113,7 +112,7 @@ class Motion:
 
 
 def motion_of(state: RodState) -> Motion:
-    """Unpacks a state; the motion's spin is the angular momentum."""
+    """Unpacks a state into a motion whose spin is the angular momentum."""
     return Motion(
         position=split(state.positions),
         orientation=split_quaternion(state.orientations),
@@ -136,7 +135,7 @@ def state_of(motion: Motion) -> RodState:
 
 @pytree
 class Loads:
-    """Forces on nodes and couples on elements; `None` if there are none.
+    """Forces on nodes and couples on elements of a rod.
 
     Example:
         >>> weight = jaxrod.gravity().loads(rod, motion)
@@ -145,9 +144,9 @@ class Loads:
     """
 
     forces: Vec3 | None = None
-    """Forces on the `n + 1` nodes, world frame [N]."""
+    """Forces on the `n + 1` nodes, world frame [N]; `None` if there are none."""
     couples: Vec3 | None = None
-    """Couples on the `n` elements, material frame [N m]."""
+    """Couples on the `n` elements, material frame [N m]; `None` if there are none."""
 
     if TYPE_CHECKING:
         # Only for type checkers, which do not count the entries of `tuple(...)`.
@@ -156,11 +155,11 @@ class Loads:
             forces: tuple[Array, ...] | None = None,
             couples: tuple[Array, ...] | None = None,
         ) -> None:
-            """Loads of three components each."""
+            """Makes loads of three components each."""
 
 
 def accumulate(total: Vec3, part: Vec3 | None) -> Vec3:
-    """Adds an optional vector field."""
+    """Sum of two vector fields; a `part` of `None` counts as zero."""
     if part is None:
         return total
     return total[0] + part[0], total[1] + part[1], total[2] + part[2]

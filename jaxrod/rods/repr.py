@@ -1,4 +1,4 @@
-"""Rods and states in one line of words, for notebooks and debuggers."""
+"""One-line descriptions of rods, states and scenes, for notebooks and debuggers."""
 
 from __future__ import annotations
 
@@ -11,12 +11,12 @@ _PREFIXES = {9: "G", 6: "M", 3: "k", 0: ""}
 
 
 def rod_repr(rod: Any) -> str:
-    """Describes a rod: its elements, sizes and material, as far as they are known.
+    """Describes a rod by its elements, sizes and material, as far as they are known.
 
-    Nothing is computed on a device. Traced numbers, and leaves that are not arrays
-    (JAX makes such rods while it transforms them), are left out. For batches and for
-    rods that vary along their length the range is given. Young's modulus and density
-    are those of a solid round section with the same axial stiffness and mass.
+    Nothing is computed on a device. Traced numbers, and leaves that are not arrays (JAX
+    makes such rods while it transforms them), are left out. For batches and for rods
+    that vary along their length the range is given. Young's modulus and density are
+    those of a solid round section with the same axial stiffness and mass.
     """
     lengths, radii = _known(rod.rest_lengths), _known(rod.radii)
     words = [_elements(rod.rest_lengths)]
@@ -36,7 +36,7 @@ def rod_repr(rod: Any) -> str:
 
 
 def state_repr(state: Any) -> str:
-    """Describes a state: its elements, tip position, and speed of the fastest node."""
+    """Describes a state by its elements, tip position and largest speed of a node."""
     positions, velocities = _known(state.positions), _known(state.velocities)
     words = [_elements(state.orientations)]
     if positions is not None and positions.ndim == 2:
@@ -49,7 +49,7 @@ def state_repr(state: Any) -> str:
 
 
 def scene_repr(scene: Any) -> str:
-    """Describes a scene: its rod, its effects by their classes, its method."""
+    """Describes a scene by its rod, the classes of its effects, and its method."""
     names = [type(effect).__name__ for effect in _listed(scene.effects)]
     shown = [
         f"{names.count(name)} {name}" if names.count(name) > 1 else name
@@ -75,7 +75,7 @@ def _listed(effects: Any) -> tuple[Any, ...]:
 
 
 def _known(leaf: Any) -> np.ndarray | None:
-    """Numbers of a leaf; `None` if they cannot be read without waiting or tracing."""
+    """Values of a leaf; `None` if it is traced or cannot be read on this host."""
     import jax
 
     if isinstance(leaf, jax.core.Tracer) or not isinstance(
@@ -96,7 +96,7 @@ def _elements(leaf: Any) -> str:
 
 
 def _kind(leaf: Any, axes: int) -> list[str]:
-    """Shape of the batch, dtype, and whether it is traced."""
+    """Shape of the batch, if any, dtype of a leaf, and "traced" if it is."""
     import jax
 
     words = []
@@ -111,7 +111,7 @@ def _kind(leaf: Any, axes: int) -> list[str]:
 
 
 def _range(values: np.ndarray, unit: str, prefixed: bool = True) -> str:
-    """One number, or the smallest and the largest, with a unit."""
+    """Smallest and largest value with their unit; one number if both look alike."""
     low, high = float(np.min(values)), float(np.max(values))
     if not (math.isfinite(low) and math.isfinite(high)):
         return f"not finite {unit}"

@@ -1,9 +1,9 @@
-"""A rod: its traced parameters, its state, and quantities derived from them.
+"""Parameters and state of a rod, and quantities derived from them.
 
-Layout, for a rod of `n` elements: `n + 1` nodes carry positions, velocities and
-mass; `n` elements (segments between nodes) carry orientations, angular momenta and
-shear-stretch; `n - 1` joints between elements carry bend-twist. The component axis
-comes first: `(3, n + 1)`, `(4, n)`.
+A rod of `n` elements has `n + 1` nodes with positions, velocities and masses. Its `n`
+elements are the segments between nodes; they have orientations, angular momenta and
+shear-stretch strains. Its `n - 1` joints between elements have curvature and twist. The
+component axis of arrays comes first: `(3, n + 1)`, `(4, n)`.
 """
 
 from __future__ import annotations
@@ -27,12 +27,12 @@ JointMean = Literal["arithmetic", "series"]
 class Rod:
     """Parameters of one rod. All numbers are traced leaves.
 
-    `vmap` over a rod is domain randomisation; `grad` over it is system
-    identification. Per-length quantities (density, inertia, stiffness) do not change
-    when the discretisation does.
+    `vmap` over a rod is domain randomisation; `grad` over it is system identification.
+    Per-length quantities (density, inertia, stiffness) do not change when the
+    discretisation does.
 
-    Quantities derived from stacked rods, as `vmap` over a factory makes them, are
-    stacked, too, with the same leading axes.
+    Quantities derived from stacked rods, as `vmap` over a factory makes them, have the
+    same leading axes as these.
 
     Example:
         >>> rod.n_elements, rod.node_masses.shape
@@ -47,25 +47,27 @@ class Rod:
     rest_lengths: Float[Array, " n"]
     """Unstressed element lengths [m]."""
     radii: Float[Array, " n"]
-    """Element radii [m]; for contact, health and drawing only."""
+    """Element radii [m]. Contact, fluids, health and drawing use them, elasticity and
+    inertia do not."""
     linear_density: Float[Array, " n"]
     """Mass per rest length [kg/m]."""
     rotary_inertia: Float[Array, "2 n"] | Float[Array, "3 n"]
     """Rotary inertia per rest length [kg m]. For sections with equal inertia about d1
     and d2: transverse and polar (d3). For others: about d1, d2 and d3."""
     shear_stretch_stiffness: Float[Array, "3 n"]
-    """Shear stiffness along d1, d2 and axial stiffness along d3 [N]."""
+    """Shear stiffness along d1 and d2, and axial stiffness along d3 [N]."""
     bend_twist_stiffness: Float[Array, "3 n"]
-    """Bending stiffness about d1, d2 and twisting stiffness about d3 [N m^2]."""
+    """Bending stiffness about d1 and d2, and twisting stiffness about d3 [N m^2]."""
     rest_strains: Float[Array, "3 n"]
     """Shear-stretch strain of the unstressed shape, material frame [1]."""
     rest_curvatures: Float[Array, "3 n-1"]
     """Curvature and twist of the unstressed shape, material frame [1/m]."""
     joint_mean: JointMean = static(default="arithmetic")
-    """Mean by which joints get their stiffness from the two elements they join."""
+    """Mean of two elements' bend-twist stiffnesses at their joint: weighted by length
+    ("arithmetic"), or of springs in series ("series")."""
 
     def __repr__(self) -> str:
-        """One line: elements, sizes, material; ranges where they vary."""
+        """One line with elements, sizes and material; ranges for numbers that vary."""
         return repr_or_class_name(rod_repr, self)
 
     @property
@@ -80,7 +82,7 @@ class Rod:
 
     @property
     def length(self) -> Float[Array, "*batch"]:
-        """Unstressed arc length [m]."""
+        """Rest length of the rod [m]."""
         return jnp.sum(self.rest_lengths, axis=-1)
 
     @property
@@ -101,14 +103,15 @@ class Rod:
 
     @property
     def is_round(self) -> bool:
-        """Whether rotary inertia is the same about d1 and d2; depends on structure."""
+        """Whether inertia is the same about d1 and d2, by the array shape alone."""
         return self.rotary_inertia.shape[-2] == 2
 
     @property
     def inertias(self) -> Float[Array, "*batch 2 n"]:
         """Rotary inertia of each element, transverse and polar [kg m^2].
 
-        For sections that are not round, the smaller transverse one, for bounds.
+        If it differs between d1 and d2, the transverse one is the smaller of both, for
+        bounds.
         """
         inertias = self.rotary_inertia * self.rest_lengths[..., None, :]
         if self.is_round:
@@ -127,7 +130,7 @@ class Rod:
 
     @property
     def joint_stiffness(self) -> Float[Array, "*batch 3 n-1"]:
-        """Bend-twist stiffness at the joints [N m^2].
+        """Bend-twist stiffness of each joint about d1, d2, d3 [N m^2].
 
         It is the length-weighted mean of the neighbouring elements, as in PyElastica;
         with `joint_mean="series"` it is that of springs in series.
@@ -143,18 +146,18 @@ class Rod:
 
     @property
     def arc_length_midpoints(self) -> Float[Array, "*batch n"]:
-        """Rest arc length from the start to the middle of each element [m]."""
+        """Rest arc length from the base to the middle of each element [m]."""
         return jnp.cumsum(self.rest_lengths, axis=-1) - 0.5 * self.rest_lengths
 
     def kinetic_energy(self, state: RodState) -> Float[Array, ""]:
-        """Kinetic energy of translation and rotation [J]."""
+        """Kinetic energy of nodes and elements, m v^2 / 2 and I w^2 / 2 [J]."""
         check_state(self, state)
         translation = 0.5 * jnp.sum(self.node_masses[None, :] * state.velocities**2)
         spin = angular_velocities(self, state)
         return translation + 0.5 * jnp.sum(self.principal_inertias * spin**2)
 
     def momentum(self, state: RodState) -> Float[Array, "3"]:
-        """Linear momentum, world frame [kg m/s]."""
+        """Linear momentum, the sum of m v over the nodes, world frame [kg m/s]."""
         check_state(self, state)
         return jnp.sum(self.node_masses[None, :] * state.velocities, axis=1)
 
@@ -171,7 +174,7 @@ class Rod:
 
 @dataclass(frozen=True)
 class Layout:
-    """Numbers of nodes and elements of a member of a system, from its state.
+    """Numbers of nodes and elements of a member of a system, as its state has them.
 
     Example:
         >>> state.layout
@@ -185,12 +188,12 @@ class Layout:
     n_elements: int = 1
     """Elements of each rod; 1 for bodies and points, whose nodes are also elements."""
     is_rod: bool = False
-    """Whether it is made of rods, with one more node than elements."""
+    """Whether the member consists of rods, with one more node than elements."""
     is_stacked: bool = False
-    """Whether fields have a leading axis, of equal rods."""
+    """Whether arrays have a leading axis for several equal rods."""
 
     def row(self, field: Any) -> Any:
-        """A field `(3, nodes)` or `(k, 3, nodes)` with all nodes in one row."""
+        """Array `(3, nodes)`, or `(k, 3, nodes)` if stacked, as one `(3, k nodes)`."""
         if not self.is_stacked:
             return field
         return field.transpose(1, 0, 2).reshape(field.shape[1], -1)
@@ -198,7 +201,7 @@ class Layout:
 
 @pytree
 class RodState:
-    """State of a rod: everything that changes in time, and nothing derived from it.
+    """State of a rod: all that changes in time, without derived quantities.
 
     Example:
         >>> state.positions.shape, state.orientations.shape
@@ -219,30 +222,30 @@ class RodState:
     angular_momenta: Float[Array, "3 n"]
     """Angular momentum of each element about its centre, world frame [kg m^2/s]."""
     remainders: Float[Array, "3 n+1"] | None = None
-    """Accumulated round-off of the positions (Kahan) [m]; `None` unless
-    `compensated`."""
+    """Accumulated round-off of the positions (Kahan) [m]; `None` unless `compensated`
+    has been applied."""
     memory: tuple[dict[str, Any], ...] | None = None
-    """Memory of the effects of a scene, see `jaxrod.extend.memory`. `None` if there is
-    none, or while it is the initial memory of the scene."""
+    """Memory of the effects of a scene, see `jaxrod.extend.memory`. `None` without such
+    effects, or as long as it is the initial memory of the scene."""
 
     def __repr__(self) -> str:
-        """One line: elements, tip, largest speed."""
+        """One line with elements, tip position and largest speed."""
         return repr_or_class_name(state_repr, self)
 
     @property
     def layout(self) -> Layout:
-        """Numbers of rods and elements."""
+        """Numbers of rods and of their elements."""
         *leading, _, n = self.orientations.shape
         count = leading[0] if leading else 1
         return Layout(count, n, is_rod=True, is_stacked=bool(leading))
 
     @property
     def rates(self) -> tuple[Array, Array]:
-        """Velocities of nodes and angular momenta of elements."""
+        """Velocities of nodes [m/s] and angular momenta of elements [kg m^2/s]."""
         return self.velocities, self.angular_momenta
 
     def with_rates(self, velocities: Array, spins: Array) -> RodState:
-        """The state with other rates."""
+        """Copy of the state with other velocities and angular momenta."""
         return replace(self, velocities=velocities, angular_momenta=spins)
 
     @property
@@ -309,7 +312,7 @@ def with_angular_velocities(
 
 
 def compensated(state: RodState) -> RodState:
-    """Copy of the state whose positions are summed with compensation.
+    """Copy of a state whose positions later steps sum with Kahan's compensation.
 
     Every step adds small displacements to large positions. In float32 the round-off of
     these sums dominates the errors of axial forces. Kahan's summation removes it: the
@@ -356,7 +359,7 @@ def check_one(state: RodState) -> None:
 
 
 def check_size(rod: Rod, state: RodState) -> None:
-    """Checks that a state fits a scene's rod, whether traced or not.
+    """Checks that a state has the nodes and elements of a scene's rod, traced or not.
 
     Raises:
         ValueError: If its numbers of elements and nodes differ.

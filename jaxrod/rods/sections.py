@@ -1,6 +1,6 @@
 """Rods from a section and a material: masses and stiffnesses of their elements.
 
-A shape has an area, second moments, a torsion constant and shear factors. Dimensions
+A section has an area, second moments, a torsion constant and shear factors. Dimensions
 are one number or one per element. Shear factors are those of Kaneko and of Hutchinson
 (J. Appl. Mech. 68, 2001) at Poisson's ratio 1/2: 27/28 for circles, less for tubes, and
 5/6 for rectangles. An ellipse has that of the circle.
@@ -29,7 +29,7 @@ from jaxrod.validation import (
 )
 
 CIRCLE = np.float64(27 / 28)
-"""Shear factor of a circular section at Poisson's ratio 1/2, as in PyElastica 1.0."""
+"""Shear correction factor of a circle at Poisson's ratio 1/2, as in PyElastica 1.0."""
 
 
 _LARGEST = 1e40
@@ -38,7 +38,7 @@ _LARGEST = 1e40
 
 @pytree
 class Section:
-    """A shape of sections; each entry is one number, or one per element.
+    """Properties of the cross-section of a rod; each is one number, or one per element.
 
     Example:
         >>> square = jaxrod.rectangle(0.02, 0.02)
@@ -52,17 +52,18 @@ class Section:
     """
 
     area: Any
-    """Area [m^2]."""
+    """Area of the material [m^2]."""
     second_moments: tuple[Any, Any]
     """Second moments of area about d1 and d2 [m^4]."""
     torsion_constant: Any
-    """Torsional stiffness over shear modulus [m^4]."""
+    """Torsion constant: twisting stiffness over shear modulus [m^4]."""
     shear_factors: tuple[Any, Any]
     """Shear correction factors along d1 and d2 [1]."""
     radius: Any
-    """Radius of a circle with the area inside the outline; not for mechanics [m]."""
+    """Radius of a circle with the area inside the outline [m]. It becomes `Rod.radii`,
+    which elasticity and inertia do not use."""
     is_round: bool = static(default=False)
-    """Whether it is the same about d1 and d2 for all dimensions."""
+    """Whether moments about d1 and d2 are the same, whatever the dimensions are."""
 
 
 def _dimension(name: str, value: Numbers) -> Any:
@@ -79,7 +80,7 @@ def _dimension(name: str, value: Numbers) -> Any:
 
 
 def circle(radius: Numbers) -> Section:
-    """A solid circle.
+    """Section that is a solid circle.
 
     Args:
         radius: Radius [m].
@@ -99,7 +100,7 @@ def circle(radius: Numbers) -> Section:
 
 
 def tube(outer_radius: Numbers, inner_radius: Numbers) -> Section:
-    """A circle with a concentric hole.
+    """Section that is a circle with a concentric hole.
 
     Args:
         outer_radius: Outer radius [m].
@@ -128,7 +129,7 @@ def tube(outer_radius: Numbers, inner_radius: Numbers) -> Section:
 
 
 def rectangle(width: Numbers, height: Numbers) -> Section:
-    """A rectangle.
+    """Section that is a solid rectangle.
 
     The torsion constant is `a b^3 (1/3 - 0.21 b/a (1 - b^4 / (12 a^4)))` with the
     longer side a and the shorter b; its error is at most 0.5 % (Young and Budynas,
@@ -164,7 +165,7 @@ def rectangle(width: Numbers, height: Numbers) -> Section:
 
 
 def ellipse(half_width: Numbers, half_height: Numbers) -> Section:
-    """An ellipse.
+    """Section that is a solid ellipse.
 
     Args:
         half_width: Semi-axis along d1 [m].
@@ -189,7 +190,7 @@ def ellipse(half_width: Numbers, half_height: Numbers) -> Section:
 
 @dataclass(frozen=True)
 class _Words:
-    """Formulas of a section's properties, for messages."""
+    """Formulas of the properties of a section as text, for error messages."""
 
     radius: str
     area: str
@@ -234,14 +235,14 @@ def rod_of_section(
         rest_lengths: Rest lengths of the elements `(n,)`, checked [m].
         radius: Radius of round sections [m]: one number, one per element, or the pair
             of base and tip radius.
-        section: A shape instead of a radius.
+        section: Section instead of a radius.
         density: Mass density, one number or one per element [kg/m^3].
         youngs_modulus: Young's modulus, one number or one per element [Pa].
         shear_modulus: Shear modulus, one number or one per element, or `None` to
             compute it from Poisson's ratio [Pa].
         poisson_ratio: Poisson's ratio, one number or one per element [1].
         shear_correction: Shear correction factor, one number or one per element, or
-            `None` for the section's [1].
+            `None` for that of the section [1].
         dtype: float32 or float64.
 
     Raises:
@@ -350,7 +351,7 @@ def rod_of_section(
 
 
 def _round(radii: Any) -> Section:
-    """Solid circles; their second moments are computed from areas, as in PyElastica."""
+    """Section of solid circles, with second moments from the area, as in PyElastica."""
     area = np.pi * radii**2
     second = area**2 / (4 * np.pi)
     shear = (CIRCLE, CIRCLE)
@@ -367,7 +368,7 @@ def _check_shapes(section: Section, n: int) -> None:
 
 
 def _radii(radius: Numbers, n: int, dtype: Any) -> Any:
-    """One radius, or one for each element; a pair is expanded to a linear taper."""
+    """Checks a radius; a pair becomes one radius per element, with a linear taper."""
     shapes = [(), (2,), (n,)]
     radii = check_array("radius", radius, shapes, "m", positive=True, dtype=dtype)
     if radii.shape != (2,):

@@ -1,4 +1,4 @@
-"""Sensors: readings of a state as differentiable functions, and their noise."""
+"""Sensors: differentiable functions from a state to a reading, and their noise."""
 
 from jaxrod.sensors.cameras import (
     Camera,

@@ -1,13 +1,14 @@
-r"""Cameras: markers on a rod, in the world and in an image, and depth images.
+r"""Markers on a rod, in world coordinates or in camera images, and depth images.
 
-A pin-hole camera has the axes x to the right, y down and z forward. With $(X, Y, Z)$ a
-point in its frame [m], the focal length $f$ and the principal point $c$ [pixels],
+The frame of a pin-hole camera has x to the right, y down and z forward. A point
+$(X, Y, Z)$ in this frame [m] has the image, with focal length $f$ and principal point
+$c$ [pixels],
 
 $$u = c_1 + f X/Z, \qquad v = c_2 + f Y/Z.$$
 
 A depth image has at each pixel the depth $Z$ of the nearest point of the rod on the ray
 through the pixel's centre. The rod is the union of capsules: an element is a cylinder
-with half a ball at each end.
+with a half sphere at each end.
 """
 
 from __future__ import annotations
@@ -48,14 +49,14 @@ from jaxrod.validation import (
 )
 
 MOST_PIXELS = 10_000
-"""Largest number of rows and columns of an image; more are taken for a mistake."""
+"""Largest number of rows and columns of an image; more are rejected as a mistake."""
 _LEAST_ANGLE = 1e-3
-"""Smallest angle between the optical axis and what is up [rad]."""
+"""Smallest angle between the optical axis and the direction `up` [rad]."""
 
 
 @pytree
 class Camera:
-    """A pin-hole camera without distortion; see `camera`.
+    """Pin-hole camera without distortion, made by `camera`.
 
     Example:
         >>> eye = sensors.camera(
@@ -77,14 +78,13 @@ class Camera:
     focal_length: Float[Array, ""]
     """Focal length [pixels]."""
     principal_point: Float[Array, "2"]
-    """Place of the optical axis in the image, from the left and from the top
-    [pixels]."""
+    """Image of the optical axis, from the left and from the top [pixels]."""
 
     def project(self, points: Float[Array, "3 *k"]) -> Float[Array, "2 *k"]:
-        """Image of points of the world [pixels].
+        """Image coordinates (from left, from top) of world points [pixels].
 
-        It is NaN for points that are not in front of the camera, where its derivative
-        is zero. Points may be outside the image.
+        They are NaN, with zero derivatives, for points that are not in front of the
+        camera. Points may lie outside the image.
 
         Args:
             points: Points, world frame [m].
@@ -97,13 +97,13 @@ class Camera:
         return jnp.where(ahead, centre + image, jnp.nan)
 
     def in_front(self, points: Float[Array, "3 *k"]) -> Bool[Array, "*k"]:
-        """Whether points of the world [m] are in front of the camera."""
+        """Whether points, world frame [m], are in front of the camera."""
         return _is_ahead(self._seen(points))
 
     def rays(self, rows: int, columns: int) -> Vec3:
-        """Directions through the centres of pixels, world frame, one deep [1].
+        """Vectors along the rays through the centres of pixels, world frame [1].
 
-        Each component is `(rows, columns)`.
+        Their component along the optical axis is 1. Each array is `(rows, columns)`.
         """
         dtype = self.focal_length.dtype
         u = jnp.arange(columns, dtype=dtype) + 0.5 - self.principal_point[0]
@@ -112,7 +112,7 @@ class Camera:
         return to_world(self._axes, (x, y, jnp.ones_like(x)))
 
     def _seen(self, points: Array) -> Vec3:
-        """Coordinates of points in the frame of the camera [m]."""
+        """Converts points from the world frame to the camera's frame [m]."""
         apart = vectors.subtract(vectors.split(points), vectors.split(self.position))
         return to_material(self._axes, apart)
 
@@ -122,14 +122,14 @@ class Camera:
 
 
 def _is_ahead(seen: Vec3) -> Array:
-    """Whether points are in front, by more than the rounding of their coordinates."""
+    """Whether points in the camera's frame are in front of it, beyond round-off."""
     x, y, depth = seen
     return depth > 1e-6 * (jnp.abs(x) + jnp.abs(y))
 
 
 @pytree
 class Markers(StationSensor):
-    """Positions of points on a rod; see `markers`.
+    """Sensor of world positions of points fixed to a rod, made by `markers`.
 
     Example:
         >>> balls = sensors.markers([0.5, 1.0])
@@ -143,7 +143,7 @@ class Markers(StationSensor):
     name: str = static(default="markers")
 
     def measure(self, scene: LoadedRod, state: RodState) -> Float[Array, "3 *k"]:
-        """Positions of the markers, world frame."""
+        """Positions of the markers: centreline plus offset, world frame [m]."""
         motion = motion_of(state)
         stations = stations_of(scene.rod, self.arc_length)
         centre = stations.nodes.of_vectors(motion.position)
@@ -154,7 +154,7 @@ class Markers(StationSensor):
 
 @pytree
 class ImageMarkers(Sensor):
-    """Images of points on a rod; see `image_markers`.
+    """Sensor of image coordinates of points fixed to a rod, made by `image_markers`.
 
     Example:
         >>> eye = sensors.camera(
@@ -170,23 +170,23 @@ class ImageMarkers(Sensor):
 
     unit: ClassVar[str] = "pixel"
     camera: Camera
-    """The camera."""
+    """Camera that takes the image."""
     markers: Markers
-    """The markers."""
+    """Markers on the rod."""
     name: str = static(default="image markers")
 
     def check(self, scene: LoadedRod) -> None:
-        """Raises a ValueError if a marker is known to be beyond the end of the rod."""
+        """Raises a ValueError if a marker is beyond the rod's end, unless traced."""
         self.markers.check(scene)
 
     def measure(self, scene: LoadedRod, state: RodState) -> Float[Array, "2 *k"]:
-        """Images of the markers, from the left and from the top; NaN if behind."""
+        """Image coordinates (from left, from top) [pixels]; NaN behind the camera."""
         return self.camera.project(self.markers.measure(scene, state))
 
 
 @pytree
 class DepthImage(Sensor):
-    """Depth of the rod's surface at each pixel; see `depth_image`.
+    """Sensor of the depth of the rod's surface at each pixel, made by `depth_image`.
 
     Example:
         >>> eye = sensors.camera(
@@ -202,9 +202,9 @@ class DepthImage(Sensor):
 
     unit: ClassVar[str] = "m"
     camera: Camera
-    """The camera."""
+    """Camera that takes the image."""
     max_range: Float[Array, ""] | None = None
-    """Largest depth, which is also read where there is no rod; `None`: infinite [m]."""
+    """Largest depth, also the reading at pixels without rod; `None`: infinite [m]."""
     rows: int = static(default=48)
     """Height of the image [pixels]."""
     columns: int = static(default=64)
@@ -214,7 +214,7 @@ class DepthImage(Sensor):
     def measure(
         self, scene: LoadedRod, state: RodState
     ) -> Float[Array, "rows columns"]:
-        """Depth of the nearest point of the rod along the optical axis."""
+        """Depth Z of the nearest point of the rod at each pixel [m]."""
         motion = motion_of(state)
         nodes = vectors.subtract(motion.position, vectors.split(self.camera.position))
         rays = self.camera.rays(self.rows, self.columns)
@@ -223,12 +223,12 @@ class DepthImage(Sensor):
 
 
 def _nearest(rays: Vec3, nodes: Vec3, axes: Vec3, radii: Array) -> Array:
-    """Smallest multiple of each ray at which it enters a capsule; infinite without one.
+    """Smallest factor of each ray vector at which it enters a capsule, else infinity.
 
     Args:
-        rays: Rays from the origin `(h, w)`.
+        rays: Vectors of the rays from the origin, each component `(h, w)`.
         nodes: Ends of the axes of the capsules `(n + 1,)`.
-        axes: Vectors along the axes `(n,)`.
+        axes: Vectors from one end of each axis to the next `(n,)`.
         radii: Radii of the capsules `(n,)`.
     """
     a, b, c = (part[:, :, None] for part in rays)
@@ -239,7 +239,7 @@ def _nearest(rays: Vec3, nodes: Vec3, axes: Vec3, radii: Array) -> Array:
     square = vectors.dot(axis, axis)
 
     def across(vector: Vec3) -> Vec3:
-        """Part of a vector perpendicular to each axis."""
+        """Component of a vector perpendicular to the axis of each capsule."""
         along = vectors.dot(vector, axis) / square
         return vectors.subtract(vector, vectors.scale(along, axis))
 
@@ -248,16 +248,16 @@ def _nearest(rays: Vec3, nodes: Vec3, axes: Vec3, radii: Array) -> Array:
     along = vectors.dot(there, axis)
     hit = hit & (along >= 0) & (along <= square)
     depth = jnp.min(jnp.where(hit, entry, jnp.inf), axis=-1)
-    # A ball at a node is as thick as the thicker of the elements there.
+    # The sphere at a node has the larger radius of its two elements.
     wide = jnp.pad(wide, ((0, 0), (0, 0), (1, 1)), mode="edge")
     entry, hit = _entry(ray, (x, y, z), jnp.maximum(wide[..., 1:], wide[..., :-1]))
     return jnp.minimum(depth, jnp.min(jnp.where(hit, entry, jnp.inf), axis=-1))
 
 
 def _entry(ray: Vec3, centre: Vec3, radius: Array) -> tuple[Array, Array]:
-    """Multiple of a ray at which it enters a ball, and whether it does.
+    """Factor of a ray vector at which it enters a sphere, and whether it does.
 
-    In a plane across an axis the ball is a cylinder.
+    With vectors projected perpendicular to an axis, the sphere is a cylinder.
     """
     square = vectors.dot(ray, ray)
     # A ray along the axis never enters through the side.
@@ -280,15 +280,15 @@ def camera(
     principal_point: Numbers,
     up: Numbers = (0.0, 0.0, 1.0),
 ) -> Camera:
-    """A pin-hole camera that looks at a point.
+    """Makes a pin-hole camera that looks at a point.
 
     Args:
         position: Position of the pin-hole, world frame `(3,)` [m].
         target: Point on the optical axis, world frame `(3,)` [m].
         focal_length: Focal length, above 0 [pixels].
-        principal_point: Place of the optical axis in the image, from the left and from
-            the top `(2,)` [pixels]; half the width and half the height, as a rule. The
-            centre of the first pixel is at (0.5, 0.5).
+        principal_point: Image of the optical axis, from the left and from the top
+            `(2,)` [pixels]; usually half the width and half the height. The centre of
+            the first pixel is at (0.5, 0.5).
         up: Direction that is up in the image, of any length `(3,)`.
 
     Raises:
@@ -326,7 +326,7 @@ def camera(
 
 
 def markers(arc_length: Numbers, offsets: Numbers = (0.0, 0.0)) -> Markers:
-    """Points that are fixed to sections of a rod, as motion capture sees them.
+    """Makes markers: points fixed to sections of a rod, as in motion capture.
 
     Args:
         arc_length: Arc length of the station in the unstressed rod, one number or
@@ -352,14 +352,14 @@ def markers(arc_length: Numbers, offsets: Numbers = (0.0, 0.0)) -> Markers:
 def image_markers(
     camera: Camera, arc_length: Numbers, offsets: Numbers = (0.0, 0.0)
 ) -> ImageMarkers:
-    """Points that are fixed to sections of a rod, as a camera sees them.
+    """Makes markers, points fixed to sections of a rod, that are seen by a camera.
 
-    Nothing hides a marker: it is seen through the rod.
+    Markers are never hidden, even behind the rod.
 
     Args:
         camera: The camera.
         arc_length: Arc length of the station, one number or `(k,)` [m].
-        offsets: Offsets, as for `markers` [m].
+        offsets: Offsets from the centreline, as for `markers` [m].
 
     Returns:
         A sensor that reads two coordinates per station, from the left and from the top
@@ -387,17 +387,17 @@ def image_markers(
 def depth_image(
     camera: Camera, rows: int, columns: int, *, max_range: Numbers | None = None
 ) -> DepthImage:
-    """Depth image of a rod: the distance along the optical axis, by casting rays.
+    """Makes a depth image of a rod: distances along the optical axis, by ray casting.
 
-    It is differentiable by the state and the camera but at the rod's outline, where
-    depth jumps. The camera has to be outside the rod. Obstacles and other rods are not
-    seen.
+    It is differentiable by the state and the camera except at the rod's outline, where
+    depth jumps. The camera must be outside the rod. Obstacles and other rods do not
+    appear.
 
     Args:
         camera: The camera.
         rows: Height of the image [pixels].
         columns: Width of the image [pixels].
-        max_range: Largest depth, above 0, which is also read where there is no rod [m];
+        max_range: Largest depth, above 0, also the reading at pixels without rod [m];
             infinite by default.
 
     Returns:

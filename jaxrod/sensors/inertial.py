@@ -1,13 +1,14 @@
 r"""Inertial sensors on a rod: accelerometers and gyroscopes.
 
-A sensor at the arm $r$ from the centreline, fixed to a section that turns with the
-angular velocity $\omega$, sees the specific force
+A sensor at the offset $r$ from the centreline, fixed to a section that turns with the
+angular velocity $\omega$, measures the specific force
 
 $$f = a + \dot\omega\times r + \omega\times(\omega\times r) - g$$
 
-in its own frame. $a$ and $\dot\omega$ are those of the equations of motion, from all
-loads in the state: nothing is differenced in time. An element has little rotary
-inertia, so $\dot\omega$ is large where couples are not in balance.
+in the sensor's frame, with the acceleration $a$ of the centreline and gravity $g$. $a$
+and $\dot\omega$ follow from all loads by the equations of motion, not from differences
+in time. An element has little rotary inertia, so $\dot\omega$ is large where couples
+are not in balance.
 """
 
 from __future__ import annotations
@@ -46,10 +47,10 @@ IDENTITY = (1.0, 0.0, 0.0, 0.0)
 
 
 class InertialSensor(StationSensor):
-    """Base of sensors of motion that are mounted on a section."""
+    """Base of accelerometers and gyroscopes, mounted on a section of a rod."""
 
     def check(self, scene: LoadedRod) -> None:
-        """Raises a ValueError for methods whose elements do not turn as these see."""
+        """Raises a ValueError unless the scene has the consistent law with twist."""
         super().check(scene)
         if not (scene.method.has_energy and scene.method.twist):
             raise ValueError(
@@ -60,7 +61,7 @@ class InertialSensor(StationSensor):
 
 @pytree
 class Accelerometer(InertialSensor):
-    """Specific force at stations; see `accelerometer`.
+    """Sensor of the specific force at stations, made by `accelerometer`.
 
     Example:
         >>> unit = sensors.accelerometer([0.5, 1.0], (0.0, 0.01))
@@ -72,11 +73,11 @@ class Accelerometer(InertialSensor):
     offsets: Float[Array, "2 _"]
     """Offsets of the sensors along d1 and d2 [m]."""
     orientation: Float[Array, "4"]
-    """Mounting: unit quaternion (w, x, y, z), sensor to section."""
+    """Unit quaternion (w, x, y, z) from the sensor's to the section's frame."""
     name: str = static(default="accelerometer")
 
     def measure(self, scene: LoadedRod, state: RodState) -> Float[Array, "3 *k"]:
-        """Acceleration minus that of free fall, in the sensor's frame."""
+        """Acceleration minus gravity at each station, in the sensor's frame."""
         rod, motion = scene.rod, motion_of(state)
         stations = stations_of(rod, self.arc_length)
         change = rates_of_change(scene, motion)
@@ -101,7 +102,7 @@ class Accelerometer(InertialSensor):
 
 @pytree
 class Gyroscope(InertialSensor):
-    """Angular velocity at stations; see `gyroscope`.
+    """Sensor of the angular velocity at stations, made by `gyroscope`.
 
     Example:
         >>> gyroscope = sensors.gyroscope([0.5, 1.0])
@@ -111,7 +112,7 @@ class Gyroscope(InertialSensor):
 
     unit: ClassVar[str] = "rad/s"
     orientation: Float[Array, "4"]
-    """Mounting: unit quaternion (w, x, y, z), sensor to section."""
+    """Unit quaternion (w, x, y, z) from the sensor's to the section's frame."""
     name: str = static(default="gyroscope")
 
     def measure(self, scene: LoadedRod, state: RodState) -> Float[Array, "3 *k"]:
@@ -126,7 +127,10 @@ class Gyroscope(InertialSensor):
 def _mounted(
     orientation: Array, stations: Stations, motion: Motion, vector: Vec3
 ) -> Vec3:
-    """World vectors at stations in the frames of sensors mounted there."""
+    """Converts world vectors at stations to the frames of the sensors there.
+
+    `orientation` is the unit quaternion from the sensor's to the section's frame.
+    """
     in_sections = to_material(directors(stations.orientation(motion)), vector)
     mounting = split_quaternion(orientation.astype(vector[0].dtype))
     return to_material(directors(mounting), in_sections)
@@ -138,10 +142,10 @@ def accelerometer(
     *,
     orientation: Numbers = IDENTITY,
 ) -> Accelerometer:
-    """Accelerometer of an inertial unit that is fixed to a section of a rod.
+    """Makes an accelerometer that is fixed to a section of a rod.
 
-    At rest it reads gravity upwards, in free fall zero. Together with a `gyroscope` at
-    the same station it is an inertial unit.
+    At rest it reads 9.81 m/s^2 upwards, in free fall zero. Together with a `gyroscope`
+    at the same station it is an inertial unit.
 
     Args:
         arc_length: Arc length of the station in the unstressed rod, one number or
@@ -169,12 +173,13 @@ def accelerometer(
 
 
 def gyroscope(arc_length: Numbers, *, orientation: Numbers = IDENTITY) -> Gyroscope:
-    """Gyroscope of an inertial unit that is fixed to a section of a rod.
+    """Makes a gyroscope that is fixed to a section of a rod.
 
     Args:
         arc_length: Arc length of the station in the unstressed rod, one number or
             `(k,)` [m].
-        orientation: Mounting, as for `accelerometer`.
+        orientation: Quaternion from the sensor's to the section's frame, as for
+            `accelerometer`.
 
     Returns:
         A sensor that reads three components per station, sensor's frame [rad/s]. It
@@ -193,6 +198,6 @@ def gyroscope(arc_length: Numbers, *, orientation: Numbers = IDENTITY) -> Gyrosc
 
 
 def _as_mounting(orientation: Numbers) -> Array:
-    """Unit quaternion of a mounting."""
+    """Unit quaternion from a quaternion of any length."""
     given = unit_vector("orientation", orientation, 4)
     return jnp.asarray(given, jnp.result_type(float))

@@ -1,4 +1,4 @@
-"""Sensors of what acts on a rod: supports, tendons, chambers, contact."""
+"""Sensors of loads on a rod: of supports, tendons, chambers and contact."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ from jaxrod.validation import check_count, check_kind
 
 @pytree
 class SupportForce(Sensor):
-    """Force of a support; see `support_force`.
+    """Sensor of the force of the supports at an end, made by `support_force`.
 
     Example:
         >>> cell = sensors.support_force("base")
@@ -34,18 +34,18 @@ class SupportForce(Sensor):
 
     unit: ClassVar[str] = "N"
     end: End = static(default="base")
-    """The end that is held."""
+    """End of the rod that is held, "base" or "tip"."""
     name: str = static(default="support force")
 
     def measure(self, scene: LoadedRod, state: RodState) -> Float[Array, "3"]:
-        """Force of the supports at the end on the rod, world frame."""
+        """Force of the supports on the end of the rod, world frame [N]."""
         held = _reactions_at(self.end, scene, state)
         return jnp.sum(jnp.stack([reaction.force for reaction in held]), axis=0)
 
 
 @pytree
 class SupportCouple(Sensor):
-    """Couple of a support; see `support_couple`.
+    """Sensor of the couple of the supports at an end, made by `support_couple`.
 
     Example:
         >>> cell = sensors.support_couple("base")
@@ -55,17 +55,21 @@ class SupportCouple(Sensor):
 
     unit: ClassVar[str] = "N m"
     end: End = static(default="base")
-    """The end that is held."""
+    """End of the rod that is held, "base" or "tip"."""
     name: str = static(default="support couple")
 
     def measure(self, scene: LoadedRod, state: RodState) -> Float[Array, "3"]:
-        """Couple of the supports at the end on the rod, world frame."""
+        """Couple of the supports on the end of the rod, world frame [N m]."""
         held = _reactions_at(self.end, scene, state)
         return jnp.sum(jnp.stack([reaction.couple for reaction in held]), axis=0)
 
 
 def _reactions_at(end: End, scene: LoadedRod, state: RodState) -> list[Reaction]:
-    """Reactions of all supports at an end."""
+    """Reactions of all supports at an end.
+
+    Raises:
+        ValueError: If there is none, or one also holds another part of the rod.
+    """
     found = reactions(scene, state)
     index, rod = 0 if end == "base" else -1, scene.rod
     here = {index % (rod.n_elements + 1)}, {index % rod.n_elements}
@@ -90,7 +94,7 @@ def _reactions_at(end: End, scene: LoadedRod, state: RodState) -> list[Reaction]
 
 @pytree
 class TendonLength(Sensor):
-    """Lengths of cables; see `tendon_length`.
+    """Sensor of the lengths of a tendon's cables, made by `tendon_length`.
 
     Example:
         >>> pair = actuation.tendon(rod, [[0.01, 0.0], [-0.01, 0.0]], tension=5.0)
@@ -102,17 +106,17 @@ class TendonLength(Sensor):
 
     unit: ClassVar[str] = "m"
     effect: int = static(default=0)
-    """Number of the tendon among the effects of the scene."""
+    """Index of the tendon in the scene's `effects`, from 0."""
     name: str = static(default="tendon length")
 
     def measure(self, scene: LoadedRod, state: RodState) -> Float[Array, "k"]:
-        """Length of each cable, from its anchor or first eyelet to its last."""
+        """Length of each cable, from its anchor or first eyelet to its last one [m]."""
         return _tendon(scene, self.effect).cable_lengths(motion_of(state))
 
 
 @pytree
 class TendonTension(Sensor):
-    """Tensions of cables; see `tendon_tension`.
+    """Sensor of the tensions of a tendon's cables, made by `tendon_tension`.
 
     Example:
         >>> pair = actuation.tendon(rod, [[0.01, 0.0], [-0.01, 0.0]], tension=5.0)
@@ -123,17 +127,17 @@ class TendonTension(Sensor):
 
     unit: ClassVar[str] = "N"
     effect: int = static(default=0)
-    """Number of the tendon among the effects of the scene."""
+    """Index of the tendon in the scene's `effects`, from 0."""
     name: str = static(default="tendon tension")
 
     def measure(self, scene: LoadedRod, state: RodState) -> Float[Array, "k"]:
-        """Tension of each cable at its base."""
+        """Tension of each cable at its base [N]."""
         return _tendon(scene, self.effect).cable_tensions(motion_of(state))
 
 
 @pytree
 class ChamberPressure(Sensor):
-    """Pressures in chambers; see `chamber_pressure`.
+    """Sensor of the pressures in chambers, made by `chamber_pressure`.
 
     Example:
         >>> places = [[0.01, 0.0], [-0.01, 0.0]]  # of two chambers [m]
@@ -146,17 +150,17 @@ class ChamberPressure(Sensor):
 
     unit: ClassVar[str] = "Pa"
     effect: int = static(default=0)
-    """Number of the chamber among the effects of the scene."""
+    """Index of the chambers in the scene's `effects`, from 0."""
     name: str = static(default="chamber pressure")
 
     def measure(self, scene: LoadedRod, state: RodState) -> Float[Array, "k"]:
-        """Pressure in each chamber above that outside."""
+        """Pressure in each chamber above the pressure outside [Pa]."""
         chosen = _effect(scene, self.effect, (Chamber, WoundChamber))
         return jnp.broadcast_to(chosen.pressure, (chosen.path.count,))
 
 
 def _effect(scene: LoadedRod, number: int, kinds: type | tuple[type, ...]) -> Any:
-    """Effect of a scene by its number; raises if there is none, or of another kind."""
+    """Effect of a scene by its index; raises if it is missing or not of `kinds`."""
     check_count("effect", number, 0, len(scene.effects) - 1)
     chosen = scene.effects[number]
     check_kind(f"effect {number} of the scene", chosen, kinds)
@@ -164,14 +168,14 @@ def _effect(scene: LoadedRod, number: int, kinds: type | tuple[type, ...]) -> An
 
 
 def _tendon(scene: LoadedRod, number: int) -> Tendon:
-    """Tendon of a scene, by its number among the effects."""
+    """Tendon of a scene, by its index in `effects`."""
     chosen: Tendon = _effect(scene, number, Tendon)
     return chosen
 
 
 @pytree
 class ContactForce(Sensor):
-    """Force of all bodies that a rod touches; see `contact_force`.
+    """Sensor of the force of all bodies that touch a rod, made by `contact_force`.
 
     Example:
         >>> floor = jaxrod.contact(shapes.plane((0.0, 0.0, -0.01)), stiffness=1e4)
@@ -182,11 +186,11 @@ class ContactForce(Sensor):
 
     unit: ClassVar[str] = "N"
     per_node: bool = static(default=False)
-    """Whether forces are on each node, or their sum."""
+    """Whether to read the force on each node, instead of the sum."""
     name: str = static(default="contact force")
 
     def measure(self, scene: LoadedRod, state: RodState) -> Float[Array, "3 *nodes"]:
-        """Force of the bodies on the rod, world frame."""
+        """Force of the bodies on the rod or on each node, world frame [N]."""
         motion, rod = motion_of(state), scene.rod
         internal = internal_loads(elastic_law(rod), motion)
         forces, couples = internal.forces, internal.couples
@@ -207,17 +211,17 @@ class ContactForce(Sensor):
 
 
 def support_force(end: End = "base") -> SupportForce:
-    """Force with which supports hold an end: a force sensor under the base.
+    """Makes a sensor of the force with which supports hold an end of the rod.
 
-    It is the force on the end node of `jaxrod.reactions`: that of a clamp, a fixed end,
-    a pin, a hinge or a driven end.
+    It is the force on the end node in `jaxrod.reactions`, of a clamp, a fixed end, a
+    pin, a hinge or a driven end.
 
     Args:
-        end: The end that is held.
+        end: End that is held, "base" or "tip".
 
     Returns:
         A sensor that reads three components, world frame [N]. It needs the consistent
-        law and a support at that end, which holds no other place.
+        law and a support that holds only that end.
 
     Raises:
         ValueError: If `end` is neither "base" nor "tip".
@@ -232,14 +236,14 @@ def support_force(end: End = "base") -> SupportForce:
 
 
 def support_couple(end: End = "base") -> SupportCouple:
-    """Couple with which supports hold an end: a torque sensor under the base.
+    """Makes a sensor of the couple with which supports hold an end of the rod.
 
     Args:
-        end: The end that is held.
+        end: End that is held, "base" or "tip".
 
     Returns:
         A sensor that reads three components, world frame [N m]. It needs the consistent
-        law and a support at that end, which holds no other place.
+        law and a support that holds only that end.
 
     Raises:
         ValueError: If `end` is neither "base" nor "tip".
@@ -261,17 +265,17 @@ def support_couple(end: End = "base") -> SupportCouple:
 
 
 def tendon_length(effect: int) -> TendonLength:
-    """Length of the cables of a tendon: an encoder on the winch.
+    """Makes a sensor of the lengths of a tendon's cables, such as a winch encoder.
 
     Args:
-        effect: Number of the tendon among the effects of the scene.
+        effect: Index of the tendon in the scene's `effects`, from 0.
 
     Returns:
         A sensor that reads one number per cable [m]. Reading it raises a `TypeError` if
         that effect is not a `tendon`.
 
     Raises:
-        ValueError: If `effect` is not a number of an effect.
+        ValueError: If `effect` is not an integer from 0.
 
     Example:
         >>> pulled = actuation.tendon(rod, (0.01, 0.0), tension=5.0)
@@ -283,17 +287,17 @@ def tendon_length(effect: int) -> TendonLength:
 
 
 def tendon_tension(effect: int) -> TendonTension:
-    """Tension of the cables of a tendon at its base: a load cell on the cable.
+    """Makes a sensor of the tensions of a tendon's cables at their base.
 
     Args:
-        effect: Number of the tendon among the effects of the scene.
+        effect: Index of the tendon in the scene's `effects`, from 0.
 
     Returns:
         A sensor that reads one number per cable [N]. Reading it raises a `TypeError` if
         that effect is not a `tendon`.
 
     Raises:
-        ValueError: If `effect` is not a number of an effect.
+        ValueError: If `effect` is not an integer from 0.
 
     Example:
         >>> pull = schedules.ramp(0.0, 5.0, duration=1.0)
@@ -306,17 +310,17 @@ def tendon_tension(effect: int) -> TendonTension:
 
 
 def chamber_pressure(effect: int) -> ChamberPressure:
-    """Pressure in chambers above that outside.
+    """Makes a sensor of the pressures in chambers, above the pressure outside.
 
     Args:
-        effect: Number of the chamber among the effects of the scene.
+        effect: Index of the chambers in the scene's `effects`, from 0.
 
     Returns:
         A sensor that reads one number per chamber [Pa]. Reading it raises a `TypeError`
         if that effect is not a `chamber` or `wound_chamber`.
 
     Raises:
-        ValueError: If `effect` is not a number of an effect.
+        ValueError: If `effect` is not an integer from 0.
 
     Example:
         >>> pump = schedules.ramp(0.0, 2e4, duration=1.0)
@@ -328,10 +332,10 @@ def chamber_pressure(effect: int) -> ChamberPressure:
 
 
 def contact_force(*, per_node: bool = False) -> ContactForce:
-    """Force of all bodies that the rod touches, normal forces and friction.
+    """Makes a sensor of contact forces on the rod: normal forces and friction.
 
     Args:
-        per_node: Whether to read the force on each node, as a skin does, or the sum.
+        per_node: Whether to read the force on each node, instead of the sum.
 
     Returns:
         A sensor that reads three components, or `(3, n + 1)`, world frame [N]. Reading

@@ -1,4 +1,4 @@
-"""Noise of readings: bias, scatter, quantisation, loss."""
+"""Noise of sensor readings: bias, random error, quantisation, lost values."""
 
 from __future__ import annotations
 
@@ -18,22 +18,22 @@ def noisy(
     resolution: Numbers = 0.0,
     dropout: Numbers = 0.0,
 ) -> Float[Array, "..."]:
-    r"""A reading with noise, $\mathrm{round}((y + b + s\,n)/r)\,r$ with normal $n$.
+    r"""Adds noise to a reading: $r\,\mathrm{round}((y + b + s\,n)/r)$ with normal $n$.
 
-    Each number of the reading is disturbed independently. Derivatives pass through the
-    rounding as if it were not there.
+    The noise of each number of the reading is independent. Derivatives ignore the
+    rounding. `deviation`, `bias`, `resolution` and `dropout` are numbers, or arrays of
+    the reading's shape.
 
     Args:
         key: Key of the random numbers, `jax.random.key(seed)`; a new one per reading.
-        reading: The reading, in its unit.
-        deviation: Standard deviation, one number or one per number of the reading, as
-            all that follow [unit of the reading].
-        bias: Constant offset [unit of the reading].
-        resolution: Step of the quantisation; zero for none [unit of the reading].
-        dropout: Probability that a number is lost, from 0 to 1 [1]. It is NaN then.
+        reading: The reading $y$.
+        deviation: Standard deviation $s$ [unit of the reading].
+        bias: Constant offset $b$ [unit of the reading].
+        resolution: Step $r$ of the quantisation; zero for none [unit of the reading].
+        dropout: Probability that a number is lost and becomes NaN, from 0 to 1 [1].
 
     Returns:
-        The disturbed reading, of the same shape and type.
+        The reading with noise, of the same shape and type.
 
     Raises:
         ValueError: If a number is out of range or of the wrong shape.
@@ -56,7 +56,7 @@ def noisy(
     coarse = grain > 0
     step = jnp.where(coarse, grain, 1)
     rounded = jnp.where(coarse, step * jnp.round(value / step), value)
-    # The derivative of the value, added as an exact zero.
+    # An exact zero that has the derivative of the value.
     passing = jnp.where(jnp.isfinite(value), value, 0)
     rounded = jax.lax.stop_gradient(rounded) + (
         passing - jax.lax.stop_gradient(passing)

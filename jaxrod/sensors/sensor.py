@@ -1,10 +1,11 @@
 r"""The base of all sensors, and interpolation along a rod at their stations.
 
-A station is an arc length $s$ of the unstressed rod. Between the places $s_j$ where a
-field has its values (nodes, middles of elements, joints) it is linear in $s$, and so it
-is beyond the first and the last of them. Orientations go along the rotation vector of
-the joint, $q(s) = q_j\,e^{\lambda\phi_j}$. Both are second order in the length of the
-elements, and exact in an arc of a circle (orientation) and under constant strain.
+A station is an arc length $s$ of the unstressed rod. A field that is known at points
+$s_j$ (nodes, middles of elements or joints) is interpolated linearly in $s$, and
+extrapolated linearly beyond the first and the last point. Orientations are interpolated
+along the rotation vector $\phi_j$ of the joint, $q(s) = q_j\,e^{\lambda\phi_j}$, with
+the fraction $\lambda$ of the interval. The error is second order in the length of the
+elements, and zero in a circular arc (orientation) and under constant strain.
 """
 
 from __future__ import annotations
@@ -34,14 +35,14 @@ from jaxrod.structure import pytree
 from jaxrod.validation import Numbers, as_array, is_traced, numeric
 
 _BEYOND = 1e-5
-"""Distance over the rod's length by which a station may be beyond the end [1]."""
+"""Largest accepted distance of a station beyond the end, over the rod's length [1]."""
 
 
 class Sensor(ABC):
-    """Base of all sensors: what it reads in a state of a scene.
+    """Base of all sensors: a sensor computes a reading from a state of a scene.
 
     A sensor is a frozen pytree. `read` is a pure function: `jax.vmap` of it reads a
-    batch or a recording, and both modes of differentiation go through it.
+    batch or a recording, and it is differentiable in forward and reverse mode.
 
     Example:
         >>> @extend.pytree
@@ -56,12 +57,12 @@ class Sensor(ABC):
     """
 
     name: str
-    """Name of the sensor."""
+    """Name of the sensor, for messages."""
     unit: ClassVar[str]
     """SI unit of the reading."""
 
     def read(self, scene: LoadedRod, state: RodState) -> Array:
-        """Reading in a state, in `unit`.
+        """Computes the reading in a state, in `unit`.
 
         Args:
             scene: The scene of one rod; if it depends on time, the scene at the time of
@@ -69,9 +70,9 @@ class Sensor(ABC):
             state: The state.
 
         Raises:
-            ValueError: If the scene depends on time, has not what the sensor measures,
-                or the sensor is beyond the end of the rod. Where that is traced, the
-                reading is NaN.
+            ValueError: If the scene depends on time, lacks what the sensor measures, or
+                ends before the sensor's arc length. If that is traced, the reading is
+                NaN instead.
             TypeError: If `scene` or `state` is of another type.
         """
         scene = scene_of(scene, state)
@@ -80,13 +81,13 @@ class Sensor(ABC):
 
     @abstractmethod
     def measure(self, scene: LoadedRod, state: RodState) -> Array:
-        """Reading in a state; `read` checks arguments first, and compiles it."""
+        """Computes the reading in a state; `read` calls it compiled, after `check`."""
 
     def check(self, scene: LoadedRod) -> None:  # noqa: B027
-        """Raises if the scene has not what the sensor measures; most need nothing."""
+        """Raises if the scene lacks what the sensor measures; by default never."""
 
     def shape(self, scene: LoadedRod) -> tuple[int, ...]:
-        """Shape of the reading; nothing is computed."""
+        """Shape of the reading, found without computing it."""
         state = jax.eval_shape(lambda: state_of(trial_motion(scene.rod)))
         return jax.eval_shape(lambda given: self.read(scene, given), state).shape
 
@@ -98,17 +99,18 @@ def _read(sensor: Sensor, scene: LoadedRod, state: RodState) -> Array:
 
 @pytree
 class Weights:
-    """Weights of linear interpolation from places along a rod to stations."""
+    """Linear interpolation of a field from `m` points of a rod to `k` stations."""
 
     before: Bool[Array, "k m-1"]
-    """Whether a station is in each interval between two places."""
+    """Whether a station (row) is in an interval between two points (column)."""
     share: Float[Array, "k"]
-    """Position within the interval, from 0 to 1; outside beyond the end places [1]."""
+    """Position of each station within its interval, from 0 to 1; outside this range
+    beyond the first and the last point [1]."""
     valid: Bool[Array, "k"]
-    """Whether the station is on the rod."""
+    """Whether each station is on the rod."""
 
     def of(self, values: Array) -> Array:
-        """Values `(m,)` at the stations `(k,)`; NaN for stations off the rod."""
+        """Interpolates values `(m,)` to the stations `(k,)`; NaN off the rod."""
         if values.shape[-1] > 1:
             first = jnp.sum(jnp.where(self.before, values[None, :-1], 0), axis=1)
             last = jnp.sum(jnp.where(self.before, values[None, 1:], 0), axis=1)
@@ -118,12 +120,12 @@ class Weights:
         return jnp.where(self.valid, found, jnp.nan)
 
     def of_vectors(self, field: Vec3) -> Vec3:
-        """Vectors at the stations."""
+        """Interpolates vectors to the stations, each component as in `of`."""
         return self.of(field[0]), self.of(field[1]), self.of(field[2])
 
 
 def _weights(rod: Rod, stations: Array, places: Array) -> Weights:
-    """Weights for stations `(k,)` from increasing places `(m,)`, all in [m]."""
+    """Makes the interpolation to stations `(k,)` from points `places` `(m,)` [m]."""
     stations = stations.astype(rod.rest_lengths.dtype)
     valid = (stations >= 0) & (stations <= (1 + _BEYOND) * rod.length)
     here = stations[:, None]
@@ -137,24 +139,25 @@ def _weights(rod: Rod, stations: Array, places: Array) -> Weights:
     before = from_here & to_here
     start = jnp.sum(jnp.where(before, row[:, :-1], 0), axis=1)
     length = jnp.sum(jnp.where(before, row[:, 1:] - row[:, :-1], 0), axis=1)
-    # NaN is in no interval.
+    # A station that is NaN is in no interval.
     safe = jnp.where(valid, length, 1)
     return Weights(before, (stations - start) / safe, valid)
 
 
 @pytree
 class Stations:
-    """Interpolation at stations of a rod, from each kind of place."""
+    """Interpolation of fields on nodes, elements and joints to stations of a rod."""
 
     nodes: Weights
-    """From the nodes."""
+    """Interpolation of values at nodes."""
     elements: Weights
-    """From the middles of the elements."""
+    """Interpolation of values at the middles of elements."""
     joints: Weights
-    """From the joints: each is in the middle between the middles of two elements."""
+    """Interpolation of values at joints, taken halfway between the middles of two
+    elements."""
 
     def orientation(self, motion: Motion) -> Quaternion:
-        """Orientation of the section at each station, material to world."""
+        """Unit quaternion of the section at each station, material to world."""
         q = motion.orientation
         turn, _ = joint_rotations(q)
         before, share = self.elements.before, self.elements.share
@@ -171,13 +174,13 @@ class Stations:
 
 @pytree
 class StationSensor(Sensor):
-    """Base of sensors at stations along a rod."""
+    """Base of sensors at stations: arc lengths of a rod."""
 
     arc_length: Float[Array, "*k"]
-    """Arc length of the stations [m]."""
+    """Arc lengths of the stations in the unstressed rod [m]."""
 
     def check(self, scene: LoadedRod) -> None:
-        """Raises a ValueError if a station is known to be beyond the end of the rod."""
+        """Raises a ValueError if a station is beyond the rod's end, unless traced."""
         length = scene.rod.length
         if is_traced(self.arc_length, length):
             return
@@ -189,12 +192,12 @@ class StationSensor(Sensor):
             )
 
     def placed(self, reading: Vec3) -> Array:
-        """A vector reading at stations `(3, k)`, or `(3,)` at a single one."""
+        """Joins components `(k,)` to a reading `(3, k)`, or `(3,)` for one station."""
         return vectors.join(reading).reshape(3, *self.arc_length.shape)
 
 
 def stations_of(rod: Rod, arc_length: Array) -> Stations:
-    """Stations at arc lengths `()` or `(k,)` of a rod [m]."""
+    """Makes the interpolation of a rod at arc lengths `()` or `(k,)` [m]."""
     stations = jnp.ravel(arc_length)
     middles = jnp.asarray(middle_places(rod))
     joints = 0.5 * (middles[1:] + middles[:-1])
@@ -203,7 +206,7 @@ def stations_of(rod: Rod, arc_length: Array) -> Stations:
 
 
 def as_stations(arc_length: Numbers) -> Array:
-    """Arc lengths of stations, checked: one number or `(k,)` [m]."""
+    """Checks arc lengths of stations, one number or `(k,)` [m]; returns an array."""
     given = numeric("arc_length", arc_length, "m")
     shapes = [(), (given.size,)]
     return as_array("arc_length", given, "m", shapes, non_negative=True)
@@ -212,7 +215,7 @@ def as_stations(arc_length: Numbers) -> Array:
 def as_offsets(
     offsets: Numbers, arc_length: Array, components: tuple[int, ...] = (2,)
 ) -> Array:
-    """Offsets along d1, d2 (and d3), checked: `(2,)` or one per station `(k, 2)` [m].
+    """Checks offsets along d1, d2 (and d3), `(2,)` or one per station `(k, 2)` [m].
 
     Args:
         offsets: The offsets.
@@ -231,7 +234,7 @@ def as_offsets(
 
 
 def in_section(offsets: Array, like: Array) -> Vec3:
-    """Offsets as vectors of the section's frame, in the type of other numbers."""
+    """Offsets `(2, k)` or `(3, k)` as vectors (d1, d2, d3), in the dtype of `like`."""
     x, y, *rest = (
         jnp.broadcast_to(part, like.shape).astype(like.dtype) for part in offsets
     )

@@ -1,13 +1,15 @@
-r"""Sensors of the strain of a section, and of what it transmits.
+r"""Sensors of the strain of a section, and of the force and moment it transmits.
 
-With the strains of the rod $\sigma, \kappa$ at a station, a fibre at the offset $p$ in
-the section is stretched to $u = e_3 + \sigma + \kappa\times p$ per unit length, and
+With strain $\sigma$ and curvature $\kappa$ of the rod at a station, a unit length of
+fibre at the offset $p$ in the section becomes $u = e_3 + \sigma + \kappa\times p$. Its
+strain is
 
 $$\epsilon = |u| / |u_0| - 1$$
 
-with $u_0$ of the unstressed shape. In pure bending that is $\kappa_1 p_2 - \kappa_2
-p_1$: a fibre on the inner side is compressed. The section transmits the force
-$S(\sigma - \sigma_0)$ and the moment $B(\kappa - \kappa_0)$ of the rod's own material.
+with $u_0$ in the unstressed shape. In pure bending it is $\kappa_1 p_2 - \kappa_2
+p_1$: a fibre on the inner side is compressed. The elastic material transmits the force
+$S(\sigma - \sigma_0)$ and the moment $B(\kappa - \kappa_0)$, with stiffnesses $S$, $B$
+and rest values $\sigma_0$, $\kappa_0$.
 """
 
 from __future__ import annotations
@@ -35,7 +37,7 @@ from jaxrod.validation import Numbers
 
 
 def _strains(scene: LoadedRod, state: RodState) -> tuple[Vec3, Vec3]:
-    """Strain of each element [1] and curvature of each joint [1/m]."""
+    """Shear and stretch of elements [1], and curvature and twist of joints [1/m]."""
     motion, rod = motion_of(state), scene.rod
     strain = shear_stretch(motion.edges, motion.orientation, 1 / rod.rest_lengths)
     rotation, _ = joint_rotations(motion.orientation)
@@ -44,7 +46,7 @@ def _strains(scene: LoadedRod, state: RodState) -> tuple[Vec3, Vec3]:
 
 @pytree
 class StrainGauge(StationSensor):
-    """Strain along fibres; see `strain_gauge`.
+    """Sensor of the strain along fibres at stations, made by `strain_gauge`.
 
     Example:
         >>> rosette = sensors.strain_gauge([0.5, 0.5], [[0.02, 0.0], [0.0, 0.02]])
@@ -58,7 +60,7 @@ class StrainGauge(StationSensor):
     name: str = static(default="strain gauge")
 
     def measure(self, scene: LoadedRod, state: RodState) -> Float[Array, "*k"]:
-        """Elongation of the fibres over their length in the unstressed rod."""
+        """Strain |u| / |u_0| - 1 of the fibres relative to the unstressed rod [1]."""
         stations = stations_of(scene.rod, self.arc_length)
         strain, curvature = _strains(scene, state)
         rest = (
@@ -70,7 +72,7 @@ class StrainGauge(StationSensor):
         return (ratio - 1).reshape(self.arc_length.shape)
 
     def _stretch(self, stations: Stations, strain: Vec3, curvature: Vec3) -> Array:
-        """Length of the fibres per length of the rod [1]."""
+        """Length |u| of the fibres per length of the unstressed centreline [1]."""
         x, y, z = stations.elements.of_vectors(strain)
         bend = stations.joints.of_vectors(curvature)
         offset = in_section(self.offsets, x)
@@ -81,7 +83,7 @@ class StrainGauge(StationSensor):
 
 @pytree
 class SectionCurvature(StationSensor):
-    """Curvature and twist at stations; see `section_curvature`.
+    """Sensor of curvature and twist at stations, made by `section_curvature`.
 
     Example:
         >>> bends = sensors.section_curvature([0.25, 0.5, 0.75])
@@ -93,7 +95,7 @@ class SectionCurvature(StationSensor):
     name: str = static(default="curvature")
 
     def measure(self, scene: LoadedRod, state: RodState) -> Float[Array, "3 *k"]:
-        """Curvature about d1 and d2, and twist, material frame."""
+        """Curvatures about d1 and d2, and twist about d3, material frame [1/m]."""
         stations = stations_of(scene.rod, self.arc_length)
         _, curvature = _strains(scene, state)
         return self.placed(stations.joints.of_vectors(curvature))
@@ -101,7 +103,7 @@ class SectionCurvature(StationSensor):
 
 @pytree
 class SectionForce(StationSensor):
-    """Force through sections; see `section_force`.
+    """Sensor of the elastic force through sections, made by `section_force`.
 
     Example:
         >>> cell = sensors.section_force([0.25, 0.75])
@@ -113,7 +115,7 @@ class SectionForce(StationSensor):
     name: str = static(default="section force")
 
     def measure(self, scene: LoadedRod, state: RodState) -> Float[Array, "3 *k"]:
-        """Shear forces along d1 and d2, and tension, material frame."""
+        """Shear forces along d1 and d2, and tension along d3, material frame [N]."""
         stations = stations_of(scene.rod, self.arc_length)
         law = elastic_law(scene.rod)
         strain, _ = _strains(scene, state)
@@ -125,7 +127,7 @@ class SectionForce(StationSensor):
 
 @pytree
 class SectionMoment(StationSensor):
-    """Moment through sections; see `section_moment`.
+    """Sensor of the elastic moment through sections, made by `section_moment`.
 
     Example:
         >>> cell = sensors.section_moment([0.25, 0.75])
@@ -137,7 +139,7 @@ class SectionMoment(StationSensor):
     name: str = static(default="section moment")
 
     def measure(self, scene: LoadedRod, state: RodState) -> Float[Array, "3 *k"]:
-        """Bending moments about d1 and d2, and torque, material frame."""
+        """Bending moments about d1 and d2, torque about d3, material frame [N m]."""
         stations = stations_of(scene.rod, self.arc_length)
         rod = scene.rod
         _, curvature = _strains(scene, state)
@@ -147,7 +149,7 @@ class SectionMoment(StationSensor):
 
 
 def strain_gauge(arc_length: Numbers, offsets: Numbers = (0.0, 0.0)) -> StrainGauge:
-    """Strain of a fibre glued to a rod: a strain gauge, or a fibre Bragg grating.
+    """Makes a sensor of the strain of a fibre glued to a rod, such as a strain gauge.
 
     It is positive where the fibre is longer than in the unstressed rod. The fibre keeps
     its offset in the section, so it follows twist.
@@ -174,7 +176,7 @@ def strain_gauge(arc_length: Numbers, offsets: Numbers = (0.0, 0.0)) -> StrainGa
 
 
 def section_curvature(arc_length: Numbers) -> SectionCurvature:
-    """Curvature and twist of the section, as `jaxrod.strains` gives them at joints.
+    """Makes a sensor of curvature and twist, interpolated from `jaxrod.strains`.
 
     Args:
         arc_length: Arc length of the station, one number or `(k,)` [m].
@@ -197,11 +199,11 @@ def section_curvature(arc_length: Numbers) -> SectionCurvature:
 
 
 def section_force(arc_length: Numbers) -> SectionForce:
-    """Force that the material of a rod transmits through a section.
+    """Makes a sensor of the elastic force that a rod transmits through a section.
 
-    The part beyond the section pulls with it on the part before; tension is positive.
-    Stress of actuators inside the rod (muscles, chambers) and of internal damping is
-    not in it.
+    It is the force of the part beyond the section on the part before it; tension is
+    positive. It does not include actuators inside the rod (muscles, chambers) or
+    internal damping.
 
     Args:
         arc_length: Arc length of the section, one number or `(k,)` [m].
@@ -222,7 +224,7 @@ def section_force(arc_length: Numbers) -> SectionForce:
 
 
 def section_moment(arc_length: Numbers) -> SectionMoment:
-    """Moment that the material transmits through a section, as in `section_force`.
+    """Makes a sensor of the elastic moment through a section, as in `section_force`.
 
     Args:
         arc_length: Arc length of the section, one number or `(k,)` [m].

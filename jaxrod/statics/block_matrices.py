@@ -78,23 +78,23 @@ class BlockTridiagonal:
         )
 
     def is_positive(self) -> Bool[Array, ""]:
-        """Whether all pivots are positive: a symmetric matrix is positive definite.
+        """Whether all pivots are positive. False if the matrix is not finite.
 
-        False if it is not finite.
+        A symmetric matrix is then positive definite.
         """
         _, pivots = _descend(self, jnp.zeros(self.diagonal.shape[:2], self.dtype))
         return jnp.all(pivots > 0)
 
     def stiffened(self, index: int, block: Float[Array, "m m"]) -> BlockTridiagonal:
-        """Matrix with a block added to its diagonal."""
+        """Matrix with a block added to its diagonal block number `index`."""
         return replace(self, diagonal=self.diagonal.at[index].add(block))
 
     def with_blocks(self, blocks: Float[Array, "n m m"]) -> BlockTridiagonal:
-        """Matrix with a block added to each block of its diagonal."""
+        """Matrix with a block added to each of its diagonal blocks."""
         return replace(self, diagonal=self.diagonal + blocks)
 
     def factored(self) -> BlockTridiagonal:
-        """The matrix in the form that solves fastest: elimination costs little."""
+        """The matrix itself: block elimination is fast without stored factors."""
         return self
 
     @property
@@ -106,7 +106,7 @@ class BlockTridiagonal:
 def eliminate(
     matrix: BlockTridiagonal, right: Float[Array, "n m"]
 ) -> Float[Array, "n m"]:
-    """Solves by block elimination, down the chain and back up."""
+    """Solves matrix x = right by block elimination, down the chain and back up."""
     size = right.shape[-1]
     reduced, _ = _descend(matrix, right)
 
@@ -185,8 +185,8 @@ def _times(blocks: Array, vector: Array) -> Array:
 class PairedBlocks:
     """A square matrix of `n` by `n` blocks that couples second neighbours.
 
-    Two blocks are taken for one of a block-tridiagonal matrix. If their number is odd
-    there is one more, with ones on its diagonal.
+    Every two blocks make one block of a block-tridiagonal matrix. If their number is
+    odd, a block is added, with ones on its diagonal.
     """
 
     pairs: BlockTridiagonal
@@ -207,19 +207,19 @@ class PairedBlocks:
         return self.pairs.is_positive()
 
     def stiffened(self, index: int, block: Float[Array, "m m"]) -> PairedBlocks:
-        """Matrix with a block added to its diagonal."""
+        """Matrix with a block added to its diagonal block number `index`."""
         blocks = jnp.zeros((self.n, *block.shape), block.dtype).at[index].set(block)
         return self.with_blocks(blocks)
 
     def with_blocks(self, blocks: Float[Array, "n m m"]) -> PairedBlocks:
-        """Matrix with a block added to each block of its diagonal."""
+        """Matrix with a block added to each of its diagonal blocks."""
         first, second = _first_and_second(blocks)
         none = jnp.zeros_like(first)
         added = self.pairs.with_blocks(quarters(first, none, none, second))
         return replace(self, pairs=added)
 
     def factored(self) -> PairedBlocks:
-        """The matrix in the form that solves fastest: elimination costs little."""
+        """The matrix itself: block elimination is fast without stored factors."""
         return self
 
     def _paired(self, vector: Float[Array, "n m"]) -> Float[Array, "half 2*m"]:
@@ -230,7 +230,7 @@ class PairedBlocks:
 
 
 def in_pairs(matrix: BlockTridiagonal) -> PairedBlocks:
-    """The same matrix in pairs of blocks."""
+    """Converts a block-tridiagonal matrix to `PairedBlocks`."""
     none = jnp.zeros_like(matrix.diagonal)
     bands = none, matrix.lower, matrix.diagonal, matrix.upper, none
     return of_five_bands(bands, spare=1.0)
@@ -261,14 +261,14 @@ def of_five_bands(bands: Sequence[Float[Array, "n m m"]], spare: float) -> Paire
 
 
 def _first_and_second(blocks: Array) -> tuple[Array, Array]:
-    """Blocks with even and with odd numbers; a zero one is added if one is missing."""
+    """Blocks with even and with odd indices; a zero block makes them equally many."""
     n = len(blocks)
     even = jnp.pad(blocks, ((0, n % 2),) + ((0, 0),) * (blocks.ndim - 1))
     return even[0::2], even[1::2]
 
 
 def quarters(a: Array, b: Array, c: Array, d: Array) -> Array:
-    """Blocks from their quarters."""
+    """Blocks [[a, b], [c, d]], each assembled from four quarters."""
     return jnp.concatenate(
         [jnp.concatenate([a, b], axis=2), jnp.concatenate([c, d], axis=2)], axis=1
     )
@@ -305,21 +305,21 @@ class Dense:
         return jnp.all(jnp.isfinite(factor))
 
     def stiffened(self, index: int, block: Float[Array, "m m"]) -> Dense:
-        """Matrix with a block added to its diagonal."""
+        """Matrix with a block added to its diagonal block number `index`."""
         return Dense(self.entries.at[index, :, index, :].add(block))
 
     def with_blocks(self, blocks: Float[Array, "n m m"]) -> Dense:
-        """Matrix with a block added to each block of its diagonal."""
+        """Matrix with a block added to each of its diagonal blocks."""
         one = jnp.eye(len(blocks), dtype=blocks.dtype)
         return Dense(self.entries + one[:, None, :, None] * blocks[:, :, None, :])
 
     def factored(self) -> FactoredDense:
-        """Factors of the matrix, to solve with several times."""
+        """LU factors of the scaled matrix, for several solutions."""
         scale, scaled = self._scaled()
         return FactoredDense(scale, *jax.scipy.linalg.lu_factor(scaled))
 
     def _scaled(self) -> tuple[Float[Array, "n m"], Float[Array, "size size"]]:
-        """Scale of the unknowns, and the matrix scaled so that its diagonal is one.
+        """Scale s of the unknowns, and the matrix s A s, whose diagonal is one.
 
         Displacements and rotations have different units, but pivots are chosen by size.
         """
@@ -332,14 +332,14 @@ class Dense:
 
 @pytree
 class FactoredDense:
-    """Factors of a dense matrix whose diagonal is scaled to one."""
+    """LU factors of a dense matrix that was scaled to a diagonal of one."""
 
     scale: Float[Array, "n m"]
-    """Scale of the unknowns."""
+    """Factors that scale rows and columns, 1 / sqrt(diagonal)."""
     factors: Float[Array, "size size"]
-    """Triangular factors."""
+    """Both triangular factors in one matrix, as `lu_factor` returns them."""
     pivots: Int[Array, " size"]
-    """Rows in the order of elimination."""
+    """Row with which each row was exchanged, as `lu_factor` returns it."""
 
     def solve(self, right: Float[Array, "n m"]) -> Float[Array, "n m"]:
         """Solution for a right-hand side; not finite if the matrix is singular."""
@@ -364,11 +364,11 @@ def matrix_of(
     function: Callable[[Float[Array, "n m"]], Float[Array, "n m"]],
     like: Float[Array, "n m"],
 ) -> Dense:
-    """Matrix of any linear function, from `n m` directions."""
+    """Dense matrix of a linear function, evaluated for all `n m` unit vectors."""
     seeds = jnp.eye(like.size, dtype=like.dtype).reshape(like.size, *like.shape)
     if like.size <= _COLUMNS_AT_ONCE:
         answers = jax.vmap(function)(seeds)
     else:
-        # In one batch, pairs of nodes times directions would take gigabytes.
+        # In one batch the intermediate values of all directions may take gigabytes.
         answers = lax.map(function, seeds, batch_size=_COLUMNS_AT_ONCE)
     return Dense(jnp.moveaxis(answers, 0, -1).reshape(*like.shape, *like.shape))

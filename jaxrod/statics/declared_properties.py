@@ -76,14 +76,14 @@ def check_declared_properties(scene: LoadedRod) -> None:
 
 
 def _says(effect: Effect) -> bool:
-    """Whether an effect declares properties of its loads that may be false."""
+    """Whether an effect declares a tangent or reach of its loads, to be checked."""
     if type(effect).loads is Effect.loads:
         return False
     return has_closed_form(effect) or effect.actual_reach != "any"
 
 
 def _holds(effect: Effect) -> bool:
-    """Whether an effect holds anything."""
+    """Whether an effect constrains positions, orientations or rates."""
     kind = type(effect)
     return (
         kind.constrain is not Effect.constrain
@@ -93,10 +93,11 @@ def _holds(effect: Effect) -> bool:
 
 @jax.jit
 def _tried(rod: Rod, effects: tuple[Effect, ...]) -> list[tuple[Array, Array]]:
-    """Two errors of each effect, relative; zero where nothing is declared.
+    """Relative errors of the declared loads and of the supports, for each effect.
 
-    The first compares its declared tangent or reach with the derivative of its loads.
-    The second is the part of the motion that its supports hold only partly.
+    The first is that of the declared tangent or reach, against the derivative of the
+    loads. The second is the part of the motion that supports hold only partly. Both are
+    zero where nothing is declared or held.
     """
     zero = jnp.zeros((), rod.rest_lengths.dtype)
     return [
@@ -109,14 +110,17 @@ def _tried(rod: Rod, effects: tuple[Effect, ...]) -> list[tuple[Array, Array]]:
 
 
 def _gap_of_tangent(effect: Effect, rod: Rod) -> Array:
-    """Difference of true and declared change of loads, relative to the loads."""
+    """Difference of true and declared change of loads, relative to the loads [1]."""
     step = _any_step(rod)
     nodes, turns = unstack_dofs(step)
     transverse, polar = rod.inertias
     shape = trial_motion(rod)
 
     def gap(size: Array, moved: Array) -> Array:
-        """Difference for a rod shrunk to a size, by changed places (1) or rates (0)."""
+        """Difference for a rod scaled by `size`.
+
+        Configurations change if `moved` is 1, rates if it is 0.
+        """
         motion = replace(shape, position=vectors.scale(size, shape.position))
 
         def loads(motion: Motion) -> Array:
@@ -164,7 +168,7 @@ def _gap_of_tangent(effect: Effect, rod: Rod) -> Array:
 
 
 def _times_coloured(push: Callable[[Array], Array], step: Array, reach: Reach) -> Array:
-    """A linear function of a given reach applied to a step, by its matrix."""
+    """Product of a step and the banded matrix that colouring with a reach finds."""
     if reach == "neighbours":
         return BlockTridiagonal(*bands_by_colouring(push, step, 1)).multiply(step)
     bands = bands_by_colouring(push, step, 2)
@@ -172,7 +176,7 @@ def _times_coloured(push: Callable[[Array], Array], step: Array, reach: Reach) -
 
 
 def _mixing(effect: Effect, rod: Rod) -> Array:
-    """Deviation from holding whole components, relative to the expected values."""
+    """Relative error of assuming that components are held fully or not at all [1]."""
     alone, motion = LoadedRod(rod, (effect,), Method()), trial_motion(rod)
     nodes, turns = unstack_dofs(_any_step(rod))
 
@@ -212,7 +216,7 @@ def _expected(
     given: Sequence[Array],
     found: Sequence[Array],
 ) -> list[tuple[Array, Array]]:
-    """Components as found, and as expected if each is held fully or not at all."""
+    """Pairs of components as found and as expected: given if free, else held."""
     parts = zip(free, held, given, found, strict=True)
     return [(d, jnp.where(a == 1, c, b)) for a, b, c, d in parts]
 

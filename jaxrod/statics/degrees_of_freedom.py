@@ -2,7 +2,7 @@
 
 Fields of a rod are stacked as blocks of a chain: a node and the element that follows
 it. A component is held if `Effect.constrain_rates` gives it the same rate for any rate
-before, or if `Effect.constrain` gives it the same place for any place before.
+before, or if `Effect.constrain` gives it the same value for any value before.
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ def degrees_of_freedom(scene: LoadedRod, motion: Motion) -> tuple[Vec3, Vec3]:
 
 
 def free_velocity_mask(scene: LoadedRod, motion: Motion) -> tuple[Vec3, Vec3]:
-    """Components that are free under `Effect.constrain_rates` alone."""
+    """Flags of velocities and spins: 1 if `constrain_rates` leaves them free."""
     rates = (motion.velocity, motion.spin)
 
     def held(rate: float) -> Motion:
@@ -56,7 +56,7 @@ def free_velocity_mask(scene: LoadedRod, motion: Motion) -> tuple[Vec3, Vec3]:
 
 
 def free_position_mask(scene: LoadedRod, motion: Motion) -> tuple[Vec3, Vec3] | None:
-    """Components that are free under `Effect.constrain` alone; `None` if all are."""
+    """Flags: 1 if `constrain` leaves a component free; `None` if it holds nothing."""
     here = constrain(scene, motion)
     if here is motion:
         return None
@@ -70,7 +70,7 @@ def free_position_mask(scene: LoadedRod, motion: Motion) -> tuple[Vec3, Vec3] | 
 
 
 def _elsewhere(scene: LoadedRod, motion: Motion) -> Motion:
-    """Motion with every node displaced in every direction and every element rotated."""
+    """Motion with every node displaced along all axes and every element rotated."""
     length = scene.rod.length
     moved = vectors.add(motion.position, (length, length, length))
     turn = tuple(jnp.full_like(motion.orientation[0], part) for part in _TURN)
@@ -80,7 +80,7 @@ def _elsewhere(scene: LoadedRod, motion: Motion) -> Motion:
 
 
 def _differ(one: Quaternion, other: Quaternion) -> Array:
-    """Flags: 1 where any component differs, 0 elsewhere."""
+    """Flags of quaternions: 1 where any of their components differ, else 0."""
     differs = one[0] != other[0]
     for a, b in zip(one[1:], other[1:], strict=True):
         differs |= a != b
@@ -88,13 +88,13 @@ def _differ(one: Quaternion, other: Quaternion) -> Array:
 
 
 def stack_dofs(nodes: Vec3, elements: Vec3) -> Float[Array, "n+1 6"]:
-    """Node and element fields side by side; the last node has zeros for an element."""
+    """Rows of a node's and an element's components; the last element is zeros."""
     padded = [vectors.pad(entry, 0, 1) for entry in elements]
     return jnp.stack([*nodes, *padded], axis=-1)
 
 
 def unstack_dofs(step: Float[Array, "n+1 6"]) -> tuple[Vec3, Vec3]:
-    """Node and element fields of an array of blocks."""
+    """Fields of nodes and of elements from the rows that `stack_dofs` makes."""
     return (
         (step[:, 0], step[:, 1], step[:, 2]),
         (step[:-1, 3], step[:-1, 4], step[:-1, 5]),

@@ -1,8 +1,9 @@
 """Tangent stiffness of effects: derivatives of their loads by the configuration.
 
 An effect may have it in closed form (`Effect.turning_tangent`). Any other effect is
-differentiated. If it depends on neighbours only (`Effect.reach`), three colours of
-directions suffice, and five for second neighbours; otherwise all directions are used.
+differentiated. If it depends on neighbours only (`Effect.reach`), every third node and
+element is perturbed at once (colouring), for second neighbours every fifth. Otherwise
+each is perturbed by itself.
 """
 
 from __future__ import annotations
@@ -34,22 +35,25 @@ from jaxrod.statics.block_matrices import (
 from jaxrod.statics.degrees_of_freedom import stack_dofs, unstack_dofs
 
 Tangent = BlockTridiagonal | PairedBlocks | Dense
-"""Tangent of a chain: block-tridiagonal; the same in pairs of blocks, if effects couple
-second neighbours; or dense if distant parts are coupled."""
+"""Tangent stiffness of a rod. It is block-tridiagonal; in pairs of blocks if effects
+couple second neighbours; dense if they couple distant parts."""
 
 
 Matrices = TypeVar("Matrices", BlockTridiagonal, PairedBlocks, Dense)
 
 
 def has_closed_form(effect: Effect) -> bool:
-    """Whether `Effect.turning_tangent` is the whole derivative of the loads."""
+    """Whether an effect has no loads, or their derivative as `turning_tangent`."""
     kind = type(effect)
     knows = kind.turning_tangent is not Effect.turning_tangent
     return knows or kind.loads is Effect.loads
 
 
 def with_turning_tangents(turning: Matrix, scene: LoadedRod, motion: Motion) -> Matrix:
-    """Derivative by the elements' own rotations, plus closed-form terms of effects."""
+    """Adds the `turning_tangent` of all effects to a derivative by rotations [N m].
+
+    It is the derivative of the residual couple on each element by its rotation.
+    """
     for effect in scene.effects:
         if type(effect).turning_tangent is not Effect.turning_tangent:
             own = effect.turning_tangent(scene.rod, motion)
@@ -65,14 +69,14 @@ def with_differentiated(
     momentum: Matrix,
     free: Float[Array, "n+1 6"],
 ) -> Tangent:
-    """Tangent including the effects that have no closed form.
+    """Tangent that includes effects without a closed form, differentiated by JAX.
 
     Args:
         chain: Tangent without them.
         scene: The scene.
         motion: Configuration of the rod.
         pace: Velocities per displacement [1/s].
-        momentum: Derivative of the angular momenta by the rotations.
+        momentum: Derivative of the angular momenta by the rotations [kg m^2/s].
         free: Flags of the components: 1 if free, 0 if held by the scene.
     """
     others = tuple(effect for effect in scene.effects if not has_closed_form(effect))
@@ -110,7 +114,11 @@ def with_differentiated(
 def change_of_loads(
     scene: LoadedRod, motion: Motion, pace: Array, momentum: Matrix
 ) -> Callable[[Float[Array, "n+1 6"]], Float[Array, "n+1 6"]]:
-    """Derivative of the loads of all effects by a step, in the world frame."""
+    """Linear map from a step to the change of the loads of all effects, world frame.
+
+    A step displaces nodes and rotates elements. Velocities then change by `pace` times
+    the displacements, angular momenta by `momentum` times the rotations.
+    """
     none = Loads(*jax.tree.map(jnp.zeros_like, (motion.position, motion.spin)))
     _, push = jax.linearize(lambda there: total_loads(scene, there, none), motion)
 
@@ -136,7 +144,7 @@ def change_of_loads(
 def total_loads(
     scene: LoadedRod, motion: Motion, others: Loads
 ) -> Float[Array, "n+1 6"]:
-    """Sum of given loads and the loads of all effects; couples in the world frame."""
+    """Given loads plus those of all effects; rows of force and couple, world frame."""
     assert others.forces is not None and others.couples is not None
     loads = external_loads(scene, motion, others.forces, others.couples)
     # Without barriers XLA's CPU compiler takes minutes over the derivative. There is
@@ -154,14 +162,14 @@ def bands_by_colouring(
     like: Float[Array, "n m"],
     reach: int,
 ) -> tuple[Float[Array, "n m m"], ...]:
-    """Bands of the matrix of a linear function of blocks with a short reach.
+    """Bands of the matrix of a linear function with a short reach, by colouring.
 
-    Every third block is perturbed at once (colouring), or every fifth for two
-    neighbours on either side, so `(2 reach + 1) m` evaluations are enough.
+    Every third block is perturbed at once, or every fifth for two neighbours on either
+    side, so `(2 reach + 1) m` evaluations are enough.
 
     Args:
-        push: The function.
-        like: An array of its shape, `n` blocks of size `m`.
+        push: The linear function.
+        like: An array like its argument, `n` blocks of size `m`.
         reach: Number of neighbours on either side on which a block depends.
 
     Returns:

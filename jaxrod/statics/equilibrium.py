@@ -42,7 +42,7 @@ class Equilibrium:
     """
 
     state: Any
-    """State at the end of the iteration, at rest."""
+    """Last state of the search, with all rates zero."""
     converged: Bool[Array, ""]
     """Whether all loads balance there, to the tolerance."""
     stable: Bool[Array, ""]
@@ -61,7 +61,7 @@ class Equilibrium:
     momentum along it. They are not valid for loads that would drive it.
     """
     iterations: Int[Array, ""]
-    """Number of corrections taken."""
+    """Number of corrections that were accepted."""
     force_residual: Float[Array, ""]
     """Largest component of unbalanced force at a node [N]."""
     couple_residual: Float[Array, ""]
@@ -124,7 +124,7 @@ def equilibrium(
 def search_limits(
     tolerance: ArrayLike | None, max_iterations: int, dtype: Any
 ) -> tuple[Array, Array]:
-    """Checked limits of a search, with the default tolerance of a dtype."""
+    """Checks the limits of a search; without a tolerance, uses that of the dtype."""
     most = check_count("max_iterations", max_iterations, 1)
     if tolerance is None:
         tolerance = default_tolerance(dtype)
@@ -156,7 +156,7 @@ def scene_equilibrium(
 
 
 def _is_loose(scene: LoadedRod) -> bool:
-    """Whether nothing in the scene could hold the rod."""
+    """Whether no effect of a scene could hold the rod."""
     return all(
         type(effect).constrain_rates is Effect.constrain_rates
         and type(effect).constrain is Effect.constrain
@@ -166,54 +166,57 @@ def _is_loose(scene: LoadedRod) -> bool:
 
 
 def _at_rest(scene: LoadedRod, base: Motion) -> LoadBalance:
-    """Balance of loads without inertia."""
+    """Static balance of loads of a scene about a configuration, without inertia."""
     still = jnp.zeros((), scene.rod.rest_lengths.dtype)
     return LoadBalance(scene, elastic_law(scene.rod), base, still, None, at_rest=True)
 
 
 @pytree
 class _RodPlace:
-    """A configuration of a rod, with its loads and its stiffness there."""
+    """A configuration of a rod with its loads, stiffness and mass (a `Place`).
+
+    Steps are scaled: displacements over the rod's length, and rotations [rad].
+    """
 
     configuration: Motion
-    """The configuration."""
+    """Positions and orientations; rates are zero."""
     units: Float[Array, "1 6"]
     """Units of steps: the length of the rod [m], and one [rad]."""
     loads: Float[Array, "n+1 6"]
-    """Loads on free components, scaled [J]."""
+    """Unbalanced loads on free components, times `units` [J]."""
     tangent: Tangent
     """Tangent stiffness, with springs against loose modes [N/m, N, N m]."""
     mass: Float[Array, "n+1 6 6"]
-    """Masses and rotary inertias, world frame; zero where held [kg, kg m^2]."""
+    """Diagonal blocks of the mass matrix, world frame; zero where held [kg, kg m^2]."""
     loose: Bool[Array, ""]
-    """Whether nothing resists a motion of the rod as a whole."""
+    """Whether nothing resists some motion of the rod as a whole."""
 
     @property
     def driven(self) -> Bool[Array, ""]:
-        """False: where loads drive a loose mode, the springs against it yield."""
+        """False: if loads drive a loose mode, no step is below the tolerance."""
         return jnp.zeros((), bool)
 
     def at(self, configuration: Motion) -> _RodPlace:
-        """The place with another configuration."""
+        """Copy with another configuration; loads and tangent are not updated."""
         return replace(self, configuration=configuration)
 
     def momentum(self, step: Float[Array, "n+1 6"]) -> Float[Array, "n+1 6"]:
-        """The mass times a step."""
+        """Product M s of the mass matrix and a scaled step, scaled [kg m^2]."""
         moving = (self.units * step)[:, None, :]
         return self.units * jnp.sum(self.mass * moving, axis=2)
 
     def factors(self, inertia: Array) -> Any:
-        """Factors of the stiffness plus a multiple of the mass."""
+        """Factors of the matrix K + `inertia` M, for `solve`."""
         return self.tangent.with_blocks(inertia * self.mass).factored()
 
     def solve(self, factors: Any, right: Float[Array, "n+1 6"]) -> Array:
-        """Solution of the linear system that has been factored."""
+        """Scaled step s of (K + inertia M) s = `right`, from factors of the matrix."""
         return factors.solve(right / self.units) / self.units
 
 
 @pytree
 class _RodAtRest:
-    """The static problem of a rod."""
+    """Static problem of one rod, to be solved by `find_rest` (a `RestProblem`)."""
 
     balance: LoadBalance
     """Balance of loads without inertia."""
@@ -225,18 +228,18 @@ class _RodAtRest:
 
     @property
     def element_lengths(self) -> Float[Array, "1 6"]:
-        """Size of a scaled step in element lengths and radians."""
+        """Factors from a scaled step to shortest element lengths and radians."""
         lengths = self.balance.scene.rod.rest_lengths
         return _six(jnp.sum(lengths) / jnp.min(lengths), 1)
 
     @property
     def largest_step(self) -> Float[Array, "1 6"]:
-        """Largest scaled step."""
+        """Largest allowed scaled step, in rod lengths and in radians."""
         one = jnp.ones((), self.balance.scene.rod.rest_lengths.dtype)
         return _six(LARGEST_DISPLACEMENT * one, LARGEST_TURN)
 
     def place(self, configuration: Motion) -> _RodPlace:
-        """The place of a configuration."""
+        """Loads, tangent and mass at a configuration."""
         here = replace(self.balance, base=configuration)
         none = _no_increment(configuration)
         residual, bare, mass = by_kernel(here, "about", none)
@@ -245,7 +248,7 @@ class _RodAtRest:
         return _RodPlace(configuration, self.units, loads, tangent, mass, loose)
 
     def moved(self, place: _RodPlace, step: Float[Array, "n+1 6"]) -> Motion:
-        """Configuration after a step, to first order; strains change linearly."""
+        """Configuration after a scaled step to first order; strains change linearly."""
         here = replace(self.balance, base=place.configuration)
         none = _no_increment(place.configuration)
         moved: Motion = by_kernel(here, "moved_along_edges", (none, self.units * step))
@@ -253,7 +256,7 @@ class _RodAtRest:
 
 
 def _six(length: Array, radian: float) -> Float[Array, "1 6"]:
-    """One row of six: a number for displacements and one for rotations."""
+    """Row of six numbers: one for three displacements, one for three rotations."""
     turn = jnp.full_like(length, radian)
     return jnp.stack([length, length, length, turn, turn, turn])[None]
 
@@ -284,11 +287,11 @@ def _equilibrium(
 
 
 def _no_increment(motion: Motion) -> Increment:
-    """Increment of zero, computed from the motion.
+    """Increment of zero, computed from the motion instead of plain zeros.
 
-    Under `vmap` they must be batched like the inputs they are differentiated with.
-    Plain zeros would be unbatched, and JAX takes the derivatives of a compiled function
-    with its own derivative rule to be unbatched, too.
+    Under `vmap` it is then batched like the motion. Plain zeros would be unbatched, and
+    JAX takes the derivatives of a compiled function with a derivative rule of its own
+    to be unbatched, too.
     """
 
     def nothing(component: Array) -> Array:
@@ -301,7 +304,7 @@ def _no_increment(motion: Motion) -> Increment:
 
 
 def _keep_held(scene: LoadedRod, found: Motion, start: Motion) -> Motion:
-    """Motion found, with the components that the scene holds as at the start."""
+    """Configuration `found`, with the held components taken from `start`."""
     nodes, elements = unstack_dofs(_at_rest(scene, start).free)
     turning = (elements[0] == 1) | (elements[1] == 1) | (elements[2] == 1)
     free = nodes, (turning,) * 4

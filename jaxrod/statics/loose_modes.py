@@ -72,10 +72,10 @@ def loose_modes(
 
 
 def are_any(modes: Float[Array, "7 n+1 6"]) -> Bool[Array, ""]:
-    """Whether any mode is nonzero.
+    """Whether any mode is nonzero, with entries above 0.01.
 
-    Rotation of a straight rod about its axis minus rotation of its elements about
-    theirs is nothing but round-off, and nothing resists it.
+    In a straight rod, rotation as a whole about its axis minus rotation of all elements
+    about theirs is a mode of the size of round-off. It does not count.
     """
     return jnp.max(jnp.abs(modes)) > 0.01
 
@@ -83,7 +83,7 @@ def are_any(modes: Float[Array, "7 n+1 6"]) -> Bool[Array, ""]:
 def held_in_the_middle(
     tangent: Tangent, rod: Rod, modes: Float[Array, "7 n+1 6"]
 ) -> Tangent:
-    """Tangent with springs against the modes in the middle of the rod.
+    """Tangent with springs on the middle node and element that resist the loose modes.
 
     The springs are as stiff as the rod in bending. So if loads drive a mode, a
     correction is about as large as the bending under these loads.
@@ -96,7 +96,11 @@ def held_in_the_middle(
 
 
 def _modes_of_the_whole(rod: Rod, motion: Motion) -> Float[Array, "7 n+1 6"]:
-    """Three displacements, three rotations about the middle, and rotation about d3."""
+    """Seven candidates: displacement along and rotation about each axis, and twist.
+
+    Rotations are about the middle node; displacements are over the rod's length. The
+    last candidate rotates all elements about their d3.
+    """
     middle = _middle(rod)
     length = jnp.sum(rod.rest_lengths)
     x, y, z = ((c - c[middle]) / length for c in motion.position)
@@ -111,7 +115,7 @@ def _modes_of_the_whole(rod: Rod, motion: Motion) -> Float[Array, "7 n+1 6"]:
 
 
 def _along(axis: int, like: Array) -> Vec3:
-    """Field of unit vectors along a world axis."""
+    """Vectors (0 or 1) of a world axis, one for each entry of `like`."""
     x, y, z = (jnp.full_like(like, k == axis) for k in range(3))
     return x, y, z
 
@@ -121,7 +125,7 @@ def _middle(rod: Rod) -> int:
 
 
 def _units(rod: Rod) -> Float[Array, "1 6"]:
-    """Units of displacements and rotations: length of the rod [m], and one [rad]."""
+    """Units of displacements and rotations: the length of the rod [m], and 1 [rad]."""
     length = jnp.sum(rod.rest_lengths)
     one = jnp.ones_like(length)
     return jnp.stack([length, length, length, one, one, one])[None]

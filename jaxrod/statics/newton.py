@@ -35,7 +35,7 @@ class Search:
 
     increment: Increment
     step: Float[Array, "n+1 6"]
-    """Full correction of the increment."""
+    """Full correction, to be added to the increment."""
     share: Float[Array, ""]
     """Fraction of the correction to try [1]."""
     trials: Int[Array, ""]
@@ -55,7 +55,8 @@ def newton(
 
     Args:
         balance: The balance of loads and inertia.
-        guess: The first step from the base, taken in full.
+        guess: First step from the base. It is taken in full, or left out if it needs a
+            correction more than twice as large as itself.
         tolerance: The search ends at a correction of less than this many element
             lengths and radians; it is still added.
         max_iterations: Largest number of trials.
@@ -112,7 +113,7 @@ def newton(
 
 
 def _largest_share(step: Float[Array, "n+1 6"]) -> Array:
-    """Largest fraction of a correction that is tried [1]."""
+    """Fraction of a correction, at most 1, that rotates elements by 1 rad at most."""
     turned = largest(unstack_dofs(step)[1])
     return jnp.minimum(1, LARGEST_TURN / jnp.maximum(turned, LARGEST_TURN))
 
@@ -123,5 +124,5 @@ def largest(field: Vec3) -> Array:
 
 
 def default_tolerance(dtype: jnp.dtype) -> float:
-    """Tolerance for corrections; its square is near round-off."""
+    """Tolerance of corrections, in element lengths and radians, by precision."""
     return 3e-4 if jnp.finfo(dtype).bits <= 32 else 1e-7

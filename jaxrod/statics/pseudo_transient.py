@@ -27,14 +27,14 @@ LARGEST_TURN = 1.0
 LARGEST_DISPLACEMENT = 1.0
 """Largest displacement in one correction, over the length of the longest rod [1]."""
 LEFT = 0.75
-"""Largest ratio of the next correction to an accepted correction [1]."""
+"""Largest ratio of the next correction to a correction that is accepted [1]."""
 LITTLE = 0.1
 """Ratio of the next correction to an accepted one below which inertia shrinks fast
 [1]."""
 STALLED = 10
 """Multiple of the tolerance below which a stalled search counts as converged [1]."""
 FASTEST, SLOWEST = 0.1, 0.75
-"""Factors by which inertia shrinks [1]."""
+"""Smallest and largest factor by which inertia shrinks after a correction [1]."""
 
 
 class Place(Protocol):
@@ -45,63 +45,63 @@ class Place(Protocol):
 
     @property
     def loads(self) -> Array:
-        """Loads out of balance [J]."""
+        """Unbalanced loads, scaled [J]."""
 
     @property
     def driven(self) -> Bool[Array, ""]:
-        """Whether loads drive a motion that nothing resists."""
+        """Whether loads act along a motion that nothing resists."""
 
     def at(self, configuration: Any) -> Any:
-        """This place with another configuration, before loads are computed there."""
+        """Copy with another configuration; loads and tangent are not updated."""
 
     def momentum(self, step: Array) -> Array:
-        """The mass times a step [kg m^2]."""
+        """Product M s of the mass matrix and a scaled step, scaled [kg m^2]."""
 
     def factors(self, inertia: Array) -> Any:
-        """Factors of the stiffness plus a multiple of the mass."""
+        """Factors of the matrix K + `inertia` M, for `solve`."""
 
     def solve(self, factors: Any, right: Array) -> Array:
-        """Solution of the linear system that has been factored."""
+        """Scaled step s of (K + inertia M) s = `right`, from factors of the matrix."""
 
 
 class RestProblem(Protocol):
-    """A static problem in the form that the search needs."""
+    """A static problem: loads at a configuration, and steps to other ones."""
 
     @property
     def element_lengths(self) -> Array:
-        """Factor from a scaled step to element lengths and radians."""
+        """Factors from a scaled step to shortest element lengths and radians."""
 
     @property
     def largest_step(self) -> Array:
-        """Largest scaled step, component by component."""
+        """Largest allowed scaled step, component by component."""
 
     def place(self, configuration: Any) -> Any:
-        """The place of a configuration."""
+        """Loads, tangent and mass at a configuration (a `Place`)."""
 
     def moved(self, place: Any, step: Array) -> Any:
-        """Configuration after a step, to first order."""
+        """Configuration after a scaled step from a place, to first order."""
 
 
 @pytree
 class Search:
-    """State of the search: a place, and the correction to try next."""
+    """State of the search: a configuration, and the correction to try next."""
 
     here: Any
-    """The place."""
+    """Last accepted configuration, with its loads and tangent."""
     factors: Any
-    """Factors of the matrix of the correction."""
+    """Factors of the matrix K + sigma M at `here`."""
     step: Array
-    """Full correction."""
+    """Full correction from `here`, a scaled step."""
     share: Float[Array, ""]
-    """Share of the full correction that is tried [1]."""
+    """Fraction of the full correction that is tried [1]."""
     inertia: Float[Array, ""]
-    """Factor of the mass [1/s^2]."""
+    """Factor sigma of the mass in the matrix K + sigma M [1/s^2]."""
     shrinking: Float[Array, ""]
     """Factor by which inertia shrinks after a good correction [1]."""
     trials: Int[Array, ""]
     """Number of corrections tried."""
     iterations: Int[Array, ""]
-    """Number of corrections taken."""
+    """Number of corrections that were accepted."""
     converged: Bool[Array, ""]
     """Whether the last correction was below the tolerance."""
 
@@ -154,8 +154,8 @@ def find_rest(
         faster = jnp.maximum(search.shrinking**2, FASTEST)
         shrinking = jnp.where(taken, jnp.where(fast, faster, search.shrinking), slower)
         higher = jnp.maximum(search.inertia / shrinking, resisted / own)
-        # Round-off alone may judge a correction below the tolerance. More inertia would
-        # make it smaller still, so the full correction is tried next.
+        # Below the tolerance the ratio may be round-off alone. More inertia would make
+        # the correction smaller still, so the full correction is tried next.
         higher = jnp.where(largest <= tolerance, 0, higher)
         inertia = jnp.where(taken, lower, higher)
         inertia = jnp.where(first, 0, inertia)
@@ -193,5 +193,5 @@ def find_rest(
 
 @jax.jit
 def _place(problem: RestProblem, configuration: Any) -> Any:
-    """The place of a configuration; it is traced once for all calls."""
+    """Result of `problem.place`, compiled so that it is traced once for all calls."""
     return problem.place(configuration)

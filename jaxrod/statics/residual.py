@@ -81,17 +81,18 @@ class LoadBalance:
     """Balance of loads and inertia of a scene, as a function of the increment."""
 
     scene: LoadedRod
-    """The scene."""
+    """Scene whose loads are to balance."""
     law: ElasticLaw
     """Constants of the elastic law."""
     base: Motion
-    """Configuration that is incremented, with the rates that inertia maintains."""
+    """Configuration from which increments start, with the rates that inertia
+    maintains."""
     pace: Float[Array, ""]
-    """Rates per increment [1/s]; zero in statics."""
+    """Inverse duration w: rates are w times increments [1/s]; zero in statics."""
     damping: tuple[Array, Array] | None
     """Decay rates of velocities and spins [1/s]."""
     at_rest: bool = static(default=False)
-    """Whether there is no inertia."""
+    """Whether the problem is static, without inertia."""
 
     def motion(self, increment: Increment) -> Motion:
         """Motion after an increment: the configuration and its rates."""
@@ -131,7 +132,7 @@ class LoadBalance:
         return self.free * (stack_dofs(push, twist) - loads)
 
     def tangent(self, increment: Increment) -> Tangent:
-        """Derivative of the residual by a step as in `retract`.
+        """Derivative of the residual by a small step, as `retract` defines it.
 
         Rows and columns of held components are those of the identity.
         """
@@ -153,7 +154,7 @@ class LoadBalance:
         )
 
     def mass(self) -> Float[Array, "n+1 6 6"]:
-        """Masses of the nodes and rotary inertias of the elements, world frame."""
+        """Blocks of masses and rotary inertias, world frame; zero where held."""
         rod = self.scene.rod
         frame = directors(self.base.orientation)
         turning = stacked(turned_diagonal(frame, vectors.split(rod.principal_inertias)))
@@ -166,19 +167,19 @@ class LoadBalance:
     # Methods for kernels: each takes one argument.
 
     def about(self, increment: Increment) -> tuple[Array, Tangent, Array]:
-        """Residual, tangent and mass."""
+        """Residual, tangent and mass at an increment."""
         return self.residual(increment), self.tangent(increment), self.mass()
 
     def ended(self, increment: Increment) -> tuple[Array, Motion]:
-        """Residual and motion."""
+        """Residual and motion at an increment."""
         return self.residual(increment), self.motion(increment)
 
     def moved_along_edges(self, given: tuple[Increment, Array]) -> Motion:
-        """Motion after an increment and a step, with linearly changing strains."""
+        """Motion after an increment and a step; see `retract_along_edges`."""
         return self.motion(self.retract_along_edges(*given))
 
     def held_tangent(self, increment: Increment) -> tuple[Tangent, Bool[Array, ""]]:
-        """Tangent to solve with: without inertia, loose modes are held.
+        """Tangent for solving; in statics, springs resist loose modes.
 
         Returns:
             The tangent, and whether there are loose modes.
@@ -188,7 +189,7 @@ class LoadBalance:
     def held(
         self, tangent: Tangent, increment: Increment
     ) -> tuple[Tangent, Bool[Array, ""]]:
-        """The tangent with loose modes held, and whether there are any."""
+        """The tangent, in statics with springs on loose modes; whether any exist."""
         if not self.at_rest:
             return tangent, jnp.zeros((), bool)
         rod = self.scene.rod
@@ -224,7 +225,7 @@ class LoadBalance:
         return replace(moved, displacement=vectors.add(moved.displacement, closing))
 
     def change(self, increment: Increment, step: Float[Array, "n+1 6"]) -> Increment:
-        """Change of the increment by a step."""
+        """Change of an increment by a small step, to first order; see `retract`."""
         displacement, turn = unstack_dofs(step)
         own = to_material(directors(self.base.orientation), turn)
         once = vectors.cross(increment.turn, own)
@@ -237,7 +238,7 @@ class LoadBalance:
     def with_held_components(
         self, guess: Float[Array, "n+1 6"], found: Increment
     ) -> Increment:
-        """Increment found, with the guess's values for held components."""
+        """Increment `found`, with held components taken from the step `guess`."""
         free = Increment(*unstack_dofs(self.free))
         displacement, turn = unstack_dofs(guess)
         own = to_material(directors(self.base.orientation), turn)
@@ -245,18 +246,18 @@ class LoadBalance:
         return jax.tree.map(lambda a, b, c: jnp.where(a == 1, b, c), free, found, held)
 
     def _closing(self, gaps: Vec3) -> Vec3:
-        """Displacements of free nodes that change the edges by the gaps: `_closed`."""
+        """Displacements of free nodes that change the edges by `gaps` [m]."""
         x, y, z = map(_closed, gaps, unstack_dofs(self.free)[0])
         return x, y, z
 
     @property
     def free(self) -> Float[Array, "n+1 6"]:
-        """Flags of the components: 1 if free, 0 if held."""
+        """Flags of all components: 1 if free, 0 if held by the scene."""
         return stack_dofs(*degrees_of_freedom(self.scene, self.base))
 
     @property
     def _inertia(self) -> Vec3:
-        """Rotary inertia of the elements about their axes [kg m^2]."""
+        """Rotary inertia of the elements about d1, d2, d3 [kg m^2]."""
         return vectors.split(self.scene.rod.principal_inertias)
 
     @property
@@ -267,7 +268,7 @@ class LoadBalance:
         return self.pace + self.damping[0], self.pace + self.damping[1]
 
     def _momentum_tangent(self, increment: Increment, motion: Motion) -> Matrix:
-        """Derivative of the angular momenta by the rotation."""
+        """Derivative of angular momenta by rotations, world frame [kg m^2/s]."""
         frame = directors(motion.orientation)
         inertia = turned_diagonal(frame, vectors.scale(self.pace, self._inertia))
         turn = to_world(frame, increment.turn)
@@ -276,7 +277,7 @@ class LoadBalance:
 
 
 def _coupling(increment: Increment) -> Array:
-    """Coupling coefficient of the rotations: see `rotation_log_and_coupling`."""
+    """Coupling coefficient c of the rotation vectors: `rotation_log_and_coupling`."""
     return rotation_log_and_coupling(rotation_exp(increment.turn))[1]
 
 
@@ -320,7 +321,7 @@ def displaced(motion: Motion, displacement: Vec3) -> Motion:
 
 @jax.custom_jvp
 def implicit_solution(balance: LoadBalance, increment: Increment) -> Increment:
-    """Increment that solves the balance of loads, differentiable by its numbers.
+    """Increment that solves the balance of loads, differentiable by its parameters.
 
     The value is `increment` itself. Its derivative is that of the exact solution, by
     the implicit function theorem: one linear solve for any number of iterations.
@@ -343,7 +344,7 @@ def _implicit_solution_jvp(
 def assemble_tangent(
     element: ElementTangent, joint: JointTangent, masses: Array, turning: Matrix
 ) -> BlockTridiagonal:
-    """Matrix of the whole rod.
+    """Assembles the tangents of elements and joints into a matrix of the whole rod.
 
     Block `k` has the displacement of node `k` and the rotation of element `k`. The last
     node has no element; zeros take its place.
@@ -371,5 +372,5 @@ def assemble_tangent(
 
 
 def _placed(blocks: Array, before: int, after: int) -> Array:
-    """Blocks padded with zeros at the ends of the chain."""
+    """Blocks with `before` zero blocks in front and `after` zero blocks behind."""
     return jnp.pad(blocks, ((before, after), (0, 0), (0, 0)))

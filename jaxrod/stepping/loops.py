@@ -34,13 +34,13 @@ from jaxrod.lanes.steps import try_cycles, try_lanes
 
 @dataclass(frozen=True, eq=False)
 class _Body:
-    """Program of one system."""
+    """Program of a function for one system, as a closed jaxpr."""
 
     closed: Any
 
 
 def one_by_one(function: Callable[..., Any], *arguments: Any) -> Any:
-    """Result of a function, which under `jax.vmap` is called for one entry at a time.
+    """Result of a function; under `jax.vmap` it is called for one entry after another.
 
     On devices other than CPUs a batch stays together. If the function is differentiated
     before it is batched, it is treated like any other function.
@@ -77,7 +77,7 @@ def one_by_one(function: Callable[..., Any], *arguments: Any) -> Any:
 
 @cache
 def _apart() -> Any:
-    """The primitive, made when it is first needed."""
+    """JAX primitive of `one_by_one`, defined at the first call."""
     apart = new_primitive("jaxrod_one_by_one")
     define(
         apart,
@@ -124,12 +124,12 @@ Carry = TypeVar("Carry")
 
 
 def integrated(integrator: Any, state: Any, n_cycles: int | Array) -> Any:
-    """State after the integrator's beginning, its cycles and its end.
+    """Final state of a run: `begin`, then `n_cycles` times `cycle`, then `end`.
 
     Args:
-        integrator: A pytree with methods `begin`, `cycle` and `end`. One with
-            `one_by_one` has a method `renewed` too, which is called before every
-            `every` cycles, and is not batched with others on a CPU.
+        integrator: A pytree with methods `begin`, `cycle` and `end`. If its attribute
+            `one_by_one` is true, it also has a method `renewed`, which is called before
+            each block of `every` cycles, and batches on a CPU run one by one.
         state: Initial state.
         n_cycles: Number of cycles; an `int` for reverse-mode differentiation.
     """
@@ -145,7 +145,7 @@ def integrated(integrator: Any, state: Any, n_cycles: int | Array) -> Any:
 
 
 def _in_blocks(integrator: Any, state: Any, n_cycles: int | Array) -> Any:
-    """State after blocks of cycles; the integrator is renewed before each block."""
+    """Final state of a run in blocks of cycles, each after a call of `renewed`."""
     every = integrator.every
 
     def block(carry: Any, length: int | Array) -> Any:
@@ -154,7 +154,7 @@ def _in_blocks(integrator: Any, state: Any, n_cycles: int | Array) -> Any:
         return _looped(integrator, carry, length) if made is None else made
 
     carry = integrator.begin(state)
-    # The last block is shorter than the others: it ends before it would be renewed.
+    # The last block is shorter than the others, and may be empty.
     if isinstance(n_cycles, int):
         blocks, rest = divmod(n_cycles, every)
         carry = repeat(lambda carry: block(carry, every), carry, blocks)

@@ -34,7 +34,8 @@ def check_step(scene: Model, dt: Array, state: Any = None) -> bool:
         scene: The scene.
         dt: Step size [s].
         state: State of the rod, if the bound is to account for compression. In
-            consistent mode it is read, and so waited for, only if that matters.
+            consistent mode its values are read, which waits for JAX, only if `dt` is
+            near the bound.
 
     Returns:
         Whether the step may become unstable if the rod is compressed further. True if
@@ -50,7 +51,7 @@ def check_step(scene: Model, dt: Array, state: Any = None) -> bool:
 
 
 def check_counter(n_steps: Array, name: str = "n_steps") -> None:
-    """Checks a number of steps that may be traced."""
+    """Raises ValueError unless a number of steps, maybe traced, is one integer."""
     if n_steps.shape != () or not jnp.issubdtype(n_steps.dtype, jnp.integer):
         raise ValueError(
             f"{name} must be one integer, got {n_steps.dtype}{list(n_steps.shape)}"
@@ -107,7 +108,7 @@ def with_memory(scene: Model, state: State) -> State:
 def step(
     scene: Model, state: State, dt: ArrayLike, *, first: int | Int[Array, ""] = 0
 ) -> State:
-    """Takes one step: half drift, kick, half drift.
+    """Takes one step: half drift, kick, half drift in explicit methods.
 
     Pure; works inside jit, vmap and grad.
 
@@ -259,7 +260,7 @@ def rollout(
 def rollout_times(
     dt: ArrayLike, n_steps: int, every: int = 1
 ) -> Float[Array, " records"]:
-    """Times of the records of `rollout`, counted in integers.
+    """Times of the records of `rollout`, from integer counts of steps.
 
     Args:
         dt: Step size [s].
@@ -289,7 +290,7 @@ def _run_traced(
     first: Array | None,
     lanes: str,
 ) -> Any:
-    """Run with a traced number of steps.
+    """State after a traced number of steps.
 
     The argument `lanes` is not read here: it keeps programs that were compiled in
     different modes of `use_lanes` apart.
@@ -318,7 +319,7 @@ def _run_static(
 def _run(
     scene: Model, state: Any, dt: Array, n_steps: int | Array, first: Array | None
 ) -> Any:
-    """Run of at least one step."""
+    """State after one step or more."""
     integrator = scene.run_stepper(state, dt, first)
     return integrated(integrator, state, n_steps - integrator.steps_of_end)
 

@@ -1,4 +1,4 @@
-"""Systems of rods and rigid bodies: bodies, joints, contact, lists of neighbours."""
+"""Systems of rods and rigid bodies: bodies, joints, contact, neighbour lists."""
 
 from jaxrod.systems.contact.body_contact import BodyContact, body_contact
 from jaxrod.systems.contact.crossing_contact import CrossingContact, crossing_contact

@@ -23,7 +23,7 @@ def system_kinetic_energy(system: Assembly, state: SystemState) -> Float[Array, 
 
 @jax.jit
 def system_potential_energy(system: Assembly, state: SystemState) -> Float[Array, ""]:
-    """Elastic energy, and potentials of effects and couplings [J]."""
+    """Elastic energy plus potential energies of effects and couplings [J]."""
     members = system.interfaces()
     total = _total(member.potential_energy(state[k]) for k, member in members.items())
     if not system.couplings:
@@ -34,27 +34,27 @@ def system_potential_energy(system: Assembly, state: SystemState) -> Float[Array
 
 @pytree
 class _CouplingEnergy:
-    """The energy of couplings, as `by_kernel` takes it."""
+    """Potential energy of all couplings of a system, as a method for `by_kernel`."""
 
     system: Assembly
-    """The system of the couplings."""
+    """The system whose couplings are summed."""
 
     def energy(self, state: SystemState) -> Float[Array, ""]:
-        """Energy of all couplings [J]."""
+        """Sum of the potential energies of all couplings in a state [J]."""
         seen, prepared = seen_at_rest(self.system, state)
         return _total(coupling.energy(seen) for coupling in prepared)
 
 
 @jax.jit
 def system_momentum(system: Assembly, state: SystemState) -> Float[Array, "3"]:
-    """Linear momentum, world frame [kg m/s]."""
+    """Total linear momentum of all members, world frame [kg m/s]."""
     members = system.interfaces()
     return _total(member.momentum(state[k]) for k, member in members.items())
 
 
 @jax.jit
 def system_angular_momentum(system: Assembly, state: SystemState) -> Float[Array, "3"]:
-    """Angular momentum about the origin, world frame [kg m^2/s]."""
+    """Total angular momentum about the origin, world frame [kg m^2/s]."""
     members = system.interfaces()
     return _total(member.angular_momentum(state[k]) for k, member in members.items())
 
@@ -62,9 +62,10 @@ def system_angular_momentum(system: Assembly, state: SystemState) -> Float[Array
 def seen_at_rest(
     system: Assembly, state: SystemState
 ) -> tuple[dict[str, Seen], tuple[Any, ...]]:
-    """Members as couplings see them in a state, and the prepared couplings.
+    """Constants and motion of each member in a state, and the prepared couplings.
 
-    Spins are angular momenta in every method. Neighbours are searched.
+    Couplings have the results of a search for neighbours in this state. `Motion.spin`
+    is the angular momentum of elements for every method of stepping.
     """
     parts = held_parts(system, state)
     prepared = tuple(coupling.prepared(parts) for coupling in system.couplings)

@@ -20,26 +20,28 @@ from jaxrod.systems.stepping.listing import with_shortage
 
 @pytree
 class SystemHealth:
-    """Health of a system's state."""
+    """Flags of numerical faults in a system's state, and the values behind them."""
 
     members: dict[str, Any]
-    """`Health` of each rod, with a leading axis for equal rods; `BodyHealth` of rigid
-    bodies."""
+    """`Health` of each rod, with a leading axis for equal rods, or `BodyHealth` of
+    rigid bodies, by name of the member."""
     violation: Bool[Array, ""]
     """Flag: tied or attached nodes have come apart, or a contact is too deep."""
     largest_violation: Float[Array, ""]
-    """Largest violation of a coupling [1]."""
+    """Largest violation of all couplings [1], such as the distance of tied nodes or the
+    depth of a contact, over the radius."""
     overflow: Bool[Array, ""]
     """Flag: lists of neighbours had too few entries, now or in a run that led here."""
     stale: Bool[Array, ""]
-    """Flag: lists were used in a run after a node had moved by more than half their
-    skin."""
+    """Flag: a run used lists after a node had moved by more than half their skin, the
+    gap up to which pairs of elements are listed."""
     neighbours: NeighbourRecord
-    """Record behind `overflow` and `stale`; zero without lists."""
+    """Counts and displacements behind `overflow` and `stale`; all zero without lists.
+    """
 
     @property
     def flagged(self) -> Bool[Array, ""]:
-        """Whether anything is wrong anywhere."""
+        """Whether any flag is set, of a member or of the couplings."""
         each = [jnp.any(own.flagged) for own in self.members.values()]
         own = self.violation | self.overflow | self.stale
         return functools.reduce(jnp.logical_or, each, own)
@@ -47,13 +49,13 @@ class SystemHealth:
 
 @pytree
 class _CouplingHealth:
-    """The health of couplings, as `by_kernel` takes it."""
+    """Violations of all couplings of a system, as a method for `by_kernel`."""
 
     system: Assembly
-    """The system of the couplings."""
+    """The system whose couplings are examined."""
 
     def examined(self, state: SystemState) -> tuple[Array, NeighbourRecord]:
-        """The largest violation of a coupling [1], and the record of the lists."""
+        """Largest violation of all couplings [1], and the record of neighbour lists."""
         seen, couplings = seen_at_rest(self.system, state)
         found = [coupling.violation(seen) for coupling in couplings]
         zero = jnp.zeros((), self.system.dtype)
@@ -72,7 +74,7 @@ def system_health(
     *,
     limits: HealthLimits | None = None,
 ) -> SystemHealth:
-    """Examines a state of a system. Works inside jit and vmap.
+    """Flags of numerical faults in a system's state. Works inside jit and vmap.
 
     Args:
         system: The system, without schedules (`system.at(time)`).

@@ -1,4 +1,4 @@
-"""Counts of the neighbours in a state, and of the room in lists of neighbours."""
+"""Counts of the neighbours in a state, to size lists of neighbours."""
 
 from __future__ import annotations
 
@@ -34,11 +34,13 @@ class Neighbours:
     candidates: tuple[int, ...]
     """Number of candidate pairs of each list, whose exact distance was computed."""
     in_cells: int
-    """Largest number of elements in three neighbouring cells; 0 without a grid."""
+    """Largest number of elements in three neighbouring cells of the search grid; 0
+    without a grid."""
     occupancy: float
-    """Largest fraction of the available room in use; infinite without any room [1]."""
+    """Largest ratio of needed to allocated entries, over all lists [1]; infinite if the
+    lists have no sizes yet."""
     suggested: NeighbourLists
-    """Lists with at least 1.5 times the room that this state needs."""
+    """Settings with at least 1.5 times the entries that this state needs."""
 
 
 def neighbours(system: System, state: Any) -> tuple[Neighbours, ...]:

@@ -37,13 +37,14 @@ from jaxrod.structure import pytree
 from jaxrod.validation import as_array, check_count
 
 SHARE = 1e-8
-"""Tolerated force out of balance, over bending stiffness per length squared [1].
-"""
+"""Default force tolerance as a fraction of a rod's bending stiffness over its length
+squared [1]."""
 ROUNDING = 8
-"""Tolerated force out of balance, in units of round-off of the stretching stiffness
-[1]."""
+"""Part of the default force tolerance for round-off, in units of the machine epsilon
+times the stretching stiffness [1]."""
 INSTANT = 1e-3
-"""Duration of the kick that measures loads, as a fraction of a step [1]."""
+"""Duration of the kick that measures loads out of balance, as a fraction of a step [1].
+"""
 
 
 @pytree
@@ -79,12 +80,13 @@ def settled(
     every: int = 16,
     max_steps: int = 1_000_000,
 ) -> Settled:
-    """Follows a scene or a system until it rests: see the module.
+    """Follows the damped motion of a scene or a system until it rests.
 
-    It works for all models that can be stepped. It follows their motion, while
-    `jaxrod.equilibrium` solves for the balance of loads. It works inside jit and vmap.
-    It cannot be differentiated in reverse mode, and does not use the implicit function
-    theorem; forward mode follows all steps.
+    The method is described in the docstring of this module. It works for all models
+    that can be stepped. It follows their motion, while `jaxrod.equilibrium` solves for
+    the balance of loads. It works inside jit and vmap. It cannot be differentiated in
+    reverse mode, and does not use the implicit function theorem; forward mode follows
+    all steps.
 
     It finds rest states that are reached by falling. A model that stands exactly on the
     top of a hill, such as a straight column, stays there and has converged. A model
@@ -98,8 +100,9 @@ def settled(
         force_tolerance: Largest force out of balance [N]. By default it is 1e-8 of a
             rod's bending stiffness over its length squared, plus eight units of
             round-off of its stretching stiffness, for the rod for which this is least.
-        couple_tolerance: Largest couple out of balance [N m]; by default the same times
-            the length of the rod.
+        couple_tolerance: Largest couple out of balance [N m]; by default the default
+            force tolerance times the length of the rod, for the rod for which this is
+            least.
         every: Steps between checks of the kinetic energy and of the residual.
         max_steps: Largest number of steps, rounded up to a multiple of `every`.
 
@@ -109,7 +112,7 @@ def settled(
     Raises:
         ValueError: If it depends on time, if there is no rod to take tolerances from
             and they are not given, or if an argument is out of range.
-        TypeError: If `scene` or `state` is something else.
+        TypeError: If `scene` or `state` is of another type.
 
     Example:
         >>> rest = systems.settled(scene, state)
@@ -151,14 +154,15 @@ def settled(
 
 @pytree
 class Way:
-    """Carry of the loop over blocks of steps."""
+    """Carry of the relaxation loop, which advances by blocks of steps."""
 
     state: Any
     """Current state, in motion."""
     pushes: Any
-    """Rates after the kick from rest in this state."""
+    """Velocities and spins of all members after a short kick from rest in this state.
+    """
     rate: Array
-    """Rate of damping [1/s]."""
+    """Damping rate of velocities and spins in the next block [1/s]."""
     blocks: Array
     """Number of blocks of steps taken."""
     residuals: tuple[Array, Array]
@@ -196,7 +200,7 @@ def _settled(
 
 
 def _block(scene: Model, way: Way, dt: Array, every: int) -> Way:
-    """Takes one more block of steps, and finds the damping for the next."""
+    """Advances by `every` damped steps, and finds the damping rate for the next."""
     damped = _damped(scene, way.rate)
     moved = advance(damped, _with_memories(scene, way.state, 1), dt, every)
     moved = _with_memories(scene, moved, -1)
@@ -232,25 +236,28 @@ def _rates(scene: Model, state: Any) -> dict[str, tuple[Array, Array]]:
 
 
 def _with_rates(scene: Model, state: Any, rates: dict[str, tuple[Array, Array]]) -> Any:
-    """The state with the given rates."""
+    """Copy of the state with the given velocities and spins of all members."""
     states = scene.states_by_name(state)
     moving = {name: states[name].with_rates(*own) for name, own in rates.items()}
     return scene.with_states(state, moving)
 
 
 def _still(scene: Model, state: Any) -> Any:
-    """The state at rest."""
+    """Copy of the state with zero velocities and spins."""
     none = jax.tree.map(jnp.zeros_like, _rates(scene, state))
     return _with_rates(scene, state, none)
 
 
 def _pushes(scene: Model, state: Any, dt: Array) -> Any:
-    """Rates that all loads give in an instant to the state at rest."""
+    """Velocities and spins after a kick from rest: accelerations times its duration."""
     return _rates(scene, step(scene, _still(scene, state), INSTANT * dt))
 
 
 def _residuals(scene: Model, state: Any, pushes: Any, dt: Array) -> tuple[Array, Array]:
-    """Largest force [N] and couple [N m] out of balance."""
+    """Largest force [N] and couple [N m] out of balance, over nodes and elements.
+
+    They are the momenta after the kick from rest (`pushes`) over its duration.
+    """
     largest = [jnp.zeros((), dt.dtype)] * 2
     pushed = scene.states_by_name(_with_rates(scene, state, pushes))
     for name, member in scene.interfaces().items():
@@ -262,12 +269,12 @@ def _residuals(scene: Model, state: Any, pushes: Any, dt: Array) -> tuple[Array,
 
 
 def _damped(scene: Model, rate: Array) -> Model:
-    """The model with all members damped in addition, at a rate [1/s]."""
+    """Copy of the model with velocities and spins of all members damped [1/s]."""
     return scene.with_effect(ExponentialDamping(rate, rate))
 
 
 def _with_memories(scene: Model, state: Any, more: int) -> Any:
-    """State with room for the memory of one more effect, or of one less."""
+    """Adds an empty memory for one more effect (`more` = 1), or drops the last (-1)."""
 
     def one(own: Any) -> Any:
         if getattr(own, "memory", None) is None:
@@ -280,7 +287,10 @@ def _with_memories(scene: Model, state: Any, more: int) -> Any:
 
 
 def _default_tolerances(scene: Model) -> tuple[Array | None, Array | None]:
-    """Smallest tolerances of all rods; `None` without rods."""
+    """Default tolerances of force [N] and couple [N m]; `None` without rods.
+
+    They are the smallest ones of all rods.
+    """
     members = scene.interfaces().values()
     rods = [member.rod for member in members if member.rod is not None]
     if not rods:
@@ -290,7 +300,12 @@ def _default_tolerances(scene: Model) -> tuple[Array | None, Array | None]:
 
 
 def _tolerances_of(rod: Rod) -> tuple[Array, Array]:
-    """Tolerances of a rod, or the smallest of equal rods."""
+    """Tolerances of force [N] and couple [N m] of a rod; the least of equal rods.
+
+    The force is `SHARE B / L^2 + ROUNDING eps S`, with bending stiffness `B`, length
+    `L`, machine epsilon `eps` and stretching stiffness `S`. The couple is the force
+    times `L`.
+    """
     length = jnp.sum(rod.rest_lengths, axis=-1)
     bending = jnp.min(rod.bend_twist_stiffness[..., :2, :], axis=(-2, -1))
     stretch = jnp.max(rod.shear_stretch_stiffness[..., 2, :], axis=-1)

@@ -14,21 +14,22 @@ from jaxrod.systems.stepping.assembly import Assembly
 
 @pytree
 class StableSystemStep:
-    """A time step of a system and what limits it."""
+    """Largest stable step of a system, and what limits it."""
 
     dt: Float[Array, ""]
-    """The largest safe step [s]."""
+    """Largest stable step times the safety factor: the least of `members` [s]."""
     members: tuple[Float[Array, ""], ...]
-    """The largest safe step of each member [s]; infinite where nothing limits it."""
+    """Largest stable step of each member times the safety factor [s], in the order of
+    `names`; infinite where nothing limits it."""
     steps: tuple[StableStep | None, ...]
-    """Stable steps of rods and their limits, with a leading axis for equal rods; `None`
-    for rigid bodies."""
+    """`StableStep` of each member made of rods, with a leading axis for equal rods;
+    `None` for rigid bodies. The order is that of `names`."""
     names: tuple[str, ...] = static()
     """Names of the members."""
 
     @property
     def limiting_mode(self) -> str:
-        """The limiting motion as text, for concrete values only."""
+        """Description of the motion that limits the step; needs concrete values."""
         which = min(range(len(self.names)), key=lambda k: float(self.members[k]))
         name, step = self.names[which], self.steps[which]
         if step is None:

@@ -65,7 +65,7 @@ class System(Assembly, Model):
     """
 
     def states_by_name(self, state: Any) -> dict[str, Any]:
-        """States of the members, without the record of lists of neighbours."""
+        """States of the members by name, without the record of neighbour lists."""
         given = set(state) - {RECORD}
         if given != set(self.members):
             raise ValueError(
@@ -75,7 +75,11 @@ class System(Assembly, Model):
         return {name: state[name] for name in self.members}
 
     def contact_forces(self, state: Any) -> list[tuple[str, Vec3]]:
-        """Forces of contact on nodes [N], of each effect and each coupling."""
+        """Contact forces on the nodes of members, world frame [N].
+
+        Each entry belongs to one effect or coupling: the name of a member, and the
+        forces on all its nodes.
+        """
         found = [
             (name, forces)
             for name, member in self.interfaces().items()
@@ -92,28 +96,38 @@ class System(Assembly, Model):
         return found
 
     def with_states(self, state: Any, changed: Mapping[str, Any]) -> dict[str, Any]:
-        """The state after the states of the named members were replaced."""
+        """Copy of the state in which the named members have the given states."""
         return {**state, **changed}
 
     def check_run(self, state: Any, dt: ArrayLike, first: Array | None) -> Array:
-        """Checks the arguments of a run, and returns the step in the system's type."""
+        """Checks the arguments of a run; returns `dt` [s] in the system's dtype."""
         check_system_state(self, state)
         return as_array("dt", dt, "s", positive=True, dtype=self.dtype)
 
     def run_stepper(self, state: Any, dt: Array, first: Array | None) -> Stepper:
-        """The integrator of a run."""
+        """Integrator of a run from a state.
+
+        `first` is the number of the first step since time zero. It is `None` for a
+        system that neither depends on time nor has memory.
+        """
         return system_stepper(self, state, dt, first)
 
     def with_memory(self, state: Any) -> dict[str, Any]:
-        """The state with the initial memories of effects."""
+        """Copy of the state with initial values for what it lacks.
+
+        These are the memories of effects, and the record of neighbour lists.
+        """
         return system_with_memory(self, state)
 
     def step_warning(self, dt: Array, state: Any) -> tuple[str | None, bool]:
-        """Warning about a concrete step above the stability bound; `None` below it."""
+        """Warning if the step `dt` is above the stability bound; `None` below it.
+
+        The second entry is always `False`: the bound holds for any state.
+        """
         return unstable_step(self, dt), False
 
     def stable_step(self, safety: ArrayLike, *, state: Any = None) -> StableSystemStep:
-        """The largest step at which the system is stable, times a safety factor."""
+        """Largest stable step times the factor `safety`, and what limits it."""
         if state is not None:
             raise ValueError(
                 "state must be None: the bound of a system holds for any state"
@@ -132,7 +146,11 @@ class System(Assembly, Model):
         work_input: ArrayLike = 0.0,
         n_steps: ArrayLike = 1000,
     ) -> SystemHealth:
-        """Flags and the measured values behind them; energies are not examined."""
+        """Flags of numerical faults in a state, and the values behind them.
+
+        Energies are not examined: `energy_before`, `work_input` and `n_steps` are
+        ignored.
+        """
         check_system_state(self, state)
         self.check_moment()
         return system_health(self, state, dt, limits=limits)
@@ -144,7 +162,7 @@ class System(Assembly, Model):
         tolerance: ArrayLike | None = None,
         max_iterations: int = 100,
     ) -> Equilibrium:
-        """Configuration in which all loads balance: `jaxrod.equilibrium`."""
+        """Searches for a state in which all loads balance; see `jaxrod.equilibrium`."""
         self._check_statics(state)
         bound, most = search_limits(tolerance, max_iterations, self.dtype)
         return system_equilibrium(
@@ -182,12 +200,12 @@ class System(Assembly, Model):
         return system_potential_energy(self, state)
 
     def momentum(self, state: Any) -> Float[Array, "3"]:
-        """Linear momentum [kg m/s]."""
+        """Total linear momentum of all members, world frame [kg m/s]."""
         check_system_state(self, state)
         return system_momentum(self, state)
 
     def angular_momentum(self, state: Any) -> Float[Array, "3"]:
-        """Angular momentum about the origin [kg m^2/s]."""
+        """Total angular momentum about the origin, world frame [kg m^2/s]."""
         check_system_state(self, state)
         return system_angular_momentum(self, state)
 
@@ -212,7 +230,7 @@ def make_system(
     Raises:
         ValueError: If a coupling does not fit the members, types differ, a member's
             method has no steps in a system, or an effect does not act on rigid bodies.
-        TypeError: If a member or a coupling is something else.
+        TypeError: If a member or a coupling is of another type.
 
     Example:
         >>> states = {"left": state, "right": state}
@@ -228,7 +246,7 @@ def make_system(
     listed = list(_flat(couplings))
     ties = [coupling for coupling in listed if coupling.tied_pairs]
     others = [coupling for coupling in listed if not coupling.tied_pairs]
-    # Ties come last: they have the final word on velocities.
+    # Ties come last, so that no other coupling changes velocities after them.
     ordered = (*others, ties[0].merged(ties[1:])) if ties else tuple(others)
     kept = {name: member.in_own_type(name) for name, member in asked.items()}
     system = System(kept, ordered)
@@ -238,7 +256,7 @@ def make_system(
             "members must all be of one type, got "
             + ", ".join(f"{name!r}: {dtype}" for name, dtype in types.items())
         )
-    # One program for all numbers. Where some are traced, the others must stay known.
+    # One compiled program. Under tracing `jit` would hide the numbers that are known.
     look = _parts_at if is_traced(system, state) else jax.jit(_parts_at)
     parts = look(system, state)
     for coupling in ordered:
@@ -262,7 +280,7 @@ def make_system(
 
 
 def _parts_at(system: System, state: SystemState | None) -> AllParts:
-    """Constants of all members, with the flags of held nodes if there is a state."""
+    """Constants of all members; given a state, with flags of nodes held by supports."""
     return system.parts() if state is None else held_parts(system, state)
 
 
@@ -280,7 +298,7 @@ def _flat(couplings: Any) -> Any:
 
 
 def _member(name: Any, given: Any) -> Member:
-    """The checked member for an entry of a system."""
+    """Converts an entry of `members` to a `Member`, and checks it."""
     if not isinstance(name, str):
         raise TypeError(f"names of members must be strings, got {name!r}")
     as_member = getattr(given, "as_member", None)
@@ -297,7 +315,10 @@ def _member(name: Any, given: Any) -> Member:
 def _free_ends(
     parts: AllParts, couplings: Sequence[Coupling], dtype: Any
 ) -> dict[str, Array]:
-    """Flags of the ends of each member's rods: 1 if free, 0 otherwise."""
+    """Flags `(rods, 2)` of the two ends of each member's rods, by name of the member.
+
+    They are 1 for a free end, and 0 for an end that is tied or attached.
+    """
     held = {node for coupling in couplings for node in coupling.joined_nodes()}
     return {
         name: jnp.asarray(free_ends(name, parts, held), dtype)
@@ -309,7 +330,7 @@ def _free_ends(
 def _sized(
     system: System, couplings: tuple[Coupling, ...], state: SystemState | None
 ) -> tuple[Coupling, ...]:
-    """Couplings with room for their neighbours, as counted in a state."""
+    """Couplings whose neighbour lists are sized by counting neighbours in a state."""
     if RECORD in system.members:
         raise ValueError(
             f"no member can be called {RECORD!r}: this is the name of the record of "
@@ -323,7 +344,7 @@ def _sized(
                 "neighbour_lists, or make_system a state in which to count them"
             )
         return couplings
-    # Without couplings, because nothing has been searched yet.
+    # Couplings are left out, because their neighbours have not been searched yet.
     plain = replace(system, couplings=()).at(0.0)
     seen, _ = seen_at_rest(plain, state)
     parts = system.parts()
@@ -338,7 +359,7 @@ def _with_room(coupling: Coupling, parts: Any, seen: Any) -> Coupling:
 
 
 def _check_followers(couplings: Sequence[Coupling]) -> None:
-    """Raises if a node would follow two bodies, or a body and a tie."""
+    """Raises a ValueError if a node is attached twice, or both attached and tied."""
     followers: dict[tuple[str, int], str] = {}
     for coupling in couplings:
         followed = coupling.followed

@@ -48,19 +48,19 @@ from one end to the other, along the line between the mean nodes of both halves.
 KINDS = (jnp.float32, jnp.float64)
 
 ROUNDING = 64
-"""Multiple of round-off below which sine and cosine together define no direction."""
+"""Multiple of round-off below which a sine and a cosine define no angle."""
 
 Curve = RodState | Numbers
 """A state, or node positions `(3, n + 1)` [m]."""
 
 
 def state_of(curve: Curve) -> RodState | None:
-    """The state, if the curve is given as one."""
+    """The curve if it is a state, else `None`."""
     return curve if isinstance(curve, RodState) else None
 
 
 def nodes_of(name: str, curve: Curve) -> Float[Array, "3 nodes"]:
-    """Nodes of a curve [m].
+    """Nodes of a curve as an array `(3, n + 1)` [m].
 
     Raises:
         ValueError: If they are not at least two points, in three rows.
@@ -108,7 +108,7 @@ def check_ends(ends: Ends, allowed: tuple[Ends, ...] = get_args(Ends)) -> None:
 
 
 def seamless(nodes: Float[Array, "3 nodes"]) -> Float[Array, "3 nodes"]:
-    """Nodes of a ring, whose ends are merged if they differ by round-off only."""
+    """Nodes of a ring, whose last equals its first if they differed by round-off."""
     gap = nodes[:, 0] - nodes[:, -1]
     edges = nodes[:, 1:] - nodes[:, :-1]
     typical = jnp.sum(edges * edges) / edges.shape[1]
@@ -117,7 +117,7 @@ def seamless(nodes: Float[Array, "3 nodes"]) -> Float[Array, "3 nodes"]:
 
 
 def end_directions(nodes: Float[Array, "3 nodes"], ends: Ends) -> tuple[Array, Array]:
-    """Unit vectors `(3,)` pointing outwards at the first and the last node."""
+    """Unit vectors `(3,)` pointing outwards at both ends, for a treatment of ends."""
     if ends == "next_tangent":
         first, last = nodes[:, 0] - nodes[:, 1], nodes[:, -1] - nodes[:, -2]
     elif ends == "end_to_end":
@@ -142,7 +142,7 @@ def completed(
     directions: tuple[Array, Array] | None = None,
     extension: Array | None = None,
 ) -> Float[Array, "3 all"]:
-    """Curve including the pieces that are added at its ends."""
+    """Nodes of a curve, including those of the pieces that are added at its ends."""
     if ends == "open":
         return nodes
     if ends == "joined":
@@ -166,7 +166,7 @@ def across(directions: Vec3, tangents: Vec3) -> Vec3:
 
 
 def unit(a: Vec3) -> Vec3:
-    """Unit vectors; zero, with zero gradient, for zero vectors."""
+    """Vectors scaled to unit length; zero vectors stay zero, with zero gradient."""
     squared = dot(a, a)
     there = squared > 0
     inverse = 1 / jnp.sqrt(jnp.where(there, squared, 1))
@@ -191,5 +191,5 @@ def triangle(a: Vec3, b: Vec3, c: Vec3) -> Array:
 
 
 def quadrilateral(a: Vec3, b: Vec3, c: Vec3, d: Vec3) -> Array:
-    """Signed area of spherical quadrilaterals, cut from `a` to `c` [sr]."""
+    """Signed area of spherical quadrilaterals `a b c d`, as two triangles [sr]."""
     return triangle(a, b, c) + triangle(a, c, d)

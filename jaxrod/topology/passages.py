@@ -1,11 +1,11 @@
 r"""Passages of curves through each other between two moments.
 
 Nodes are assumed to move in straight lines between the moments. The vector from a point
-of one segment to a point of another is then a map of a cube: two places and time.
-Segments pass through each other where the vector is zero. The signed number of passages
-is the solid angle of the image of the cube's surface over that of a sphere. It is an
-integer for motions of any size. The sum over all pairs is the jump of the Gauss
-integral.
+of one segment to a point of another is then a map of a cube, whose coordinates are the
+positions along both segments and time. Segments pass through each other where the
+vector is zero. The signed number of passages is the solid angle of the image of the
+cube's surface over that of a sphere. It is an integer for motions of any size. The sum
+over all pairs is the jump of the Gauss integral.
 """
 
 from __future__ import annotations
@@ -33,17 +33,19 @@ def crossings(
     records.
 
     Args:
-        before: A state, or nodes `(3, n + 1)`, at the first moment [m].
-        after: The same at the second moment.
-        other_before: Other curve, with `m + 1` nodes; by default the same curve.
-        other_after: Other curve at the second moment.
+        before: First curve at the first moment: a state, or nodes `(3, n + 1)` [m].
+        after: First curve at the second moment.
+        other_before: Second curve at the first moment, with `m + 1` nodes; by default
+            the first curve.
+        other_after: Second curve at the second moment.
 
     Returns:
         Counts per pair of elements `(n, m)`; for a curve with itself every pair occurs
         twice.
 
     Raises:
-        ValueError: If numbers of nodes do not agree, or one of the others is missing.
+        ValueError: If numbers of nodes do not agree, or only one of `other_before` and
+            `other_after` is given.
 
     Example:
         >>> other = jnp.array([[-1.0, 1.0], [0.0, 0.0], [0.0, 0.0]])  # along x
@@ -67,7 +69,7 @@ def crossings(
     def seen_from(segment: tuple[Array, Array, Array, Array]) -> Array:
         places = split(segment[0]), split(segment[1])
         places_later = split(segment[2]), split(segment[3])
-        # Index: place along the first segment, place along the second, moment.
+        # Indices: end of the first segment, end of the second, moment.
         vector = {
             (s, u, t): subtract(corners[u][t], (places, places_later)[t][s])
             for s in (0, 1)
@@ -96,10 +98,11 @@ def crossed(
 ) -> Bool[Array, ""]:
     """Whether a curve passed through itself, or another, between two moments.
 
-    Arguments are those of `crossings`, which also gives the places.
+    Arguments are those of `crossings`, which returns counts per pair of elements.
 
     Raises:
-        ValueError: If numbers of nodes do not agree, or one of the others is missing.
+        ValueError: If numbers of nodes do not agree, or only one of `other_before` and
+            `other_after` is given.
 
     Example:
         >>> other = jnp.array([[-1.0, 1.0], [0.0, 0.0], [0.0, 0.0]])  # along x
@@ -117,7 +120,7 @@ def crossed(
 def _moving(
     name: str, before: Curve, name_after: str, after: Curve
 ) -> tuple[Array, Array]:
-    """Nodes at both moments."""
+    """Nodes of one curve at the first and at the second moment [m]."""
     first, last = nodes_of(name, before), nodes_of(name_after, after)
     if first.shape != last.shape:
         raise ValueError(
@@ -128,8 +131,9 @@ def _moving(
 
 
 def _winding(d: dict[tuple[int, int, int], Vec3]) -> Array:
-    """Solid angle of the surface of a cube over that of a sphere [1].
+    """Solid angle of a cube's surface seen from the origin, over that of a sphere [1].
 
+    The arguments are unit vectors to its corners, with indices 0 or 1 along each edge.
     Opposite faces are cut along the same diagonal, so that a point on a face belongs to
     one of the two cubes that share it.
     """

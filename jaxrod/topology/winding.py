@@ -107,7 +107,7 @@ def _inner(a: Vec3, part: slice) -> Vec3:
 
 
 def _carried(u: Vec3, start: Vec3, end: Vec3) -> Vec3:
-    """A normal turned by the smallest rotation that takes one tangent to another."""
+    """Normal vectors after the smallest rotation that takes `start` to `end`."""
     versed = 1 + dot(start, end)
     folded = versed < ROUNDING * jnp.finfo(versed.dtype).eps
     share = jnp.where(folded, 0, dot(u, end) / jnp.where(folded, 1, versed))
@@ -115,7 +115,7 @@ def _carried(u: Vec3, start: Vec3, end: Vec3) -> Vec3:
 
 
 def _angle(u: Vec3, v: Vec3, axis: Vec3) -> Array:
-    """Signed angle from one normal to another about an axis [rad]."""
+    """Signed angle from the normal u to the normal v about an axis [rad]."""
     sine, cosine = dot(axis, cross(u, v)), dot(u, v)
     nowhere = sine * sine + cosine * cosine == 0
     return jnp.arctan2(sine, jnp.where(nowhere, 1, cosine))
@@ -195,9 +195,9 @@ def link(
 ) -> Float[Array, ""]:
     """Link of a ribbon: linking number of its centreline and a line offset along d1.
 
-    It is an integer for closed ribbons. For other ends than "joined" it is the link of
-    the two lengthened lines, which is close to twist plus writhe for a long
-    `extension`.
+    It is an integer for closed ribbons. For other ends than "joined" it is the Gauss
+    integral of the two open or lengthened lines, which is close to twist plus writhe
+    for a long `extension`.
 
     Args:
         curve: A state, or nodes `(3, n + 1)` [m].
@@ -246,7 +246,7 @@ def link(
 def gauss_integral(
     first: Float[Array, "3 a"], second: Float[Array, "3 b"]
 ) -> Float[Array, ""]:
-    """Sum of the solid angles of all pairs of segments over that of a sphere [1]."""
+    """Gauss integral: solid angles of all pairs of segments, summed, over 4 pi [1]."""
     starts, finishes = split(second[:, :-1]), split(second[:, 1:])
 
     # Storing intermediate values of the solid angles would take most of the memory.

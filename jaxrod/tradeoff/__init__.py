@@ -1,8 +1,8 @@
-"""Trade-off of speed and accuracy, measured: the cost and the error of a setting.
+"""Measures the trade-off of speed and accuracy: cost and error of settings of a run.
 
 `tune` finds the cheapest setting of a scene within an allowed error. `measure` gives
-the cost and the error of one setting. In a checkout `jaxrod tradeoff` shows the whole
-trade-off of one of `SCENES`, next to PyElastica's.
+the cost and the error of one setting. In a checkout, `jaxrod tradeoff` shows the
+trade-off for one of `SCENES`, beside that of PyElastica.
 """
 
 from jaxrod.tradeoff.measure import (

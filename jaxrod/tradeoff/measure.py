@@ -1,4 +1,4 @@
-"""Settings, which trade speed for accuracy: their error and their cost.
+"""Error and cost of a setting: resolution, precision, law and method of a run.
 
 Errors are measured against a converged reference.
 """
@@ -34,14 +34,15 @@ REFERENCE_ELEMENTS = 160
 REFERENCE_REFINEMENT = 8
 WINDOWS = 5
 TIMED_PERIODS = 1280
-"""Largest total of control periods timed in one call of a batch."""
+"""Number of control periods, summed over a batch of rods, that one timed call runs: at
+most the workload's, and at least two per rod."""
 Integrator = Literal["explicit", "implicit"]
 Reduction = Literal["planar", "untwisted", "inertia", "compensated"]
 
 
 @dataclass(frozen=True)
 class Setting:
-    """Number of elements, step, precision, law, integrator and reductions of a run.
+    """Numerical setting of a run: resolution, precision, law, integrator, reductions.
 
     Example:
         >>> setting = tradeoff.Setting(12, dtype="float64", reductions=("planar",))
@@ -50,10 +51,10 @@ class Setting:
     """
 
     n_elements: int
-    """Number of elements."""
+    """Number of elements of the rod."""
     dt: float | None = None
-    """Step size [s]; `None` for the largest stable step that divides the control
-    period, times the safety factor below."""
+    """Step size [s], reduced so that it divides the control period; `None` for `safety`
+    times the largest stable step."""
     dtype: str = "float32"
     """Floating-point type, "float32" or "float64"."""
     mode: Law = "consistent"
@@ -61,13 +62,14 @@ class Setting:
     integrator: Integrator = "explicit"
     """Integrator, "explicit" or "implicit"."""
     reductions: tuple[Reduction, ...] = ()
-    """Any of "planar" (motion in a plane), "untwisted" (without twist), "inertia"
-    (enlarged transverse inertia), "compensated" (compensated positions)."""
+    """Cheaper or more precise methods: "planar" (motion in a plane), "untwisted"
+    (without twist), "inertia" (enlarged transverse rotary inertia), "compensated"
+    (positions with compensated summation)."""
     safety: float = 0.9
-    """Fraction of the stability limit if `dt` is `None`."""
+    """Step size as a fraction of the stability limit, if `dt` is `None` [1]."""
 
     def __str__(self) -> str:
-        """Description as text."""
+        """Describes the setting on one line."""
         words = [f"n = {self.n_elements}", self.integrator, self.dtype, self.mode]
         if self.dt is not None:
             words.insert(1, f"dt = {self.dt:.3g} s")
@@ -79,21 +81,21 @@ class Prepared:
     """A workload built with a setting, ready to run."""
 
     setting: Setting
-    """The setting, with its step size filled in."""
+    """The setting, with the step size that is used."""
     scene: Scene
-    """The scene, in the setting's type."""
+    """The scene, in the setting's floating-point type."""
     state: RodState
     """The initial state."""
     substeps: int
-    """Steps per control period."""
+    """Number of time steps per control period."""
 
 
 def prepare(workload: Workload, setting: Setting) -> Prepared:
-    """Builds a workload with a setting.
+    """Builds the scene and initial state of a workload for a setting.
 
     Args:
         workload: The workload.
-        setting: The setting.
+        setting: The setting to build it with.
 
     Raises:
         ValueError: If the setting does not fit the workload: "planar" without a plane,
@@ -140,7 +142,7 @@ def prepare(workload: Workload, setting: Setting) -> Prepared:
 
 
 def may_be_untwisted(workload: Workload) -> bool:
-    """Whether nothing twists the rod of a workload, controls included."""
+    """Whether no load or control of a workload twists its rod."""
     with jax.enable_x64(True):
         scene, _ = workload.build(4, "consistent")
         acted = workload.act(scene)(jnp.asarray(workload.controls[0]))
@@ -153,7 +155,7 @@ def may_be_untwisted(workload: Workload) -> bool:
 
 @dataclass(frozen=True, eq=False)
 class Reference:
-    """Finely computed path of the tip, which the paths of settings are compared to.
+    """Path of the tip from a fine simulation, from which errors are measured.
 
     Example:
         >>> work = tradeoff.workload_of(scene, state, duration=0.05, periods=5)
@@ -163,22 +165,22 @@ class Reference:
     """
 
     tips: np.ndarray
-    """Tip at the end of every control period `(periods, 3)` [m]."""
+    """Positions of the tip at the ends of control periods `(periods, 3)` [m]."""
     length: float
     """Length of the rod [m]."""
     error: float
-    """Estimated error: root mean square over time, in lengths of the rod. It is a
-    quarter of the difference from a run of half the resolution: the change that the
-    next refinement would cause (second order)."""
+    """Estimated error of `tips`: root mean square over time, over the rod's length [1].
+    It is a quarter of the difference from a run with half the elements: the change
+    that another refinement would cause, for a second-order method."""
     n_elements: int
-    """Number of elements."""
+    """Number of elements of the fine simulation."""
     dt: float
-    """Step size [s]."""
+    """Step size of the fine simulation [s]."""
 
 
 @dataclass(frozen=True)
 class Measurement:
-    """One point of the trade-off.
+    """Error and cost of one setting, measured by `measure`.
 
     Example:
         >>> work = tradeoff.workload_of(scene, state, duration=0.05, periods=5)
@@ -191,11 +193,10 @@ class Measurement:
     setting: Setting
     """The setting, with the step size that was used."""
     error: float
-    """Root mean square over time of the tip's distance from the reference, in lengths
-    of the rod; infinite if the run was not finite."""
+    """Root mean square over time of the tip's distance from the reference, over the
+    rod's length [1]; infinite if the run was not finite."""
     wall_s_per_sim_s: dict[int, float]
-    """Wall-clock time per simulated second and rod [1], for every batch size that was
-    timed."""
+    """Wall-clock time per simulated second and rod [1], by batch size."""
 
 
 def reference(workload: Workload, n_elements: int = REFERENCE_ELEMENTS) -> Reference:
@@ -203,11 +204,12 @@ def reference(workload: Workload, n_elements: int = REFERENCE_ELEMENTS) -> Refer
 
     Args:
         workload: The workload.
-        n_elements: Elements of the reference; its step is an eighth of the stable one.
-            It is compared with a run of half the elements and twice the step.
+        n_elements: Number of elements of the reference; its step is an eighth of the
+            stable one. Its error follows from a run with half the elements, at a
+            quarter of the stable step of that run.
 
     Raises:
-        ValueError: If `n_elements` is below 4, so that half of it is no rod.
+        ValueError: If `n_elements` is below 4.
 
     Example:
         >>> work = tradeoff.workload_of(scene, state, duration=0.05, periods=5)
@@ -236,14 +238,17 @@ def reference(workload: Workload, n_elements: int = REFERENCE_ELEMENTS) -> Refer
 
 
 def tips_of(workload: Workload, prepared: Prepared) -> np.ndarray:
-    """Tip at the end of every control period `(periods, 3)` [m]."""
+    """Simulates a workload; returns the tip at the end of every control period.
+
+    The result is `(periods, 3)` [m].
+    """
     with jax.enable_x64(prepared.setting.dtype == "float64"):
         args = _arguments(workload, prepared)
         return np.asarray(_run(workload, False, *args), np.float64)
 
 
 def tip_error(tips: np.ndarray, exact: np.ndarray, length: float) -> float:
-    """Root mean square over time of the distance, in lengths of the rod."""
+    """Root mean square over time of |tips - exact|, over `length` [1]; or infinity."""
     squares = np.sum((tips - exact) ** 2, axis=1)
     error = float(np.sqrt(np.mean(squares))) / length
     return error if np.isfinite(error) else float("inf")
@@ -257,16 +262,15 @@ def measure(
     batches: tuple[int, ...] = (1,),
     seconds: float = 0.3,
 ) -> Measurement:
-    """Measures error and cost of a setting.
+    """Measures the error and the cost of a setting.
 
     Args:
         workload: The workload.
-        setting: The setting.
-        exact: The workload's reference.
-        batches: Batch sizes to time it with, each rod with its own controls; on one
-            core if JAX has one device.
+        setting: The setting to measure.
+        exact: Reference of the workload, from `reference`.
+        batches: Batch sizes (numbers of rods) to time the setting with.
         seconds: Time spent on timing each batch [s]. The result is the median of five
-            windows, or a single run if that takes longer.
+            repetitions, or a single run if it takes longer than that.
 
     Raises:
         ValueError: If the setting does not fit the workload, as in `prepare`.
@@ -288,11 +292,18 @@ def measure(
 def cost(
     workload: Workload, prepared: Prepared, batch: int, seconds: float = 0.3
 ) -> float:
-    """Wall-clock time per simulated second and rod [1], without compilation."""
+    """Measures wall-clock time per simulated second and rod [1], without compilation.
+
+    Args:
+        workload: The workload.
+        prepared: The workload, built with the setting that is timed.
+        batch: Number of rods that are simulated at the same time.
+        seconds: Time spent on timing [s].
+    """
     with jax.enable_x64(prepared.setting.dtype == "float64"):
         scene, state, controls, dt, substeps = _arguments(workload, prepared)
-        # For many rods a few periods suffice. One rod runs all periods: the overhead of
-        # a call is more than a thousand of the smallest steps.
+        # For many rods a few periods suffice. One rod runs all periods: a call's
+        # overhead is as long as a thousand of the smallest steps.
         periods = min(len(workload.controls), max(2, TIMED_PERIODS // batch))
         controls = controls[:periods]
         run = partial(_run, workload, batch > 1)
@@ -308,7 +319,7 @@ def cost(
         once()
         single = once()
         rounds = max(1, int(seconds / WINDOWS / single))
-        # A run that is longer than all windows together is not repeated.
+        # A run that takes longer than `seconds` is not repeated.
         repeats = WINDOWS if single < seconds else 0
         windows = [sum(once() for _ in range(rounds)) for _ in range(repeats)]
     simulated = rounds * periods * workload.period * batch
@@ -316,7 +327,7 @@ def cost(
 
 
 def _repeated(batch: int, leaf: Array) -> Array:
-    """Copies of an array along a new leading axis."""
+    """Repeats an array `batch` times along a new leading axis."""
     return jnp.broadcast_to(leaf, (batch, *leaf.shape))
 
 
@@ -343,7 +354,7 @@ def _run(
     dt: Array,
     substeps: Array,
 ) -> Float[Array, "periods *batch 3"]:
-    """Path of the tip; if `batched`, for many rods, each with its own controls."""
+    """Positions of the tip after each control period; if `batched`, of many rods."""
     act = workload.act(scene)
 
     def period(state: RodState, control: Array) -> tuple[RodState, Array]:

@@ -1,4 +1,4 @@
-"""The same rod, in its scene, with more or fewer elements."""
+"""Resampling of a rod, its scene and its state to another number of elements."""
 
 from __future__ import annotations
 
@@ -26,26 +26,26 @@ from jaxrod.validation import check_count, is_traced
 
 
 def resample(scene: Scene, state: RodState, n_elements: int) -> tuple[Scene, RodState]:
-    """The same scene and state with another number of equally long elements.
+    """Converts a scene and a state to another number of equally long elements.
 
     Interpolation is in rest arc length. Logarithms of properties are interpolated
     linearly between the middles of elements, rest curvatures between joints, positions
     and velocities between nodes, and orientations along the rotation from each element
     to the next. Effects define their counterparts on the new rod (`Effect.resampled`).
 
-    The result is exact for uniform straight rods; otherwise it is second order in the
-    element length. Not for tracing: the result is computed on the host.
+    The result is exact for uniform straight rods; otherwise its error is second order
+    in the element length. It cannot be traced: it is computed on the host.
 
     Args:
         scene: The scene.
-        state: Its state.
+        state: State of the rod of the scene.
         n_elements: Number of elements of the new rod, at least 2.
 
     Returns:
         The new scene and state; the given ones if the number does not change.
 
     Raises:
-        ValueError: If `n_elements` is out of range, anything is traced, or an effect
+        ValueError: If `n_elements` is out of range, an argument is traced, or an effect
             has memory or belongs to certain elements (a tendon).
         TypeError: If `scene` or `state` is of another type.
 
@@ -85,7 +85,7 @@ def _resampled_rod(rod: Rod, n: int) -> Rod:
         return jnp.asarray(interpolated(np.asarray(values), old, new), dtype)
 
     def positive(values: Array) -> Array:
-        # Logarithms suit powers of a tapering radius: values stay positive at the ends.
+        # By logarithms, so that values of tapered rods stay positive at the ends.
         logarithms = np.log(np.asarray(values, np.float64))
         new = interpolated(logarithms, middles, new_middles)
         return jnp.asarray(np.exp(new), dtype)
@@ -137,7 +137,10 @@ def _resampled_state(rod: Rod, state: RodState, new: Rod) -> RodState:
 def _turned_along(
     orientations: Array, middles: np.ndarray, new_middles: np.ndarray
 ) -> Array:
-    """Orientations between elements, along the rotation from one to the next."""
+    """Interpolates orientations of elements to arc lengths `new_middles` [m].
+
+    Between elements they turn along the rotation vector from one to the next.
+    """
     before, share = neighbours(middles, new_middles)
     turns, _ = joint_rotations(split_quaternion(orientations))
     start = split_quaternion(orientations[:, before])

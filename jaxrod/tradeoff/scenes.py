@@ -24,16 +24,16 @@ from jaxrod.tradeoff.workload import Workload
 
 N_CONTROLS = 6
 COUPLE_DENSITY = 1500.0
-"""Couple per length for a control value of one, as in the tracking task [N m/m]."""
+"""Couple per unit length at a control value of one, as in the tracking task [N m/m]."""
 VISCOSITY = 30.0
-"""Viscous force per length and speed of the tracking task's arm [kg/(m s)]."""
+"""Viscous force per unit length and speed on the tracking task's arm [kg/(m s)]."""
 
 
 def swing() -> Workload:
-    """The arm released from a horizontal position: 1 s of swinging under its weight.
+    """Arm released from a horizontal position: it swings under its weight for 1 s.
 
-    It is 1 m long, 5 cm in radius, 10 MPa, clamped and lightly damped, and stays in a
-    plane.
+    The arm is 1 m long, 5 cm in radius, with Young's modulus 10 MPa, clamped and
+    lightly damped. Its motion stays in a plane.
 
     Example:
         >>> ready = tradeoff.prepare(tradeoff.swing(), tradeoff.Setting(8))
@@ -44,10 +44,10 @@ def swing() -> Workload:
 
 
 def rope() -> Workload:
-    """A rope, 4 mm thick and 1 m long, released from a horizontal position: 0.3 s.
+    """Rope, 4 mm thick and 1 m long, released from a horizontal position: 0.3 s.
 
-    Its elements are much longer than thick: a scene for enlarged inertia and implicit
-    steps.
+    Its elements are much longer than thick, so enlarged inertia and implicit steps are
+    useful.
 
     Example:
         >>> work = tradeoff.rope()
@@ -58,10 +58,10 @@ def rope() -> Workload:
 
 
 def slam() -> Workload:
-    """The arm of `swing` released above a post, which it hits and bends over: 0.6 s.
+    """Arm of `swing` released above a post, which it hits and bends over: 0.6 s.
 
-    The post is a cylinder of 15 cm radius across the plane of motion, under two thirds
-    of the arm's length. Contact is soft, so that few elements resolve it.
+    The post is a cylinder of 15 cm radius across the plane of motion, below a point at
+    two thirds of the arm's length. Contact is soft, so that few elements resolve it.
 
     Example:
         >>> ready = tradeoff.prepare(tradeoff.slam(), tradeoff.Setting(8))
@@ -77,7 +77,7 @@ def slam() -> Workload:
 
 
 def tracking_arm() -> Workload:
-    """The tracking task's arm under recorded actions of a trained policy: 1 s.
+    """Arm of the tracking task under recorded actions of a trained policy: 1 s.
 
     Twelve control values change every 1.4 ms and shape the bending couples along the
     arm. They are at their limits a third of the time. The arm is damped as in the
@@ -122,7 +122,7 @@ SCENES: dict[str, Callable[[], Workload]] = {
     "rope": rope,
     "slam": slam,
 }
-"""Factories of the named workloads."""
+"""Functions that make the workloads, by name."""
 
 
 def _arm(
@@ -131,7 +131,7 @@ def _arm(
     direction: tuple[float, float, float],
     normal: tuple[float, float, float],
 ) -> tuple[Rod, RodState]:
-    """A rod 1 m long of 10 MPa and 1000 kg/m^3."""
+    """Makes a straight rod, 1 m long, of Young's modulus 10 MPa and 1000 kg/m^3."""
     return straight_rod(
         n_elements,
         length=1.0,
@@ -156,7 +156,10 @@ def _released(
     damping_rate: float,
     *others: Callable[[], Effect],
 ) -> Workload:
-    """A clamped rod released from a horizontal position, with periods of 10 ms."""
+    """Makes a workload of `_arm` released from a horizontal position, clamped, damped.
+
+    Its control periods are 10 ms; `others` make further effects.
+    """
 
     def build(n_elements: int, law: Law) -> tuple[Scene, RodState]:
         rod, state = _arm(n_elements, radius, (1.0, 0.0, 0.0), (0.0, 0.0, 1.0))

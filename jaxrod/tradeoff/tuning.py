@@ -31,16 +31,17 @@ from jaxrod.tradeoff.workload import Workload, workload_of
 from jaxrod.validation import check_array, check_count, is_traced
 
 ELEMENTS = (4, 5, 6, 8, 10, 12, 14, 17, 20, 24, 28, 34, 40, 48, 56, 68, 80)
-"""Numbers of elements that are tried, in this order."""
+"""Numbers of elements of the rod among which `tune` chooses by default."""
 STEPS_FOR_IMPLICIT = 100
-"""Number of explicit steps that one implicit step must replace to be tried."""
+"""Smallest number of explicit steps that an implicit step must replace: implicit
+settings with smaller steps are not tried."""
 TRUSTED = 0.2
-"""Largest error of the reference, as a fraction of the error allowed."""
+"""Largest accepted error of the reference, as a fraction of the allowed error [1]."""
 
 
 @dataclass(frozen=True)
 class Tuned:
-    """Result of `tune`.
+    """Cheapest accurate setting found by `tune`, with its error and cost.
 
     Example:
         >>> few = dict(duration=0.05, elements=(4, 6), seconds=0.01)
@@ -53,30 +54,30 @@ class Tuned:
     """
 
     met: bool
-    """Whether the error is within the allowed error. If no setting is accurate enough,
-    `setting` is the most accurate one tried."""
+    """Whether `error` is at most `max_error`. If no setting is that accurate, `setting`
+    is the most accurate one tried."""
     setting: Setting
-    """The cheapest setting whose error is allowed."""
+    """The fastest of the timed settings that are accurate enough."""
     error: float
-    """Measured error: root mean square over time of the tip's distance from the
-    reference, in lengths of the rod."""
+    """Measured error of `setting`: root mean square over time of the tip's distance
+    from the reference, over the rod's length [1]."""
     wall_s_per_sim_s: float
-    """Measured cost: wall-clock time per simulated second and rod, at the requested
-    batch size."""
+    """Measured cost of `setting`: wall-clock time per simulated second and rod, at the
+    batch size `batch` [1]."""
     max_error: float
-    """Largest error allowed, in lengths of the rod."""
+    """Largest allowed error, over the rod's length [1]."""
     batch: int
-    """Batch size it was timed with."""
+    """Batch size (number of rods) of the timing."""
     reference_error: float
-    """Error of the reference itself, in lengths of the rod."""
+    """Estimated error of the reference itself, over the rod's length [1]."""
     tried: tuple[Measurement, ...]
-    """All measurements in order; settings that were not accurate enough were not
-    timed."""
+    """All measurements in the order of the search; only candidates for `setting` have
+    times."""
     prepared: Prepared
-    """The scene and the state with the setting, ready to step."""
+    """The scene and the state built with `setting`, ready to simulate."""
 
     def __str__(self) -> str:
-        """Description as text."""
+        """Describes the result on one line."""
         found = (
             f"{self.setting}: error {self.error:.2g} of the length, "
             f"{self.wall_s_per_sim_s:.2g} s per simulated second"
@@ -104,20 +105,21 @@ def tune(
     somewhat more: explicit steps, with enlarged inertia if the rod is slender, in the
     plane if the scene has one, and implicit steps if there are many explicit ones. Each
     is tried in float32, then with compensated positions, then in float64, until it is
-    accurate enough. Every setting that is accurate enough is timed; the fastest is
+    accurate enough. The accurate setting of each method is timed; the fastest is
     returned. Errors are relative to a converged reference of 160 elements. It takes a
     minute or two and does not work inside jit.
 
     Args:
-        scene: The scene, of the consistent law; or a `Workload`, with controls in time.
-        state: Its initial state.
-        max_error: Largest error allowed, in lengths of the rod: root mean square over
-            time of the tip's distance from the reference.
+        scene: The scene, of the consistent law; or a `Workload`, possibly with
+            controls.
+        state: Initial state of the scene; not used with a `Workload`.
+        max_error: Largest allowed error [1]: root mean square over time of the tip's
+            distance from the reference, over the rod's length.
         duration: Simulated time [s].
-        batch: Batch size to optimise the speed for.
+        batch: Batch size (number of rods) to optimise the speed for.
         elements: Numbers of elements to choose from, increasing.
         seconds: Time spent on timing each setting [s].
-        log: Called with a line of text after every measurement.
+        log: Function called with a line of text after every measurement.
 
     Returns:
         The setting with its measured error and cost.
@@ -194,7 +196,7 @@ def tune(
 
 @dataclass
 class _Search:
-    """Settings of a workload that are accurate enough, and all that were tried."""
+    """Search for the accurate settings of a workload; records all that were tried."""
 
     workload: Workload
     exact: Reference
@@ -204,7 +206,7 @@ class _Search:
     tried: list[Measurement] = dataclasses.field(default_factory=list)
 
     def accurate_settings(self) -> Iterator[Prepared]:
-        """Each method that can be accurate enough, in its cheapest setting."""
+        """Yields the cheapest accurate setting of each method that has one."""
         index = self._coarsest()
         if index is None:
             return
@@ -237,7 +239,10 @@ class _Search:
         return prepared, error
 
     def _coarsest(self) -> int | None:
-        """Index of the smallest number of elements that suffices in float64."""
+        """Index of the smallest of `elements` that is accurate enough in float64.
+
+        It is `None` if not even the largest is.
+        """
 
         def error(index: int) -> float:
             return self._error(Setting(self.elements[index], dtype="float64"))[1]
@@ -267,10 +272,10 @@ class _Search:
         reductions: tuple[Reduction, ...],
         dt: float | None,
     ) -> Prepared | None:
-        """Cheapest precision that is accurate enough, with somewhat more elements.
+        """Cheapest accurate precision of a method; `None` if there is none.
 
-        Reductions and larger steps have errors of their own, which a few more elements
-        may compensate.
+        It tries `elements[index]` and the next two numbers, because reductions and
+        larger steps add errors, which more elements may compensate.
         """
         for n in self.elements[index : index + 3]:
             for dtype, more in _PRECISIONS:
@@ -291,7 +296,7 @@ _PRECISIONS: tuple[tuple[str, tuple[Reduction, ...]], ...] = (
 
 
 def _kinds(workload: Workload, n_elements: int) -> list[tuple[Reduction, ...]]:
-    """Combinations of reductions that make sense for a workload."""
+    """Combinations of reductions that are valid and useful for a workload."""
     kinds: list[tuple[Reduction, ...]] = [()]
     if _is_slender(workload, n_elements):
         kinds.append(("inertia",))

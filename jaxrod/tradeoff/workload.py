@@ -1,4 +1,4 @@
-"""A workload: a scene that can be built at any resolution, and its controls."""
+"""Workload: a scene that can be built with any number of elements, and its controls."""
 
 from __future__ import annotations
 
@@ -29,8 +29,8 @@ def _unchanged(scene: Scene) -> Callable[[jax.Array], Scene]:
 class Workload:
     """Simulation on which the error and the cost of settings are measured.
 
-    Time is divided into control periods. In each period the scene is the one that `act`
-    returns, and at its end the tip is recorded. A period is a whole number of steps.
+    Time is divided into control periods of a whole number of steps. `act` gives the
+    scene during each period. At the end of each period the tip's position is recorded.
 
     Example:
         >>> work = tradeoff.swing()
@@ -41,22 +41,21 @@ class Workload:
     name: str
     """Name of the workload."""
     build: Build
-    """Function from the number of elements and the law to the scene and its initial
+    """`(n_elements, law) -> (scene, state)`: the scene without controls and its initial
     state, in float64."""
     period: float
     """Length of a control period [s]."""
     controls: np.ndarray
-    """Controls of each period `(periods, controls)`; without columns if nothing
-    changes."""
+    """Controls of each period `(periods, controls)`; `(periods, 0)` for none."""
     act: Act = _unchanged
-    """Function of the scene, called once; it returns a function from a period's
-    controls to the scene during that period."""
+    """`scene -> (controls -> scene)`: called once with the scene, it returns a function
+    from a period's controls to the scene during that period."""
     plane: PlaneName | None = None
     """Plane of all motion and loads; `None` if the motion is spatial."""
 
     @property
     def duration(self) -> float:
-        """Simulated time [s]."""
+        """Simulated time: number of periods times `period` [s]."""
         return self.period * len(self.controls)
 
 
@@ -68,15 +67,15 @@ def workload_of(
     periods: int = 50,
     name: str = "scene",
 ) -> Workload:
-    """Makes a scene without controls into a motion on which `tune` measures.
+    """Makes a workload, on which `tune` measures, from a scene without controls.
 
     Args:
         scene: The scene; it is resampled to other numbers of elements, so numbers
             that vary along the rod are interpolated.
-        state: Its initial state.
+        state: Initial state of the rod of the scene.
         duration: Simulated time [s].
-        periods: Number of records of the tip; no step is longer than the time between
-            records.
+        periods: Number of periods, at whose ends the tip is recorded; no step is longer
+            than a period.
         name: Name of the workload.
 
     Raises:

@@ -1,4 +1,4 @@
-"""Twins of real arms: drawings and recordings in, calibrated arms and forecasts out."""
+"""Digital twins of real arms, calibrated from a drawing and recordings of markers."""
 
 from jaxrod.twin.arm import UNKNOWNS, Arm, Frame, Marker, TendonDrawing, read_arm
 from jaxrod.twin.identification import Comparison, Twin, identify

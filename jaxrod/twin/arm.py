@@ -1,8 +1,8 @@
-"""A measured arm: its drawing, what is uncertain about it, and the scene it makes.
+"""Drawing of a real arm: its design, its uncertain numbers, and its simulated scene.
 
-The drawing is a TOML file (`read_arm`, docs/twin.md): a rod, its tendons, the markers
-on it, the frame of the camera, and a standard deviation for every number that is
-not known exactly.
+The drawing is a TOML file (`read_arm`, docs/twin.md): a rod, its tendons, its markers,
+the frame of the camera, and a standard deviation for every number that is not known
+exactly (the unknowns).
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ LOGARITHMIC = (
     "tension",
     "youngs_modulus",
 )
-"""Unknowns whose standard deviations are those of their logarithms."""
+"""Unknowns that are found by their logarithms, to which standard deviations refer."""
 
 UNKNOWNS = {
     "damping": "decay rate of velocities, of motions alone [1/s]",
@@ -55,12 +55,12 @@ UNKNOWNS = {
     "turn": "rotation of the arm in that frame, as a vector [rad]",
     "youngs_modulus": "Young's modulus, halfway along the arm [Pa]",
 }
-"""Every number that a fit may seek, with its unit."""
+"""Meaning and unit of every number that may be unknown and found by a fit."""
 
 
 @dataclass(frozen=True)
 class TendonDrawing:
-    """Design of one tendon: the input that pulls it, and where it runs.
+    """Design of one tendon: the recorded input that pulls it, and its path.
 
     Example:
         >>> drawn = twin.TendonDrawing("motor", np.pi / 2, 0.01, pulley_radius=0.02)
@@ -69,20 +69,22 @@ class TendonDrawing:
     """
 
     input: str
-    """Name of the recorded number that pulls it."""
+    """Name of the recorded input that pulls the tendon."""
     angle: float
-    """Angle around the axis, from d1 towards d2 [rad]."""
+    """Angle of the tendon around the axis, from d1 towards d2 [rad]."""
     distance: Any
-    """Distance from the axis: a number, or pairs of arc length and distance [m]."""
+    """Distance of the tendon from the axis: a number, or pairs of arc length and
+    distance [m]."""
     pulley_radius: float | None = None
-    """Radius of the pulley, if the input is a torque [m]; else it is a tension."""
+    """Radius of the pulley [m], if the input is a torque (tension = torque / radius);
+    `None` if the input is the tension."""
     until: float | None = None
-    """Arc length at which the tendon ends [m]; the tip by default."""
+    """Arc length at which the tendon ends [m]; `None` for the tip."""
 
 
 @dataclass(frozen=True)
 class Marker:
-    """A point that moves with a section of the arm.
+    """A point, seen by the camera, that is fixed to a section of the arm.
 
     Example:
         >>> middle = twin.Marker("middle", at=0.15, offset=(0.0, 0.02, 0.0))
@@ -91,7 +93,7 @@ class Marker:
     """
 
     name: str
-    """Name; recorded columns are `NAME_x`, `NAME_y`, `NAME_z`."""
+    """Name of the marker; recordings have columns `NAME_x`, `NAME_y`, `NAME_z`."""
     at: float
     """Arc length of the section [m]."""
     offset: tuple[float, float, float] = (0.0, 0.0, 0.0)
@@ -100,7 +102,7 @@ class Marker:
 
 @dataclass(frozen=True)
 class Frame:
-    """Frame of the recorded coordinates.
+    """Frame and unit of the recorded coordinates of markers.
 
     Raises:
         ValueError: If a number is out of range, or an origin is given without axes.
@@ -112,17 +114,17 @@ class Frame:
     """
 
     axes: Any = None
-    """Rotation that turns recorded vectors into the arm's frame `(3, 3)`; `None` if it
+    """Rotation matrix from the recorded frame to the arm's frame `(3, 3)`; `None` if it
     is not known."""
     origin: str | tuple[float, float, float] | None = None
-    """Recorded point that is the base of the arm, in recorded units; or the name of a
-    marker that does not move, and is where the drawing of the straight arm has it;
-    `None` if it is not known."""
+    """Recorded coordinates of the base of the arm, in recorded units; or the name of a
+    marker that never moves from its position on the straight arm; `None` if neither is
+    known."""
     scale: float = 1.0
     """Length of a recorded unit [m]."""
 
     def __post_init__(self) -> None:
-        """Checks all numbers."""
+        """Checks the ranges of all fields."""
         check_array("scale of the frame", self.scale, [()], "m", positive=True)
         if self.axes is not None:
             axes = np.asarray(
@@ -149,9 +151,9 @@ class Frame:
 
 @dataclass(frozen=True, eq=False)
 class Arm:
-    """Design of a real arm, and how uncertain its unknowns are; see `read_arm`.
+    """Design of a real arm, with standard deviations of its unknowns; see `read_arm`.
 
-    Values of the unknowns are given by name.
+    Methods take values of the unknowns as a dict by name.
 
     Example:
         >>> drawn = twin.Arm(
@@ -177,7 +179,7 @@ class Arm:
     length: float
     """Length of the rod [m]."""
     radius: Any
-    """Radius: a number, or pairs of arc length and radius [m]."""
+    """Radius of the rod: a number, or pairs of arc length and radius [m]."""
     density: float
     """Mass per volume [kg/m^3]."""
     youngs_modulus: float
@@ -185,24 +187,24 @@ class Arm:
     poisson_ratio: float
     """Poisson's ratio [1]."""
     direction: tuple[float, float, float]
-    """Direction from base to tip, in the arm's frame."""
+    """Direction from base to tip of the straight arm, in the arm's frame."""
     normal: tuple[float, float, float]
-    """Direction of d1."""
+    """Direction of d1 of the straight arm, in the arm's frame."""
     gravity: tuple[float, float, float]
     """Acceleration of gravity in the arm's frame [m/s^2]."""
     tendons: tuple[TendonDrawing, ...]
     markers: tuple[Marker, ...]
     unknown: Mapping[str, float]
-    """Standard deviation of each unknown before anything is measured: of its logarithm
-    if it is in `LOGARITHMIC`, else in its unit."""
+    """Standard deviation of each unknown in the drawing, before measurements: of its
+    logarithm if it is in `LOGARITHMIC`, else in the unit of the unknown."""
     damping: float = 1.0
-    """Decay rate of velocities in motions [1/s]."""
+    """Decay rate of velocities by damping [1/s]."""
     friction: float = 0.0
-    """Coefficient of friction at the eyelets [1]."""
+    """Coefficient of friction between tendons and eyelets [1]."""
     frame: Frame = field(default_factory=Frame)
 
     def __post_init__(self) -> None:
-        """Checks all numbers.
+        """Checks the ranges of all fields, and names of unknowns and markers.
 
         Raises:
             ValueError: If a number is out of range, or a name is not known.
@@ -251,12 +253,12 @@ class Arm:
 
     @property
     def inputs(self) -> tuple[str, ...]:
-        """Names of the recorded numbers that pull the tendons, each once, in order."""
+        """Names of the recorded inputs that pull the tendons, without repetition."""
         return tuple(dict.fromkeys(t.input for t in self.tendons))
 
     @property
     def start(self) -> dict[str, Array]:
-        """Every unknown as drawn."""
+        """Value of every possible unknown according to the drawing, by name."""
         numbers = {
             "damping": self.damping,
             "delay": 0.0,
@@ -278,7 +280,7 @@ class Arm:
 
     @property
     def origin(self) -> int | None:
-        """Number of the marker at the recorded origin, if it is a marker."""
+        """Index of the marker that is the origin of the frame; `None` if none is."""
         names = [marker.name for marker in self.markers]
         given = self.frame.origin
         return names.index(given) if isinstance(given, str) else None
@@ -286,11 +288,11 @@ class Arm:
     def scene(
         self, values: Mapping[str, Any], tensions: Callable[..., Any]
     ) -> tuple[Scene, RodState]:
-        """The arm hanging straight, under its weight and its tendons.
+        """Makes the arm's scene, with gravity and tendons, and its straight state.
 
         Args:
-            values: Unknowns by name, as in `start`.
-            tensions: Takes the numbers of some tendons; returns their tensions, or a
+            values: Values of all unknowns by name, as in `start`.
+            tensions: Takes an array of indices of tendons; returns their tensions, or a
                 schedule of them [N].
         """
         middles = self._middles
@@ -326,7 +328,11 @@ class Arm:
     def points(
         self, scene: Scene, state: RodState, values: Mapping[str, Any]
     ) -> Float[Array, "markers 3"]:
-        """Places of the markers in the registered frame of the camera [m]."""
+        """Positions of the markers in the registered frame of the camera [m].
+
+        It differs from the arm's frame by the small rotation `turn` and displacement
+        `shift` in `values`.
+        """
         places = [marker.at for marker in self.markers]
         sensor = markers(places, [marker.offset for marker in self.markers])
         turn = rotations.rotation_exp(vectors.split(values["turn"]))
@@ -336,13 +342,17 @@ class Arm:
 
     @property
     def straight(self) -> Float[np.ndarray, "markers 3"]:
-        """Places of the markers of the straight arm, as drawn [m]."""
+        """Positions of the markers of the straight arm, as drawn [m]."""
         scene, state = self.scene(self.start, lambda numbers: jnp.zeros(len(numbers)))
         return np.asarray(self.points(scene, state, self.start))
 
     @property
     def shift(self) -> np.ndarray | None:
-        """Place of the recorded origin in the arm's frame, if it is known [m]."""
+        """Position of the recorded zero point in the arm's frame [m].
+
+        It is `None` if the frame's axes or origin are not known, or the origin is a
+        marker.
+        """
         axes, origin = self.frame.axes, self.frame.origin
         if axes is None or origin is None or self.origin is not None:
             return None
@@ -350,7 +360,10 @@ class Arm:
         return -np.sum(np.asarray(axes, float) * point, axis=-1)
 
     def tensions(self, values: Mapping[str, Any], inputs: Any) -> Any:
-        """Tensions of the tendons `(..., tendons)` from recorded inputs [N]."""
+        """Tensions of the tendons `(..., tendons)` [N]: inputs, over any pulley radius.
+
+        The unknown `tension` in `values` scales them. `inputs` is `(..., inputs)`.
+        """
         if not self.tendons:
             return jnp.zeros((*inputs.shape[:-1], 0))
         columns = [self.inputs.index(t.input) for t in self.tendons]
@@ -363,7 +376,7 @@ class Arm:
         return values["tension"] * drawn
 
     def _last_eyelet(self, drawn: TendonDrawing) -> int:
-        """Number of the element at which a tendon ends."""
+        """Index of the element at which a tendon ends."""
         end = self.length if drawn.until is None else drawn.until
         return max(1, int(np.sum(self._middles < end)) - 1)
 
@@ -375,7 +388,7 @@ class Arm:
         values: Mapping[str, Any],
         tensions: Callable[..., Any],
     ) -> Effect:
-        """Tendons that end at the same element."""
+        """Makes the effect of the tendons `numbers`, which end at element `last`."""
         drawn = [self.tendons[k] for k in numbers]
         distances = [self._along("distance of a tendon", t.distance) for t in drawn]
         distance = values["eyelet_distance"] * np.stack(distances)[:, : last + 1]
@@ -394,7 +407,10 @@ class Arm:
         )
 
     def _weights(self, masses: Array, pull: Array) -> MarkerWeights:
-        """Couples of the weights about the middles of the markers' elements."""
+        """Makes the couples of the markers' weights about the middles of elements.
+
+        `masses` are those of the markers [kg], `pull` is the gravity [m/s^2].
+        """
         offsets = np.array([marker.offset for marker in self.markers], float)
         ahead = (np.array(self._places[1]) - 0.5) * self.length / self.elements
         offsets[:, 2] += ahead
@@ -408,18 +424,21 @@ class Arm:
 
     @property
     def _places(self) -> tuple[list[int], list[float]]:
-        """Element of each marker, and where on it, as a fraction of its length."""
+        """Element of each marker, and position on it from 0 to 1 along its length."""
         along = [m.at / self.length * self.elements for m in self.markers]
         elements = [min(int(x), self.elements - 1) for x in along]
         return elements, [x - k for x, k in zip(along, elements, strict=True)]
 
     @property
     def _placed(self) -> np.ndarray:
-        """Matrix of ones where a marker (row) is on an element (column)."""
+        """Matrix: one where a marker (row) is on an element (column), else zero."""
         return np.eye(self.elements)[self._places[0]]
 
     def _along(self, name: str, given: Any) -> np.ndarray:
-        """Numbers of all elements, from one number or from pairs with arc lengths."""
+        """Interpolates a quantity at the middles of the elements, and checks it.
+
+        `given` is a positive number, or pairs of arc length [m] and number.
+        """
         table = np.asarray(given, float)
         if table.ndim == 0:
             table = np.array([[0.0, float(table)]])
@@ -446,20 +465,21 @@ class Arm:
 class MarkerWeights(Effect):
     """Couples of the weights of markers about the middles of their elements.
 
-    The weights themselves are those of the elements, whose mass includes them.
+    The masses of the markers are part of the mass of the elements, whose weights are
+    those of `gravity`.
     """
 
     reach: ClassVar[Reach] = "neighbours"
 
     levers: Float[Array, "markers 3"]
-    """Mass times offset along d1, d2, d3 [kg m]."""
+    """Mass times offset from the middle of the element along d1, d2, d3 [kg m]."""
     acceleration: Float[Array, "3"]
     """Acceleration of gravity [m/s^2]."""
     placed: Float[Array, "markers n"]
     """One where a marker is on an element, else zero."""
 
     def loads(self, rod: Rod, motion: Motion) -> Loads:
-        """Couples on the elements."""
+        """Couples on the elements, lever cross gravity, material frame [N m]."""
         x, y, z = (jnp.sum(self.placed * row[:, None], 0) for row in self.levers.T)
         n = rod.n_elements
         pull = vectors.split(jnp.broadcast_to(self.acceleration[:, None], (3, n)))
@@ -467,7 +487,11 @@ class MarkerWeights(Effect):
         return Loads(couples=vectors.cross((x, y, z), turned))
 
     def energy(self, rod: Rod, state: RodState) -> Array:
-        """Energy of the weights, less that of the same masses in the middles [J]."""
+        """Potential energy of the couples [J].
+
+        It is that of the weights at the markers, minus that of the same weights at the
+        middles of elements.
+        """
         x, y, z = (jnp.sum(self.placed * row[:, None], 0) for row in self.levers.T)
         frame = rotations.directors(rotations.split_quaternion(state.orientations))
         moved = rotations.to_world(frame, (x, y, z))
@@ -479,12 +503,12 @@ def read_arm(path: str | Path) -> Arm:
     """Reads the drawing of an arm from a TOML file.
 
     Args:
-        path: The file; docs/twin.md has one, with all its entries.
+        path: Path of the file; docs/twin.md shows one with all entries.
 
     Raises:
         DamagedFileError: If the file is not TOML, lacks an entry, has one that is not
-            known, or a number is out of range; with the name of the file.
-        OSError: If it cannot be opened.
+            allowed, or a number is out of range; the message names the file.
+        OSError: If the file cannot be opened.
 
     Example:
         >>> from pathlib import Path
@@ -556,7 +580,7 @@ def _taken(
     needed: tuple[str, ...],
     allowed: tuple[str, ...],
 ) -> dict[str, Any]:
-    """Entries of a table, all of them known."""
+    """Entries of the TOML table `where`, checked against needed and allowed names."""
     if not isinstance(content, Mapping):
         raise ValueError(f"{where} must be a table, got {content!r}")
     for name in needed:

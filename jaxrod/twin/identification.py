@@ -1,17 +1,18 @@
-r"""A twin: the arm whose numbers agree best with recordings, and how sure they are.
+r"""Identification of an arm's unknowns from recordings, with standard deviations.
 
-Recordings at rest are compared with equilibria, motions with runs that begin in the
-equilibrium under the first inputs. With markers $m_k$ and the drawing's standard
-deviations $\sigma_j$ of unknowns $x_j$, it minimises
+Recordings at rest are compared with equilibria. Motions are compared with simulations
+that begin in the equilibrium under the first inputs. With predicted and recorded
+markers $m_k$, $\hat m_k$, and the values $x_{0j}$ and standard deviations $\sigma_j$
+of unknowns $x_j$ in the drawing, it minimises
 
 $$\sum_k \rho\Big(\frac{|m_k(x) - \hat m_k|}{\sigma}\Big)
 + \sum_j \Big(\frac{x_j - x_{0j}}{\sigma_j}\Big)^2,$$
 
 with $\rho(r) = r^2$, or $2 c^2 (\sqrt{1 + r^2/c^2} - 1)$ for a robust fit, in which
 distances beyond $c$ standard deviations count linearly. The noise $\sigma$ of a
-coordinate is what is left over: fits are repeated until it agrees with the residuals.
-Labels and the frame of the camera follow from the drawing, then from the arm that was
-found, until they stay.
+coordinate is estimated from the residuals: fits are repeated until both agree. The
+order of the recorded markers (labels) and the frame of the camera are found with the
+drawing, then with the fitted arm, until they do not change.
 """
 
 from __future__ import annotations
@@ -46,30 +47,32 @@ from jaxrod.twin.registration import Registration, register
 from jaxrod.validation import check_array
 
 RECORDS = 2e-3
-"""Longest time between records of a run, interpolated at the frames [s]."""
+"""Longest time between stored states of a simulation, between which the markers are
+interpolated to the recorded frames [s]."""
 LOWEST = {"friction": 0.0, "marker_masses": 0.0, "poisson_ratio": -0.9}
 HIGHEST = {"friction": 2.0, "poisson_ratio": 0.5}
-"""Bounds of unknowns, in their units."""
+"""Upper bounds of unknowns, in their units; `LOWEST` has the lower bounds."""
 FITS = 6
-"""Largest number of fits until the noise agrees with the residuals."""
+"""Largest number of repetitions of a fit until the noise agrees with its residuals."""
 REGISTRATIONS = 4
-"""Largest number of times that labels are found, each followed by a fit."""
+"""Largest number of times that marker labels are found, each followed by a fit."""
 CERTAIN = 1.5
-"""Ratio of the distance with the second best labels to that with the best, above which
-labels are taken as certain [1]."""
+"""Ratio of the distance with the second best labels to that with the best above which
+labels count as certain [1]."""
 FINEST = 1e-6
-"""Smallest noise that is estimated, as a fraction of the arm's length."""
+"""Smallest estimate of the noise, as a fraction of the arm's length [1]."""
 MOST_LENGTHS = 3.0
-"""Largest extent of the markers in recorded coordinates, in lengths of the arm."""
+"""Largest accepted extent of recorded markers, in lengths of the arm [1]."""
 SMALL_PART = 0.2
-"""Parts of a combination below this fraction of its largest are not named."""
+"""Components of a combination of unknowns up to this fraction of the largest are left
+out of its description [1]."""
 SURE = 0.02
-"""Relative change of the noise below which it agrees."""
+"""Relative change of the estimated noise below which fits are not repeated [1]."""
 
 
 @dataclass(frozen=True)
 class Comparison:
-    """Markers of a recording beside those of a twin.
+    """Markers of a recording, with their prediction by a twin.
 
     Example:
         >>> points = np.zeros((1, 2, 3))  # one frame, two markers
@@ -82,17 +85,18 @@ class Comparison:
 
     recording: Recording
     predicted: Float[np.ndarray, "frames markers 3"]
-    """Places of the markers [m]."""
+    """Predicted positions of the markers [m]."""
     sd: Float[np.ndarray, "frames markers 3"]
-    """Their standard deviations, due to those of the unknowns [m]."""
+    """Standard deviations of `predicted`, due to those of the unknowns [m]."""
     origin: int | None = None
-    """Number of the marker at the recorded origin: it is exact, not predicted."""
+    """Index of the marker at the origin of the frame, whose position is exact and not
+    predicted; `None` if there is none."""
 
     @property
     def errors(self) -> Float[np.ndarray, " markers"]:
-        """Root mean square distance of each marker [m].
+        """Root mean square over frames of each marker's distance from prediction [m].
 
-        NaN for markers that were never seen, and for the one at the recorded origin.
+        It is NaN for markers that were never seen, and for the marker at the origin.
         """
         away = np.sum((self.predicted - self.recording.points) ** 2, axis=-1)
         if self.origin is not None:
@@ -101,7 +105,7 @@ class Comparison:
 
 
 def root_mean_square(errors: Any) -> np.ndarray:
-    """Root mean square of finite errors over the first axis; NaN where none is."""
+    """Root mean square of the finite errors over the first axis; NaN without any."""
     rows = np.asarray(errors)
     seen = np.isfinite(rows)
     sums = np.sum(np.where(seen, rows, 0) ** 2, axis=0)
@@ -111,7 +115,7 @@ def root_mean_square(errors: Any) -> np.ndarray:
 
 @dataclass(frozen=True)
 class Twin:
-    """An arm with the numbers that agree with its recordings; see `identify`.
+    """An arm whose unknowns were fitted to recordings by `identify`.
 
     Example:
         >>> drawn = twin.Arm(
@@ -139,26 +143,29 @@ class Twin:
 
     arm: Arm
     fit: Fit
-    """Unknowns with their standard deviations; print it."""
+    """Fitted unknowns with their standard deviations, which `print` shows."""
     noise: float
     """Standard deviation of a coordinate of a marker, in a frame of a motion or in the
     median of a pose [m]."""
     registration: Registration
     recordings: tuple[Recording, ...]
-    """The recordings of the fit, with labels and in the arm's frame."""
+    """Recordings of the fit, with markers in the arm's order and frame."""
 
     @property
     def drawn_sds(self) -> dict[str, float]:
-        """Standard deviations of the drawing, by the names of the fit's numbers."""
+        """Standard deviations of the unknowns in the drawing, by the names in the fit.
+
+        They are those of the search variables: of logarithms, or else one.
+        """
         return dict(
             zip(self.fit.names, _drawn(self.arm, self.fit.parameters), strict=True)
         )
 
     @property
     def undetermined(self) -> tuple[str, ...]:
-        """Combinations of unknowns that the drawing knows better than the recordings.
+        """Combinations of unknowns that the drawing determines better than recordings.
 
-        Each has its largest parts, in standard deviations of the drawing.
+        Each is text with the largest components, in the drawing's standard deviations.
         """
         drawn = _drawn(self.arm, self.fit.parameters)
         ways = np.asarray(self.fit.directions) * drawn
@@ -172,18 +179,18 @@ class Twin:
 
     @property
     def values(self) -> dict[str, Array]:
-        """All numbers of the arm, with those that were found."""
+        """Values of all unknowns: those of the fit, and of the drawing for others."""
         return self.arm.start | self.fit.values
 
     def registered(self, recording: Recording) -> Recording:
-        """A recording that was not fitted, with labels and in the arm's frame.
+        """Converts a recording that was not fitted to the arm's marker order and frame.
 
-        Its labels are those with which it is nearest to the prediction of the twin.
+        The order is the one in which it is closest to the prediction of the twin.
         """
         return _registered(self.arm, self.values, [recording], self.registration)[0][0]
 
     def compare(self, recordings: Sequence[Recording]) -> list[Comparison]:
-        """Predicts recordings; those that are not of the fit are registered first.
+        """Predicts markers of recordings; those not in the fit are registered first.
 
         Raises:
             ValueError: If a recording cannot be registered, the arm has no equilibrium
@@ -192,7 +199,7 @@ class Twin:
         _check_precision()
         known = {id(one) for one in self.recordings}
         ready = [r if id(r) in known else self.registered(r) for r in recordings]
-        # Along directions that the drawing alone knows, it says how far.
+        # Along directions that only the drawing determines, its deviations count.
         ways = np.asarray(self.fit.directions)
         ways = ways / np.asarray(self.fit.singular_values)[:, None]
         point = self.fit.parameters.searched(self.fit.values)
@@ -204,7 +211,7 @@ class Twin:
         return found
 
     def __str__(self) -> str:
-        """A table of the unknowns, and what the recordings leave open."""
+        """Table of the unknowns with standard deviations, followed by `remarks`."""
         fit, drawn = self.fit, self.drawn_sds
         values = np.asarray(fit.parameters.flat(fit.values))
         sds = np.asarray(fit.parameters.flat(fit.standard_deviations))
@@ -221,7 +228,7 @@ class Twin:
 
     @property
     def remarks(self) -> tuple[str, ...]:
-        """Sentences on the search, the labels, and what the recordings leave open."""
+        """Sentences on convergence, bounds, labels and `undetermined` combinations."""
         held = zip(self.fit.names, np.asarray(self.fit.at_bound), strict=True)
         found = [] if bool(self.fit.converged) else ["NOT CONVERGED"]
         found += [f"{name} is at its bound" for name, at_bound in held if at_bound]
@@ -250,12 +257,12 @@ def identify(
 
     Args:
         arm: The drawing, with a standard deviation of each unknown.
-        recordings: Recordings as read; one that `is_at_rest` becomes one frame.
-        noise: Standard deviation of a coordinate of a marker [m], in a frame of a
-            motion and in the median of a pose alike. If `None`, it follows from the
-            residuals, faults of the model included.
-        robust: Distance in standard deviations beyond which a marker counts less, such
-            as 3; by default all count alike.
+        recordings: Recordings as read; one that `is_at_rest` is averaged to one frame.
+        noise: Standard deviation of a coordinate of a marker [m], both in a frame of a
+            motion and in the median of a pose. If `None`, it is estimated from the
+            residuals, which include errors of the model.
+        robust: Distance in standard deviations beyond which a marker has less weight,
+            such as 3; by default all have equal weights.
         iterations: Largest number of iterations of each fit.
 
     Raises:
@@ -297,7 +304,7 @@ def identify(
     if robust is not None:
         check_array("robust", robust, [()], "", positive=True)
     _check_precision()
-    # A frame that is found takes up errors of the drawing, so it stays unknown.
+    # A frame found by registration absorbs errors of the drawing, so it stays unknown.
     frame = {"turn": arm.frame.axes is None}
     frame["shift"] = arm.shift is None and arm.origin is None
     for name, found_from_markers in frame.items():
@@ -310,7 +317,7 @@ def identify(
     for _ in range(REGISTRATIONS):
         ready, registration = _registered(arm, values, recordings, None)
         found, sigma = _fitted(arm, ready, noise, robust, iterations)
-        # The arm that was found predicts labels better than the drawing does.
+        # The fitted arm predicts labels better than the drawing does.
         seen_as = {"shift": arm.start["shift"], "turn": arm.start["turn"]}
         values = arm.start | found.values | seen_as
         again = _registered(arm, values, recordings, None)[1]
@@ -326,7 +333,7 @@ def _fitted(
     robust: float | None,
     iterations: int,
 ) -> tuple[Fit, float]:
-    """The fit to registered recordings, and the noise of a coordinate [m]."""
+    """Fits unknowns to registered recordings; returns the fit, and the noise [m]."""
     data = [_prepared(arm, recording) for recording in recordings]
     problem = _problem(arm, data)
     drawn = _drawn(arm, problem.parameters)
@@ -373,18 +380,19 @@ def _fitted(
 
 
 class _Residuals(NamedTuple):
-    """Residuals at a point, whose gradient of squares is that of the cost."""
+    """Cost at a point, and residuals whose sum of squares has the same gradient."""
 
     rows: np.ndarray
     slopes: np.ndarray
-    """Derivatives of the rows, at constant weights."""
+    """Jacobian of the residuals `rows`, at constant robust weights."""
     cost: float
     bounded: float
-    """Sum of the squares of weights times differences of the markers."""
+    """Sum of (w r)^2 over the markers' coordinates, with residuals r in units of the
+    noise and robust weights w, for the estimate of the noise."""
 
 
 class _Found(NamedTuple):
-    """The best point of a search, as `fit_of` takes it."""
+    """Best point of a search, with the fields that `fit_of` needs."""
 
     solution: Array
     residuals: Array
@@ -399,10 +407,10 @@ def _searched(
     problem: FitProblem,
     iterations: int,
 ) -> _Found:
-    """Minimises a cost by damped steps, one recording at a time.
+    """Minimises the cost of `evaluate` by damped steps, within the problem's bounds.
 
-    It is the search of `control.least_squares`, on the host: recordings of different
-    shapes are programs of their own, and more of the same shape need no other.
+    It is the search of `control.least_squares` as a loop in Python, so that only the
+    simulations of recordings are compiled, once for each shape.
     """
     low, high = np.asarray(problem.low), np.asarray(problem.high)
     point, damping, tried = start, 1e-3, 0
@@ -441,7 +449,7 @@ def _searched(
 
 
 def _problem(arm: Arm, data: Sequence[tuple[_Layout, _Group]]) -> FitProblem:
-    """Names, scales and bounds of the unknowns, and what was seen."""
+    """Makes the `FitProblem`: names, scales, bounds, and number of seen coordinates."""
     first = {name: arm.start[name] for name in arm.unknown}
     logs = [name for name in first if name in LOGARITHMIC]
     scales = {name: sd for name, sd in arm.unknown.items() if name not in logs}
@@ -468,7 +476,7 @@ def _problem(arm: Arm, data: Sequence[tuple[_Layout, _Group]]) -> FitProblem:
 def _evaluated(
     arm: Arm, point: Any, prepared: tuple[_Layout, _Group]
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Markers of a recording, and their derivatives by each search variable [m]."""
+    """Predicted markers of a recording, and derivatives by each search variable [m]."""
     made, slopes = _markers(arm, prepared[0], jnp.asarray(point), prepared[1])
     return np.asarray(made), np.asarray(slopes)
 
@@ -489,17 +497,23 @@ def _markers(
 
 
 def _noise(found: Fit, drawn: np.ndarray, count: int, squares: float) -> float:
-    """Standard deviation of a coordinate over the one of the fit [1].
+    """Estimates the noise from the residuals, as a factor of that in the fit [1].
+
+    It is the root of `squares` over the degrees of freedom, which are `count` minus the
+    number of unknowns that the recordings determine.
 
     Source: P. J. Huber, Robust statistics, 1981, proposal 2.
     """
-    # An unknown that the drawing knows better than the recordings takes none away.
+    # An unknown that only the drawing determines does not reduce degrees of freedom.
     kept = float(np.sum(np.diagonal(np.asarray(found.covariance)) / drawn**2))
     return float(np.sqrt(squares / (count - len(drawn) + kept)))
 
 
 def _mean_square(limit: float | None) -> float:
-    """Mean square of weight times coordinate, if that is normal with variance one."""
+    """Mean of (w r)^2 for a standard normal coordinate r with robust weight w [1].
+
+    `limit` is c in the module's formula; without it the mean is one.
+    """
     if limit is None:
         return 1.0
     distance = np.linspace(0, 12, 4001)
@@ -509,7 +523,7 @@ def _mean_square(limit: float | None) -> float:
 
 
 def _drawn(arm: Arm, parameters: Parameters) -> np.ndarray:
-    """Standard deviation of the drawing, of each search variable."""
+    """Standard deviation of each search variable in the drawing."""
     return np.array([
         arm.unknown[name] if name in LOGARITHMIC else 1.0
         for name, shape in parameters.shapes
@@ -518,15 +532,16 @@ def _drawn(arm: Arm, parameters: Parameters) -> np.ndarray:
 
 
 def _combination(names: Sequence[str], way: np.ndarray) -> str:
-    """Larger parts of a direction: the largest is the first, and positive."""
+    """Text of a direction's larger components, the largest first, scaled to +1."""
     shares = way / way[np.argmax(np.abs(way))]
     large = [k for k in np.argsort(-np.abs(shares)) if abs(shares[k]) > SMALL_PART]
     return ", ".join(f"{names[k]} {shares[k]:+.1f}" for k in large)
 
 
 def _robust(away: np.ndarray, limit: float | None) -> tuple[np.ndarray, float]:
-    """Square roots of the weights of differences, and their cost.
+    """Returns roots of the robust weights of residuals, and their robust cost.
 
+    `away` holds residuals in units of the noise, `limit` is c in the module's formula.
     The gradient of the cost is that of the weighted squares at constant weights.
     """
     squares = np.sum(away**2, axis=-1, keepdims=True)
@@ -537,7 +552,7 @@ def _robust(away: np.ndarray, limit: float | None) -> tuple[np.ndarray, float]:
 
 
 def _check_precision() -> None:
-    """Raises a ValueError unless numbers are in double precision."""
+    """Raises a ValueError unless JAX computes in float64."""
     if not jax.config.jax_enable_x64:
         raise ValueError("a twin needs float64: with jax.enable_x64(): ...")
 
@@ -548,7 +563,10 @@ def _registered(
     recordings: Sequence[Recording],
     known: Registration | None,
 ) -> tuple[tuple[Recording, ...], Registration]:
-    """Recordings with labels and in the arm's frame."""
+    """Converts recordings to the arm's marker order and frame, by their predictions.
+
+    `known` has the rotation and shift from an earlier registration, or is `None`.
+    """
     ready = [r.averaged() if r.is_at_rest(arm.length) else r for r in recordings]
     parameters = _problem(arm, ()).parameters
     point = parameters.searched({name: values[name] for name in arm.unknown})
@@ -569,7 +587,7 @@ def _registered(
                 f"{arm.length:.3g} m: is the scale of the frame wrong?"
             )
     if arm.origin is not None:
-        # It stays where it is drawn: neither the arm nor the camera moves it.
+        # The marker at the origin does not move, so its prediction is exact.
         for points in made:
             points[:, arm.origin] = arm.straight[arm.origin]
     axes, shift = arm.frame.axes, arm.shift
@@ -582,32 +600,32 @@ def _registered(
 
 
 class _Layout(NamedTuple):
-    """Numbers of steps of a run; zero at rest."""
+    """Numbers of steps of the simulation of a recording; zero at rest."""
 
     every: int
-    """Steps between records."""
+    """Number of time steps between stored states."""
     records: int
 
 
 @pytree
 class _Group:
-    """A recording as arrays."""
+    """A recording as arrays, with the time step of its simulation."""
 
     inputs: Float[Array, "frames inputs"]
     seen: Float[Array, "frames markers 3"]
-    """Recorded places; NaN for the marker at the origin, and where none was seen."""
+    """Recorded positions [m]; NaN for the marker at the origin, and if not seen."""
     dt: Float[Array, ""]
-    """Step of the run [s]."""
+    """Time step of the simulation [s]."""
     times: Float[Array, " frames"]
     """Times since the first frame [s]."""
     before: Int[Array, " frames"]
-    """Number of the record before each frame."""
+    """Index of the stored state before each frame."""
     share: Float[Array, " frames"]
-    """Time since that record, over that between records [1]."""
+    """Time of each frame between the stored states before and after it, from 0 to 1."""
 
 
 def _prepared(arm: Arm, recording: Recording) -> tuple[_Layout, _Group]:
-    """Arrays of a recording, and the numbers of steps of its run."""
+    """Converts a recording to arrays, and chooses the steps of its simulation."""
     points = np.array(recording.points)
     if arm.origin is not None:
         points[:, arm.origin] = np.nan
@@ -624,7 +642,7 @@ def _prepared(arm: Arm, recording: Recording) -> tuple[_Layout, _Group]:
 
 
 def _made(arm: Arm, layout: _Layout, values: Mapping[str, Any], data: _Group) -> Array:
-    """Markers of a recording `(frames, markers, 3)` [m]."""
+    """Predicts the markers of a recording `(frames, markers, 3)` [m]."""
     rest, points = _pose(arm, values, data.inputs[0])
     if layout.records == 0:
         return points[None]
@@ -640,7 +658,7 @@ def _made(arm: Arm, layout: _Layout, values: Mapping[str, Any], data: _Group) ->
 
 
 def _pose(arm: Arm, values: Mapping[str, Any], inputs: Array) -> tuple[Any, Array]:
-    """Equilibrium under constant inputs, and its markers; NaN if there is none."""
+    """Equilibrium under constant inputs, and its markers [m]; NaN if not found."""
     pulls = arm.tensions(values, inputs)
     scene, state = arm.scene(values, lambda numbers: pulls[numbers])
     found = equilibrium(scene, state)
@@ -649,12 +667,15 @@ def _pose(arm: Arm, values: Mapping[str, Any], inputs: Array) -> tuple[Any, Arra
 
 
 def _steps(arm: Arm, inputs: np.ndarray, duration: float) -> tuple[_Layout, float]:
-    """Numbers of steps, and a step that is stable for likely arms [s]."""
+    """Numbers of steps of a simulation, and its time step [s].
+
+    The step is stable for values of unknowns within three standard deviations.
+    """
     start = arm.start
     stiff = dict(start)
     for name, sign in (("youngs_modulus", 3), ("density", -3), ("tension", 3)):
         stiff[name] = start[name] * np.exp(sign * arm.unknown.get(name, 0.0))
-    # Either end may be the stiffer one.
+    # The modulus may be larger at either end.
     slope = 3 * arm.unknown.get("modulus_slope", 0.0)
     stiff["youngs_modulus"] = stiff["youngs_modulus"] * np.exp(0.5 * slope)
     pulls = jnp.max(arm.tensions(stiff, inputs), axis=0)
@@ -662,6 +683,6 @@ def _steps(arm: Arm, inputs: np.ndarray, duration: float) -> tuple[_Layout, floa
     stable = float(stable_dt(scene).dt)
     every = max(1, int(RECORDS / stable))
     records = max(1, int(np.ceil(duration / (stable * every))))
-    # A little less than the stable step, so that records end with the recording.
+    # Reduced so that a whole number of steps ends with the recording.
     dt = max(duration, stable) / (records * every)
     return _Layout(every, records), dt

@@ -1,4 +1,4 @@
-"""Recordings of an arm: markers and inputs over time, from tables of numbers."""
+"""Recordings of an arm: markers and inputs over time, read from CSV files."""
 
 from __future__ import annotations
 
@@ -14,20 +14,21 @@ from jaxrod.files import DamagedFileError, read_csv
 from jaxrod.twin.arm import Arm
 
 STILL = 2e-3
-"""Standard deviation of the movement of a marker of an arm at rest, without its noise,
-as a fraction of the arm's length."""
+"""Largest standard deviation over time of a marker's coordinate, less its noise, with
+which an arm counts as at rest, over the arm's length [1]."""
 FEW = 30
-"""Number of frames below which noise cannot be told from movement."""
+"""Number of frames below which noise cannot be separated from movement."""
 DOUBT = 3.0
-"""Standard deviations of the estimate of the noise that are not taken for movement."""
+"""Number of standard deviations of the estimated noise variance that are subtracted
+before a variance counts as movement [1]."""
 LOUDEST = 2e-2
-"""Largest distance between the quartiles of a coordinate at rest, noise included, as a
-fraction of the arm's length. More is a movement faster than the frames."""
+"""Largest distance between the quartiles of a coordinate at rest, including noise, over
+the arm's length [1]. More is a movement faster than the frame rate."""
 
 
 @dataclass(frozen=True)
 class Recording:
-    """Markers of an arm and the inputs that moved it.
+    """Positions of an arm's markers over time, and the inputs that moved the arm.
 
     Example:
         >>> times, points = np.linspace(0.0, 1.0, 11), np.zeros((11, 2, 3))
@@ -42,15 +43,17 @@ class Recording:
     inputs: Float[np.ndarray, "frames inputs"]
     """Recorded inputs, in the order of `Arm.inputs`."""
     points: Float[np.ndarray, "frames markers 3"]
-    """Places of the markers [m]; NaN where one was not seen."""
+    """Positions of the markers [m]; NaN where a marker was not seen."""
     labelled: bool = True
-    """Whether the order of the markers is that of the arm's."""
+    """Whether the markers are in the order of `Arm.markers`; if not, their order is
+    not known."""
 
     def __post_init__(self) -> None:
-        """Checks the shapes.
+        """Checks shapes, times and inputs.
 
         Raises:
-            ValueError: If they do not fit, times do not rise, or an input is missing.
+            ValueError: If shapes do not fit, times do not rise, or an input is not
+                finite.
         """
         frames = len(self.times)
         if self.inputs.shape[:1] != (frames,) or self.inputs.ndim != 2:
@@ -69,9 +72,11 @@ class Recording:
             raise ValueError(f"{self.name}: an input is not finite")
 
     def is_at_rest(self, length: float) -> bool:
-        """Whether markers stay where they are, but for noise from frame to frame.
+        """Whether the markers do not move, apart from noise between frames.
 
-        Differences of successive frames distinguish noise from movement.
+        The variance over time of every coordinate, less that of its noise, must be
+        small, and so must the distance of its quartiles. The noise variance is half the
+        mean squared difference of successive frames (if there are enough).
 
         Args:
             length: Length of the arm [m].
@@ -92,7 +97,7 @@ class Recording:
         return bool(np.all(still) and np.all((high - low)[seen] < LOUDEST * length))
 
     def averaged(self) -> Recording:
-        """One frame: the medians of each marker and each input over all frames."""
+        """Recording of one frame: the medians of markers and inputs over all frames."""
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", RuntimeWarning)  # A marker never seen.
             points = np.nanmedian(self.points, axis=0)[None]
@@ -105,12 +110,12 @@ def read_recording(path: str | Path, arm: Arm) -> Recording:
 
     Columns are `time` [s], one for each of `Arm.inputs`, and `NAME_x`, `NAME_y`,
     `NAME_z` for each marker, in recorded units (`Frame.scale`). If the names are those
-    of the arm's markers, they say which is which; otherwise there must be as many, and
-    `register` finds out. Other columns are not read. An empty place, or `nan`, is a
-    marker that was not seen.
+    of the arm's markers, they identify the markers. Otherwise there must be as many,
+    and `register` identifies them. Other columns are ignored. An empty cell, or `nan`,
+    is a marker that was not seen.
 
     Args:
-        path: The file.
+        path: Path of the file.
         arm: The arm, whose inputs and markers are read.
 
     Returns:
@@ -118,8 +123,8 @@ def read_recording(path: str | Path, arm: Arm) -> Recording:
         the markers is the arm's.
 
     Raises:
-        DamagedFileError: If the file is not such a table; with its name.
-        OSError: If it cannot be opened.
+        DamagedFileError: If the file is not such a table; the message names the file.
+        OSError: If the file cannot be opened.
 
     Example:
         >>> drawn = twin.Arm(
@@ -186,7 +191,7 @@ def read_recording(path: str | Path, arm: Arm) -> Recording:
 def _numbers(
     rows: Sequence[Sequence[str]], chosen: Sequence[int], columns: Sequence[str]
 ) -> np.ndarray:
-    """Numbers of some columns; NaN where a place is empty."""
+    """Converts the cells of the columns `chosen` to numbers; NaN for empty cells."""
     table = np.empty((len(rows), len(chosen)))
     for r, row in enumerate(rows):
         for c, column in enumerate(chosen):

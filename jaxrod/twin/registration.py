@@ -1,14 +1,14 @@
-r"""Registration: which recorded marker is which, and where the camera's frame is.
+r"""Registration: identifies recorded markers, and finds the frame of the camera.
 
-The drawing predicts the places $p_{rj}$ of the markers in every recording. Recorded
-points $q_{rj}$ are one rotation and one shift away, in an order that may differ from
-recording to recording:
+The drawing predicts the positions $p_{rj}$ of the markers $j$ in every recording $r$.
+Recorded points $q$ differ from them by one rotation $R$, one shift $t$, and an order
+$\pi_r$ that may differ between recordings. They are found by
 
 $$\min_{R, t, \pi_r} \sum_{r, j} |R\,q_{r\pi_r(j)} + t - p_{rj}|^2.$$
 
 For every order of every recording, rotation and shift follow from a singular value
-decomposition. Those of the best orders are tried on all recordings, whose own orders
-follow from them; rotation, shift and orders are then improved in turn.
+decomposition. Those of the best orders are tried on all recordings, and give the best
+order of each. Rotation, shift and orders are then improved in turn.
 
 Source: W. Kabsch, A solution for the best rotation to relate two sets of vectors, 1976;
 K. S. Arun, T. S. Huang, S. D. Blostein, Least-squares fitting of two 3-D point sets,
@@ -28,19 +28,20 @@ from jaxtyping import Float, Int
 from jaxrod.twin.recordings import Recording
 
 MOST_MARKERS = 7
-"""Markers of which all orders are tried."""
+"""Largest number of markers that can be identified, because all orders are tried."""
 CANDIDATES = 6
-"""Orders of each recording whose frames are tried on all recordings."""
+"""Number of best orders of each recording whose rotations and shifts are tried on all
+recordings."""
 ON_A_LINE = 1e-4
-"""Ratio of the extent across a line to that along it, squared, below which points are
-on it [1]."""
+"""Ratio of the second to the first singular value of the points' products (squared
+extents) below which the points count as on a line [1]."""
 ROUNDS = 10
-"""Largest number of times that orders follow from a frame."""
+"""Largest number of alternations between finding orders and finding the frame."""
 
 
 @dataclass(frozen=True)
 class Registration:
-    """Orders of the markers, and the frame of the camera.
+    """Order of the recorded markers, and frame of the camera, found by `register`.
 
     Example:
         >>> quarter = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
@@ -54,19 +55,19 @@ class Registration:
     """
 
     orders: Int[np.ndarray, "recordings markers"]
-    """Column of each of the arm's markers, in each recording."""
+    """Index in `Recording.points` of each of the arm's markers, for each recording."""
     rotation: Float[np.ndarray, "3 3"]
-    """Matrix that turns recorded vectors into the arm's frame."""
+    """Rotation matrix from the recorded frame to the arm's frame."""
     shifts: Float[np.ndarray, "recordings 3"]
-    """Place of the recorded origin in the arm's frame, in each recording [m]."""
+    """Position of the recorded zero point in the arm's frame, by recording [m]."""
     distance: float
-    """Root mean square distance of the markers from their predictions [m]."""
+    """Root mean square distance of the registered markers from predictions [m]."""
     margin: float
     """Smallest ratio, over the recordings, of the distance with the second best order
-    to that with the best [1]. Close to one, the labels are a guess."""
+    to that with the best [1]. Close to one, the order is uncertain."""
 
     def apply(self, recording: Recording, number: int) -> Recording:
-        """A recording with its markers in the arm's order and frame."""
+        """Converts the recording of index `number` to the arm's order and frame."""
         points = recording.points[:, self.orders[number]]
         turned = np.sum(points[..., None, :] * self.rotation, axis=-1)
         turned = turned + self.shifts[number]
@@ -81,20 +82,22 @@ def register(
     shift: np.ndarray | None = None,
     origin: int | None = None,
 ) -> Registration:
-    """Finds labels and frame of recordings from predictions of the same frames.
+    """Finds marker orders and camera frame of recordings from predicted markers.
 
     Args:
         recordings: The recordings.
-        predictions: Predicted places of the markers `(frames, markers, 3)` of each [m].
-        axes: Rotation from the camera's frame, if it is known `(3, 3)`.
-        shift: Place of the recorded origin in the arm's frame, if it is known `(3,)`
-            [m].
-        origin: Number of the marker whose predicted place is exact in every recording,
-            if there is one. Each recording then has a shift of its own.
+        predictions: Predicted positions of the markers in the frames of each recording
+            `(frames, markers, 3)` [m].
+        axes: Rotation matrix from the recorded to the arm's frame `(3, 3)`; `None` if
+            it is not known.
+        shift: Position of the recorded zero point in the arm's frame `(3,)` [m]; `None`
+            if it is not known.
+        origin: Index of a marker whose predicted position is exact in every recording,
+            if there is one. It gives each recording a separate shift.
 
     Raises:
-        ValueError: If there are too many markers to try all orders, or no frame of a
-            recording has all of them.
+        ValueError: If there are too many markers to try all orders, no frame of a
+            recording has all markers, or all markers are on a line.
 
     Example:
         >>> where = np.array([[[0.0, 0.0, 0.0], [0.0, 0.0, -0.1], [0.05, 0.0, -0.3]]])
@@ -129,17 +132,18 @@ def register(
 
 @dataclass(frozen=True)
 class _Moments:
-    """Means over the frames of a recording in which all markers were seen."""
+    """Means over those frames of a recording in which all markers were seen."""
 
     frames: int
     seen: Float[np.ndarray, "markers 3"]
-    """Mean of each recorded point [m]."""
+    """Mean position of each recorded point, recorded frame [m]."""
     made: Float[np.ndarray, "markers 3"]
-    """Mean of each predicted point [m]."""
+    """Mean position of each predicted marker, arm's frame [m]."""
     squares: Float[np.ndarray, "markers markers"]
-    """Mean square of recorded point i plus that of predicted point j [m^2]."""
+    """Mean of |q_i|^2 + |p_j|^2 for recorded point i and predicted marker j [m^2]."""
     products: Float[np.ndarray, "markers markers 3 3"]
-    """Mean of predicted point j times recorded point i [m^2]."""
+    """Mean outer product p_j q_i^T of predicted marker j and recorded point i, at
+    `[i, j]` [m^2]."""
 
     @property
     def count(self) -> int:
@@ -147,18 +151,22 @@ class _Moments:
         return len(self.made)
 
     def costs(self, options: np.ndarray, turn: np.ndarray, shifts: np.ndarray) -> Any:
-        """Sum of squared distances for each order, each with its own shift [m^2]."""
+        """Sum over markers of |R q + t - p|^2 for each order and its shift [m^2].
+
+        The recorded point q of each predicted marker p is a row of `options`. `turn` is
+        R, and `shifts` has the t of each row.
+        """
         away = _turned(turn, self.seen).sum(axis=0) - self.made.sum(axis=0)
         moved = np.sum(shifts * (self.count * shifts + 2 * away), axis=-1)
         table = self.squares - 2 * np.sum(turn * self.products, axis=(-1, -2))
         found = moved + np.sum(table[options, np.arange(self.count)], axis=-1)
-        # Less is the rounding of the squares.
+        # Smaller values are round-off of the squares.
         return np.maximum(found, np.finfo(float).eps * self.squares.max())
 
     def paired(self, options: np.ndarray, origin: int | None) -> np.ndarray:
-        """Products of paired points, summed over the markers, for each order.
+        """Sum over markers of outer products p q^T of paired points, for each order.
 
-        They are those of vectors from a marker, if one is the origin.
+        If `origin` is the index of a marker, points are relative to that marker.
         """
         own = self.products[options, np.arange(self.count)].sum(axis=-3)
         if origin is None:
@@ -184,7 +192,7 @@ def _moments(recording: Recording, predicted: np.ndarray) -> _Moments:
 
 @dataclass(frozen=True)
 class _Known:
-    """Known parts of the frame of the camera; see `register`."""
+    """Known parts of the frame of the camera; fields as arguments of `register`."""
 
     axes: np.ndarray | None
     shift: np.ndarray | None
@@ -192,13 +200,13 @@ class _Known:
 
     @property
     def whole(self) -> bool:
-        """Whether nothing of the frame has to be found."""
+        """Whether rotation and shift are known (a marker at `origin` gives shifts)."""
         return self.axes is not None and not (self.shift is self.origin is None)
 
     def likely(
         self, moments: _Moments, options: np.ndarray
     ) -> list[tuple[np.ndarray, np.ndarray]]:
-        """Frames in which a recording fits best, one for each of its best orders."""
+        """Rotations and shifts of the orders `options` that fit a recording best."""
         if self.axes is None:
             products = moments.paired(options, self.origin)
             if self.origin is None:
@@ -224,7 +232,11 @@ class _Known:
         turn: np.ndarray,
         found: np.ndarray,
     ) -> np.ndarray:
-        """Shift of a recording for each order, where `found` is what orders say [m]."""
+        """Shift of a recording for each order in `options` [m].
+
+        It follows from the marker at the origin if there is one, else it is the known
+        shift, else `found`.
+        """
         if self.origin is not None:
             seen = moments.seen[options[:, self.origin]]
             return moments.made[self.origin] - _turned(turn, seen)
@@ -235,7 +247,7 @@ class _Known:
 def _as_known(
     recordings: Sequence[Recording], predictions: Sequence[np.ndarray], known: _Known
 ) -> Registration:
-    """Registration where labels and frame are known; any marker may be missing."""
+    """Makes a registration from known orders and frame; markers may be missing."""
     assert known.axes is not None
     shifts, squares = [], []
     for recording, predicted in zip(recordings, predictions, strict=True):
@@ -269,7 +281,11 @@ def _improved(
     turn: np.ndarray,
     shift: np.ndarray,
 ) -> Registration:
-    """Orders for a frame, a frame for orders, in turn until the orders stay."""
+    """Improves orders and frame in turn, from a first rotation `turn` and `shift`.
+
+    It ends when the orders do not change. `options` are the orders to choose from, for
+    each recording.
+    """
     weights = np.array([m.frames for m in moments]) / sum(m.frames for m in moments)
     count, chosen = moments[0].count, np.empty((0, 0), int)
     both = list(zip(moments, options, strict=True))
@@ -310,18 +326,21 @@ def _improved(
 
 
 def _turned(turn: np.ndarray, points: np.ndarray) -> np.ndarray:
-    """Points after a rotation, or after each of several."""
+    """Rotates points `(..., 3)` by a matrix, or by each of several."""
     return np.sum(turn * points[..., None, :], axis=-1)
 
 
 def _in_space(products: np.ndarray) -> bool:
-    """Whether points determine a rotation: they are not all on a line."""
+    """Whether points with the sum `products` of p q^T determine a rotation.
+
+    They do not if they are on a line.
+    """
     sizes = np.linalg.svd(products, compute_uv=False)
     return bool(sizes[1] > ON_A_LINE * sizes[0])
 
 
 def _rotations(products: np.ndarray) -> np.ndarray:
-    """Rotations that turn recorded points best into predicted ones `(..., 3, 3)`."""
+    """Rotations R `(..., 3, 3)` that minimise sum |R q - p|^2, from sum p q^T."""
     u, _, vt = np.linalg.svd(products)
     proper = np.ones(products.shape[:-1])
     proper[..., 2] = np.sign(np.linalg.det(u) * np.linalg.det(vt))

@@ -1,4 +1,4 @@
-"""A report on a twin: one HTML page with its numbers, its errors and its pictures."""
+"""Report on a twin: an HTML page of its unknowns, errors and pictures of markers."""
 
 from __future__ import annotations
 
@@ -26,12 +26,12 @@ figure { display: inline-block; margin: .5rem 1rem .5rem 0; }
 @media (prefers-color-scheme: dark) {
   body { color: #eee; background: #161616; } tr { border-color: #444; } }
 """
-"""Style of the page; the colours can be told apart by everybody."""
+"""Style sheet of the page; its colours can be distinguished by colour-blind readers."""
 
 WIDTH, HEIGHT = 220, 260
-"""Size of a picture [pixels]."""
+"""Width and height of a picture of the markers [pixels]."""
 VIEWS = ((0, 2, "x", "z"), (1, 2, "y", "z"))
-"""Coordinates of each picture, across and up."""
+"""Coordinates of each picture: indices to the right and upwards, and their names."""
 
 
 def save_report(
@@ -39,12 +39,13 @@ def save_report(
     twin: Twin,
     forecasts: Sequence[Comparison] = (),
 ) -> None:
-    """Writes a report on a twin: numbers, errors of its recordings, and pictures.
+    """Writes an HTML report on a twin: unknowns, errors of recordings, and pictures.
 
     Args:
-        path: File to write, replaced in one step if there is one.
+        path: Path of the file to write; an existing file is replaced atomically.
         twin: The twin.
-        forecasts: Recordings that were not fitted, as `Twin.compare` gives them.
+        forecasts: Comparisons with recordings that were not fitted, from
+            `Twin.compare`.
 
     Raises:
         OSError: If the file cannot be written.
@@ -72,7 +73,7 @@ def save_report(
 
 
 def _unknowns(twin: Twin) -> str:
-    """Table of the unknowns."""
+    """HTML table of the unknowns, with values and standard deviations."""
     fit = twin.fit
     values = np.asarray(fit.parameters.flat(fit.values))
     sds = np.asarray(fit.parameters.flat(fit.standard_deviations))
@@ -88,7 +89,7 @@ def _unknowns(twin: Twin) -> str:
 
 
 def _errors(twin: Twin, comparisons: Sequence[Comparison]) -> str:
-    """Table of the distances between markers and predictions [mm]."""
+    """HTML table of root mean square distances of markers from predictions [mm]."""
     names = [escape(marker.name) for marker in twin.arm.markers]
     rows = [f"<tr><th>distance [mm]<th>{'<th>'.join(names)}"]
     for one in comparisons:
@@ -100,12 +101,12 @@ def _errors(twin: Twin, comparisons: Sequence[Comparison]) -> str:
 
 
 def _millimetres(errors: np.ndarray) -> list[str]:
-    """Errors [mm]; a dash where there is none."""
+    """Formats errors in metres as text in millimetres; a dash if not finite."""
     return [f"{1000 * e:.1f}" if np.isfinite(e) else "-" for e in errors]
 
 
 def _pictures(one: Comparison) -> str:
-    """The last frame of a recording and of the twin, from two sides."""
+    """SVG pictures of the last frame of a recording and its prediction, two views."""
     seen, made = one.recording.points[-1], one.predicted[-1]
     every = np.concatenate([seen[np.all(np.isfinite(seen), axis=1)], made])
     low, high = every.min(axis=0), every.max(axis=0)

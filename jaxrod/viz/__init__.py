@@ -40,7 +40,7 @@ _MEASURES = ("bending", "speed", "stretch", "twist_rate")
 
 
 def __getattr__(name: str) -> Any:
-    """Functions of a scene and a state, imported on first use because they need JAX."""
+    """Imports `bending`, `speed`, `stretch` or `twist_rate` on use: they need JAX."""
     if name in _MEASURES:
         from jaxrod.viz import recorded
 

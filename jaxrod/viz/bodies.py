@@ -1,4 +1,4 @@
-"""Triangles of the bodies that rods touch and of moving rigid bodies."""
+"""Surface triangles of fixed bodies that rods touch, and of moving rigid bodies."""
 
 from __future__ import annotations
 
@@ -18,10 +18,11 @@ _DOUBLINGS = 6
 
 
 def mesh_of(bodies: Parts) -> Triangles:
-    """The surface of rigid bodies in their own frame.
+    """Triangles of the surface of rigid bodies, in the body frame.
 
     If only the signed distance of a body is known, its surface is searched in a cube
-    around the ellipsoid with its mass and inertia, and in larger cubes until it fits.
+    around the ellipsoid with its mass and inertia. The cube is doubled until the body
+    fits inside.
 
     Raises:
         ValueError: No surface is found.
@@ -43,7 +44,7 @@ def mesh_of(bodies: Parts) -> Triangles:
 
 
 def _touches(shape: Body, half: float) -> bool:
-    """Whether any face of a cube intersects a body."""
+    """Whether a body reaches a face of the cube from -half to half along each axis."""
     side = np.linspace(-half, half, 41)
     u, v = (x.ravel() for x in np.meshgrid(side, side))
     w = np.full_like(u, half)
@@ -55,10 +56,10 @@ def _touches(shape: Body, half: float) -> bool:
 
 
 def solid_mesh(body: Body, low: np.ndarray, high: np.ndarray) -> Mesh:
-    """Mesh of a fixed body.
+    """Mesh of a fixed body, for drawing.
 
-    A body that provides triangles is drawn whole. Any other body is drawn within a box
-    and a margin around it.
+    A body that provides triangles is drawn completely. Any other body is drawn inside
+    the box from `low` to `high`, widened by a quarter of its longest side.
     """
     known = body.mesh()
     if known is not None:
@@ -71,7 +72,7 @@ def solid_mesh(body: Body, low: np.ndarray, high: np.ndarray) -> Mesh:
 
 
 def leaning_plane(body: Any, low: np.ndarray, high: np.ndarray) -> Mesh | None:
-    """The part of a tilted plane inside a box; `None` if there is none."""
+    """Mesh of a tilted plane inside the box from `low` to `high`; `None` if outside."""
     normal = np.asarray(body.normal, float)
     normal = normal / np.linalg.norm(normal)
     first = np.cross(normal, np.eye(3)[np.argmin(np.abs(normal))])
@@ -94,7 +95,7 @@ def leaning_plane(body: Any, low: np.ndarray, high: np.ndarray) -> Mesh | None:
 def _cut(
     corners: list[np.ndarray], axis: int, sign: int, bound: float
 ) -> list[np.ndarray]:
-    """The part of a flat polygon where `sign` times a coordinate is below a bound."""
+    """Clips a flat polygon at a plane: keeps points with sign x[axis] <= bound."""
     kept = []
     for here, after in zip(corners, corners[1:] + corners[:1], strict=True):
         a, b = sign * here[axis] - bound, sign * after[axis] - bound
@@ -106,7 +107,7 @@ def _cut(
 
 
 def _surface(body: Body) -> Any:
-    """Function that returns distance and normals at points (N, 3)."""
+    """Function from points (N, 3) to signed distances (N,) and normals (N, 3)."""
 
     def at(points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         x, y, z = jnp.asarray(points).T

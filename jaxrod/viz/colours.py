@@ -1,4 +1,4 @@
-"""Colours of rods, bodies and fields, and the legend."""
+"""Colours of rods, bodies and fields, and the entries of the legend."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import numpy as np
 from jaxrod.viz.recording import Recording
 
 RAMP = ("#3b4cc0", "#3fa0c8", "#5ec27a", "#f2c14e", "#d1402f")
-"""Colours from the lowest to the highest number of a field."""
+"""Colour map of fields, from the lowest value to the highest."""
 RODS = (
     "#2f7fd6",
     "#e0653a",
@@ -26,14 +26,15 @@ FIXED = "#9aa3b0"
 """Colour of cylinders and other bodies at rest."""
 
 Entry = tuple[str, str, str]
-"""Entry of a legend: a CSS fill, words, and "ramp" or an empty string."""
+"""Legend entry: CSS fill of the swatch, text, and "ramp" for a gradient, else ""."""
 
 
 def rod_colours(replay: Recording) -> list[str]:
-    """A colour as "#rrggbb" for every rod, in order.
+    """Colour of every rod as "#rrggbb", in the order of `replay.rods`.
 
-    If there is only one kind of rods, each rod has its own colour, or a hue from a
-    range if there are many. With several kinds, each kind has its own colour.
+    With a single group of rods each rod has a different colour; beyond eight rods the
+    hue varies along the group. With several groups each group has a different colour.
+    A group's `colour` takes precedence.
     """
     colours: list[str] = []
     free = 0
@@ -57,14 +58,14 @@ def _one_of(rod: int, rods: int) -> str:
 
 
 def mesh_colours(replay: Recording) -> list[str]:
-    """A colour for every mesh, in order."""
+    """Colour of every mesh as "#rrggbb": the mesh's `colour`, or one of `BODIES`."""
     return [
         mesh.colour or BODIES[k % len(BODIES)] for k, mesh in enumerate(replay.meshes)
     ]
 
 
 def rod_legend(replay: Recording) -> list[Entry]:
-    """Legend of the rods' colours, when no field colours them."""
+    """Legend entries of the rods, for pictures in which no field colours them."""
     colours = rod_colours(replay)
     if not replay.rods:
         return []
@@ -89,7 +90,7 @@ def rod_legend(replay: Recording) -> list[Entry]:
 
 
 def other_legend(replay: Recording) -> list[Entry]:
-    """Legend of the colours of everything but rods."""
+    """Legend entries of spheres, cylinders, meshes and arrows."""
     entries = [
         (SPHERES[k % len(SPHERES)], sphere.name, "")
         for k, sphere in enumerate(replay.spheres)
@@ -115,12 +116,12 @@ def other_legend(replay: Recording) -> list[Entry]:
 
 
 def linear(colour: str) -> np.ndarray:
-    """Linear light of "#rrggbb", from 0 to 1."""
+    """Linear red, green and blue of "#rrggbb", from 0 to 1, by a gamma of 2.2."""
     return (np.array([int(colour[k : k + 2], 16) for k in (1, 3, 5)]) / 255) ** 2.2
 
 
 def ramp(levels: np.ndarray) -> np.ndarray:
-    """Linear light along the ramp, for levels from 0 to 1."""
+    """Linear red, green and blue (..., 3) of the colour map `RAMP` at levels 0 to 1."""
     stops = np.array([linear(colour) for colour in RAMP])
     place = np.clip(levels, 0, 1) * (len(RAMP) - 1)
     first = np.minimum(place.astype(int), len(RAMP) - 2)

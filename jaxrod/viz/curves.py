@@ -23,7 +23,7 @@ _GROUP_COLOURS = {
     "TD3": "#a21caf",
     "DDPG": "#5a6676",
 }
-"""Colours of groups with these names; others get matplotlib's."""
+"""Colours of curves by name of their group; other groups get matplotlib's colours."""
 _RUN_COLOUR, _REFERENCE_COLOUR, _QUIET = "#2563c9", "#b45309", "#5a6676"
 
 FilePath = str | os.PathLike[str]
@@ -36,12 +36,12 @@ class Curve(NamedTuple):
     wall: np.ndarray
     returns: np.ndarray
     quantity: str = RETURN
-    """Quantity in `returns`: returns, or mean rewards if no episode has ended yet."""
+    """Name of the quantity in `returns`: `RETURN`, or `REWARD` if no episode ended."""
 
 
 @dataclasses.dataclass(frozen=True)
 class ReferenceScore:
-    """A score to compare learning curves with.
+    """Score of a reference, drawn as a line to compare learning curves with.
 
     Example:
         >>> published = viz.ReferenceScore("the paper's PPO", mean=25.0, spread=3.0)
@@ -52,11 +52,11 @@ class ReferenceScore:
     label: str
     """Name in the legend."""
     mean: float
-    """Final episode return, mean over seeds."""
+    """Final episode return of the reference, mean over seeds."""
     spread: float = 0.0
-    """Standard deviation over seeds."""
+    """Standard deviation of the final return over seeds."""
     wall_hours: float | None = None
-    """Duration of a run, if it is known [h]."""
+    """Wall-clock duration of a run [h]; None if not known."""
 
 
 def learning_curve(
@@ -193,12 +193,12 @@ def grid_curves(
 
 
 def read_curve(path: Path) -> Curve:
-    """Reads a progress.csv; rows without a return are skipped.
+    """Reads a learning curve from progress.csv; rows without a return are skipped.
 
-    If no row has a return, this is the curve of the mean rewards.
+    If no row has a return, the curve is that of the mean rewards.
 
     Raises:
-        DamagedFileError: The file is no table, or lacks the columns.
+        DamagedFileError: The file is not a table, or lacks the columns.
         ValueError: The file has neither finished episodes nor rewards.
     """
     columns, rows = read_csv(path)
@@ -317,7 +317,7 @@ def _clock(axes: Any, runs: list[Curve], last_step: float) -> None:
 
 
 def common_steps(runs: list[Curve]) -> np.ndarray:
-    """Control steps that all runs have reached, shape (400,)."""
+    """400 equidistant control steps within the range that all runs cover."""
     first = max(run.steps[0] for run in runs)
     last = min(run.steps[-1] for run in runs)
     return np.linspace(first, max(first, last), 400)
@@ -334,7 +334,7 @@ def _run_label(label: str, runs: list[Curve]) -> str:
 
 
 def _shown(runs: list[Curve], value: float) -> str:
-    """A return as a whole number, or a reward with three digits."""
+    """Text of a value: a return as a whole number, a reward with three digits."""
     return f"{value:,.0f}" if runs[0].quantity == RETURN else f"{value:.3g}"
 
 
@@ -350,10 +350,10 @@ def _alt(runs: list[Curve], reference: ReferenceScore | None) -> str:
 
 
 def need_matplotlib() -> None:
-    """Raises, with the command that installs it, if matplotlib is missing.
+    """Checks that matplotlib is installed.
 
     Raises:
-        ModuleNotFoundError: Matplotlib is missing.
+        ModuleNotFoundError: It is not; the message has the command that installs it.
     """
     try:
         # Imported only to check that it is installed.

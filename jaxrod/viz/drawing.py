@@ -40,7 +40,8 @@ def frame(
 ) -> UInt8[np.ndarray, "height width 3"]:
     """Draws one frame of a replay as an RGB picture.
 
-    The view contains everything in every frame, so that successive pictures match.
+    The view is the same for all frames and contains the rods and bodies of all of them,
+    so that successive pictures match.
 
     Args:
         replay: The replay to draw.
@@ -83,8 +84,8 @@ def picture(
 
     Args:
         replay: The replay to draw.
-        frame: Index of the frame, 0 to T-1, negative from the end. With several frames
-            the last is drawn in full colour, the earlier ones paler.
+        frame: Index of the frame, 0 to T-1; negative counts from the end. Of several
+            frames the last is drawn in full colour, the earlier ones paler.
         path: The file to write; its folder must exist.
         width: Width of the picture [pixels].
         height: Height of the picture [pixels].
@@ -234,7 +235,7 @@ def animation(
 
 
 class _Painter:
-    """Painter of a replay's frames, all from the same viewpoint."""
+    """Renderer of a replay's frames as RGB pictures, all from the same viewpoint."""
 
     def __init__(
         self,
@@ -279,7 +280,7 @@ class _Painter:
         self.fine = fine
 
     def paint(self, frames: Sequence[int]) -> UInt8[np.ndarray, "height width 3"]:
-        """Paints frames into one picture, the last one in full colour."""
+        """Draws frames into one picture: the last in full colour, the others paler."""
         parts = []
         for order, index in enumerate(frames):
             part = self.shapes.at(index)
@@ -312,7 +313,10 @@ def _save_png(pixels: np.ndarray, path: Any, small: bool) -> None:
 
 
 def _colourful(pixels: np.ndarray) -> np.ndarray:
-    """Pixels for choosing a palette: with fewer greys, which fill most pictures."""
+    """Sample of pixels for choosing a palette: all coloured ones, a sixth of the grey.
+
+    Grey fills most pictures, and would otherwise take most of the palette.
+    """
     flat = pixels.reshape(-1, 3)
     grey = np.ptp(flat.astype(int), axis=1) <= 24
     chosen = np.concatenate([flat[~grey], flat[grey][::6]])
@@ -372,7 +376,7 @@ _INK, _QUIET = "#1c2430", "#5a6676"
 def captioned(
     pixels: np.ndarray, replay: Recording, frame: int, field: str | None, step: float
 ) -> np.ndarray:
-    """A picture with its title and time above, and its legend below."""
+    """Writes title, time and grid spacing above in a picture, and the legend below."""
     from PIL import Image, ImageDraw
 
     image = Image.fromarray(pixels)

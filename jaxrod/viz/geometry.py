@@ -1,4 +1,4 @@
-"""A frame of a replay as triangles with normals and colours."""
+"""Conversion of a frame of a replay into triangles with normals and colours."""
 
 from __future__ import annotations
 
@@ -22,25 +22,26 @@ from jaxrod.viz.rods import at_nodes
 
 _SIDES = 24
 _MOST_SEGMENTS = 4000
-"""Largest number of tube segments of all rods; with more, tubes are coarser."""
+"""Limit on the number of segments of all rods' tubes. Elements are divided into one to
+five segments to stay below it. With more elements than this, tubes have fewer sides."""
 
 
 class Triangles(NamedTuple):
-    """Triangles for drawing."""
+    """M triangles with normals and colours at their corners."""
 
     corners: np.ndarray
-    """Corners in the world frame [m], (M, 3, 3)."""
+    """Corners in the world frame [m], (M, 3, 3): triangle, corner, x y z."""
     normals: np.ndarray
-    """Normals at the corners, (M, 3, 3)."""
+    """Outward unit normals at the corners in the world frame, (M, 3, 3)."""
     colours: np.ndarray
-    """Linear light at the corners, (M, 3, 3)."""
+    """Linear red, green and blue at the corners, 0 to 1, (M, 3, 3)."""
 
 
 class Shapes:
-    """The shapes of a replay, prepared once and posed at any frame."""
+    """Converter of a replay's frames to triangles; surfaces are prepared once."""
 
     def __init__(self, replay: Recording, field: str | None = None) -> None:
-        """Prepares the surfaces of bodies; the field `field` colours the rods."""
+        """Prepares surfaces of bodies; `field` is the label of the colouring field."""
         self.replay = replay
         self.field = field
         self.range = replay.field_range(field) if field else (0.0, 1.0)
@@ -55,7 +56,7 @@ class Shapes:
         self.sides = _SIDES if segments <= _MOST_SEGMENTS else 10
 
     def at(self, frame: int) -> Triangles:
-        """All triangles of a frame."""
+        """Triangles of everything shown in frame number `frame`."""
         replay, parts = self.replay, []
         first = 0
         for rods in replay.rods:
@@ -127,11 +128,13 @@ def _alike(corners: np.ndarray, normals: np.ndarray, colour: str) -> Triangles:
 
 
 def refined(nodes: np.ndarray, pieces: int) -> np.ndarray:
-    """Interpolates rows: positions by a Catmull-Rom curve, other columns linearly.
+    """Inserts rows between those of the nodes, for a smooth curve.
+
+    Positions follow a Catmull-Rom curve; other columns are interpolated linearly.
 
     Args:
-        nodes: Rows of x, y, z [m] and other numbers, (n+1, 3+k).
-        pieces: Number of pieces per element.
+        nodes: Rows of x, y, z [m] and k other numbers, (n+1, 3+k).
+        pieces: Number of pieces per element; the result has n pieces + 1 rows.
     """
     if pieces == 1:
         return nodes
@@ -160,7 +163,15 @@ def _tube(
     sides: int,
     direction: np.ndarray | None = None,
 ) -> Triangles:
-    """A tube around a line of nodes, closed by flat ends."""
+    """Triangles of a tube around a line of nodes, closed by flat ends.
+
+    Args:
+        nodes: Points on the axis of the tube [m], (n, 3).
+        radii: Radius at each node [m].
+        colours: Linear red, green and blue at each node, (n, 3).
+        sides: Number of sides of the tube's polygonal section.
+        direction: Axis of a straight tube; by default it follows the nodes.
+    """
     if direction is None:
         tangents = np.gradient(nodes, axis=0)
         size = np.linalg.norm(tangents, axis=1, keepdims=True)

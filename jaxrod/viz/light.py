@@ -1,4 +1,4 @@
-"""Lighting of a frame: the camera, shadows, shading, the ground."""
+"""Rendering of a frame: camera, shadows, shading and the ground."""
 
 from __future__ import annotations
 
@@ -11,18 +11,19 @@ from jaxrod.viz.geometry import Triangles
 from jaxrod.viz.raster import nearest, shares_at
 
 _LENS = np.tan(np.radians(14.0))
-"""Half the picture's height divided by the viewing distance."""
+"""Tangent of half the vertical angle of view, which is 28 degrees [1]."""
 _TAPS = 16
-"""Samples of the shadow map for the soft edge of a shadow."""
+"""Number of samples of the shadow map per point, for soft edges of shadows."""
 _SKY, _GROUND = linear("#f8fafc"), linear("#dfe5ee")
 _GRID = linear("#8b98ab")
 _SHADE = np.array([0.95, 0.88, 0.74], np.float32)
-"""Twice the shares of red, green and blue that a full shadow removes [1]."""
+"""Shares of red, green and blue that a full shadow removes from the ground, times 2
+[1]."""
 
 
 @dataclasses.dataclass(frozen=True)
 class View:
-    """Position and orientation of the camera."""
+    """Camera: its position `eye` [m] and its directions as unit vectors."""
 
     right: np.ndarray
     above: np.ndarray
@@ -33,7 +34,7 @@ class View:
 
     @property
     def frame(self) -> np.ndarray:
-        """The camera's three directions as rows."""
+        """Rotation matrix from the world to camera axes: right, above, backward."""
         return np.stack([self.right, self.above, self.backward])
 
     def seen(self, points: np.ndarray) -> np.ndarray:
@@ -43,7 +44,7 @@ class View:
 
     @property
     def lamp(self) -> np.ndarray:
-        """Direction towards the lamp, over the camera's left shoulder."""
+        """Unit vector towards the lamp, which is over the camera's left shoulder."""
         up = np.eye(3)[self.up]
         way = 0.95 * up - 0.5 * self.right + 0.42 * self.backward
         return way / np.linalg.norm(way)
@@ -57,7 +58,7 @@ def view_of(
     shape: tuple[float, float],
     zoom: float,
 ) -> View:
-    """A view that contains all points.
+    """Computes the camera whose picture contains all points, as large as possible.
 
     Args:
         points: Points to contain [m], (N, 3).
@@ -92,11 +93,11 @@ def view_of(
 
 
 def rendered(triangles: Triangles, ground: Ground, fine: int) -> np.ndarray:
-    """Linear light of a picture, (height, width, 3).
+    """Renders a picture in linear red, green and blue, (height, width, 3).
 
     Args:
         triangles: Triangles of the scene.
-        ground: Ground and sky behind them, with the camera's view.
+        ground: Ground and sky behind the triangles, with the camera's view.
         fine: 2 draws solids at twice the size and averages, which smooths their edges
             and darkens crevices; 1 does not, and takes a third of the time.
     """
@@ -130,7 +131,10 @@ def rendered(triangles: Triangles, ground: Ground, fine: int) -> np.ndarray:
 
 
 def _on_screen(view: View, corners: np.ndarray, size: tuple[int, int]) -> np.ndarray:
-    """Corners in pixels, with -1/distance as depth; NaN behind the camera."""
+    """Projects corners (M, 3, 3) to x and y in pixels, and a depth -1/distance [1/m].
+
+    A triangle with a corner behind the camera is NaN.
+    """
     width, height = size
     focal = 0.5 * height / _LENS
     right, above, ahead = np.moveaxis(view.seen(corners), -1, 0)
@@ -143,7 +147,7 @@ def _on_screen(view: View, corners: np.ndarray, size: tuple[int, int]) -> np.nda
 
 
 def _rays(spots: np.ndarray, size: tuple[int, int]) -> np.ndarray:
-    """Rays through pixels in camera coordinates, of unit depth, (N, 3)."""
+    """Directions of rays through pixels, in camera coordinates with z = -1, (N, 3)."""
     width, height = size
     focal = 0.5 * height / _LENS
     x, y = np.asarray(spots, np.float32).T
@@ -152,14 +156,21 @@ def _rays(spots: np.ndarray, size: tuple[int, int]) -> np.ndarray:
 
 
 def _ground_distance(view: View, floor: float, rays: np.ndarray) -> np.ndarray:
-    """Distance to the ground along the camera's axis [m], infinite if it misses."""
+    """Distance along the camera's axis at which rays hit the ground [m].
+
+    It is infinite for rays that miss the ground. `rays` are the upward components of
+    the rays, per unit of distance along the camera's axis.
+    """
     with np.errstate(divide="ignore"):
         away = (floor - view.eye[view.up]) / rays
     return np.where(away > 0, away, np.inf)
 
 
 class Ground:
-    """The sky and the ground with its lines; only the shadows change between frames."""
+    """Background of the pictures: sky, and ground with grid lines.
+
+    It is drawn once. Only the shadows on it change between frames.
+    """
 
     def __init__(
         self,
@@ -205,7 +216,7 @@ class Ground:
         self.picture[self.seen] += strength * (_GRID - self.picture[self.seen])
 
     def light(self, lamp: _Lamp) -> np.ndarray:
-        """The picture with shadows, (height, width, 3)."""
+        """Background with the shadows of a lamp, linear light (height, width, 3)."""
         picture = self.picture.copy()
         dark = 0.50 * (1 - lamp.reaches(self.places, 0.012 * lamp.span))
         some = np.flatnonzero(dark)
@@ -214,10 +225,10 @@ class Ground:
 
 
 class _Lamp:
-    """Shadow map: the distances of all points that the lamp can see."""
+    """Shadow map: for rays of a parallel lamp, the depth of the first surface."""
 
     def __init__(self, corners: np.ndarray, view: View, side: int) -> None:
-        """Draws the map, `side` pixels wide and high."""
+        """Computes a map of `side` times `side` pixels from the triangles' corners."""
         lamp = view.lamp
         first = np.cross(lamp, np.eye(3)[np.argmin(np.abs(lamp))])
         first /= np.linalg.norm(first)
@@ -236,7 +247,10 @@ class _Lamp:
         self.span = span
 
     def reaches(self, places: np.ndarray, blur: float) -> np.ndarray:
-        """Share of the lamp's light that reaches points; edges are `blur` wide [m]."""
+        """Share of the lamp's light that reaches each place, from 0 (shadow) to 1.
+
+        The edges of shadows are soft, over a width of `blur` [m].
+        """
         own = places @ self.frame.T.astype(places.dtype)
         spots = (own[:, :2] - self.low[:2]) * self.scale + 0.07 * self.side
         reach = blur * self.scale
@@ -294,10 +308,12 @@ def _lit(
 
 
 def _crevices(near: np.ndarray) -> np.ndarray:
-    """Share of light where nearer surfaces surround a pixel: crevices are darker.
+    """Factor on the light of each pixel: below 1 where its surroundings are nearer.
+
+    So crevices are darker, by at most 40 %.
 
     Args:
-        near: Depth, smaller in front, NaN where there is no surface.
+        near: Depth of each pixel, smaller in front; NaN where there is no surface.
     """
     reach = max(2, near.shape[0] // 70)
     there = np.isfinite(near)
@@ -309,7 +325,7 @@ def _crevices(near: np.ndarray) -> np.ndarray:
 
 
 def _blurred(values: np.ndarray, reach: int) -> np.ndarray:
-    """Means over squares of 2 reach + 1 pixels."""
+    """Blurs an image: mean over the square of 2 reach + 1 pixels around each pixel."""
     for axis in (0, 1):
         pad = [(0, 0), (0, 0)]
         pad[axis] = (reach + 1, reach)

@@ -1,4 +1,4 @@
-"""Rigid bodies in a replay: surfaces of triangles that move and rotate."""
+"""Rigid bodies in a replay: surfaces of triangles that translate and rotate."""
 
 from __future__ import annotations
 
@@ -11,12 +11,12 @@ from jaxtyping import Float, Int
 from jaxrod.viz.shapes import checked_colour, numbers, require_finite
 
 _CREASE = np.cos(np.radians(35.0))
-"""Cosine of the largest angle at which adjacent faces are shaded as smooth."""
+"""Cosine of the largest angle between adjacent faces that are shaded as smooth."""
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Mesh:
-    """A surface of triangles, shown on K bodies over T frames.
+    """A surface of triangles, shown at K equal bodies over T frames.
 
     Example:
         >>> corners = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]], float)
@@ -28,14 +28,15 @@ class Mesh:
     """
 
     vertices: Float[np.ndarray, "v 3"]
-    """Corners in the body's own frame [m]."""
+    """Corners of the triangles in the body frame [m]."""
     faces: Int[np.ndarray, "f 3"]
-    """Three corners of each triangle, counterclockwise seen from outside."""
+    """Indices of the corners of each triangle, counterclockwise seen from outside."""
     positions: Any = (0.0, 0.0, 0.0)
-    """Origins of the bodies [m]: (3,) at rest, (T, 3), or (T, K, 3) for several."""
+    """Positions of the bodies' origins [m]: (3,) at rest, (T, 3) for one moving body,
+    or (T, K, 3)."""
     orientations: Any = (1.0, 0.0, 0.0, 0.0)
-    """Unit quaternions (w, x, y, z), body to world, of the same shapes as the
-    positions."""
+    """Unit quaternions (w, x, y, z), body to world: (4,) at rest, (T, 4), or
+    (T, K, 4)."""
     name: str = "body"
     """Name in the legend."""
     colour: str = ""
@@ -47,13 +48,13 @@ class Mesh:
         return int(self.positions.shape[1])
 
     def at_frames(self, keep: Any) -> Mesh:
-        """A copy with some of the frames."""
+        """Copy with only the frames of the indices `keep`."""
         return dataclasses.replace(
             self, positions=self.positions[keep], orientations=self.orientations[keep]
         )
 
     def placed(self, frame: int, body: int) -> np.ndarray:
-        """Corners of one body at one frame, world frame [m], shape (V, 3)."""
+        """Corners of one body in one frame, in world coordinates [m], shape (v, 3)."""
         turn = rotation(self.orientations[frame, body])
         return self.positions[frame, body] + self.vertices @ turn.T
 
@@ -123,7 +124,7 @@ def _per_body(
 
 
 def rotation(quaternion: np.ndarray) -> np.ndarray:
-    """Rotation matrix from body to world vectors, shape (3, 3)."""
+    """Rotation matrix (3, 3) of a unit quaternion (w, x, y, z), body to world."""
     w, x, y, z = quaternion
     return np.array(
         [
@@ -135,10 +136,11 @@ def rotation(quaternion: np.ndarray) -> np.ndarray:
 
 
 def shaded(mesh: Mesh) -> tuple[np.ndarray, np.ndarray]:
-    """Corners and normals of every triangle, (F, 3, 3) each; creases stay sharp.
+    """Corners of every triangle, and normals there for smooth shading, (f, 3, 3) each.
 
-    At each corner the normals of the adjacent faces that meet this face at less than 35
-    degrees are averaged, weighted by their angles there.
+    A normal is the mean of those of the faces around the corner, weighted by their
+    angles at the corner. Only faces at less than 35 degrees to the triangle count, so
+    creases stay sharp.
     """
     corners = mesh.vertices[mesh.faces]
     along = np.roll(corners, -1, axis=1) - corners

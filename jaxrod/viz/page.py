@@ -1,13 +1,12 @@
-"""The replay as one HTML page that plays anywhere, without a network.
+"""Export of a replay as one HTML page that plays anywhere, without a network.
 
-The page holds its data and its program: about 70 kB of program, and two bytes per
+The page contains data and program: about 70 kB of program, and two bytes per
 coordinate before compression. Coordinates are rounded to 65536 levels of each axis's
 range, that is to within range / 131070 (8 micrometres for 1 m).
 
-The program is the project's own. Existing libraries can draw the same, but the smallest
-bundle of three.js with orbit controls is 572 kB in every page, and it does not bend
-tubes between nodes. Bending tubes and reading the recording would still need our own
-program.
+The program uses no library. The smallest bundle of three.js with orbit controls would
+add 572 kB to every page. It does not draw tubes that bend between nodes, nor read the
+recording.
 """
 
 from __future__ import annotations
@@ -114,12 +113,13 @@ def encode(replay: Recording) -> tuple[dict[str, Any], bytes]:
 
     - little-endian float32: times since the first frame (T), radii of the nodes of all
       rods, readouts (K, T), and position and normal of the corners of every triangle of
-      every mesh (3 F, 6);
-    - series of unsigned 16-bit levels over time, as zigzag differences, first all low
-      bytes, then all high bytes: the coordinates of all points (P, 3, T), which are
+      every mesh (3 M, 6);
+    - unsigned 16-bit levels over time, as zigzag differences between frames, first all
+      low bytes, then all high bytes: coordinates of all points (P, 3, T), which are
       nodes, centres of spheres, origins of bodies and of arrows; orientations of bodies
       (B, 4, T); and arrows (A, 3, T);
-    - fields at all nodes (F, N, T) as differences of 8-bit levels, 255 for none.
+    - fields at all nodes (F, N, T) as differences between frames of 8-bit levels, 255
+      where a field has no value.
     """
     series, scales, count = _series(replay)
     change = np.diff(series, axis=-1, prepend=0)
@@ -186,7 +186,12 @@ def encode(replay: Recording) -> tuple[dict[str, Any], bytes]:
 
 
 def _series(replay: Recording) -> tuple[np.ndarray, list[Any], int]:
-    """Levels of all moving things (S, T), their scales, and the number of points."""
+    """Quantises points, orientations and arrows to 16-bit levels over the frames.
+
+    Returns:
+        Levels (S, T), one row per coordinate; offset and step of the levels for points,
+        orientations and arrows; and the number of points.
+    """
     frames = replay.num_frames
     points = [r.positions.reshape(frames, -1, 3) for r in replay.rods]
     points += [sphere.positions[:, None] for sphere in replay.spheres]
@@ -209,7 +214,7 @@ def _series(replay: Recording) -> tuple[np.ndarray, list[Any], int]:
 
 
 def _levels(replay: Recording, label: str) -> np.ndarray:
-    """Levels of a field at all nodes, (N, T): 0 to 254, or 255 for none."""
+    """8-bit levels of a field at all nodes (N, T): 0 to 254, or 255 without a value."""
     low, high = replay.field_range(label)
     parts = []
     for rods in replay.rods:

@@ -6,16 +6,16 @@ import numpy as np
 from jaxtyping import Float, Int
 
 _AT_ONCE = 3_000_000
-"""Largest number of pixels that are tested at once."""
+"""Largest number of pairs of triangle and pixel that are tested at once."""
 
 
 def nearest(
     corners: Float[np.ndarray, "m 3 3"], width: int, height: int
 ) -> tuple[Int[np.ndarray, "pixels"], Float[np.ndarray, "pixels"]]:
-    """The triangle nearest to the camera at every pixel.
+    """Finds the triangle nearest to the camera at every pixel.
 
-    Triangles of similar size are tested together, each at all pixels of a square around
-    it.
+    Triangles of similar size are tested together, each at all pixels of a square that
+    contains the triangle.
 
     Args:
         corners: Corners of the triangles: x to the right and y down in pixels, and a
@@ -24,7 +24,8 @@ def nearest(
         height: Height of the picture [pixels].
 
     Returns:
-        Index of the triangle, -1 where there is none, and depth, both row by row.
+        Index of the triangle, -1 where there is none, and depth, infinite there. Both
+        list the pixels row by row.
     """
     depth = np.full(width * height, np.inf, np.float32)
     front = np.full(width * height, -1, np.int32)
@@ -53,7 +54,17 @@ def _paint(
     depth: np.ndarray,
     front: np.ndarray,
 ) -> None:
-    """Draws triangles in front of the existing picture."""
+    """Updates `depth` and `front` in place at pixels where these triangles are nearer.
+
+    Args:
+        numbers: Indices of the triangles, to write into `front`.
+        corners: Their corners, as in `nearest`.
+        low: Lower corner of the square of pixels to test for each triangle.
+        side: Side of these squares [pixels].
+        size: Width and height of the picture [pixels].
+        depth: Smallest depth so far at each pixel, row by row.
+        front: Index of the nearest triangle so far at each pixel, row by row.
+    """
     width, height = size
     steps, half = np.arange(side, dtype=np.float32), np.float32(0.5)
     x, y = (low[:, k : k + 1].astype(np.float32) + steps + half for k in (0, 1))
@@ -80,7 +91,11 @@ def _paint(
 def _shares(
     corners: np.ndarray, x: np.ndarray, y: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Areas opposite the first and the second corner, and of the whole triangle."""
+    """Signed areas, times 2, of (P, b, c), (P, c, a) and (a, b, c) in the picture.
+
+    P is the point (x, y); a, b and c are a triangle's corners. The first two over the
+    third are the barycentric coordinates of P with respect to a and b.
+    """
     at = lambda c, axis: corners[:, c, axis].astype(np.float32)[:, None, None]
     ax, ay, bx, by, cx, cy = (at(c, k) for c in range(3) for k in range(2))
     u = (bx - x) * (cy - y) - (cx - x) * (by - y)

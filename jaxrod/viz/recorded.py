@@ -1,4 +1,4 @@
-"""States of a scene or a system as the shapes of a replay, and as its fields."""
+"""Conversion of states of a scene or a system into a replay's shapes and fields."""
 
 from __future__ import annotations
 
@@ -22,17 +22,17 @@ from jaxrod.viz.rods import Rods, checked_rods
 from jaxrod.viz.shapes import Arrows, checked_arrows
 
 _ONLY = "rod"
-"""Name of the rod of a scene, in `fields` and `colours`."""
+"""Key of a scene's only rod in `fields` and `colours`."""
 
 
 class Recorded(NamedTuple):
-    """Shapes of a scene or a system for drawing."""
+    """Shapes that `recorded` makes from the states of a scene or a system."""
 
     rods: tuple[Rods, ...]
     meshes: tuple[Mesh, ...]
     arrows: tuple[Arrows, ...]
     floor: float | None
-    """Height of a level plane that a rod may touch [m]."""
+    """Height of a level plane that a rod may touch [m]; None if there is none."""
 
 
 def recorded(
@@ -44,7 +44,7 @@ def recorded(
     colours: Mapping[str, str],
     up: str,
 ) -> Recorded:
-    """Shapes of the members of a scene or a system; see `Replay.from_states`.
+    """Makes the shapes of all members over all frames; see `Replay.from_states`.
 
     Raises:
         ValueError: An argument has the wrong shape or an impossible value.
@@ -95,7 +95,7 @@ def _of_bodies(name: str, bodies: Parts, states: Any, colour: str) -> Mesh:
 
 
 def _rods(model: Model) -> dict[str, Any]:
-    """Members that are rods, by name."""
+    """Members of a model that are rods, by name."""
     members = model.interfaces().items()
     return {name: member for name, member in members if member.rod is not None}
 
@@ -103,7 +103,11 @@ def _rods(model: Model) -> dict[str, Any]:
 def _field_values(
     model: Model, states: Any, times: np.ndarray, fields: Mapping[str, Any]
 ) -> dict[str, dict[str, Any]]:
-    """Numbers by member and label, for each frame, rod and place along it."""
+    """Values of all fields: by member, then by label; functions are evaluated.
+
+    The axes of a value are frames, then equal rods if any, then nodes, elements or
+    joints.
+    """
     names = {name or _ONLY: name for name in _rods(model)}
     values: dict[str, dict[str, Any]] = {name: {} for name in names.values()}
     for label, given in fields.items():
@@ -146,7 +150,12 @@ def _measured(
 def _ground(
     model: Model, low: np.ndarray, high: np.ndarray, up: str
 ) -> tuple[list[Mesh], float | None]:
-    """The fixed bodies that rods may touch, and the height of a level plane [m]."""
+    """Meshes of the fixed bodies that rods may touch, and the height of a level plane.
+
+    A plane that faces upwards has no mesh; its height along the axis `up` is returned
+    [m], None if there is no such plane. Other planes, and bodies without triangles, are
+    drawn only near the box from `low` to `high`.
+    """
     fixed: dict[Any, Body] = {}
     for member in _rods(model).values():
         for effect in member.effects:
@@ -174,7 +183,13 @@ def _ground(
 
 
 def _single(body: Body, count: int | None, stacked: int) -> list[Body]:
-    """Single bodies, from those of one rod or of equal rods."""
+    """Splits an obstacle with leading axes into single bodies.
+
+    Args:
+        body: The obstacle; its leaves have the leading axes.
+        count: Number of bodies on the last of these axes; None if it has no such axis.
+        stacked: Number of axes of equal rods.
+    """
     axes = stacked + int(count is not None)
     bodies = [body]
     for _ in range(axes):
@@ -187,7 +202,7 @@ def _single(body: Body, count: int | None, stacked: int) -> list[Body]:
 
 
 def _contact_forces(model: Model, states: Any, times: np.ndarray) -> tuple[Arrows, ...]:
-    """Contact forces at the nodes of all rods [N]."""
+    """Arrows of the contact forces on all rods, summed at each node [N]."""
     rods = _rods(model)
 
     def at_frame(given: Model, frame: tuple[Any, Any]) -> list[dict[str, Any]]:
@@ -215,9 +230,9 @@ def _contact_forces(model: Model, states: Any, times: np.ndarray) -> tuple[Arrow
 
 
 def _over_frames(at_frame: Callable[[Any, Any], Any], model: Any, frames: Any) -> Any:
-    """Results of a function of a model and a frame, at every frame.
+    """Evaluates `at_frame(model, frame)` for every frame in one compiled program.
 
-    The model is an argument of the program, as in runs, not a constant in it.
+    The model is an argument of the program, as in simulations, not a constant.
     """
     return jax.jit(lambda m, x: jax.lax.map(lambda one: at_frame(m, one), x))(
         model, frames

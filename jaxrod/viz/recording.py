@@ -1,4 +1,4 @@
-"""A recorded motion of rods and bodies: the numbers that are drawn."""
+"""A recorded motion of rods and bodies, as arrays that are ready to be drawn."""
 
 from __future__ import annotations
 
@@ -15,25 +15,25 @@ from jaxrod.viz.shapes import Arrows, Cylinder, Sphere
 
 Axis = Literal["x", "y", "z"]
 _EVERY = 8
-"""Stride of the frames at which turning bodies are checked."""
+"""Stride of the frames whose mesh corners are included in the bounding box."""
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Recording:
-    """A motion of rods and bodies over T frames, as NumPy arrays."""
+    """A recorded motion of rods and bodies over T frames, as NumPy arrays."""
 
     times: Float[np.ndarray, "num_frames"]
     """Time of each frame [s], increasing, shape (T,)."""
     rods: tuple[Rods, ...] = ()
-    """Rods, grouped by their number of elements."""
+    """Groups of rods; those of a group have the same number of elements."""
     spheres: tuple[Sphere, ...] = ()
-    """Spheres shown with the rods, their positions of shape (T, 3)."""
+    """Spheres shown with the rods, with positions of shape (T, 3)."""
     cylinders: tuple[Cylinder, ...] = ()
     """Cylinders shown with the rods."""
     meshes: tuple[Mesh, ...] = ()
     """Rigid bodies shown with the rods."""
     arrows: tuple[Arrows, ...] = ()
-    """Arrows, such as forces."""
+    """Groups of arrows shown with the rods, such as forces."""
     readouts: Mapping[str, Float[np.ndarray, "num_frames"]] = dataclasses.field(
         default_factory=dict
     )
@@ -43,21 +43,22 @@ class Recording:
     up: Axis = "z"
     """World axis that is drawn upwards."""
     floor: float | None = None
-    """Height of the ground along the upward axis [m]; `None` for below everything."""
+    """Height of the drawn ground along the upward axis [m]; `None` for the lowest point
+    of all rods and bodies."""
 
     @property
     def positions(self) -> Float[np.ndarray, "num_frames num_rods num_nodes 3"]:
-        """Node positions [m], shape (T, R, n+1, 3), if all rods are alike."""
+        """Node positions [m], shape (T, R, n+1, 3); requires a single group of rods."""
         return self._alike().positions
 
     @property
     def radii(self) -> Float[np.ndarray, "num_rods num_elements"]:
-        """Element radii [m], shape (R, n), if all rods are alike."""
+        """Element radii [m], shape (R, n); requires a single group of rods."""
         return self._alike().radii
 
     @property
     def rod_names(self) -> tuple[str, ...]:
-        """Names of the rods, if all rods are alike; empty, or R names."""
+        """Names of the R rods, or empty; requires a single group of rods."""
         return self._alike().names
 
     def _alike(self) -> Rods:
@@ -74,7 +75,7 @@ class Recording:
 
     @property
     def num_rods(self) -> int:
-        """Number of rods, R."""
+        """Number of rods in all groups, R."""
         return sum(rods.num_rods for rods in self.rods)
 
     @property
@@ -85,10 +86,11 @@ class Recording:
         )
 
     def field_range(self, label: str) -> tuple[float, float]:
-        """Range of a field that the colours resolve.
+        """Values of a field at the two ends of the colour map.
 
-        It excludes the lowest and the highest 0.5 %. It starts at zero if zero is near,
-        and is symmetric about zero if both signs occur.
+        They exclude the lowest and the highest 0.5 % of all values. The range starts at
+        zero if the lowest value is near zero, and is symmetric about zero if both signs
+        occur.
         """
         every = [rods.fields[label] for rods in self.rods if label in rods.fields]
         values = np.concatenate([np.ravel(numbers) for numbers in every])
@@ -134,7 +136,10 @@ class Recording:
         )
 
     def bounds(self) -> tuple[Float[np.ndarray, "3"], Float[np.ndarray, "3"]]:
-        """Corners of the box that contains everything in every frame [m]."""
+        """Lowest and highest corner of the box around all rods, bodies and the floor.
+
+        It contains them in all frames [m], but not the arrows; see `extent`.
+        """
         low, high = extent(self.rods, self.meshes, self.spheres, self.cylinders)
         if self.floor is not None:
             axis = "xyz".index(self.up)
@@ -156,7 +161,10 @@ def extent(
     spheres: Sequence[Sphere] = (),
     cylinders: Sequence[Cylinder] = (),
 ) -> tuple[Float[np.ndarray, "3"], Float[np.ndarray, "3"]]:
-    """Corners of the box that contains everything in every frame [m]."""
+    """Lowest and highest corner of a box that contains the shapes in all frames [m].
+
+    Corners of meshes are checked only in every eighth frame and in the last one.
+    """
     low, high = np.full(3, np.inf), np.full(3, -np.inf)
     for some in rods:
         margin = float(some.radii.max())

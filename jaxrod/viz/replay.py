@@ -1,4 +1,4 @@
-"""Replays: recorded motions made from states or arrays, and shown."""
+"""Replays: recorded motions, made from states or arrays, to show and to draw."""
 
 from __future__ import annotations
 
@@ -134,7 +134,7 @@ class Replay(Recording):
 
         Args:
             times: Time of each frame [s], increasing, shape (T,).
-            rods: Rods, grouped by their number of elements.
+            rods: Groups of rods; those of a group have the same number of elements.
             spheres: Spheres to show, such as targets; positions (3,) or (T, 3).
             cylinders: Cylinders to show.
             meshes: Rigid bodies to show.
@@ -142,7 +142,8 @@ class Replay(Recording):
             readouts: Map from names to one number per frame, shape (T,).
             title: Heading of the player.
             up: World axis that is drawn upwards: "x", "y" or "z".
-            floor: Height of the ground along it [m]; `None` for below everything.
+            floor: Height of the ground along this axis [m]; `None` for the lowest point
+                of all rods and bodies.
 
         Raises:
             ValueError: An argument has the wrong shape or an impossible value.
@@ -195,19 +196,19 @@ class Replay(Recording):
             states: Its states with a leading axis of T, as `jaxrod.rollout` returns
                 them; for a system, a dict by member.
             times: Time of each frame [s], shape (T,).
-            fields: Map from labels with units to what colours the rods. This is either
-                a function of a scene (at the time of the frame) and a state of its rod,
-                which returns a number for each of n elements, n+1 nodes or n-1 joints,
-                or one for the whole rod; or such numbers, with leading axes for frames
-                and equal rods; or a dict of either by member, for some members.
-                `jaxrod.viz.speed`, `stretch`, `bending` and `twist_rate` are such
-                functions.
+            fields: Fields that can colour the rods, by label with unit. A field is a
+                function of a scene (at the time of the frame) and a state of its rod,
+                such as `jaxrod.viz.speed`, `stretch`, `bending` and `twist_rate`. It
+                returns a number for each of n elements, n+1 nodes or n-1 joints, or one
+                for the whole rod. Instead of a function a field may be an array of such
+                numbers, with leading axes for frames and equal rods; or a dict of
+                functions or arrays by member, for some members.
             forces: Whether to show the contact forces on rods as arrows, summed at each
                 node.
-            colours: Map from members to "#rrggbb".
+            colours: Colour of some members as "#rrggbb", by name of the member.
             up: World axis that is drawn upwards.
-            floor: Height of the ground along it [m]; by default that of a level plane
-                that a rod may touch.
+            floor: Height of the ground along this axis [m]; by default that of a level
+                plane that a rod may touch.
             meshes: Other bodies to show.
             arrows: Other arrows to show.
             **more: Title and other things to show, as `of` takes them.
@@ -231,10 +232,12 @@ class Replay(Recording):
         )
 
     def together(self, *others: Replay) -> Replay:
-        """Combines this replay and others with the same times.
+        """Combines this replay and others with the same times in one view.
+
+        The title and the upward axis are those of this replay.
 
         Raises:
-            ValueError: Their times or their upward axes differ.
+            ValueError: The times or the upward axes of the replays differ.
         """
         for other in others:
             if not np.array_equal(self.times, other.times) or other.up != self.up:
@@ -253,7 +256,7 @@ class Replay(Recording):
         )
 
     def _repr_html_(self) -> str:
-        """The 3-D player in its own frame, for notebooks."""
+        """HTML of the 3-D player in an iframe, which notebooks display."""
         page = markup.escape(html(self), quote=True)
         return (
             f'<iframe srcdoc="{page}" title="3-D replay" allowfullscreen '
@@ -318,7 +321,7 @@ def show(
 
 
 def _in_notebook() -> bool:
-    """Whether the last value of a cell is displayed as HTML."""
+    """Whether the code runs in a notebook, which displays the last value of a cell."""
     interactive = sys.modules.get("IPython")
     shell = interactive.get_ipython() if interactive else None
     return getattr(shell, "kernel", None) is not None

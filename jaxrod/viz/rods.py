@@ -1,4 +1,4 @@
-"""Rods of one kind in a replay: any number, all with the same number of elements."""
+"""Groups of rods in a replay; the rods of a group have equally many elements."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from jaxrod.viz.shapes import checked_colour, numbers, require_finite
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Rods:
-    """R rods with n elements each, over T frames.
+    """A group of R rods with n elements each, over T frames.
 
     Example:
         >>> path = state.positions[None]  # one frame
@@ -36,7 +36,8 @@ class Rods:
     fields: Mapping[str, Float[np.ndarray, "num_frames num_rods num_nodes"]] = (
         dataclasses.field(default_factory=dict)
     )
-    """Map from labels to a number at every node and frame, shape (T, R, n+1)."""
+    """Fields that can colour the rods: by label, a number at every node and frame,
+    shape (T, R, n+1)."""
 
     @property
     def num_rods(self) -> int:
@@ -49,7 +50,7 @@ class Rods:
         return self.positions.shape[2]
 
     def at_frames(self, keep: Any) -> Rods:
-        """A copy with some of the frames."""
+        """Copy with only the frames of the indices `keep`."""
         return dataclasses.replace(
             self,
             positions=self.positions[keep],
@@ -67,7 +68,7 @@ def checked_rods(
     colour: str = "",
     fields: Mapping[str, Any] | None = None,
 ) -> Rods:
-    """Rods from the user's arrays, or a clear error."""
+    """Makes a group of rods from a user's arrays; raises a ValueError if invalid."""
     nodes = numbers("positions", positions, "m")
     if nodes.ndim == 3:
         nodes = nodes[:, None]
@@ -104,7 +105,7 @@ def checked_rods(
 
 
 def checked_radii(radii: Any, num_rods: int, num_elements: int) -> np.ndarray:
-    """Radii of shape (R, n), or a clear error."""
+    """Radii broadcast to shape (R, n); raises a ValueError if invalid."""
     values = numbers("radii", radii, "m")
     if values.shape not in ((), (num_elements,), (num_rods, num_elements)):
         raise ValueError(
@@ -118,13 +119,13 @@ def checked_radii(radii: Any, num_rods: int, num_elements: int) -> np.ndarray:
 
 
 def checked_field(label: str, values: Any, shape: tuple[int, int, int]) -> np.ndarray:
-    """A number at every node and frame, or a clear error.
+    """Interpolates a field to the nodes, shape (T, R, n+1); a ValueError if invalid.
 
     Args:
-        label: Name of the field.
-        values: Numbers that are broadcastable to frames, rods and nodes, elements or
-            inner joints; or one number per rod.
-        shape: Numbers of frames, rods and nodes.
+        label: Name of the field, for the error message.
+        values: Numbers that are broadcastable to (T, R, k), with k nodes, elements or
+            inner joints of a rod; or one number per rod.
+        shape: Numbers of frames, rods and nodes: (T, R, n+1).
     """
     frames, rods, nodes = shape
     given = numbers(f"fields[{label!r}]", values, "-")
@@ -151,7 +152,10 @@ def checked_field(label: str, values: Any, shape: tuple[int, int, int]) -> np.nd
 
 
 def at_nodes(of_elements: np.ndarray) -> np.ndarray:
-    """Means of adjacent elements along the last axis, from n to n+1 numbers."""
+    """Averages n element values to n+1 node values along the last axis.
+
+    An inner node gets the mean of its two elements, an end node the value of its one.
+    """
     padded = np.concatenate(
         [of_elements[..., :1], of_elements, of_elements[..., -1:]], -1
     )

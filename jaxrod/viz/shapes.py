@@ -11,7 +11,7 @@ from jaxtyping import Float
 from numpy.typing import ArrayLike
 
 MOST = 400
-"""Largest number of arrows of one kind; of more, the longest are drawn."""
+"""Largest number of drawn arrows of one group; of more, the longest are drawn."""
 _SHORTEST = 0.02
 """Smallest length of a drawn arrow, relative to the longest [1]."""
 
@@ -29,9 +29,9 @@ class Sphere:
     """
 
     positions: Any
-    """Centre [m], shape (3,) if it is at rest, (T, 3) if it moves."""
+    """Centre of the sphere [m], shape (3,) if it is at rest, (T, 3) if it moves."""
     radius: float
-    """Radius [m]."""
+    """Radius of the sphere [m]."""
     name: str = "target"
     """Name in the legend."""
 
@@ -49,18 +49,18 @@ class Cylinder:
     """
 
     start: Any
-    """Centre of one end [m], shape (3,)."""
+    """Centre of the first end face [m], shape (3,)."""
     end: Any
-    """Centre of the other end [m], shape (3,)."""
+    """Centre of the second end face [m], shape (3,)."""
     radius: float
-    """Radius [m]."""
+    """Radius of the cylinder [m]."""
     name: str = "obstacle"
     """Name in the legend."""
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Arrows:
-    """A number A of arrows over T frames, such as forces.
+    """A group of A arrows over T frames, such as forces.
 
     Example:
         >>> weight = np.tile([0.0, 0.0, -12.0], (2, 1, 1))  # 2 frames, 1 arrow
@@ -71,32 +71,36 @@ class Arrows:
     """
 
     origins: Float[np.ndarray, "num_frames a 3"]
-    """Starting points [m], shape (T, A, 3)."""
+    """Starting points of the arrows [m], shape (T, A, 3)."""
     vectors: Float[np.ndarray, "num_frames a 3"]
     """Vectors to show, for example forces [N], shape (T, A, 3)."""
     name: str = "force [N]"
     """Name and unit in the legend."""
     length: float | None = None
-    """Length of the longest arrow [m]; `None` for a seventh of the scene."""
+    """Length of the longest arrow [m]; `None` for a seventh of the scene's size."""
     colour: str = "#d62f5b"
-    """Colour as "#rrggbb"."""
+    """Colour of the arrows as "#rrggbb"."""
 
     def at_frames(self, keep: Any) -> Arrows:
-        """A copy with some of the frames."""
+        """Copy with only the frames of the indices `keep`."""
         return dataclasses.replace(
             self, origins=self.origins[keep], vectors=self.vectors[keep]
         )
 
     @property
     def largest(self) -> float:
-        """Largest size of a vector in any frame, in its own unit."""
+        """Largest norm of all vectors in all frames, in the unit of the vectors."""
         return float(np.linalg.norm(self.vectors, axis=-1).max(initial=0.0))
 
     def drawn(self, size: float) -> tuple[np.ndarray, float]:
-        """The vectors as lengths [m], invisibly short ones as zero, and the scale.
+        """Scales the vectors to the arrows that are drawn.
 
         Args:
             size: Size of the scene [m].
+
+        Returns:
+            The arrows [m], shape (T, A, 3), zero if shorter than 2 % of the longest;
+            and the scale, arrow length per unit of the vectors.
         """
         longest = size / 7 if self.length is None else self.length
         scale = longest / (self.largest or 1.0)
@@ -105,7 +109,7 @@ class Arrows:
 
 
 def checked_sphere(index: int, sphere: Sphere, times: np.ndarray) -> Sphere:
-    """A checked copy of a sphere, with one position per frame."""
+    """Copy of a sphere with one position per frame; raises a ValueError if invalid."""
     name = f"spheres[{index}].positions"
     centre = numbers(name, sphere.positions, "m")
     if centre.shape not in ((3,), (len(times), 3)):
@@ -119,7 +123,7 @@ def checked_sphere(index: int, sphere: Sphere, times: np.ndarray) -> Sphere:
 
 
 def checked_cylinder(index: int, cylinder: Cylinder) -> Cylinder:
-    """A checked copy of a cylinder."""
+    """Copy of a cylinder with NumPy arrays; raises a ValueError if invalid."""
     ends = []
     for side in ("start", "end"):
         name = f"cylinders[{index}].{side}"
@@ -137,7 +141,11 @@ def checked_cylinder(index: int, cylinder: Cylinder) -> Cylinder:
 
 
 def checked_arrows(index: int, arrows: Arrows, times: np.ndarray) -> Arrows:
-    """A checked copy of arrows, without those that are always too short."""
+    """Copy of a group of arrows; raises a ValueError if invalid.
+
+    Arrows that are too short to be drawn in all frames are left out, and so are all but
+    the `MOST` longest.
+    """
     name = f"arrows[{index}]"
     vectors = numbers(f"{name}.vectors", arrows.vectors, "-")
     origins = numbers(f"{name}.origins", arrows.origins, "m")
@@ -175,14 +183,14 @@ def _positive(name: str, value: Any, unit: str) -> float:
 
 
 def checked_colour(colour: str) -> str:
-    """A colour as "#rrggbb" or an empty string, or a clear error."""
+    """Returns a colour if it is "#rrggbb" or empty; raises a ValueError otherwise."""
     if colour and not re.fullmatch(r"#[0-9a-fA-F]{6}", str(colour)):
         raise ValueError(f'colour must be "#rrggbb", got {colour!r}')
     return str(colour)
 
 
 def numbers(name: str, values: ArrayLike, unit: str) -> np.ndarray:
-    """A private copy as a float64 array, or a clear error."""
+    """Copies values into a new float64 array; a ValueError if they are not numbers."""
     try:
         return np.array(values, dtype=np.float64)
     except (TypeError, ValueError) as error:
@@ -194,7 +202,7 @@ def numbers(name: str, values: ArrayLike, unit: str) -> np.ndarray:
 def require_finite(
     name: str, values: np.ndarray, unit: str, times: np.ndarray | None = None
 ) -> None:
-    """Raises for NaN or infinity, with the place and time of the first one."""
+    """Raises a ValueError for NaN or infinity, with index and time of the first one."""
     finite = np.isfinite(values)
     if finite.all():
         return
@@ -206,7 +214,7 @@ def require_finite(
 
 
 def checked_times(times: ArrayLike, shape: tuple[int, ...]) -> np.ndarray:
-    """Times of frames [s], one per frame, or a clear error."""
+    """Times of the frames as a new array [s]; a ValueError unless they increase."""
     clock = numbers("times", times, "s")
     if clock.shape != shape:
         raise ValueError(

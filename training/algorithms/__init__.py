@@ -1,1 +1,1 @@
-"""The learners and their building blocks."""
+"""Learning algorithms, a module each, and modules of their common parts."""

@@ -1,4 +1,4 @@
-"""A policy, its critics, and their gradient steps."""
+"""Policy and critic networks of off-policy learners, and their gradient steps."""
 
 from __future__ import annotations
 
@@ -19,12 +19,12 @@ from jaxrod.training.networks import check_outputs, initial_weights, make_networ
 from jaxrod.training.settings import LearnerConfig, Scalar
 
 ACTIVATION = "relu"
-"""Activation function of all hidden layers, as in the reference implementation."""
+"""Activation function of the hidden layers in SAC, TD3 and DDPG."""
 
 
 @pytree
 class Learner:
-    """Weights and optimiser states, which gradient steps change."""
+    """Weights and optimiser states of a learner: all that gradient steps change."""
 
     weights: dict[str, Any]
     """Weights of the networks and other learned numbers, by name."""
@@ -35,7 +35,7 @@ class Learner:
 def policy_network(
     config: LearnerConfig, output_size: int, dtype: DTypeLike
 ) -> nn.Module:
-    """The policy network, without weights; they are in the train state."""
+    """The policy network as a flax module; its weights are in the train state."""
     return make_network(
         config, "policy", output_size, activation=ACTIVATION, dtype=dtype
     )
@@ -48,7 +48,7 @@ def initial_policy(
     output_size: int,
     dtype: DTypeLike,
 ) -> Any:
-    """Initial weights of the policy network."""
+    """Initial weights of the policy network, after a check of its output size."""
     dummy = jnp.zeros(env.observation_size, dtype)
     network = policy_network(config, output_size, dtype)
     weights = initial_weights(network, key, dummy)
@@ -62,7 +62,7 @@ def critic_values(
     observation: Float[Array, "batch observation"],
     action: Float[Array, "batch action"],
 ) -> Float[Array, "critics batch"]:
-    """Values of the actions from every critic."""
+    """Values Q_i of every critic i, for normalised observations and actions."""
     inputs = jnp.concatenate([observation, action], axis=-1)
     network = _critic_network(config, inputs.dtype)
     values = [network.apply({"params": w}, inputs)[:, 0] for w in weights]
@@ -76,7 +76,7 @@ def initial_critics(
     count: int,
     dtype: DTypeLike,
 ) -> tuple[Any, ...]:
-    """Initial weights of `count` independent critics."""
+    """Initial weights of `count` critics, drawn independently."""
     dummy = jnp.zeros(env.observation_size + env.action_size, dtype)
     network = _critic_network(config, dtype)
     keys = jax.random.split(key, count)
@@ -94,18 +94,19 @@ def critic_loss(
 ) -> tuple[Float[Array, ""], dict[str, Array]]:
     """Half the mean squared Bellman error, summed over the critics.
 
-    The target is r + gamma V'. V' is 0 only where the task ended: an episode that was
-    cut short continues with the value of its final observation.
+    L = 1/2 sum_i mean((Q_i - y)^2) with the target y = r + gamma V'. V' is 0 only where
+    the task ended: for an episode that was cut short it is the value of the final
+    observation.
 
     Args:
         weights: Weights of the critics.
-        config: Configuration of the learner, which determines the critics' networks.
+        config: Configuration of the learner, from which the critic network is made.
         transition: A batch of transitions.
         next_value: Value V' of the next observation; no gradient flows through it.
         discount: Discount factor gamma.
 
     Returns:
-        The loss, and its terms for the report.
+        The loss, and the mean squared error and mean value for the report.
     """
     next_value = jnp.where(transition.terminated, 0, next_value)
     target = jax.lax.stop_gradient(transition.reward + discount * next_value)
@@ -122,7 +123,7 @@ def critic_step(
     next_value: Float[Array, " batch"],
     axis_name: str | None,
 ) -> tuple[Learner, dict[str, Array]]:
-    """One step of Adam on the critics, and the terms of `critic_loss`."""
+    """One step of Adam on the critics; also returns the report of `critic_loss`."""
     gradient, report = jax.grad(critic_loss, has_aux=True)(
         learner.weights["critics"], config, transition, next_value, config.discount
     )
@@ -137,7 +138,16 @@ def apply_gradient(
     learning_rate: Scalar,
     axis_name: str | None,
 ) -> Learner:
-    """One step of Adam on the weights called `name`."""
+    """One step of Adam on the weights called `name`.
+
+    Args:
+        learner: Weights and optimiser states.
+        name: Key of the weights in `learner.weights`.
+        gradient: Gradient of the loss on this device.
+        learning_rate: Step size.
+        axis_name: Mapped device axis over which the gradient is averaged; None without
+            one.
+    """
     gradient = mean_over_devices(gradient, axis_name)
     direction, memory = optimiser().update(gradient, learner.optimiser[name])
     weights = optax.tree.add_scale(learner.weights[name], -learning_rate, direction)
@@ -147,7 +157,7 @@ def apply_gradient(
 
 
 def polyak_update(learner: Learner, target: str, name: str, rate: Scalar) -> Learner:
-    """Moves the weights called `target` towards those of `name` by a share `rate`."""
+    """Polyak averaging: w_target + rate (w_name - w_target) replaces w_target."""
     moved = jax.tree.map(
         lambda old, new: old + rate * (new - old),
         learner.weights[target],
@@ -157,7 +167,7 @@ def polyak_update(learner: Learner, target: str, name: str, rate: Scalar) -> Lea
 
 
 def optimiser() -> optax.GradientTransformation:
-    """Adam's direction; the step size is applied later."""
+    """Adam without a step size, which `apply_gradient` applies."""
     return optax.scale_by_adam()
 
 

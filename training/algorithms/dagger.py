@@ -1,14 +1,14 @@
 r"""DAgger: a network learns to act like a planner, in the states that it visits.
 
-The policy acts; at first the planner acts instead in a share of the decisions. In every
-visited state the planner computes its own action, starting from the policy's action
-(`better_actions`). The network is fitted by least squares to all of the planner's
-actions so far. The planner sees the whole state and differentiates the
-simulation; the policy is a function of the observation. So the fit averages over
-everything that the planner uses but that is not observed.
+The policy acts; early in the run the planner acts instead in a fraction of the
+decisions. In every visited state the planner computes an action, starting from the
+policy's action (`better_actions`). The network is fitted by least squares to the stored
+actions of the planner. The planner uses the whole state and differentiates the
+simulation, but the policy is a function of the observation alone. So the fit averages
+over everything that is not observed.
 
-The planner minimises the task's cost, so goals that are in the reward but not in the
-cost are not learned; rewards are not used.
+The planner minimises the task's cost, and rewards are not used. So goals that are in
+the reward but not in the cost are not learned.
 
 Source: Ross, Gordon & Bagnell, "A reduction of imitation learning and structured
 prediction to no-regret online learning", 2011.
@@ -75,7 +75,7 @@ from jaxrod.training.settings import (
 )
 
 ACTIVATION = "tanh"
-"""Activation function of all hidden layers."""
+"""Activation function of the hidden layers of the policy network."""
 
 
 @pytree
@@ -96,48 +96,48 @@ class DAggerConfig(LearnerConfig):
     action_repeat: int = static(default=16)
     hidden_sizes: tuple[int, ...] = static(default=(128, 128))
     lookahead: int = static(default=32)
-    """Control steps for which the planner holds an action, and looks ahead."""
+    """Horizon of the planner: control steps for which it holds its one action."""
     plan_iterations: int = static(default=1)
     """Gauss-Newton steps of the planner, starting from the policy's action."""
     gradient_steps: int = static(default=128)
-    """Gradient steps of one update."""
+    """Number of gradient steps in one update."""
     batch_size: int = static(default=256)
-    """Decisions of one gradient step, a multiple of `num_envs`."""
+    """Number of decisions in the batch of a gradient step, a multiple of `num_envs`."""
     buffer_size: int = static(default=200_000)
-    """Largest number of decisions in memory."""
+    """Largest number of stored actions of the planner."""
     effort: Scalar = 1e-2
-    """Cost of the mean squared action for the planner."""
+    """Weight e of the term e |u|^2 of the action u in the planner's cost."""
     planner_steps: Scalar = 300_000.0
-    """Control steps of the run over which the share of decisions in which the planner
-    acts falls from 1 to 0, linearly."""
+    """Control steps of the run over which the probability that the planner acts falls
+    from 1 to 0, linearly."""
     learning_rate: Scalar = 1e-3
     """Step size of Adam at the start."""
     final_learning_rate: Scalar = 1e-4
-    """Step size at the end, reached linearly."""
+    """Step size of Adam at the end of the run; it falls linearly."""
 
 
 @pytree
 class Advice:
-    """Actions of the planner; leading axes depend on the context."""
+    """Observations with the planner's actions, with any leading axes."""
 
     observation: Float[Array, "*batch observation"]
-    """Observation, not normalised."""
+    """Observation in the state from which the planner starts, not normalised."""
     action: Float[Array, "*batch action"]
     """Action of the planner."""
 
 
 @pytree
 class DAggerState(LearnerState):
-    """Complete state of a run: a run restored from it continues bit by bit."""
+    """Train state of a DAgger run: everything that is needed to continue it."""
 
     weights: Any
     """Weights of the policy network."""
     optimiser: Any
-    """State of the optimiser."""
+    """State of Adam."""
     advice: ReplayBuffer
-    """Actions of the planner so far; the oldest are overwritten first."""
+    """Observations with actions of the planner so far; the oldest are overwritten."""
     keys: Key[Array, " num_envs"]
-    """One key per environment, for the choice of who acts and for the samples."""
+    """One key per environment, for who acts (planner or policy) and for the samples."""
 
 
 def validate(config: DAggerConfig, num_devices: int = 1) -> None:
@@ -216,18 +216,18 @@ def init(
 
 
 def policy_network(env: Environment, config: DAggerConfig, dtype: Any) -> Any:
-    """The policy network, without weights; they are in the train state."""
+    """The policy network as a flax module; its weights are in the train state."""
     size = env.action_size
     return make_network(config, "policy", size, activation=ACTIVATION, dtype=dtype)
 
 
 def deterministic_policy(state: DAggerState) -> Policy:
-    """The network on normalised observations, clipped to [-1, 1]."""
+    """Deterministic policy: the network's output, clipped to [-1, 1]."""
     return network_policy(state, state.weights, ACTIVATION)
 
 
 def partition(state: DAggerState) -> DAggerState:
-    """Environments and the planner's actions are split over the devices."""
+    """Partition specs: environments, their keys and the planner's actions are split."""
     return spread_over_devices(
         state, environments=SPREAD, advice=SPREAD_MEMORY, keys=SPREAD
     )
@@ -236,7 +236,7 @@ def partition(state: DAggerState) -> DAggerState:
 def update(
     state: DAggerState, axis_name: str | None = None
 ) -> tuple[DAggerState, Metrics]:
-    """One update: act and collect the planner's actions, then fit.
+    """One update: acts, collects actions of the planner, then fits the network.
 
     Args:
         state: The train state.
@@ -259,7 +259,11 @@ def update(
 def _act(
     state: DAggerState, axis_name: str | None
 ) -> tuple[DAggerState, dict[str, Array], EpisodeRecord]:
-    """Acts, asks the planner in every decision, and stores its actions."""
+    """Acts for one rollout and stores the planner's action of every decision.
+
+    Returns:
+        The updated state, scalars for the report, and the episodes that ended.
+    """
     config: DAggerConfig = state.config
     environment, model = VectorEnvironment(state.env), model_of(state.env)
     policy = deterministic_policy(state)
@@ -318,7 +322,11 @@ def _act(
 def _fit(
     state: DAggerState, axis_name: str | None
 ) -> tuple[DAggerState, Float[Array, ""]]:
-    """Gradient steps on the squared distance from the planner; returns its mean."""
+    """Fits the network to the planner's actions by least squares.
+
+    Returns:
+        The updated state, and the mean squared error.
+    """
     config: DAggerConfig = state.config
     dtype = state.environments.observation.dtype
     network = policy_network(state.env, config, dtype)
@@ -352,7 +360,7 @@ def _fit(
 
 
 def _planner_share(state: DAggerState) -> Float[Array, ""]:
-    """Share of the decisions in which the planner acts."""
+    """Probability that the planner acts: 1 - env_steps / planner_steps, at least 0."""
     config = state.config
     dtype = state.environments.observation.dtype
     # Updates are compared, not control steps, which would overflow their integers.
@@ -370,15 +378,16 @@ DAGGER = Algorithm(
     partition=partition,
     policy=deterministic_policy,
 )
-"""DAgger for the shared loop."""
+"""DAgger as an `Algorithm`, for `jaxrod.training.train`."""
 
 
 PASSES = 4
-"""Forward runs of the model per iteration: one at the action, three at others."""
+"""Simulations of the model per Gauss-Newton step: one at the current action, one for
+each of three step lengths."""
 
 
 def model_of(env: Environment) -> Any:
-    """The environment as its own model.
+    """Model for the planner: the environment without wrappers, after a check.
 
     Raises:
         ValueError: The environment is not plannable.
@@ -397,30 +406,29 @@ def better_actions(
     effort: Array,
     iterations: int,
 ) -> tuple[Float[Array, "batch action"], Float[Array, " batch"]]:
-    r"""Actions that a planner would take instead, and their costs.
+    r"""Actions of a planner that improves given actions, and their costs.
 
-    The plan is one action $u$ in [-1, 1], held for some control steps, from the state
-    $x$ on:
+    The plan is one action $u$, each entry in [-1, 1], held for $h$ control steps from
+    the present state on. The planner solves
 
     $$\min_u |r(x_h(u))|^2 + e |u|^2$$
 
-    with the environment's residuals $r$ at the end, and a small effort $e$, which
-    selects one of the many actions that reach the goal. It is a plan of
-    `jaxrod.control.mpc` with one step, as a function of its starting point, improved by
-    Gauss-Newton steps. Such a short plan is cheap: one backward pass for each of the
-    few residuals. It is nearly a function of the state, so a network can learn it. If
-    it is recomputed before it has run out, it scores nearly as well as actions that are
+    by Gauss-Newton steps from the given action, with the environment's residuals $r$ at
+    the final state $x_h$. The small effort $e$ selects one of the many actions that
+    reach the goal. Such a short plan is cheap: one backward pass for each of the few
+    residuals. It is nearly a function of the state, so a network can learn it. If it is
+    recomputed before it has run out, it scores nearly as well as actions that are
     linear between several knots (docs/optimum.md).
 
-    An action is left unchanged if a step brings no improvement or the model breaks.
+    An action is left unchanged by a step without improvement, or if the model breaks.
 
     Args:
         model: An environment with `predict` and `residuals`.
-        params: Its parameters.
+        params: Parameters of the environment.
         states: States of the environment; every leaf has a leading batch axis.
         actions: Initial actions, in [-1, 1].
-        lookahead: Control steps for which an action is held.
-        effort: Cost of the mean squared action.
+        lookahead: Control steps h for which an action is held.
+        effort: Weight e of the squared action.
         iterations: Number of Gauss-Newton steps.
     """
     cost = PlanCost(

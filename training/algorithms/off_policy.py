@@ -1,9 +1,9 @@
-"""Common parts of SAC, TD3 and DDPG: all but the gradient steps.
+"""Common parts of SAC, TD3 and DDPG: everything except the gradient steps.
 
 An update makes `rollout_steps` decisions in every environment and stores them. Then it
-makes `gradient_steps` gradient steps, each on a batch drawn from the whole memory. Its
+makes `gradient_steps` gradient steps, each on a batch drawn from the replay buffer. Its
 update-to-data ratio is `gradient_steps / (num_envs * rollout_steps)` gradient steps per
-decision. A decision is one control step, or `action_repeat` of them.
+decision. A decision is an action held for `action_repeat` control steps.
 """
 
 from __future__ import annotations
@@ -82,7 +82,7 @@ class OffPolicyConfig(LearnerConfig):
     batch_size: int = static(default=256)
     """Transitions of one gradient step, a multiple of `num_envs`."""
     buffer_size: int = static(default=1_000_000)
-    """Largest number of transitions in memory."""
+    """Largest number of transitions in the replay buffer."""
     learning_starts: Scalar = 10_000.0
     """Control steps with random actions before learning starts."""
     noise_correlation: Scalar = 0.0
@@ -93,23 +93,23 @@ class OffPolicyConfig(LearnerConfig):
     critic_learning_rate: Scalar = 1e-3
     """Step size of Adam for the critics."""
     target_rate: Scalar = 0.005
-    """Polyak rate: share by which target weights move towards the learned weights."""
+    """Polyak rate rho of target weights: w_target <- w_target + rho (w - w_target)."""
 
 
 @pytree
 class OffPolicyState(LearnerState):
-    """Complete state of an off-policy run: restored, it continues bit by bit."""
+    """Train state of an off-policy run: everything that is needed to continue it."""
 
     learner: Learner
-    """Weights and optimisers."""
+    """Weights and optimiser states."""
     replay: ReplayBuffer
-    """Replay buffer."""
+    """Replay buffer of transitions, not normalised and not scaled."""
     action_keys: Key[Array, " num_envs"]
     """One key per environment, for the noise of its actions."""
     action_noise: Float[Array, "num_envs action"]
-    """Noise of the last decision, standard normal."""
+    """Standard normal noise of the last decision, from which the next one follows."""
     replay_keys: Key[Array, " num_envs"]
-    """One key per environment, for the samples drawn from its ring."""
+    """One key per environment, for the samples drawn from its transitions."""
 
 
 def start(
@@ -130,7 +130,8 @@ def start(
         env_params: Parameters of the environment, None for its defaults.
         total_steps: Control steps of the run, over which schedules go from their first
             to their last value.
-        make_learner: `(key, env, config, dtype) -> Learner`.
+        make_learner: Function `(key, env, config, dtype) -> Learner` that makes initial
+            weights and optimiser states.
     """
     updates = -(-total_steps // steps_per_update(config))
     env = repeating(env, config.action_repeat)
@@ -162,7 +163,7 @@ def start(
 
 
 def partition(state: OffPolicyState) -> OffPolicyState:
-    """Environments and their memories are split over the devices."""
+    """Partition specs: environments, replay and their keys are split over devices."""
     return spread_over_devices(
         state,
         environments=SPREAD,
@@ -174,13 +175,13 @@ def partition(state: OffPolicyState) -> OffPolicyState:
 
 
 def deterministic_policy(state: OffPolicyState, outputs_per_action: int = 1) -> Policy:
-    """The tanh of the policy network's first outputs, one for each action."""
+    """Deterministic policy: tanh of the policy network's first outputs."""
     weights = state.learner.weights["policy"]
     return network_policy(state, weights, ACTIVATION, "tanh", outputs_per_action)
 
 
 def check_off_policy(config: OffPolicyConfig, num_devices: int) -> None:
-    """Raises ValueError if a size or number is invalid."""
+    """Raises ValueError if a setting is invalid."""
     check_learner(config, num_devices)
     check_counts(config, "gradient_steps", "batch_size")
     check_memory(config)
@@ -193,12 +194,12 @@ def check_off_policy(config: OffPolicyConfig, num_devices: int) -> None:
 
 @pytree
 class Batch:
-    """Transitions and noise of one gradient step."""
+    """Transitions and noise for one gradient step."""
 
     transition: Transition
     """Transitions with normalised observations and scaled rewards."""
     noise: tuple[Float[Array, "batch action"], ...]
-    """Standard normal noise, in the number of arrays that the gradient step uses."""
+    """Standard normal noise, one array for each use in the gradient step."""
 
 
 def act_and_store(
@@ -206,11 +207,12 @@ def act_and_store(
     act: Callable[[Array, Array], Array],
     axis_name: str | None = None,
 ) -> tuple[OffPolicyState, Metrics]:
-    """Acts with the newest policy; before `learning_starts` uniformly at random.
+    """Acts for `rollout_steps` decisions and stores the transitions.
 
-    In each environment the noise is an autoregressive process, z <- c z + sqrt(1 - c^2)
-    white, with c the `noise_correlation`. At every decision it is standard normal, but
-    it can be slow enough to move an arm noticeably.
+    Before `learning_starts` the actions are uniform random numbers in [-1, 1]. In each
+    environment the noise is an autoregressive process, z <- c z + sqrt(1 - c^2) w, with
+    w white and c the `noise_correlation`. At every decision z is standard normal, but
+    it can change slowly enough to move an arm noticeably.
 
     Args:
         state: The train state.
@@ -219,8 +221,8 @@ def act_and_store(
         axis_name: Mapped axis over which the environments are spread, if any.
 
     Returns:
-        The state with updated environments, memory and moments, the mean reward of a
-        control step (not scaled), and the episodes that ended.
+        The state with updated environments, replay buffer and moments, and metrics: the
+        mean reward of a decision (not scaled), and the episodes that ended.
     """
     config: OffPolicyConfig = state.config
     environment = VectorEnvironment(state.env)
@@ -234,7 +236,7 @@ def act_and_store(
         kept = config.noise_correlation
         noise = kept * noise + jnp.sqrt(1 - kept**2) * white
         observation = environments.observation
-        # The normal distribution function makes the noise uniform.
+        # erf(z / sqrt(2)) of a standard normal z is uniform in [-1, 1].
         blind = jax.scipy.special.erf(noise * 0.5**0.5)
         action = act(
             normalise(state.moments, observation, config.observation_limit), noise
@@ -283,16 +285,17 @@ def learn(
     """Makes the gradient steps of one update; none before `learning_starts`.
 
     Args:
-        state: The train state, with an up-to-date memory.
+        state: The train state after `act_and_store`.
         gradient_step: Function `(learner, batches) -> (learner, report)`.
-        acted: Metrics of acting.
-        batches_per_step: Number of batches per call; divides `gradient_steps`.
+        acted: Metrics of `act_and_store`.
+        batches_per_step: Number of batches for each call of `gradient_step`; divides
+            `gradient_steps`.
         noises: Number of noise arrays per batch, each of the shape of the actions.
         axis_name: Mapped axis over which the environments are spread, if any.
 
     Returns:
-        The state, and the metrics of acting together with the means of the calls'
-        reports (zeros before learning).
+        The state, and the metrics `acted` together with the means of the reports
+        (zeros before `learning_starts`).
     """
     config: OffPolicyConfig = state.config
     per_env = config.batch_size // config.num_envs

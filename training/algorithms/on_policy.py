@@ -1,8 +1,6 @@
-"""Common parts of PPO and TRPO: all but the policy step.
+"""Common parts of PPO, TRPO and SHAC: train state, rollouts, advantages, value fit.
 
-A train state, its initial value, and the experience of one update: a rollout with the
-newest policy, its advantages, and the observations. These are normalised by the moments
-that were used while acting.
+The observations of a rollout are normalised by the moments that were used while acting.
 """
 
 from __future__ import annotations
@@ -54,12 +52,12 @@ from jaxrod.training.settings import (
 )
 
 ACTIVATION = "tanh"
-"""Activation function of all hidden layers, as in the reference implementation."""
+"""Activation function of the hidden layers in PPO, TRPO and SHAC."""
 
 
 @pytree
 class OnPolicyConfig(LearnerConfig):
-    """Settings common to PPO and TRPO; more are in `LearnerConfig`.
+    """Settings common to PPO, TRPO and SHAC; more are in `LearnerConfig`.
 
     Example:
         >>> config = training.OnPolicyConfig(num_envs=64, trace_decay=0.9)
@@ -68,21 +66,21 @@ class OnPolicyConfig(LearnerConfig):
     """
 
     trace_decay: Scalar = 0.95
-    """Trace decay lambda of the advantage estimate."""
+    """Trace decay lambda of generalised advantage estimation."""
     entropy_weight: Scalar = 0.0
-    """Weight of the entropy bonus."""
+    """Weight of the policy's entropy in the objective."""
     initial_log_std: Scalar = 0.0
     """Logarithm of the initial standard deviation of actions."""
 
 
 @pytree
 class OnPolicyState(LearnerState):
-    """Complete state of an on-policy run: restored, it continues bit by bit."""
+    """Train state of an on-policy run: everything that is needed to continue it."""
 
     weights: dict[str, Any]
-    """Weights of the networks, under "policy" and "value"."""
+    """Weights of the networks, under "policy" and "value"; in SHAC also "target"."""
     optimiser: Any
-    """State of the optimiser."""
+    """State of the optimiser, or of several by name."""
     action_keys: Key[Array, " num_envs"]
     """One key per environment, for the noise of its actions."""
     shuffle_key: Key[Array, ""]
@@ -91,42 +89,42 @@ class OnPolicyState(LearnerState):
 
 @pytree
 class Experience:
-    """Experience of one update; shapes (rollout_steps, num_envs, ...)."""
+    """Samples from which PPO or TRPO learns in one update."""
 
     observation: Float[Array, "steps num_envs observation"]
-    """Normalised observation."""
+    """Normalised observation from which the action was chosen."""
     action: Float[Array, "steps num_envs action"]
-    """Action as drawn, before clipping."""
+    """Action drawn by the policy, before clipping to [-1, 1]."""
     log_prob: Float[Array, "steps num_envs"]
-    """Logarithm of the density with which it was drawn."""
+    """Log density of the action under the policy that drew it."""
     advantage: Float[Array, "steps num_envs"]
-    """Advantage of the action, not normalised."""
+    """Advantage estimate of the action, not standardised."""
     value_target: Float[Array, "steps num_envs"]
-    """Scaled return that the value network should predict."""
+    """Target of the value network: advantage + value, in scaled rewards."""
     value: Float[Array, "steps num_envs"]
-    """Scaled return that the value network predicted."""
+    """Value that the network predicted before the update, in scaled rewards."""
     reward: Float[Array, "steps num_envs"]
-    """Reward, not scaled, for the report."""
+    """Reward of each decision, not scaled, for the report."""
 
 
 def policy_network(
     env: Environment, config: OnPolicyConfig, dtype: DTypeLike
 ) -> GaussianPolicy:
-    """The policy network, without weights; they are in the train state."""
+    """The policy network as a flax module; its weights are in the train state."""
     size = env.action_size
     mean = make_network(config, "policy", size, activation=ACTIVATION, dtype=dtype)
     return GaussianPolicy(mean, size, config.initial_log_std, dtype=dtype)
 
 
 def value_network(config: OnPolicyConfig, dtype: DTypeLike) -> nn.Module:
-    """The value network, without weights; they are in the train state."""
+    """The value network as a flax module; its weights are in the train state."""
     return make_network(config, "critic", 1, activation=ACTIVATION, dtype=dtype)
 
 
 def predicted_value(
     network: nn.Module, weights: Any, observation: Float[Array, "*batch observation"]
 ) -> Float[Array, "*batch"]:
-    """Value of normalised observations."""
+    """Values V of normalised observations: the single output of the value network."""
     output = network.apply({"params": weights}, observation)
     return output[..., 0].astype(observation.dtype)
 
@@ -134,7 +132,12 @@ def predicted_value(
 def log_density(
     standardised: Float[Array, "*batch action"], log_std: Float[Array, " action"]
 ) -> Float[Array, "*batch"]:
-    """Log of the normal density at mean + std z: -sum(z^2/2 + log std + log(2pi)/2)."""
+    """Log density of an action mean + std z: -sum(z^2/2 + log std + log(2 pi)/2).
+
+    Args:
+        standardised: z = (action - mean) / std.
+        log_std: Logarithm of the standard deviation.
+    """
     log_std = jnp.expand_dims(log_std, tuple(range(standardised.ndim - 1)))
     terms = 0.5 * standardised**2 + log_std + 0.5 * jnp.log(2 * jnp.pi)
     return -jnp.sum(terms.astype(standardised.dtype), axis=-1)
@@ -164,7 +167,8 @@ def start(
         env_params: Parameters of the environment, None for its defaults.
         total_steps: Control steps of the run, over which schedules go from their first
             to their last value.
-        make_optimiser: `config -> transformation` that makes the optimiser's state.
+        make_optimiser: Function `config -> optax transformation`, whose initial state
+            becomes `optimiser`.
     """
     optimiser = make_optimiser(config)
     updates = -(-total_steps // steps_per_update(config))
@@ -198,11 +202,11 @@ def start(
 def gather_experience(
     state: OnPolicyState, axis_name: str | None = None
 ) -> tuple[OnPolicyState, Experience, EpisodeRecord]:
-    """Acts with the newest policy and estimates the advantages.
+    """Acts for one rollout with the current policy and estimates the advantages.
 
     Returns:
-        The state with updated environments and moments (the experience is normalised by
-        the earlier moments), the experience, and the episodes that ended in it.
+        The state with updated environments and moments, the experience, and the
+        episodes that ended. The experience is normalised by the earlier moments.
     """
     config: OnPolicyConfig = state.config
     dtype = state.environments.observation.dtype
@@ -278,17 +282,17 @@ def fit_value(
 
     Args:
         network: The network.
-        learned: Its weights, and the state of the optimiser.
-        optimiser: Direction of the steps.
+        learned: Weights of the network, and the state of the optimiser.
+        optimiser: Optimiser without a step size.
         samples: Normalised observations, and their target values.
         key: Key for the order of the minibatches.
-        passes: Number of passes over the samples, and of gradient steps in one.
+        passes: Number of passes over the samples, and of gradient steps in each.
         rate: Step size.
-        weight: Factor of the mean squared error.
+        weight: Factor of the mean squared error in the loss.
         axis_name: Mapped axis over which the environments are spread, if any.
 
     Returns:
-        Weights, state of the optimiser, and the mean of the weighted errors.
+        Weights, state of the optimiser, and the mean loss of the gradient steps.
     """
     observation, target = samples
     epochs, minibatches = passes
@@ -315,18 +319,18 @@ def fit_value(
 
 
 def partition(state: OnPolicyState) -> OnPolicyState:
-    """The environments are split over the devices; everything else is replicated."""
+    """Partition specs: environments and their keys are split over the devices."""
     return spread_over_devices(state, environments=SPREAD, action_keys=SPREAD)
 
 
 def deterministic_policy(state: OnPolicyState, output: str = "clip") -> Policy:
-    """The mean of the action distribution, bounded to [-1, 1]."""
+    """Deterministic policy: the mean of the action distribution, bounded to [-1, 1]."""
     weights = state.weights["policy"].get("mean", {})
     return network_policy(state, weights, ACTIVATION, output)
 
 
 def check_on_policy(config: OnPolicyConfig, num_devices: int) -> None:
-    """Raises ValueError if a size or number is invalid."""
+    """Raises ValueError if a setting is invalid."""
     check_learner(config, num_devices)
     check_fractions(config, "trace_decay")
     check_not_negative(config, "entropy_weight")
@@ -334,7 +338,7 @@ def check_on_policy(config: OnPolicyConfig, num_devices: int) -> None:
 
 
 def action_noise(state: OnPolicyState) -> Float[Array, "steps num_envs action"]:
-    """Noise of the actions of one update, drawn from each environment's own key."""
+    """Standard normal noise of one update, from the action key of each environment."""
     shape = (state.config.rollout_steps, state.env.action_size)
     dtype = state.environments.observation.dtype
     noise = jax.vmap(
@@ -347,20 +351,20 @@ def action_noise(state: OnPolicyState) -> Float[Array, "steps num_envs action"]:
 
 @pytree
 class Trajectories:
-    """Experience of `steps` steps of `num_envs` environments."""
+    """Rollouts of `steps` decisions in each of `num_envs` environments."""
 
     observation: Float[Array, "steps num_envs observation"]
-    """Observation to which the action responds."""
+    """Observation from which the action was chosen, not normalised."""
     action: Float[Array, "steps num_envs action"]
     """Action drawn by the policy, before clipping to [-1, 1]."""
     reward: Float[Array, "steps num_envs"]
-    """Reward, not scaled."""
+    """Reward of the decision, not scaled."""
     terminated: Bool[Array, "steps num_envs"]
     """Whether the task ended in this step."""
     done: Bool[Array, "steps num_envs"]
     """Whether the episode ended in this step, for whatever reason."""
     final_value: Float[Array, "steps num_envs"]
-    """Value of the final observation where an episode was cut short, else 0."""
+    """Value of the final observation where an episode was truncated, else 0."""
     episodes: EpisodeRecord
     """The complete episodes that ended in each step."""
 
@@ -374,17 +378,17 @@ def collect(
     noise: Float[Array, "steps num_envs action"],
     restart_phase: Int[Array, ""] | int = 0,
 ) -> tuple[VectorState, Trajectories]:
-    """Acts for `steps` steps.
+    """Acts for `steps` decisions in every environment of a batch.
 
     Args:
-        environment: The batch.
-        state: Its state.
+        environment: The batch of environments.
+        state: State of the batch.
         env_params: Parameters of the environment.
         act: Function (observation, noise) -> action, on a batch.
         value: Function observation -> value, on a batch. Called only in steps in which
-            an episode is cut short.
+            an episode is truncated.
         noise: Standard normal noise of the actions.
-        restart_phase: Initial step count of new episodes, as in
+        restart_phase: Initial elapsed step count of new episodes, as in
             `jaxrod.envs.VectorEnvironment.step`.
     """
 
@@ -469,12 +473,12 @@ def generalised_advantages(
 def standardised(
     advantage: Float[Array, "*shape"], axes: tuple[int, ...], axis_name: str | None
 ) -> Float[Array, "*shape"]:
-    """Shifts and scales advantages to mean 0 and variance 1.
+    """Standardised advantages (A - mean) / (std + 1e-8).
 
     Args:
         advantage: Advantages of any shape.
         axes: Axes over which mean and variance are taken.
-        axis_name: Mapped axis over which the environments are spread, if any.
+        axis_name: Mapped device axis over which they are also taken, if any.
     """
 
     def mean(x: Array) -> Array:

@@ -58,20 +58,20 @@ class PPOConfig(OnPolicyConfig):
     """
 
     epochs: int = static(default=8)
-    """Passes over the experience of one update."""
+    """Number of passes over the experience of one update."""
     minibatches: int = static(default=8)
-    """Gradient steps of one pass; divides `rollout_steps`."""
+    """Number of gradient steps in one pass; divides `rollout_steps`."""
     learning_rate: Scalar = 1e-3
     """Step size of Adam at the start."""
     final_learning_rate: Scalar = 5e-5
-    """Step size at the end, reached linearly."""
+    """Step size of Adam at the end of the run; it falls linearly."""
     clip: Scalar = 0.2
-    """Clipping range epsilon of the probability ratio."""
+    """Clipping range epsilon: the probability ratio is clipped to 1 +- epsilon."""
     discount: Scalar = 0.98
     value_weight: Scalar = 0.5
-    """Weight of the value loss."""
+    """Weight of the value loss in the total loss."""
     gradient_norm: Scalar = 0.5
-    """Norm to which longer gradients are clipped."""
+    """Largest norm of a gradient; longer gradients are scaled down to it."""
 
 
 def validate(config: PPOConfig, num_devices: int = 1) -> None:
@@ -94,7 +94,7 @@ def validate(config: PPOConfig, num_devices: int = 1) -> None:
 
 
 def _optimiser(config: PPOConfig) -> optax.GradientTransformation:
-    """Adam's direction for a clipped gradient; the step size is applied later."""
+    """Gradient clipping, then Adam without a step size, which `update` applies."""
     return optax.chain(
         optax.clip_by_global_norm(config.gradient_norm),
         optax.scale_by_adam(eps=1e-5),
@@ -102,15 +102,16 @@ def _optimiser(config: PPOConfig) -> optax.GradientTransformation:
 
 
 init = functools.partial(start, make_optimiser=_optimiser)
-"""The train state before the first update, see `on_policy.start`."""
+"""Function that makes the train state before the first update, see
+`on_policy.start`."""
 
 
 def update(
     state: OnPolicyState, axis_name: str | None = None
 ) -> tuple[OnPolicyState, Metrics]:
-    """One update: act, estimate advantages, climb the clipped objective.
+    """One update: acts, estimates advantages, and ascends the clipped objective.
 
-    A minibatch is a random set of time steps, with all environments in it. So it does
+    A minibatch is a random set of time steps, each with all environments. So it does
     not depend on how the environments are split over devices, its samples come from
     independent environments, and it is read in long contiguous blocks of memory.
 
@@ -179,7 +180,12 @@ def _loss(
     env: Environment,
     config: PPOConfig,
 ) -> tuple[Float[Array, ""], dict[str, Array]]:
-    """Minus the clipped objective, and its terms for the report."""
+    """Loss of PPO on a batch, and its terms for the report.
+
+    L = -mean(min(q A, clip(q, 1 - clip, 1 + clip) A))
+    + value_weight mean((V - value_target)^2) / 2 - entropy_weight H,
+    with the probability ratio q, the advantage A and the entropy H.
+    """
     batch = jax.tree.map(lambda leaf: leaf.reshape(-1, *leaf.shape[2:]), batch)
     dtype = batch.observation.dtype
     mean, log_std = policy_network(env, config, dtype).apply(
@@ -217,4 +223,4 @@ PPO = Algorithm(
     partition=partition,
     policy=deterministic_policy,
 )
-"""PPO for the shared loop."""
+"""PPO as an `Algorithm`, for `jaxrod.training.train`."""

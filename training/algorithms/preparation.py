@@ -1,9 +1,9 @@
-"""Common parts of all learners: start, schedules, memory, devices, the policy.
+"""Common parts of all learners: first state, schedules, devices, the trained policy.
 
-Episodes may be cut short in the first part of a run (`restart_phase`): if the first
-moments of an episode decide its outcome, a learner that always waits for the end sees
-few of them: half a million control steps are only 140 episodes of Case 3. Episodes that
-are cut short are truncated, not terminated, and do not count for the score.
+Episodes may be cut short in the first part of a run (`restart_phase`). If the start of
+an episode decides its outcome, more episodes in the same number of steps teach more:
+half a million control steps are only 140 full episodes of Case 3. Episodes that are cut
+short are truncated, not terminated, and do not count for the score.
 """
 
 from __future__ import annotations
@@ -29,10 +29,10 @@ from jaxrod.training.settings import Scalar
 def canonicalise(
     key: Key[Array, ""], env: Environment, config: Any, env_params: Any
 ) -> tuple[Any, Any, Any]:
-    """Converts settings and parameters to the dtype that is used for learning.
+    """Converts settings and parameters to the dtype of the observations.
 
     Args:
-        key: Any random key; nothing is drawn from it.
+        key: Any typed random key; its value does not matter.
         env: The environment.
         config: Settings of a learner, their numbers floats or arrays.
         env_params: Parameters of the environment, None for its defaults.
@@ -52,7 +52,11 @@ def canonicalise(
 
 
 def strip_weak_types(tree: Any, dtype: DTypeLike) -> Any:
-    """Leaves with definite dtypes: a weak type could change during the run."""
+    """Converts weakly typed leaves to arrays of a definite dtype.
+
+    A weak type could change during the run, which would recompile the update. Floats
+    get `dtype`, integers keep theirs.
+    """
 
     def one(leaf: Any) -> Array:
         leaf = jnp.asarray(leaf)
@@ -66,16 +70,16 @@ def strip_weak_types(tree: Any, dtype: DTypeLike) -> Any:
 
 @pytree
 class LearnerState:
-    """Parts that the train states of all learners have."""
+    """Fields that the train states of all learners have."""
 
     env: Environment = static()
-    """The environment."""
+    """The environment, with actions held for `action_repeat` control steps."""
     config: Any
-    """Numbers and sizes of the learner."""
+    """Configuration of the learner; its numbers are arrays."""
     env_params: Any
     """Parameters of the environment."""
     moments: RunningMoments
-    """Moments of all observations acted on before the current update."""
+    """Moments for normalisation: of all observations before the current update."""
     environments: VectorState
     """State of the batch of environments."""
     updates: Int[Array, ""]
@@ -87,7 +91,7 @@ class LearnerState:
 def along_the_run(
     state: LearnerState, first: Scalar, last: Scalar, dtype: DTypeLike
 ) -> Float[Array, ""]:
-    """Linear interpolation from `first` to `last` over the run."""
+    """Schedule last + (first - last) (1 - updates / total_updates), then constant."""
     remaining = 1 - state.updates / jnp.maximum(state.total_updates, 1)
     return last + (first - last) * jnp.clip(remaining, 0, 1).astype(dtype)
 
@@ -95,13 +99,15 @@ def along_the_run(
 def restart_phase(
     env: Environment, config: Any, updates: Int[Array, ""] | int
 ) -> Int[Array, ""]:
-    """Initial clock of the episodes that start now [control steps].
+    """Initial elapsed step count of episodes that start now [control steps].
+
+    It is episode_length - short_length, at least 0, during the first `short_steps` of
+    the run, so that these episodes end after `short_length` steps. Later it is 0.
 
     Args:
         env: The environment.
-        config: Configuration with the numbers `short_length`, the control steps of a
-            short episode, and `short_steps`, the control steps until which episodes are
-            short.
+        config: Configuration with the settings `short_length` and `short_steps`, see
+            `LearnerConfig`.
         updates: Number of updates of the run so far.
     """
     phase = jnp.maximum(env.episode_length - config.short_length, 0)
@@ -118,8 +124,8 @@ def started(
     Args:
         key: Typed random key.
         env: The environment, with actions held as in training.
-        config: Settings of a learner, see `canonicalise`.
-        env_params: Parameters of the environment, see `canonicalise`.
+        config: Settings of a learner, as returned by `canonicalise`.
+        env_params: Parameters of the environment, as returned by `canonicalise`.
         dtype: Dtype of the observations.
     """
     environments = VectorEnvironment(env).reset(
@@ -133,12 +139,12 @@ def started(
 
 
 def spread_over_devices(state: Any, **specs: Any) -> Any:
-    """Partition of a train state: named fields are split, all others are replicated.
+    """Partition specs of a train state; fields that are not named are replicated.
 
     Args:
         state: The train state, a dataclass.
-        **specs: Tree prefixes of partition specs by the name of the field. Each stands
-            for all leaves below.
+        **specs: Partition specs of the split fields, by name of the field. Each holds
+            for all leaves of the field.
     """
     names = [f.name for f in dataclasses.fields(state) if f.name != "env"]
     repeated: dict[str, Any] = dict.fromkeys(names, _REPEATED)
@@ -148,13 +154,13 @@ def spread_over_devices(state: Any, **specs: Any) -> Any:
 _REPEATED: Any = PartitionSpec()
 _ALONG_STEPS: Any = PartitionSpec(None, DEVICE_AXIS)
 SPREAD: Any = PartitionSpec(DEVICE_AXIS)
-"""Partition of arrays whose first axis is that of the environments."""
+"""Partition spec of arrays whose first axis, the environments, is split."""
 SPREAD_MEMORY: Any = ReplayBuffer(_ALONG_STEPS, _REPEATED)
-"""Partition of a replay buffer."""
+"""Partition specs of a `ReplayBuffer` whose second axis, the environments, is split."""
 
 
 def check_memory(config: Any) -> None:
-    """Raises ValueError if the sizes of batches or of the memory do not fit."""
+    """Raises ValueError unless batches split evenly and the buffer holds a rollout."""
     if config.batch_size % config.num_envs:
         raise ValueError(
             f"batch_size must be a multiple of num_envs, {config.num_envs}, "
@@ -169,7 +175,7 @@ def check_memory(config: Any) -> None:
 
 
 def slots(config: Any) -> int:
-    """Length of the ring: whole rollouts, at most `buffer_size` transitions."""
+    """Length of the replay ring [decisions]: whole rollouts within `buffer_size`."""
     rollouts = config.buffer_size // (config.num_envs * config.rollout_steps)
     return rollouts * config.rollout_steps
 
@@ -181,14 +187,14 @@ def network_policy(
     output: str = "clip",
     outputs_per_action: int = 1,
 ) -> Policy:
-    """The policy network's first outputs, one for each action, bounded to [-1, 1].
+    """Deterministic policy: the network's first outputs, bounded to [-1, 1].
 
     Args:
         state: The train state.
         weights: Weights of the network.
-        activation: Activation function of a perceptron.
-        output: Bound of the actions, "clip" or "tanh".
-        outputs_per_action: Outputs of the network for each action.
+        activation: Activation function of the perceptron, if it is one.
+        output: Function that bounds the actions, "clip" or "tanh".
+        outputs_per_action: Number of outputs of the network for each action.
     """
     config, size = state.config, state.env.action_size
     common: dict[str, Any] = {

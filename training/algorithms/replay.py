@@ -1,9 +1,9 @@
-"""The replay buffer of off-policy learners: a ring of transitions in device memory.
+"""The replay buffer of off-policy learners: a ring buffer in device memory.
 
-Every environment has its own ring, all of the same length and written in step. Every
-environment contributes the same number of samples to a batch, at times drawn from its
-own random key. So each stored transition is equally likely, and the samples do not
-depend on how many devices share the environments.
+There is one ring per environment. All rings have the same length and are written at the
+same time steps. Every environment contributes the same number of samples to a batch, at
+slots drawn from the random key of that environment. So each stored transition is
+equally likely, and the samples do not depend on the number of devices.
 """
 
 from __future__ import annotations
@@ -19,29 +19,28 @@ from jaxrod.structure import pytree
 
 @pytree
 class Transition:
-    """Observations, actions, rewards and ends; leading axes depend on the context."""
+    """One decision and its outcome, or a batch of them with any leading axes."""
 
     observation: Float[Array, "*batch observation"]
-    """Observation to which the action responds."""
+    """Observation from which the action was chosen."""
     action: Float[Array, "*batch action"]
     """Action, in [-1, 1]."""
     reward: Float[Array, "*batch"]
-    """Reward, not scaled."""
+    """Reward of the decision, not scaled in the replay buffer."""
     next_observation: Float[Array, "*batch observation"]
-    """Observation after the step, before any restart."""
+    """Observation after the decision, before any restart of the episode."""
     terminated: Bool[Array, "*batch"]
-    """Whether the task ended in this step: the value of `next_observation` is then
-    0."""
+    """Whether the task ended here, so that the value of `next_observation` is 0."""
 
 
 @pytree
 class ReplayBuffer:
-    """The last transitions of every environment, or other records of time steps."""
+    """Ring buffer of the last time steps of every environment, such as transitions."""
 
     transitions: Any
     """Pytree of arrays of shape (slots, num_envs, ...), such as a `Transition`."""
     written: Int[Array, ""]
-    """Number of time steps written so far."""
+    """Number of time steps written so far, also those overwritten since."""
 
     @property
     def slots(self) -> int:
@@ -57,7 +56,7 @@ class ReplayBuffer:
 def empty_replay(
     slots: int, num_envs: int, observation_size: int, action_size: int, dtype: DTypeLike
 ) -> ReplayBuffer:
-    """An empty ring for `slots` time steps of `num_envs` environments."""
+    """An empty buffer for `slots` time steps of `num_envs` environments."""
     shape = (slots, num_envs)
     return ReplayBuffer(
         Transition(
@@ -75,12 +74,12 @@ def append(replay: ReplayBuffer, steps: Any) -> ReplayBuffer:
     """Writes a block of time steps over the oldest ones.
 
     Args:
-        replay: The ring; its length is a multiple of the block's, so that a block
-            never crosses the end of the ring.
+        replay: The buffer. Its number of slots is a multiple of the block's length, so
+            that a block never crosses the end of the ring.
         steps: Block of shape (block, num_envs, ...), of the same length in every call.
 
     Raises:
-        ValueError: The block's length does not divide the ring's.
+        ValueError: The block's length does not divide the number of slots.
     """
     block = jax.tree.leaves(steps)[0].shape[0]
     if replay.slots % block:
@@ -100,10 +99,10 @@ def append(replay: ReplayBuffer, steps: Any) -> ReplayBuffer:
 def sample_indices(
     replay: ReplayBuffer, keys: Key[Array, " num_envs"], batches: int, per_env: int
 ) -> Int[Array, "batches per_env num_envs"]:
-    """Slots to sample, uniform over the filled ones, with replacement.
+    """Slots to sample, uniform over the filled slots, with replacement.
 
     Args:
-        replay: The ring.
+        replay: The buffer.
         keys: One typed random key per environment.
         batches: Number of batches.
         per_env: Number of samples per batch from each environment.
@@ -117,7 +116,7 @@ def sample_indices(
 
 
 def sample(replay: ReplayBuffer, times: Int[Array, "per_env num_envs"]) -> Any:
-    """Reads one batch, of shape (per_env * num_envs, ...)."""
+    """Reads slot `times[i, j]` of environment j; shape (per_env * num_envs, ...)."""
     envs = jnp.broadcast_to(jnp.arange(times.shape[1])[None], times.shape)
     return jax.tree.map(
         lambda ring: ring[times.reshape(-1), envs.reshape(-1)], replay.transitions

@@ -41,15 +41,15 @@ from jaxrod.training.algorithms.off_policy import (
 from jaxrod.training.settings import Scalar, check_finite, check_positive
 
 LOG_STD_LIMITS = (-20.0, 2.0)
-"""Bounds of the logarithm of the standard deviation, as in the reference."""
+"""Bounds of the log standard deviation of u, the action before the tanh."""
 LARGEST_ENTROPY = math.log(2)
-"""Largest entropy of an action in [-1, 1], that of the uniform density."""
+"""Largest entropy of a number in [-1, 1]: log 2, that of the uniform density."""
 
 
 def split_output(
     output: Float[Array, "*batch outputs"],
 ) -> tuple[Float[Array, "*batch action"], Float[Array, "*batch action"]]:
-    """Mean and bounded log standard deviation from the output of one network."""
+    """Splits the output of the policy network into mean and bounded log std."""
     mean, log_std = jnp.split(output, 2, axis=-1)
     return mean, jnp.clip(log_std, *LOG_STD_LIMITS)
 
@@ -59,7 +59,7 @@ def tanh_gaussian(
     log_std: Float[Array, "*batch action"],
     noise: Float[Array, "*batch action"],
 ) -> tuple[Float[Array, "*batch action"], Float[Array, "*batch"]]:
-    """The action a = tanh(u), u = mean + std z, and the log of its density.
+    """The action a = tanh(u) with u = mean + std z, and the log of its density.
 
     log p(a) = sum(log N(u) - log(1 - tanh(u)^2)). The last term is evaluated as 2 (log
     2 - u - softplus(-2 u)), which loses no digits where tanh is flat.
@@ -93,9 +93,9 @@ class SACConfig(OffPolicyConfig):
     """
 
     temperature_learning_rate: Scalar = 3e-3
-    """Step size of Adam for the temperature."""
+    """Step size of Adam for the logarithm of the temperature."""
     initial_temperature: Scalar = 0.02
-    """Initial weight of the entropy."""
+    """Initial temperature: the weight of the entropy in the objective."""
     entropy_per_action: Scalar = -1.0
     """Target entropy of the policy per action, which the temperature adapts to reach.
     Below log 2."""
@@ -120,7 +120,7 @@ def validate(config: SACConfig, num_devices: int = 1) -> None:
 def learner(
     key: Key[Array, ""], env: Environment, config: SACConfig, dtype: Any
 ) -> Learner:
-    """Initial weights and optimisers."""
+    """Initial weights of policy, critics, temperature and targets, and Adam states."""
     keys = jax.random.split(key)
     outputs = OUTPUTS_PER_ACTION * env.action_size
     critics = initial_critics(keys[1], env, config, 2, dtype)
@@ -134,17 +134,18 @@ def learner(
 
 
 init = functools.partial(start, make_learner=learner)
-"""The train state before the first update, see `off_policy.start`."""
+"""Function that makes the train state before the first update, see
+`off_policy.start`."""
 
 
 def update(
     state: OffPolicyState, axis_name: str | None = None
 ) -> tuple[OffPolicyState, Metrics]:
-    """One update: act, store, and make the gradient steps.
+    """One update: acts, stores the transitions, and makes the gradient steps.
 
     Args:
         state: The train state.
-        axis_name: Mapped axis over which the environments are spread, if any.
+        axis_name: Mapped device axis over which the environments are split, if any.
     """
     config: SACConfig = state.config
     dtype = state.environments.observation.dtype
@@ -228,4 +229,4 @@ SAC = Algorithm(
         deterministic_policy, outputs_per_action=OUTPUTS_PER_ACTION
     ),
 )
-"""SAC for the shared loop."""
+"""SAC as an `Algorithm`, for `jaxrod.training.train`."""

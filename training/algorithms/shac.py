@@ -1,16 +1,17 @@
-r"""Short-horizon actor-critic: the policy climbs the gradient of the simulation itself.
+r"""Short-horizon actor-critic: the policy gradient is taken through the simulation.
 
-A batch acts for a short window. Its return there plus the value of its last state,
+All environments act for a short window of $h$ decisions. The return in the window plus
+the value of the last state,
 
 $$J = \sum_{k<h} \gamma^k r_k + \gamma^h V(s_h),$$
 
 is differentiated through the simulation with respect to the policy's weights. Each
-window, and each episode that starts in it, contributes one such sum. The value is
-learned from lambda returns, and its target follows slowly. Without a critic, V = 0,
-this is the analytic policy gradient (APG). The objective is minus the task's smooth
-cost, or the reward, whose steps have no slope.
+window, and each episode that starts in it, contributes one such sum. The critic V is
+fitted to lambda returns of a target critic, which follows it slowly. With V = 0 this is
+the analytic policy gradient (APG). The objective is minus the task's smooth cost, or
+the reward; steps in the reward have no gradient.
 
-If a gradient is not finite, the update is skipped and counted.
+If the gradient is not finite, the policy step is skipped, and `skipped` reports it.
 
 Source: Xu et al., "Accelerated policy learning with parallel differentiable
 simulation", 2022.
@@ -63,18 +64,19 @@ from jaxrod.training.settings import (
 
 @pytree
 class Window:
-    """Experience of a window; shapes (rollout_steps, num_envs, ...)."""
+    """Samples of one window of `rollout_steps` decisions in every environment."""
 
     observation: Float[Array, "steps num_envs observation"]
-    """Normalised observation to which the action responds."""
+    """Normalised observation from which the action was chosen."""
     final_observation: Float[Array, "steps num_envs observation"]
     """Normalised observation after the decision, before any restart."""
     raw: Float[Array, "steps num_envs observation"]
-    """Observation to which the action responds, not normalised."""
+    """Observation from which the action was chosen, not normalised."""
     earned: Float[Array, "steps num_envs"]
-    """Scaled contribution to the objective."""
+    """Term r_k of the objective: -reward_scale * action_repeat * (cost after the
+    decision), or reward_scale * reward."""
     reward: Float[Array, "steps num_envs"]
-    """Reward of the task, not scaled."""
+    """Reward of the decision, not scaled, for the report."""
     terminated: Bool[Array, "steps num_envs"]
     """Whether the task ended in this step."""
     done: Bool[Array, "steps num_envs"]
@@ -86,7 +88,7 @@ class Window:
 def acted(
     state: OnPolicyState, weights: Any, noise: Float[Array, "steps num_envs action"]
 ) -> tuple[VectorState, Window]:
-    """Acts for a window with a policy of the given weights."""
+    """Acts for one window with given policy weights; differentiable in the weights."""
     config = state.config
     environment = VectorEnvironment(state.env)
     network = policy_network(state.env, config, noise.dtype)
@@ -127,7 +129,19 @@ def acted(
 def objective(
     window: Window, following: Float[Array, "steps num_envs"], discount: Scalar
 ) -> Float[Array, ""]:
-    """Discounted sums from all starts of the window and of its episodes, per step."""
+    """Objective: sum of J over the starts of windows and of episodes, per decision.
+
+    J is the sum of gamma^k r_k from the start to the end of the window or of the
+    episode, plus the discounted value there (0 if the task ended).
+
+    Args:
+        window: Samples of the window.
+        following: Value of the observation after each decision, before any restart.
+        discount: Discount factor gamma.
+
+    Returns:
+        The sum of J divided by steps * num_envs.
+    """
 
     def backwards(later: Array, step: Any) -> tuple[Array, Array]:
         earned, terminated, done, value = step
@@ -144,7 +158,7 @@ def objective(
 def target_value(
     state: OnPolicyState, observation: Float[Array, "*batch observation"]
 ) -> Float[Array, "*batch"]:
-    """Value of normalised observations from the target critic; 0 without a critic."""
+    """Values of normalised observations by the target critic; 0 without a critic."""
     if not state.config.critic:
         return jnp.zeros_like(observation[..., 0])
     network = value_network(state.config, observation.dtype)
@@ -153,14 +167,14 @@ def target_value(
 
 @dataclasses.dataclass(frozen=True)
 class WithCost(EnvironmentWrapper):
-    """The environment with its cost in `info`, for the state before any restart.
+    """Wrapper that adds the cost after each step to `info["cost"]`.
 
     Raises:
         ValueError: The environment has no cost.
     """
 
     env: Environment
-    """The environment."""
+    """The wrapped environment, which has a method `cost`."""
 
     def __post_init__(self) -> None:
         """Checks that the environment has a cost."""
@@ -177,7 +191,7 @@ class WithCost(EnvironmentWrapper):
         action: Float[Array, " action"],
         params: Any,
     ) -> Any:
-        """The environment's step, with `"cost"` in its `info`."""
+        """Advances the environment; `info["cost"]` is the cost of the new state."""
         *most, info = self.env.step(key, state, action, params)
         env: Any = self.env
         return (*most, info | {"cost": env.cost(most[1], action, params)})
@@ -200,23 +214,24 @@ class SHACConfig(OnPolicyConfig):
     rollout_steps: int = static(default=16)
     action_repeat: int = static(default=4)
     objective: str = static(default="cost")
-    """Objective: the task's smooth "cost", minimised, or its "reward", maximised."""
+    """Objective: the task's smooth "cost" is minimised, or its "reward" maximised."""
     critic: bool = static(default=True)
-    """Whether the value at the end of a window counts; without it, this is APG."""
+    """Whether the objective includes the critic's value at the end of a window. False
+    gives the analytic policy gradient (APG)."""
     epochs: int = static(default=8)
-    """Passes of the critic over the experience of one update."""
+    """Number of passes of the critic over the samples of one update."""
     minibatches: int = static(default=4)
-    """Gradient steps of one pass; divides `rollout_steps`."""
+    """Number of gradient steps in one pass; divides `rollout_steps`."""
     learning_rate: Scalar = 2e-3
     """Step size of Adam for the policy at the start."""
     final_learning_rate: Scalar = 2e-4
-    """Step size at the end, reached linearly."""
+    """Step size of Adam for the policy at the end of the run; it falls linearly."""
     critic_learning_rate: Scalar = 1e-3
     """Step size of Adam for the critic."""
     target_rate: Scalar = 0.2
-    """Share by which the target critic follows the critic in an update."""
+    """Rate rho of the target critic: w_target <- w_target + rho (w - w_target)."""
     gradient_norm: Scalar = 1.0
-    """Norm to which longer gradients are clipped."""
+    """Largest norm of a gradient; longer gradients are scaled down to it."""
     initial_log_std: Scalar = -1.0
 
 
@@ -261,7 +276,7 @@ def init(
 
     Args:
         key: Typed random key; all randomness of the run comes from it.
-        env: The environment, with a `cost` if that is the objective.
+        env: The environment, with a method `cost` if that is the objective.
         config: Settings; their numbers can be vmapped, too.
         env_params: Parameters of the environment, None for its defaults.
         total_steps: Control steps over which the learning rate falls.
@@ -285,7 +300,7 @@ def init(
 def update(
     state: OnPolicyState, axis_name: str | None = None
 ) -> tuple[OnPolicyState, Metrics]:
-    """One update: a gradient step of the policy, then several of the critic.
+    """One update: one gradient step of the policy, then several of the critic.
 
     Args:
         state: The train state.
@@ -358,7 +373,18 @@ def _fitted(
     key: Key[Array, ""],
     axis_name: str | None,
 ) -> tuple[Any, Any, Float[Array, ""]]:
-    """The critic after its gradient steps, its optimiser state, and its mean error."""
+    """Fits the critic to the lambda returns of a window.
+
+    Args:
+        state: The train state before the update.
+        window: Samples of the window.
+        following: Target value of the observation after each decision.
+        key: Key for the order of the minibatches.
+        axis_name: Mapped device axis over which the environments are split, if any.
+
+    Returns:
+        Weights of the critic, its optimiser state, and its mean squared error.
+    """
     config: SHACConfig = state.config
     weights, memory = state.weights["value"], state.optimiser["value"]
     if not config.critic:
@@ -370,8 +396,8 @@ def _fitted(
     aim = value + generalised_advantages(
         reward=window.earned,
         value=value,
-        # Used only if the last step ended no episode; its final value is then the next
-        # one.
+        # Used only where the last step ended no episode. Its final observation is then
+        # the next one.
         last_value=following[-1],
         final_value=following,
         terminated=window.terminated,
@@ -394,7 +420,7 @@ def _fitted(
 
 
 def _optimiser(config: SHACConfig) -> optax.GradientTransformation:
-    """Adam's direction of a clipped gradient, with a shorter memory than usual."""
+    """Gradient clipping, then Adam with b1 = 0.7, b2 = 0.95, without a step size."""
     return optax.chain(
         optax.clip_by_global_norm(config.gradient_norm),
         optax.scale_by_adam(b1=0.7, b2=0.95),
@@ -411,4 +437,4 @@ SHAC = Algorithm(
     partition=partition,
     policy=functools.partial(deterministic_policy, output="tanh"),
 )
-"""SHAC for the shared loop."""
+"""SHAC as an `Algorithm`, for `jaxrod.training.train`."""

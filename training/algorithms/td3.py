@@ -1,9 +1,9 @@
 """Twin delayed deep deterministic policy gradients.
 
-A deterministic policy climbs the first of its critics. Three safeguards keep it from
-exploiting their errors: targets take the smaller value of two critics, target actions
-carry clipped noise (target policy smoothing), and the policy is updated less often than
-the critics.
+A deterministic policy maximises the value of the first of its critics. Three safeguards
+keep it from exploiting the errors of the critics: targets use the smaller value of two
+critics, target actions carry clipped noise (target policy smoothing), and the policy is
+updated less often than the critics.
 
 Source: Fujimoto et al., "Addressing function approximation error in actor-critic
 methods", 2018.
@@ -66,15 +66,15 @@ class TD3Config(OffPolicyConfig):
     policy_delay: int = static(default=2)
     """Critic steps per step of the policy and the targets; divides `gradient_steps`."""
     critics: int = static(default=2)
-    """Number of critics; the smallest of their values is used."""
+    """Number of critics; the smallest of their values is used in the target."""
     exploration_noise: Scalar = 0.1
-    """Standard deviation of the noise added to actions."""
+    """Standard deviation of the noise added to actions while acting [1]."""
     exploration_decay: Scalar = 0.0
-    """Share by which the exploration noise decays over the run, linearly."""
+    """Fraction by which the exploration noise falls over the run, linearly."""
     target_noise: Scalar = 0.2
-    """Standard deviation of the target policy smoothing noise."""
+    """Standard deviation of the noise of target policy smoothing [1]."""
     target_noise_limit: Scalar = 0.5
-    """Bound to which the target noise is clipped."""
+    """Bound to which the noise of target policy smoothing is clipped, either way."""
 
 
 def validate(config: TD3Config, num_devices: int = 1) -> None:
@@ -99,7 +99,7 @@ def validate(config: TD3Config, num_devices: int = 1) -> None:
 def learner(
     key: Key[Array, ""], env: Environment, config: TD3Config, dtype: Any
 ) -> Learner:
-    """Initial weights and optimisers."""
+    """Initial weights of policy, critics and their targets, and Adam states."""
     keys = jax.random.split(key)
     weights: dict[str, Any] = {
         "policy": initial_policy(keys[0], env, config, env.action_size, dtype),
@@ -111,7 +111,8 @@ def learner(
 
 
 init = functools.partial(start, make_learner=learner)
-"""The train state before the first update, see `off_policy.start`."""
+"""Function that makes the train state before the first update, see
+`off_policy.start`."""
 
 
 def smoothed_target_action(
@@ -120,7 +121,7 @@ def smoothed_target_action(
     spread: Scalar,
     limit: Scalar,
 ) -> Float[Array, "*batch action"]:
-    """Adds clipped noise to actions in [-1, 1]: target policy smoothing.
+    """Target policy smoothing: adds clipped noise to actions, and clips to [-1, 1].
 
     Args:
         action: Actions in [-1, 1].
@@ -134,11 +135,11 @@ def smoothed_target_action(
 def update(
     state: OffPolicyState, axis_name: str | None = None
 ) -> tuple[OffPolicyState, Metrics]:
-    """One update: act, store, and make the gradient steps.
+    """One update: acts, stores the transitions, and makes the gradient steps.
 
     Args:
         state: The train state.
-        axis_name: Mapped axis over which the environments are spread, if any.
+        axis_name: Mapped device axis over which the environments are split, if any.
     """
     config: TD3Config = state.config
     dtype = state.environments.observation.dtype
@@ -214,7 +215,7 @@ TD3 = Algorithm(
     partition=partition,
     policy=deterministic_policy,
 )
-"""TD3 for the shared loop."""
+"""TD3 as an `Algorithm`, for `jaxrod.training.train`."""
 
 
 @pytree
@@ -236,4 +237,4 @@ class DDPGConfig(TD3Config):
 
 
 DDPG = dataclasses.replace(TD3, name="ddpg", config_type=DDPGConfig)
-"""DDPG for the shared loop."""
+"""DDPG as an `Algorithm`, for `jaxrod.training.train`."""

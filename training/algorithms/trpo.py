@@ -66,22 +66,22 @@ class TRPOConfig(OnPolicyConfig):
 
     rollout_steps: int = static(default=64)
     conjugate_iterations: int = static(default=10)
-    """Products with the Fisher matrix in one update."""
+    """Number of conjugate gradient iterations in one update."""
     fisher_stride: int = static(default=5)
-    """Stride of the time steps from which the Fisher matrix is computed."""
+    """Stride k: the Fisher matrix is computed from every k-th time step."""
     line_search_tries: int = static(default=10)
     """Largest number of step lengths that the line search tries."""
     value_epochs: int = static(default=8)
-    """Passes of the value network over the experience of one update."""
+    """Number of passes of the value network over the experience of one update."""
     value_minibatches: int = static(default=8)
-    """Gradient steps of one pass; divides `rollout_steps`."""
+    """Number of gradient steps in one pass; divides `rollout_steps`."""
     max_kl: Scalar = 0.01
-    """Bound on the policy's change in the first update: mean KL divergence of the old
-    policy from the new one."""
+    """Bound on the policy's change in the first update: largest mean of
+    KL(old policy, new policy) over the observations [nat]."""
     final_max_kl: Scalar = 0.01
-    """Bound on the policy's change in the last update; linear in between."""
+    """Bound on the policy's change in the last update [nat]; linear in between."""
     damping: Scalar = 0.01
-    """Multiple of the identity added to the Fisher matrix."""
+    """Damping d: F + d I replaces the Fisher matrix F."""
     line_search_shrink: Scalar = 0.5
     """Factor from one step length to the next in the line search."""
     trace_decay: Scalar = 0.98
@@ -116,7 +116,7 @@ def validate(config: TRPOConfig, num_devices: int = 1) -> None:
 
 
 def _value_optimiser(config: TRPOConfig) -> optax.GradientTransformation:
-    """Adam's direction for the value network only; the step size is applied later."""
+    """Adam for the value network, without a step size, which `fit_value` applies."""
     del config
     adam = optax.scale_by_adam()
     return optax.GradientTransformation(
@@ -125,13 +125,14 @@ def _value_optimiser(config: TRPOConfig) -> optax.GradientTransformation:
 
 
 init = functools.partial(start, make_optimiser=_value_optimiser)
-"""The train state before the first update, see `on_policy.start`."""
+"""Function that makes the train state before the first update, see
+`on_policy.start`."""
 
 
 def update(
     state: OnPolicyState, axis_name: str | None = None
 ) -> tuple[OnPolicyState, Metrics]:
-    """One update: act, estimate advantages, step to the edge of the trust region.
+    """One update: acts, estimates advantages, steps within the trust region, fits V.
 
     Args:
         state: The train state.
@@ -155,7 +156,11 @@ def update(
 def _improve_policy(
     state: OnPolicyState, experience: Experience, axis_name: str | None
 ) -> tuple[Any, dict[str, Array]]:
-    """The policy's new weights, and numbers for the report."""
+    """Natural gradient step of the policy, scaled to the KL bound, with a line search.
+
+    Returns:
+        The new weights of the policy, and scalars for the report.
+    """
     config: TRPOConfig = state.config
     advantage = standardised(experience.advantage, (0, 1), axis_name)
     experience = dataclasses.replace(experience, advantage=advantage)
@@ -171,7 +176,7 @@ def _improve_policy(
     old_mean, old_log_std = outputs(start, batch.observation)
 
     def objective(parameters: Array) -> tuple[Float[Array, ""], Float[Array, ""]]:
-        """The surrogate objective, and the mean KL divergence of old from new."""
+        """Surrogate mean(q A) + entropy_weight H, q the probability ratio; mean KL."""
         mean, log_std = outputs(parameters, batch.observation)
         noise = (batch.action - mean) * jnp.exp(-log_std)[None]
         ratio = jnp.exp(log_density(noise, log_std) - batch.log_prob)
@@ -219,10 +224,11 @@ def mean_divergence(
     mean: Float[Array, "samples action"],
     log_std: Float[Array, " action"],
 ) -> Float[Array, ""]:
-    """Mean KL divergence KL(old, new) of normal distributions.
+    """KL(old, new) of normal distributions, averaged over the samples [nat].
 
-    KL = sum(log s'/s + (s^2 + (m - m')^2) / (2 s'^2) - 1/2), written with expm1 so that
-    float32 resolves it for nearly equal distributions.
+    KL = sum(log(s'/s) + (s^2 + (m - m')^2) / (2 s'^2) - 1/2), the new distribution
+    primed. It is written with expm1, so that float32 resolves nearly equal
+    distributions.
     """
     change = log_std - old_log_std
     spread = change + 0.5 * jnp.expm1(-2 * change)
@@ -233,7 +239,7 @@ def mean_divergence(
 def _fit_value(
     state: OnPolicyState, experience: Experience, axis_name: str | None
 ) -> tuple[OnPolicyState, Float[Array, ""]]:
-    """Fits the value network to the returns; minibatches are as in PPO."""
+    """Fits the value network to the value targets; returns the state and mean loss."""
     config: TRPOConfig = state.config
     shuffle_key, own = jax.random.split(state.shuffle_key)
     weights, memory, error = fit_value(
@@ -266,4 +272,4 @@ TRPO = Algorithm(
     partition=partition,
     policy=deterministic_policy,
 )
-"""TRPO for the shared loop."""
+"""TRPO as an `Algorithm`, for `jaxrod.training.train`."""

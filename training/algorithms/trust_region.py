@@ -1,4 +1,4 @@
-"""The largest step within a quadratic bound, found without forming a matrix."""
+"""The largest step within a quadratic bound, from matrix-vector products alone."""
 
 from __future__ import annotations
 
@@ -18,11 +18,11 @@ def fisher_product(
     outputs: Callable[[Vector], tuple[Array, Array]],
     parameters: Vector,
 ) -> Callable[[Vector], Vector]:
-    """Products with the Fisher matrix of a normal distribution over actions.
+    """Function v -> F v for the Fisher matrix F of a normal distribution over actions.
 
-    The Fisher matrix is the Hessian of the mean KL divergence from the distribution at
-    `parameters`, evaluated there. With J the Jacobian of (mean, log std) it is J^T M J.
-    M is 1 / std^2 for a mean, averaged over the samples, and 2 for a log std. J is
+    F is the Hessian of the mean KL divergence from the distribution at `parameters`,
+    evaluated there. With J the Jacobian of (mean, log std), F = J^T M J. The diagonal
+    matrix M is 1 / (samples std^2) for a mean and 2 for a log std. The outputs are
     linearised once: every product takes one forward and one backward pass.
 
     Args:
@@ -49,7 +49,7 @@ def conjugate_gradient(
     iterations: int,
     tolerance: float = 1e-10,
 ) -> Vector:
-    """Solves A x = b for a positive definite A that is known only by its products.
+    """Conjugate gradients: solves A x = b for a positive definite A, given A x alone.
 
     It stops early when the squared residual is below `tolerance` times its initial
     value: further iterations would only produce round-off.
@@ -87,7 +87,10 @@ def conjugate_gradient(
 def longest_step(
     product: Callable[[Vector], Vector], direction: Vector, bound: Scalar
 ) -> Vector:
-    """Scales a direction s so that s^T A s / 2 = bound; zero stays zero."""
+    """Scales a direction s so that s^T A s / 2 = bound; `product` returns A s.
+
+    A direction with s^T A s <= 0 becomes zero.
+    """
     quadratic = 0.5 * jnp.vdot(direction, product(direction))
     sound = quadratic > 0
     scale = jnp.sqrt(bound / jnp.where(sound, quadratic, 1))
@@ -103,7 +106,7 @@ class LineSearch:
     accepted: Bool[Array, ""]
     """Whether a point was accepted."""
     backtracks: Int[Array, ""]
-    """Number of times the step was shortened."""
+    """Number k of times that the step was shortened."""
 
 
 def backtrack(
@@ -113,14 +116,14 @@ def backtrack(
     shrink: Scalar,
     tries: int,
 ) -> LineSearch:
-    """Shortens a step until its end point is acceptable.
+    """Line search: the first acceptable point start + shrink^k step, k = 0, 1, ...
 
     Args:
         acceptable: Function that returns whether a point is acceptable.
         start: Start of the step.
-        step: The longest step.
+        step: The step of the first try.
         shrink: Factor from one try to the next.
-        tries: Largest number of tries; if all fail, the search stays at the start.
+        tries: Largest number of tries; if all fail, the result is the start.
     """
 
     def unfinished(carry: tuple[Array, Array]) -> Bool[Array, ""]:

@@ -1,8 +1,8 @@
 """On-policy learning that starts from an existing policy instead of a random one.
 
-Imitating a planner is limited by the planner's cost and by the observation. Learning
-from rewards alone takes long to find the first rewards. Imitation followed by learning
-from rewards has neither problem.
+A policy that imitates a planner can be no better than the planner's cost and the
+observation allow. Learning from rewards alone takes long to find the first rewards.
+Imitation followed by learning from rewards has neither problem.
 """
 
 from __future__ import annotations
@@ -21,16 +21,17 @@ from jaxrod.training.networks import layers
 from jaxrod.training.policy import MLPPolicy
 
 OUTPUT = "clip"
-"""Bound of the actions of all on-policy learners."""
+"""Function that bounds the actions of PPO and TRPO, a name in `policy.OUTPUTS`."""
 
 
 def warm_start(algorithm: Algorithm, policy: MLPPolicy) -> Algorithm:
-    """A learner whose initial policy is one that was learned before.
+    """Copy of an algorithm whose runs begin with a policy that was learned before.
 
-    The network, the observation moments and their bound are the policy's. So without
-    noise it acts as before, if actions are held for the same number of control steps.
-    The noise is the configuration's: `initial_log_std` should be far below 0, or the
-    first updates destroy what was learned. The value network starts from scratch.
+    The network, the observation moments and the bound of normalised observations are
+    those of the policy. So without noise a run begins with the same actions, if actions
+    are held for the same number of control steps. The exploration noise is that of the
+    configuration: `initial_log_std` should be far below 0, or the first updates destroy
+    what was learned. The value network starts from random weights.
 
     Args:
         algorithm: `PPO` or `TRPO`, whose configuration must have the policy's
@@ -38,9 +39,9 @@ def warm_start(algorithm: Algorithm, policy: MLPPolicy) -> Algorithm:
         policy: The initial policy, for the same task.
 
     Raises:
-        ValueError: The policy is no perceptron, or not of the kind that these
-            algorithms learn. It is raised when the run begins if the algorithm is not
-            on-policy or sizes differ.
+        ValueError: The policy is no perceptron, or its activation or output differs
+            from that of on-policy learners. If the algorithm is not on-policy or sizes
+            differ, the error is raised when the run begins.
 
     Example:
         >>> policy = training.untrained_policy(envs.make("trivial"))  # or of a run

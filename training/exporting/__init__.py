@@ -1,5 +1,5 @@
-"""Policies as programs for controllers: a C header, an ONNX model.
+"""Export of policies as programs for controllers: a C header or an ONNX model.
 
-The deterministic policy is traced once (`walk`) to a short list of steps on arrays
-(`program`). Each format is a writer of such a list.
+The deterministic policy is traced once, and its jaxpr is translated (`walk`) into a
+short list of steps on arrays (`program`). A writer for each format translates the list.
 """

@@ -1,4 +1,4 @@
-"""Programs as C99 headers: constant weights, static memory, `math.h` and no more."""
+"""Writer of programs as C99 headers with static memory, which need `math.h` alone."""
 
 from __future__ import annotations
 
@@ -19,14 +19,14 @@ from jaxrod.training.exporting.program import (
 )
 
 TYPES = {"f": "float", "i": "long", "b": "unsigned char"}
-"""C types by kind of number. `long` has 32 bits or more everywhere."""
+"""C types by kind of number, see `KINDS`. `long` has at least 32 bits everywhere."""
 BLOCK = 8
-"""Number of terms of a product that are added to each other first."""
+"""Number of terms of a scalar product that are summed before the running sum."""
 _BEYOND = {"inf": "INFINITY", "-inf": "(-INFINITY)", "nan": "NAN"}
 
 
 def prefix_of(stem: str) -> str:
-    """The name of a file, as the beginning of C identifiers."""
+    """File name without ending, turned into a valid prefix of C identifiers."""
     name = re.sub(r"[^0-9A-Za-z_]", "_", stem)
     return name if re.match(r"[A-Za-z]", name) else f"policy_{name.lstrip('_')}"
 
@@ -37,11 +37,11 @@ def header(
     """The text of a header with a policy.
 
     Args:
-        prefix: Beginning of all names in it.
-        act: Program from the memory's arrays and the observation to the action and the
-            memory.
-        start: Program from the first observation to the memory; `None` for a policy
-            without memory.
+        prefix: Prefix of all names in the header.
+        act: Program from the arrays of the memory and the observation to the action and
+            the next memory.
+        start: Program from the first observation to the initial memory; `None` for a
+            policy without memory.
         comment: Lines of the comment at the top.
     """
     guard = f"{prefix.upper()}_H"
@@ -68,13 +68,13 @@ def header(
 
 
 def _harmless(line: str) -> str:
-    """A line that cannot end a comment, nor begin another."""
+    """A line of text that is safe in a C comment: it neither ends nor opens one."""
     line = "".join(sign if sign.isprintable() else " " for sign in line)
     return line.replace("*/", "* /").replace("/*", "/ *").replace("??/", "?? /")
 
 
 def _fields(arrays: Sequence[Buffer]) -> tuple[dict[Buffer, str], list[str]]:
-    """Names of the arrays of the memory, and the fields of its struct."""
+    """C expressions of the memory's arrays, by buffer, and the fields of its struct."""
     named = {buffer: f"memory->m{i}" for i, buffer in enumerate(arrays) if buffer.size}
     fields = [
         f"  {TYPES[buffer.kind]} {name.partition('->')[2]}[{buffer.size}];"
@@ -84,7 +84,7 @@ def _fields(arrays: Sequence[Buffer]) -> tuple[dict[Buffer, str], list[str]]:
 
 
 class _Body:
-    """Writes the statements of one function."""
+    """Writer of the statements of one C function."""
 
     def __init__(self, program: Program, inputs: dict[Buffer, str]) -> None:
         self.program = program
@@ -97,7 +97,7 @@ class _Body:
             self.where[buffer] = (f"scratch_{buffer.kind}", at)
 
     def text(self, outputs: Iterable[str]) -> list[str]:
-        """All lines of the body, for the names of the arrays of results."""
+        """All lines of the function's body, given the C names of the result arrays."""
         for step in self.program.steps:
             step.write(self)
         kept = [value for value in self.program.results if value.places.size]
@@ -115,7 +115,7 @@ class _Body:
         return [*self.tables, *first, *index, *silent, *self.lines]
 
     def each(self, step: Each) -> None:
-        """A loop of one operation."""
+        """Adds a loop that computes an elementwise operation."""
         name, at = self.where[step.out]
         taken = "; ".join(
             f"const {TYPES[value.buffer.kind]} {letter} = {self._read(value)}"
@@ -125,9 +125,10 @@ class _Body:
         self._loop(step.out.size, f"{{ {taken}; {name}[{at} + k] = {expression}; }}")
 
     def product(self, step: Product) -> None:
-        """Row by row; the columns of a row side by side, terms added in blocks.
+        """Adds a matrix product, row by row, with the columns in the inner loop.
 
-        So round-off grows with a fraction of their number.
+        The terms are added in blocks of `BLOCK`, so round-off grows with the number of
+        blocks.
         """
         batch, m, k, n = step.sizes
         left, right = step.operands
@@ -155,7 +156,7 @@ class _Body:
             self.lines.append("  }")
 
     def join(self, step: Join) -> None:
-        """A loop for every operand."""
+        """Adds a loop that copies each operand of a concatenation."""
         name, at = self.where[step.out]
         for value in step.operands:
             self._copy(value, f"{name}[{at} + k]")
@@ -168,7 +169,7 @@ class _Body:
         self.lines.append(f"  for (k = 0; k < {count}; k++) {statement}")
 
     def _read(self, value: Value) -> str:
-        """The expression for number k of a value."""
+        """C expression of entry k of a value in flat order, k the C loop variable."""
         if value.uniform:
             return _literal(value.numbers.ravel()[0], value.buffer.kind)
         if value.known:
@@ -185,7 +186,7 @@ class _Body:
         )
 
     def _pointer(self, value: Value, first: int) -> str:
-        """The address of a number in a whole buffer."""
+        """C address of entry `first` of a value that fills its buffer."""
         if value.known:
             return f"{self._constant(value.numbers, value.buffer.kind)} + {first}"
         name, at = self.where[value.buffer]
@@ -195,7 +196,7 @@ class _Body:
         return self._table(TYPES[kind], numbers.ravel(), lambda x: _literal(x, kind))
 
     def _table(self, kind: str, numbers: np.ndarray, shown: Any) -> str:
-        """The name of an array of constants; equal ones are one."""
+        """Name of a static array of constants; equal arrays are written once."""
         key = kind, numbers.tobytes()
         if key not in self.counted:
             name = self.counted[key] = f"c{len(self.counted)}"
@@ -208,7 +209,7 @@ class _Body:
 
 
 def _literal(number: Any, kind: str) -> str:
-    """A constant, exact to the last bit."""
+    """C literal of a constant, exact to the last bit."""
     if kind != "f":
         return f"{int(number)}"
     text = f"{float(number):.9g}"
@@ -218,9 +219,9 @@ def _literal(number: Any, kind: str) -> str:
 
 
 def _allocated(program: Program) -> tuple[dict[Buffer, int], dict[str, int]]:
-    """Places of results in scratch memory, and its size for each kind of number.
+    """Start of each result in scratch memory, and the size of that memory, by kind.
 
-    Numbers that are no longer needed are written over.
+    Results that no later step reads are overwritten.
     """
     last: dict[Buffer, int] = {}
     for i, step in enumerate(program.steps):

@@ -1,7 +1,8 @@
-"""Policies written for controllers, each with a contract: what goes in, what comes out.
+"""Export of policies for controllers, each with a JSON file that describes it.
 
-The contract of FILE is FILE.json. It also tells jaxrod's own files from others, which
-are never replaced.
+That file, FILE.json for the exported FILE, is called its contract: entries and units of
+observation and action, rate, normalisation, memory. It also marks FILE as written by
+jaxrod; other files are never replaced.
 """
 
 from __future__ import annotations
@@ -25,7 +26,7 @@ from jaxrod.training.exporting.walk import walked
 from jaxrod.training.runs.owned_folder import as_json
 
 MARK = "jaxrod exported policy 1"
-"""Format of a contract."""
+"""Value of `format` in a contract, by which jaxrod recognises its own files."""
 
 
 def export_c(
@@ -39,9 +40,9 @@ def export_c(
     """Writes a policy as a C header, and its contract.
 
     The header is C99 and needs `math.h` alone. All memory is static: weights are
-    constants, and a function computes in scratch memory of its own, so it must not be
-    called by two threads at once. Normalisation of observations and clipping of actions
-    are part of it. `policy.h` declares
+    constants, and each function has static scratch arrays, so two threads must not call
+    it at once. It includes the normalisation of observations and the clipping of
+    actions. `policy.h` declares
 
         void policy_act(const float observation[], float action[]);
 
@@ -52,8 +53,8 @@ def export_c(
     Args:
         policy: A `Policy`, or a policy with memory (`jaxrod.envs.MemoryPolicy`) that
             does not look at the state of the environment.
-        env: The environment that it is for.
-        file: Header to write. Its name without the ending begins all names in it.
+        env: Environment of the policy: gives entries, units and rate of the contract.
+        file: Header to write. Its name without the ending is the prefix of all C names.
         about: Facts about the run for the contract, such as the task.
         overwrite: Whether to replace a file that was exported before.
 
@@ -62,7 +63,7 @@ def export_c(
 
     Raises:
         ValueError: The policy computes something that cannot be exported; the message
-            names it. Or there is a file in the way.
+            names it. Or a file exists that must not be replaced.
 
     Example:
         >>> env = envs.make("trivial")
@@ -100,8 +101,9 @@ def export_onnx(
     `next_memory_0`, ...; the contract has their values at the start of an episode.
 
     Args:
-        policy: A policy, as for `export_c`. Its memory must start with constants.
-        env: The environment that it is for.
+        policy: A policy, as for `export_c`. Its initial memory must not depend on the
+            first observation.
+        env: Environment of the policy: gives entries, units and rate of the contract.
         file: Model to write.
         about: Facts about the run for the contract, such as the task.
         overwrite: Whether to replace a file that was exported before.
@@ -140,7 +142,7 @@ def export_onnx(
 
 
 class _Traced:
-    """A policy as programs."""
+    """A policy traced in float32: programs of one action and of the initial memory."""
 
     def __init__(self, policy: Any, size: int) -> None:
         with jax.enable_x64(False):
@@ -184,7 +186,7 @@ class _Traced:
 
 
 def _single(leaf: Any) -> Any:
-    """Numbers of a policy in single precision."""
+    """Converts a float64 leaf of a policy to float32; other leaves are unchanged."""
     array = jnp.asarray(leaf)
     return array.astype(jnp.float32) if array.dtype == jnp.float64 else array
 
@@ -197,7 +199,17 @@ def _export(
     overwrite: bool,
     write: Callable[[_Traced, dict[str, Any]], bytes],
 ) -> dict[str, Any]:
-    """Traces a policy, writes its file and the contract."""
+    """Writes the exported file and its contract; returns the contract.
+
+    Args:
+        policy: The policy.
+        env: Environment of the policy.
+        path: File to write.
+        about: Facts about the run for the contract.
+        overwrite: Whether to replace a file that was exported before.
+        write: Function of the traced policy and the contract's entries so far, to which
+            it adds; returns the content of the file.
+    """
     contract = path.with_name(f"{path.name}.json")
     _check_replaceable(path, contract, overwrite)
     facts = _facts(policy, env, about)
@@ -221,7 +233,7 @@ def _export(
 def _facts(
     policy: Any, env: Environment, about: Mapping[str, Any] | None
 ) -> dict[str, Any]:
-    """Facts that a controller needs."""
+    """Entries of the contract that do not depend on the format: sizes, units, rate."""
     held = held_for(policy)
     period = getattr(env, "control_period", None)
     decides = None if period is None else held * float(period)
@@ -246,7 +258,11 @@ def _facts(
 
 
 def _vector(env: Environment, name: str) -> dict[str, Any]:
-    """Size and entries of an observation or an action, if the task knows them."""
+    """Size of the observation or action, and the name and unit of each entry.
+
+    The entries are None if the environment does not describe them. `name` is
+    "observation" or "action".
+    """
     size = getattr(env, f"{name}_size")
     channels = getattr(env, f"{name}_channels", None)
     if channels is None:
@@ -271,7 +287,7 @@ def _vector(env: Environment, name: str) -> dict[str, Any]:
 
 
 def _as_lines(name: str, facts: Mapping[str, Any]) -> Sequence[str]:
-    """The facts for a reader, in lines."""
+    """The contract as lines of text, for the comment at the top of the file."""
     about = ", ".join(f"{k} {v}" for k, v in facts["about"].items() if v is not None)
     lines = [f"{name}: a policy exported by jaxrod {facts['jaxrod']}", about, ""]
     if facts["rate_hz"] is None:
@@ -305,7 +321,7 @@ def _as_lines(name: str, facts: Mapping[str, Any]) -> Sequence[str]:
 
 
 def _check_replaceable(path: Path, contract: Path, overwrite: bool) -> None:
-    """Raises ValueError if a file is in the way."""
+    """Raises ValueError if the file or its contract exists and must not be replaced."""
     there = [one for one in (path, contract) if os.path.lexists(one)]
     if not there:
         return

@@ -1,4 +1,4 @@
-"""Programs as ONNX models, by the library `onnx`."""
+"""Writer of programs as ONNX models, with the library `onnx`."""
 
 from __future__ import annotations
 
@@ -18,9 +18,9 @@ from jaxrod.training.exporting.program import (
 )
 
 OPSET = 17
-"""Version of the operators; runtimes know them since 2022."""
+"""Version of the ONNX operator set; runtimes support it since 2022."""
 IR_VERSION = 8
-"""Version of the file's format that goes with them."""
+"""Version of the ONNX file format that belongs to `OPSET`."""
 
 
 def model(
@@ -29,14 +29,14 @@ def model(
     comment: str,
     facts: dict[str, str],
 ) -> bytes:
-    """The bytes of a model of one observation, without a batch axis.
+    """Bytes of an ONNX model: one observation, without a batch axis, to one action.
 
     Args:
-        act: Program from the memory's arrays and the observation to the action and the
-            memory.
-        memory_shapes: Shapes of these arrays.
+        act: Program from the arrays of the memory and the observation to the action and
+            the next memory.
+        memory_shapes: Shapes of the arrays of the memory.
         comment: Description of the model.
-        facts: Further entries of its metadata.
+        facts: Metadata of the model, by name.
 
     Raises:
         ModuleNotFoundError: `onnx` is not installed.
@@ -81,7 +81,10 @@ def model(
 
 
 class _Graph:
-    """Nodes of a model so far; as a function it adds one and returns its result."""
+    """ONNX graph under construction. Arrays are flat and known by name.
+
+    Calling it adds a node and returns the name of the node's result.
+    """
 
     def __init__(self, onnx: Any) -> None:
         self.onnx = onnx
@@ -99,14 +102,14 @@ class _Graph:
         return self.node(operator, *inputs)
 
     def node(self, operator: str, *inputs: str, out: str = "", **more: Any) -> str:
-        """Adds a node and returns the name of its result."""
+        """Adds a node; returns the name of its result, which is `out` if given."""
         name = out or f"t{len(self.nodes)}"
         made = self.onnx.helper.make_node(operator, inputs, [name], **more)
         self.nodes.append(made)
         return name
 
     def each(self, step: Each) -> None:
-        """An operator, or several."""
+        """Adds the operators of an elementwise step."""
         operator = OPERATIONS[step.operation].onnx
         # Constants are single numbers; one operand has the shape of the result.
         spread = all(value.uniform for value in step.operands)
@@ -115,7 +118,7 @@ class _Graph:
         self.names[step.out] = make(self, *names)
 
     def product(self, step: Product) -> None:
-        """A product of matrices."""
+        """Adds a matrix product."""
         batch, m, k, n = step.sizes
         pairs = zip(step.operands, ((batch, m, k), (batch, k, n)), strict=True)
         factors = [
@@ -127,12 +130,16 @@ class _Graph:
         self.names[step.out] = self.shaped(self("MatMul", *factors), (-1,))
 
     def join(self, step: Join) -> None:
-        """A concatenation."""
+        """Adds a concatenation."""
         parts = [self.read(value, spread=True) for value in step.operands]
         self.names[step.out] = self.node("Concat", *parts, axis=0)
 
     def read(self, value: Value, spread: bool) -> str:
-        """The name of a flat array; of one number, unless spread, if all are equal."""
+        """Name of a value as a flat array.
+
+        If all numbers are one constant and `spread` is false, the array has one entry,
+        which ONNX broadcasts.
+        """
         if value.known:
             numbers = value.numbers.ravel()
             return self.constant(
@@ -144,23 +151,23 @@ class _Graph:
         return self("Gather", name, self.integers(value.places.ravel()))
 
     def shaped(self, name: str, shape: Sequence[int]) -> str:
-        """The array in another shape."""
+        """Reshapes an array; returns the name of the result."""
         return self("Reshape", name, self.integers(shape))
 
     def cast(self, name: str, kind: str) -> str:
-        """The array as numbers of another kind."""
+        """Converts an array to another kind of number; returns the new name."""
         return self.node("Cast", name, to=self.types[kind])
 
     def number(self, value: float) -> str:
-        """One constant number."""
+        """Name of a float constant with one entry."""
         return self.constant(np.array([value], np.float32))
 
     def integers(self, numbers: Any) -> str:
-        """Constant indices or a shape."""
+        """Name of a constant of integers, for indices or shapes."""
         return self.constant(np.asarray(numbers, np.int64))
 
     def constant(self, array: np.ndarray) -> str:
-        """The name of a constant; equal ones are one."""
+        """Name of a constant; equal constants are stored once."""
         key = str(array.dtype), array.shape, array.tobytes()
         if key not in self.known:
             name = self.known[key] = f"c{len(self.known)}"
@@ -171,5 +178,5 @@ class _Graph:
         return self.known[key]
 
     def described(self, name: str, kind: str, shape: Sequence[int]) -> Any:
-        """Type and shape of an input or an output."""
+        """ONNX declaration of an input or output: name, type and shape."""
         return self.onnx.helper.make_tensor_value_info(name, self.types[kind], shape)

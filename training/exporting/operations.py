@@ -1,7 +1,7 @@
 """Elementwise operations of exported programs, in one table for all writers.
 
-A row gives the operation as a C expression in `a`, `b`, `c` and as an ONNX operator, or
-as a function that makes it of several.
+Each entry has a C expression in the operands `a`, `b`, `c`, and an ONNX operator or a
+function that combines several ONNX operators.
 """
 
 from __future__ import annotations
@@ -13,14 +13,15 @@ from typing import Any
 
 @dataclass(frozen=True)
 class Operation:
-    """An operation on single numbers."""
+    """An elementwise operation, in each of the exported formats."""
 
     c: str
-    """Expression in C99."""
+    """C99 expression of one result number, in the operands `a`, `b`, `c`."""
     onnx: str | Callable[..., str]
-    """Operator, or a function of a node maker and the names of the operands."""
+    """Name of the ONNX operator, or a function `(graph, *operand names) -> result name`
+    that adds several nodes."""
     kinds: str = "f"
-    """Kinds of operands that it takes: floats, integers, booleans."""
+    """Kinds of operands that are allowed: f floats, i integers, b booleans."""
 
 
 def _negated(operator: str) -> Callable[..., str]:
@@ -28,12 +29,12 @@ def _negated(operator: str) -> Callable[..., str]:
 
 
 def _expm1(node: Any, a: str) -> str:
-    """Accurate for small numbers: tanh(x / 2) (exp(x) + 1)."""
+    """Adds ONNX nodes for exp(a) - 1 as tanh(a / 2) (exp(a) + 1), accurate near 0."""
     half = node("Tanh", node("Mul", a, node.number(0.5)))
     return node("Mul", half, node("Add", node("Exp", a), node.number(1)))
 
 
-# A number that is not one makes both comparisons false, and the sum not a number.
+# If a or b is NaN, both comparisons are false, and a + b is NaN.
 _LARGER = "a >= b ? a : a < b ? b : a + b"
 _SMALLER = "a <= b ? a : a > b ? b : a + b"
 
@@ -81,4 +82,4 @@ OPERATIONS = {
     "to integer": Operation("(long)a", lambda node, a: node.cast(a, "i"), "fib"),
     "to boolean": Operation("a != 0", lambda node, a: node.cast(a, "b"), "fib"),
 }
-"""All operations. Names of JAX primitives stand for these."""
+"""All operations by name; those named like a JAX primitive compute that primitive."""

@@ -1,4 +1,8 @@
-"""Programs of three kinds of steps on flat arrays, which every writer understands."""
+"""Exported programs: lists of elementwise operations, matrix products and copies.
+
+All data lie in flat arrays (`Buffer`). A `Value` is an array of any shape whose entries
+are entries of one buffer.
+"""
 
 from __future__ import annotations
 
@@ -9,24 +13,24 @@ from typing import Any, Protocol
 import numpy as np
 
 KINDS = {"float32": "f", "int32": "i", "bool": "b"}
-"""Kinds of numbers by name of their dtype."""
+"""Kinds of numbers, f float, i integer, b boolean, by name of the dtype."""
 
 
 @dataclass(frozen=True, eq=False)
 class Buffer:
-    """A flat array: an input, a constant, or the result of a step."""
+    """Flat array of a program: an input, a constant, or the result of a step."""
 
     size: int
     dtype: Any
     data: np.ndarray | None = None
-    """Numbers of a constant; `None` for what is only known at run time."""
+    """Content of a constant; `None` for an input or the result of a step."""
 
     @property
     def kind(self) -> str:
         """Kind of the numbers, a value of `KINDS`.
 
         Raises:
-            ValueError: There are no such numbers in an exported program.
+            ValueError: The dtype cannot be exported.
         """
         if str(self.dtype) not in KINDS:
             raise ValueError(
@@ -38,26 +42,26 @@ class Buffer:
 
 @dataclass(frozen=True, eq=False)
 class Value:
-    """An array of any shape whose numbers lie somewhere in a buffer."""
+    """Array of any shape whose entries are entries of one buffer."""
 
     buffer: Buffer
     places: np.ndarray
-    """Index into the buffer, for every number of the array."""
+    """Index into the buffer of every entry; its shape is the shape of the array."""
 
     @property
     def known(self) -> bool:
-        """Whether the numbers are constants."""
+        """Whether the buffer is a constant."""
         return self.buffer.data is not None
 
     @property
     def numbers(self) -> np.ndarray:
-        """The numbers of a constant."""
+        """Entries of a constant, in the shape of the array."""
         assert self.buffer.data is not None
         return self.buffer.data[self.places]
 
     @property
     def uniform(self) -> bool:
-        """Whether all numbers are one constant."""
+        """Whether all entries are one and the same constant, bit by bit."""
         if not self.known or not self.places.size:
             return False
         numbers = self.numbers.ravel()
@@ -66,12 +70,12 @@ class Value:
 
     @property
     def whole(self) -> bool:
-        """Whether these are all numbers of the buffer, in their order."""
+        """Whether the array has all entries of the buffer, in the buffer's order."""
         return self.places.size == self.buffer.size and self.stride == (0, 1)
 
     @property
     def stride(self) -> tuple[int, int] | None:
-        """First place and distance of neighbours, if the distance is constant."""
+        """First index and index step, in flat order; None if the step varies."""
         places = self.places.ravel()
         apart = np.diff(places)
         if apart.size and np.any(apart != apart[0]):
@@ -80,58 +84,58 @@ class Value:
 
 
 class Writer(Protocol):
-    """Writes the steps of a program in one format."""
+    """Writes the steps of a program in one format, such as C."""
 
     def each(self, step: Each) -> None:
-        """Writes an operation on every number."""
+        """Writes an elementwise operation."""
 
     def product(self, step: Product) -> None:
-        """Writes a product of matrices."""
+        """Writes a matrix product."""
 
     def join(self, step: Join) -> None:
-        """Writes the copy of several arrays into one."""
+        """Writes a concatenation of flat arrays."""
 
 
 @dataclass(frozen=True, eq=False)
 class Each:
-    """An operation on the numbers of its operands, one by one."""
+    """Step: an elementwise operation on operands of equal shape."""
 
     out: Buffer
     operands: tuple[Value, ...]
     operation: str
-    """Name in `jaxrod.training.exporting.operations.OPERATIONS`."""
+    """Name of the operation in `jaxrod.training.exporting.operations.OPERATIONS`."""
 
     def write(self, writer: Writer) -> None:
-        """Has itself written."""
+        """Passes this step to the matching method of a writer."""
         writer.each(self)
 
 
 @dataclass(frozen=True, eq=False)
 class Product:
-    """Products of matrices, (batch, m, k) times (batch, k, n).
+    """Step: matrix products, (batch, m, k) times (batch, k, n).
 
-    Both operands are whole buffers.
+    Each operand has all entries of its buffer, in order.
     """
 
     out: Buffer
     operands: tuple[Value, ...]
     sizes: tuple[int, int, int, int]
-    """Batch, m, k, n."""
+    """Sizes (batch, m, k, n)."""
 
     def write(self, writer: Writer) -> None:
-        """Has itself written."""
+        """Passes this step to the matching method of a writer."""
         writer.product(self)
 
 
 @dataclass(frozen=True, eq=False)
 class Join:
-    """A copy of the numbers of its operands, one operand after the other."""
+    """Step: concatenation of the flattened operands."""
 
     out: Buffer
     operands: tuple[Value, ...]
 
     def write(self, writer: Writer) -> None:
-        """Has itself written."""
+        """Passes this step to the matching method of a writer."""
         writer.join(self)
 
 
@@ -140,14 +144,14 @@ Step = Each | Product | Join
 
 @dataclass(frozen=True)
 class Program:
-    """A function from arrays to arrays."""
+    """Function from input buffers to result arrays, as a list of steps."""
 
     inputs: tuple[Buffer, ...]
     steps: tuple[Step, ...]
     results: tuple[Value, ...]
 
     def operands(self) -> Iterator[Value]:
-        """Yields everything that is read."""
+        """Yields the operands of all steps, then the results."""
         for step in self.steps:
             yield from step.operands
         yield from self.results

@@ -1,8 +1,9 @@
-"""The walk of a jaxpr: from a traced function to a program of few kinds of steps.
+"""Translation of a jaxpr into a `Program`, which has only three kinds of steps.
 
-What does not depend on an input is computed here. Primitives that only move numbers
-make no step: they change where the numbers of an array are found. What is left are
-elementwise operations and products of matrices. Any other primitive is refused by name.
+Values that depend on no input are computed here and become constants. Primitives that
+only move numbers, such as `transpose`, add no step: they change the indices at which an
+array's numbers lie in their buffer. Elementwise operations and matrix products become
+steps. Any other primitive is refused by name.
 """
 
 from __future__ import annotations
@@ -35,11 +36,11 @@ from jaxrod.training.exporting.program import (
 )
 
 MOST_STEPS = 20_000
-"""Largest number of steps: loops are unrolled."""
+"""Largest number of steps of a program; loops are unrolled and can exceed it."""
 
 
 def walked(closed: Any) -> Program:
-    """The program of a closed jaxpr.
+    """Translates a closed jaxpr into a program.
 
     Raises:
         ValueError: The jaxpr has a primitive or a type of number that is not exported.
@@ -53,7 +54,8 @@ def walked(closed: Any) -> Program:
         for buffer, aval in zip(inputs, operand_types(closed), strict=True)
     ]
     results = tuple(walk.run(closed, given))
-    # Results are written over inputs, such as the memory of the step before.
+    # A result is copied if it lies in an input buffer, because the caller may write
+    # results over inputs, such as the memory of the previous step.
     results = tuple(
         walk.copied(result) if result.buffer in inputs else result for result in results
     )
@@ -70,13 +72,13 @@ def walked(closed: Any) -> Program:
 
 
 class _Walk:
-    """The steps so far."""
+    """Translation in progress: the list of steps so far."""
 
     def __init__(self) -> None:
         self.steps: list[Step] = []
 
     def run(self, closed: Any, values: Sequence[Value]) -> list[Value]:
-        """Results of a jaxpr for values of its inputs."""
+        """Adds the steps of a jaxpr for given inputs; returns its results."""
         jaxpr, constants = program_of(closed)
         found: dict[Any, Value] = dict(zip(jaxpr.invars, values, strict=True))
         for variable, constant in zip(jaxpr.constvars, constants, strict=True):
@@ -95,7 +97,7 @@ class _Walk:
         return [read(atom) for atom in jaxpr.outvars]
 
     def equation(self, equation: Any, values: list[Value]) -> list[Value]:
-        """Results of one equation."""
+        """Adds the steps of one equation for given operands; returns its results."""
         name = equation.primitive.name
         if name in CALLS:
             return self.run(called_program(equation), values)
@@ -114,7 +116,7 @@ class _Walk:
         return results if isinstance(results, list) else [results]
 
     def each(self, operation: str, dtype: Any, *values: Value) -> Value:
-        """An operation on each number; single numbers go with arrays."""
+        """Adds an elementwise operation; operands are broadcast to a common shape."""
         for value in values:
             if value.buffer.kind not in OPERATIONS[operation].kinds:
                 raise _refusal(f"it has {operation!r} of {value.buffer.dtype}")
@@ -126,7 +128,7 @@ class _Walk:
         return self._made(Each, shape, dtype, operands, operation)
 
     def together(self, values: Sequence[Value]) -> list[Value]:
-        """The values, with their numbers in one buffer."""
+        """Copies values into one buffer if they lie in several; returns them there."""
         if len({value.buffer for value in values}) == 1:
             return list(values)
         sizes = [value.places.size for value in values]
@@ -138,13 +140,13 @@ class _Walk:
         ]
 
     def copied(self, value: Value) -> Value:
-        """The value, as a whole buffer of its own."""
+        """Copies a value to a new buffer, which it fills in order."""
         if value.known:
             return _constant(value.numbers, value.buffer.dtype)
         return self._made(Join, value.places.shape, value.buffer.dtype, (value,))
 
     def product(self, left: Value, right: Value) -> Value:
-        """Products of matrices, (batch, m, k) times (batch, k, n)."""
+        """Adds a matrix product, (batch, m, k) times (batch, k, n)."""
         batch, m, k = left.places.shape
         n = right.places.shape[2]
         if n == 1 and m > 1:  # Rows of the result are computed side by side.
@@ -191,7 +193,8 @@ def _refusal(reason: str) -> ValueError:
 
 Rule = Callable[..., Value | list[Value]]
 RULES: dict[str, Rule] = {}
-"""Rules by name of the primitive: `(walk, equation, *values)` to the results."""
+"""Rules by name of the primitive they translate: `(walk, equation, *values)` to the
+results."""
 
 
 def _rule(*names: str) -> Callable[[Rule], Rule]:
@@ -204,7 +207,7 @@ def _rule(*names: str) -> Callable[[Rule], Rule]:
 
 @_rule(*OPERATIONS)
 def _same(walk: _Walk, equation: Any, *values: Value) -> Value:
-    """A primitive that is also an operation."""
+    """Translates a primitive that has an entry of the same name in `OPERATIONS`."""
     return walk.each(equation.primitive.name, equation.outvars[0].aval.dtype, *values)
 
 
@@ -220,7 +223,7 @@ def _squared(walk: _Walk, equation: Any, value: Value) -> Value:
 
 @_rule("integer_pow")
 def _powered(walk: _Walk, equation: Any, value: Value) -> Value:
-    """An integer power, by repeated squaring."""
+    """Translates `integer_pow` into products, by repeated squaring."""
     dtype, exponent = value.buffer.dtype, equation.params["y"]
     result, square = _constant(1, dtype), value
     for digit in reversed(f"{abs(exponent):b}"):
@@ -239,7 +242,7 @@ def _reciprocal_root(walk: _Walk, equation: Any, value: Value) -> Value:
 
 @_rule("logistic")
 def _logistic(walk: _Walk, equation: Any, value: Value) -> Value:
-    """The logistic function, 1 / (1 + exp(-x))."""
+    """Translates `logistic` as 1 / (1 + exp(-x))."""
     dtype, one = value.buffer.dtype, _constant(1, value.buffer.dtype)
     decay = walk.each("exp", dtype, walk.each("neg", dtype, value))
     return walk.each("div", dtype, one, walk.each("add", dtype, one, decay))
@@ -247,7 +250,7 @@ def _logistic(walk: _Walk, equation: Any, value: Value) -> Value:
 
 @_rule("sign")
 def _sign(walk: _Walk, equation: Any, value: Value) -> Value:
-    """-1 or 1; a zero and what is not a number stay as they are."""
+    """Translates `sign`: -1 or 1; zeros and NaN are unchanged."""
     dtype, zero = value.buffer.dtype, _constant(0, value.buffer.dtype)
     above, below = (walk.each(name, np.bool_, value, zero) for name in ("gt", "lt"))
     rest = walk.each("select", dtype, below, _constant(-1, dtype), value)
@@ -288,13 +291,16 @@ _DATA = {
     "scatter": (0, 2),
     **dict.fromkeys(("concatenate", "stack"), None),
 }
-"""Primitives that only move numbers: which operands are moved, `None` for all. The
-others are indices."""
+"""Primitives that only move numbers, with the positions of the operands that hold these
+numbers; `None` for all operands. The other operands are indices."""
 
 
 @_rule(*_DATA)
 def _moved(walk: _Walk, equation: Any, *values: Value) -> list[Value]:
-    """Moves places as the primitive moves numbers."""
+    """Applies a primitive that only moves numbers to the indices into the buffer.
+
+    The result holds the same numbers at the moved indices, so no step is added.
+    """
     name = equation.primitive.name
     data = _DATA[name] or range(len(values))
     if not all(value.known for i, value in enumerate(values) if i not in data):
@@ -325,7 +331,10 @@ _REDUCTIONS = {
 
 @_rule(*_REDUCTIONS)
 def _reduced(walk: _Walk, equation: Any, value: Value) -> Value:
-    """A reduction, by pairs: round-off grows with the logarithm of the length."""
+    """Translates a reduction into pairwise operations: halves are combined repeatedly.
+
+    The round-off of a sum then grows with the logarithm of the length.
+    """
     axes, operation = equation.params["axes"], _REDUCTIONS[equation.primitive.name]
     kept = [axis for axis in range(value.places.ndim) if axis not in axes]
     rows = np.transpose(value.places, (*axes, *kept))
@@ -349,7 +358,7 @@ def _reduced(walk: _Walk, equation: Any, value: Value) -> Value:
 
 @_rule("dot_general")
 def _contracted(walk: _Walk, equation: Any, left: Value, right: Value) -> Value:
-    """Sums of products, as products of matrices."""
+    """Translates `dot_general` into a batched matrix product."""
     summed, batches = equation.params["dimension_numbers"]
 
     def arranged(value: Value, side: int) -> tuple[np.ndarray, tuple[int, ...]]:
@@ -370,7 +379,7 @@ def _contracted(walk: _Walk, equation: Any, left: Value, right: Value) -> Value:
 
 @_rule("conv_general_dilated")
 def _convolved(walk: _Walk, equation: Any, left: Value, right: Value) -> Value:
-    """A convolution, as a product of the matrix of all windows with the weights."""
+    """Translates a convolution into a matrix product of all windows and the kernel."""
     given, groups = equation.params, equation.params["feature_group_count"]
     if given["batch_group_count"] != 1 or any(n != 1 for n in given["lhs_dilation"]):
         raise _refusal("it has a transposed convolution")
@@ -386,7 +395,7 @@ def _convolved(walk: _Walk, equation: Any, left: Value, right: Value) -> Value:
     kernel = np.transpose(right.places, order.rhs_spec)
     outputs, channels, *taps = kernel.shape
     positions = []
-    # Every axis becomes two: positions of the window, and its taps.
+    # Every spatial axis becomes two: window positions, and kernel taps within a window.
     for axis, (tap, stride, apart) in enumerate(
         zip(taps, given["window_strides"], given["rhs_dilation"], strict=True)
     ):
@@ -412,7 +421,7 @@ def _convolved(walk: _Walk, equation: Any, left: Value, right: Value) -> Value:
 
 @_rule("scan")
 def _scanned(walk: _Walk, equation: Any, *values: Value) -> list[Value]:
-    """A loop of known length, unrolled."""
+    """Translates a `scan` by unrolling its loop."""
     scan = scan_of(equation)
     first = scan.n_constants + scan.n_carry
     constants, carry = (

@@ -1,1 +1,1 @@
-"""Training runs: the loop, the folder of a run, checkpoints, resuming."""
+"""Training runs: the training loop, run folders, checkpoints and resuming."""

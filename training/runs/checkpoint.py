@@ -1,12 +1,12 @@
 """Checkpoints: a train state and a few facts, written completely or not at all.
 
-Each is one `.npz` file, without pickle. It has an array for every leaf, under its path
-in the state, and JSON text with the facts and a description of the leaves. A file gets
-its name only once it is on the disk, and every array carries a checksum: a process may
-be killed, and a disk may fail, at any moment.
+Each checkpoint is one `.npz` file, without pickle. It has an array for every leaf,
+under the leaf's path in the state, and JSON text with the facts and a description of
+the leaves. The file gets its final name only once it is on the disk, and every array
+has a checksum, because a process may be killed, and a disk may fail, at any moment.
 
-Arrays are fetched from the devices that hold them and put back the same way. So a run
-may continue on another number of devices (it is then equal up to round-off).
+The arrays do not depend on the number of devices, so a run may continue on another
+number (its results are then equal up to round-off).
 """
 
 from __future__ import annotations
@@ -39,16 +39,16 @@ from jaxrod.training.leaves import (
 )
 
 NAMES = r"[0-9]{10}\.npz"
-"""Regular expression for the names of the files."""
+"""Regular expression for the names of checkpoint files: the number, in 10 digits."""
 
 FORMAT = 1
-"""Version of the file format; raised when the meaning changes."""
+"""Version of the file format, increased when the meaning of a file changes."""
 
 _ABOUT, _STATE = "about", "state"
 
 
 class Checkpoints:
-    """The newest checkpoints of a run, in a folder of their own."""
+    """The newest checkpoints of a run, in one folder."""
 
     def __init__(self, folder: Path, keep: int = 2) -> None:
         """Sets the folder.
@@ -61,7 +61,7 @@ class Checkpoints:
         self._latest: int | None = None
 
     def path(self, step: int) -> Path:
-        """File of a checkpoint."""
+        """Path of the checkpoint with number `step`."""
         return self.folder / f"{step:010d}.npz"
 
     def steps(self) -> list[int]:
@@ -77,12 +77,12 @@ class Checkpoints:
 
         Args:
             step: Number of the checkpoint, which increases during the run. Nothing is
-                written if it was the last to be saved or restored.
+                written if this was the last number to be saved or restored.
             state: The train state.
             facts: Further facts to store; anything JSON can hold.
 
         Raises:
-            OSError: It cannot be written; the message names the file.
+            OSError: The file cannot be written; the message names it.
         """
         if step == self._latest:
             return
@@ -101,7 +101,7 @@ class Checkpoints:
             lambda file: np.savez(file, allow_pickle=False, **arrays),
         )
         self._latest = step
-        # Later ones are left over from a run that was resumed from before them.
+        # Later checkpoints remain from a run that was resumed from an earlier one.
         for old in [one for one in self.steps() if one <= step][self._keep :]:
             self.path(old).unlink()
 
@@ -116,14 +116,14 @@ class Checkpoints:
         Args:
             template: A train state of the same structure and shapes.
             step: Number of the checkpoint, None for the newest.
-            check: Raises if the facts are not as expected; called before the state is
-                read.
+            check: Function of the facts that raises if they are not as expected; called
+                before the state is restored.
 
         Returns:
             The state, in host memory, and the facts.
 
         Raises:
-            ValueError: There is no checkpoint, or its structure differs.
+            ValueError: There is no checkpoint, or its leaves do not fit the template.
             jaxrod.files.DamagedFileError: The file is damaged.
         """
         step = next(iter(self.steps()), None) if step is None else step
@@ -145,7 +145,7 @@ class Checkpoints:
 
 
 def _read(file: Path) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
-    """Complete content of a file, after its checksums have been verified."""
+    """Description and arrays of a checkpoint file, with verified checksums."""
     with reading(file):
         if not zipfile.is_zipfile(file):
             raise ValueError("it is torn")

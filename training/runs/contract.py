@@ -1,4 +1,4 @@
-"""Checks that an algorithm keeps the contract of `Algorithm`, with clear messages."""
+"""Checks that a user's algorithm keeps the contract stated in `Algorithm`."""
 
 from __future__ import annotations
 
@@ -19,15 +19,15 @@ from jaxrod.validation import check_count
 def resolve(
     algorithm: str | Algorithm, config: Any, trust: Collection[str] | None = None
 ) -> tuple[Algorithm, Any]:
-    """Resolves the name of an algorithm, and checks its configuration.
+    """Returns the algorithm of a name and its checked configuration.
 
     Args:
         algorithm: A name, an import path or an `Algorithm`.
-        config: Its configuration, None for the defaults.
-        trust: Trusted modules if a file holds the name, see `find_algorithm`.
+        config: Configuration of the algorithm, None for its defaults.
+        trust: Trusted modules if the name was read from a file, see `find_algorithm`.
 
     Raises:
-        UntrustedError: A file names it, and it is not trusted.
+        UntrustedError: The name was read from a file and its module is not trusted.
         ValueError: There is no such algorithm, the configuration belongs to another
             one, or either breaks the contract of `Algorithm`; the message names the
             fault.
@@ -68,13 +68,17 @@ def resolve(
 
 
 def updates_of(algorithm: Algorithm, config: Any) -> int:
-    """Control steps of one update, after a check."""
+    """Number of control steps of one update, from `Algorithm.steps_per_update`.
+
+    Raises:
+        ValueError: The number is no integer of at least 1.
+    """
     steps = algorithm.steps_per_update(config)
     return check_count(f"steps_per_update of {algorithm.name}", steps, 1)
 
 
 def check_state(algorithm: Algorithm, state: Any, env: Environment) -> None:
-    """Checks an algorithm on its first train state, without computing anything.
+    """Checks `update`, `policy` and `partition` by tracing them on a train state.
 
     Args:
         algorithm: Algorithm that made the state.
@@ -109,7 +113,7 @@ def check_state(algorithm: Algorithm, state: Any, env: Environment) -> None:
 
 
 def _check_same_form(name: str, before: Any, after: Any) -> None:
-    """Raises ValueError unless two states have the same structure and dtypes."""
+    """Raises ValueError unless two states agree in structure, shapes and dtypes."""
     forms = [
         {
             jax.tree_util.keystr(path): f"{leaf.dtype}{list(leaf.shape)}"
@@ -130,7 +134,7 @@ def _check_same_form(name: str, before: Any, after: Any) -> None:
 
 
 def _check_metrics(name: str, metrics: Any) -> None:
-    """Raises ValueError unless these are the metrics of an update."""
+    """Raises ValueError unless `metrics` has the form that `Metrics` describes."""
     if not isinstance(metrics, Metrics):
         raise ValueError(
             f"update of {name} must return Metrics beside the state, got "
@@ -156,7 +160,7 @@ def _check_metrics(name: str, metrics: Any) -> None:
 
 
 def _check_policy(name: str, policy: Any, env: Environment) -> None:
-    """Raises ValueError unless this is a policy for an environment."""
+    """Raises ValueError unless a policy maps observations to actions, without a key."""
     if not callable(policy):
         raise ValueError(
             f"policy of {name} must return a callable, policy(observation), got "

@@ -1,4 +1,4 @@
-"""One compiled program for many updates, spread over the available devices."""
+"""Compilation of many updates into one program, spread over the devices of a run."""
 
 from __future__ import annotations
 
@@ -26,14 +26,23 @@ def device_mesh(devices: Sequence[jax.Device]) -> Mesh:
 
 
 def partition_of(algorithm: Algorithm, state: Any) -> Any:
-    """Partition specs of a train state: the algorithm's, or all replicated."""
+    """Partition specs of a train state, a tree prefix, from `Algorithm.partition`.
+
+    Without a `partition` all leaves are replicated.
+    """
     if algorithm.partition is None:
         return PartitionSpec()
     return algorithm.partition(state)
 
 
 def place(tree: Any, specs: Any, mesh: Mesh) -> Any:
-    """Places a tree on the devices given by its specs, which are a tree prefix."""
+    """Copies a pytree to the devices of a mesh.
+
+    Args:
+        tree: Pytree of arrays, equal in all processes.
+        specs: Tree prefix of partition specs, each for all leaves below it.
+        mesh: Mesh from `device_mesh`.
+    """
 
     def put(spec: PartitionSpec, subtree: Any) -> Any:
         sharding = NamedSharding(mesh, spec)
@@ -45,7 +54,10 @@ def place(tree: Any, specs: Any, mesh: Mesh) -> Any:
 
 
 def _put_share(leaf: Any, sharding: NamedSharding) -> Any:
-    """Places this process's share on its devices; all processes have the same leaf."""
+    """Copies to this process's devices their part of a leaf.
+
+    The whole leaf is equal in all processes.
+    """
     if is_key(leaf):
         words = _put_share(jax.random.key_data(leaf), sharding)
         return jax.random.wrap_key_data(words, impl=jax.random.key_impl(leaf))
@@ -56,17 +68,18 @@ def _put_share(leaf: Any, sharding: NamedSharding) -> Any:
 def compile_updates(
     algorithm: Algorithm, state: Any, capacity: int, mesh: Mesh
 ) -> Callable[[Any, int], tuple[Any, Metrics]]:
-    """Compiles up to `capacity` updates into one program.
+    """Compiles a program that makes a given number of updates, up to `capacity`.
 
     Args:
         algorithm: The learner.
-        state: A train state, placed on the mesh; it is not changed here.
+        state: A train state on the devices of the mesh; only its form is used.
         capacity: Largest number of updates of one call.
         mesh: Mesh from `device_mesh`.
 
     Returns:
-        `(state, count) -> (state, metrics)`. The given state is consumed. The metrics
-        have a leading axis of length `capacity`, valid up to `count`.
+        `(state, count) -> (state, metrics)`, which makes `count` updates. The given
+        state is donated and cannot be used again. The metrics have a leading axis of
+        length `capacity`, of which the first `count` entries are valid.
     """
     compiled = lower_updates(algorithm, state, capacity, mesh).compile()
 
@@ -79,9 +92,9 @@ def compile_updates(
 def lower_updates(
     algorithm: Algorithm, state: Any, capacity: int, mesh: Mesh
 ) -> jax.stages.Lowered:
-    """The program that `compile_updates` compiles, with its arguments.
+    """The lowered program of `compile_updates`, before compilation; same arguments.
 
-    Every device runs its share of the environments and of every minibatch. Only
+    Every device computes its part of the environments and of every minibatch. Only
     gradients and a few averages are exchanged. The number of updates is an argument of
     the program, so a shorter last chunk recompiles nothing.
     """

@@ -1,11 +1,11 @@
-"""The rows of a run as an event file, which TensorBoard shows during training.
+"""Event files, by which TensorBoard shows the progress table of a run.
 
-The file repeats `progress.csv`: one event for each row, at its `env_steps` and the time
-of its `wall_s`, with every other number as a scalar. It is rewritten from that table
-whenever a run is resumed. So no step is duplicated or missing, no matter when the run
-was killed and whether it had an event file before.
+The file repeats `progress.csv`: one event for each row, at the row's `env_steps` and
+the time of its `wall_s`, with every other number as a scalar. It is rewritten from that
+table whenever a run is resumed. So no step is duplicated or missing, no matter when the
+run was killed and whether it had an event file before.
 
-The messages are those of tensorboardX, but its writer is not used. That writer passes
+The events use the message types of tensorboardX, but not its writer. That writer passes
 events to a thread, which a full disk ends silently, and it puts the machine's name into
 the file name.
 """
@@ -26,10 +26,10 @@ if TYPE_CHECKING:
     from tensorboardX.proto.event_pb2 import Event
 
 NAMES = r"events\.out\.tfevents\.\d+\.jaxrod"
-"""Regular expression for the names of these files."""
+"""Regular expression for the names of event files."""
 
 _VERSION = "brain.Event:2"
-"""Version of the format; it tells TensorBoard how to treat a restart."""
+"""Version of the event format, which determines how TensorBoard treats a restart."""
 
 
 def check_installed() -> None:
@@ -47,16 +47,16 @@ def check_installed() -> None:
 
 
 class EventFile:
-    """The event file of a run."""
+    """The event file of a run, which grows by one event per row of progress."""
 
     def __init__(
         self, folder: Path, rows: Iterable[Mapping[str, Any]], wall_s: float
     ) -> None:
-        """Begins the file with the rows of the run so far.
+        """Writes a new event file with the rows of the run so far.
 
         Args:
-            folder: Folder of the file; created if missing. Other files of the same kind
-                in it are removed.
+            folder: Folder of the file; created if missing. Older event files in it are
+                removed.
             rows: Rows of the progress table, as numbers or as text from the table.
             wall_s: Time that the run has taken so far [s].
 
@@ -90,7 +90,7 @@ class EventFile:
                 file.unlink(missing_ok=True)
 
     def append(self, row: Mapping[str, Any]) -> None:
-        """Adds a row at its `env_steps` and `wall_s`.
+        """Appends a row of progress as an event at its `env_steps` and `wall_s`.
 
         Raises:
             OSError: The file cannot be written; the message has its name.
@@ -100,7 +100,7 @@ class EventFile:
             self._append([event])
 
     def _event(self, row: Mapping[str, Any]) -> Event | None:
-        """An event with all scalars of a row; None if it has none."""
+        """Event with all scalars of a row of progress; None if the row has none."""
         from tensorboardX.proto.event_pb2 import Event
         from tensorboardX.proto.summary_pb2 import Summary
 
@@ -128,7 +128,7 @@ class EventFile:
 
 
 def _record(event: Event) -> bytes:
-    """An event as stored in the file: length, message, and a checksum of each."""
+    """Bytes of an event in the file: length, its CRC, message, its CRC."""
     from tensorboardX.record_writer import masked_crc32c
 
     content = event.SerializeToString()

@@ -1,16 +1,16 @@
 """The folder of a run: its files, each written completely or not at all.
 
-config.json     the request: enough to run it again; marks the folder
+config.json     the request: task, algorithm, settings, seed; marks the folder
 progress.csv    one row per chunk: env_steps, wall_s, episode_return_mean, ...
 episodes.csv    one row per complete training episode, in order of completion
 summary.json    the result
-checkpoints/    to continue from, see `jaxrod.training.runs.checkpoint`
+checkpoints/    states to resume from, see `jaxrod.training.runs.checkpoint`
 policy/         the trained policy, see `jaxrod.training.load_policy`
 tensorboard/    the rows of progress.csv as an event file, if requested
 
 The command line also draws learning_curve.png and replay.html there. While a process
-trains in the folder there is a lock, see `jaxrod.training.runs.lock`. Other files in
-the folder are left alone.
+trains in the folder it holds a lock, see `jaxrod.training.runs.lock`. Other files in
+the folder are never changed.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ from jaxrod.validation import LARGEST_SEED
 SUMMARY = "summary.json"
 LEARNING_CURVE = "learning_curve.png"
 REPLAY = "replay.html"
-"""Files that the command line draws for a run."""
+"""Name of the page with a replay of one episode, which the command line draws."""
 
 _CONFIG_KINDS = {
     "task": TEXT,
@@ -72,11 +72,11 @@ _SUMMARY_MAY_LACK = {
 
 
 _MOVED = "jaxrod.envs.action_repeat: ", "jaxrod.envs.wrappers: "
-"""Module of a class in older runs, and in today's."""
+"""Module of environment wrappers as recorded by older versions and by this one."""
 
 
 class RunFolder(OwnedFolder):
-    """The files of one run.
+    """Paths and contents of the files of one run.
 
     Example:
         >>> run = training.RunFolder("runs/first")
@@ -129,8 +129,8 @@ class RunFolder(OwnedFolder):
         """Reads `summary.json`.
 
         Raises:
-            ValueError: There is no finished run in this folder, or the file is
-                damaged.
+            ValueError: There is no `summary.json`, because no run has ended in this
+                folder, or the file is damaged.
         """
         file = self.summary_file
         try:
@@ -147,10 +147,10 @@ class RunFolder(OwnedFolder):
 
 
 def renamed(config: Mapping[str, Any]) -> dict[str, Any]:
-    """A configuration in today's words.
+    """Converts a `config.json` of any version to the entry names of this version.
 
-    Older runs called the task `case`, and described an environment that `make` had not
-    made by the module that then held its class.
+    Older versions called the task `case`. In the description of an environment that
+    `make` had not made, they also recorded an older module name.
     """
     today = {"task" if name == "case" else name: config[name] for name in config}
     words = today.get("environment")
@@ -162,7 +162,13 @@ def renamed(config: Mapping[str, Any]) -> dict[str, Any]:
 def differences(
     stored: Mapping[str, Any], wanted: Mapping[str, Any], ignore: Sequence[str] = ()
 ) -> list[str]:
-    """Describes the differences of two configurations, one phrase per entry."""
+    """Differences of two configurations, one phrase per entry that differs.
+
+    Args:
+        stored: The earlier configuration.
+        wanted: The present configuration.
+        ignore: Names of entries that may differ.
+    """
     found = []
     for name in sorted({*stored, *wanted} - set(ignore)):
         a, b = stored.get(name), wanted.get(name)

@@ -1,10 +1,10 @@
-"""The processes of one run: a single one, or many on one or several machines.
+"""The processes of one run: a single one, or several on one or more machines.
 
 JAX runs the same program in every process (`jax.distributed.initialize`). The first
-process is the writer: it alone has the folder of the run. Facts that only the writer
-can know (the content of a folder, say, or that there is none) are broadcast to the
-others here, so that all processes continue or stop together. With one process nothing
-is exchanged and nothing is slower.
+process is the writer: it alone reads and writes the folder of the run. Facts that only
+the writer knows, such as the content of the folder, are broadcast to the other
+processes here, so that all of them continue or stop together. With one process nothing
+is exchanged.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from jaxrod.installation.processes import GO_ON
 from jaxrod.training.leaves import is_key
 
 _DONE, _REFUSED = b"+", b"-"
-# Prefixes of JAX errors that do not come from an exchange.
+# Prefixes of JAX errors that are not caused by the communication of processes.
 _OWN_FAULTS = ("RESOURCE_EXHAUSTED", "INVALID_ARGUMENT", "UNIMPLEMENTED")
 
 
@@ -36,10 +36,11 @@ class Hosts:
     """The processes that own the devices of a run."""
 
     def __init__(self, devices: Sequence[jax.Device]) -> None:
-        """Determines the owners of the devices.
+        """Determines which processes own the devices.
 
         Raises:
-            ValueError: They belong only to some of the other processes.
+            ValueError: The devices belong neither to this process alone nor to each
+                of the processes.
         """
         owners = {device.process_index for device in devices}
         mine = jax.process_index()
@@ -57,11 +58,12 @@ class Hosts:
         return self.count > 1
 
     def from_writer(self, make: Callable[[], bytes]) -> bytes:
-        """Result of a function that only the writer calls, broadcast to every process.
+        """Calls a function in the writer and returns its result in every process.
 
         Raises:
-            ValueError: The writer has refused; all processes raise its message.
-            OSError: Raised at the writer if it could not read or write.
+            ValueError: The function raised ValueError or OSError in the writer. Every
+                other process raises ValueError with the same message.
+            OSError: The function raised it, in the writer.
         """
         if not self.several:
             return make()
@@ -80,20 +82,30 @@ class Hosts:
         return said[1:]
 
     def agree(self, stop: bool, due: bool) -> tuple[bool, bool]:
-        """Whether any process wants to stop, and whether the writer wants to save."""
+        """Combines the decisions of all processes, so that all decide the same.
+
+        Args:
+            stop: Whether this process was asked to stop.
+            due: Whether a checkpoint is due by the clock of this process.
+
+        Returns:
+            Whether any process was asked to stop, and whether a checkpoint is due by
+            the clock of the writer.
+        """
         if not self.several:
             return stop, due
         flags = multihost_utils.process_allgather(np.array([stop, due]))
         return bool(flags[:, 0].any()), bool(flags[0, 1])
 
     def fetched(self, tree: Any, mesh: Mesh, at_all: bool = True) -> Any:
-        """A tree in host memory; every process has to call this.
+        """Copies a pytree to host memory; every process has to call this.
 
         Args:
-            tree: Tree whose leaves are split over the mesh or replicated on it.
+            tree: Pytree of arrays that are split over the mesh or replicated on it.
             mesh: Mesh of all devices of the run.
-            at_all: Whether every process needs the tree; if False, all but the writer
-                get None.
+            at_all: Whether every process needs the arrays. If False, the processes
+                other than the writer get None for each of them, and a single process
+                gets `tree` itself.
         """
         if not self.several:
             return jax.device_get(tree) if at_all else tree
@@ -114,7 +126,10 @@ class Hosts:
 
     @contextmanager
     def losing_none(self, steps: int) -> Iterator[None]:
-        """Turns errors of JAX's exchanges into a clear message.
+        """Turns errors of the communication between processes into LostProcessError.
+
+        Args:
+            steps: Control steps of the run so far, for the message.
 
         Raises:
             LostProcessError: Raised instead of JAX's error.
@@ -135,7 +150,7 @@ _REPEATED = PartitionSpec()
 
 
 def packed(arrays: Mapping[str, np.ndarray], about: Any) -> bytes:
-    """Packs arrays and JSON data into bytes."""
+    """Packs arrays and data that JSON can hold into bytes."""
     stream = io.BytesIO()
     text = np.frombuffer(json.dumps(about).encode(), np.uint8)
     np.savez(stream, allow_pickle=False, **{"": text}, **arrays)
@@ -150,7 +165,7 @@ def unpacked(content: bytes) -> tuple[dict[str, np.ndarray], Any]:
 
 
 def _broadcast(content: bytes) -> bytes:
-    """The first process's bytes, broadcast to all processes."""
+    """Returns the bytes of the first process in every process."""
     broadcast = multihost_utils.broadcast_one_to_all
     length = int(broadcast(np.array(len(content), np.int32)))
     buffer = np.zeros(length, np.uint8)

@@ -1,4 +1,4 @@
-"""Ctrl-C handling that lets the running chunk finish."""
+"""Ctrl-C handling that lets the current chunk of updates finish."""
 
 from __future__ import annotations
 
@@ -20,14 +20,14 @@ class Interruption:
         """Prepares the handlers, which only act within the context.
 
         Args:
-            log: Function called with a sentence at the first signal.
+            log: Function called at the first signal with a message for the user.
         """
         self.requested = False
         self._log = log
         self._previous: dict[int, Any] = {}
 
     def __enter__(self) -> Interruption:
-        """Starts listening."""
+        """Installs the handlers of SIGINT and SIGTERM."""
         if threading.current_thread() is threading.main_thread():
             for number in (signal.SIGINT, signal.SIGTERM):
                 self._previous[number] = signal.signal(number, self._handle)

@@ -1,7 +1,7 @@
-"""A lock on a folder that lets one process at a time write to it.
+"""A lock on a folder that lets only one process at a time write to it.
 
-The operating system holds the lock and releases it when the process ends, however it
-ends: a killed run leaves nothing to clean up. On network file systems that forward
+The operating system holds the lock and releases it when the process ends for any
+reason, so a killed run leaves nothing to clean up. On network file systems that forward
 locks (NFS, and Lustre with the right mount option) it also works between machines. On a
 file system without locks there is a warning, and `jaxrod.training.runs.table.Table`
 notices when another process has written.
@@ -21,7 +21,7 @@ from pathlib import Path
 from jaxrod.files import open_to_write
 
 NAME = ".jaxrod.lock"
-"""File that is locked; its content names the process that holds it."""
+"""Name of the locked file; its content names the process that holds the lock."""
 
 _TAKEN = (errno.EACCES, errno.EAGAIN, errno.EDEADLK)
 
@@ -36,13 +36,13 @@ class UnlockedFolderWarning(UserWarning):
 
 @contextmanager
 def only_process(folder: Path) -> Iterator[None]:
-    """Keeps other processes out of a folder for as long as the context lasts.
+    """Locks a folder for this process while the context lasts.
 
     The folder is created if it is missing, and removed again if it is still empty at
     the end.
 
     Raises:
-        FolderInUseError: Another process holds it; the message names the process.
+        FolderInUseError: Another process holds the lock; the message names the process.
         jaxrod.files.LinkedFileError: The lock file is a link.
         OSError: The folder cannot be made or written to.
     """
@@ -67,7 +67,7 @@ def only_process(folder: Path) -> Iterator[None]:
 
 
 def _take(file: Path) -> int:
-    """Opens and locks the file."""
+    """Opens and locks the file; returns its descriptor."""
     while True:
         lock = open_to_write(file, os.O_RDWR | os.O_CREAT)
         try:
@@ -94,7 +94,7 @@ def _take(file: Path) -> int:
 
 
 def _is_still(lock: int, file: Path) -> bool:
-    """Whether an open file is still the one under its name."""
+    """Whether the open file `lock` is still the file at the path `file`."""
     try:
         return os.path.samestat(os.fstat(lock), os.lstat(file))
     except FileNotFoundError:
@@ -102,7 +102,7 @@ def _is_still(lock: int, file: Path) -> bool:
 
 
 def _holder(lock: int) -> str:
-    """Description of the process that holds the lock."""
+    """Description of the process that holds the lock, as read from the lock file."""
     words = os.pread(lock, 200, 0) if hasattr(os, "pread") else os.read(lock, 200)
     pid, _, host = words.decode(errors="replace").strip().partition(" ")
     return f"process {pid} on {host}" if pid and host else "another process"
@@ -112,7 +112,7 @@ if sys.platform == "win32":
     import msvcrt
 
     def _lock(handle: int) -> None:
-        """Locks a byte that is never read: Windows locks keep readers out."""
+        """Locks a byte far behind the content: locks on Windows also block readers."""
         os.lseek(handle, 2**30, os.SEEK_SET)
         msvcrt.locking(handle, msvcrt.LK_NBLCK, 1)
         os.lseek(handle, 0, os.SEEK_SET)
@@ -121,5 +121,8 @@ else:
     import fcntl
 
     def _lock(handle: int) -> None:
-        """Locks the file for this process; not `lockf`, which any close would undo."""
+        """Locks the file for this process.
+
+        `lockf` would lose the lock when any descriptor of the file is closed.
+        """
         fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)

@@ -1,4 +1,4 @@
-"""The entry points of training: one run with its records, or many runs at once."""
+"""Entry points of training: one recorded run, or one run per seed in one program."""
 
 from __future__ import annotations
 
@@ -50,10 +50,11 @@ def train(
 ) -> Result:
     """Trains a policy.
 
-    Ctrl-C (or a SIGTERM) lets the running chunk finish, saves and returns the result so
-    far; a second one stops at once. A stopped or killed run in a folder continues with
-    `resume=True` from its last checkpoint, no matter when it was stopped. It ends bit
-    by bit as if it had never been interrupted.
+    Ctrl-C (or a SIGTERM) lets the current chunk of updates finish, saves, and returns
+    the result so far; a second one stops at once. A stopped or killed run in a folder
+    continues with `resume=True` from its last checkpoint, no matter when it was
+    stopped. On CPUs it ends bit by bit as if it had never been interrupted, on GPUs up
+    to round-off (see `jaxrod doctor`).
 
     Args:
         env: The environment. If `jaxrod.envs.make` made it, the run records the recipe,
@@ -74,8 +75,8 @@ def train(
             none.
         checkpoint_seconds: Time between checkpoints [s]; there is always one at the
             end.
-        chunk_steps: Smallest number of control steps of a chunk, rounded up to whole
-            updates.
+        chunk_steps: Number of control steps of a chunk, rounded up to whole updates.
+            A chunk is one call of the compiled program and one row of progress.
         devices: Devices to spread the environments over, None for all; one for an
             algorithm without a `partition`.
         progress: Whether to show a progress bar on stderr.
@@ -153,7 +154,7 @@ def train(
 def _devices(
     learner: Algorithm, devices: Sequence[jax.Device] | None
 ) -> Sequence[jax.Device]:
-    """The devices of a run."""
+    """Devices of a run: the given ones, or all that the learner can use."""
     if devices is None:
         return jax.devices() if learner.partition else jax.devices()[:1]
     if not devices:
@@ -195,7 +196,7 @@ def request(
     seed: int,
     score_window: int,
 ) -> dict[str, Any]:
-    """The request, as stored in `config.json`."""
+    """Content of `config.json`: task, options, algorithm, steps, seed, settings."""
     return {
         **_origin(env),
         "algorithm": algorithm,
@@ -207,10 +208,10 @@ def request(
 
 
 def _origin(env: Environment) -> dict[str, Any]:
-    """The task, and the options with which `make` makes the environment again.
+    """Entries of `config.json` by which `jaxrod.envs.make` makes an environment again.
 
-    An environment that `make` did not make cannot be made again. Its description is
-    then stored as text, for people, and to tell it from others.
+    They are the task and its options. An environment that `make` did not make cannot be
+    made again. Then its description is stored as text, to tell it from others.
     """
     how = origin_of(env)
     if how is None:
@@ -233,7 +234,7 @@ def _origin(env: Environment) -> dict[str, Any]:
 def _check_folder(
     folder: RunFolder, requested: dict[str, Any], resume: bool, overwrite: bool
 ) -> None:
-    """Raises ValueError with the reason if the folder cannot be used."""
+    """Raises ValueError unless the requested run can begin or resume in a folder."""
     name = str(folder.path)
     if not resume:
         folder.check_replaceable()
@@ -282,7 +283,7 @@ def train_seeds(
     config: Any = None,
     env_params: Any = None,
 ) -> tuple[Any, dict[str, Array]]:
-    """Trains one run per seed, all in one program and without touching the host.
+    """Trains one run per seed, all in one compiled program, without any files.
 
     Suitable for small tasks and studies; for a long run use `jaxrod.training.train`.
     Under vectorisation both branches of a condition are computed, so restarts add a

@@ -1,8 +1,8 @@
-"""A folder of results that knows which of its files were written by jaxrod.
+"""Folders of results in which jaxrod replaces only files that it has written.
 
-Its `config.json` carries a mark. If the mark is missing, nothing in the folder is
-replaced or removed, whatever the request. If it is there, only the files that such a
-folder is known to hold are replaced or removed, one by one.
+The entry `format` of `config.json` marks such a folder. Without the mark, nothing in
+the folder is replaced or removed. With it, only files with the names that such a folder
+holds are replaced or removed, one by one.
 """
 
 from __future__ import annotations
@@ -27,11 +27,11 @@ from jaxrod.files import (
 from jaxrod.training.runs.lock import only_process
 
 CONFIG = "config.json"
-"""File with the configuration and the mark."""
+"""Name of the file with the configuration and the mark of jaxrod."""
 
 
 class OwnedFolder:
-    """A folder that one command writes, with its files."""
+    """A folder of results that one command writes, with known names of files."""
 
     def __init__(
         self,
@@ -61,18 +61,18 @@ class OwnedFolder:
 
     @property
     def exists(self) -> bool:
-        """Whether a run was started here, by jaxrod or another program."""
+        """Whether the folder has a `config.json`, of jaxrod or another program."""
         return os.path.lexists(self.path / CONFIG)
 
     def only_process(self) -> AbstractContextManager[None]:
-        """Keeps other processes from writing here, see `jaxrod.training.runs.lock`."""
+        """Context that locks the folder for this process, see `lock.only_process`."""
         return only_process(self.path)
 
     def stored(self) -> dict[str, Any]:
-        """Reads `config.json` and drops its mark.
+        """Content of `config.json` without its mark.
 
         Raises:
-            ValueError: The file is missing, is damaged, or has another mark.
+            ValueError: `config.json` is missing, is damaged, or has another mark.
         """
         file = self.path / CONFIG
         try:
@@ -109,7 +109,7 @@ class OwnedFolder:
                 raise ValueError(f"{self.path / name} was not written by jaxrod")
 
     def _there(self) -> list[str]:
-        """Files and folders of such a folder that exist; empty folders do not count."""
+        """Names of the known files and folders that exist, without empty folders."""
         return [name for name in self._files if os.path.lexists(self.path / name)] + [
             name
             for name in self._folders
@@ -118,7 +118,7 @@ class OwnedFolder:
         ]
 
     def _strange(self) -> str | None:
-        """Reason why the folder is not recognised as jaxrod's; None if it is."""
+        """Reason why the folder does not bear jaxrod's mark; None if it does."""
         file = self.path / CONFIG
         if not os.path.lexists(file):
             return f"no {CONFIG} that says that they are of a {self.kind} of jaxrod"
@@ -154,7 +154,7 @@ class OwnedFolder:
         _remove(self.path / CONFIG)
 
     def _remove_results(self) -> None:
-        """Removes everything but the mark, by which the folder is recognised."""
+        """Removes the files that jaxrod has written, except `config.json`."""
         for folder, names in self._folders.items():
             for file in _matching(self.path / folder, names):
                 _remove(file)
@@ -179,7 +179,7 @@ class OwnedFolder:
 
 
 def _matching(folder: Path, names: str) -> list[Path]:
-    """Files of a folder whose full names match."""
+    """Files of a folder whose whole names match the regular expression `names`."""
     if not folder.is_dir():
         return []
     return [
@@ -199,7 +199,11 @@ def _remove(file: Path) -> None:
 
 
 def as_json(name: str, content: Mapping[str, Any]) -> bytes:
-    """Text of a JSON file.
+    """Bytes of a JSON file.
+
+    Args:
+        name: Name of the file, for messages.
+        content: Entries of the file.
 
     Raises:
         ValueError: A number is not finite.

@@ -1,4 +1,4 @@
-"""Settings of a learner converted to JSON and back."""
+"""Conversion of a learner's settings to the JSON of `config.json` and back."""
 
 from __future__ import annotations
 
@@ -20,16 +20,17 @@ KINDS: dict[type, str] = {
     float: "a number",
     str: "text",
 }
-"""Descriptions of the kinds of settings."""
+"""Descriptions of the values of a setting by the type of its default, for messages."""
 FUNCTION = "the import path of a function, module:NAME"
-"""Description of settings that are functions."""
+"""Description of the value of a setting that is a function, for messages."""
 
 
 def recorded(settings: Any) -> dict[str, Any]:
-    """The settings of a learner, a dataclass, in the form of `config.json`.
+    """Settings of a learner by name, as JSON values; functions as import paths.
 
     Raises:
-        ValueError: One is a function that another process could not find.
+        ValueError: A setting is a function that another process could not find, or a
+            value that JSON cannot hold.
     """
     return {
         field.name: _recorded(field.name, getattr(settings, field.name))
@@ -40,10 +41,11 @@ def recorded(settings: Any) -> dict[str, Any]:
 def restored(
     defaults: Any, stored: Mapping[str, Any], trust: Collection[str] = ()
 ) -> Any:
-    """Settings restored from `config.json`.
+    """Settings of a learner restored from `config.json`.
 
     Args:
-        defaults: Settings of the learner; those that are not stored stay.
+        defaults: Default settings of the learner, used for settings that are not
+            stored.
         stored: Stored settings; entries that are no settings of the learner are
             ignored.
         trust: Modules that may be imported because the file names them, see
@@ -66,7 +68,7 @@ def restored(
 
 
 def plain(value: Any) -> Any:
-    """A value as JSON can hold it; other values stay unchanged."""
+    """Converts arrays to numbers or lists, and tuples to lists, also inside a value."""
     if isinstance(value, tuple | list):
         return [plain(one) for one in value]
     if isinstance(value, dict):
@@ -76,23 +78,23 @@ def plain(value: Any) -> Any:
 
 
 def is_function(default: Any) -> bool:
-    """Whether a setting with this default takes a function, or None."""
+    """Whether a setting with this default is a function or None."""
     return default is None or callable(default)
 
 
 def find_function(name: str, path: Any, trust: Collection[str] | None = None) -> Any:
-    """The function that a setting names.
+    """Imports the function that a setting names.
 
     Args:
         name: Name of the setting.
-        path: Its import path; None returns None.
-        trust: Trusted modules if a file holds the path, see `restored`; None if the
-            user gives the path.
+        path: Import path of the function; None returns None.
+        trust: Trusted modules if the path was read from a file, see `restored`; None if
+            the user typed the path.
 
     Raises:
-        ValueError: It is no import path, or its object is not a function.
-        UntrustedError: A file names it, and it is not trusted.
-        ImportError: It is not found.
+        ValueError: `path` is no import path, or its object is not a function.
+        UntrustedError: The path was read from a file and its module is not trusted.
+        ImportError: The function is not found.
     """
     if path is None:
         return None
@@ -134,7 +136,7 @@ def _checked(name: str, value: Any) -> Any:
 
 
 def _restored(name: str, value: Any, default: Any, trust: Collection[str]) -> Any:
-    """A stored value, which must have the type of the default."""
+    """Converts a JSON value to a setting, which must have the type of the default."""
     if is_function(default):
         usual = callable(default) and value == import_path(default)
         return default if usual else find_function(name, value, trust)

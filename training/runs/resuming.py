@@ -1,6 +1,6 @@
-"""Reading what a run has stored: its last sound checkpoint, and its policy.
+"""Resuming a run from its newest readable checkpoint, and reading its policy.
 
-The tables of a run are cut to match the checkpoint.
+The tables of a resumed run are cut back to the rows that the checkpoint counts.
 """
 
 from __future__ import annotations
@@ -49,17 +49,17 @@ _FACTS = {
     "progress": OBJECT,
     "episodes": OBJECT,
 }
-"""Facts that a checkpoint holds in addition to the train state."""
+"""Names and kinds of the facts that a checkpoint holds beside the train state."""
 
 
 @pytree
 class Stored:
-    """Content of a checkpoint."""
+    """Arrays in a checkpoint: train state and parameters of the environment."""
 
     learner: Any
     """The train state of the algorithm."""
     env_params: Any
-    """Parameters of the environment: a run must continue with its original ones."""
+    """Parameters of the environment, with which a resumed run must agree."""
 
 
 class DamagedCheckpointWarning(UserWarning):
@@ -69,7 +69,14 @@ class DamagedCheckpointWarning(UserWarning):
 def facts_of(
     folder: RunFolder, requested: dict[str, Any], updates: int, wall_s: float
 ) -> dict[str, Any]:
-    """Facts of a checkpoint, once the rows they count are on the disk."""
+    """Facts of a checkpoint; waits until the rows of the tables are on the disk.
+
+    Args:
+        folder: Folder of the run.
+        requested: Content of `config.json`.
+        updates: Number of updates so far.
+        wall_s: Time of the run so far [s].
+    """
     return {
         "config": requested,
         "updates": updates,
@@ -80,7 +87,7 @@ def facts_of(
 
 
 def stored(state: Any, env_params: Any) -> Stored:
-    """Content of a checkpoint from a train state and environment parameters."""
+    """Content of a checkpoint, from a train state and parameters of the environment."""
     return Stored(state, jax.tree.map(jnp.asarray, env_params))
 
 
@@ -95,19 +102,20 @@ def restore(
     Args:
         folder: Folder of the run.
         checkpoints: Checkpoints of the run.
-        requested: Configuration of the run.
+        requested: Content of `config.json`.
         template: Content of a checkpoint, of the same structure and shapes.
 
     Returns:
         The content and the facts; None if there is no checkpoint, because a run that
-        was killed before the first one starts over.
+        was killed before its first checkpoint starts over.
 
     Raises:
         ValueError: No checkpoint can be read, the newest belongs to another run, or a
-            table has lost rows that the checkpoint counts. Nothing is changed then.
+            table has lost rows that the checkpoint counts. No file is changed then.
 
     Warns:
-        DamagedCheckpointWarning: The newest cannot be read, but an older one can.
+        DamagedCheckpointWarning: The newest checkpoint cannot be read, but an older one
+            can.
     """
     found, damaged = None, []
     for step in checkpoints.steps():
@@ -142,7 +150,14 @@ def restore(
 def _check_facts(
     file: Path, step: int, requested: dict[str, Any], facts: dict[str, Any]
 ) -> None:
-    """Raises ValueError unless a checkpoint belongs to this run."""
+    """Raises ValueError unless the facts of a checkpoint are valid and of this run.
+
+    Args:
+        file: File of the checkpoint, for messages.
+        step: Number of the checkpoint.
+        requested: Content of `config.json`.
+        facts: Facts that the checkpoint holds.
+    """
     with reading(file):
         check_entries(facts, _FACTS)
         if facts["updates"] != step:
@@ -157,7 +172,7 @@ def _check_facts(
 
 
 def _check_same_task(stored: Any, given: Any) -> None:
-    """Raises ValueError unless all numbers of an environment are unchanged."""
+    """Raises ValueError unless two sets of environment parameters agree to 1e-6."""
     for (path, was), now in zip(
         jax.tree.leaves_with_path(stored), jax.tree.leaves(given), strict=True
     ):
@@ -182,7 +197,7 @@ def restore_policy(
 
     Args:
         run: Folder of the run.
-        env: The environment it was trained on.
+        env: The environment that the policy was trained on.
         env_params: Parameters of the environment, None for its defaults.
         trust: Modules that may be imported because the run names them, such as
             `("my_learners",)`: those of an algorithm or a network of your own. The
@@ -190,7 +205,7 @@ def restore_policy(
 
     Raises:
         ValueError: There is no run, it has no policy yet, or a file is damaged; the
-            message names it.
+            message names the file.
         UntrustedError: The run names an algorithm or a network that is not trusted.
         ImportError: The algorithm or the network of the run is not found.
 
@@ -222,7 +237,7 @@ def untrained_policy(
     *,
     env_params: Any = None,
 ) -> Any:
-    """Structure of the policy that training would make, without computing anything.
+    """Form of the policy that training would make: shapes and dtypes, no numbers.
 
     Args:
         env: The environment.

@@ -1,7 +1,7 @@
-"""One run on the host: chunks of compiled updates, and the records between them.
+"""The host side of a training run: it calls chunks of compiled updates.
 
-After every chunk the run logs, shows progress, and sometimes saves. It never looks
-inside an algorithm, see `jaxrod.training.algorithm`.
+After every chunk the run writes a row of progress and, from time to time, a checkpoint.
+It uses of an algorithm only the functions of `jaxrod.training.Algorithm`.
 """
 
 from __future__ import annotations
@@ -43,10 +43,10 @@ from jaxrod.training.settings import check_steps
 _STORED = "stored"
 
 TENSORBOARD: Literal["tensorboard"] = "tensorboard"
-"""Value of `log` for an event file in the folder of the run, see `EventFile`."""
+"""Value of `log` that requests an event file in the folder of the run."""
 
 Log = Callable[[dict[str, Any]], None] | Literal["tensorboard"]
-"""Consumer of the rows of the progress table."""
+"""Type of `log`: a function called with every row of progress, or "tensorboard"."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -64,7 +64,7 @@ class Result:
     """
 
     summary: dict[str, Any]
-    """Summary, as in `summary.json`."""
+    """Content of `summary.json`: scores, steps, times and the device."""
     policy: Policy
     """The deterministic policy."""
     progress: list[dict[str, Any]]
@@ -76,11 +76,11 @@ class Result:
     state: Any
     """The final train state."""
     folder: RunFolder | None
-    """The run's folder, None if nothing was written."""
+    """The run's folder; None without a folder, and in all processes but the first."""
 
 
 class Run:
-    """One call of `jaxrod.training.train`, with its state on the host."""
+    """Host side of one call of `train`: steps so far, train state, records."""
 
     def __init__(
         self,
@@ -99,7 +99,7 @@ class Run:
         show: bool,
         log: Log | None,
     ) -> None:
-        """Makes the first train state, or restores the last; see `train`."""
+        """Makes the first train state or restores the last; arguments of `train`."""
         self.began = time.monotonic()
         env_params = env.default_params() if env_params is None else env_params
         self.env, self.learner, self.env_params = env, learner, env_params
@@ -118,7 +118,7 @@ class Run:
         own = self.folder
         self.checkpoints = Checkpoints(own.checkpoints) if own else None
 
-        # The mesh first: it fails at once if the devices do not fit.
+        # The mesh is made first, because it fails at once if the devices do not fit.
         self.mesh = device_mesh(devices)
         # Static, because 32 bits cannot hold the control steps of a very long run.
         start = jax.jit(learner.init, static_argnums=(1, 4))
@@ -139,17 +139,17 @@ class Run:
 
     @property
     def env_steps(self) -> int:
-        """Number of control steps so far."""
+        """Number of control steps so far, of all environments together."""
         return self.done * self.per_update
 
     def _clock(self) -> float:
-        """Time of this run, including the time before it was resumed [s]."""
+        """Updates and returns the time of this run, with that before resuming [s]."""
         self.wall_s = self.wall_before + time.monotonic() - self.began
         return self.wall_s
 
     def go(self, evaluation_episodes: int) -> Result:
-        """Runs to the end, or to an interruption, and writes the result."""
-        # A finished run has nothing to add: its summary stays as it is.
+        """Trains to the end or to an interruption, evaluates, and writes the result."""
+        # A run that had finished before keeps its summary.
         ended = self.done == self.total
         summary = {} if ended else self._advance()
         finished = self.done == self.total
@@ -181,7 +181,7 @@ class Run:
         )
 
     def _advance(self) -> dict[str, Any]:
-        """Compiles and runs the chunks; returns compilation time and speed."""
+        """Compiles, and trains chunk by chunk; returns compile time and speed."""
         began, steps_before = time.monotonic(), self.env_steps
         if self.show:
             print(f"compiling {self.learner.name} for {self.env.name}", file=sys.stderr)
@@ -221,7 +221,16 @@ class Run:
         }
 
     def _record(self, metrics: Metrics, count: int, bar: ProgressBar) -> None:
-        """Records a chunk: one row of progress, and the episodes that ended."""
+        """Records a chunk: writes one row of progress and the episodes that ended.
+
+        Args:
+            metrics: Metrics of the chunk in host memory; the first axis is updates.
+            count: Number of updates of the chunk: valid entries of that axis.
+            bar: Progress bar to update.
+
+        Raises:
+            FloatingPointError: A reported number is NaN.
+        """
         wall = self._clock()
         self.done += count
         new = self.episodes.take(metrics.episodes, count, self.env_steps)
@@ -250,7 +259,7 @@ class Run:
         self._stop_if(name for name, value in row.items() if value != value)
 
     def _stop_if(self, broken: Iterable[str]) -> None:
-        """Raises FloatingPointError with the names of all numbers that are NaN."""
+        """Raises FloatingPointError with the names of numbers that are NaN, if any."""
         names = ", ".join(broken)
         if names:
             raise FloatingPointError(
@@ -276,7 +285,7 @@ class Run:
             self._export(policy)
 
     def _policy(self) -> Policy:
-        """The deterministic policy, on the host."""
+        """The deterministic policy, in host memory."""
         with self.hosts.losing_none(self.env_steps):
             return self.hosts.fetched(self.learner.policy(self.state), self.mesh)
 
@@ -289,7 +298,7 @@ class Run:
             save_policy(policy, self.folder.policy, about)
 
     def _restore(self, template: Any) -> Any:
-        """The train state to continue from; also restores the run's counts."""
+        """Restores updates, time and episodes; returns the train state to resume."""
         begun = stored(template, self.env_params)
         if not self.hosts.several:
             found = self._read(begun)
@@ -306,7 +315,7 @@ class Run:
         return kept.learner
 
     def _read(self, template: Stored) -> _Found | None:
-        """Reads the checkpoint and the episodes in the folder."""
+        """Reads the newest checkpoint and the episodes; None without a checkpoint."""
         assert self.checkpoints and self.folder
         found = restore(self.folder, self.checkpoints, self.requested, template)
         return None if found is None else (*found, self.folder.episodes.read())
@@ -342,7 +351,7 @@ class Run:
 
 
 _Found = tuple[Stored, dict[str, Any], list[dict[str, str]]]
-"""Restored data of a run: a checkpoint's state and facts, rows of the episodes."""
+"""Data to resume from: content and facts of a checkpoint, and rows of episodes.csv."""
 
 
 def _begin(folder: RunFolder, requested: dict[str, Any]) -> bytes:
@@ -351,7 +360,7 @@ def _begin(folder: RunFolder, requested: dict[str, Any]) -> bytes:
 
 
 def _as_bytes(found: _Found | None) -> bytes:
-    """The restored data as bytes, for sending to other processes."""
+    """Data to resume from as bytes, to send to other processes; empty for None."""
     if found is None:
         return b""
     kept, *about = found
@@ -360,7 +369,7 @@ def _as_bytes(found: _Found | None) -> bytes:
 
 
 def _from_bytes(content: bytes, template: Stored) -> _Found | None:
-    """The restored data from the bytes of `_as_bytes`."""
+    """Data to resume from, from the bytes of `_as_bytes`."""
     if not content:
         return None
     arrays, (facts, episodes) = unpacked(content)
@@ -373,9 +382,9 @@ class EpisodeLog:
     """Every complete training episode of a run.
 
     Attributes:
-        returns: Sums of the rewards.
-        lengths: Numbers of control steps.
-        flagged: Whether a numerical health flag ended the episode.
+        returns: Sum of the rewards of each episode.
+        lengths: Number of control steps of each episode.
+        flagged: Whether a numerical health flag ended each episode.
     """
 
     def __init__(self) -> None:
@@ -391,15 +400,15 @@ class EpisodeLog:
     def take(
         self, records: EpisodeRecord, updates: int, env_steps: int
     ) -> list[dict[str, Any]]:
-        """Adds the episodes of a chunk.
+        """Adds the complete episodes of a chunk, in chronological order.
 
         Args:
-            records: On the host, shape (capacity, steps, num_envs).
-            updates: Number of completed updates of the chunk.
+            records: Arrays in host memory, shape (capacity, steps, num_envs).
+            updates: Number of updates of the chunk: valid entries of the first axis.
             env_steps: Control steps of the run when the chunk ended.
 
         Returns:
-            The new episodes, as rows of a table.
+            The new episodes, as rows of episodes.csv.
         """
         # The indices are sorted by update, then step, then environment.
         where = np.nonzero(records.finished[:updates])
@@ -420,7 +429,7 @@ class EpisodeLog:
         ]
 
     def restore(self, rows: list[dict[str, str]]) -> None:
-        """Restores the episodes from a table that was written earlier."""
+        """Replaces the episodes by those in the rows of an episodes.csv."""
         self.returns = [float(row["episode_return"]) for row in rows]
         self.lengths = [int(row["length"]) for row in rows]
         self.flagged = [row["flagged"] == "1" for row in rows]
@@ -428,8 +437,8 @@ class EpisodeLog:
     def recent(self, window: int) -> float | None:
         """Mean return of the last `window` episodes, None before the first.
 
-        With the benchmark's window (50 episodes per seed) this is the published final
-        score at the end of a run.
+        At the end of a run with the paper's window (10 episodes in Cases 3 and 4, else
+        50) this is the final score that compares with the published one.
         """
         return float(np.mean(self.returns[-window:])) if self.returns else None
 

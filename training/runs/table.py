@@ -1,4 +1,4 @@
-"""A CSV file that grows by rows and can be cut back to a checkpoint's count."""
+"""CSV tables that grow by rows and can be cut back to an earlier length."""
 
 from __future__ import annotations
 
@@ -25,11 +25,15 @@ from jaxrod.files import (
 )
 
 Mark = dict[str, Any]
-"""Mark in a table: the number of its rows and bytes, and the SHA-256 of these bytes."""
+"""Length of a table at some moment: number of rows and bytes, SHA-256 of the bytes."""
 
 
 class Table:
-    """The table, and, once it was cut, the extent that this process has written."""
+    """A CSV file to which only this process appends.
+
+    It remembers the length that it expects, to notice another writer. To continue an
+    existing file, `cut` comes before the first `append`.
+    """
 
     def __init__(self, path: Path) -> None:
         """Sets the path of the file, which need not exist."""
@@ -48,7 +52,7 @@ class Table:
         Raises:
             ValueError: Another process has written to the file, or a row has other
                 columns.
-            OSError: It cannot be written; the message has its name.
+            OSError: The file cannot be written; the message has its name.
         """
         rows = list(rows)
         if not rows:
@@ -85,7 +89,7 @@ class Table:
         self._digest.update(added)
 
     def mark(self) -> Mark:
-        """Waits until all rows are on the disk; returns a mark at their end."""
+        """Waits until all rows are on the disk; returns the length of the table."""
         if self._bytes:
             with naming(self.path):
                 handle = open_to_write(self.path, os.O_RDWR)
@@ -100,9 +104,15 @@ class Table:
         }
 
     def check(self, mark: Mark | None) -> None:
-        """Raises ValueError unless the file begins with the marked content.
+        """Raises an error unless the file begins with the content at a mark.
 
-        The file that this process continues must not be a link.
+        Args:
+            mark: Result of an earlier `mark`; None checks only that the file is no
+                link.
+
+        Raises:
+            ValueError: Rows are missing or have changed.
+            jaxrod.files.LinkedFileError: The file is a link.
         """
         refuse_link(self.path)
         if mark is None:
@@ -128,7 +138,7 @@ class Table:
             )
 
     def cut(self, mark: Mark | None = None) -> None:
-        """Cuts the table back to a mark: later rows were not checkpointed.
+        """Cuts the table back to its content at a mark; None removes the file.
 
         Raises:
             ValueError: See `check`.
@@ -163,15 +173,15 @@ class Table:
 
 
 def check_mark(mark: Mapping[str, Any]) -> None:
-    """Raises ValueError unless it can be a mark of a table."""
+    """Raises ValueError unless `mark` has the entries of a `Mark`."""
     check_entries(mark, {"rows": whole(0), "bytes": whole(0), "sha256": TEXT})
 
 
 def _first_empty(content: bytes) -> str | None:
-    """Phrase for the first place where a table lacks a value.
+    """Phrase that names the row and column of an empty value; None if there is none.
 
-    Columns with values in earlier rows take precedence: some columns have no values
-    until an episode has ended.
+    It is the first in a column that has values in earlier rows, or else the first of
+    all: some columns have no values until an episode has ended.
     """
     lines = list(csv.reader(io.StringIO(content.decode(errors="replace"), newline="")))
     columns, rows = lines[0], lines[1:]
@@ -190,7 +200,7 @@ def _first_empty(content: bytes) -> str | None:
 
 
 def _lines(rows: Iterable[Iterable[Any]]) -> bytes:
-    """Rows as CSV text."""
+    """Rows as the bytes of CSV text."""
     text = io.StringIO()
     csv.writer(text, lineterminator="\n").writerows(rows)
     return text.getvalue().encode()

@@ -1,1 +1,1 @@
-"""Sweeps of many runs: planning, parallel training here or on a cluster, results."""
+"""Sweeps of many runs: plan, parallel training on one machine or a cluster, results."""

@@ -1,8 +1,8 @@
-"""A command that does not outlive the process that started it.
+"""Program that runs a command and stops when the process that started it is gone.
 
-`python -P child.py WORDS` acts like `jaxrod WORDS`, but it also watches its standard
-input. When standard input ends, because the process at the other end is gone for any
-reason, the command saves and stops as after Ctrl-C.
+`python -P child.py WORDS` acts like `jaxrod WORDS`, but it also reads its standard
+input. When that ends, because the process at the other end of the pipe has closed it or
+has died, the command saves and stops as after Ctrl-C.
 """
 
 from __future__ import annotations
@@ -15,18 +15,18 @@ import traceback
 from pathlib import Path
 
 BROKEN = 70
-"""Exit code after an unexpected error."""
+"""Exit code after an unexpected error, which is a fault of jaxrod."""
 
 
 def _follow() -> None:
-    """Waits for the end of standard input."""
+    """Waits for the end of standard input, then sends SIGTERM to this process."""
     while os.read(0, 1024):
         pass
     os.kill(os.getpid(), signal.SIGTERM)
 
 
 def main() -> int:
-    """Runs the command."""
+    """Runs the command in the words of this process; returns its exit code."""
     threading.Thread(target=_follow, daemon=True).start()
     try:
         from jaxrod import cli

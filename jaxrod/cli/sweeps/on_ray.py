@@ -1,13 +1,13 @@
-"""Runs as tasks of a Ray cluster, which places them and retries them elsewhere.
+"""Runs of a sweep as tasks of a Ray cluster, which assigns nodes and retries them.
 
 Each task starts the process of its run and waits for it. All data of a run are in its
 folder, on a file system that the nodes share. So a task that is retried, on any node,
 continues from the last checkpoint.
 
-A run has one writer: its process, which holds the lock of the folder
-(`jaxrod.training.runs.lock`). The process ends when its task ends, because it watches
-the task's end of a pipe. If a task is retried while the first process is still alive,
-it waits until the lock is free.
+Only the process of a run writes its folder, whose lock it holds
+(`jaxrod.training.runs.lock`). The process ends when its task ends, because the pipe
+from the task to it is then closed. If a task is retried while the first process is
+still alive, the second waits until the lock is free.
 """
 
 from __future__ import annotations
@@ -27,20 +27,20 @@ RETRIES = 10
 """Number of retries of a run whose node or worker died."""
 POLL_SECONDS = 2.0
 SEEN_SECONDS = 90.0
-"""Longest delay until a network file system shows a node's files here [s]."""
+"""Longest wait until files that another node wrote are visible here [s]."""
 
 _PASSED_ON = ("PYTHONPATH", "JAX_", "JAXROD_", "XLA_")
-"""Prefixes of environment variables that every run gets from this process."""
+"""Prefixes of the names of environment variables that this process passes to runs."""
 
 
 class RayCluster:
-    """Passes all runs to Ray, which trains as many at once as resources allow."""
+    """A Ray cluster, which trains as many runs at once as its resources allow."""
 
     def __init__(self, jobs: int, cores: int, gpus: float) -> None:
-        """Sets the resources of the tasks on a connected cluster.
+        """Sets the resources of each run, on a cluster that is connected already.
 
         Args:
-            jobs: Number of runs.
+            jobs: Number of runs of the sweep, which are all submitted at once.
             cores: Number of processor cores per run.
             gpus: Number of GPUs per run.
         """
@@ -61,7 +61,14 @@ class RayCluster:
     def train(
         self, words: Sequence[str], folder: RunFolder, stop: Event, kill: Event
     ) -> Ended:
-        """Trains a run on some node, and waits until its files appear here."""
+        """Trains a run on some node, and waits until its files are visible here.
+
+        Args:
+            words: The command, after `jaxrod`.
+            folder: Folder of the run.
+            stop: Event after which the run is asked to save and stop.
+            kill: Event after which the task is cancelled at once.
+        """
         import ray
 
         place = str(folder.path)
@@ -96,8 +103,9 @@ def cluster(address: str, jobs: int, cores: int, gpus: float) -> Iterator[RayClu
     """Connects to a cluster while the context lasts.
 
     Args:
-        address: Address of its head, HOST:PORT, or "auto" on one of its nodes.
-        jobs: Number of runs.
+        address: Address of the cluster's head, HOST:PORT, or "auto" on one of its
+            nodes.
+        jobs: Number of runs of the sweep.
         cores: Number of processor cores per run.
         gpus: Number of GPUs per run.
 
@@ -122,7 +130,7 @@ def train_on_node(
     Args:
         words: The command, after `jaxrod`.
         place: Folder of the run.
-        cwd: Folder in which to run it; a user's own task is searched there.
+        cwd: Working folder of the command; a user's own task is searched there.
         variables: Environment variables, in addition to those of this node.
     """
     import ray

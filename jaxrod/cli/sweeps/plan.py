@@ -1,4 +1,4 @@
-"""The runs of a sweep: every combination of tasks, algorithms, settings and seeds."""
+"""Planning of a sweep: all combinations of tasks, algorithms, settings and seeds."""
 
 from __future__ import annotations
 
@@ -25,17 +25,18 @@ from jaxrod.training.settings import check_steps
 from jaxrod.validation import check_count, check_seed
 
 _LONGEST = 200
-"""Largest length of a name: file systems allow 255 characters, including additions."""
+"""Largest length of a run's name. File systems allow 255 characters, of which some are
+needed for endings."""
 _UNASKED = ("score_window",)
-"""Entries that follow from the task and are not part of the request."""
+"""Entries of a configuration in which a started run may differ from its plan."""
 
 
 class Planned(Protocol):
-    """The properties of a run that are known before it is trained."""
+    """A run that is planned: its properties before it is trained."""
 
     @property
     def name(self) -> str:
-        """Name of its folder."""
+        """Name of the folder of the run."""
 
     @property
     def steps(self) -> int:
@@ -43,14 +44,14 @@ class Planned(Protocol):
 
     @property
     def config(self) -> dict[str, Any]:
-        """Configuration that determines the result, as in `config.json`."""
+        """Content of `config.json` that the run will have."""
 
     @property
     def beside(self) -> str:
-        """Text to show after its score, with a separator; empty for none."""
+        """Text to show after the score of the run, with a separator; may be empty."""
 
     def command(self, out: Path) -> list[str]:
-        """Words of the command that trains it, after `jaxrod`."""
+        """Words after `jaxrod` of the command that trains the run in folder `out`."""
 
 
 def differs(
@@ -60,8 +61,8 @@ def differs(
 
     Args:
         planned: The planned run.
-        folder: Folder in which it was started, if it was.
-        stored: The stored configuration; None to read it from the folder.
+        folder: Folder of the run; a run that was not started has no differences.
+        stored: Stored configuration; None to read it from the folder.
     """
     if stored is None:
         stored = folder.config() if folder.exists else planned.config
@@ -83,34 +84,34 @@ class SweepRun:
     steps: int
     """Number of control steps."""
     chosen: Mapping[str, str]
-    """Chosen settings by name, as words."""
+    """Values of the settings that the sweep sets, as text, by name."""
     config: dict[str, Any]
-    """Configuration that determines the result, as in `config.json`."""
+    """Content of `config.json` that the run will have."""
     options: tuple[str, ...] = ()
-    """Words of the command that all runs share."""
+    """Words of the command that all runs of the sweep share, such as the variant."""
     devices: int | None = None
-    """Number of CPU devices to spread over; None for as many as fit."""
+    """Number of CPU devices for the environments; None for as many as fit."""
 
     beside = ""
 
     @property
     def group(self) -> str:
-        """Group of runs that differ only in their seeds: algorithm and settings."""
+        """Algorithm and settings as text, equal in runs that differ only in seed."""
         settings = (f"{name}={word}" for name, word in sorted(self.chosen.items()))
         return " ".join((self.algorithm, *settings))
 
     @property
     def subject(self) -> str:
-        """Group of runs whose returns compare: the task and its variant."""
+        """Task and variant as text: equal in runs whose returns can be compared."""
         return _for_files(*filter(None, (short_name(self.task), self.variant)))
 
     @property
     def name(self) -> str:
-        """Name of its folder, such as "tracking-clean-ppo-learning_rate=0.001-0"."""
+        """Name of the folder, such as "tracking-clean-ppo-learning_rate=0.001-0"."""
         return _for_files(self.subject, *self.group.split(" "), str(self.seed))
 
     def command(self, out: Path) -> list[str]:
-        """Words of the command that trains it, after `jaxrod`."""
+        """Words after `jaxrod` of the command that trains the run in folder `out`."""
         words = ["train", self.task, "--algorithm", self.algorithm, *self.options]
         words += ["--steps", str(self.steps), "--seed", str(self.seed)]
         if self.devices is not None:
@@ -195,7 +196,18 @@ def _env(task: str, options: Mapping[str, Any]) -> Environment:
 def _configurations(
     name: str, sets: Sequence[str], steps: int, cores: int | None
 ) -> list[tuple[dict[str, str], Any, int | None]]:
-    """Chosen words, resulting settings and number of devices, for one learner."""
+    """All combinations of the alternatives of one learner's settings.
+
+    Args:
+        name: Name of the learner.
+        sets: Alternatives as NAME=VALUE,VALUE,...
+        steps: Number of control steps of every run, for a check.
+        cores: Number of cores of every run; None if not known.
+
+    Returns:
+        For every combination the values as text by name, the learner's settings, and
+        the number of devices (None if `cores` is None).
+    """
     learner, defaults = resolve(name, None)
     found: list[tuple[dict[str, str], Any, int | None]] = []
     try:
@@ -215,7 +227,7 @@ def _configurations(
 
 
 def _meant(name: str, sets: Sequence[str], algorithms: Sequence[str]) -> list[str]:
-    """Settings for one algorithm: common ones, and its own without the name prefix."""
+    """Words of `--set` that hold for one algorithm, without the prefix ALGORITHM."""
     found = []
     for word in sets:
         owner, dot, _ = word.partition("=")[0].rpartition(".")
@@ -227,7 +239,7 @@ def _meant(name: str, sets: Sequence[str], algorithms: Sequence[str]) -> list[st
 
 
 def _alternatives(defaults: Any, sets: Sequence[str]) -> dict[str, dict[str, None]]:
-    """Distinct values of every given setting, as words."""
+    """Distinct values as text of every given setting, as ordered keys of a dict."""
     values: dict[str, dict[str, None]] = {}
     for word in sets:
         setting, equals, text = word.partition("=")
@@ -242,7 +254,7 @@ def _alternatives(defaults: Any, sets: Sequence[str]) -> dict[str, dict[str, Non
 
 
 def _check_names(found: Sequence[SweepRun]) -> None:
-    """Raises ValueError unless every run has its own folder."""
+    """Raises ValueError unless the names of all runs differ and are short enough."""
     for name, count in Counter(run.name for run in found).items():
         if count > 1:
             raise ValueError(f"{count} of the runs would have the same folder, {name}")
@@ -251,5 +263,5 @@ def _check_names(found: Sequence[SweepRun]) -> None:
 
 
 def _for_files(*words: str) -> str:
-    """Words joined to one name that is valid on every file system."""
+    """Words joined by "-" to a name that is valid on every file system."""
     return re.sub(r"[^\w.=,+-]", "-", "-".join(words))

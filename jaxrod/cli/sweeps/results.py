@@ -1,4 +1,4 @@
-"""Results of a sweep next to its run folders: results.csv, and a picture per task."""
+"""Results of a sweep: the table results.csv, and a picture of curves per task."""
 
 from __future__ import annotations
 
@@ -27,17 +27,21 @@ _MEASURED = (
 
 
 class Results:
-    """A row for every run: its choices and its results.
+    """Table of a sweep: for every run a row with its settings and results.
 
-    The state is `finished`, `failed` (in this call; `error` gives the reason),
+    The column `state` is `finished`, `failed` (in this call; `error` gives the reason),
     `unfinished` or `waiting`. A missing score is nan, so that no mean can hide it.
     """
 
     def __init__(self, runs: Sequence[SweepRun], out: Path) -> None:
-        """Reads the content of the folders.
+        """Reads the run folders.
+
+        Args:
+            runs: All runs of the sweep.
+            out: Folder of the sweep, which holds the run folders.
 
         Raises:
-            ValueError: A file in them is damaged.
+            ValueError: A file in a run folder is damaged.
         """
         self._runs, self._out = list(runs), out
         self._settings = sorted({name for run in runs for name in run.chosen})
@@ -49,7 +53,10 @@ class Results:
         return list(self._rows.values())
 
     def update(self, run: SweepRun, error: str = "") -> dict[str, Any]:
-        """Reads the folder of a run again and writes results.csv."""
+        """Reads the folder of a run again and writes results.csv; returns the row.
+
+        `error` is the reason why the run failed; empty if it did not.
+        """
         self._rows[run.name] = self._row(run, error)
         self.write()
         return self._rows[run.name]
@@ -60,12 +67,12 @@ class Results:
         write_atomically(self._out / "results.csv", csv_of(list(rows[0]), rows))
 
     def draw(self) -> list[Path]:
-        """Draws the finished runs: curves of each task, means and spreads over seeds.
+        """Draws learning curves of the finished runs: means and spreads over seeds.
 
         Nothing is drawn without matplotlib.
 
         Returns:
-            The pictures.
+            Paths of the pictures, one per task and variant.
         """
         subjects: dict[str, dict[str, list[Path]]] = defaultdict(
             lambda: defaultdict(list)
@@ -114,7 +121,7 @@ class Results:
 
 
 def csv_of(columns: Sequence[str], rows: Sequence[Mapping[str, str]]) -> bytes:
-    """Rows as a CSV file."""
+    """Rows as the bytes of a CSV file."""
     text = io.StringIO()
     writer = csv.DictWriter(text, columns, lineterminator="\n")
     writer.writeheader()

@@ -1,8 +1,8 @@
 """Parallel training of runs, each in its own process, until they end or are stopped.
 
-There is one process per run. The programs and memory that JAX holds for one run are of
-no use to the next, and only the end of a process frees them. A run that exhausts its
-memory, or is killed, does not take others with it.
+Only the end of a process frees the programs and the memory that JAX holds, and the next
+run has no use for them. A run that exhausts its memory, or is killed, does not end
+other runs.
 """
 
 from __future__ import annotations
@@ -34,12 +34,12 @@ LAUNCHER = (sys.executable, "-P", str(Path(__file__).with_name("child.py")))
 
 
 class Ended(NamedTuple):
-    """Outcome of a process."""
+    """Outcome of the process of a run."""
 
     code: int
-    """Its exit code, negative for a signal."""
+    """Exit code of the process; -n if signal n killed it."""
     said: str
-    """Last line of its output, or the signal that killed it."""
+    """Last line of the output of the process, or the signal that killed it."""
 
 
 class Place(Protocol):
@@ -47,7 +47,7 @@ class Place(Protocol):
 
     @property
     def jobs(self) -> int:
-        """Number of runs that it accepts at once."""
+        """Number of runs that can be submitted at once."""
 
     def train(
         self, words: Sequence[str], folder: RunFolder, stop: Event, kill: Event
@@ -67,20 +67,20 @@ def train_all(
     ended: Callable[[PlannedT, Ended], None],
     more: Sequence[str] = (),
 ) -> None:
-    """Trains runs to their ends, as many at once as the place accepts.
+    """Trains runs until all have ended, as many at once as `place` accepts.
 
     If an interruption is requested, the active runs save and stop, and no other run
-    starts. After any error they are killed.
+    starts. After any error the active runs are killed.
 
     Args:
         runs: The runs, in the order in which they start.
-        folder_of: Function that returns a run's folder. A run continues from its
-            content.
+        folder_of: Function that returns a run's folder. A started run continues from
+            its last checkpoint.
         place: Machine or cluster that trains the runs.
-        view: View that shows their progress.
+        view: View that shows the progress of the runs.
         interruption: Request to stop.
         ended: Function that is called with each run that has ended and its outcome.
-        more: Words that are added to all commands.
+        more: Words that are added to the commands of all runs.
     """
     stop, kill = Event(), Event()
     # The log of a run grows when its process starts.
@@ -123,15 +123,15 @@ def train_here(
     cwd: str | None = None,
     environment: Mapping[str, str] | None = None,
 ) -> Ended:
-    """Runs `jaxrod train` in its own process and waits for its end.
+    """Runs `jaxrod train` in a new process and waits for its end.
 
     Args:
         words: The command, after `jaxrod`.
-        folder: Folder of the run; the process continues from its content.
+        folder: Folder of the run; a started run is resumed.
         stop: Event after which the run is asked to save and stop.
         kill: Event after which the process is killed.
-        cwd: Folder in which it runs, None for the current one.
-        environment: Its environment variables, None for those of this process.
+        cwd: Working folder of the process, None for the current one.
+        environment: Environment variables of the process, None for those of this one.
     """
     log = log_of(folder)
     words = [*words, "--resume"] if folder.exists else words
@@ -166,10 +166,10 @@ def train_here(
 
 
 class ThisMachine:
-    """Trains several runs in parallel, each on its share of the cores."""
+    """This machine as a place for runs, each bound to an equal share of the cores."""
 
     def __init__(self, jobs: int) -> None:
-        """Divides the cores.
+        """Divides the available cores among the jobs.
 
         Args:
             jobs: Number of runs that are trained in parallel.
@@ -193,7 +193,7 @@ class ThisMachine:
     def train(
         self, words: Sequence[str], folder: RunFolder, stop: Event, kill: Event
     ) -> Ended:
-        """Trains a run, or continues it."""
+        """Trains or resumes a run on a free share of the cores, see `train_here`."""
         share = self._shares.get()
         try:
             if share:
@@ -207,8 +207,12 @@ class ThisMachine:
 def wait_for(folders: Iterable[RunFolder], say: Callable[[str], None]) -> None:
     """Waits until no process trains in any of the folders.
 
+    Args:
+        folders: Folders of runs.
+        say: Function called with a message for each folder that is in use.
+
     Raises:
-        FolderInUseError: A process still trains there after `WAIT_SECONDS`.
+        FolderInUseError: A process still trains in one after `WAIT_SECONDS`.
     """
     until = time.monotonic() + WAIT_SECONDS
     for folder in folders:
@@ -227,7 +231,7 @@ def wait_for(folders: Iterable[RunFolder], say: Callable[[str], None]) -> None:
 
 
 def log_of(folder: RunFolder) -> Path:
-    """Log of a run's process, next to its folder."""
+    """File with the output of a run's process: FOLDER.log, next to the run folder."""
     # Not `with_suffix`: names hold numbers such as 0.001.
     return folder.path.parent / f"{folder.path.name}.log"
 
@@ -239,7 +243,7 @@ def open_log(log: Path) -> TextIO:
 
 
 def last_words(log: Path) -> str:
-    """Last line of a process's output."""
+    """Last line of a log that is not blank; empty if there is none."""
     lines = log.read_text(encoding="utf-8", errors="replace").split("\n")
     return next((line.strip() for line in reversed(lines) if line.strip()), "")
 

@@ -1,4 +1,4 @@
-"""The progress of many runs: a line for every change."""
+"""Display of the progress of many runs: a line for every change."""
 
 from __future__ import annotations
 
@@ -13,17 +13,17 @@ _STATES = ("done", "running", "stopped", "waiting", "failed")
 
 
 class RunsView:
-    """Prints a line when the state of a run changes, and for every tenth of a run."""
+    """Prints a line when the state of a run changes and after every tenth of a run."""
 
     def __init__(self, runs: Sequence[Planned], stream: TextIO) -> None:
-        """Starts with all runs waiting, and shows nothing yet."""
+        """Marks all runs as waiting; prints nothing."""
         self._stream = stream
         self._states = dict.fromkeys((run.name for run in runs), "waiting")
         self._width = max(map(len, self._states))
         self._bars: dict[str, ProgressBar] = {}
 
     def start(self, run: Planned, row: Mapping[str, str] | None) -> None:
-        """Shows that a run starts, or continues after its last row of progress."""
+        """Shows that a run starts, or resumes after `row`, its last row of progress."""
         done = int(row["env_steps"]) if row else 0
         name = f"{run.name:<{self._width}}"
         self._bars[run.name] = ProgressBar(
@@ -32,12 +32,12 @@ class RunsView:
         self._change(run, "running", f"from {done:,} steps" if done else "")
 
     def running(self, run: Planned, row: Mapping[str, str] | None) -> None:
-        """Shows the last row of a run's progress."""
+        """Shows the last row of progress of a run, if there is one."""
         if row:
             self._bars[run.name].update(int(row["env_steps"]), reached(row))
 
     def done(self, run: Planned, result: Mapping[str, Any], quiet: bool) -> None:
-        """Shows that a run has finished; `quiet` if it had already finished before."""
+        """Shows the summary of a finished run; only counts the run if `quiet`."""
         steps, wall, score = (
             result[name] for name in ("env_steps", "wall_s", "final_score")
         )
@@ -48,11 +48,11 @@ class RunsView:
         self._change(run, "done", text, quiet)
 
     def failed(self, run: Planned, reason: str, quiet: bool = False) -> None:
-        """Shows that a run has failed."""
+        """Shows that a run has failed; only counts the run if `quiet`."""
         self._change(run, "failed", reason, quiet)
 
     def stopped(self, run: Planned, row: Mapping[str, str] | None) -> None:
-        """Shows that a run was interrupted after its last row of progress."""
+        """Shows that a run was interrupted after `row`, its last row of progress."""
         done = int(row["env_steps"]) if row else 0
         self._change(run, "stopped", f"after {done:,} steps")
 
@@ -71,7 +71,7 @@ class RunsView:
 
 
 def score_in_words(score: float | None) -> str:
-    """A score as a whole number if it is large, otherwise with three digits."""
+    """Score as text: an integer from 100 on, otherwise three digits; "-" for None."""
     if score is None:
         return "-"
     return f"{score:,.0f}" if abs(score) >= 100 else f"{score:.3g}"

@@ -1,4 +1,4 @@
-"""State estimation: an extended Kalman filter, and estimation over a window."""
+"""State estimation: an extended Kalman filter and a moving-horizon estimator."""
 
 from jaxrod.control.estimation.horizon import Horizon, moving_horizon
 from jaxrod.control.estimation.kalman import Update, predict, update

@@ -1,15 +1,16 @@
-r"""Moving-horizon estimation: the likeliest motion of a window, by least squares.
+r"""Moving-horizon estimation: the most likely motion over a window of measurements.
 
-Unknown are the state at the beginning of the window, and all that is unknown of the
-control and of the state in its periods,
+The unknowns are the error $\xi$ of the state at the beginning of the window and, in
+each period, the disturbances $w_k$ of the control and $v_k$ of the state. They solve
+the least-squares problem
 
 $$\min_{\xi, w, v}\ |\xi|^2 + \sum_k |w_k|^2 + |v_k|^2 + \Big|\frac{y_k - h(x_k)}{r}
 \Big|^2, \quad x_0 = \bar x \oplus L \xi, \quad x_{k+1} = f(x_k, u_k + s\,w_k) \oplus
 R\,v_k,$$
 
 in units of their standard deviations, so that covariances may be singular. The first
-term is the arrival cost: the estimate $(\bar x, L L^T)$ of all that came before. For a
-linear model the result is the Kalman filter's.
+term is the arrival cost: the estimate $(\bar x, L L^T)$ from all measurements before
+the window. For a linear model the result is that of the Kalman filter.
 
 Source: C. V. Rao, J. B. Rawlings, D. Q. Mayne, Constrained state estimation for
 nonlinear discrete-time systems, IEEE Trans. Automatic Control 48, 2003.
@@ -36,7 +37,7 @@ from jaxrod.validation import as_array, check_count
 
 @pytree
 class Horizon:
-    """The likeliest motion of a window; see `moving_horizon`.
+    """Most likely motion over a window of measurements, found by `moving_horizon`.
 
     Example:
         >>> process = estimation.make_process(
@@ -53,13 +54,15 @@ class Horizon:
     estimate: Estimate
     """Estimate at the end of the window."""
     states: Any
-    """States at the beginning and after each period, stacked in front."""
+    """States at the beginning and after each period, stacked on the leading axis."""
     disturbances: Float[Array, "periods ..."] | None
-    """Unknown part of the control of each period; `None` without control."""
+    """Estimated disturbance of the control in each period, in the control's unit; it
+    adds to the known control. `None` for a process without control."""
     square: Float[Array, ""]
-    """Sum of all squares; its mean is the number of numbers that were measured."""
+    """Minimum of the sum of squares. If the model is right, its expected value is the
+    number of measured values."""
     converged: Bool[Array, ""]
-    """Whether the last step of the search changed too little to go on."""
+    """Whether the search ended because a step changed too little."""
 
 
 def moving_horizon(
@@ -70,17 +73,18 @@ def moving_horizon(
     *,
     iterations: int = 20,
 ) -> Horizon:
-    """Finds the likeliest motion of a window of measurements. Pure.
+    """Finds the most likely motion over a window of measurements. Pure.
 
-    It costs as many motions as there are unknowns, a batch, in every iteration: keep
-    the window short, and let a filter run behind it for the arrival.
+    Every iteration simulates the window once per unknown, as one batch, so keep the
+    window short. A filter on the earlier measurements can give `arrival`.
 
     Args:
         process: The process.
-        arrival: The estimate at the beginning of the window, of all that came before.
-        observed: Measurements at the ends of all periods, stacked in front. Numbers
-            that are not finite count as missing.
-        controls: Known controls of all periods, stacked in front; zeros by default.
+        arrival: Estimate at the beginning of the window, from all earlier measurements.
+        observed: Measurements at the ends of all periods, stacked on the leading axis.
+            Values that are not finite count as missing.
+        controls: Known controls of all periods, stacked on the leading axis; zeros by
+            default.
         iterations: Largest number of iterations.
 
     Raises:
@@ -103,7 +107,7 @@ def moving_horizon(
     count = check_count("number of periods", jnp.shape(observed)[0], 1)
     shape = (count, *process.noise.shape)
     seen = check_observed(process, observed, shape)
-    # A process without controls refuses any, and has none.
+    # Without controls, `control` raises if any are given, and returns None.
     nothing = process.control(None if process.control_noise is not None else controls)
     known = None
     if nothing is not None:
@@ -144,7 +148,7 @@ def _solved(
         return process.control_noise[None] * unknown["control"]
 
     def motion(unknown: Any) -> tuple[Any, Any]:
-        """States of the window, and misses of the measurements."""
+        """States of the window, and residuals of the measurements in units of noise."""
 
         def one(state: Any, given: Any) -> tuple[Any, Any]:
             begin, control, push, target, there = given
@@ -182,7 +186,7 @@ def _solved(
         whole, _ = motion(unravel(point))
         return coordinates.difference(last, jax.tree.map(lambda leaf: leaf[-1], whole))
 
-    # Unknowns have the covariance (J'J)^-1, and J = Q U.
+    # The covariance of the unknowns is (J'J)^-1 = (U'U)^-1, with J = Q U.
     triangle = jnp.linalg.qr(found.jacobian, mode="r")
     by_unknowns = jax.vmap(lambda way: jax.jvp(ends, (point,), (way,))[1], out_axes=1)(
         jnp.eye(point.size, dtype=dtype)

@@ -1,15 +1,15 @@
 r"""The extended Kalman filter on the states of a model, in square-root form.
 
-A prediction takes the estimate through a period and its covariance with the linear
-model about it; a measurement corrects both:
+A prediction simulates the estimated state over a period, and propagates its covariance
+with the linear model about that state. A measurement corrects both:
 
 $$P^- = A P A^T + B\,\mathrm{diag}(s^2) B^T + Q, \qquad S = C P^- C^T +
 \mathrm{diag}(r^2), \qquad K = P^- C^T S^{-1},$$
 
 $$x = x^- \oplus K (y - h(x^-)), \qquad P = (1 - K C) P^-.$$
 
-Both are orthogonal transformations of roots of covariances, so that $P = L L^T$ stays
-positive semidefinite whatever the rounding, also in float32.
+Both are computed by orthogonal transformations of the root $L$ of the covariance
+$P = L L^T$, which therefore stays positive semidefinite, also in float32.
 
 Source: G. J. Bierman, Factorization methods for discrete sequential estimation, 1977;
 on manifolds, C. Hertzberg et al., Integrating generic sensor fusion algorithms with
@@ -32,7 +32,7 @@ from jaxrod.structure import pytree
 
 @pytree
 class Update:
-    """An estimate corrected by a measurement, and how well the two agreed.
+    """An estimate corrected by a measurement, and the innovations of the correction.
 
     Example:
         >>> process = estimation.make_process(
@@ -47,24 +47,26 @@ class Update:
     """
 
     estimate: Estimate
-    """The corrected estimate."""
+    """Estimate after the correction."""
     innovations: Float[Array, "..."]
-    """Measured minus expected, in the shape of the measurement; zero where missing."""
+    """Measured minus predicted values, in the measurement's shape; zero if missing."""
     whitened: Float[Array, " numbers"]
-    """Innovations as independent numbers of variance one, if the filter is right."""
+    """Innovations multiplied by the inverse root of their covariance [1]: independent,
+    with variance one, if the model and its noise are right."""
     square: Float[Array, ""]
-    """Sum of their squares, whose mean is `count`, if the filter is right."""
+    """Sum of the squares of `whitened`; if the model and its noise are right, its
+    expected value is `count`."""
     count: Int[Array, ""]
-    """Number of numbers that were measured."""
+    """Number of values that were not missing from the measurement."""
 
 
 def predict(process: Process, estimate: Estimate, control: Any = None) -> Estimate:
-    """Estimate one period later. Pure; works inside jit and vmap.
+    """Predicts the estimate one period later. Pure; works inside jit and vmap.
 
     Args:
         process: The process.
         estimate: The estimate at the beginning of the period.
-        control: The known control that is held; zeros by default.
+        control: Known control during the period; zeros by default.
 
     Raises:
         ValueError: If the control or the estimate has another shape.
@@ -104,13 +106,13 @@ def predict(process: Process, estimate: Estimate, control: Any = None) -> Estima
 
 
 def update(process: Process, estimate: Estimate, observed: Any) -> Update:
-    """Estimate corrected by a measurement. Pure; works inside jit and vmap.
+    """Corrects an estimate by a measurement. Pure; works inside jit and vmap.
 
     Args:
         process: The process.
         estimate: The estimate at the time of the measurement.
-        observed: The measurement. Numbers that are not finite, or not expected to be,
-            count as missing.
+        observed: The measurement. Values that are not finite, or whose prediction is
+            not finite, count as missing.
 
     Returns:
         The corrected estimate, and the innovations.
@@ -137,10 +139,10 @@ def update(process: Process, estimate: Estimate, observed: Any) -> Update:
 
 
 def check_observed(process: Process, observed: Any, shape: tuple[int, ...]) -> Array:
-    """Measurements as an array.
+    """Converts measurements to an array of the process's dtype.
 
     Raises:
-        ValueError: If they have another shape.
+        ValueError: If their shape is not `shape`.
     """
     seen = jnp.asarray(observed, process.dt.dtype)
     if seen.shape != shape:
@@ -151,13 +153,16 @@ def check_observed(process: Process, observed: Any, shape: tuple[int, ...]) -> A
 
 
 def lower_root(*blocks: Array) -> Array:
-    """Lower triangular root of the sum of the covariances whose roots are given."""
+    """Lower triangular L with L L^T = sum of B B^T over the blocks B (by QR)."""
     return jnp.linalg.qr(jnp.concatenate(blocks, axis=1).T, mode="r").T
 
 
 @jax.jit
 def _spread(process: Process, root: Array, by_state: Array, by_control: Array) -> Array:
-    """Root of the covariance after a period."""
+    """Root of the covariance after a period, A P A^T + B diag(s^2) B^T + Q.
+
+    `root` is that of P, `by_state` is A and `by_control` is B.
+    """
     blocks = [by_state @ root]
     if process.control_noise is not None:
         blocks.append(by_control * jnp.ravel(process.control_noise)[None])
@@ -174,10 +179,10 @@ def _updated(
     now = process.at(estimate.steps)
     expected, by_state = measured(coordinates, now, state, ways, process.measure)
     observed_here, expected_here = jnp.ravel(observed), jnp.ravel(expected)
-    # A marker that is expected behind the camera has no expectation to compare with.
+    # A marker that is predicted behind the camera has no predicted image.
     there = jnp.isfinite(observed_here) & jnp.isfinite(expected_here)
     innovations = jnp.where(there, observed_here - expected_here, 0)
-    # A number that is missing is one that does not depend on the state.
+    # A missing value gets a zero row in C, so that it corrects nothing.
     seen = jnp.where(there[:, None], by_state, 0) @ root
     count, size = seen.shape
     upper = jnp.concatenate([jnp.diag(jnp.ravel(process.noise)), seen], axis=1)

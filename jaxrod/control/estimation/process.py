@@ -1,14 +1,14 @@
-r"""A process that is estimated: a model with unknown influences, seen by sensors.
+r"""Process for state estimation: a model with disturbances, measured with noise.
 
-In a period $k$ the control $u_k$ is held, and unknown influences add to it and to the
-state; sensors show the state at the end of the period with noise:
+In period $k$ the control $u_k$ is constant. Random disturbances add to it and to the
+state. The state at the end of the period is measured with noise:
 
 $$x_{k+1} = f(x_k, u_k + w_k) \oplus v_k, \qquad y_k = h(x_k) + e_k,$$
 
 $w \sim N(0, \mathrm{diag}(s^2))$, $v \sim N(0, Q)$, $e \sim N(0, \mathrm{diag}(r^2))$,
 with $v$ in local coordinates. An estimate is a state and a covariance $P$ of local
-coordinates about it, kept as a root $L$, $P = L L^T$: rounding never makes it
-indefinite.
+coordinates about it. It stores the root $L$ of $P = L L^T$, so that rounding cannot
+make $P$ indefinite.
 """
 
 from __future__ import annotations
@@ -37,14 +37,15 @@ from jaxrod.validation import (
 )
 
 ROUNDING = 100
-"""Multiple of the machine epsilon up to which a negative variance is round-off."""
+"""Largest asymmetry or negative eigenvalue of a scaled covariance matrix that counts as
+round-off, in units of machine epsilon times the matrix size [1]."""
 
 
 @pytree
 class Process:
-    """A model with unknown influences, seen by sensors; make it with `make_process`.
+    """A model with disturbances, measured with noise; make it with `make_process`.
 
-    Numbers are traced: a batch of processes is a `jax.vmap`.
+    Its arrays are traced, so `jax.vmap` handles a batch of processes.
 
     Example:
         >>> process = estimation.make_process(
@@ -55,35 +56,38 @@ class Process:
     """
 
     model: Any
-    """The scene or system."""
+    """The scene or system, without controls."""
     coordinates: LocalCoordinates
-    """Local coordinates of its states."""
+    """Local coordinates of the model's states."""
     dt: Float[Array, ""]
     """Step size [s]."""
     noise: Float[Array, "..."]
-    """Standard deviations of the measurement, in its shape."""
+    """Standard deviations of the measurement noise, in the measurement's shape."""
     state_root: Float[Array, "size size"] | None
-    """Root of the covariance that a period adds to the state; `None` for none."""
+    """Root L of the covariance Q = L L^T that each period adds to the state in local
+    coordinates; `None` for no state disturbance."""
     control_noise: Float[Array, "..."] | None
-    """Standard deviations of what is unknown of the control, in its shape."""
+    """Standard deviations of the control's disturbance, in the control's shape."""
     n_steps: int = static()
-    """Number of steps in a period."""
+    """Number of time steps in a period."""
     measure: Measure = static()
-    """Function that makes a measurement of a state."""
+    """`(model, state) -> array`: noise-free measurement of a state."""
     with_control: WithControl | None = static()
-    """Function that makes the model under a control."""
+    """`(model, control) -> model`: the model under a control; `None` if it has none."""
 
     def at(self, steps: ArrayLike) -> Any:
-        """The model after a number of steps, with schedules replaced by values."""
+        """Model with its schedules evaluated at the time `steps` times `dt`."""
         if not self.model.depends_on_time:
             return self.model
         return self.model.at(jnp.asarray(steps) * self.dt)
 
     def control(self, control: Any) -> Array | None:
-        """Checks a control; `None` is a control of zeros, if the process has one.
+        """Checks a control and converts it to an array.
+
+        `None` gives zeros, or `None` for a process without control.
 
         Raises:
-            ValueError: If it has another shape, or the process takes none.
+            ValueError: If its shape is wrong, or the process takes no control.
         """
         if self.control_noise is None or self.with_control is None:
             if control is not None:
@@ -97,7 +101,7 @@ class Process:
 
 @pytree
 class Estimate:
-    """A state, and the covariance of local coordinates about it.
+    """Estimated state, with the covariance of its error in local coordinates.
 
     Example:
         >>> process = estimation.make_process(
@@ -112,18 +116,18 @@ class Estimate:
     state: Any
     """The estimated state."""
     root: Float[Array, "size size"]
-    """Root of the covariance."""
+    """Root L of the covariance L L^T."""
     steps: Int[Array, ""]
-    """Number of steps since time zero."""
+    """Number of time steps since time zero."""
 
     @property
     def covariance(self) -> Float[Array, "size size"]:
-        """Covariance of the true state's local coordinates about the estimate."""
+        """Covariance L L^T of the local coordinates of the true state about `state`."""
         return self.root @ jnp.swapaxes(self.root, -1, -2)
 
     @property
     def deviations(self) -> Float[Array, " size"]:
-        """Standard deviations of local coordinates."""
+        """Standard deviation of each local coordinate: roots of the variances."""
         return jnp.sqrt(jnp.sum(self.root**2, axis=-1))
 
 
@@ -142,23 +146,24 @@ def make_process(
 ) -> Process:
     """Makes a process from checked arguments.
 
-    An unknown force is a control that nobody knows: `with_control` puts it in the
-    model, `control_noise` says how large it is, and its known part is zero.
+    To estimate an unknown force, treat it as a control whose known value is zero:
+    `with_control` applies it to the model, `control_noise` is its standard deviation.
 
     Args:
         model: The scene or system, without controls.
-        state: A state of it, from which free components are found.
+        state: A state of the model, from which its local coordinates are found.
         dt: Step size [s].
         n_steps: Number of steps in a period, from one measurement to the next.
         measure: `(model, state) -> array`: a measurement without noise.
-        noise: Standard deviations of the measurement's noise, a number or an array like
-            it.
+        noise: Standard deviations of the measurement noise, a number or an array of
+            the measurement's shape.
         state_noise: Covariance that every period adds to the state in local
             coordinates: variances `(size,)` or a matrix `(size, size)`.
         with_control: `(model, control) -> model`: the model under a control.
-        control_noise: Standard deviations of what is unknown of the control, held for a
-            period and independent in each: an array in the control's shape, zero for
-            what is known. It must be given if `with_control` is.
+        control_noise: Standard deviations of the control's disturbance, which is
+            constant during a period and independent between periods: an array in the
+            control's shape, zero for known components. It is required with
+            `with_control`.
 
     Raises:
         ValueError: If an argument is out of range or shapes do not fit.
@@ -206,13 +211,13 @@ def make_process(
 def first_estimate(
     process: Process, state: Any, covariance: Any, *, steps: ArrayLike = 0
 ) -> Estimate:
-    """Estimate with which a filter begins.
+    """Makes the estimate with which a filter begins.
 
     Args:
         process: The process.
-        state: The state that is taken to be most likely.
-        covariance: Covariance of local coordinates about it: variances `(size,)` or a
-            matrix `(size, size)`, which may be singular.
+        state: The most likely state.
+        covariance: Covariance of local coordinates about `state`: variances `(size,)`
+            or a matrix `(size, size)`, which may be singular.
         steps: Number of steps since time zero.
 
     Raises:
@@ -241,10 +246,12 @@ def first_estimate(
 def root_of(
     name: str, covariance: Any, coordinates: LocalCoordinates
 ) -> Float[Array, "size size"]:
-    """Root of a covariance of local coordinates.
+    """Root L of a covariance P = L L^T of local coordinates.
+
+    `covariance` holds variances `(size,)` or is a matrix `(size, size)`.
 
     Raises:
-        ValueError: If it has another shape, or is not symmetric and positive
+        ValueError: If its shape is wrong, or it is not symmetric and positive
             semidefinite.
     """
     size, dtype = coordinates.size, coordinates.instant.dtype
@@ -253,7 +260,7 @@ def root_of(
         variances = as_array(name, given, "", [(size,)], non_negative=True, dtype=dtype)
         return jnp.diag(jnp.sqrt(variances))
     matrix = as_array(name, given, "", [(size,), (size, size)], dtype=dtype)
-    # In units of each coordinate, which differ by orders of magnitude.
+    # Scaled to unit variances, because units of coordinates differ widely.
     units = jnp.sqrt(jnp.abs(jnp.diagonal(matrix)))
     units = jnp.where(units > 0, units, 1)
     scaled = matrix / units[:, None] / units[None]
@@ -275,7 +282,7 @@ def check_process(process: Any) -> None:
 
 
 def check_estimate(process: Process, estimate: Any, name: str = "estimate") -> None:
-    """Raises unless an argument is an estimate of a process."""
+    """Raises unless `estimate` is an `Estimate` with the coordinates of `process`."""
     check_process(process)
     check_kind(name, estimate, Estimate)
     size = process.coordinates.size

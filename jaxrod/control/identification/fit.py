@@ -1,6 +1,6 @@
 r"""Identification: parameters of a simulation from observations, with uncertainty.
 
-Least squares in units of the noise,
+It minimises the squared residuals in units of the noise,
 
 $$\min_p \sum_k \Big(\frac{y_k(p) - \hat y_k}{\sigma_k}\Big)^2,$$
 
@@ -31,8 +31,9 @@ from jaxrod.validation import is_traced
 Simulate = Callable[..., Any]
 """`parameters -> observations`; observations are any pytree of floats."""
 CLOSED = 1.0
-"""Gaps count as closed if closing them would change all residuals by less than this
-(norm). The error of the fit is then of second order in the gaps."""
+"""Norm of the change of all residuals by closing the gaps between windows, in standard
+deviations, below which gaps count as closed. The error of the fit is then of second
+order in the gaps."""
 
 
 def fit(
@@ -54,8 +55,8 @@ def fit(
     """Finds the parameters that fit observations best, and their uncertainty.
 
     Pure: under `jax.jit` it is one program for all numbers, and `jax.vmap` makes many
-    fits at once, of many films or of many draws of the noise. A point whose simulation
-    blows up is rejected; the simulation at the start must not blow up.
+    fits at once, of many recordings or of many draws of the noise. A point whose
+    simulation blows up is rejected; the simulation at the start must not blow up.
 
     Args:
         simulate: Takes parameters by name and returns observations. With
@@ -71,14 +72,14 @@ def fit(
         multiple_shooting: Windows whose initial states are unknown too.
         noise: Standard deviation of the noise, a number or a tree prefix of `observed`
             (one for each kind). If `None`, it is estimated from the residuals.
-        logarithmic: Positive parameters whose logarithm is sought: all (`True`), none
-            (`False`), or names.
-        scales: Sizes of changes that matter, for parameters that are not sought by
-            their logarithm. A parameter that is less certain than that counts as not
-            determined. By default the sizes of the start, and 1 where that is 0.
-        lower: Lower bounds, of all or some parameters. Parameters sought by their
+        logarithmic: Positive parameters that are found by their logarithm: all
+            (`True`), none (`False`), or names.
+        scales: Scales of changes of parameters that are not found by their logarithm.
+            A parameter with a larger standard deviation counts as not determined. By
+            default the absolute values of the start, and 1 where that is 0.
+        lower: Lower bounds, of all or some parameters. Parameters found by their
             logarithm are bounded by a thousandth of the start by default.
-        upper: Upper bounds; by default a thousand times the start for parameters sought
+        upper: Upper bounds; by default a thousand times the start for parameters found
             by their logarithm. An explicit time step must be stable up to these bounds.
         iterations: Largest number of points tried after the first.
         initial_damping: Damping of the first step, as a fraction of the diagonal [1];
@@ -153,7 +154,7 @@ def _fit_windows(
     damping: Any,
     tolerance: Any,
 ) -> Fit:
-    """Finds parameters and initial states of windows together."""
+    """Fits parameters together with the unknown initial states of windows."""
     values = problem.parameters.values
     noise = jax.tree.map(
         lambda n, t: jnp.broadcast_to(n, t.shape), problem.noise, problem.target
@@ -207,29 +208,29 @@ def _fit_windows(
 
 
 def _misses(made: Any, target: Any, seen: Any, noise: Any) -> Any:
-    """Residuals in units of the noise; zero where nothing was observed."""
+    """Residuals (made - target) / noise; zero where `seen` is False."""
     return jax.tree.map(
         lambda y, t, s, n: jnp.where(s, y - t, 0) / n, made, target, seen, noise
     )
 
 
 class FitProblem(NamedTuple):
-    """Checked arguments of an identification, as arrays."""
+    """Checked arguments of `fit`, as arrays."""
 
     parameters: Parameters
     """Names and scales of the parameters."""
     target: Any
-    """Observations; zero where there is none."""
+    """Observations; zero where they are missing."""
     seen: Any
-    """Masks of the observations that were made."""
+    """Masks like `target`: True where an observation is finite."""
     noise: Any
-    """Standard deviations of the observations."""
+    """Standard deviations of the noise of the observations."""
     low: Array
     """Lower bounds of the search variables."""
     high: Array
     """Upper bounds of the search variables."""
     observations: Array
-    """Number of observations."""
+    """Number of finite observations."""
     noise_is_given: bool
 
 
@@ -243,7 +244,7 @@ def make_fit_problem(
     upper: Mapping[str, Any] | None,
     scales: Mapping[str, Any] | None = None,
 ) -> FitProblem:
-    """Checks the arguments of `fit`.
+    """Checks the arguments of `fit` of the same names, and makes a `FitProblem`.
 
     Raises:
         ValueError: An argument is invalid, as in `fit`.
@@ -264,7 +265,7 @@ def make_fit_problem(
 
 
 def fit_of(problem: FitProblem, found: Any, others: int = 0) -> Fit:
-    """Makes a fit from the result of a search.
+    """Makes a `Fit`, with covariance and misfit, from the result of a search.
 
     Args:
         problem: Checked arguments of the identification.
@@ -279,7 +280,7 @@ def fit_of(problem: FitProblem, found: Any, others: int = 0) -> Fit:
     misfit = squares / jnp.maximum(degrees_of_freedom, 1)
     unit = jnp.ones_like(misfit) if given else jnp.sqrt(misfit)
     safe = jnp.where(unit > 0, unit, 1)
-    # If the start was not finite, neither is the Jacobian, and the SVD would not end.
+    # If the start is not finite, the Jacobian is not either: the SVD would not end.
     sound = jnp.all(jnp.isfinite(found.jacobian)) & jnp.isfinite(squares)
     jacobian = jnp.where(sound, found.jacobian, 0) / safe
     s, ways = _decomposed(jacobian)
@@ -315,7 +316,10 @@ def fit_of(problem: FitProblem, found: Any, others: int = 0) -> Fit:
 
 
 def _decomposed(jacobian: Array) -> tuple[Array, Array]:
-    """Returns singular values and right singular vectors (rows), one per unknown."""
+    """Returns the singular values of a Jacobian and its right singular vectors (rows).
+
+    There is one of each per unknown; missing singular values are zero.
+    """
     rows, columns = jacobian.shape
     if rows < columns:
         # With fewer observations than unknowns, the missing singular values are zero.
@@ -329,7 +333,7 @@ def _decomposed(jacobian: Array) -> tuple[Array, Array]:
 
 
 def _spreads(flat: Array, seen: Any, noise: Any) -> Any:
-    """Returns the root mean square residual of each kind, in its units."""
+    """Root mean square residual of each kind of observation, in its unit."""
     _, unravel = ravel_pytree(jax.tree.map(lambda s: s.astype(flat.dtype), seen))
     return jax.tree.map(
         lambda r, s, n: jnp.sqrt(jnp.sum((r * n) ** 2) / jnp.maximum(jnp.sum(s), 1)),
@@ -340,7 +344,7 @@ def _spreads(flat: Array, seen: Any, noise: Any) -> Any:
 
 
 def _checked(simulate: Simulate, parameters: Parameters, observed: Any) -> Any:
-    """Checks the observations, and returns masks of those that were made."""
+    """Checks observations against `simulate`; returns masks, True where finite."""
     made = jax.eval_shape(simulate, parameters.start)
     wanted: Any = jax.tree.structure(made)
     given: Any = jax.tree.structure(observed)
@@ -366,7 +370,7 @@ def _checked(simulate: Simulate, parameters: Parameters, observed: Any) -> Any:
 
 
 def _noise(noise: Any, observed: Any) -> Any:
-    """Returns the standard deviations of all observations, as arrays or numbers."""
+    """Returns standard deviations of all observations; ones if `noise` is `None`."""
     leaves, tree = jax.tree.flatten(observed)
     if noise is None:
         if len(leaves) > 1:

@@ -1,14 +1,14 @@
-r"""Inverse design at rest: a rod whose equilibrium takes a given shape.
+r"""Inverse design: a rod whose static equilibrium has a given shape.
 
-It finds rest curvatures $\kappa_0$ of joints, or stiffnesses of elements, so that the
-markers $m_k$ of the equilibrium reach their targets $\hat m_k$,
+It finds rest curvatures $\kappa_0$ of joints, or stiffnesses of elements, so that
+markers (nodes) of the equilibrium at $m_k$ reach their targets $\hat m_k$,
 
 $$\min_z \sum_k \Big(\frac{m_k(z) - \hat m_k}{\epsilon}\Big)^2 + |z|^2,$$
 
-with a largest error $\epsilon$. The unknowns $z$ are changes of the rest curvatures in
-units of a curvature, or scaled logarithms of stiffness factors. Among the many designs
-with the same markers, the second term selects the one nearest to the given rod.
-Derivatives are those of `equilibrium`: one linear solve for each marker coordinate.
+with the largest accepted error $\epsilon$. The unknowns $z$ are changes of the rest
+curvatures in units of a curvature, or scaled logarithms of stiffness factors. Among the
+many designs with the same markers, the second term selects the one nearest to the given
+rod. Derivatives are those of `equilibrium`: one linear solve per marker coordinate.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ from jaxrod.structure import pytree
 from jaxrod.validation import as_array, check_count, is_traced
 
 QUANTITIES = ("rest_curvature", "stiffness")
-"""Quantities that may be sought."""
+"""Quantities of the rod that `match_shape` can find."""
 
 
 @pytree
@@ -50,19 +50,19 @@ class ShapeMatch:
     """
 
     scene: Scene
-    """Scene with the rod that was found."""
+    """Scene with the designed rod."""
     equilibrium: Equilibrium
-    """Equilibrium of the scene; look at `stable` too."""
+    """Equilibrium of `scene`; check `equilibrium.stable` too."""
     error: Float[Array, ""]
     """Largest distance of a marker from its target [m]."""
     rest_curvature: Float[Array, "3 n-1"]
-    """Change of the rest curvatures of the joints [1/m]; zero if not sought."""
+    """Change of the rest curvatures of the joints [1/m]; zero if not free."""
     stiffness: Float[Array, " n"]
-    """Factors of the elements' stiffnesses [1]; one if not sought."""
+    """Factors of the elements' stiffnesses [1]; one if not free."""
     converged: Bool[Array, ""]
     """Whether the error is below `max_error`, in a stable equilibrium."""
     iterations: Int[Array, ""]
-    """Number of iterations made."""
+    """Number of least-squares iterations made."""
 
 
 def match_shape(
@@ -78,13 +78,13 @@ def match_shape(
     twist: bool = False,
     iterations: int = 30,
 ) -> ShapeMatch:
-    """Finds a rod that takes a shape under a scene's loads. Pure; works under `vmap`.
+    """Finds a rod that has a given shape in equilibrium. Pure; works under `vmap`.
 
     Args:
         scene: The scene; the rod must be supported.
         state: First state of the search for equilibria, as in `equilibrium`.
         markers: Target positions of the nodes `(3, markers)` [m].
-        nodes: Indices of the nodes.
+        nodes: Indices of the nodes that have targets, in increasing order.
         free: Quantities to find: `"rest_curvature"`, `"stiffness"` or both.
         max_error: Largest accepted distance of a marker from its target [m].
         curvature: Change of a rest curvature that costs as much as a marker error of
@@ -183,6 +183,6 @@ def _checked_nodes(nodes: Sequence[int], n: int) -> tuple[int, ...]:
 
 
 def _columns(positions: Array, at: tuple[int, ...]) -> Array:
-    """Returns columns at fixed indices, by slices instead of a gather."""
+    """Returns the columns `at` of `positions`, by slices instead of a gather."""
     columns = [jax.lax.slice_in_dim(positions, k, k + 1, axis=1) for k in at]
     return jnp.concatenate(columns, axis=1)

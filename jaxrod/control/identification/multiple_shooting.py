@@ -1,10 +1,11 @@
 r"""Least squares of trajectories cut into windows, whose gaps close during the search.
 
-The unknowns are the parameters $p$ shared by all trajectories, and the unknowns $s$ of
-the first state of each trajectory. The initial states $x_w$ of later windows are
-iterates, with gaps between windows. Window $w$ has residuals $r_w(p, x_w)$ and an end
-state $e_w(p, x_w)$; with $x_1 = b(p, s)$ and gaps $g_{w+1} = e_w - x_{w+1}$ initial
-states change, to first order, by
+The unknowns are the parameters $p$ shared by all trajectories ("shared unknowns"), and
+for each trajectory the unknowns $s$ of its first state ("own unknowns"). The initial
+states $x_w$ of later windows change during the search, with gaps between windows.
+Window $w$ has residuals $r_w(p, x_w)$ and an end state $e_w(p, x_w)$. With
+$x_1 = b(p, s)$ and gaps $g_{w+1} = e_w - x_{w+1}$, initial states change, to first
+order, by
 
 $$\delta x_{w+1} = \frac{\partial e_w}{\partial x} \delta x_w
 + \frac{\partial e_w}{\partial p} \delta p + g_{w+1}
@@ -14,9 +15,9 @@ which is propagated in forward mode, with a column for each unknown and one for 
 gaps. The cost is that of one run with as many tangents, for states of any size.
 
 A step minimises $\sum_w \| r_w + J_w (\delta p, \delta s) + J_w^x c_w \|^2$ and updates
-all initial states to first order. The trajectory's own unknowns $s$ are eliminated
-first (variable projection): with $S = \partial r / \partial s$ and the damping in rows
-below it,
+all initial states to first order. The own unknowns $s$ of a trajectory are eliminated
+first (variable projection). With $S = \partial r / \partial s$, damping $\mu$ and the
+diagonal $D$ of $J^T J$,
 
 $$\begin{pmatrix} S \\ \sqrt{\mu D} \end{pmatrix} = Q R, \qquad
 \min_d \sum \Big\| (I - Q Q^T) \begin{pmatrix} r + P d \\ 0 \end{pmatrix}
@@ -29,13 +30,13 @@ Jacobian of the shared unknowns if the own unknowns always take their optimum. I
 singular values show how well the data determine $p$.
 
 A step is accepted if $\sum_w \| r_w + J_w^x c_w \|^2 + \| J_w^x g_w \|^2$ falls. The
-first term has the residuals after the gaps are closed, to first order; the second
+first term has the residuals after the gaps are closed, to first order. The second
 measures each gap by its effect on the observations of its own window. Otherwise the
 damping rises and the step is halved. Gaps converge quadratically. At the end the
-windows form one run, found without the growth of errors along a single run.
-There is no guarantee that a small enough step is accepted: if gaps are so large that
-closing them changes the derivatives, the search stops with open gaps. Trajectories of a
-single window have no gaps.
+windows form one continuous run. Errors do not grow along it during the search, as they
+would in a single run. There is no guarantee that a small enough step is accepted: if
+gaps are so large that closing them changes the derivatives, the search stops with open
+gaps. Trajectories of a single window have no gaps.
 
 Source: H. G. Bock, Recent advances in parameter identification techniques for O.D.E.,
 1983; J. Albersmeyer, M. Diehl, The lifted Newton method and its application in
@@ -66,13 +67,16 @@ from jaxrod.control.least_squares import (
 from jaxrod.structure import pytree
 
 LEAST_DAMPING = 1e-6
-"""Smallest damping. Less would gain nothing, and raising it again would cost rejected
-steps."""
+"""Smallest damping, as a fraction of the diagonal [1]. Less gains nothing, and raising
+it again costs rejected steps."""
 
 
 @pytree
 class Point:
-    """Unknowns, and initial states of windows, stacked by trajectory in front."""
+    """A point of the search: shared and own unknowns, and initial states of windows.
+
+    Own unknowns and states are flat vectors, stacked by trajectory (and window).
+    """
 
     shared: Array
     own: Array
@@ -81,18 +85,21 @@ class Point:
 
 @pytree
 class Slopes:
-    """Residuals of each window, and derivatives of residuals and initial states."""
+    """Residuals of each window, and derivatives of residuals and initial states.
+
+    All are stacked by trajectory and window; changes are to first order.
+    """
 
     residuals: Array
     jacobian: Array
     closing: Array
-    """Change of the residuals when all gaps up to here are closed, to first order."""
+    """Change of a window's residuals if all gaps up to its start close."""
     jump: Array
-    """Change of the residuals due to the gap at the window's own start alone."""
+    """Change of a window's residuals if only the gap at its start closes."""
     ways: Array
-    """Derivatives of each window's initial state by the unknowns."""
+    """Derivatives of each window's initial state by the shared and the own unknowns."""
     shift: Array
-    """Change of each window's initial state when the gaps are closed."""
+    """Change of each window's initial state if all gaps up to it close."""
 
     @property
     def closed(self) -> Array:
@@ -102,21 +109,21 @@ class Slopes:
 
 @pytree
 class ShootingResult:
-    """The best point that was found."""
+    """Best point found by `windowed_least_squares`."""
 
     solution: Float[Array, " shared"]
-    """Shared unknowns."""
+    """Shared unknowns, which all trajectories have in common."""
     own: Any
-    """Own unknowns as a tree like the start, stacked by trajectory."""
+    """Own unknowns of trajectories (of their first states), stacked by trajectory."""
     states: Any
     """Initial states of windows, stacked by trajectory and window."""
     residuals: Float[Array, " residuals"]
-    """Residuals of the solution, leaf after leaf, with gaps closed to first order."""
+    """Residuals at the solution with gaps closed to first order, flattened by leaf."""
     jacobian: Float[Array, "residuals shared"]
-    """Jacobian by the shared unknowns, projected orthogonally to the Jacobian by the
-    own unknowns."""
+    """Jacobian of the residuals by the shared unknowns, projected orthogonally to the
+    columns of the own unknowns."""
     gap: Float[Array, ""]
-    """Norm of the change of all residuals when the gaps are closed."""
+    """Norm of the change of all residuals when the gaps between windows close."""
     iterations: Int[Array, ""]
     """Number of points tried after the first."""
 
@@ -135,7 +142,10 @@ def windowed_least_squares(
     iterations: int = 50,
     tolerance: Any = None,
 ) -> ShootingResult:
-    """Minimises the sum of squares of all windows. Pure; traceable.
+    """Minimises the sum of squared residuals of all windows. Pure; traceable.
+
+    Shared unknowns are the same for all trajectories; each trajectory has own unknowns,
+    which determine its first state.
 
     Args:
         residuals: Takes shared unknowns, a window's initial state and its known data;
@@ -246,9 +256,10 @@ def _rows(windows: Array) -> Array:
 
 
 def _by_leaves(rows: Array, like: Any) -> Array:
-    """Joins the rows of all windows, leaf after leaf of a window's residuals.
+    """Flattens residuals `(windows, residuals)` into the order of a stacked tree.
 
-    The result has the order of a flattened tree whose leaves are stacked by window.
+    `like` is the tree of one window's residuals. In the result each leaf is complete,
+    stacked by window, before the next leaf begins.
     """
     made, at = [], 0
     for leaf in jax.tree.leaves(like):
@@ -260,7 +271,7 @@ def _by_leaves(rows: Array, like: Any) -> Array:
 def _stepped(
     point: Point, slopes: Slopes, mu: Array, share: Array, low: Array, high: Array
 ) -> Point:
-    """Takes a fraction of the damped step, and closes the same fraction of the gaps."""
+    """Point after a fraction `share` of the damped step and of closing the gaps."""
     step, own_steps = schur_step(
         _rows(slopes.jacobian), _rows(slopes.closed), mu, point.shared, low, high
     )
@@ -283,7 +294,7 @@ def _followed(
     states: Array,
     known: Any,
 ) -> tuple[Array, Slopes]:
-    """Evaluates one trajectory, window after window.
+    """Evaluates one trajectory and its derivatives, window after window.
 
     Args:
         opening: Takes shared unknowns, own unknowns and the known data of the first
@@ -311,8 +322,8 @@ def _followed(
         lambda way: jax.jvp(opened, (unknowns,), (way,)), out_axes=(None, 1)
     )(eye)
     states = states.at[0].set(state)
-    # Columns: the unknowns and, if there are gaps, all gaps up to here and the last
-    # gap.
+    # Columns: the unknowns and, if there are gaps, all gaps before the window and the
+    # last one.
     gaps = 2 if len(states) > 1 else 0
     shared_ways = jnp.concatenate([eye[:shares], jnp.zeros((shares, gaps), dtype)], 1)
     count = unknowns.size
@@ -351,9 +362,11 @@ def _followed(
 
 
 def eliminate(slopes: Array, mu: Any, shares: int) -> tuple[Array, Array, Array]:
-    """Projects the shared columns orthogonally to a part's own, damped columns.
+    """Eliminates the own unknowns of one trajectory from its Jacobian by projection.
 
-    Returns the projected columns, and the Q and R factors of the damped own columns.
+    `slopes` has the columns P of the `shares` shared unknowns, then S of the own ones.
+    Below S the damping adds the rows sqrt(mu D), and Q R is the decomposition of both.
+    With Q_S the rows of Q beside S, it returns P - Q_S Q_S^T P, Q and R.
     """
     shared_columns, own_columns = slopes[:, :shares], slopes[:, shares:]
     squares = jnp.sum(own_columns**2, axis=0)
@@ -369,9 +382,11 @@ def schur_step(
 ) -> tuple[Array, Array]:
     """Returns the damped Gauss-Newton step of shared and own unknowns.
 
+    Shared unknowns are common to all trajectories; each trajectory has own unknowns.
+
     Args:
-        jacobian: Jacobians of all parts, `(part, residuals, shared + own)`.
-        residuals: Residuals of all parts, `(part, residuals)`.
+        jacobian: Jacobians of the trajectories `(trajectory, residuals, shared + own)`.
+        residuals: Residuals of all trajectories, `(trajectory, residuals)`.
         mu: Damping, as a fraction of the diagonal [1].
         point: Shared unknowns.
         low: Lower bounds of the shared unknowns.
@@ -379,7 +394,7 @@ def schur_step(
 
     Returns:
         The step of the shared unknowns, zero where a bound holds them, and the steps of
-        the own unknowns, stacked by part on the leading axis.
+        the own unknowns, stacked by trajectory on the leading axis.
     """
     shares, dtype = point.size, jacobian.dtype
 

@@ -1,4 +1,4 @@
-"""Named parameters, and the search variables that stand for them."""
+"""Named parameters, and their conversion to and from search variables."""
 
 from __future__ import annotations
 
@@ -15,12 +15,13 @@ from jaxrod.structure import pytree, static
 from jaxrod.validation import as_array, is_traced
 
 FARTHEST = 1e3
-"""Default bound of parameters sought by their logarithm, as a factor of the start."""
+"""Factor between a parameter's start and its default bounds, if it is found by its
+logarithm: bounds are start / FARTHEST and start * FARTHEST [1]."""
 
 
 @pytree
 class Parameters:
-    r"""Names, start and scales of parameters that are sought.
+    r"""Names, start values and scales of parameters to be found by a search.
 
     Search variables are logarithms relative to the start, $z = \log(p / p_0)$, or
     scaled deviations from the start, $z = (p - p_0) / s$.
@@ -34,15 +35,15 @@ class Parameters:
     start: dict[str, Any]
     """Values at which a search begins, $p_0$."""
     scales: dict[str, Any]
-    """Scales $s$ of parameters that are not sought by their logarithm."""
+    """Scales $s$ of all parameters, used for those that are not in `logarithmic`."""
     shapes: tuple[tuple[str, tuple[int, ...]], ...] = static()
-    """Names in alphabetical order, each with its shape."""
+    """Pairs of name and shape, in alphabetical order of names."""
     logarithmic: tuple[str, ...] = static()
-    """Names of parameters that are sought by their logarithm."""
+    """Names of the parameters whose search variable is a logarithm."""
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Names of all numbers in the order of `flat`."""
+        """Names of all scalars in the order of `flat`, such as "angles[1]"."""
         return tuple(
             name + ("[" + ",".join(map(str, place)) + "]" if shape else "")
             for name, shape in self.shapes
@@ -51,7 +52,7 @@ class Parameters:
 
     @property
     def by_log(self) -> tuple[bool, ...]:
-        """Whether each number, in the order of `flat`, is sought by its logarithm."""
+        """Whether each scalar, in the order of `flat`, is found by its logarithm."""
         return tuple(
             name in self.logarithmic
             for name, shape in self.shapes
@@ -63,11 +64,11 @@ class Parameters:
         return self.flat(self.start), self.flat(self.scales), np.asarray(self.by_log)
 
     def flat(self, values: Mapping[str, Any]) -> Float[Array, " p"]:
-        """Concatenates the numbers of all parameters."""
+        """Flattens and concatenates all parameters, in the order of `shapes`."""
         return jnp.concatenate([jnp.ravel(values[name]) for name, _ in self.shapes])
 
     def named(self, flat: Float[Array, " p"]) -> dict[str, Array]:
-        """The inverse of `flat`."""
+        """Splits a vector into named parameters: the inverse of `flat`."""
         found, at = {}, 0
         for name, shape in self.shapes:
             size = math.prod(shape)
@@ -76,30 +77,29 @@ class Parameters:
         return found
 
     def searched(self, values: Mapping[str, Any]) -> Float[Array, " p"]:
-        """Converts parameters to search variables."""
+        """Converts parameters to search variables z: log(p / p_0) or (p - p_0) / s."""
         (first, scale, log), value = self._forms, self.flat(values)
         # Both branches must be finite, so that derivatives are finite too.
         ratio = jnp.where(log, value, 1) / jnp.where(log, first, 1)
         return jnp.where(log, jnp.log(ratio), (value - first) / scale)
 
     def values(self, point: Float[Array, " p"]) -> dict[str, Array]:
-        """Converts search variables to parameters."""
+        """Converts search variables z to parameters: p_0 e^z or p_0 + s z."""
         first, scale, log = self._forms
         factor = jnp.exp(jnp.where(log, point, 0))
         return self.named(jnp.where(log, first * factor, first + scale * point))
 
     def slopes(self, point: Float[Array, " p"]) -> Float[Array, " p"]:
-        """Derivative of each parameter by its own search variable."""
+        """Derivative dp/dz of each parameter by its search variable: p or s."""
         first, scale, log = self._forms
         return jnp.where(log, first * jnp.exp(jnp.where(log, point, 0)), scale)
 
     def bound(self, given: Mapping[str, Any] | None, sign: int) -> Float[Array, " p"]:
         """Converts bounds of parameters to search variables, with defaults.
 
-        The default allows a change by a factor of `FARTHEST` for logarithms, and is
-        infinite otherwise. Without it, a step towards zero could not be undone, because
-        the derivative by the logarithm vanishes there. `sign` is -1 for lower bounds
-        and 1 for upper bounds.
+        Parameters found by their logarithm have the default bounds start / FARTHEST and
+        start * FARTHEST, which keep them away from zero, where derivatives by the
+        logarithm vanish. Others have none. `sign` is -1 for lower, 1 for upper bounds.
         """
         far = dict(given or {})
         for name, shape in self.shapes:
@@ -118,16 +118,15 @@ def make_parameters(
 
     Args:
         start: Values at which a search begins; numbers or arrays by name.
-        logarithmic: Parameters sought by their logarithm, so that they stay positive:
+        logarithmic: Parameters found by their logarithm, so that they stay positive:
             names, or `True` for all, `False` for none.
-        scales: Sizes of changes that matter, for parameters that are not sought by
-            their logarithm; by default the sizes of the start, and 1 where that is 0.
+        scales: Scales $s$ of the search variables $(p - p_0) / s$ of parameters that
+            are not found by their logarithm; by default $|p_0|$, and 1 where that is 0.
 
     Raises:
         ValueError: There is no parameter, `logarithmic` or `scales` has an unknown
-            name, a scale is not positive, a
-            parameter sought by its logarithm is not positive, or a parameter is not
-            finite.
+            name, a scale is not positive, a logarithmic parameter is not positive, or
+            a parameter is not finite.
 
     Example:
         >>> start = {"modulus": 1e6, "shift": 0.0}

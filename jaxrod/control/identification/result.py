@@ -1,15 +1,15 @@
 r"""A fit: parameters found from data, their uncertainty, and undetermined directions.
 
 With residuals $r$ in units of their noise and their Jacobian $J$ by the search
-variables (logarithms, or values as fractions of the start),
+variables ($\log(p / p_0)$, or $(p - p_0) / s$ with scales $s$),
 
 $$\mathrm{cov} = \sigma^2 (J^T J)^{-1} = \sigma^2 V \mathrm{diag}(s^{-2}) V^T,
 \qquad J = U\, \mathrm{diag}(s)\, V^T,$$
 
 which is the Cramér-Rao bound if the noise is Gaussian. $\sigma$ is one if the noise is
 given; otherwise it is estimated from the residuals. The data do not determine a
-direction $v_k$ if $\sigma / s_k$ exceeds 100 % of a value, or if $s_k$ is round-off
-next to the largest.
+direction $v_k$ if $\sigma / s_k$ exceeds one (100 % of a value), or if $s_k$ is
+round-off compared with the largest.
 
 Source: G. A. F. Seber, C. J. Wild, Nonlinear Regression, 1989, sections 2.1 and 3.4.
 """
@@ -29,11 +29,13 @@ from jaxrod.structure import pytree
 from jaxrod.validation import is_traced
 
 VAGUE = 1.0
-"""Relative uncertainty above which a direction counts as not determined."""
+"""Standard deviation of the search variable along a direction above which the data do
+not determine the direction [1]."""
 NEAR = 0.1
 """Largest remaining step of a converged search, in standard deviations."""
 PLAIN = 0.05
-"""Fraction below which components of a direction are left out of its description."""
+"""Components of a direction below this fraction of the largest are left out of its
+description [1]."""
 
 
 @pytree
@@ -50,7 +52,7 @@ class Forecast:
     """
 
     value: Any
-    """Expected observations."""
+    """Expected observations: the simulation at the fitted parameters."""
     sd: Any
     """Standard deviations due to the uncertainty of the parameters, without noise.
     Along directions that the data do not determine, parameters are taken to be
@@ -74,54 +76,58 @@ class Fit:
     """
 
     parameters: Parameters
-    """Names, start and scales of the parameters, and the search variables."""
+    """Names, start values and scales of the parameters."""
     values: dict[str, Any]
     """Parameters at the minimum of the sum of squares."""
     standard_deviations: dict[str, Any]
-    """Standard deviations of the parameters, in their units; infinite where round-off
-    hides them."""
+    """Standard deviations of the parameters, in their units; infinite where they are
+    lost in round-off."""
     covariance: Float[Array, "p p"]
-    """Covariance of the search variables: logarithms, or fractions of the start."""
+    """Covariance of the search variables, log(p / p_0) or (p - p_0) / scale."""
     singular_values: Float[Array, " p"]
-    """Singular values of the Jacobian, in units of the noise, the largest first."""
+    """Singular values of the Jacobian of the residuals (in units of the noise), the
+    largest first."""
     directions: Float[Array, "p p"]
-    """Right singular vectors as rows: directions in the space of search variables."""
+    """Right singular vectors of the Jacobian as rows: directions in the space of the
+    search variables, in the order of `singular_values`."""
     residual_sd: Any
     """Root mean square of the residuals of each kind of observation, in its units."""
     misfit: Float[Array, ""]
-    """Sum of squares per degree of freedom, in units of the noise: one if model and
-    noise are right. One by definition if the noise was not given."""
+    """Sum of squared residuals in units of the noise, over the degrees of freedom:
+    about one if model and noise are right, exactly one if no noise was given."""
     remaining: Float[Array, ""]
-    """Gauss-Newton step from here to the minimum, in standard deviations."""
+    """Length of the Gauss-Newton step from `values` to the minimum, in standard
+    deviations, along directions that the data determine."""
     converged: Bool[Array, ""]
-    """Whether the remaining step is less than a tenth of a standard deviation."""
+    """Whether `remaining` is less than 0.1 and, with joined windows, their gaps are
+    closed."""
     iterations: Int[Array, ""]
-    """Number of iterations made."""
+    """Number of points tried after the start."""
     at_bound: Bool[Array, " p"]
-    """Whether each parameter is at a bound, where its standard deviation means
-    little."""
+    """Whether each parameter is at a bound, where its standard deviation is not
+    reliable."""
     degrees_of_freedom: Int[Array, ""]
-    """Degrees of freedom: number of observations minus number of unknowns."""
+    """Degrees of freedom: number of observations minus number of unknowns [1]."""
     unknowns: Any = None
-    """Unknowns of initial states, with multiple shooting."""
+    """Fitted unknowns of initial states, with multiple shooting; else `None`."""
     states: Any = None
-    """Initial states of all windows, with multiple shooting."""
+    """Fitted initial states of all windows, with multiple shooting; else `None`."""
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Names of the numbers sought, in the order of the matrices."""
+        """Names of the scalar parameters, in the order of rows of `covariance`."""
         return self.parameters.names
 
     @property
     def correlation(self) -> Float[Array, "p p"]:
-        """Correlations of the search variables."""
+        """Correlation matrix of the search variables: cov_ij / (sd_i sd_j)."""
         sd = jnp.sqrt(jnp.diagonal(self.covariance, axis1=-2, axis2=-1))
         scale = jnp.where(sd > 0, sd, 1)
         return self.covariance / (scale[..., :, None] * scale[..., None, :])
 
     @property
     def vague(self) -> Bool[Array, " p"]:
-        """Whether each row of `directions` is one that the data do not determine."""
+        """Mask of the rows of `directions` that the data do not determine."""
         return vague_ways(self.singular_values)
 
     @property
@@ -131,10 +137,10 @@ class Fit:
 
     @property
     def undetermined(self) -> tuple[str, ...]:
-        """Directions that the data do not determine, as text.
+        """Directions that the data do not determine, each described by a sentence.
 
         Raises:
-            ValueError: This is a batch of fits: take one of it,
+            ValueError: This is a batch of fits: select one, for example
                 `jax.tree.map(lambda a: a[0], fit)`.
         """
         if self.covariance.ndim > 2:
@@ -163,7 +169,7 @@ class Fit:
         return self.parameters.named(away / sd)
 
     def forecast(self, simulate: Callable[[dict[str, Any]], Any]) -> Forecast:
-        """Predicts the result of another simulation, with its uncertainty.
+        """Predicts the result of another simulation, with its standard deviation.
 
         Args:
             simulate: Takes parameters and returns any pytree, for example of a longer
@@ -194,7 +200,10 @@ class Fit:
 
 
 def vague_ways(s: Array) -> Array:
-    """Whether each singular value has a direction that the data do not determine."""
+    """Mask of the singular values `s` whose directions the data do not determine.
+
+    They are below `1 / VAGUE`, round-off compared with the largest, or not finite.
+    """
     hidden = s <= smallest_ratio(s.dtype) * s[..., :1]
     return hidden | (s * VAGUE < 1) | ~jnp.isfinite(s)
 
@@ -205,7 +214,7 @@ def smallest_ratio(dtype: Any) -> float:
 
 
 def _words(way: np.ndarray, names: tuple[str, ...], by_log: tuple[bool, ...]) -> str:
-    """Describes a direction as text."""
+    """Describes a direction that the data do not determine, as a sentence."""
     shares = way / way[np.argmax(np.abs(way))]
     part = [k for k in np.argsort(-np.abs(shares)) if abs(shares[k]) >= PLAIN]
     if len(part) == 1:

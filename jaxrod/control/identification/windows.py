@@ -1,8 +1,8 @@
 """Windows of recordings: many short runs replace a long run (multiple shooting).
 
-A long run that leaves the data at a bifurcation (buckling, contact) never returns to
-them, and its sum of squares has many local minima. Windows that begin on the data
-cannot move far away.
+A long run that departs from the data at a bifurcation (buckling, contact) never returns
+to them, and its sum of squares has many local minima. Short windows that start at the
+data stay close to them.
 
 Source: H. G. Bock, Recent advances in parameter identification techniques for O.D.E.,
 1983.
@@ -25,9 +25,9 @@ from jaxrod.validation import check_count, is_traced
 class MultipleShooting:
     r"""Windows with unknown initial states, for `fit`.
 
-    A film shows positions, with noise, and no velocities, so that the initial state
-    $x_w$ of each window is unknown. `fit` finds the parameters $p$ and the unknowns $s$
-    of initial states together. There are two ways:
+    A recording has noisy positions and no velocities, so the initial state $x_w$ of
+    each window is unknown. `fit` finds the parameters $p$ and the unknowns $s$ of
+    initial states together. There are two kinds of windows:
 
     Independent windows (without `states`) minimise
 
@@ -40,7 +40,7 @@ class MultipleShooting:
     only a few times, a search may end in a local minimum near the best one, where
     initial states compensate for wrong parameters. Neither the misfit nor the standard
     deviations show this (docs/identification.md has such a rod). Use the result as a
-    start for joined windows, or test the fit on simulated films.
+    start for joined windows, or test the fit on simulated recordings.
 
     Joined windows (with `states`) follow each other along trajectories, and only the
     first state of each trajectory has unknowns,
@@ -49,7 +49,7 @@ class MultipleShooting:
 
     The minimum, and its standard deviations, are those of one long run of each
     trajectory. During the search windows may leave gaps, so that they follow the data
-    across bifurcations, where a single long run would lose them. It needs initial
+    across bifurcations, where a single long run would lose them. They need first
     parameters within a few tens of per cent of the true ones, and initial states close
     to the observed ones. One evaluation costs about one run of all windows, one after
     another, with a tangent for each parameter and for each unknown of a first state.
@@ -79,11 +79,11 @@ class MultipleShooting:
 
     @property
     def joined(self) -> bool:
-        """Whether windows are joined to trajectories."""
+        """Whether windows follow each other along trajectories (`states` is given)."""
         return self.states is not None
 
     def state(self, parameters: dict[str, Any], unknowns: Any, known: Any) -> Any:
-        """Returns the initial state of a window from its unknowns."""
+        """Returns the initial state of a window, by `initial_state` if it is given."""
         if self.initial_state is None:
             return unknowns
         return self.initial_state(parameters, unknowns, known)
@@ -91,7 +91,12 @@ class MultipleShooting:
     def simulation(
         self, run: Callable[[dict[str, Any], Any, Any], Any]
     ) -> Callable[[dict[str, Any]], Any]:
-        """Makes a simulation of all windows from the first values of their states."""
+        """Makes a simulation of all windows, from the first values of initial states.
+
+        Args:
+            run: Takes parameters, initial state and known data of a window; returns its
+                observations and, for joined windows, its end state.
+        """
         if self.joined:
             every = jax.vmap(jax.vmap(run, (None, 0, 0)), (None, 0, 0))
             return lambda values: every(values, self.states, self.known)[0]
@@ -104,7 +109,7 @@ class MultipleShooting:
         )
 
     def check(self, run: Any, observed: Any, start: Mapping[str, Any]) -> None:
-        """Checks that everything is stacked equally, and that first values are floats.
+        """Checks that all arrays are stacked equally, and that first values are floats.
 
         Raises:
             ValueError: Numbers of trajectories or windows differ; first values are not
@@ -157,7 +162,8 @@ def shots(
 ) -> Callable[[dict[str, Any]], Any]:
     """Makes a simulation of all windows as one batch, for `fit`.
 
-    Initial states are given, as sensors see them; `MultipleShooting` finds them.
+    Initial states are given, for example measured. If they are unknown, use
+    `MultipleShooting`.
 
     Args:
         run: Takes parameters and the initial state of a window; returns the window's
@@ -186,10 +192,10 @@ def shots(
 
 
 def count_windows(name: str, stacked: Any) -> int:
-    """Counts the windows, or trajectories, for which first values are stacked.
+    """Counts the windows or trajectories: the length of the leading axis of all leaves.
 
     Raises:
-        ValueError: The leaves do not all have the same number.
+        ValueError: The leaves have leading axes of different lengths.
     """
     sizes = {np.shape(leaf)[:1] for leaf in jax.tree.leaves(stacked)}
     if len(sizes) != 1 or () in sizes:
@@ -201,7 +207,7 @@ def count_windows(name: str, stacked: Any) -> int:
 
 
 def check_finite_floats(name: str, tree: Any) -> None:
-    """Checks the first values of a search.
+    """Checks that all leaves of `tree` are finite floats.
 
     Raises:
         ValueError: A leaf is not floating point, or its value is known and not finite.
@@ -222,21 +228,21 @@ def windows(
     *,
     with_starts: bool = False,
 ) -> Any:
-    """Cuts a film into windows, stacked in front as in the result of `shots`.
+    """Cuts a recording into windows, stacked on the leading axis.
 
     The start of window `k` is frame `k * every`. The window holds the frames after it,
     from frame `k * every + 1` on.
 
     Args:
-        observed: A tree of records with the frames on the leading axis; the first frame
+        observed: A tree of arrays with the frames on the leading axis; the first frame
             is the start of the first window.
         frames: Number of frames in a window.
-        every: Frames from one start to the next; `frames` by default.
+        every: Number of frames from one start to the next; `frames` by default.
         with_starts: Whether a window includes the frame of its start, as needed if
-            initial states are sought (`MultipleShooting`).
+            initial states are unknown (`MultipleShooting`).
 
     Raises:
-        ValueError: A count is out of range, or the film is shorter than a window.
+        ValueError: A count is out of range, or there are fewer frames than in a window.
 
     Example:
         >>> film = jnp.arange(7.0)

@@ -1,1 +1,1 @@
-"""Linear models of a period, in local coordinates of states."""
+"""Linear models of a control period, in local coordinates of states."""

@@ -1,11 +1,12 @@
-r"""Linear models of a control period: what small changes of state and control become.
+r"""Linear models of a control period for small changes of state and control.
 
-In local coordinates $z$ about a state, with a control $u$ that is held for a period,
+In local coordinates $z$ about a state, with a control $u$ held during a period,
 
 $$z_{k+1} = A z_k + B\,\delta u_k, \qquad \delta y_k = C z_k,$$
 
-with $z_{k+1}$ about the state at the end of the period. The derivatives are exact, of
-the steps themselves: one batch in forward mode, one column for each coordinate.
+with $z_{k+1}$ about the state at the end of the period. The matrices are the exact
+derivatives of the time steps, computed in forward mode as one batch, with one column
+per coordinate.
 """
 
 from __future__ import annotations
@@ -29,12 +30,12 @@ from jaxrod.structure import pytree
 from jaxrod.validation import as_array, check_count, check_kind, is_traced, numeric
 
 Measure = Callable[[Any, Any], Array]
-"""`(model, state) -> array`: a measurement of a state."""
+"""`(model, state) -> array`: a measurement of a state, without noise."""
 
 
 @pytree
 class Linearisation:
-    """A linear model of one control period; see `linearise`.
+    """Linear model z' = A z + B du, dy = C z of one control period; see `linearise`.
 
     Example:
         >>> tip = lambda scene, state: state.tip
@@ -44,18 +45,19 @@ class Linearisation:
     """
 
     state_matrix: Float[Array, "size size"]
-    """Matrix A: local coordinates after the period by those before it."""
+    """Matrix A: derivative of the coordinates after the period by those before it."""
     input_matrix: Float[Array, "size controls"] | None
-    """Matrix B: local coordinates after the period by the control; `None` without."""
+    """Matrix B: derivative of the coordinates after the period by the control;
+    `None` without a control."""
     output_matrix: Float[Array, "measured size"] | None
-    """Matrix C: measurement of the first state by its local coordinates; `None` without
-    a measurement."""
+    """Matrix C: derivative of the measurement at the beginning by the local coordinates
+    there; `None` without a measurement."""
     state: Any
-    """State after the period."""
+    """State after the period, without changes."""
     measured: Array | None
-    """Measurement of the first state; `None` without."""
+    """Measurement at the beginning of the period; `None` if none is given."""
     coordinates: LocalCoordinates
-    """The local coordinates: names, and the ways to states and back."""
+    """Local coordinates of the matrices: names, and conversion to and from states."""
 
 
 def linearise(
@@ -70,11 +72,11 @@ def linearise(
     first: int | Array = 0,
     coordinates: LocalCoordinates | None = None,
 ) -> Linearisation:
-    """Linear model of one control period about a state and a control.
+    """Makes the linear model of one control period about a state and a control.
 
     It is exact for the steps that are taken, with damping, contact and drag. Where
-    contact begins or ends, derivatives are those of one side. Functions are structure:
-    define them at module level, and a program is compiled once for each.
+    contact begins or ends, derivatives are one-sided. Each function is compiled once
+    if it is defined at module level.
 
     Args:
         model: The scene or the system.
@@ -83,7 +85,7 @@ def linearise(
         n_steps: Number of steps in the period.
         control: Control that is held during the period, an array.
         with_control: `(model, control) -> model`: the model under a control.
-        measure: `(model, state) -> array`: a measurement, such as places of markers.
+        measure: `(model, state) -> array`: a measurement, such as marker positions.
         first: Number of steps since time zero, if the model depends on time.
         coordinates: Local coordinates of this model, needed inside `jax.jit`.
 
@@ -133,10 +135,11 @@ def linearise(
 def checked_control(
     control: Any, with_control: WithControl | None, dtype: Any, name: str = "control"
 ) -> Array | None:
-    """The control as an array, or `None` for a model without.
+    """Converts a control to an array; `None` if neither argument is given.
 
     Raises:
-        ValueError: If one of the two is missing, or it is not of finite numbers.
+        ValueError: If only one of `control` and `with_control` is given, or the control
+            is not finite.
     """
     if (control is None) != (with_control is None):
         missing = "with_control" if with_control is None else name
@@ -158,18 +161,19 @@ def period(
     control: Array | None,
     with_control: WithControl | None,
 ) -> tuple[Any, Array, Array]:
-    """State after a period, and its derivatives by local coordinates and control.
+    """Returns the state after a period, and the matrices A and B.
 
     Args:
         coordinates: The local coordinates.
         model: The scene or system, without the control.
         state: State at the beginning.
-        ways: Directions of the coordinates there.
+        ways: Changes of all components per coordinate, from
+            `LocalCoordinates.directions`.
         dt: Step size [s].
         n_steps: Number of steps.
         first: Number of steps since time zero.
         control: Control, or `None`.
-        with_control: `(model, control) -> model` under the control.
+        with_control: `(model, control) -> model`, or `None` without a control.
     """
     after, tangents = tangent_map(
         model, state, dt, n_steps, first, control, with_control
@@ -187,7 +191,10 @@ def measured(
     ways: Array,
     measure: Measure,
 ) -> tuple[Array, Array]:
-    """Measurement of a state, and the derivatives of all its numbers by coordinates."""
+    """Returns a measurement of a state, and its derivatives C by local coordinates.
+
+    `ways` has the changes of all components per coordinate.
+    """
     now = model.recalling(state)
 
     def seen(step: Array) -> tuple[Array, Array]:

@@ -1,21 +1,21 @@
-r"""Local coordinates: the states near a state, in as many numbers as it has freedoms.
+r"""Local coordinates of the states near a state, one per degree of freedom and rate.
 
-A state near another is given by displacements $d$ of nodes, rotation vectors $\theta$
-of elements, and changes of velocities $v$ and angular velocities $\omega$,
+A state near a given one differs by displacements $d$ of nodes, rotation vectors
+$\theta$ of elements, and changes of velocities $v$ and angular velocities $\omega$,
 
 $$x \mapsto x + d, \quad q \mapsto q\,e^{\theta}, \quad v \mapsto v + \delta v, \quad
 \omega \mapsto \omega + \delta\omega,$$
 
-with $\theta$ and $\omega$ in the frames of the elements. Not all of them are free. A
-step so short that nothing moves puts a state where supports, ties, attachments and the
-method allow it to be. Its Jacobian $T$ therefore has all allowed directions as its
-columns, and the displacements that rates cause in it have all allowed displacements.
-A component that no rate moves is held. Among those that move together, as the
-coordinates of tied nodes do, one is chosen, and the others follow it: with $S$ the
-choice of free components, directions are the columns of $B = T (S T)^{-1}$, so that
-$S B = 1$.
+with $\theta$ and $\omega$ in the material frames of the elements. Not all of these
+components are free. A very short time step projects a state onto the states that
+supports, ties, attachments and the method allow. So the columns of the step's Jacobian
+$T$ span all allowed directions, and its derivatives by rates span all allowed
+displacements. A component that no rate moves is held. Among components that move
+together, such as the positions of tied nodes, one is chosen as free, and the others
+follow it: with $S$ selecting the rows of free components, the directions are the
+columns of $B = T (S T)^{-1}$, so that $S B = 1$.
 
-A method, a coupling or an effect of your own needs nothing further for that.
+This also works for custom methods, couplings and effects.
 """
 
 from __future__ import annotations
@@ -47,22 +47,25 @@ from jaxrod.structure import pytree, static
 from jaxrod.validation import Numbers, as_array, is_traced, knows_constants
 
 WithControl = Callable[[Any, Array], Any]
-"""`(model, control) -> model`: the model under a control, held for a while."""
+"""`(model, control) -> model`: the model under a control, constant for a period."""
 INSTANT = 1e-6
-"""Duration of the step in which nothing moves, over the time step [1]."""
+"""Duration of the very short step whose Jacobian shows the free components, as a
+fraction of the time step [1]."""
 STILL = 1e-6
-"""Displacement per unit of its own rate below which a component counts as held [1]."""
+"""A component counts as held if its displacement in a very short step is below this
+fraction of its rate times the duration [1]."""
 _SHAKEN = 0.1
-"""Size of the random change of a state that shows which components follow [1]."""
+"""Size of the random change of a state that shows which components follow others, as a
+fraction of the shortest element (or of 1 m) [1]."""
 
 
 class Fields(NamedTuple):
-    """Numbers of a member's state in which neighbours are measured."""
+    """Positions, orientations and their rates of one member, for local coordinates."""
 
     position: Array
     """Node positions [m]."""
     orientation: Array
-    """Orientations of elements."""
+    """Unit quaternions of elements, material to world."""
     velocity: Array
     """Node velocities [m/s]."""
     turning: Array
@@ -74,7 +77,8 @@ class LocalCoordinates:
     """Local coordinates of the states of a model; make them with `local_coordinates`.
 
     A vector of coordinates has `size` numbers: displacements [m] and rotations [rad] in
-    the order of `names`, then their rates [m/s], [rad/s] in the same order.
+    the order of `names`, then changes of their rates [m/s], [rad/s] in the same order.
+    Rotations and angular velocities are in material frames.
 
     Example:
         >>> near = control.local_coordinates(scene, state, 1e-4)
@@ -88,17 +92,18 @@ class LocalCoordinates:
     model: Any
     """The scene or system."""
     instant: Float[Array, ""]
-    """Duration of a step in which nothing moves [s]."""
+    """Duration of the very short step that gives the allowed directions [s]."""
     names: tuple[str, ...] = static()
-    """Names of the free components: "node 3 along x", "element 2 about d1"."""
+    """Names of the free displacements and rotations, such as "node 3 along x"."""
     free: tuple[int, ...] = static()
-    """Their places among all displacements and rotations."""
+    """Indices of the free components among all displacements and rotations."""
     follow: bool = static()
-    """Whether components that are not free may follow free ones."""
+    """Whether other components follow the free ones, as tied nodes do; if not, they are
+    held."""
 
     @property
     def size(self) -> int:
-        """Number of coordinates."""
+        """Number of coordinates: twice the number of free components."""
         return 2 * len(self.free)
 
     def filled(
@@ -109,13 +114,13 @@ class LocalCoordinates:
         velocity: Numbers = 0.0,
         angular_velocity: Numbers = 0.0,
     ) -> Float[Array, " size"]:
-        """Vector of coordinates with one number for each kind.
+        """Vector of coordinates with the same value for all coordinates of a kind.
 
         Args:
-            displacement: Number in place of displacements of nodes.
-            rotation: Number in place of rotations of elements.
-            velocity: Number in place of velocities of nodes.
-            angular_velocity: Number in place of angular velocities of elements.
+            displacement: Value for all displacements of nodes [m].
+            rotation: Value for all rotations of elements [rad].
+            velocity: Value for all velocities of nodes [m/s].
+            angular_velocity: Value for all angular velocities of elements [rad/s].
         """
         turns = np.array([" about " in name for name in self.names], bool)
         given = [
@@ -140,13 +145,14 @@ class LocalCoordinates:
         control: Array | None = None,
         with_control: WithControl | None = None,
     ) -> Float[Array, "components size"]:
-        """Changes of all components that go with each coordinate.
+        """Matrix B: change of all components per unit of each coordinate.
 
         Args:
-            state: State about which they are taken.
+            state: State about which coordinates are taken.
             first: Number of steps since time zero, if the model depends on time.
-            control: Control, or `None`, for the same program as that of a run.
-            with_control: `(model, control) -> model` under the control.
+            control: Control, or `None`. It hardly changes the result, but with the
+                control of a run the run's compiled program is reused.
+            with_control: `(model, control) -> model`, or `None`.
         """
         chosen = self._chosen(state)
         if not self.follow:
@@ -161,7 +167,7 @@ class LocalCoordinates:
         return jnp.sum(allowed[:, :, None] * inverse[None], axis=1)
 
     def retract(self, state: Any, step: Array, *, first: int | Array = 0) -> Any:
-        """State at given coordinates from another.
+        """Converts coordinates about a state to a state.
 
         Args:
             state: State about which coordinates are taken.
@@ -169,31 +175,31 @@ class LocalCoordinates:
             first: Number of steps since time zero, if the model depends on time.
 
         Raises:
-            ValueError: If there are more or fewer coordinates.
+            ValueError: If `step` does not have `size` coordinates.
         """
         self.check_size("step", step)
         return self.moved(state, self.directions(state, first=first), step)
 
     def moved(self, state: Any, directions: Array, step: Array) -> Any:
-        """State at given coordinates, along directions that are known."""
+        """State at coordinates `step` about `state`, along `directions` (matrix B)."""
         return moved_by(self.model, state, jnp.sum(directions * step[None], axis=1))
 
     def difference(self, state: Any, other: Any) -> Float[Array, " size"]:
-        """Coordinates of another state from a state.
+        """Converts a state to coordinates about another one: the inverse of `retract`.
 
         Args:
             state: State about which coordinates are taken.
-            other: The other state.
+            other: State that is converted.
         """
         here, there = fields(self.model, state), fields(self.model, other)
         return ravel_pytree(differences(here, there))[0][self._chosen(state)]
 
     def chosen(self, state: Any, changes: Array) -> Array:
-        """Rows of the free components out of those of all components."""
+        """Selects the rows of the free components of `state` from those of all."""
         return changes[self._chosen(state)]
 
     def check_size(self, name: str, step: Any) -> None:
-        """Raises a `ValueError` unless an argument is a vector of coordinates."""
+        """Raises a `ValueError` unless `step` has the shape `(size,)`."""
         if jnp.shape(step) != (self.size,):
             raise ValueError(
                 f"{name} must have shape {(self.size,)}, one number for each local "
@@ -207,22 +213,22 @@ class LocalCoordinates:
 
 @knows_constants
 def local_coordinates(model: Any, state: Any, dt: ArrayLike) -> LocalCoordinates:
-    """Local coordinates of the states near a state: those that nothing holds.
+    """Finds the local coordinates of the states near a state, without held components.
 
-    Which components are free is structure, and found from a state that is known. It is
-    the same for all states with the same supports. Memory of effects, such as the
-    anchors of friction, has no coordinates: it stays as it is.
+    The free components are found from concrete numbers, before tracing. They are the
+    same for all states with the same supports. Memory of effects, such as the anchors
+    of friction, has no coordinates and does not change.
 
     Args:
         model: The scene or the system.
-        state: A state of it.
-        dt: Step size of its runs [s].
+        state: A state of the model.
+        dt: Step size of simulations [s].
 
     Returns:
         The coordinates, for `linearise` inside `jax.jit`, and for filters.
 
     Raises:
-        ValueError: If nothing is free, or anything is traced.
+        ValueError: If no component is free, or an argument is traced.
         TypeError: If the model or the state is of another type.
 
     Example:
@@ -240,7 +246,10 @@ def coordinates_under(
     control: Array | None,
     with_control: WithControl | None,
 ) -> LocalCoordinates:
-    """Local coordinates, found by the program that `tangent_map` runs for a control."""
+    """Finds local coordinates, by `tangent_map` with a control (or `None`).
+
+    They do not depend on the control; the same compiled program then serves runs.
+    """
     begin = check_first(model, 0, 1)
     if is_traced(model, state, dt):
         raise ValueError(
@@ -275,19 +284,23 @@ def coordinates_under(
     noise = np.random.default_rng(0).normal(size=len(chosen))
     shaken = tangents(_shaking(model, state) * allowed[:, chosen] @ noise)
     following = shaken[np.ix_(others, chosen)]
-    # Loads of an instant are no constraint: they are small.
+    # Loads during the very short step are no constraint: their effect is small.
     return replace(found, follow=bool(np.any(np.abs(following) > STILL**0.5)))
 
 
 def _free(rates_of_change: np.ndarray) -> list[int]:
-    """Places of free components, as many as displacements are independent."""
+    """Indices of free components: a largest set of independent displacements.
+
+    `rates_of_change` is the Jacobian of the very short step over its duration: columns
+    of rates follow those of displacements and rotations.
+    """
     half = len(rates_of_change) // 2
     moved = rates_of_change[:half, half:]
     own = np.flatnonzero(np.abs(np.diagonal(moved)) > STILL)
     rows = moved[np.ix_(own, own)]
     lengths = np.linalg.norm(rows, axis=1)
     free: list[int] = []
-    # Gram and Schmidt's method: the longest row that is left is the next.
+    # Gram-Schmidt with pivoting: the longest remaining row is next.
     while len(free) < len(own):
         left = np.linalg.norm(rows, axis=1) / lengths
         best = int(np.argmax(left > 0.999 * np.max(left)))
@@ -300,7 +313,7 @@ def _free(rates_of_change: np.ndarray) -> list[int]:
 
 
 def _shaking(model: Any, state: Any) -> float:
-    """Size of changes that leave no component of a state special, [m] and [rad]."""
+    """Size of random changes of a state, for displacements [m] and rotations [rad]."""
     edges = [
         np.min(np.linalg.norm(np.diff(np.asarray(own.positions)), axis=-2))
         for own in model.states_by_name(state).values()
@@ -310,7 +323,7 @@ def _shaking(model: Any, state: Any) -> float:
 
 
 def _names(model: Any, state: Any) -> Iterator[str]:
-    """Names of all displacements and rotations, in their order."""
+    """Names of all displacements and rotations, in the order of components."""
     for name, own in sorted(jax.eval_shape(lambda: fields(model, state)).items()):
         for what, axes, field in (
             ("node {} along {}", "xyz", own.position),
@@ -323,13 +336,13 @@ def _names(model: Any, state: Any) -> Iterator[str]:
 
 
 def _count(model: Any, state: Any) -> int:
-    """Number of components of displacements, rotations and their rates."""
+    """Number of all components: displacements, rotations and their rates."""
     states = model.states_by_name(state).values()
     return sum(2 * (own.velocities.size + own.rates[1].size) for own in states)
 
 
 def fields(model: Any, state: Any) -> dict[str, Fields]:
-    """Numbers of the states of all members, by name."""
+    """Positions, orientations and rates of all members, by member name."""
     members = model.interfaces()
     found = {}
     for name, own in model.states_by_name(state).items():
@@ -344,7 +357,7 @@ def fields(model: Any, state: Any) -> dict[str, Fields]:
 
 
 def differences(here: dict[str, Fields], there: dict[str, Fields]) -> Any:
-    """Changes of all components: displacements and rotations, then their rates."""
+    """Components of `there` about `here`: displacements and rotations, then rates."""
     places, rates = {}, {}
     for name, one in here.items():
         other = there[name]
@@ -358,7 +371,7 @@ def differences(here: dict[str, Fields], there: dict[str, Fields]) -> Any:
 
 
 def moved_by(model: Any, state: Any, changes: Float[Array, " components"]) -> Any:
-    """State after changes of all components, whether they are free or not."""
+    """State after changes of all components, in the order of `differences`."""
     here = fields(model, state)
     places, rates = ravel_pytree(differences(here, here))[1](changes)
     members, states, moved = model.interfaces(), model.states_by_name(state), {}
@@ -393,9 +406,9 @@ def tangent_map(
     *,
     change: Any = None,
 ) -> tuple[Any, Float[Array, "components inputs"]]:
-    """State after a run, and derivatives of all its components.
+    """Simulates a run, and differentiates its end state by start and control.
 
-    Numbers of steps are traced, so that one program serves every run.
+    Numbers of steps are traced, so that one compiled program serves every run.
 
     Args:
         model: The scene or system.
@@ -404,13 +417,13 @@ def tangent_map(
         n_steps: Number of steps.
         first: Number of steps since time zero.
         control: Control that is held during the run, or `None`.
-        with_control: `(model, control) -> model` under the control.
-        change: Change of all components of the state, at which derivatives are taken by
-            them; none by default.
+        with_control: `(model, control) -> model`, or `None` without a control.
+        change: Change of all components of the initial state before the run; zero by
+            default.
 
     Returns:
-        The state, and the derivatives by all components of the initial state and then
-        by the numbers of the control.
+        The end state, and the derivatives of all its components by all components of
+        the initial state (columns), followed by those by the control.
     """
     steps, begin = (jnp.asarray(number, jnp.int32) for number in (n_steps, first))
     state = with_memory(model, state)

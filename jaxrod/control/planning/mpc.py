@@ -1,22 +1,22 @@
-r"""Model-predictive control: a policy that plans ahead with the model, repeatedly.
+r"""Model-predictive control: a policy that plans ahead with a model, repeatedly.
 
-A plan gives the actions of the next `horizon` control steps, piecewise linear between
-`knots` or in steps from one to the next. One of three methods improves it, and its
-beginning is executed. `replan` control steps later it is shifted in time and improved
-again (receding horizon, warm start). The cost to minimise is
+A plan gives the actions of the next `horizon` control steps, interpolated linearly
+between `knots` or constant between them. One of three methods improves the plan, and
+its beginning is executed. `replan` control steps later the plan is shifted in time and
+improved again (receding horizon, warm start). The cost to minimise is
 
 $$\frac1K \sum_k |r(x_k)|^2 + \frac{e}{K} \sum_k |u_k|^2
   + \frac{s}{K} \sum_k |u_k - u_{k-1}|^2,$$
 
-with the environment's residuals $r$ after every knot's interval, effort $e$ and
-smoothness $s$. Methods:
+with the actions $u_k$ at $K$ knots, the environment's residuals $r$ at the state $x_k$
+of every knot, effort $e$ and smoothness $s$. Methods other than `"gauss-newton"` have
+the environment's smooth cost in place of $|r|^2$. Methods:
 
 - `"gauss-newton"`: a Gauss-Newton step within the bounds. The Jacobian of the residuals
   has few rows, which one batched reverse pass through the rods computes. The step size
   that lowers the cost most is chosen from several (real-time iteration; Diehl et al.,
   2005).
-- `"gradient"`: Adam on the environment's smooth cost, with actions clipped to the
-  bounds.
+- `"gradient"`: Adam, with actions clipped to the bounds.
 - `"mppi"`: the mean of noisy plans, weighted by exponentials of their costs (Williams
   et al., 2017); no derivatives.
 
@@ -49,8 +49,8 @@ from jaxrod.structure import pytree, static
 from jaxrod.validation import check_count, check_seed
 
 START_DEVIATION, START_ITERATIONS = 0.6, 8
-"""Standard deviation of the noisy plans from which an episode's first plan is made, and
-number of times they are drawn."""
+"""Standard deviation [1] of the noisy plans from which an episode's first plan is made,
+and number of batches that are drawn."""
 METHODS = ("gauss-newton", "gradient", "mppi")
 
 
@@ -59,18 +59,18 @@ class Plan:
     """Memory of a planner for a batch of episodes."""
 
     values: Float[Array, "batch knots_and_now action"]
-    """Actions at the time of the plan, and at its knots."""
+    """Actions at the time of planning, then at the knots."""
     calls: Int[Array, ""]
-    """Number of actions so far; the same for all episodes."""
+    """Number of calls of `act` since the start; the same for all episodes."""
     key: Key[Array, ""]
     """Random key for sampling."""
     cost: Float[Array, " batch"]
-    """Cost of the plan, as the method defines it."""
+    """Cost of each episode's plan; for `"mppi"` the lowest of the last samples."""
 
 
 @pytree
 class PlanningPolicy:
-    """Policy that `mpc` returns; its memory is the current plan.
+    """Policy made by `mpc`; its memory is the current plan.
 
     Example:
         >>> policy = control.mpc(envs.make("tracking"), horizon=96, knots=6, hold=4)
@@ -82,29 +82,29 @@ class PlanningPolicy:
     cost: PlanCost
     """Cost of a plan, with the model and the knots."""
     rate: Float[Array, ""]
-    """Step size of Adam, or standard deviation of the samples."""
+    """Step size of Adam (`"gradient"`), or standard deviation of samples (`"mppi"`)."""
     key: Key[Array, ""]
     """First random key for sampling."""
     replan: int = static()
-    """Control steps from plan to plan."""
+    """Number of control steps from one plan to the next."""
     iterations: int = static()
-    """Iterations of each plan."""
+    """Number of iterations of the method per plan."""
     first: int = static()
-    """Iterations of an episode's first plan."""
+    """Number of iterations for an episode's first plan."""
     samples: int = static()
-    """Noisy plans in each iteration of `"mppi"`."""
+    """Number of noisy plans per iteration of `"mppi"`."""
     starts: int = static()
-    """Noisy plans from which an episode's first plan is made."""
+    """Number of noisy plans from which an episode's first plan is made; 0 for zeros."""
     method: str = static()
-    """One of `METHODS`."""
+    """Method that improves plans, one of `METHODS`."""
 
     @property
     def action_repeat(self) -> int:
-        """Control steps for which an action is held."""
+        """Number of control steps for which an action is held."""
         return self.cost.hold
 
     def init(self, observation: Float[Array, "batch observation"], state: Any) -> Plan:
-        """Returns the memory at the start of a batch of episodes."""
+        """Returns the memory at the start of a batch of episodes: plans of zeros."""
         del state
         batch, dtype = observation.shape[0], observation.dtype
         shape = (batch, self.cost.knots + 1, self.cost.env.action_size)
@@ -118,10 +118,10 @@ class PlanningPolicy:
     def act(
         self, memory: Plan, observation: Float[Array, "batch observation"], state: Any
     ) -> tuple[Float[Array, "batch action"], Plan]:
-        """Returns the actions of a batch and the new memory; plans if it is due.
+        """Returns the actions of a batch of episodes, and the new memory.
 
-        All episodes of the batch plan at the same time, so that a jitted program
-        computes no plans in between.
+        It plans once every `replan` control steps, for all episodes at the same time,
+        so that a jitted program computes no plans in between.
         """
         del observation
         cost = self.cost
@@ -225,22 +225,23 @@ def mpc(
         env: The model: an environment with `predict` and `cost`, and `residuals` for
             `"gauss-newton"` (`jaxrod.envs.Plannable`).
         params: Parameters of the model; by default those of the environment.
-        horizon: Control steps ahead, a multiple of `knots * hold`.
-        knots: Values planned for each action.
+        horizon: Number of control steps ahead, a multiple of `knots * hold`.
+        knots: Number of values planned for each action component.
         iterations: Steps of the method in each plan; by default 1, or 4 of Adam.
         method: `"gauss-newton"`, `"gradient"` or `"mppi"`.
         shape: `"lines"` from knot to knot, or `"steps"`: a knot's value is held from
             the time of the previous knot to its own. One step is the cheapest plan.
-        hold: Control steps for which an action is held.
-        replan: Control steps from plan to plan, a multiple of `hold`, at most the
-            horizon; by default the spacing of the knots.
+        hold: Number of control steps for which an action is held.
+        replan: Number of control steps from one plan to the next, a multiple of `hold`,
+            at most the horizon; by default the spacing of the knots.
         first: Iterations of the first plan of an episode; by default 8 times
             `iterations`.
-        effort: Weight of the mean squared action.
-        smoothness: Weight of the mean squared change from knot to knot.
+        effort: Weight $e$ of the squared norm of actions, averaged over the knots.
+        smoothness: Weight $s$ of the squared norm of changes from knot to knot,
+            averaged over the knots.
         rate: Step size of Adam, by default 0.15, or standard deviation of the samples,
             by default 0.3.
-        samples: Noisy plans in each iteration of `"mppi"`.
+        samples: Number of noisy plans per iteration of `"mppi"`.
         starts: Number of widely spread noisy plans from which the first plan of an
             episode is made. Use them for tasks in which all plans near zero actions are
             bad. With 0 the first plan begins with zero actions.

@@ -1,4 +1,4 @@
-"""Improvement of one episode's plan by Gauss-Newton steps, gradients or sampling."""
+"""Improves the plan of one episode by Gauss-Newton steps, gradients or sampling."""
 
 from __future__ import annotations
 
@@ -13,13 +13,15 @@ from jaxtyping import Array, Float, Int, Key
 from jaxrod.structure import pytree, static
 
 SHARES = (1.0, 0.5, 0.2)
-"""Fractions of a Gauss-Newton step that are tried."""
+"""Fractions of a Gauss-Newton step that are tried; the best is taken [1]."""
 DAMPING = 1e-3
-"""Weight of the mean squared change of the knots by a Gauss-Newton step."""
+"""Weight of the squared norm of the change of a knot in a Gauss-Newton step, averaged
+over the knots."""
 BOUND_ITERATIONS = 12
-"""Number of alternations between the quadratic model and its bounds (ADMM)."""
+"""Number of ADMM iterations that impose the bounds on a Gauss-Newton step."""
 TEMPERATURE = 0.1
-"""Temperature of the samples' weights, in standard deviations of their costs."""
+"""Temperature in the weights exp(-cost / temperature) of samples, as a fraction of the
+standard deviation of their costs [1]."""
 
 
 def check_model(env: Any, needed: tuple[str, ...], planner: str = "") -> None:
@@ -27,7 +29,7 @@ def check_model(env: Any, needed: tuple[str, ...], planner: str = "") -> None:
 
     Args:
         env: The environment.
-        needed: Names of the methods.
+        needed: Names of the needed methods.
         planner: Description of the planner for the error message.
     """
     missing = [name for name in needed if not hasattr(env, name)]
@@ -40,27 +42,31 @@ def check_model(env: Any, needed: tuple[str, ...], planner: str = "") -> None:
 
 @pytree
 class PlanCost:
-    """Cost of a plan; see `jaxrod.control.mpc`."""
+    """Cost of a plan, defined in `jaxrod.control.planning.mpc`.
+
+    Methods take `now`, the action at the time of planning `(action,)`, the actions at
+    the `knots` `(knots, action)`, and the environment's `state`.
+    """
 
     params: Any
-    """Parameters of the model."""
+    """Parameters of the environment that serves as the model."""
     effort: Float[Array, ""]
-    """Weight of the mean squared action."""
+    """Weight of the squared norm of actions, averaged over the knots."""
     smoothness: Float[Array, ""]
-    """Weight of the mean squared change from knot to knot."""
+    """Weight of the squared norm of changes from knot to knot, averaged."""
     env: Any = static()
-    """The model."""
+    """Environment that serves as the model."""
     knots: int = static()
     """Number of knots."""
     spacing: int = static()
-    """Control steps from knot to knot."""
+    """Number of control steps from knot to knot."""
     hold: int = static()
-    """Control steps for which an action is held."""
+    """Number of control steps for which an action is held."""
     shape: str = static(default="lines")
     """Shape of the plan between knots, one of `SHAPES`."""
 
     def actions(self, now: Array, knots: Array) -> Float[Array, "knots pieces action"]:
-        """Returns the actions of all pieces of every knot's interval."""
+        """Returns a plan's actions, one per `hold` control steps, grouped by knot."""
         table = jnp.asarray(
             piece_weights(self.knots, self.spacing, self.hold, self.shape), knots.dtype
         )
@@ -68,7 +74,7 @@ class PlanCost:
         return jnp.reshape(acted, (self.knots, -1, acted.shape[-1]))
 
     def along(self, now: Array, knots: Array, state: Any, of: Any) -> Array:
-        """Evaluates `of(state, action)` after every knot's interval."""
+        """Simulates a plan; returns `of(state, last action)` at every knot, stacked."""
 
         def piece(state: Any, action: Array) -> tuple[Any, None]:
             return self.env.predict(state, action, self.params, self.hold), None
@@ -80,7 +86,7 @@ class PlanCost:
         return lax.scan(interval, state, self.actions(now, knots))[1]
 
     def residuals(self, now: Array, knots: Array, state: Any) -> Float[Array, " all"]:
-        """Residuals after every interval, over the root of the number of intervals."""
+        """Returns the environment's residuals at all K knots, divided by sqrt(K)."""
         found = self.along(
             now,
             knots,
@@ -90,14 +96,14 @@ class PlanCost:
         return jnp.ravel(found) / jnp.sqrt(self.knots).astype(found.dtype)
 
     def regular(self, now: Array, knots: Array) -> Float[Array, ""]:
-        """Returns the cost of effort and smoothness."""
+        """Returns the cost of effort and smoothness, averaged over the knots."""
         changes = jnp.diff(jnp.concatenate([now[None], knots]), axis=0)
         return (
             self.effort * jnp.sum(knots**2) + self.smoothness * jnp.sum(changes**2)
         ) / self.knots
 
     def total(self, now: Array, knots: Array, state: Any) -> Float[Array, ""]:
-        """Returns the mean cost of the environment, plus effort and smoothness."""
+        """Returns the mean of `env.cost` at the knots, plus effort and smoothness."""
         found = self.along(
             now,
             knots,
@@ -107,7 +113,7 @@ class PlanCost:
         return jnp.mean(found) + self.regular(now, knots)
 
     def least_squares(self, now: Array, knots: Array, state: Any) -> Float[Array, ""]:
-        """Returns the sum of squared residuals, plus effort and smoothness.
+        """Returns the sum of squared `residuals`, plus effort and smoothness.
 
         It is infinite if the sum is not finite.
         """
@@ -118,7 +124,10 @@ class PlanCost:
 def by_gauss_newton(
     cost: PlanCost, now: Array, knots: Array, state: Any, iterations: Int[Array, ""]
 ) -> tuple[Float[Array, "knots action"], Float[Array, ""]]:
-    """Returns knots after `iterations` Gauss-Newton steps, and their cost."""
+    """Improves knots by `iterations` Gauss-Newton steps within the bounds of actions.
+
+    `now` is the action at the time of planning. Returns the knots and their cost.
+    """
     shares = jnp.asarray(SHARES, knots.dtype)
 
     def again(_: Array, given: tuple[Array, Array]) -> tuple[Array, Array]:
@@ -144,11 +153,12 @@ def by_gauss_newton(
 def quadratic_step(
     cost: PlanCost, values: Array, rows: Array, now: Array, knots: Array
 ) -> Float[Array, "knots action"]:
-    """Returns knots within the bounds that lower the cost of the linearised problem.
+    """Minimises the cost with linearised residuals, within the bounds of actions.
 
-    The Hessian is the product of `rows` with themselves plus a small matrix that is the
-    same for each action. So only a matrix of the residuals' size must be inverted
-    (Woodbury). Bounds are imposed by the alternating direction method of multipliers.
+    `values` are the residuals at `knots`, and `rows` their Jacobian. The Hessian is
+    J^T J plus a small matrix that is the same for each action component, so only a
+    matrix of the number of residuals is inverted (Woodbury). Bounds are imposed by the
+    alternating direction method of multipliers (ADMM). Returns the new knots.
     """
     count, dtype = cost.knots, knots.dtype
     changes = jnp.eye(count, dtype=dtype) - jnp.eye(count, k=-1, dtype=dtype)
@@ -193,7 +203,10 @@ def by_gradient(
     iterations: Int[Array, ""],
     rate: Array,
 ) -> tuple[Float[Array, "knots action"], Float[Array, ""]]:
-    """Returns the best knots of `iterations` steps of Adam, and their cost."""
+    """Improves knots by `iterations` steps of Adam with step size `rate`.
+
+    `now` is the action at the time of planning. Returns the best knots and their cost.
+    """
     slow, slower = 0.8, 0.95
 
     def again(index: Array, given: Any) -> Any:
@@ -230,9 +243,10 @@ def by_sampling(
     key: Key[Array, ""],
     samples: int,
 ) -> tuple[Float[Array, "knots action"], Float[Array, ""]]:
-    """Returns knots after `iterations` weighted means of noisy plans, and a cost.
+    """Replaces knots by the weighted mean of noisy plans, `iterations` times (MPPI).
 
-    The cost is the lowest cost of the last samples.
+    `now` is the action at the time of planning. Returns the knots, and the lowest cost
+    of the last samples.
     """
 
     def again(index: Array, given: tuple[Array, Array]) -> tuple[Array, Array]:
@@ -268,19 +282,19 @@ def _or_infinite(cost: Array) -> Array:
 
 
 SHAPES = ("lines", "steps")
-"""Shapes of a plan between its value now and its knots, which lie at equal distances
-ahead: lines from value to value, or steps, where every knot's value is held from the
-time of the previous one. After the last knot a plan is constant."""
+"""Interpolation of a plan between its value now and its equally spaced knots: linear,
+or in steps, where each knot's value is held from the time of the previous knot to its
+own. After the last knot a plan is constant."""
 
 
 def weights_at(
     times: Float[np.ndarray, " times"], knots: int, spacing: int, shape: str = "lines"
 ) -> Float[np.ndarray, "times knots_and_now"]:
-    """Returns weights of the value now and of the knots, a row for each time.
+    """Returns interpolation weights of the value now and of the knots, a row per time.
 
     Args:
-        times: Times in the unit of `spacing`, not negative. At the time where a step
-            changes its value, the plan still has the earlier value.
+        times: Times from now in the unit of `spacing`, not negative. At the time where
+            a step changes its value, the plan still has the earlier value.
         knots: Number of knots; they lie at `spacing`, `2 spacing` and so on.
         spacing: Time between two knots.
         shape: One of `SHAPES`.
@@ -295,7 +309,10 @@ def weights_at(
 def piece_weights(
     knots: int, spacing: int, hold: int, shape: str = "lines"
 ) -> Float[np.ndarray, "pieces knots_and_now"]:
-    """Returns weights of a plan's pieces, at their midpoints, each `hold` long."""
+    """Returns interpolation weights for the actions of a plan, a row per action.
+
+    Each action is held for `hold` control steps, and is the plan's value in the middle.
+    """
     pieces = knots * spacing // hold
     return weights_at((np.arange(pieces) + 0.5) * hold, knots, spacing, shape)
 
@@ -303,8 +320,9 @@ def piece_weights(
 def shift_weights(
     knots: int, spacing: int, by: int, shape: str = "lines"
 ) -> Float[np.ndarray, "knots_and_now knots_and_now"]:
-    """Returns weights of the plan's value and knots after a shift in time by `by`.
+    """Returns the matrix that shifts a plan, values now and at knots, by `by` steps.
 
-    If shifted steps fall between knots, the later step is taken.
+    The new values are those of the old plan `by` control steps later. If the knots of a
+    plan in steps are shifted by a part of the spacing, the later step is taken.
     """
     return weights_at(by + spacing * np.arange(knots + 1), knots, spacing, shape)

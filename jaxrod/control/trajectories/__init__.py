@@ -1,1 +1,1 @@
-"""Trajectory optimisation: problems of control and solvers."""
+"""Trajectory optimisation: optimal control problems and their solvers."""

@@ -1,4 +1,4 @@
-"""Trajectories by Adam on knots in time."""
+"""Trajectory optimisation by Adam, on control values at knots in time."""
 
 from __future__ import annotations
 
@@ -45,16 +45,17 @@ def adam(
 
     Args:
         problem: The problem.
-        n_knots: Knots in time, equally spaced.
+        n_knots: Number of knots, equally spaced in time.
         iterations: Largest number of gradient evaluations.
         learning_rate: Step size of Adam; it decays along a cosine to a tenth [1].
-        max_gradient_norm: Norm to which gradients by the scaled knots are clipped.
-        optimiser: An `optax.GradientTransformation` to use instead.
-        enough: Cost at which the search ends.
+        max_gradient_norm: Largest norm of the gradient by the scaled knots; longer
+            gradients are scaled down to it.
+        optimiser: An `optax.GradientTransformation` to use instead of clipped Adam.
+        enough: Cost at or below which the search ends.
         initial_knots: First knots `(n_knots, n_controls)`; small random ones by
             default.
         seed: Seed of the small random knots.
-        log: Called with the iteration and the cost.
+        log: Function called with the iteration and the cost after each evaluation.
 
     Returns:
         The best controls found, with their motion.
@@ -152,7 +153,7 @@ def adam(
 
 
 def _valued(problem: Problem, scaled: Array) -> tuple[Array, Array]:
-    """Returns the cost of scaled knots, and its gradient."""
+    """Returns the cost and its gradient by knots, scaled by the bounds' half widths."""
 
     def value(scaled: Array) -> Array:
         knots = scaled * half_widths(problem)[None]
@@ -162,7 +163,7 @@ def _valued(problem: Problem, scaled: Array) -> tuple[Array, Array]:
 
 
 def _recorded(problem: Problem, scaled: Array) -> tuple[Array, Array, Any, Array]:
-    """Returns knots, controls, motion and cost."""
+    """Returns the knots without scaling, and their controls, states and cost."""
     knots = scaled * half_widths(problem)[None]
     controls = over_time(knots, problem.n_intervals)
     return (
@@ -176,7 +177,7 @@ def _recorded(problem: Problem, scaled: Array) -> tuple[Array, Array, Any, Array
 def _clipped_adam(
     learning_rate: float, max_gradient_norm: float, iterations: int
 ) -> Any:
-    """Adam on clipped gradients, whose learning rate decays along a cosine to 1/10."""
+    """Optax optimiser: Adam on gradients of clipped norm, with cosine decay to 1/10."""
     import optax
 
     schedule = optax.cosine_decay_schedule(learning_rate, iterations, alpha=0.1)

@@ -1,4 +1,4 @@
-"""Trajectories with feedback: iterative linear-quadratic regulation.
+"""Trajectories with feedback gains: iterative linear-quadratic regulation (iLQR).
 
 Each iteration linearises dynamics and residuals along the trajectory (Gauss-Newton).
 A backward pass solves the linear-quadratic problem within the bounds of the controls
@@ -39,9 +39,10 @@ from jaxrod.structure import pytree
 from jaxrod.validation import check_array, check_count
 
 SHARES = 10
-"""Number of step sizes that are tried at once: 1, 1/2, 1/4, ..."""
+"""Number of step sizes tried at once in the line search: 1, 1/2, 1/4, ..."""
 FASTER, SLOWER = 4.0, 8.0
-"""Divisor of the damping after a full step, and factor if no step lowers the cost."""
+"""Divisor of the damping after a full step (and factor after a step of 1/8 or less);
+factor if no step lowers the cost [1]."""
 LEAST_DAMPING, MOST_DAMPING = 1e-9, 1e9
 
 
@@ -55,7 +56,7 @@ def ilqr(
     spread: float = 0.1,
     seed: int = 0,
 ) -> Solution:
-    """Finds controls of every interval that minimise the sum of squares, with feedback.
+    """Finds the controls of all intervals that minimise the cost, with feedback gains.
 
     Meant for long motions in which a rod must be kept from falling: the solution's
     `policy` reacts to disturbances.
@@ -63,8 +64,9 @@ def ilqr(
     Args:
         problem: The problem.
         iterations: Largest number of steps tried.
-        initial_damping: Damping of the first step: cost of changing every control by
-            half the range between its bounds, as a fraction of the first cost [1].
+        initial_damping: Damping of the first step: cost of changing a control by half
+            the range between its bounds in all intervals, as a fraction of the first
+            cost [1].
         tolerance: Relative decrease of the cost at which the search ends.
         initial_controls: First controls `(n_intervals, n_controls)`; random ones by
             default. Controls of a motion like the desired one are often much better.
@@ -163,7 +165,10 @@ def _solved(
     def tried_with(
         search: _Search, changes: Array, gains: Array, share: Array
     ) -> tuple[Array, Array, Array]:
-        """Returns controls, states and cost after a fraction of the step."""
+        """Simulates controls plus `share` of their changes, with feedback.
+
+        Returns the clipped controls, the states and the cost.
+        """
 
         def one(state: Array, given: tuple[Array, ...]) -> Any:
             k, control, change, gain, planned = given
@@ -182,7 +187,7 @@ def _solved(
         return controls, jnp.concatenate([first[None], states]), total
 
     def again(search: _Search) -> _Search:
-        # The last round only computes the gains about the solution.
+        # The last iteration only computes the gains about the solution.
         last = search.converged | (search.tried >= iterations)
         last = last | (search.damping > MOST_DAMPING)
         share = jnp.where(last, LEAST_DAMPING, search.damping)
@@ -234,7 +239,7 @@ def _solved(
         ended=jnp.zeros((), bool),
         costs=jnp.full((iterations + 1,), jnp.nan, start.dtype),
     )
-    # The batch is as large as in the search, so that lanes have one program for both.
+    # The batch has the size of the search's, so that both share a compiled program.
     controls, states, costs = jax.vmap(
         lambda share: tried_with(none, jnp.zeros_like(start), none.gains, share)
     )(shares)
@@ -252,7 +257,7 @@ Unravel = Callable[[Array], Any]
 
 
 def _flat(residuals: Any, dtype: Any) -> Array:
-    """Residuals as one row, empty if there are none."""
+    """Flattens residuals to a vector, empty for `None`."""
     return ravel_pytree(residuals)[0].astype(dtype)
 
 
@@ -262,7 +267,7 @@ def _linearised(
     states: Float[Array, "intervals+1 n"],
     controls: Float[Array, "intervals m"],
 ) -> Linear:
-    """Linearises all intervals, in all directions at once."""
+    """Linearises dynamics and residuals of all intervals, as one batch."""
     n, m = states.shape[1], controls.shape[1]
     ways = jnp.eye(n + m, dtype=states.dtype)
 

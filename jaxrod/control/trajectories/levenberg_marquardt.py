@@ -1,4 +1,4 @@
-"""Optimises trajectories, also together with a body, by damped Gauss-Newton steps."""
+"""Optimises controls, also with the design of a body, by damped Gauss-Newton steps."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ from jaxrod.control.trajectories.solution import Solution, reason_to_stop, timed
 from jaxrod.validation import check_array, check_count
 
 Body = Callable[[Any, Any], Any]
-"""`(data, design) -> data`: the problem's data for a body."""
+"""`(data, design) -> data`: the problem's data for a body of that design."""
 
 
 def levenberg_marquardt(
@@ -40,7 +40,7 @@ def levenberg_marquardt(
     seed: int = 0,
     mode: str | None = None,
 ) -> Solution:
-    """Finds controls, linear in time between knots, that minimise the sum of squares.
+    """Finds controls, linear in time between knots, that minimise the cost.
 
     Meant for problems with few residuals, such as `reach`. The Jacobian takes a row for
     each residual in reverse mode, or a column for each knot value in forward mode,
@@ -48,7 +48,7 @@ def levenberg_marquardt(
 
     Args:
         problem: The problem.
-        n_knots: Knots in time, equally spaced.
+        n_knots: Number of knots, equally spaced in time.
         iterations: Largest number of iterations.
         ridge: Weight of the mean squared knot value; it selects one of the many
             controls with the same result.
@@ -108,7 +108,7 @@ def codesign(
     initial_knots: Any = None,
     seed: int = 0,
 ) -> Solution:
-    """Finds the design of a body and its controls that minimise the sum of squares.
+    """Finds the design of a body, and its controls, that minimise the cost.
 
     It applies the method of `levenberg_marquardt` to both together. The simulation's
     time step is that of the problem: the bounds of the design must keep the body stable
@@ -119,7 +119,7 @@ def codesign(
         body: `(data, design) -> data`, defined at module level; pure and
             differentiable.
         design: First design, any pytree of floats.
-        n_knots: Knots in time, equally spaced.
+        n_knots: Number of knots, equally spaced in time.
         iterations: Largest number of iterations.
         ridge: Weight of the mean squared knot value: the effort.
         lower: Lower bounds of the design, a number or a tree like `design`.
@@ -183,7 +183,11 @@ def _found(
     iterations: int,
     **structure: Any,
 ) -> Solution:
-    """Solves a problem for knots and, if there is one, a design."""
+    """Optimises knots and, if there is one, a design, and makes the `Solution`.
+
+    `numbers` holds ridge and initial damping, `bounds` those of the design, and
+    `structure` further static arguments of `_solved`.
+    """
     check_array("initial_damping", numbers["initial_damping"], [()], "", positive=True)
     (found, controls, states, least, data), compile_s, run_s = timed(
         _solved,
@@ -225,7 +229,7 @@ def _solved(
     mode: str | None = None,
     several: bool = False,
 ) -> tuple[LeastSquares, Array, Any, Array, Any]:
-    """Returns the solution, its controls, motion and cost, and the data of its body."""
+    """Returns the search's result, and its controls, states, cost and problem data."""
     knots = start["knots"]
     low, high = (
         {"design": bound, "knots": jnp.broadcast_to(limit, knots.shape)}

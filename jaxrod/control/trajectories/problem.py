@@ -1,11 +1,11 @@
 r"""An optimal control problem: an initial state, dynamics under controls, and a cost.
 
-Time is divided into equal intervals. In interval $k$ the control $u_k$ is held and
-takes the state $x_k$ to $x_{k+1} = f(x_k, u_k, k)$. The cost is a sum of squares,
+Time is divided into equal intervals. In interval $k$ the control $u_k$ is constant, and
+the state moves from $x_k$ to $x_{k+1} = f(x_k, u_k, k)$. The cost is a sum of squares,
 
 $$L = \sum_k |r(x_{k+1}, u_k, k)|^2 + |r_N(x_N)|^2,$$
 
-so that every kind of solver can use it: gradient descent, solvers that use the
+so that every kind of solver applies: gradient descent, solvers that use the
 derivatives of residuals (Gauss-Newton, iLQR), and solvers that only use the cost.
 """
 
@@ -24,9 +24,10 @@ from jaxrod.structure import pytree, static
 from jaxrod.validation import check_array, check_count, check_kind, check_seed
 
 Move = Callable[[Any, Any, Array, Array], Any]
-"""`(data, state, control, interval) -> state`, after one interval."""
+"""`(data, state, control, interval) -> state`: the state after one interval."""
 Running = Callable[[Any, Any, Array, Array], Any]
-"""`(data, state, control, interval) -> residuals`, for the state after the interval."""
+"""`(data, state, control, interval) -> residuals`; `state` is that after the interval.
+"""
 Final = Callable[[Any, Any], Any]
 """`(data, state) -> residuals`, for the last state."""
 Policy = Callable[[Any, Array], Array]
@@ -37,11 +38,10 @@ Disturbance = Callable[[Any, Array], Any]
 
 @pytree
 class Problem:
-    """An optimal control problem; see the module. Make one with `make_problem`.
+    """An optimal control problem: start, dynamics, residuals, bounds (`make_problem`).
 
-    Numbers are traced: the same compiled program solves problems with other numbers,
-    another start or another target. A batch of problems is a `jax.vmap` over the
-    leaves.
+    Arrays are traced: the same compiled program solves problems with another start,
+    target or bounds, and `jax.vmap` solves a batch of problems.
 
     Example:
         >>> problem = control.make_problem(
@@ -66,11 +66,11 @@ class Problem:
     interval: Float[Array, ""]
     """Duration of an interval [s]."""
     move: Move = static()
-    """Function that takes a state through an interval."""
+    """Function that simulates one interval, see `Move`."""
     running: Running | None = static()
-    """Function that returns the residuals of an interval."""
+    """Function that returns the residuals of an interval, see `Running`; or `None`."""
     final: Final | None = static()
-    """Function that returns the residuals of the last state."""
+    """Function that returns the residuals of the last state, see `Final`; or `None`."""
     n_intervals: int = static()
     """Number of intervals."""
 
@@ -80,18 +80,18 @@ class Problem:
         return int(self.lower.shape[-1])
 
     def step(self, state: Any, control: Array, interval: Array) -> tuple[Any, Any]:
-        """Returns the state after an interval, and its residuals or `None`."""
+        """Returns the state after an interval, and the residuals of the interval."""
         after = self.move(self.data, state, control, interval)
         return after, self.on_the_way(after, control, interval)
 
     def on_the_way(self, after: Any, control: Array, interval: Array) -> Any:
-        """Residuals of an interval, from the state after it; `None` without any."""
+        """Residuals of an interval, by the state after it; `None` if none are given."""
         if self.running is None:
             return None
         return self.running(self.data, after, control, interval)
 
     def at_the_end(self, last: Any) -> Any:
-        """Residuals of the last state; `None` without any."""
+        """Residuals of the last state; `None` if none are given."""
         return None if self.final is None else self.final(self.data, last)
 
 
@@ -127,8 +127,8 @@ def make_problem(
         upper: Upper bounds of the controls, a number or one for each.
 
     Raises:
-        ValueError: An argument is out of range, `move` returns something else than a
-            state, or there is no cost.
+        ValueError: An argument is out of range, `move` does not return a state like
+            `start`, or neither `running` nor `final` is given.
 
     Example:
         >>> problem = control.make_problem(
@@ -180,7 +180,7 @@ def make_problem(
 
 
 def trajectory(problem: Problem, controls: Float[Array, "intervals controls"]) -> Any:
-    """Returns states at the start and after each interval, stacked in front."""
+    """Simulates controls; returns the states at the start and after each interval."""
 
     def one(state: Any, given: tuple[Array, Array]) -> tuple[Any, Any]:
         after = problem.move(problem.data, state, *given)
@@ -193,7 +193,7 @@ def trajectory(problem: Problem, controls: Float[Array, "intervals controls"]) -
 
 
 def residuals(problem: Problem, controls: Float[Array, "intervals controls"]) -> Any:
-    """Returns the residuals of all intervals, stacked in front, and of the end.
+    """Returns the residuals of all intervals, stacked, and those of the last state.
 
     In reverse mode, one state per interval is stored, and the steps of only one
     interval at a time (checkpointing).
@@ -210,12 +210,12 @@ def residuals(problem: Problem, controls: Float[Array, "intervals controls"]) ->
 def cost(
     problem: Problem, controls: Float[Array, "intervals controls"]
 ) -> Float[Array, ""]:
-    """Sum of the squares of all residuals; differentiable."""
+    """Cost of controls: the sum of the squares of all residuals; differentiable."""
     return squares(residuals(problem, controls))
 
 
 def squares(made: Any) -> Float[Array, ""]:
-    """Sum of the squares of all numbers of a pytree, which must not be empty."""
+    """Sum of the squares of all numbers of a non-empty pytree."""
     first, *rest = (jnp.sum(leaf**2) for leaf in jax.tree.leaves(made))
     return sum(rest, first)
 
@@ -260,7 +260,7 @@ def _floats(tree: Any) -> list[Array]:
 
 @pytree
 class RolledOut:
-    """A motion under a policy.
+    """Motion under a policy, simulated by `rolled_out`.
 
     Example:
         >>> problem = control.make_problem(
@@ -276,23 +276,23 @@ class RolledOut:
     """
 
     states: Any
-    """States at the start and after each interval, stacked in front."""
+    """States at the start and after each interval, stacked on the leading axis."""
     controls: Float[Array, "intervals controls"]
-    """Controls of the policy, clipped to the bounds."""
+    """Control of each interval: that of the policy, clipped to the bounds."""
     cost: Float[Array, ""]
-    """Sum of the squares of all residuals."""
+    """Cost of the motion: sum of the squares of all residuals."""
 
 
 def rolled_out(
     problem: Problem, policy: Policy, disturbance: Disturbance | None = None
 ) -> RolledOut:
-    """Simulates the motion under a policy, such as a solution's. Pure; traceable.
+    """Simulates the motion of a problem under a policy. Pure; traceable.
 
     Args:
         problem: The problem.
         policy: `(state, interval) -> control`: `solution.policy` with feedback,
-            `solution.open_loop` without, or any other.
-        disturbance: `(state, interval) -> state`, a change of the state before an
+            `solution.open_loop` without feedback, or any other.
+        disturbance: `(state, interval) -> state`, a change of the state before each
             interval; none by default.
 
     Raises:
@@ -331,8 +331,8 @@ def rolled_out(
 
 
 SPREAD = 1e-3
-"""Standard deviation of the first knots, as a fraction of half the range between the
-bounds. It breaks the symmetry of a straight rod, whose gradient may vanish exactly."""
+"""Standard deviation of the random first knots, as a fraction of half the range between
+the bounds [1]. It breaks the symmetry of a straight rod, whose gradient may vanish."""
 MOST_KNOTS = 100_000
 
 
@@ -355,10 +355,10 @@ def first_knots(
     Args:
         problem: The problem.
         n_knots: Number of knots.
-        given: Given knots, or `None`.
+        given: Given knots `(n_knots, n_controls)`, or `None` for random ones.
         seed: Seed of the random knots.
         spread: Standard deviation of the random knots, as a fraction of half the range
-            between the bounds.
+            between the bounds [1].
 
     Raises:
         ValueError: The given knots have the wrong shape or lie beyond the bounds.

@@ -28,7 +28,7 @@ from jaxrod.validation import Numbers, check_array, warn
 
 
 class UnreachableTargetWarning(UserWarning):
-    """The target lies further from the arm's base than the arm is long."""
+    """Warns that the target is farther from the arm's base than the arm is long."""
 
 
 class Arm(Protocol):
@@ -36,14 +36,14 @@ class Arm(Protocol):
 
     @property
     def scene(self) -> Scene:
-        """The rod without controls."""
+        """Scene of the arm without controls."""
 
     @property
     def state(self) -> RodState:
-        """Initial state."""
+        """Initial state of the arm."""
 
     def with_controls(self, controls: Any) -> Scene:
-        """Returns the scene under controls."""
+        """Returns the scene of the arm under controls."""
 
 
 @pytree
@@ -62,7 +62,7 @@ class ActuatedArm:
     scene: Scene
     """The rod and everything that acts on it except its muscles."""
     state: RodState
-    """Initial state."""
+    """Initial state of the rod."""
     spline: ControlSpline | ElementAverages
     """Shape of the muscle couples along the rod, from `control_spline`."""
     couple_density: Float[Array, ""]
@@ -70,12 +70,12 @@ class ActuatedArm:
 
     @property
     def control_shape(self) -> tuple[int, int]:
-        """Shape of the controls that bend the arm: two directions, points along it."""
+        """Shape (2, n_controls) of controls about d1 and d2, at points of the arm."""
         return 2, self.spline.n_controls
 
     @property
     def prepared(self) -> ActuatedArm:
-        """The same arm, its spline averaged over the elements once for all controls."""
+        """Copy of the arm whose spline is averaged over the elements in advance."""
         averages = self.spline.averaged(self.scene.rod)
         return replace(self, spline=averages)
 
@@ -96,7 +96,7 @@ class ActuatedArm:
 
 @pytree
 class Reach:
-    """The data of a reaching problem.
+    """Data of a reaching problem made by `reach`: arm, target, weights and steps.
 
     Example:
         >>> arm = envs.actuated_arm(10)
@@ -106,7 +106,7 @@ class Reach:
     """
 
     arm: Any
-    """The arm."""
+    """The arm, such as an `ActuatedArm`."""
     target: Float[Array, "3"]
     """Target position of the tip at the end [m]."""
     dt: Float[Array, ""]
@@ -118,9 +118,9 @@ class Reach:
     effort_root: Float[Array, ""]
     """Root of the weight of the mean squared control value [m]."""
     steps_per_interval: int = static()
-    """Time steps of the simulation in an interval."""
+    """Number of time steps of the simulation in an interval."""
     n_intervals: int = static()
-    """Number of intervals, over which means are taken."""
+    """Number of control intervals, over which means are taken."""
     control_shape: tuple[int, ...] = static()
     """Shape of the controls that the arm takes."""
 
@@ -153,7 +153,7 @@ def reach(
     lower: Any = -1.0,
     upper: Any = 1.0,
 ) -> Problem:
-    """Makes the problem of bringing the tip of an arm to a point, and to rest there.
+    """Makes the problem of bringing the tip of an arm to a target, and to rest there.
 
     With zero running and effort weights there are six residuals, and a solver that uses
     their derivatives needs only six rows. So leave `effort_weight` zero, and give
@@ -161,7 +161,7 @@ def reach(
 
     Args:
         arm: A pytree with `scene`, `state` and `with_controls(controls)`: an
-            `ActuatedArm`, or one of your own.
+            `ActuatedArm`, or a custom one.
         target: Target position of the tip at the end `(3,)` [m].
         duration: Time from start to end [s].
         speed_weight: Weight of the squared speed of the tip at the end [s^2].
@@ -247,7 +247,7 @@ def moved(data: Reach, state: RodState, control: Array, interval: Array) -> RodS
 def on_the_way(
     data: Reach, state: RodState, control: Array, interval: Array
 ) -> tuple[Array, Array]:
-    """Returns the residuals of an interval: the distance, and the effort."""
+    """Returns the residuals of an interval: tip minus target, and control, weighted."""
     del interval
     count = data.n_intervals
     return (
@@ -257,13 +257,13 @@ def on_the_way(
 
 
 def at_the_end(data: Reach, state: RodState) -> tuple[Array, Array]:
-    """Returns the six residuals of the last state: distance, and velocity."""
+    """Returns the six final residuals: tip minus target, and weighted velocity [m]."""
     return state.tip - data.target, data.speed_root * state.velocities[:, -1]
 
 
 _MOST_STEPS = 2**30
-"""Largest number of steps before rounding up, which may double it. The step counter has
-32 bits."""
+"""Largest number of time steps of a problem before rounding up, which may double it;
+the step counter has 32 bits."""
 
 
 def time_steps(

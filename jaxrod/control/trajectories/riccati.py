@@ -39,7 +39,7 @@ HALVINGS = 8
 
 @pytree
 class Linear:
-    """Linearisation along a trajectory."""
+    """Linearised dynamics and residuals of all intervals of a trajectory."""
 
     states: Float[Array, "intervals n n"]
     """Derivatives $A_k$ of the next state by the state."""
@@ -64,7 +64,9 @@ def backward(
     upper: Float[Array, " m"],
     damping: Float[Array, " m"],
 ) -> tuple[Float[Array, "intervals m"], Float[Array, "intervals m n"]]:
-    """Returns changes of the controls, and their feedback gains on state changes.
+    """Returns the optimal changes of the controls, and their feedback gains.
+
+    The gains are derivatives of the controls by the states.
 
     Args:
         linear: Linearisation along the trajectory.
@@ -116,9 +118,9 @@ def backward(
 
 
 def _square(matrix: Array, right: Array) -> tuple[Array, Array]:
-    """Reduces or pads a least-squares system to as many rows as columns.
+    """Reduces or pads a least-squares system |M x + r|^2 to as many rows as columns.
 
-    Its sum of squares stays the same up to a constant.
+    The sum of squares stays the same up to a constant.
     """
     n = matrix.shape[1]
     rows = jnp.concatenate([matrix, right[:, None]], axis=1)
@@ -135,11 +137,13 @@ def box_step(
     lower: Float[Array, " unknowns"],
     upper: Float[Array, " unknowns"],
 ) -> tuple[Float[Array, " unknowns"], Bool[Array, " unknowns"]]:
-    """Returns the minimum within the box, and which unknowns are held at a bound.
+    """Minimises |M z + r|^2 for z within bounds.
+
+    Returns the minimiser, and whether each unknown is held at a bound.
 
     Args:
         matrix: Matrix $M$ of full column rank.
-        right: Residuals $r$ at zero unknowns.
+        right: Residuals $r$ at z = 0.
         lower: Lower bounds.
         upper: Upper bounds.
     """
@@ -180,8 +184,8 @@ def box_step(
         ways = jnp.clip(
             point[None] + shares[:, None] * step[None], lower[None], upper[None]
         )
-        # Once the free unknowns only move by round-off, they may keep an unknown held
-        # that should leave its bound. So each unknown is also moved by itself.
+        # Once free unknowns only move by round-off, they may keep an unknown at its
+        # bound that should leave it. So each unknown is also moved alone.
         alone = jnp.clip(point - slope / jnp.diagonal(square), lower, upper)
         ways = jnp.concatenate([ways, jnp.where(identity > 0, alone, point)])
         costs = jax.vmap(cost)(ways)

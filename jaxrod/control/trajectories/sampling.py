@@ -1,14 +1,14 @@
 r"""Trajectory optimisation by sampling, without derivatives.
 
-Knots are drawn about a mean, all their motions are one batch, and the mean moves to
-samples of lower cost. In MPPI (Williams and others, 2017) samples $z_i$ of cost $L_i$
-have weights
+Knots are drawn at random about a mean and simulated as one batch. The next mean is a
+weighted mean of the samples. In MPPI (Williams and others, 2017) samples $z_i$ of cost
+$L_i$ have weights
 
 $$w_i \propto \exp\!\big(-(L_i - \min L) / \lambda\big),$$
 
 with the temperature $\lambda$ a fraction of the standard deviation of the costs. In the
 cross-entropy method (Rubinstein, 1999) the best few samples (elites) have equal
-weights, and the standard deviation becomes theirs.
+weights, and the next samples have the elites' standard deviation.
 """
 
 from __future__ import annotations
@@ -45,11 +45,11 @@ def mppi(
     initial_knots: Any = None,
     seed: int = 0,
 ) -> Solution:
-    """Finds knots by model predictive path integrals: a weighted mean of samples.
+    """Finds knots by model predictive path integrals: weighted means of samples.
 
     Args:
         problem: The problem.
-        n_knots: Knots in time, equally spaced.
+        n_knots: Number of knots, equally spaced in time.
         samples: Samples drawn in each iteration, at least 2; they are one batch.
         iterations: Number of iterations.
         spread: Standard deviation of the samples, as a fraction of half the range
@@ -100,7 +100,7 @@ def cross_entropy(
 
     Args:
         problem: The problem.
-        n_knots: Knots in time, equally spaced.
+        n_knots: Number of knots, equally spaced in time.
         samples: Samples drawn in each iteration; they are one batch.
         elites: Number of samples that count as the best, at least 2.
         iterations: Number of iterations.
@@ -190,7 +190,7 @@ def _solved(
     samples: int,
     iterations: int,
 ) -> tuple[Array, Array, Any, Array, Array]:
-    """Returns the best knots, their controls, motion and cost, and the cost history.
+    """Returns the best knots, their controls, states and cost, and the cost history.
 
     The history has the best cost so far, after each iteration.
     """

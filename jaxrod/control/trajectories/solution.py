@@ -1,4 +1,4 @@
-"""The solution of an optimal control problem, and the programs that find it."""
+"""The solution of an optimal control problem, and the cache of compiled solvers."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from jaxrod.lanes.choice import lane_mode
 from jaxrod.rods.rod import RodState
 
 MOST_PROGRAMS = 64
-"""Largest number of compiled programs kept, one for each structure of arguments; the
+"""Largest number of compiled programs in the cache, one per structure of arguments; the
 least recently used one is dropped first."""
 
 _kept: OrderedDict[Any, Any] = OrderedDict()
@@ -28,7 +28,7 @@ _kept: OrderedDict[Any, Any] = OrderedDict()
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Solution:
-    """The best controls that a solver found, and how it found them.
+    """Best controls that a solver found, their motion, and a record of the search.
 
     Example:
         >>> problem = control.make_problem(
@@ -44,53 +44,55 @@ class Solution:
     """
 
     problem: Problem
-    """The problem that was solved."""
+    """The problem that was solved; with a design, its data are those of the design."""
     solver: str
-    """The solver's name."""
+    """Name of the solver function, such as "ilqr"."""
     controls: Float[Array, "intervals controls"]
-    """Control of every interval."""
+    """Controls of all intervals."""
     states: Any
-    """The motion: states at the start and after each interval, stacked in front."""
+    """The motion: states at the start and after each interval, on the leading axis."""
     cost: float
-    """Cost of the problem, a sum of squares without a solver's ridge."""
+    """Cost of the motion: the problem's sum of squares, without a solver's ridge."""
     history: dict[str, np.ndarray]
-    """Series by name, a number for each iteration; "cost" is what the solver lowers."""
+    """Values per iteration by name. "cost" is the cost with the solver's ridge, and
+    begins with that of the start for `ilqr`, `levenberg_marquardt` and `codesign`."""
     converged: bool
-    """Whether the solver stopped because the cost no longer decreased."""
+    """Whether the search met its criterion: a small last change, or for `adam` the cost
+    `enough`. Always false for `mppi` and `cross_entropy`."""
     reason: str
     """Reason why the solver stopped, as text."""
     iterations: int
-    """Number of steps tried."""
+    """Number of iterations made."""
     compile_s: float
     """Compile time [s]; 0 if the program was already compiled."""
     run_s: float
-    """Run time [s]."""
+    """Time of running the compiled program [s]."""
     interrupted: bool = False
-    """Whether Ctrl-C ended it."""
+    """Whether Ctrl-C ended the search."""
     knots: Float[Array, "knots controls"] | None = None
     """Controls at equally spaced times, with linear interpolation; `None` for solvers
     without knots."""
     gains: Float[Array, "intervals controls numbers"] | None = None
-    """Feedback gains, if the solver gives them: derivatives of the control by the
-    state, whose leaves are flattened one after another."""
+    """Feedback gains of `ilqr`: derivatives of each interval's control by the state at
+    its beginning, flattened leaf by leaf; `None` for other solvers."""
     design: Any = None
-    """Design of the body, if it was found together with the controls."""
+    """Design of the body found by `codesign`; `None` for other solvers."""
 
     @property
     def times(self) -> Float[np.ndarray, " intervals+1"]:
-        """Ends of the intervals, from 0 [s]."""
+        """Times of `states`: 0 and the ends of the intervals [s]."""
         count = self.problem.n_intervals
         return np.arange(count + 1) * float(self.problem.interval)
 
     def open_loop(self, state: Any, interval: Int[Array, ""]) -> Array:
-        """Policy that returns the control of an interval for any state."""
+        """Policy without feedback: the control of an interval, whatever the state."""
         del state
         return self.controls[interval]
 
     def policy(self, state: Any, interval: Int[Array, ""]) -> Array:
-        """Policy that returns the control of an interval, with feedback on the state.
+        """Policy with feedback: u_k + K_k (x - x_k), clipped to the bounds.
 
-        Pure; traceable.
+        Here x_k, u_k and K_k are `states`, `controls` and `gains`. Pure; traceable.
 
         Args:
             state: State at the beginning of the interval.
@@ -111,7 +113,7 @@ class Solution:
 
     @property
     def readouts(self) -> dict[str, np.ndarray]:
-        """Readouts of the states from the problem's data, by name with a unit."""
+        """Values over time by name, from `problem.data.readouts` (empty without it)."""
         readouts = getattr(self.problem.data, "readouts", None)
         if readouts is None:
             return {}
@@ -153,7 +155,7 @@ class Solution:
         )
 
     def __repr__(self) -> str:
-        """Summarises result, reason for stopping and effort in a few lines."""
+        """Summarises result, reason for stopping, and times in a few lines."""
         ends = [f"{n}: {v[-1]:.4g}" for n, v in self.readouts.items() if v.ndim == 1]
         lines = [
             f"Solution by {self.solver}: cost {self.cost:.4g} after {self.iterations} "
@@ -169,7 +171,7 @@ class Solution:
 
 
 def reason_to_stop(converged: bool, tried: int, iterations: int, gained: str) -> str:
-    """Reason why a damped search stopped, as text."""
+    """Reason why a damped search stopped, as text; `gained` if it converged."""
     if converged:
         return gained
     if tried >= iterations:
@@ -180,22 +182,22 @@ def reason_to_stop(converged: bool, tried: int, iterations: int, gained: str) ->
 def timed(
     function: Callable[..., Any], *arguments: Any, **structure: Any
 ) -> tuple[Any, float, float]:
-    """Calls a function of pytrees of arrays as a compiled program, and times it.
+    """Runs a function of pytrees of arrays, compiled and cached, and times it.
 
     Args:
-        function: Pure function, defined at module level because it identifies the kept
-            program.
+        function: Pure function, defined at module level because it is part of the
+            cache's key.
         *arguments: Traced arguments.
         **structure: Static, hashable arguments.
 
     Returns:
-        The result; the time of compiling [s], 0 if the program was kept from before;
-        and the time of running [s].
+        The result; the time of compiling [s], 0 if the program was in the cache; and
+        the time of running [s].
     """
     began = time.perf_counter()
     leaves, tree = jax.tree.flatten(arguments)
     kinds = tuple(jax.typeof(leaf) for leaf in leaves)
-    # A program also depends on the precision, and on the mode of lanes.
+    # A program also depends on the precision and on `lane_mode`.
     setting = (lane_mode(), jax.config.read("jax_enable_x64"))
     key = (function, tuple(sorted(structure.items())), tree, kinds, setting)
     program = _kept.pop(key, None)

@@ -1,4 +1,7 @@
-"""Jaxprs as programs of single numbers; importing this package registers all rules."""
+"""Translation of jaxprs to operations on single numbers (unrolling).
+
+Importing this package registers the rules of all primitives.
+"""
 
 from jaxrod.lanes.jaxpr import (
     arithmetic,

@@ -1,4 +1,4 @@
-"""Unrolling rules for elementwise operations."""
+"""Rules by which elementwise primitives become operations on single numbers."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from jaxrod.lanes.operations import OPERATIONS
 
 @rule(*(name for name, operation in OPERATIONS.items() if operation.primitive))
 def same(unroller: Unroller, equation: Any, *arrays: Any) -> Any:
-    """Unrolls a primitive that is also an operation of the graph."""
+    """Translates a primitive that is one operation of the graph, entry by entry."""
     name, kind = equation.primitive.name, kind_of(equation.outvars[0].aval)
     if kind[0] not in OPERATIONS[name].kinds:
         raise NotUnrolled(f"lanes have no '{name}' of numbers of type {DTYPES[kind]}")
@@ -22,25 +22,25 @@ def same(unroller: Unroller, equation: Any, *arrays: Any) -> Any:
 
 @rule("add_any")
 def added(unroller: Unroller, equation: Any, *arrays: Any) -> Any:
-    """Unrolls a sum of cotangents."""
+    """Translates `add_any`, the sum of two cotangents."""
     return unroller.each("add", kind_of(equation.outvars[0].aval), *arrays)
 
 
 @rule(*(name for name, operation in OPERATIONS.items() if operation.compares))
 def compared(unroller: Unroller, equation: Any, *arrays: Any) -> Any:
-    """Unrolls a comparison of numbers of the same kind."""
+    """Translates a comparison of two arrays of one type; the results are booleans."""
     return unroller.each(equation.primitive.name, "b1", *arrays)
 
 
 @rule("square")
 def squared(unroller: Unroller, equation: Any, array: Any) -> Any:
-    """Unrolls a square."""
+    """Translates a square, as the product of each number with itself."""
     return unroller.each("mul", kind_of(equation.outvars[0].aval), array, array)
 
 
 @rule("one_minus_square")
 def one_minus_squared(unroller: Unroller, equation: Any, array: Any) -> Any:
-    """Unrolls `(1 + x) (1 - x)`, which derivatives contain since JAX 0.12."""
+    """Translates `(1 + x) (1 - x)`, which derivatives contain since JAX 0.12."""
     kind = kind_of(equation.outvars[0].aval)
     one = unroller.full(1, array.shape, kind)
     above = unroller.each("add", kind, one, array)
@@ -49,7 +49,7 @@ def one_minus_squared(unroller: Unroller, equation: Any, array: Any) -> Any:
 
 @rule("integer_pow")
 def powered(unroller: Unroller, equation: Any, array: Any) -> Any:
-    """Unrolls an integer power, by repeated squaring."""
+    """Translates an integer power, by repeated squaring."""
     kind = kind_of(equation.outvars[0].aval)
     exponent = equation.params["y"]
     result = None
@@ -70,7 +70,7 @@ def powered(unroller: Unroller, equation: Any, array: Any) -> Any:
 
 @rule("sign")
 def sign(unroller: Unroller, equation: Any, array: Any) -> Any:
-    """Unrolls a sign: -1, 0 or 1; a zero or NaN stays as it is."""
+    """Translates `sign`: -1, 0 or 1; a zero and NaN are returned unchanged."""
     graph, kind = unroller.graph, kind_of(equation.outvars[0].aval)
     zero = graph.constant(0, kind)
     if kind[0] not in "fi":
@@ -88,7 +88,7 @@ def sign(unroller: Unroller, equation: Any, array: Any) -> Any:
 
 @rule("logistic")
 def logistic(unroller: Unroller, equation: Any, array: Any) -> Any:
-    """Unrolls the logistic function, 1 / (1 + exp(-x))."""
+    """Translates the logistic function, 1 / (1 + exp(-x))."""
     graph, kind = unroller.graph, kind_of(equation.outvars[0].aval)
     one = graph.constant(1, kind)
 
@@ -101,7 +101,7 @@ def logistic(unroller: Unroller, equation: Any, array: Any) -> Any:
 
 @rule("round")
 def rounded(unroller: Unroller, equation: Any, array: Any) -> Any:
-    """Unrolls rounding to the nearest integer; halves go to even, or away from zero."""
+    """Translates `round`: to the nearest integer, halves to even or away from zero."""
     to_even = equation.params["rounding_method"].value == 1
     operation = "round_even" if to_even else "round_away"
     return unroller.each(operation, kind_of(equation.outvars[0].aval), array)
@@ -109,7 +109,7 @@ def rounded(unroller: Unroller, equation: Any, array: Any) -> Any:
 
 @rule("is_finite")
 def is_finite(unroller: Unroller, equation: Any, array: Any) -> Any:
-    """Unrolls a test whether numbers are neither infinite nor NaN."""
+    """Translates a test whether numbers are neither infinite nor NaN."""
     kind = kind_of(equation.invars[0].aval)
     size = unroller.each("abs", kind, array)
     return unroller.each("lt", "b1", size, unroller.full(np.inf, array.shape, kind))
@@ -117,14 +117,14 @@ def is_finite(unroller: Unroller, equation: Any, array: Any) -> Any:
 
 @rule("clamp")
 def clamped(unroller: Unroller, equation: Any, low: Any, array: Any, high: Any) -> Any:
-    """Unrolls clamping of numbers between two bounds."""
+    """Translates `clamp`: min(max(low, x), high)."""
     kind = kind_of(equation.outvars[0].aval)
     return unroller.each("min", kind, unroller.each("max", kind, low, array), high)
 
 
 @rule("select_n")
 def selected(unroller: Unroller, equation: Any, which: Any, *cases: Any) -> Any:
-    """Unrolls the selection of one of several numbers."""
+    """Translates `select_n`, which takes case number `which` for each entry."""
     kind = kind_of(equation.outvars[0].aval)
     if kind_of(equation.invars[0].aval) == "b1":
         return unroller.each("select", kind, which, cases[1], cases[0])
@@ -139,13 +139,16 @@ def selected(unroller: Unroller, equation: Any, which: Any, *cases: Any) -> Any:
 
 @rule("convert_element_type")
 def converted(unroller: Unroller, equation: Any, array: Any) -> Any:
-    """Unrolls the conversion of numbers to another kind."""
+    """Translates the conversion of numbers to another type."""
     before = kind_of(equation.invars[0].aval)
     return as_kind(unroller, array, before, kind_of(equation.outvars[0].aval))
 
 
 def as_kind(unroller: Unroller, array: Any, before: str, after: str) -> Any:
-    """Converts an array of one kind to another."""
+    """Converts numbers of type `before`, such as `"f32"`, to type `after`.
+
+    Numbers other than 0 become true if `after` is boolean (`"b1"`).
+    """
     if before == after:
         return array
     if after == "b1":
@@ -156,5 +159,5 @@ def as_kind(unroller: Unroller, array: Any, before: str, after: str) -> Any:
 
 @rule("copy", "stop_gradient", "optimization_barrier", "pvary", "reshard")
 def unchanged(unroller: Unroller, equation: Any, *arrays: Any) -> Any:
-    """Passes on the operands of a primitive that only matters to a compiler."""
+    """Returns the operands of a primitive that does not change numbers."""
     return list(arrays)

@@ -1,4 +1,4 @@
-"""Unrolling rules for calls, loops and branches."""
+"""Rules by which calls, loops and branches become operations on single numbers."""
 
 from __future__ import annotations
 
@@ -10,18 +10,18 @@ from jaxrod.jax_internals.equations import CALLS, called_program, scan_of, while
 from jaxrod.lanes.jaxpr.unroll import NotUnrolled, Unroller, kind_of, rule
 
 MOST_ROUNDS = 10_000
-"""Largest number of rounds of a `while` loop."""
+"""Largest number of rounds for which a `while` loop is unrolled."""
 
 
 @rule(*CALLS)
 def called(unroller: Unroller, equation: Any, *arrays: Any) -> Any:
-    """Unrolls the program of a nested call."""
+    """Translates a nested call: the operations of its program are inlined."""
     return unroller.run(called_program(equation), arrays)
 
 
 @rule("scan")
 def scanned(unroller: Unroller, equation: Any, *arrays: Any) -> Any:
-    """Unrolls a loop of known length."""
+    """Unrolls `lax.scan`: the operations of its body are repeated for each row."""
     scan = scan_of(equation)
     n_carry, length = scan.n_carry, scan.length
     first_row = scan.n_constants + n_carry
@@ -44,7 +44,11 @@ def scanned(unroller: Unroller, equation: Any, *arrays: Any) -> Any:
 
 @rule("while")
 def looped(unroller: Unroller, equation: Any, *arrays: Any) -> Any:
-    """Unrolls a `while` loop whose condition is a known number in every round."""
+    """Unrolls a `while` loop whose condition is a known number in every round.
+
+    Raises:
+        NotUnrolled: The condition depends on inputs, or there are too many rounds.
+    """
     loop = while_of(equation)
     first_carry = loop.n_condition + loop.n_body
     for_test, for_body = (
@@ -65,9 +69,9 @@ def looped(unroller: Unroller, equation: Any, *arrays: Any) -> Any:
 
 @rule("cond")
 def branched(unroller: Unroller, equation: Any, index: Any, *arrays: Any) -> Any:
-    """Unrolls all branches, as under `vmap`, and selects the result of one.
+    """Unrolls all branches of `cond`, as under `vmap`, and selects one result.
 
-    A known index is an exception: then only that branch is unrolled.
+    If the index is a known number, only that branch is unrolled.
     """
     graph = unroller.graph
     branches = equation.params["branches"]
@@ -92,10 +96,13 @@ def branched(unroller: Unroller, equation: Any, index: Any, *arrays: Any) -> Any
 
 @rule("platform_index")
 def by_platform(unroller: Unroller, equation: Any) -> Any:
-    """Index of the default variant of a program that depends on the platform.
+    """Returns the index of the default variant of a program with variants by platform.
 
-    Kernels are for CPUs. A program with a separate variant for CPUs is refused, because
-    only XLA selects variants.
+    A program with a separate variant for CPUs is refused, because only XLA selects
+    variants.
+
+    Raises:
+        NotUnrolled: There is a variant for CPUs, or no default variant.
     """
     rest = None
     for i, names in enumerate(equation.params["platforms"]):
@@ -111,7 +118,7 @@ def by_platform(unroller: Unroller, equation: Any) -> Any:
 
 @rule("custom_linear_solve")
 def solved(unroller: Unroller, equation: Any, *arrays: Any) -> Any:
-    """Unrolls the solution of linear equations, with the solver in the equation."""
+    """Translates `custom_linear_solve`: the operations of its solver are inlined."""
     lengths = equation.params["const_lengths"]
     begin = lengths.matvec + lengths.vecmat
     consts = arrays[begin : begin + lengths.solve]

@@ -1,4 +1,4 @@
-"""Unrolling rules for gathers, scatters and dynamic slices.
+"""Rules by which gathers, scatters and dynamic slices become single operations.
 
 Known indices are resolved while the program is unrolled. A dynamic slice with a varying
 start selects from all numbers to which it may point, as long as these are few.
@@ -17,13 +17,13 @@ import numpy as np
 from jaxrod.lanes.jaxpr.unroll import NotUnrolled, Unroller, kind_of, rule
 
 MOST_CHOICES = 64
-"""Largest number of positions that a dynamic slice with varying starts may have; a
-program with more is left to XLA."""
+"""Largest number of positions that a dynamic slice with varying starts may have. A
+program with more is not unrolled."""
 
 
 @rule("dynamic_slice")
 def picked(unroller: Unroller, equation: Any, array: Any, *starts: Any) -> Any:
-    """Unrolls a dynamic slice; its start is clamped so that it stays in the array."""
+    """Translates `dynamic_slice`; the start is clamped so that the slice is inside."""
     sizes = equation.params["slice_sizes"]
     kind = kind_of(equation.outvars[0].aval)
 
@@ -38,7 +38,10 @@ def picked(unroller: Unroller, equation: Any, array: Any, *starts: Any) -> Any:
 def replaced(
     unroller: Unroller, equation: Any, array: Any, update: Any, *starts: Any
 ) -> Any:
-    """Unrolls the update of a dynamic slice, clamped like `picked`."""
+    """Translates `dynamic_update_slice`, which replaces a slice of an array.
+
+    The start is clamped so that the slice is inside the array.
+    """
     kind = kind_of(equation.outvars[0].aval)
 
     def changed(at: Sequence[int]) -> Any:
@@ -53,14 +56,14 @@ def replaced(
 
 @rule("gather")
 def gathered(unroller: Unroller, equation: Any, array: Any, indices: Any) -> Any:
-    """Unrolls a gather with known indices."""
+    """Translates a gather with known indices; out-of-bounds indices follow its mode."""
     graph, kind = unroller.graph, kind_of(equation.outvars[0].aval)
     outside = equation.params["fill_value"]
     if outside is None:
         outside = np.nan if kind[0] == "f" else 0
     known = _known(unroller, indices)
     if known is not None:
-        # One more place, for the fill value.
+        # Index -1 is that of the fill value, which is appended.
         params = {**equation.params, "fill_value": np.int32(-1)}
         places = np.arange(array.size, dtype=np.int32).reshape(array.shape)
         found = _evaluated(equation, params, places, known)
@@ -73,7 +76,10 @@ def gathered(unroller: Unroller, equation: Any, array: Any, indices: Any) -> Any
 def scattered(
     unroller: Unroller, equation: Any, array: Any, indices: Any, updates: Any
 ) -> Any:
-    """Unrolls a scatter with known indices, which replaces or combines entries."""
+    """Translates a scatter with known indices.
+
+    Each update replaces an entry, or is added, multiplied, or combined by min or max.
+    """
     graph, kind = unroller.graph, kind_of(equation.outvars[0].aval)
     known = _known(unroller, indices)
     if known is None:
@@ -101,7 +107,11 @@ def scattered(
 def _targets(
     equation: Any, shape: tuple[int, ...], known: Any, updates: Any
 ) -> list[int | None]:
-    """Returns each update's place in the flat array; `None` if it is dropped."""
+    """Returns the flat index that each update of a scatter changes.
+
+    It is `None` for an update outside the array of shape `shape`, which is dropped.
+    `known` has the indices of the scatter.
+    """
     numbers = equation.params["dimension_numbers"]
     window = numbers.update_window_dims
     rows = [axis for axis in range(updates.ndim) if axis not in window]
@@ -134,7 +144,7 @@ def _targets(
 
 
 def _known(unroller: Unroller, indices: Any) -> Any:
-    """Returns the numbers of an array of nodes, or `None` unless all are known."""
+    """Returns the numbers of an array of nodes; `None` unless all are constants."""
     values = [unroller.graph.value(int(node)) for node in indices.reshape(-1)]
     if any(value is None for value in values):
         return None
@@ -157,9 +167,18 @@ def _chosen(
     rooms: Sequence[int],
     result_at: Callable[[Sequence[int]], Any],
 ) -> Any:
-    """Selects the result for starts that may vary, clamped to the array.
+    """Selects the result of an operation at a start that may vary.
 
-    `rooms` are the largest starts, and `result_at` makes the result for given starts.
+    The start is clamped to the array. The result is computed for every possible start.
+
+    Args:
+        unroller: Translator that adds the nodes.
+        equation: The operation.
+        first_index: Position of the first start among the operands of `equation`.
+        kind: Type of the result's numbers.
+        starts: Node of the start along each axis.
+        rooms: Largest start along each axis.
+        result_at: Function that returns the result for known starts.
     """
     graph = unroller.graph
     ranges = []

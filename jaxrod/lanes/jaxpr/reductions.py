@@ -1,4 +1,4 @@
-"""Unrolling rules for sums, products and extremes along axes."""
+"""Rules by which reductions and matrix products become single operations."""
 
 from __future__ import annotations
 
@@ -18,15 +18,16 @@ REDUCTIONS = {
     "reduce_or": "or",
     "reduce_xor": "xor",
 }
-"""Operations of reductions, by name of the primitive."""
+"""Operation of the graph that combines two numbers, by name of the reduction."""
 CUMULATIVE = {"cumsum": "add", "cumprod": "mul", "cummax": "max", "cummin": "min"}
-"""Operations of cumulative primitives, by name."""
+"""Operation of the graph that combines two numbers, by name of the cumulative
+primitive."""
 _OF_NOTHING = {"add": 0, "mul": 1, "max": -np.inf, "min": np.inf, "and": 1, "or": 0}
 
 
 @rule(*REDUCTIONS)
 def reduced(unroller: Unroller, equation: Any, array: Any) -> Any:
-    """Unrolls a reduction along axes, by pairwise combination of halves.
+    """Translates a reduction along axes by combining halves with halves.
 
     So round-off grows only with the logarithm of the number of entries, and there is no
     long chain of dependent operations.
@@ -51,7 +52,7 @@ def reduced(unroller: Unroller, equation: Any, array: Any) -> Any:
 
 @rule(*CUMULATIVE)
 def accumulated(unroller: Unroller, equation: Any, array: Any) -> Any:
-    """Unrolls a cumulative operation along an axis, from either end."""
+    """Translates a cumulative operation such as `cumsum`, from either end."""
     kind = kind_of(equation.outvars[0].aval)
     operation = CUMULATIVE[equation.primitive.name]
     rows = np.moveaxis(array, equation.params["axis"], 0)
@@ -71,7 +72,10 @@ def accumulated(unroller: Unroller, equation: Any, array: Any) -> Any:
 
 @rule("argmax", "argmin")
 def place_of_extreme(unroller: Unroller, equation: Any, array: Any) -> Any:
-    """Unrolls the index of the first largest or first smallest entry."""
+    """Translates `argmax` or `argmin`: index of the first largest or smallest entry.
+
+    The first NaN counts as largest and smallest, as in JAX.
+    """
     graph = unroller.graph
     kind, index_kind = (
         kind_of(equation.invars[0].aval),
@@ -97,7 +101,7 @@ def place_of_extreme(unroller: Unroller, equation: Any, array: Any) -> Any:
 
 @rule("dot_general")
 def product(unroller: Unroller, equation: Any, left: Any, right: Any) -> Any:
-    """Unrolls sums of products, such as matrix products."""
+    """Translates `dot_general`: sums of products, such as matrix products."""
     graph = unroller.graph
     kind = kind_of(equation.outvars[0].aval)
     (sum_left, sum_right), (batch_left, batch_right) = equation.params[

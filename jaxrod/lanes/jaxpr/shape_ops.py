@@ -1,4 +1,4 @@
-"""Unrolling rules for primitives that only move numbers: they make no operations."""
+"""Rules of primitives that rearrange numbers: they add no operations to the graph."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from jaxrod.lanes.jaxpr.unroll import Unroller, kind_of, rule
 
 @rule("slice")
 def sliced(unroller: Unroller, equation: Any, array: Any) -> Any:
-    """Unrolls a slice of an array."""
+    """Translates `slice`: every n-th entry between two limits along each axis."""
     starts, limits = equation.params["start_indices"], equation.params["limit_indices"]
     strides = equation.params["strides"] or (1,) * len(starts)
     return array[tuple(map(slice, starts, limits, strides))]
@@ -19,25 +19,25 @@ def sliced(unroller: Unroller, equation: Any, array: Any) -> Any:
 
 @rule("squeeze")
 def squeezed(unroller: Unroller, equation: Any, array: Any) -> Any:
-    """Unrolls the removal of axes of length one."""
+    """Translates `squeeze`: axes of length one are removed."""
     return np.squeeze(array, axis=tuple(equation.params["dimensions"]))
 
 
 @rule("expand_dims")
 def expanded(unroller: Unroller, equation: Any, array: Any) -> Any:
-    """Unrolls the insertion of axes of length one."""
+    """Translates `expand_dims`: axes of length one are inserted."""
     return np.expand_dims(array, tuple(equation.params["dimensions"]))
 
 
 @rule("reshape")
 def reshaped(unroller: Unroller, equation: Any, array: Any) -> Any:
-    """Unrolls a reshape."""
+    """Translates a reshape: the nodes get the shape of the result."""
     return array.reshape(equation.outvars[0].aval.shape)
 
 
 @rule("broadcast_in_dim")
 def broadcast(unroller: Unroller, equation: Any, array: Any, *_: Any) -> Any:
-    """Unrolls a broadcast along new axes, and along those of length one."""
+    """Translates `broadcast_in_dim`: entries repeat along axes of length one or new."""
     shape = equation.params["shape"]
     kept = [1] * len(shape)
     for axis, to in enumerate(equation.params["broadcast_dimensions"]):
@@ -47,50 +47,53 @@ def broadcast(unroller: Unroller, equation: Any, array: Any, *_: Any) -> Any:
 
 @rule("transpose")
 def transposed(unroller: Unroller, equation: Any, array: Any) -> Any:
-    """Unrolls a transpose."""
+    """Translates a transpose: the axes are permuted."""
     return np.transpose(array, equation.params["permutation"])
 
 
 @rule("rev")
 def reversed_along(unroller: Unroller, equation: Any, array: Any) -> Any:
-    """Unrolls a reversal along axes."""
+    """Translates `rev`: the order of entries is reversed along axes."""
     return np.flip(array, equation.params["dimensions"])
 
 
 @rule("concatenate")
 def concatenated(unroller: Unroller, equation: Any, *arrays: Any) -> Any:
-    """Rule of `concatenate`: joins arrays of nodes, without adding operations."""
+    """Translates `concatenate`: arrays are joined along an axis."""
     return np.concatenate(arrays, axis=equation.params["dimension"])
 
 
 @rule("stack")
 def stacked(unroller: Unroller, equation: Any, *arrays: Any) -> Any:
-    """Unrolls a stack along a new axis."""
+    """Translates `stack`: arrays are joined along a new axis."""
     return np.stack(arrays, axis=equation.params["axis"])
 
 
 @rule("unstack")
 def unstacked(unroller: Unroller, equation: Any, array: Any) -> Any:
-    """Unrolls the separation into slices along an axis; the axis is removed."""
+    """Translates `unstack`: returns the slices along an axis, without that axis."""
     return list(np.moveaxis(array, equation.params["axis"], 0))
 
 
 @rule("split")
 def parted(unroller: Unroller, equation: Any, array: Any) -> Any:
-    """Unrolls a split along an axis."""
+    """Translates `split`: returns parts of the given sizes along an axis."""
     cuts = np.cumsum(equation.params["sizes"])[:-1]
     return list(np.split(array, cuts, axis=equation.params["axis"]))
 
 
 @rule("tile")
 def tiled(unroller: Unroller, equation: Any, array: Any) -> Any:
-    """Unrolls the repetition of a whole array."""
+    """Translates `tile`: an array is repeated along each axis."""
     return np.tile(array, equation.params["reps"])
 
 
 @rule("pad")
 def padded(unroller: Unroller, equation: Any, array: Any, value: Any) -> Any:
-    """Unrolls padding at the edges and between entries; negative padding cuts off."""
+    """Translates padding at the edges and between entries.
+
+    Negative padding removes entries at the edges.
+    """
     result = array
     for axis, (low, high, inner) in enumerate(equation.params["padding_config"]):
         result = np.moveaxis(result, axis, 0)
@@ -108,7 +111,7 @@ def padded(unroller: Unroller, equation: Any, array: Any, value: Any) -> Any:
 
 @rule("iota")
 def counted(unroller: Unroller, equation: Any, *_: Any) -> Any:
-    """Unrolls the integers from zero along an axis."""
+    """Translates `iota`: the integers 0, 1, 2, ... along an axis."""
     shape, axis = equation.params["shape"], equation.params["dimension"]
     kind = kind_of(equation.outvars[0].aval)
     nodes = [unroller.graph.constant(i, kind) for i in range(shape[axis])]

@@ -1,8 +1,8 @@
-"""Unrolling: translation of a jaxpr of arrays to a program of single numbers.
+"""Unrolling: translation of a jaxpr of arrays to a graph of single numbers.
 
 Every array becomes an array of nodes of a graph. Primitives that only move numbers
-(slices, pads, transposes, ...) cost nothing, because they only relabel nodes. Others
-make nodes for every number. Loops of known length are unrolled, all branches are
+(slices, pads, transposes, ...) cost nothing, because they only rearrange nodes. Others
+add a node for every number. Loops of known length are unrolled, all branches are
 computed and one is selected, and nested calls are inlined.
 """
 
@@ -24,28 +24,28 @@ from jaxrod.jax_internals.equations import (
 from jaxrod.lanes.graph import KINDS, Graph
 
 MOST_NODES = 400_000
-"""Largest number of nodes: longer programs take minutes to compile."""
+"""Largest number of nodes of a graph: longer programs take minutes to compile."""
 
 
 class NotUnrolled(Exception):
-    """A program cannot be unrolled, or would be too long; its message is one line."""
+    """Raised with the reason if a program cannot be translated or is too long."""
 
 
 class Unroller:
-    """Translates jaxprs to nodes of one graph."""
+    """Translates jaxprs to nodes of one graph; each node is a single number."""
 
     def __init__(self, graph: Graph) -> None:
-        """Makes an unroller.
+        """Makes an unroller with the rules of all registered primitives.
 
         Args:
             graph: Graph to which nodes are added.
         """
         self.graph = graph
         self.rules: dict[str, Rule] = RULES
-        """Rules by name of the primitive."""
+        """Translation rules, by name of the primitive."""
 
     def run(self, closed: Any, arrays: Sequence[Any]) -> list[Any]:
-        """Unrolls a closed jaxpr: takes and returns arrays of nodes.
+        """Translates a closed jaxpr; takes and returns arrays of nodes.
 
         Raises:
             NotUnrolled: The jaxpr contains something unknown, or is too long.
@@ -85,37 +85,40 @@ class Unroller:
         return [read(atom) for atom in jaxpr.outvars]
 
     def as_array(self, result: Any) -> Any:
-        """Returns the result of a rule as an array."""
+        """Returns the result of a rule as an array of nodes."""
         return np.asarray(result, np.int64)
 
     def number(self, array: Any) -> int:
-        """Returns the node of an array of one number."""
+        """Returns the only node of an array of one number."""
         return int(array)
 
     def each(self, operation: str, kind: str, *arrays: Any) -> Any:
-        """Applies an operation to the entries of arrays of one shape."""
+        """Returns the nodes of an operation, applied to arrays of nodes entry by entry.
+
+        `kind` is the type of the results, such as `"f32"`.
+        """
         return self.graph.each(operation, kind, *arrays)
 
     def mapped(self, function: Callable[..., int], kind: str, *arrays: Any) -> Any:
-        """Applies a function of nodes, which makes a node of a kind, to entries."""
+        """Returns the nodes of type `kind` that a function makes of nodes of arrays."""
         return self.graph.mapped(function, *arrays)
 
     def full(self, value: Any, shape: tuple[int, ...], kind: str) -> Any:
-        """Returns an array of one known number."""
+        """Returns an array whose entries are all the node of one known number."""
         return np.full(shape, self.graph.constant(value, kind), np.int64)
 
     def known(self, value: Any, aval: Any) -> Any:
-        """Returns the nodes of an array whose numbers are known."""
+        """Returns nodes of known numbers, broadcast to shape and dtype of `aval`."""
         return self.graph.constants(
             np.broadcast_to(np.asarray(value, kind_dtype(aval)), aval.shape)
         )
 
 
 def kind_of(aval: Any) -> str:
-    """Returns the kind of the numbers of an array.
+    """Returns the name of the number type of an array, such as `"f32"`.
 
     Raises:
-        NotUnrolled: Lanes have no such numbers.
+        NotUnrolled: Kernels have no such numbers.
     """
     kind = KINDS.get(np.dtype(aval.dtype)) if _plain(aval.dtype) else None
     if kind is None:
@@ -124,7 +127,11 @@ def kind_of(aval: Any) -> str:
 
 
 def kind_dtype(aval: Any) -> np.dtype:
-    """Returns the dtype of an array, after a check that lanes know it."""
+    """Returns the dtype of an array.
+
+    Raises:
+        NotUnrolled: Kernels have no such numbers.
+    """
     kind_of(aval)
     return np.dtype(aval.dtype)
 
@@ -135,11 +142,15 @@ def _plain(dtype: Any) -> bool:
 
 Rule = Callable[..., Any]
 RULES: dict[str, Rule] = {}
-"""Rules by name of the primitive: `(unroller, equation, *arrays)` to the results."""
+"""Rules by name of the primitive. A rule takes an unroller, an equation and the nodes
+of its operands, and returns the nodes of the results."""
 
 
 def rule(*names: str, rules: dict[str, Rule] = RULES) -> Callable[[Rule], Rule]:
-    """Registers a rule for primitives (a decorator)."""
+    """Registers a function as the translation rule of primitives (a decorator).
+
+    The rule is added to the table `rules` under the names of the primitives.
+    """
 
     def note(function: Rule) -> Rule:
         for name in names:
@@ -150,10 +161,10 @@ def rule(*names: str, rules: dict[str, Rule] = RULES) -> Callable[[Rule], Rule]:
 
 
 def supported(program: Any) -> str | None:
-    """Returns the reason why a program cannot be unrolled, from names and types.
+    """Returns the reason why a jaxpr cannot be unrolled, or `None`.
 
-    Returns:
-        The reason, or `None` if names and types are known.
+    Only primitives, their parameters and types are checked, not the values of indices
+    and conditions, nor the length.
     """
     jaxpr = program_of(program).jaxpr
     for variable in (*jaxpr.invars, *jaxpr.constvars):

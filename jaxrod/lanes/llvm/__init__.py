@@ -1,1 +1,1 @@
-"""Graphs of single numbers as LLVM IR, and as machine code of this processor."""
+"""Translation of graphs of single numbers to LLVM IR, and to CPU machine code."""

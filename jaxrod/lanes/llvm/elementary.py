@@ -1,10 +1,10 @@
 r"""Elementary functions of vectors, as LLVM IR.
 
 Sine and cosine reduce the argument to $|r| \le \pi/4$ by subtracting a multiple of
-$\pi/2$, stored in two or three numbers, and then use a power series. The exponential is
-$2^n e^r$ with $|r| \le \tfrac12\ln 2$ and a power series for $e^r$. Beyond the range
-where sine and cosine are accurate, and for most other functions, each lane calls the C
-library.
+$\pi/2$, stored as a sum of two or three numbers, and then use a power series. The
+exponential is $2^n e^r$ with $|r| \le \tfrac12\ln 2$ and a power series for $e^r$.
+Beyond the range where sine and cosine are accurate, and for most other functions, each
+lane calls the C library.
 """
 
 from __future__ import annotations
@@ -15,16 +15,18 @@ from jaxrod.lanes.llvm.vector_code import BYTES, TYPES, literal
 from jaxrod.lanes.operations import OPERATIONS
 
 _HALF_PI = (1.5707963267948966, 6.123233995736766e-17, -1.4973849048591698e-33)
-"""Terms whose sum is half of pi."""
+"""Numbers whose sum is half of pi, each much smaller than the one before."""
 _LN_2 = (0.6931471805599453, 2.3190468138462996e-17)
 _LARGEST_ANGLE = {"f32": 1e9, "f64": 1e5}
 
 
 def elementary_texts(needs: set[tuple[str, str, int]]) -> tuple[list[str], set[str]]:
-    """Returns the functions that code needs, and their declarations.
+    """Returns LLVM IR of the elementary functions that a kernel calls.
+
+    They come as a list of functions, and a set of declarations.
 
     Args:
-        needs: Operation, kind and lanes of each function; 1 for single numbers.
+        needs: Operation, number type and lanes of each function; 1 for single numbers.
     """
     whole = set(needs)
     for operation, kind, width in needs:
@@ -44,7 +46,7 @@ def elementary_texts(needs: set[tuple[str, str, int]]) -> tuple[list[str], set[s
 
 
 def vector_name(operation: str, kind: str, width: int) -> str:
-    """Returns the name of a function of a vector, or of a single number."""
+    """Returns the name of the LLVM function of a vector; of one number for width 1."""
     return f"@{operation}_{kind}_{'one' if width == 1 else width}"
 
 
@@ -59,12 +61,15 @@ def _of_vector(operation: str, kind: str, width: int) -> tuple[str, set[str]]:
 
 
 def _needed_by(operation: str, kind: str) -> set[tuple[str, str]]:
-    """Returns the other functions that a function calls: operation and kind."""
+    """Returns the functions, by operation and type, that a vector function calls."""
     return {("exp", "f64")} if (operation, kind) == ("tanh", "f32") else set()
 
 
 def _of_one(operation: str, kind: str) -> str:
-    """Writes the function of one number: the C library's float64 result, rounded."""
+    """Returns LLVM IR of an elementary function of one number.
+
+    It calls the C library in float64, and rounds the result if the number is float32.
+    """
     one = TYPES[kind]
     row = OPERATIONS[operation]
     names = ["%a", "%b"][: row.operands]
@@ -86,11 +91,11 @@ def _of_one(operation: str, kind: str) -> str:
 
 
 def lane_by_lane(operation: str, kind: str, width: int, name: str) -> str:
-    """Writes a function of a vector that calls the function of one number.
+    """Returns LLVM IR of a vector function that calls a scalar function in each lane.
 
     Args:
         operation: The operation.
-        kind: Kind of the numbers.
+        kind: Type of the numbers, such as `"f32"`.
         width: Lanes of the vector.
         name: Beginning of the function's name.
     """
@@ -116,7 +121,7 @@ def lane_by_lane(operation: str, kind: str, width: int, name: str) -> str:
 
 
 class _Lines:
-    """Lines of a function of one vector, with values named by numbers."""
+    """LLVM IR of a function of one vector, under construction."""
 
     def __init__(self, width: int) -> None:
         self.width = width
@@ -144,7 +149,10 @@ class _Lines:
         )
 
     def series(self, at: str, coefficients: list[float], kind: str) -> str:
-        """Writes a polynomial by Horner's rule, given its lowest coefficient first."""
+        """Appends a polynomial of the vector `at`, and returns the name of its value.
+
+        It is evaluated by Horner's rule; the coefficient of the lowest power is first.
+        """
         total = self.splat(coefficients[-1], kind)
         for coefficient in reversed(coefficients[:-1]):
             other = self.splat(coefficient, kind)
@@ -247,7 +255,10 @@ def _exponential(kind: str, width: int) -> tuple[str, set[str]]:
 
 
 def _hyperbolic_tangent(width: int) -> tuple[str, set[str]]:
-    """Writes tanh by the exponential in float64; small numbers are returned as is."""
+    """Returns LLVM IR of tanh in float32, by the exponential in float64.
+
+    tanh |x| = (1 - exp(-2 |x|)) / (1 + exp(-2 |x|)). For |x| < 1e-5 the result is x.
+    """
     code = _Lines(width)
     many, wide, truth = code.type("f32"), code.type("f64"), code.type("b1")
     number = code.new(f"fpext {many} %x to {wide}")

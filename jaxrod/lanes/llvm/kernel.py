@@ -1,8 +1,8 @@
-"""Kernels: all steps of all rods, as LLVM IR.
+"""Kernels with a rod in each vector lane: LLVM IR of all steps of a batch.
 
 A kernel loops over blocks of as many rods as a vector has lanes. For each block it
 loads the rods' numbers, repeats the step, and stores the results. The number of steps
-and of rods are arguments, so that one kernel serves all of them.
+and of rods are arguments, so one kernel serves any number of them.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from jaxrod.lanes.llvm.memory import Region
 
 @dataclass(frozen=True)
 class Kernel:
-    """A program in LLVM IR, with the data needed to call it.
+    """A kernel in LLVM IR, and the sizes that its call needs.
 
     Its first operand holds four counts (`int32`): steps, steps between checkpoints,
     rods, checkpoints. The other operands are the arrays of the program. Its results are
@@ -26,27 +26,30 @@ class Kernel:
     text: str
     """LLVM IR of the kernel."""
     n_operands: int
-    """Number of operands, with the counts."""
+    """Number of operands, including the counts."""
     n_results: int
-    """Number of results, with the workspace."""
+    """Number of results, including the workspace."""
     room: int
-    """Size of the workspace, without recomputed carries [bytes]."""
+    """Size of the workspace [bytes], without the carries that the reverse pass
+    recomputes between checkpoints."""
     kept: int
-    """Size of each recomputed carry in the workspace [bytes]."""
+    """Size of each carry that the reverse pass recomputes [bytes]; 0 without one."""
     operations: int
-    """Number of nodes in the graph that the kernel computes."""
+    """Size of the program. Lanes: number of graph nodes, with inputs and constants.
+    Rows: lines of LLVM IR that compute a value."""
 
 
 def step_kernel(step: Step, width: int, *, checkpoints: bool) -> Kernel:
-    """Writes the kernel that repeats a step.
+    """Returns the kernel that repeats a step, with a rod in each vector lane.
 
-    Operands: counts, constants, carry. Results: the carry after all steps; with
-    checkpoints the carries before steps 0, s, 2s, ...; workspace.
+    Operands: counts, constants, carry. Results: carry after all steps, checkpoints,
+    workspace. Checkpoints are the carries before steps 0, s, 2s, ..., where s is the
+    number of steps between them.
 
     Args:
         step: The step.
-        width: Lanes of a vector.
-        checkpoints: Whether checkpoints of the carry are results too.
+        width: Lanes of a vector, one for each rod.
+        checkpoints: Whether checkpoints are among the results.
     """
     plan = KernelPlan(step, width)
     now, then, places = plan.carry_buffers()
@@ -78,14 +81,17 @@ br label %block_done
 
 
 def run_kernel(step: Step, ends: EndNodes, width: int) -> Kernel:
-    """Writes the kernel of a whole run: its beginning, the steps, and its end.
+    """Returns the kernel of a whole run, with a rod in each vector lane.
 
-    Operands: counts, constants, arguments. Results: those of the run; workspace.
+    A run consists of its beginning, the steps and its end.
+
+    Operands: counts, constants, arguments of the run. Results: those of the run, and
+    the workspace.
 
     Args:
         step: The step.
         ends: Beginning and end of the run.
-        width: Lanes of a vector.
+        width: Lanes of a vector, one for each rod.
     """
     plan = KernelPlan(step, width)
     now, then, places = plan.carry_buffers()
@@ -123,14 +129,15 @@ br label %block_done
 
 
 def forward_loops(entry: str, given: str, marks: str = "") -> str:
-    """Writes the loop over all steps, in segments between checkpoints.
+    """Returns LLVM IR that calls `@step` for all steps and stores checkpoints.
 
-    `%now1` has the last carry.
+    Pointers `%now0` and `%then0` are those of the first carry and of a second buffer.
+    After the loops, `%now1` points to the last carry.
 
     Args:
-        entry: Label of the block before the loop.
+        entry: Label of the block before the loops.
         given: Arguments of `@step` before the two carries.
-        marks: Code that stores a checkpoint.
+        marks: LLVM IR that stores a checkpoint, if there are any.
     """
     return f"""
 br label %segments
@@ -169,19 +176,20 @@ def adjoint_kernel(
     n_seeds: int,
     width: int,
 ) -> Kernel:
-    """Writes the kernel of the reverse pass through the steps.
+    """Returns the kernel of the reverse pass, with a rod in each vector lane.
 
     Operands: counts, constants, checkpoints, cotangents of the last carry. Results:
     cotangents of the first carry and of constants; workspace.
 
     Args:
         step: The step.
-        adjoint: A step backwards, in the graph of `step`, whose carry it also reads.
+        adjoint: Reversed step (vector-Jacobian product), in the graph of `step`. It
+            also reads the carry before the step.
             `adjoint.carry` has the cotangents of the carry, followed by those of the
             constants, which are summed over the steps.
         n_seeds: Number of arrays of `adjoint.carry` that are given; the others begin at
             zero.
-        width: Lanes of a vector.
+        width: Lanes of a vector, one for each rod.
     """
     plan = KernelPlan(step, width)
     now, then, places = plan.carry_buffers()
@@ -228,13 +236,17 @@ br label %block_done
 
 
 def backward_loops(entry: str, given: str, size: int, marks: str) -> str:
-    """Writes the loop back over all steps; `%back1` has the first cotangents.
+    """Returns LLVM IR of the reverse pass: `@step` and `@adjoint` for all steps.
+
+    For each segment between checkpoints, from the last to the first, the carries are
+    recomputed by `@step`; then `@adjoint` is called for each step, from the last. After
+    the loops, `%back1` points to the cotangents of the first carry.
 
     Args:
-        entry: Label of the block before the loop.
-        given: Arguments of `@step` and `@adjoint` before the others.
+        entry: Label of the block before the loops.
+        given: First arguments of `@step` and `@adjoint`.
         size: Size of a carry [bytes].
-        marks: Code that loads a checkpoint.
+        marks: LLVM IR that loads a checkpoint.
     """
     return f"""
 %j0 = sub i64 %kept, 1

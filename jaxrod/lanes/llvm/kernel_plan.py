@@ -1,4 +1,4 @@
-"""The plan of a kernel: its memory layout and its functions."""
+"""Memory layout and LLVM functions of a kernel with a rod in each vector lane."""
 
 from __future__ import annotations
 
@@ -12,10 +12,10 @@ from jaxrod.lanes.llvm.vector_code import BYTES, Writer
 
 
 class KernelPlan:
-    """Memory layout and functions of a kernel that is being written."""
+    """Memory and LLVM functions of a kernel with a rod in each lane, being written."""
 
     def __init__(self, step: Step, width: int) -> None:
-        """Allocates the constants of a step.
+        """Allocates memory for the constants of a step.
 
         Args:
             step: The step.
@@ -37,7 +37,12 @@ class KernelPlan:
             self.constant_places.append(place)
 
     def carry_buffers(self) -> tuple[Region, Region, list[int]]:
-        """Makes two buffers for the carry, and returns them with the arrays' places."""
+        """Allocates buffers for the carry before (`%now`) and after a step (`%then`).
+
+        Returns:
+            Both buffers, and the offset of each array of the carry in either buffer
+            [bytes].
+        """
         now, then = Region("%now", self.width), Region("%then", self.width)
         places = [now.place(e.kind, e.size) for e in self.step.carry]
         then.size = now.size
@@ -46,7 +51,7 @@ class KernelPlan:
         return now, then, places
 
     def pointers(self, start: int, **regions: Region) -> str:
-        """Writes pointers to regions that follow one another in the workspace.
+        """Returns LLVM IR of pointers to regions that are consecutive in the workspace.
 
         The first begins at byte `start`.
         """
@@ -63,7 +68,11 @@ class KernelPlan:
         first: int,
         region: str,
     ) -> str:
-        """Writes calls that load operands, from number `first` on."""
+        """Returns LLVM IR that loads operands into vectors with a rod in each lane.
+
+        `first` is the number of the first operand. `places` has the offset of each
+        array in the region [bytes].
+        """
         return "".join(
             self.transpose("fetch", entries, f"%in{first + i}", region, place)
             for i, (entries, place) in enumerate(zip(arrays, places, strict=True))
@@ -72,14 +81,22 @@ class KernelPlan:
     def bring_all(
         self, arrays: Sequence[Entries], places: Sequence[int], region: str
     ) -> str:
-        """Writes calls that store results, from the first one on."""
+        """Returns LLVM IR that stores vectors as results with a row for each rod.
+
+        They are the first results. `places` has the offset of each array in the region
+        [bytes].
+        """
         return "".join(
             self.transpose("bring", entries, f"%out{i}", region, place)
             for i, (entries, place) in enumerate(zip(arrays, places, strict=True))
         )
 
     def prepare(self, outputs: Sequence[int]) -> None:
-        """Writes the functions that compute loop-invariant values."""
+        """Writes the functions `@shared` and `@fixed` of loop-invariant values.
+
+        `@shared` computes values that all rods share, `@fixed` those of each rod, as
+        far as the outputs of the kernel need them.
+        """
         used = self.step.graph.needed(outputs)
         self.operations = len(used)
         self.memory.keep_outputs(outputs)
@@ -112,7 +129,11 @@ class KernelPlan:
         goals: Sequence[tuple[int, Region, int]],
         regions: Sequence[Region],
     ) -> None:
-        """Writes a function that runs once for each block, or in every step."""
+        """Writes an LLVM function that computes varying values in vectors.
+
+        It runs once for each block of rods, or in every step. Each goal is a node, with
+        the region and the offset where it is stored [bytes].
+        """
         names = ["%shared", "%own", *[region.pointer for region in regions]]
         text, writer = function_text(
             name, self.memory, self.width, VARYING, goals, names
@@ -121,11 +142,11 @@ class KernelPlan:
         self.writers.append(writer)
 
     def regions(self) -> int:
-        """Size of the regions before the buffers in the workspace [bytes]."""
+        """Size of the loop-invariant values that the workspace begins with [bytes]."""
         return self.memory.shared.room() + self.memory.own.room()
 
     def fetch_shared(self) -> str:
-        """Writes code that copies the constants that all rods share."""
+        """Returns LLVM IR that copies constants shared by all rods to the workspace."""
         lines = []
         for i, entries in enumerate(self.step.constants):
             if entries.rate == UNIFORM:
@@ -142,7 +163,7 @@ class KernelPlan:
         return "".join(lines)
 
     def fetch_own(self) -> str:
-        """Writes calls that load the constants of the rods of a block."""
+        """Returns LLVM IR that loads constants that differ between rods."""
         return "".join(
             self.transpose("fetch", entries, f"%in{1 + i}", "%own", place)
             for i, (entries, place) in enumerate(
@@ -161,10 +182,17 @@ class KernelPlan:
         rows: str | None = None,
         row: str = "",
     ) -> str:
-        """Writes a call that loads or stores an array.
+        """Returns LLVM IR that copies an array between rows of rods and vectors.
 
-        If `rows` is given, each rod has that many copies of the array, such as
-        checkpoints, and `row` is the index of the one to move.
+        Args:
+            word: `"fetch"` to load an operand, `"bring"` to store a result.
+            entries: Type and size of the array, for one rod.
+            array: Name of the pointer to the operand or result.
+            region: Name of the pointer to the region with the vectors.
+            place: Offset in the region [bytes].
+            rows: Number of copies that each rod has, such as checkpoints; `None` for
+                one.
+            row: Index of the copy to move.
         """
         self.n_transposes += 1
         self.transposed.add(entries.kind)
@@ -184,7 +212,10 @@ class KernelPlan:
         )
 
     def module(self, per_block: str, n_operands: int, n_results: int) -> str:
-        """Writes the whole module except for the handler through which XLA calls it."""
+        """Returns the LLVM module of the kernel, without the handler that XLA calls.
+
+        `per_block` is the LLVM IR that runs for each block of rods.
+        """
         kinds = self.transposed
         texts = list(self.functions)
         declared = set(self.declared)
@@ -235,9 +266,10 @@ def goals_in(
     region: Region,
     places: Sequence[int],
 ) -> list[tuple[int, Region, int]]:
-    """Lists outputs with their places, ordered along the rod.
+    """Returns the output nodes of arrays, each with its region and offset [bytes].
 
-    This way values of neighbouring elements are computed close together.
+    They are ordered by their relative position in the arrays, which is the position
+    along the rod. So values of neighbouring elements are computed close together.
     """
     ordered = []
     for nodes, entries, place in zip(outputs, arrays, places, strict=True):
@@ -250,14 +282,18 @@ def goals_in(
 
 
 def entry_text(n_operands: int, n_results: int) -> str:
-    """Writes code that loads the data pointers of all buffers, and the counts."""
+    """Returns LLVM IR that loads the counts, and the data pointers of all buffers."""
     loads = [_pointer(f"%in{i}", "%operands", i) for i in range(n_operands)]
     loads += [_pointer(f"%out{i}", "%results", i) for i in range(n_results)]
     return "".join(loads) + counts_text()
 
 
 def counts_text() -> str:
-    """Writes code that loads the counts from the first operand."""
+    """Returns LLVM IR that loads the counts from the first operand of a kernel.
+
+    They are the numbers of steps, of steps between checkpoints, of rods and of
+    checkpoints.
+    """
     counts = [
         f"%{name}at = getelementptr i32, ptr %in0, i64 {i}\n"
         f"%{name}32 = load i32, ptr %{name}at\n"
@@ -268,7 +304,7 @@ def counts_text() -> str:
 
 
 def _pointer(name: str, array: str, index: int) -> str:
-    """Writes code that loads the data pointer of one buffer of a call."""
+    """Returns LLVM IR that loads the data pointer of one buffer of an XLA call."""
     return (
         f"{name}b = getelementptr ptr, ptr {array}, i64 {index}\n"
         f"{name}c = load ptr, ptr {name}b\n"

@@ -1,4 +1,4 @@
-"""Machine code: kernels compiled by LLVM for this processor."""
+"""Compilation of kernels by LLVM to machine code of this CPU, and its call by XLA."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from jaxrod.lanes.llvm.object_cache import keeps_objects
 from jaxrod.lanes.operations import OPERATIONS
 
 OPTIMISATION = 2
-"""Optimisation level of LLVM."""
+"""Optimisation level of LLVM, from 0 to 3."""
 
 _LIBRARY = (
     *(row.symbol for row in OPERATIONS.values() if row.symbol is not None),
@@ -27,16 +27,16 @@ _LIBRARY = (
     *("round", "roundf", "roundeven", "roundevenf", "fmod", "fmodf"),
     *("memcpy", "memset", "memmove"),
 )
-"""Functions of the C library that compiled code may call: those of the table, then
-those that LLVM itself may call."""
+"""Names of functions of the C library that machine code may call: those of
+`OPERATIONS`, then those to which LLVM translates its own instructions."""
 _engines: dict[str, Any] = {}
-"""Compiled kernels by name, kept for the life of the process because programs call
-them."""
+"""LLVM engines by name of the kernel. They are kept for the life of the process because
+XLA's programs call their code."""
 _lock = threading.Lock()
 
 
 def llvm_is_installed() -> bool:
-    """Whether the package with LLVM's compiler is installed."""
+    """Whether llvmlite, the package with LLVM's compiler, is installed."""
     return importlib.util.find_spec("llvmlite") is not None
 
 
@@ -62,7 +62,7 @@ def not_here() -> str | None:
 
 @cache
 def vector_bytes() -> int:
-    """Size of the widest vectors of this processor [bytes]."""
+    """Size of the widest vector registers of this processor [bytes]: 16, 32 or 64."""
     import llvmlite.binding as llvm
 
     features = llvm.get_host_cpu_features()
@@ -73,7 +73,7 @@ def vector_bytes() -> int:
 
 @cache
 def processor() -> str:
-    """Returns LLVM's version, and the name and features of this processor."""
+    """Returns LLVM's version, and this processor's name and features, as one text."""
     import llvmlite.binding as llvm
 
     version = ".".join(map(str, llvm.llvm_version_info))
@@ -82,12 +82,12 @@ def processor() -> str:
 
 
 def compiled_kernels() -> int:
-    """Number of kernels that this process has compiled."""
+    """Number of kernels that this process has registered with XLA."""
     return len(_engines)
 
 
 def registered(kernel: Kernel) -> str:
-    """Compiles a kernel, unless done before, and registers it with XLA.
+    """Compiles a kernel and registers it with XLA, unless that is done already.
 
     Returns:
         The kernel's name in XLA.
@@ -104,12 +104,12 @@ def registered(kernel: Kernel) -> str:
 
 
 def native_function(text: str, name: str, *, keep: bool = True) -> tuple[Any, int]:
-    """Compiles a module, or reads it from the cache on disk.
+    """Compiles an LLVM module, or reads its machine code from the cache on disk.
 
     Args:
-        text: LLVM IR.
+        text: LLVM IR of the module.
         name: Name of a function in it.
-        keep: Whether the cache may have it.
+        keep: Whether the cache on disk may be used.
 
     Returns:
         The engine that owns the code, and the address of the function.
@@ -137,10 +137,10 @@ def _target_machine() -> Any:
 
 
 def _name_library() -> str | None:
-    """Gives LLVM the addresses of C library functions.
+    """Registers the addresses of C library functions with LLVM.
 
     Returns:
-        The name of a missing function, or `None`.
+        The name of a missing function; `None` if all are there.
     """
     import llvmlite.binding as llvm
 
@@ -159,7 +159,7 @@ def _name_library() -> str | None:
 
 
 def capsule(address: int) -> Any:
-    """Returns the address of a handler in the form in which XLA takes it."""
+    """Returns the address of a handler as a Python capsule, as XLA requires."""
     make = ctypes.pythonapi.PyCapsule_New
     make.restype = ctypes.py_object
     make.argtypes = [ctypes.c_void_p, ctypes.c_char_p, ctypes.c_void_p]

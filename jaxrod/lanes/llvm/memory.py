@@ -1,11 +1,11 @@
-"""Memory of a kernel, and its functions, which read and write that memory.
+"""Memory of a kernel with a rod in each vector lane, and functions that use it.
 
-A function runs either once, or once for each block of rods, or in every step.
+A function runs once, once for each block of rods, or in every step.
 
 A kernel's memory has one region that all rods share (single numbers), one for the
 loop-invariant values of a block of rods (a vector for every number), and buffers of
-vectors for values that change. Every number has a fixed place, known when the kernel is
-written.
+vectors for values that change. Every number has a fixed offset, known when the kernel
+is written.
 """
 
 from __future__ import annotations
@@ -20,23 +20,23 @@ from jaxrod.lanes.llvm.vector_code import BYTES, TYPES, Writer
 ALIGNMENT = 64
 """Alignment of vectors in memory [bytes]."""
 _ATTRIBUTES = f"noinline nounwind alignstack({ALIGNMENT})"
-"""Attributes of functions. The stack alignment is needed: by default LLVM spills
-vectors to places that straddle two cache lines."""
+"""LLVM attributes of functions. The stack alignment is needed: by default LLVM spills
+vectors to addresses that straddle two cache lines."""
 
 
 @dataclass
 class Region:
-    """A region of memory, in which places are allocated one after another."""
+    """A region of the workspace, in which arrays are allocated one after another."""
 
     pointer: str
-    """Name of its pointer in the functions of a kernel."""
+    """Name of the pointer to the region in the functions of a kernel."""
     lanes: int
-    """Lanes of its vectors; 1 for single numbers."""
+    """Number of lanes of the vectors in the region; 1 for single numbers."""
     size: int = 0
     """Allocated size [bytes]."""
 
     def place(self, kind: str, count: int = 1) -> int:
-        """Allocates consecutive numbers of a kind, and returns their offset [bytes]."""
+        """Allocates `count` numbers of a type, and returns their offset [bytes]."""
         step = BYTES[kind] * self.lanes
         aligned = min(ALIGNMENT, max(step, 1))
         start = -(-self.size // aligned) * aligned
@@ -44,13 +44,13 @@ class Region:
         return start
 
     def room(self) -> int:
-        """Returns the size rounded up to the alignment of the next region [bytes]."""
+        """Returns the size, rounded up so that the next region is aligned [bytes]."""
         return -(-self.size // ALIGNMENT) * ALIGNMENT
 
 
 @dataclass
 class Memory:
-    """Places of a kernel's numbers in memory: inputs by array, others by node."""
+    """Regions and offsets of a kernel's numbers: inputs by array, others by node."""
 
     graph: Graph
     width: int
@@ -60,23 +60,23 @@ class Memory:
     nodes: dict[int, tuple[Region, int]] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        """Makes the two regions, both empty."""
+        """Creates the empty regions of values shared by all rods and fixed for each."""
         self.shared = Region("%shared", 1)
         self.own = Region("%own", self.width)
 
     def give(self, which: int, region: Region, kind: str, count: int) -> int:
-        """Allocates an array of inputs in a region, and returns its offset [bytes]."""
+        """Allocates input array number `which`, and returns its offset [bytes]."""
         offset = region.place(kind, count)
         self.arrays[which] = region, offset
         return offset
 
     def keep(self, used: Sequence[int]) -> tuple[list[int], list[int]]:
-        """Reserves memory for values that the loop does not change but reads.
+        """Allocates loop-invariant values that values of a higher rate need.
 
-        They are the same for all rods, or fixed for each rod.
+        Such a value is the same for all rods, or fixed for each rod.
 
         Args:
-            used: All nodes of the kernel that are needed, in order.
+            used: All nodes that the kernel computes, each after its arguments.
 
         Returns:
             The nodes that all rods share, and the nodes fixed for each rod.
@@ -92,7 +92,7 @@ class Memory:
         )
 
     def keep_outputs(self, outputs: Sequence[int]) -> None:
-        """Allocates outputs that are loop-invariant."""
+        """Allocates memory for those outputs of a kernel that are loop-invariant."""
         for node in outputs:
             rate = self.graph.rates[node]
             if rate in (UNIFORM, FIXED):
@@ -100,7 +100,7 @@ class Memory:
                 self._placed({node: None}, rate, region)
 
     def where(self, node: int) -> tuple[Region, int] | None:
-        """Returns the place of a node, or `None` if it is not in memory."""
+        """Returns region and offset of a node [bytes]; `None` if it is not stored."""
         place = self.graph.places.get(node)
         if place is None:
             return self.nodes.get(node)
@@ -128,15 +128,15 @@ def function_text(
     outputs: Sequence[tuple[int, Region, int]],
     pointers: Sequence[str],
 ) -> tuple[str, Writer]:
-    """Writes a function that computes outputs and stores them at their places.
+    """Returns LLVM IR of a function that computes nodes and stores them.
 
     Args:
         name: Name of the function.
-        memory: Places of all numbers.
+        memory: Locations of all stored numbers.
         width: Lanes of the function's values.
         rate: Rate of the nodes that it computes; nodes of a lower rate are read from
             memory.
-        outputs: Output nodes, each with its region and offset.
+        outputs: Nodes to compute, each with the region and offset of its value.
         pointers: Names of the function's arguments, the pointers to the regions.
 
     Returns:

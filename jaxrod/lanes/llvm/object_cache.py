@@ -28,14 +28,14 @@ from jaxrod.private_folders import (
 
 _log = logging.getLogger("jaxrod.lanes")
 _told: set[Path] = set()
-"""Folders whose refusal has been reported."""
+"""Folders for which the warning that others can write to them has been logged."""
 
 _DIGEST = 32
-"""Size of a digest [bytes]."""
+"""Size of the SHA-256 digest at the beginning of a file [bytes]."""
 
 
 def keeps_objects(engine: Any, key: str) -> None:
-    """Makes an engine read its object code from disk if possible, and store it there.
+    """Makes an LLVM engine read its object code from disk if possible, or store it.
 
     Args:
         engine: An engine of LLVM with a single module.
@@ -67,7 +67,10 @@ def keeps_objects(engine: Any, key: str) -> None:
 
 
 def _is_refused(folder: Path) -> bool:
-    """Whether others can write to the folder; logs a warning once for each folder."""
+    """Whether others can write to the folder, so that no machine code is read from it.
+
+    A warning is logged once for each folder.
+    """
     why = shared_with(folder)
     if why is None:
         return False

@@ -1,4 +1,4 @@
-"""Transposes between arrays with a row for each rod and blocks of vectors.
+"""LLVM IR that transposes between arrays of rods and blocks of vectors.
 
 An array of the program has one row of numbers for every rod. A block has one vector for
 every number, with a rod in each lane. Square tiles, with as many numbers as rods, are
@@ -13,25 +13,29 @@ from jaxrod.lanes.llvm.vector_code import BYTES, TYPES
 
 
 def is_tiled(kind: str, count: int, width: int) -> bool:
-    """Whether rows of `count` numbers are moved by square tiles."""
+    """Whether rows of `count` numbers are transposed by square tiles in registers.
+
+    A tile has `width` numbers of each of `width` rods.
+    """
     return BYTES[kind] in (4, 8) and width > 1 and 2 * count >= width
 
 
 def room_for(kind: str, count: int, width: int) -> int:
-    """Number of vectors in a block for rows of `count` numbers: one per number.
+    """Returns the number of vectors in a block for rows of `count` numbers.
 
-    Each vector holds one such number of `width` rods. For rows that are moved by tiles
-    it is rounded up to a multiple of `width`.
+    There is one vector per number, which holds that number of `width` rods. For rows
+    that are moved by tiles it is rounded up to a multiple of `width`.
     """
     return -(-count // width) * width if is_tiled(kind, count, width) else count
 
 
 def transpose_text(kind: str, width: int) -> tuple[str, set[str]]:
-    """Writes the functions `@fetch_KIND` and `@bring_KIND` for one kind of numbers.
+    """Returns LLVM IR of `@fetch_KIND` and `@bring_KIND`, and its declarations.
 
-    `fetch` copies an array to a block, `bring` a block to an array. Both loop over the
-    numbers of a row: number k of rod r is at `r * stride + offset + k` in the array.
-    `@fetch_squares_KIND` and `@bring_squares_KIND` do the same, a tile at a time.
+    `fetch` copies an array to a block, `bring` a block to an array, for numbers of type
+    KIND. Both loop over the numbers of a row: number k of rod r is at `r * stride +
+    offset + k` in the array. `@fetch_squares_KIND` and `@bring_squares_KIND` do the
+    same, a tile at a time.
     """
     one = "i8" if kind == "b1" else TYPES[kind]
     many, size = f"<{width} x {one}>", BYTES[kind]

@@ -1,4 +1,4 @@
-"""Vector code: nodes of a graph as straight-line LLVM IR.
+"""Nodes of a graph as straight-line LLVM IR of vectors.
 
 Every node that differs between rods becomes one vector, with a rod in each lane. Nodes
 that all rods share are computed once, as single numbers, and broadcast where used.
@@ -27,12 +27,12 @@ TYPES = {
     "u64": "i64",
     "b1": "i1",
 }
-"""Types of single numbers in LLVM IR, by kind."""
+"""LLVM types of single numbers, by number type ("kind") of the graph."""
 BYTES = {
     **{"f32": 4, "f64": 8, "i8": 1, "u8": 1, "i16": 2, "u16": 2},
     **{"i32": 4, "u32": 4, "i64": 8, "u64": 8, "b1": 1},
 }
-"""Sizes of single numbers in memory [bytes], by kind."""
+"""Sizes of single numbers in memory [bytes], by number type ("kind")."""
 _WHOLE = {"add": "add", "sub": "sub", "mul": "mul"}
 _COMPARE_FLOATS = {
     **{"eq": "oeq", "ne": "une", "lt": "olt", "le": "ole", "gt": "ogt", "ge": "oge"}
@@ -46,12 +46,12 @@ _COMPARE_WHOLE = {
     "ge": "ge",
 }
 SHORT_MEMORY = 400
-"""Number of lines after which a loaded value is loaded again rather than kept, because
-registers are few and memory is near."""
+"""Number of lines after which a loaded value is loaded again instead of being kept in a
+register, because registers are few and memory is fast."""
 
 
 class Writer:
-    """Writer of the lines of a function whose values are vectors, or single numbers."""
+    """Writer of an LLVM function whose values are vectors, or single numbers."""
 
     def __init__(
         self,
@@ -59,35 +59,37 @@ class Writer:
         width: int,
         load: Callable[[Writer, int], str | None],
     ) -> None:
-        """Begins a function.
+        """Begins an LLVM function without lines.
 
         Args:
-            graph: Graph whose nodes are written.
+            graph: Graph whose nodes are translated.
             width: Lanes of a vector; 1 for single numbers.
             load: Function that writes the load of a node from memory and returns the
-                name of its value; it returns `None` for a node that is computed here.
+                name of its value; it returns `None` for a node that this function
+                computes.
         """
         self.graph, self.width, self.load = graph, width, load
         self.lines: list[str] = []
         self.names: dict[int, str] = {}
         self.loaded: dict[int, tuple[str, int]] = {}
         self.needs: set[tuple[str, str, int]] = set()
-        """Called functions of `elementary.py`: operation, kind and lanes."""
+        """Elementary functions that the lines call: operation, number type and lanes of
+        each."""
         self.declared: set[str] = set()
 
     def type(self, kind: str) -> str:
-        """Returns the type of the values of a kind."""
+        """Returns the LLVM type of values of a number type: a vector, or one number."""
         one = TYPES[kind]
         return one if self.width == 1 else f"<{self.width} x {one}>"
 
     def new(self, text: str) -> str:
-        """Appends a line that computes a value, and returns its name."""
+        """Appends a line that computes the expression `text`; returns its name."""
         name = f"%v{len(self.lines)}"
         self.lines.append(f"{name} = {text}")
         return name
 
     def literal(self, value: Any, kind: str) -> str:
-        """Returns a known number as text, in every lane."""
+        """Returns a known number as LLVM text, repeated in every lane."""
         text = literal(value, kind)
         if self.width == 1:
             return text
@@ -95,7 +97,7 @@ class Writer:
         return "<" + ", ".join([entry] * self.width) + ">"
 
     def spread(self, name: str, kind: str) -> str:
-        """Broadcasts one number to every lane."""
+        """Appends lines that copy a number to every lane; returns the vector's name."""
         if self.width == 1:
             return name
         one, many = TYPES[kind], self.type(kind)
@@ -106,7 +108,7 @@ class Writer:
         )
 
     def write(self, nodes: Iterable[int], after: Callable[[int], None]) -> None:
-        """Writes nodes in this order, and calls `after` with each finished node."""
+        """Appends the lines of nodes in order; calls `after` with each finished one."""
         for node in nodes:
             if node in self.names:
                 continue
@@ -115,7 +117,7 @@ class Writer:
             after(node)
 
     def value(self, node: int) -> str:
-        """Returns the name of a node's value."""
+        """Returns the name of a node's value, which is loaded from memory if needed."""
         name = self.names.get(node)
         if name is not None:
             return name
@@ -132,7 +134,7 @@ class Writer:
         return name
 
     def operation(self, node: int) -> str:
-        """Writes one operation, and returns the name of its value."""
+        """Appends the lines of one node's operation; returns the name of its value."""
         graph = self.graph
         operation, kind = graph.operations[node], graph.kinds[node]
         sources = graph.arguments[node]
@@ -186,7 +188,11 @@ class Writer:
         return self._shift(operation, names, kind)
 
     def _divide(self, operation: str, names: list[str], kind: str) -> str:
-        """Divides integers as XLA does, also for division by zero and overflow."""
+        """Appends an integer division or remainder with XLA's results in special cases.
+
+        By zero, the quotient is -1 and the remainder is the dividend. The most negative
+        number divided by -1 is itself.
+        """
         many, (number, by) = self.type(kind), names
         signed = kind[0] == "i"
         zero, one = self.literal(0, kind), self.literal(1, kind)
@@ -207,7 +213,11 @@ class Writer:
         return self._select([nothing, self.literal(-1, kind), made], kind)
 
     def _shift(self, operation: str, names: list[str], kind: str) -> str:
-        """Shifts; a shift by more than the number of bits gives zero, or all signs."""
+        """Appends a shift of bits.
+
+        A shift by the number of bits or more gives zero; an arithmetic shift to the
+        right then gives the sign bit everywhere.
+        """
         many, (number, by) = self.type(kind), names
         bits = 8 * BYTES[kind]
         inside = self.new(f"icmp ult {many} {by}, {self.literal(bits, kind)}")
@@ -238,7 +248,10 @@ class Writer:
     def _extreme(
         self, operation: str, sources: tuple[int, ...], names: list[str], kind: str
     ) -> str:
-        """Writes the smaller or larger number; NaN if one of them is NaN."""
+        """Appends the minimum or maximum of two numbers; NaN if one of them is NaN.
+
+        `sources` are the nodes of the numbers, which tell whether they are constants.
+        """
         many, (a, b) = self.type(kind), names
         if kind[0] != "f":
             sign = "s" if kind[0] == "i" else "u"
@@ -289,7 +302,7 @@ class Writer:
 
 
 def literal(value: Any, kind: str) -> str:
-    """Returns a number as LLVM writes it: floats by their bits."""
+    """Returns a known number as LLVM text; floats in hexadecimal, exactly."""
     if kind == "b1":
         return "true" if value else "false"
     if kind[0] == "f":

@@ -1,6 +1,6 @@
-"""Rows: one scene at a time, its elements side by side in the vector registers.
+"""Kernels of rows: one scene at a time, its elements side by side in vector registers.
 
-Importing this package registers all rules of rows.
+Importing this package registers the translation rules of all primitives.
 """
 
 from jaxrod.lanes.rows import row_indexing, row_unroller

@@ -1,8 +1,8 @@
-"""Arrays as rows: short axes are unrolled, each long axis is a loop.
+"""Arrays of jaxprs as rows: short axes are unrolled, each long axis is a loop.
 
-An array has one node for every index along its unrolled axes. The other axes are its
-*loops*: a node contains all numbers along them. So an array `(3, 50)` is three rows of
-50 numbers.
+An array has one graph node for every index along its unrolled axes. The other axes are
+its *loops*: a node contains all numbers along them. So an array of shape `(3, 50)` is
+three rows of 50 numbers.
 """
 
 from __future__ import annotations
@@ -15,21 +15,22 @@ import numpy as np
 from jaxrod.lanes.rows.row_graph import Dims, Move, Piece, RowGraph, row_major
 
 SHORTEST_LOOP = 5
-"""Length from which an axis is a loop."""
+"""Length from which an axis is a loop; shorter axes are unrolled."""
 
 
 @dataclass(frozen=True)
 class Rows:
-    """An array of rows."""
+    """An array of a jaxpr, as graph nodes that are rows of numbers."""
 
     shape: Dims
     """Shape of the array."""
     loops: Dims
-    """Axes that are loops, in order."""
+    """Axes along which a node has all numbers (loops), in ascending order."""
     nodes: np.ndarray
-    """Nodes; its shape is that of the array, with loops of length one."""
+    """Graph nodes by index, in an array of that shape but of length one along the
+    loops."""
     kind: str
-    """Kind of the numbers."""
+    """Type of the numbers, such as `"f32"`."""
 
     @property
     def dims(self) -> Dims:
@@ -38,20 +39,20 @@ class Rows:
 
     @property
     def scalar(self) -> int:
-        """Node of an array of one number."""
+        """The only node of an array of one number."""
         return int(self.nodes.reshape(-1)[0])
 
     def entries(self) -> Iterator[tuple[Dims, int]]:
-        """Yields the index along all axes, with 0 along loops, and the node there."""
+        """Yields each node and its index along all axes, which is 0 along the loops."""
         for index in np.ndindex(*self.nodes.shape):
             yield index, int(self.nodes[index])
 
 
 class Layout:
-    """Operations on arrays of rows of one graph that move numbers."""
+    """Operations that slice, join and rearrange arrays of rows in one graph."""
 
     def __init__(self, graph: RowGraph) -> None:
-        """Makes the operations.
+        """Creates the operations of a graph.
 
         Args:
             graph: Graph to which nodes are added.
@@ -59,13 +60,13 @@ class Layout:
         self.graph = graph
 
     def from_memory(self, node: int, shape: Dims, kind: str) -> Rows:
-        """Returns the array of a stored node, in the order of its axes."""
+        """Returns the array with the numbers of a stored node, in row-major order."""
         base = self.graph.flat(node)
         loops = long_axes(shape)
         return self.views(base, shape, loops, kind)
 
     def full(self, node: int, shape: Dims, kind: str) -> Rows:
-        """Returns an array of one number, repeated."""
+        """Returns an array in which the number of one node is repeated."""
         loops = long_axes(shape)
         nodes = np.full(_unrolled(shape, loops), node, np.int64)
         return Rows(shape, loops, nodes, kind)
@@ -88,7 +89,10 @@ class Layout:
         start: Sequence[int],
         moves: Sequence[Move],
     ) -> Rows:
-        """Returns an array read along the axes of another.
+        """Returns an array that reads another at regular indices.
+
+        Its entry i along an axis with move (a, s) is read at index start[a] + s i of
+        axis a.
 
         Args:
             array: The array that is read.
@@ -123,7 +127,7 @@ class Layout:
         return Rows(shape, loops, nodes, array.kind)
 
     def looped(self, array: Rows, loops: Dims) -> Rows:
-        """Returns the array with the given axes as loops; some may be unrolled before.
+        """Returns an array with the axes `loops` as loops, also those unrolled before.
 
         Raises:
             AssertionError: The array has a loop that is not among `loops`.
@@ -160,9 +164,9 @@ class Layout:
         return Rows(shape, loops, nodes, array.kind)
 
     def aligned(self, *arrays: Rows) -> list[Rows]:
-        """Returns arrays broadcast to one shape, with the same loops.
+        """Returns arrays broadcast to one shape, with the same axes as loops.
 
-        An array without axes stays as it is.
+        An array without axes is returned unchanged, because it fits any shape.
         """
         shapes = np.broadcast_shapes(*(array.shape for array in arrays))
         shape = tuple(map(int, shapes))
@@ -183,9 +187,9 @@ class Layout:
         return self.taken(array, shape, [0] * len(shape), moves)
 
     def mapped(self, function: Callable[..., int], kind: str, *arrays: Rows) -> Rows:
-        """Applies a function of nodes to the entries of arrays of one shape.
+        """Returns the nodes of type `kind` that a function makes of entries of arrays.
 
-        An array without axes serves every entry.
+        The arrays are broadcast.
         """
         same = self.aligned(*arrays)
         first = max(same, key=lambda array: len(array.shape))
@@ -193,7 +197,10 @@ class Layout:
         return Rows(first.shape, first.loops, nodes, kind)
 
     def each(self, operation: str, kind: str, *arrays: Rows) -> Rows:
-        """Applies an operation to the entries of arrays of one shape."""
+        """Returns an operation applied to arrays entry by entry, after broadcasting.
+
+        `kind` is the type of the results, such as `"f32"`.
+        """
         return self.mapped(
             lambda *entries: self.graph.add(operation, entries, kind), kind, *arrays
         )
@@ -245,14 +252,14 @@ class Layout:
     def padded(
         self, array: Rows, axis: int, low: int, high: int, inner: int, fill: int
     ) -> Rows:
-        """Pads an array along one axis, also between its entries.
+        """Pads an array along one axis, at both ends and between entries.
 
         Args:
             array: The array.
             axis: The axis.
             low: Count of numbers before the first; a negative count cuts off numbers.
             high: Count of numbers after the last; a negative count cuts off numbers.
-            inner: Count of numbers between neighbours.
+            inner: Count of numbers between neighbouring entries.
             fill: Node of the inserted numbers.
         """
         n = array.shape[axis]
@@ -287,14 +294,18 @@ class Layout:
     def sliced(
         self, array: Rows, axis: int, first: int, last: int, step: int = 1
     ) -> Rows:
-        """Returns the entries from `first` up to `last` along an axis."""
+        """Returns entries `first`, `first + step`, ... before `last` along an axis."""
         shape, start = list(array.shape), [0] * len(array.shape)
         shape[axis], start[axis] = len(range(first, last, step)), first
         moves = [Move(a, step if a == axis else 1) for a in range(len(array.shape))]
         return self.taken(array, tuple(shape), start, moves)
 
     def stored(self, array: Rows) -> tuple[int, int]:
-        """Returns a stored node with all numbers of an array, and where they begin."""
+        """Returns a stored node that has all numbers of an array in row-major order.
+
+        Returns:
+            The stored node, and the flat index in it at which the numbers begin.
+        """
         return self._flat(array, ())
 
     def _placed(
@@ -305,7 +316,16 @@ class Layout:
         shape: Dims,
         fill: int | None,
     ) -> Rows:
-        """Writes arrays into one array, whose axis is a loop, from given indices on."""
+        """Writes arrays into one array along an axis, which becomes a loop.
+
+        Args:
+            parts: Arrays, each with the index along the axis at which its numbers
+                begin.
+            axis: The axis.
+            step: Distance along the axis between neighbouring entries of a part.
+            shape: Shape of the result.
+            fill: Node of the number at all other indices; `None` for 0.
+        """
         others = {a for array, _ in parts for a in array.loops}
         loops = tuple(sorted(others | {axis}))
         dims = tuple(shape[a] for a in loops)
@@ -361,9 +381,11 @@ class Layout:
         )
 
     def _with_margins(self, source: int, piece: Piece, dims: Dims, fill: int) -> int:
-        """Returns a row with a few numbers before and after, as a view.
+        """Returns a row padded with at most two numbers at each end, as a view.
 
-        All such rows of one source are views of the same stored row.
+        `piece` is the position of the source in the padded row. All such rows with the
+        same source and fill are views of one stored row, with two numbers of fill at
+        each end.
         """
         (n,) = piece.dims
         wide = (n + 4,)
@@ -371,7 +393,11 @@ class Layout:
         return self.graph.view(whole, dims, 2 - piece.base, (1,))
 
     def _flat(self, array: Rows, lead: Dims) -> tuple[int, int]:
-        """Returns a stored node with the numbers at an index, and where they begin."""
+        """Returns a stored node with the numbers of an array at leading indices `lead`.
+
+        Returns:
+            The stored node, and the flat index in it at which the numbers begin.
+        """
         rest = array.shape[len(lead) :]
         loops = tuple(axis - len(lead) for axis in array.loops)
         nodes = array.nodes[lead]
@@ -397,7 +423,10 @@ class Layout:
     def views(
         self, stored: tuple[int, int], shape: Dims, loops: Dims, kind: str
     ) -> Rows:
-        """Returns an array stored in a node from some place on."""
+        """Returns an array whose nodes are views of a stored node, in row-major order.
+
+        `stored` is the node, and the flat index in it at which the numbers begin.
+        """
         node, base = stored
         strides = row_major(shape)
         nodes = np.empty(_unrolled(shape, loops), np.int64)
@@ -410,7 +439,7 @@ class Layout:
 
 
 def long_axes(shape: Dims) -> Dims:
-    """Returns the axes that are loops by their length."""
+    """Returns the axes that are long enough to be loops."""
     return tuple(axis for axis, n in enumerate(shape) if n >= SHORTEST_LOOP)
 
 

@@ -1,6 +1,7 @@
-"""Kernels of rows: all steps of one scene after the other, as LLVM IR.
+"""Kernels of rows: LLVM IR that runs all steps of one scene after another.
 
-The number of steps and of scenes are arguments, so that one kernel serves all of them.
+The number of steps and of scenes are arguments, so one kernel serves any number of
+them.
 """
 
 from __future__ import annotations
@@ -28,16 +29,16 @@ from jaxrod.lanes.run_spec import Ends, LoopBody, RunSpec, adjoint_body
 ALIGNMENT = 64
 """Alignment of regions and of stored nodes [bytes]."""
 GIVEN = "ptr %scratch, ptr %fixed"
-"""First arguments of all functions of a kernel."""
+"""LLVM text of the first arguments of `@step` and `@adjoint`."""
 MOST_LINES = 400_000
-"""Length of the longest program that is compiled."""
+"""Largest number of LLVM lines of a kernel; a longer program is refused."""
 
 
 class Storage:
-    """A region of the workspace that holds arrays one after another."""
+    """A region of the workspace, in which arrays are allocated one after another."""
 
     def __init__(self, pointer: str, alignment: int = ALIGNMENT) -> None:
-        """Makes an empty region.
+        """Creates an empty region.
 
         Args:
             pointer: Name of its pointer.
@@ -46,46 +47,50 @@ class Storage:
         self.pointer, self.alignment, self.size = pointer, alignment, 0
 
     def give(self, kind: str, count: int) -> Place:
-        """Allocates an array."""
+        """Allocates `count` numbers of a type, and returns their memory location."""
         place = Place(self.pointer, self.size)
         size = max(count, 1) * BYTES[kind]
         self.size += -(-size // self.alignment) * self.alignment
         return place
 
     def all(self, avals: Sequence[Any]) -> list[Place]:
-        """Allocates arrays of these types."""
+        """Allocates arrays of given types, and returns their memory locations."""
         return [self.give(kind_of(aval), math.prod(aval.shape)) for aval in avals]
 
 
 class Reverse(NamedTuple):
-    """A step backwards, which reads the carry before the step and its cotangents."""
+    """A reversed step (vector-Jacobian product), and the memory of its cotangents."""
 
     avals: Sequence[Any]
-    """Types of the cotangents of the carry, then of the moving constants."""
+    """Types of the cotangents: of the carry, then of the constants that have
+    tangents."""
     n_seeds: int
-    """Number of arrays that are given; the others are sums that begin at zero."""
+    """Number of cotangents of the carry. Those of constants are sums over the steps,
+    which begin at zero."""
     before: Storage
-    """Region of the cotangents that are read."""
+    """Region of the cotangents that the reversed step reads."""
     places: list[Place]
-    """Places of the cotangents in it, and in the region that is written."""
+    """Locations of the cotangents in `before`; the offsets in the region that is
+    written are the same."""
     step: list[Goal]
-    """Goals of the step."""
+    """Nodes of the next carry, with the locations where they are written."""
     back: list[Goal]
-    """Goals of the step backwards."""
+    """Nodes of the cotangents before the step, with the locations where they are
+    written."""
 
 
 class RowPlan:
-    """Memory and functions of a kernel of rows."""
+    """Memory and LLVM functions of a kernel for scenes one by one, being written."""
 
     alignment = ALIGNMENT
     """Alignment of arrays in memory [bytes]."""
 
     def __init__(self, body: LoopBody, batched: Sequence[bool]) -> None:
-        """Translates a step.
+        """Translates a step to a graph, and allocates its constants and carry.
 
         Args:
             body: The step.
-            batched: Whether each constant has a row for each scene.
+            batched: Whether each constant differs between scenes (a leading axis).
         """
         self.body = body
         self.graph = RowGraph()
@@ -105,7 +110,7 @@ class RowPlan:
         self.made = self.unroller.run(body.closed, self.inputs)
         self.scratch = 0
         self.lasting: dict[int, Place] = {}
-        """Places of nodes with constant fill between their pieces."""
+        """Locations of the joined nodes whose fill is written once for each scene."""
         self.texts: list[str] = []
         self.declared: set[str] = {
             "declare i64 @llvm.smin.i64(i64, i64)",
@@ -117,29 +122,38 @@ class RowPlan:
         self.lines = 0
 
     def storage(self, pointer: str) -> Storage:
-        """Returns an empty region."""
+        """Returns an empty region of the workspace, with the name of its pointer."""
         return Storage(pointer, self.alignment)
 
     def rate(self, which: int) -> int:
-        """Returns the rate at which operand number `which` of the step changes."""
+        """Returns the rate at which operand number `which` of the step changes.
+
+        It is `FIXED` for a constant and `VARYING` for an array of the carry.
+        """
         return FIXED if which < self.n_constants else VARYING
 
     def places_of_constants(self) -> list[Place]:
-        """Returns the places from which constants are read."""
+        """Allocates the constants, and returns their memory locations."""
         return self.fixed.all(self.constants)
 
     def input(self, which: int, aval: Any, rate: int) -> Rows:
-        """Returns the array of operand number `which`."""
+        """Adds input array number `which` to the graph, and returns it as rows.
+
+        `rate` is its rate of change: `UNIFORM`, `FIXED` or `VARYING`.
+        """
         return self.unroller.input(which, aval, rate)
 
     def stand(self, first: int, places: Sequence[Place]) -> None:
-        """Records where input arrays are stored, from number `first` on."""
+        """Records the memory locations of input arrays, from number `first` on."""
         for node, (which, _) in self.graph.places.items():
             if first <= which < first + len(places):
                 self.ready[node] = places[which - first]
 
     def goals(self, arrays: Sequence[Rows], places: Sequence[Place]) -> list[Goal]:
-        """Returns the goals that write arrays to places, in the order of their axes."""
+        """Returns the nodes of arrays, each with the memory location for its numbers.
+
+        `places` has the location of each array, which is written in row-major order.
+        """
         goals = []
         for array, place in zip(arrays, places, strict=True):
             strides = row_major(array.shape)
@@ -150,7 +164,7 @@ class RowPlan:
         return goals
 
     def reverse(self, moving: Sequence[bool]) -> Reverse:
-        """Translates a step backwards.
+        """Translates the vector-Jacobian product of the step.
 
         Args:
             moving: Whether each constant has a tangent.
@@ -172,7 +186,10 @@ class RowPlan:
         return Reverse(avals, n_seeds, before, places, next_carry(self), back)
 
     def hoist(self, goals: Sequence[Goal]) -> None:
-        """Writes the function that computes values that are the same in all steps."""
+        """Writes the function `@fixed`, which computes values that all steps share.
+
+        Only values that the goals need are computed.
+        """
         graph = self.graph
         self.know_data()
         nodes = hoisted(graph, [goal.node for goal in goals], self.ready)
@@ -181,13 +198,16 @@ class RowPlan:
         self.function("fixed", [], ["%fixed"], nodes)
 
     def room_for(self, node: int, storage: Storage) -> Place:
-        """Allocates a place for a node."""
+        """Allocates memory for the numbers of a node, and returns its location.
+
+        A scatter gets one number more, to which dropped numbers are written.
+        """
         graph = self.graph
         more = 1 if graph.operations[node] == "scatter" else 0
         return storage.give(graph.kinds[node], math.prod(graph.dims[node]) + more)
 
     def know_data(self) -> None:
-        """Writes known arrays as constants of the module."""
+        """Writes arrays of known numbers as constants of the LLVM module."""
         graph = self.graph
         for i, (node, numbers) in enumerate(graph.data.items()):
             kind = graph.kinds[node]
@@ -208,10 +228,13 @@ class RowPlan:
         pointers: Sequence[str],
         stored: Sequence[int] = (),
     ) -> None:
-        """Writes a function that computes goals.
+        """Writes an LLVM function that computes nodes and stores them.
+
+        They are the nodes of the goals, and those in `stored`, whose locations are
+        known.
 
         Raises:
-            NotUnrolled: It is too long.
+            NotUnrolled: The kernel is too long.
         """
         lasting = self.lasting_place if goals else None
         schedule = Schedule(
@@ -228,11 +251,15 @@ class RowPlan:
             raise NotUnrolled(f"a program of more than {MOST_LINES} lines is too long")
 
     def writer(self, schedule: Schedule) -> RowWriter:
-        """Returns the writer of a function."""
+        """Returns the writer of an LLVM function that runs a schedule."""
         return RowWriter(self.graph, schedule, vector_bytes())
 
     def lasting_place(self, node: int) -> Place:
-        """Returns the place of a node whose fill is written once for each scene."""
+        """Returns the location of a joined node with constant fill.
+
+        It is allocated at the first call. The fill is written there once for each
+        scene.
+        """
         place = self.lasting.get(node)
         if place is None:
             place = self.room_for(node, self.fixed)
@@ -240,12 +267,18 @@ class RowPlan:
         return place
 
     def lasting_fills(self) -> str:
-        """Writes the function that writes the fill between pieces."""
+        """Returns LLVM IR of the function `@fills`, called once for each scene.
+
+        It writes the fill of joined nodes whose fill is a constant.
+        """
         body = "\n".join(["entry:", *self.fill_calls(""), "ret void"])
         return f"define internal void @fills(ptr %fixed) noinline {{\n{body}\n}}\n"
 
     def fill_calls(self, given: str) -> list[str]:
-        """Writes calls that write the fill; `given` is their first arguments."""
+        """Returns LLVM calls that write the fill of joined nodes.
+
+        `given` is the LLVM text of the first arguments of each call.
+        """
         graph, lines = self.graph, []
         for node, place in self.lasting.items():
             kind, value = graph.kinds[node], graph.value(graph.arguments[node][-1])
@@ -258,7 +291,11 @@ class RowPlan:
         return lines
 
     def module(self, per_scene: str, n_operands: int, n_results: int) -> str:
-        """Writes the whole module except for the handler through which XLA calls it."""
+        """Returns the LLVM module of the kernel, without the handler that XLA calls.
+
+        `per_scene` is the LLVM IR that runs for each scene, once its constants are
+        loaded.
+        """
         functions, more = elementary_texts(self.needs)
         self.texts.append(self.lasting_fills())
         texts = [*map(fill_text, sorted(self.fills)), *functions, *self.texts]
@@ -301,7 +338,11 @@ ret void
     def fetch(
         self, operand: int, aval: Any, place: Place, batched: bool, row: str = "%scene"
     ) -> str:
-        """Writes a copy of an operand to its place; `row` is its row of the batch."""
+        """Returns LLVM IR that copies one operand of the kernel to the workspace.
+
+        `aval` is the type for one scene. If the operand is batched, `row` is the index
+        along its leading axis.
+        """
         size = math.prod(aval.shape) * BYTES[kind_of(aval)]
         mark = f"%f{operand}"
         source = f"%in{operand}"
@@ -319,7 +360,10 @@ ret void
     def bring(
         self, result: int, aval: Any, place: Place, region: str, row: str = "%scene"
     ) -> str:
-        """Writes a copy from a place to a row of a result."""
+        """Returns LLVM IR that copies an array of the workspace to a row of a result.
+
+        The array has the type `aval`, and the offset of `place` in the region.
+        """
         size = math.prod(aval.shape) * BYTES[kind_of(aval)]
         mark = f"%b{result}"
         return (
@@ -335,7 +379,11 @@ ret void
 def cycles_kernel(
     body: LoopBody, batched: tuple[bool, ...], *, checkpoints: bool
 ) -> Kernel:
-    """Writes the kernel that repeats a step; see `lanes.llvm.kernel.step_kernel`."""
+    """Returns the kernel that repeats a step, for one scene after another.
+
+    Operands and results are those of `lanes.llvm.kernel.step_kernel`. `batched` tells
+    which constants differ between scenes.
+    """
     plan = RowPlan(body, batched)
     goals = next_carry(plan)
     plan.hoist(goals)
@@ -372,7 +420,11 @@ def cycles_kernel(
 
 @lru_cache(maxsize=64)
 def whole_run_kernel(body: LoopBody, ends: Ends, batched: tuple[bool, ...]) -> Kernel:
-    """Writes the kernel of a whole run; see `lanes.llvm.kernel.run_kernel`."""
+    """Returns the kernel of a whole run, for one scene after another.
+
+    Operands and results are those of `lanes.llvm.kernel.run_kernel`. `batched` tells
+    which constants differ between scenes.
+    """
     plan = RowPlan(body, batched)
     n = plan.n_constants
     avals = ends.given[n:]
@@ -417,7 +469,11 @@ call void @end(ptr %scratch, ptr %fixed, ptr %now1, ptr %made)
 def back_kernel(
     body: LoopBody, moving: tuple[bool, ...], batched: tuple[bool, ...]
 ) -> Kernel:
-    """Writes the kernel of the reverse pass; see `lanes.llvm.kernel.adjoint_kernel`."""
+    """Returns the kernel of the reverse pass, for one scene after another.
+
+    Operands and results are those of `lanes.llvm.kernel.adjoint_kernel`. `moving` tells
+    which constants have tangents, `batched` which constants differ between scenes.
+    """
     plan = RowPlan(body, batched)
     n = plan.n_constants
     avals, n_seeds, before, before_places, step, back = plan.reverse(moving)
@@ -453,13 +509,17 @@ call void @llvm.memset.p0.i64(ptr %back0, i8 0, i64 {before.size}, i1 false)
 
 
 def next_carry(plan: RowPlan) -> list[Goal]:
-    """Returns the goals that write the next carry."""
+    """Returns the nodes of the next carry, each with its memory location."""
     then = [Place("%then", place.offset) for place in plan.carry_places]
     return plan.goals(plan.made, then)
 
 
 def _pointers(plan: RowPlan, **sizes: int) -> tuple[str, int]:
-    """Writes pointers to regions after `%fixed`; returns the size of the workspace."""
+    """Returns LLVM IR of pointers to regions of given sizes that follow `%fixed`.
+
+    Returns:
+        The text, and the size of the workspace up to the last region [bytes].
+    """
     start, lines = plan.scratch + plan.fixed.size, []
     for name, size in sizes.items():
         lines.append(f"%{name} = getelementptr i8, ptr %room, i64 {start}\n")

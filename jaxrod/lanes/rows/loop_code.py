@@ -1,6 +1,6 @@
-"""Loops of a schedule as LLVM IR.
+"""LLVM IR of the loops of a schedule.
 
-A loop goes through a row in vectors. The last vector of a row ends with the row: it
+A loop processes a row in vectors. The last vector of a row ends with the row: it
 begins early and computes some numbers again, so that no load or store is outside the
 row. Outer axes are loops around it. Values that do not change in a loop are computed
 before it.
@@ -20,19 +20,20 @@ Lines = list[str]
 
 
 class RowWriter(Writer):
-    """Writer of a function that runs the loops of a schedule."""
+    """Writer of an LLVM function that runs the loops of a schedule."""
 
     graph: RowGraph
     attributes = "noinline nounwind alignstack(64)"
-    """Attributes of the function."""
+    """LLVM attributes of the function."""
     given = ""
-    """First arguments of the functions that it calls."""
+    """LLVM text of the first arguments in calls of fill functions; empty without
+    any."""
 
     def __init__(self, graph: RowGraph, schedule: Schedule, vector_bytes: int) -> None:
-        """Begins a function.
+        """Begins an LLVM function without lines.
 
         Args:
-            graph: The graph.
+            graph: The graph of rows.
             schedule: Loops of the function.
             vector_bytes: Size of a vector register [bytes].
         """
@@ -40,53 +41,55 @@ class RowWriter(Writer):
         self.schedule, self.vector_bytes = schedule, vector_bytes
         self.count = 0
         self.numbers: dict[int, str] = {}
-        """Names of single numbers, which are known in all later loops."""
+        """Names of single numbers, by node; they can be used in all later loops."""
         self.spreads: dict[tuple[int, int], str] = {}
-        """Names of single numbers in every lane, in this loop."""
+        """Names of vectors with one number in every lane, by node and width, in this
+        loop."""
         self.before: list[Lines] = [[]]
-        """Lines before each loop of a nest, from the outermost on; then its body."""
+        """Lines before each loop of a nest, from the outermost loop on; then the body
+        of the innermost."""
         self.behind: list[Lines] = [[]]
-        """Lines after each inner loop of a nest."""
+        """Lines after each loop of a nest, from the outermost loop on."""
         self.dims: Dims = ()
         self.indices: list[str] = []
         self.fills: set[str] = set()
-        """Types of numbers for which a fill function is needed."""
+        """LLVM types of numbers for which a fill function is needed."""
 
     def text(self, name: str, pointers: Sequence[str]) -> str:
-        """Writes the whole function."""
+        """Returns the LLVM function with all loops; `pointers` are its arguments."""
         whole: Lines = []
         for number, loop in enumerate(self.schedule.loops):
             whole += self._loop(number, loop)
         return self.function(name, pointers, whole)
 
     def function(self, name: str, pointers: Sequence[str], lines: Lines) -> str:
-        """Writes a function with these lines."""
+        """Returns an LLVM function with these lines; `pointers` are its arguments."""
         given = ", ".join(f"ptr noalias nocapture {p}" for p in pointers)
         head = f"define internal void @{name}({given}) {self.attributes} {{"
         return "\n".join([head, "entry:", *lines, "ret void", "}", ""])
 
     def synchronise(self) -> None:
-        """Appends a line that waits until all stores before it can be read."""
+        """Appends a barrier for all threads; nothing here, as there is one thread."""
 
     def one_by_one(self, name: str, write: Callable[[], None]) -> None:
-        """Writes code that changes numbers in memory which it also reads.
+        """Appends code that updates memory, which only one thread may run.
 
         Args:
             name: Beginning of the labels of the code.
-            write: Function that writes it.
+            write: Function that appends the code.
         """
         del name
         write()
 
     def new(self, text: str) -> str:
-        """Appends a line that computes a value, and returns its name."""
+        """Appends a line that computes the expression `text`; returns its name."""
         self.count += 1
         name = f"%v{self.count}"
         self.lines.append(f"{name} = {text}")
         return name
 
     def value(self, node: int) -> str:
-        """Returns the name of a node's value in the loop that is being written."""
+        """Returns the name of a node's value (a vector) in the loop being written."""
         graph = self.graph
         known = graph.value(node)
         if known is not None:
@@ -101,7 +104,7 @@ class RowWriter(Writer):
         return name
 
     def _number(self, node: int) -> str:
-        """Returns the name of a single number; it is loaded if it is stored."""
+        """Returns the name of a single number, which is loaded if it is in memory."""
         name = self.numbers.get(node)
         if name is not None:
             return name
@@ -125,7 +128,7 @@ class RowWriter(Writer):
         return name
 
     def _read(self, node: int) -> str:
-        """Reads a view, an index, or a stored node of the dims of this loop."""
+        """Appends the load of a view or stored node, or an index; returns its name."""
         graph, schedule = self.graph, self.schedule
         operation = graph.operations[node]
         kind = graph.kinds[node]
@@ -168,7 +171,10 @@ class RowWriter(Writer):
         return self.new(f"getelementptr i8, ptr {place.pointer}, i64 {place.offset}")
 
     def address(self, place: Place, base: int, strides: Dims, kind: str) -> str:
-        """Writes the address of the first lane at the indices of the loops."""
+        """Appends the address of an array's entry in the first lane; returns its name.
+
+        The flat index is `base`, plus loop index times stride, summed over the loops.
+        """
         size = BYTES[kind]
         at = self.new(
             f"getelementptr i8, ptr {place.pointer}, i64 {place.offset + base * size}"
@@ -188,7 +194,13 @@ class RowWriter(Writer):
         return self.new(f"icmp ne i8 {found}, 0") if kind == "b1" else found
 
     def _load(self, place: Place, base: int, strides: Dims, kind: str) -> str:
-        """Loads numbers in the outermost loop in which they do not change."""
+        """Appends the load of a vector, outside all loops whose index it does not need.
+
+        The flat index is that of `address`.
+
+        Returns:
+            The name of the vector.
+        """
         deepest = max(
             (axis for axis, stride in enumerate(strides) if stride), default=-1
         )
@@ -276,7 +288,7 @@ class RowWriter(Writer):
         return self._nest(number, loop)
 
     def _straight(self, loop: Loop) -> Lines:
-        """Writes the operations on single numbers of a level."""
+        """Returns the lines of all operations on single numbers in one level."""
         self.width, self.dims, self.indices = 1, (), []
         lines: Lines = []
         self.lines = lines
@@ -323,7 +335,7 @@ class RowWriter(Writer):
         self._store(self.value(goal.node), place, piece.base, piece.strides, kind)
 
     def _width_of(self, loop: Loop) -> int:
-        """Lanes of the vectors of a loop: as many as fit, at most the row's length."""
+        """Lanes of the vectors of a loop: as many as fit a register and the row."""
         kinds = {self.graph.kinds[node] for node in (*loop.nodes, *loop.reductions)}
         kinds |= {self.graph.kinds[goal.node] for goal in loop.goals}
         widest = max((BYTES[kind] for kind in kinds), default=4)
@@ -331,7 +343,7 @@ class RowWriter(Writer):
         return min(lanes, 1 << (loop.dims[-1].bit_length() - 1))
 
     def _nest(self, number: int, loop: Loop) -> Lines:
-        """Writes a loop over a row, and the loops around it."""
+        """Returns the lines of a loop over a row, and of the loops around it."""
         graph, schedule = self.graph, self.schedule
         dims = self.dims = loop.dims
         depth = len(dims)
@@ -405,14 +417,14 @@ class RowWriter(Writer):
     def innermost(
         self, mark: str, latch: str, length: int, phis: Lines, body: Lines
     ) -> Lines:
-        """Writes the loop over a row.
+        """Returns the lines of a loop over a row, in vectors.
 
         Args:
             mark: Label of the loop.
             latch: Label of the last block of its body.
             length: Length of the row.
-            phis: Lines that begin each round.
-            body: Lines of a round, after them.
+            phis: LLVM `phi` lines, at the beginning of each round.
+            body: Other lines of a round.
         """
         return [
             f"br label %{mark}_pre",
@@ -433,21 +445,21 @@ class RowWriter(Writer):
         ]
 
     def latch(self, mark: str) -> str:
-        """Returns the label of the last block of a loop that has reductions."""
+        """Returns the label of the last block in the body of a loop with reductions."""
         return mark
 
     def after_loop(self, before: str, after: str) -> str:
-        """Returns the name of a total once the loop over a row is done.
+        """Returns the name of a reduction's total after the loop over a row.
 
         Args:
-            before: Total before the last round.
-            after: Total after it.
+            before: Name of the total at the beginning of a round.
+            after: Name of the total at the end of a round.
         """
         del before
         return after
 
     def _anywhere(self, mask: str) -> str:
-        """Returns the name of a boolean: whether a mask is true in some lane."""
+        """Appends a test whether a mask is true in some lane; returns its name."""
         if self.width == 1:
             return mask
         many = self.type("b1")
@@ -463,7 +475,16 @@ class RowWriter(Writer):
         phis: Lines,
         finish: list[Callable[[], None]],
     ) -> None:
-        """Writes a reduction: in registers along the row, in memory around it."""
+        """Appends a reduction: along the row in registers, along outer axes in memory.
+
+        Args:
+            node: Node of the reduction.
+            mark: Label of the loop over the row.
+            rounds: Number of vectors in the row.
+            phis: List to which the loop's `phi` line is added.
+            finish: List to which a function is added that appends the lines after the
+                loop.
+        """
         graph, schedule, dims = self.graph, self.schedule, self.dims
         operation, axes = graph.extras[node]
         (source,) = graph.arguments[node]
@@ -564,7 +585,11 @@ class RowWriter(Writer):
         self.width, self.indices = width, indices
 
     def _without_repeats(self, value: str, mark: str, operation: str, kind: str) -> str:
-        """Leaves out lanes of the last vector that overlap with the previous vector."""
+        """Replaces lanes that the previous vector contains too by the identity element.
+
+        The last vector of a row overlaps with the one before if the width does not
+        divide the length of the row.
+        """
         many = f"<{self.width} x i64>"
         over = self.new(f"sub i64 %c_{mark}, %i_{mark}")
         first = self.new(f"insertelement {many} poison, i64 {over}, i64 0")
@@ -576,7 +601,7 @@ class RowWriter(Writer):
         return self._select([fresh, value, none], kind)
 
     def _combined(self, operation: str, a: str, b: str, kind: str) -> str:
-        """Combines two values, as the operation of the graph does."""
+        """Appends the operation of a reduction on two values; returns the name."""
         if operation in ("min", "max"):
             return self._extreme(operation, (-1, -1), [a, b], kind)
         if kind[0] == "f":
@@ -584,13 +609,15 @@ class RowWriter(Writer):
         return self._whole(operation, [a, b], kind)
 
     def across(self, operation: str, value: str, kind: str, rounds: int) -> str:
-        """Combines the lanes of a vector, halves with halves.
+        """Appends the reduction of a vector to one number; returns its name.
+
+        Halves of the vector are combined, then halves of the result, and so on.
 
         Args:
             operation: Operation that combines two numbers.
-            value: The vector.
-            kind: Kind of the numbers.
-            rounds: Number of vectors in the loop.
+            value: Name of the vector.
+            kind: Type of the numbers, such as `"f32"`.
+            rounds: Number of vectors in the row.
         """
         del rounds
         width = self.width
@@ -617,7 +644,7 @@ class RowWriter(Writer):
         return value
 
     def _scatters(self, number: int, loop: Loop) -> Lines:
-        """Writes scatters with the same indices, one number after the other."""
+        """Returns the lines of scatters with the same indices, number by number."""
         graph, schedule = self.graph, self.schedule
         self.width, self.dims = 1, ()
         self.names, self.spreads, self.indices = {}, {}, []
@@ -674,7 +701,7 @@ class RowWriter(Writer):
             self.lines.append(
                 f"store {one} {number_}, ptr {target}, align {BYTES[kind]}"
             )
-        # A number loaded in a round that may be skipped is not known after it.
+        # Numbers loaded in a round that may be skipped are undefined after it.
         self.numbers = numbers
         self.lines = lines
         self.one_by_one(
@@ -699,13 +726,13 @@ class RowWriter(Writer):
         return lines
 
     def copy(self, to: str, source: str, count: int, kind: str) -> None:
-        """Writes a copy of numbers in memory.
+        """Appends a copy of numbers from memory to memory.
 
         Args:
-            to: Pointer to which they are copied.
-            source: Pointer from which they are copied.
-            count: Number of entries.
-            kind: Their kind.
+            to: Name of the pointer to which they are copied.
+            source: Name of the pointer from which they are copied.
+            count: Count of numbers.
+            kind: Type of the numbers, such as `"f32"`.
         """
         size = count * BYTES[kind]
         self.declared.add("declare void @llvm.memcpy.p0.p0.i64(ptr, ptr, i64, i1)")
@@ -715,7 +742,7 @@ class RowWriter(Writer):
         )
 
     def stored_number(self, node: int) -> str:
-        """Returns the number of a row at the index of a loop around it."""
+        """Returns the name of a node's number at the loop index, or its literal."""
         graph = self.graph
         known = graph.value(node)
         if known is not None:
@@ -724,14 +751,14 @@ class RowWriter(Writer):
 
 
 def fill_call(number: str, place: Place, kind: str, fill: Fill, given: str = "") -> str:
-    """Writes a call that repeats a number in memory; booleans are bytes already.
+    """Returns LLVM IR of a call that writes one number to many entries of an array.
 
     Args:
-        number: Name of the number, or its text.
-        place: Place of the array.
-        kind: Kind of the number.
-        fill: Part of the array that is filled.
-        given: First arguments of the function.
+        number: Name of the number, or its text; booleans are bytes.
+        place: Memory location of the array.
+        kind: Type of the number, such as `"f32"`.
+        fill: Entries that are written.
+        given: LLVM text of the first arguments of the call.
     """
     one, size = ("i8", 1) if kind == "b1" else (TYPES[kind], BYTES[kind])
     at = place.offset + fill.first * size
@@ -742,7 +769,11 @@ def fill_call(number: str, place: Place, kind: str, fill: Fill, given: str = "")
 
 
 def fill_text(one: str) -> str:
-    """Writes a function that repeats a number in memory, in runs."""
+    """Returns LLVM IR of a function that writes one number to runs of entries.
+
+    Run j begins at entry j times `%stride` and has `%count` entries. `one` is the LLVM
+    type of the number.
+    """
     return f"""
 define internal void @fill_{one}(ptr %to, i64 %offset, {one} %number, i64 %count,
     i64 %runs, i64 %stride) nounwind {{

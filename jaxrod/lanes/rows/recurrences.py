@@ -1,8 +1,8 @@
-"""Loops along a row whose rounds need the one before: `scan` of a few numbers.
+"""Loops along a row in which each round needs the one before: `scan` of a few numbers.
 
 Each round does arithmetic on numbers, or on short vectors of equal length, entry by
 entry. It is compiled once, as the body of a loop that holds the carry in registers. A
-node `recurrence` stores the last carry, and then what each round makes.
+node `recurrence` stores the last carry, followed by the results of all rounds.
 """
 
 from __future__ import annotations
@@ -26,31 +26,35 @@ Lines = list[str]
 
 @dataclass(frozen=True, eq=False)
 class Recurrence:
-    """A loop along rows.
+    """A `scan` that is compiled as a loop along rows, with its carry in registers.
 
-    The arguments of its node are, for each array and each lane, numbers (constants and
-    carry) and rows.
+    The graph node of a recurrence has an argument for each operand of the scan
+    (constants, carry, rows) and for each entry of its vectors.
     """
 
     graph: RowGraph
-    """Graph of a round."""
+    """Graph of one round."""
     inputs: Sequence[int]
-    """Nodes of its inputs: constants, carry, and an entry of each row."""
+    """Nodes of the inputs of a round: constants, carry, and one entry of each row."""
     outputs: Sequence[int]
-    """Nodes of the next carry, and of what a round makes."""
+    """Nodes of the outputs of a round: the next carry, then one entry of each
+    result."""
     n_constants: int
     n_carry: int
     length: int
     """Number of rounds."""
     backwards: bool
-    """Whether the first round is that of the last entries."""
+    """Whether the loop begins with the last entries of the rows."""
     lanes: int
-    """Length of the vectors."""
+    """Length of the vectors that a round computes with; 1 for single numbers."""
     kind: str
-    """Kind of all numbers."""
+    """Type of all numbers, such as `"f32"`."""
 
     def stored_at(self, output: int) -> int:
-        """Place of the first number of an output in the stored node."""
+        """Flat index in the stored node at which an output begins.
+
+        The outputs are the arrays of the last carry, then the results of all rounds.
+        """
         if output < self.n_carry:
             return output * self.lanes
         made = output - self.n_carry
@@ -58,7 +62,12 @@ class Recurrence:
 
 
 def recurrence(unroller: Any, scan: Scan, arrays: Sequence[Rows]) -> list[Rows] | None:
-    """Returns the results of a loop as a recurrence, or `None` if it is not one."""
+    """Returns the results of a `scan` that is compiled as one loop along rows.
+
+    Returns:
+        The last carry, then the stacked results. `None` if a round does other things
+        than arithmetic on numbers or short vectors of one type and length.
+    """
     body = scan.body
     avals = [*operand_types(body), *result_types(body)]
     shapes, kinds = {aval.shape for aval in avals}, {kind_of(aval) for aval in avals}
@@ -118,7 +127,10 @@ def _results(unroller: Any, made: Recurrence, arrays: Sequence[Rows]) -> list[Ro
 
 
 def _of_lane(layout: Any, array: Rows, lane: int, rows: int) -> int:
-    """Returns the node of the numbers of an array in one lane; `rows` is 1 for rows."""
+    """Returns the node of vector entry `lane` of an operand of a scan.
+
+    `rows` is 1 if the operand is scanned along its leading axis, otherwise 0.
+    """
     graph = layout.graph
     if len(array.shape) > rows:
         start = [0] * rows + [lane]
@@ -136,7 +148,7 @@ def _of_lane(layout: Any, array: Rows, lane: int, rows: int) -> int:
 
 
 class _RoundWriter(Writer):
-    """Writer of a round, into the lines of a function."""
+    """Writer of one round of a recurrence, which appends to another writer's lines."""
 
     def __init__(self, graph: RowGraph, lanes: int, outer: Any) -> None:
         super().__init__(graph, lanes, lambda writer, node: None)
@@ -148,12 +160,12 @@ class _RoundWriter(Writer):
 
 
 def write_recurrence(writer: Any, number: int, node: int) -> Lines:
-    """Returns the lines of a recurrence.
+    """Returns LLVM IR of the loop of a recurrence.
 
     Args:
         writer: Writer of the function.
-        number: Number of the loop.
-        node: The node.
+        number: Number of the loop, for its labels.
+        node: Node of the recurrence.
     """
     graph, schedule = writer.graph, writer.schedule
     made: Recurrence = graph.extras[node]
@@ -225,7 +237,10 @@ def write_recurrence(writer: Any, number: int, node: int) -> Lines:
 
 
 def _vector(writer: Any, nodes: Sequence[int], many: str) -> str:
-    """Writes a vector of the numbers of nodes at the index of the loop."""
+    """Appends lines that load or assemble a vector; returns its name.
+
+    Its entries are the numbers of nodes at the index of the loop.
+    """
     graph, kind = writer.graph, writer.graph.kinds[nodes[0]]
     if len(nodes) == 1:
         return writer.stored_number(nodes[0])

@@ -1,14 +1,14 @@
-"""Graphs of rows: each node is a number, a row, or a table of numbers.
+"""Graphs of rows: each node is a number, a row of numbers or a table.
 
-A node has *dims*, the lengths of the loops that compute it: none for a single number,
-one for a row, two for a table. A single number serves wherever a row is expected. Nodes
-that move numbers are
+The *dims* of a node are the lengths of the loops that compute it: none for a single
+number, one for a row, two for a table. A single number can take the place of a row in
+any operation. A *stored* node is an array in memory. Nodes that move numbers are
 
-- `view`: reads a stored node at places that are affine in the loop indices;
+- `view`: reads a stored node at positions that are affine in the loop indices;
 - `joined`: a stored node, put together from pieces;
-- `gather`: reads a stored node at computed places;
-- `scatter`: a stored node to which numbers are added at computed places;
-- `recurrence`: a stored node of what a loop along rows makes;
+- `gather`: reads a stored node at computed indices;
+- `scatter`: a stored node into which numbers are combined at computed indices;
+- `recurrence`: a stored node with the results of a loop along rows;
 - `reduce`: a node reduced along some of its axes;
 - `iota`: the index along an axis.
 """
@@ -29,17 +29,18 @@ Dims = tuple[int, ...]
 
 @dataclass(frozen=True)
 class Piece:
-    """A part of a stored node: the places where another node is written."""
+    """Flat indices in a stored node at which another node is written."""
 
     base: int
-    """Place of the first number, in numbers."""
+    """Flat index of the first position."""
     strides: Dims
-    """Distance between the places of neighbours along each axis of the other node."""
+    """Distance in the flat index between neighbours along each axis of the written
+    node."""
     dims: Dims
-    """Lengths of the loops that write it."""
+    """Shape of the written node, the lengths of the loops that write it."""
 
     def places(self) -> np.ndarray:
-        """Places of all its numbers."""
+        """Flat indices of all positions, in the order of the written node."""
         at = np.full(self.dims, self.base, np.int64)
         for axis, (length, stride) in enumerate(
             zip(self.dims, self.strides, strict=True)
@@ -52,25 +53,25 @@ class Piece:
 
 @dataclass(frozen=True)
 class Move:
-    """Motion of an axis of a view through the node that it reads."""
+    """Path of one axis of a view through the array that the view reads."""
 
     axis: int | None
-    """Axis of that node; `None` for an axis along which the view repeats."""
+    """Axis of the array that is read; `None` if the view repeats its numbers."""
     step: int = 1
-    """Distance of neighbours along that axis."""
+    """Increment of the index along that axis for each number of the view."""
 
 
 class RowGraph(Graph):
-    """Nodes of a program of rows, in the order in which they were made."""
+    """Operations on numbers and rows, as numbered nodes in the order of creation."""
 
     def __init__(self) -> None:
-        """Makes an empty graph."""
+        """Creates an empty graph."""
         super().__init__()
         self.dims: list[Dims] = []
         self.extras: dict[int, Any] = {}
-        """Details of an operation, by node: places, pieces, axes."""
+        """Parameters of an operation by node, such as axes, pieces or strides."""
         self.data: dict[int, np.ndarray] = {}
-        """Known numbers of stored nodes."""
+        """Known numbers of arrays of constants, by node."""
 
     def _new(
         self, operation: str, arguments: tuple[int, ...], kind: str, rate: int
@@ -93,7 +94,11 @@ class RowGraph(Graph):
         extra: Any,
         rate: int | None = None,
     ) -> int:
-        """Returns the node of an operation that moves numbers; it may exist already."""
+        """Returns the node of an operation that moves numbers, which may exist already.
+
+        `extra` has the parameters of the operation. The rate is by default the highest
+        of the arguments.
+        """
         key = (operation, arguments, kind, dims, extra)
         node = self._known.get(key)
         if node is None:
@@ -106,20 +111,26 @@ class RowGraph(Graph):
         return node
 
     def array(self, which: int, size: int, kind: str, rate: int) -> int:
-        """Returns the stored node of input array number `which`."""
+        """Returns the node of input array number `which`, a row of numbers in memory.
+
+        `rate` is its rate of change: `UNIFORM`, `FIXED` or `VARYING`.
+        """
         node = self.place("input", (), kind, (size,), which, rate)
         self.places[node] = (which, 0)
         return node
 
     def known_array(self, numbers: np.ndarray, kind: str) -> int:
-        """Returns the stored node of an array of known numbers."""
+        """Returns the node of an array of known numbers, a row in memory."""
         flat = np.ascontiguousarray(numbers).reshape(-1)
         node = self.place("data", (), kind, (flat.size,), flat.tobytes(), 1)
         self.data[node] = flat
         return node
 
     def view(self, node: int, dims: Dims, base: int, strides: Dims) -> int:
-        """Returns a view of a stored node, by its places in memory."""
+        """Returns a node of shape `dims` that reads a stored node at regular positions.
+
+        Entry (i, j, ...) is read at flat index base + i strides[0] + j strides[1] + ...
+        """
         own = self.dims[node]
         if dims == own and base == 0 and strides == row_major(own):
             return node
@@ -128,7 +139,10 @@ class RowGraph(Graph):
     def taken(
         self, node: int, start: Sequence[int], moves: Sequence[Move], dims: Dims
     ) -> int:
-        """Returns a node read along its own axes.
+        """Returns a node that reads another at regular indices along its axes.
+
+        Its entry i along an axis with move (a, s) is read at index start[a] + s i of
+        axis a.
 
         Args:
             node: Any node.
@@ -166,9 +180,10 @@ class RowGraph(Graph):
         return made
 
     def flat(self, node: int) -> tuple[int, int]:
-        """Returns a stored node, and the place in it where the numbers of a node begin.
+        """Returns a stored node that has all numbers of a node in order, without gaps.
 
-        The numbers follow one another in the order of the node's axes.
+        Returns:
+            The stored node, and the flat index in it at which the numbers begin.
         """
         if self.operations[node] == "view":
             base, strides = self.extras[node]
@@ -184,9 +199,10 @@ class RowGraph(Graph):
     def joined(
         self, sources: Sequence[int], pieces: Sequence[Piece], dims: Dims, fill: int
     ) -> int:
-        """Returns a stored node put together from pieces, with `fill` between them.
+        """Returns a stored node put together from sources, with `fill` elsewhere.
 
-        Pieces do not overlap.
+        Each piece has the positions at which one source is written; pieces do not
+        overlap.
         """
         if len(sources) == 1:
             (source,), (piece,) = sources, pieces
@@ -202,14 +218,17 @@ class RowGraph(Graph):
         )
 
     def reduced(self, node: int, operation: str, axes: Dims) -> int:
-        """Returns a node reduced along axes."""
+        """Returns a node reduced along axes by an operation such as `"add"`."""
         own = self.dims[node]
         dims = tuple(n for axis, n in enumerate(own) if axis not in axes)
         kind = self.kinds[node]
         return self.place("reduce", (node,), kind, dims, (operation, axes))
 
     def gathered(self, table: int, base: int, index: int) -> int:
-        """Returns numbers of a stored node at places `base + index`."""
+        """Returns the numbers of the stored node `table` at computed flat indices.
+
+        They are `base` plus the numbers of the node `index`; the result has its shape.
+        """
         dims = self.dims[index]
         known = self.value(index)
         if known is not None:
@@ -225,15 +244,15 @@ class RowGraph(Graph):
         size: int,
         rounds: int,
     ) -> int:
-        """Returns a stored row with numbers combined into it, one after another.
+        """Returns a stored row into which numbers are combined, one after another.
 
         Args:
-            into: Node of the row.
-            index: Node of the places; a place equal to `size` drops its number.
+            into: Node of the row before.
+            index: Node of the indices; a number whose index is `size` is dropped.
             updates: Node of the numbers.
-            operation: Operation that combines them, or `set`.
+            operation: Operation that combines them with the row, or `"set"`.
             size: Length of the row.
-            rounds: Count of the numbers.
+            rounds: Number of indices and of numbers.
         """
         kind = self.kinds[into]
         if self.operations[into] == "view" and self.extras[into][1] not in ((1,), ()):
@@ -253,12 +272,12 @@ class RowGraph(Graph):
         return self.place("scatter", given, kind, (size,), extra)
 
     def iota(self, dims: Dims, axis: int, kind: str) -> int:
-        """Returns the index along an axis."""
+        """Returns a node whose entries are their own index along an axis."""
         return self.place("iota", (), kind, dims, axis, 0)
 
 
 def row_major(dims: Dims) -> Dims:
-    """Returns the distances of neighbours along each axis of a stored node."""
+    """Returns the strides of an array in row-major order, in numbers."""
     return tuple(math.prod(dims[axis + 1 :]) for axis in range(len(dims)))
 
 
@@ -274,7 +293,7 @@ _IDENTITY = {
 
 
 def identity(operation: str, kind: str) -> object:
-    """Returns the identity element of an operation."""
+    """Returns the identity element of an operation, such as 0 for `"add"`."""
     none = _IDENTITY[operation]
     if kind == "b1":
         return bool(none) if operation in ("and", "or", "xor") else operation == "min"

@@ -1,4 +1,4 @@
-"""Rules for gathers, scatters and dynamic slices of rows.
+"""Rules by which gathers, scatters and dynamic slices become operations on rows.
 
 Indices may vary. They are clamped, so that no kernel reads or writes outside an array.
 """
@@ -27,7 +27,7 @@ from jaxrod.lanes.rows.row_unroller import (
 
 @row_rule("dynamic_slice")
 def picked(unroller: RowUnroller, equation: Any, array: Rows, *starts: Rows) -> Rows:
-    """Translates a dynamic slice; its start is clamped so that it stays inside."""
+    """Translates `dynamic_slice`; the start is clamped so that the slice is inside."""
     layout, graph = unroller.layout, unroller.graph
     sizes = tuple(map(int, equation.params["slice_sizes"]))
     known: list[int] = []
@@ -51,7 +51,7 @@ def picked(unroller: RowUnroller, equation: Any, array: Rows, *starts: Rows) -> 
 
 
 def _clamped(unroller: RowUnroller, start: Rows, room: int) -> int:
-    """Returns the node of an index between 0 and `room`."""
+    """Returns the node of an index, clamped to the range from 0 to `room`."""
     return _bounded(unroller, start, room)[0].scalar
 
 
@@ -62,14 +62,15 @@ def _read(
     start: Sequence[int],
     places: Sequence[tuple[int, Rows]],
 ) -> Rows:
-    """Reads an array at computed places along some axes, at known places along others.
+    """Reads an array at computed indices along some axes, at regular ones elsewhere.
 
     Args:
-        unroller: The unroller.
+        unroller: Translator that adds the nodes.
         array: The array that is read.
         shape: Shape of the result, whose axes are those of the array.
-        start: First index along each axis.
-        places: Axes with computed places, and these places, which must be inside.
+        start: First index along each axis that is read at regular indices.
+        places: Axes that are read at computed indices, with these indices, which must
+            be inside the array.
     """
     layout, graph = unroller.layout, unroller.graph
     node, base = layout.stored(array)
@@ -98,7 +99,10 @@ def _read(
 def replaced(
     unroller: RowUnroller, equation: Any, array: Rows, update: Rows, *starts: Rows
 ) -> Rows:
-    """Translates the update of a dynamic slice, clamped like `picked`."""
+    """Translates `dynamic_update_slice`, which replaces a slice of an array.
+
+    The start is clamped so that the slice is inside the array.
+    """
     layout, inside = unroller.layout, None
     known = [unroller.graph.value(start.scalar) for start in starts]
     if None not in known:
@@ -141,10 +145,10 @@ def replaced(
 
 @row_rule("gather")
 def gathered(unroller: RowUnroller, equation: Any, array: Rows, indices: Rows) -> Rows:
-    """Translates a gather along one or more axes.
+    """Translates a gather with indices along one or more axes.
 
-    Axes of which a whole slice is taken stay as they are: each column of a table is
-    gathered.
+    An axis that is taken as a whole remains an axis of the result: the same gather is
+    repeated for each of its entries, such as the columns of a table.
     """
     numbers = equation.params["dimension_numbers"]
     sizes = tuple(map(int, equation.params["slice_sizes"]))
@@ -195,7 +199,19 @@ def _gathered(
     moves: Sequence[Move],
     across: Sequence[int],
 ) -> Rows:
-    """Gathers for every index along axes `across` that are unrolled in the array."""
+    """Gathers numbers at clamped indices, for each index along unrolled axes.
+
+    Args:
+        unroller: Translator that adds the nodes.
+        array: The array that is read.
+        shape: Shape of the result.
+        starts: Indices along the axes of `array` that have indices, by axis.
+        window: Axes of `array` that remain axes of the result.
+        offset: Axes of the result for the axes in `window`.
+        sizes: Length of the gathered slice along each axis of `array`.
+        moves: Path of each axis of the result through the arrays of indices.
+        across: Axes of `array` that are taken as a whole.
+    """
     layout, graph = unroller.layout, unroller.graph
     apart = [axis for axis in across if axis not in array.loops]
     places = {axis: offset[window.index(axis)] for axis in apart}
@@ -245,20 +261,20 @@ def _gathered(
 
 
 def _index_columns(unroller: RowUnroller, indices: Rows) -> list[Rows]:
-    """Returns the indices of each axis, which are along the last axis of `indices`."""
+    """Returns the indices for each indexed axis, from the last axis of `indices`."""
     last = len(indices.shape) - 1
     return [slice_at(unroller, indices, last, i) for i in range(indices.shape[last])]
 
 
 def _both(unroller: RowUnroller, one: Rows | None, other: Rows) -> Rows:
-    """Returns the mask where both of two conditions hold; the first may be absent."""
+    """Returns the logical and of two masks, the first of which may be absent."""
     if one is None:
         return other
     return unroller.each("and", "b1", one, other)
 
 
 def _bounded(unroller: RowUnroller, column: Rows, room: int) -> tuple[Rows, Rows]:
-    """Returns indices clamped to 0 and `room`, and whether they were inside before."""
+    """Returns indices clamped to 0 and `room`, and a mask: whether each was inside."""
     kind = column.kind
     if kind not in ("i32", "i64", "u32"):
         raise NotUnrolled(f"rows have no indices of type {DTYPES[kind]}")
@@ -282,7 +298,10 @@ _SCATTERS = {
 def scattered(
     unroller: RowUnroller, equation: Any, array: Rows, indices: Rows, updates: Rows
 ) -> Rows:
-    """Translates a scatter to computed places along one axis."""
+    """Translates a scatter at computed indices along one axis.
+
+    A scatter of one slice at known indices may have several indexed axes.
+    """
     numbers = equation.params["dimension_numbers"]
     if numbers.operand_batching_dims:
         raise NotUnrolled("rows do not scatter along two batches")
@@ -354,7 +373,18 @@ def _scattered_once(
     operation: str,
     clip: bool,
 ) -> Rows:
-    """Combines one slice of an array, at a known place, with an update."""
+    """Combines an update with one slice of an array that begins at known indices.
+
+    Args:
+        unroller: Translator that adds the nodes.
+        numbers: Dimension numbers of the scatter.
+        array: The array.
+        places: Start of the slice, by indexed axis.
+        update: The update.
+        operation: Operation that combines the two, or `"set"`.
+        clip: Whether a start outside the array is clamped; otherwise the update is
+            dropped.
+    """
     sizes = iter(update.shape)
     inserted = numbers.inserted_window_dims
     shape = [1 if a in inserted else next(sizes) for a in range(len(array.shape))]
@@ -375,7 +405,11 @@ def _changed(
     operation: str,
     axis: int = 0,
 ) -> Rows:
-    """Combines the slice of an array at a known place with another array."""
+    """Combines a slice of an array, from known indices `start` on, with `new`.
+
+    The operation is that of a scatter, or `"set"`. Axes before `axis` are sliced
+    already.
+    """
     layout = unroller.layout
     if axis == len(array.shape):
         if operation == "set":

@@ -1,4 +1,4 @@
-"""Translation of a jaxpr of arrays to a graph of rows.
+"""Translation of a jaxpr to a graph of rows.
 
 Rules of arithmetic, calls and branches are those of `jaxrod.lanes.jaxpr`. The rules
 here are for primitives that move numbers, or combine the numbers of one array.
@@ -43,19 +43,20 @@ SHARED = (
     *("custom_linear_solve", "closed_call", "custom_jvp_call", "custom_vjp_call"),
     *("jit", "remat2"),
 )
-"""Primitives whose rules do not depend on the layout of arrays; so are elementwise
-operations."""
+"""Primitives whose rules are those of `jaxrod.lanes.jaxpr`, because the rules do not
+depend on the layout of arrays. All other rules of elementwise primitives are shared
+too."""
 MOST_UNROLLED = 64
-"""Largest number of rounds of a loop that is unrolled."""
+"""Largest number of rounds for which a `scan` is unrolled."""
 
 
 class RowUnroller(Unroller):
-    """Translates jaxprs to nodes of one graph of rows."""
+    """Translates jaxprs to nodes of one graph; each node is a number or a row."""
 
     graph: RowGraph
 
     def __init__(self, graph: RowGraph) -> None:
-        """Makes an unroller.
+        """Creates a translator with the rules for rows.
 
         Args:
             graph: Graph to which nodes are added.
@@ -65,32 +66,38 @@ class RowUnroller(Unroller):
         self.layout = Layout(graph)
 
     def as_array(self, result: Any) -> Any:
-        """Returns the result of a rule, which is an array of rows."""
+        """Returns the result of a rule unchanged, because it is a `Rows` already."""
         return result
 
     def number(self, array: Any) -> int:
-        """Returns the node of an array of one number."""
+        """Returns the only node of an array of one number."""
         return array.scalar
 
     def each(self, operation: str, kind: str, *arrays: Any) -> Any:
-        """Applies an operation to the entries of arrays of one shape."""
+        """Returns an operation applied to arrays entry by entry, after broadcasting.
+
+        `kind` is the type of the results, such as `"f32"`.
+        """
         return self.layout.each(operation, kind, *arrays)
 
     def mapped(self, function: Callable[..., int], kind: str, *arrays: Any) -> Any:
-        """Applies a function of nodes, which makes a node of a kind, to entries."""
+        """Returns the nodes of type `kind` that a function makes of nodes of arrays."""
         return self.layout.mapped(function, kind, *arrays)
 
     def full(self, value: Any, shape: tuple[int, ...], kind: str) -> Any:
-        """Returns an array of one known number."""
+        """Returns an array in which one known number is repeated."""
         return self.layout.full(self.graph.constant(value, kind), shape, kind)
 
     def known(self, value: Any, aval: Any) -> Any:
-        """Returns an array whose numbers are known."""
+        """Returns an array of known numbers, broadcast to shape and dtype of `aval`."""
         numbers = np.broadcast_to(np.asarray(value, kind_dtype(aval)), aval.shape)
         return self.layout.known(numbers, kind_of(aval))
 
     def input(self, which: int, aval: Any, rate: int) -> Rows:
-        """Returns the array of operand number `which`."""
+        """Returns operand number `which` of the program as an array of rows.
+
+        `rate` is its rate of change: `UNIFORM`, `FIXED` or `VARYING`.
+        """
         kind, shape = kind_of(aval), tuple(map(int, aval.shape))
         size = int(np.prod(shape, dtype=int))
         node = self.graph.array(which, size, kind, rate)
@@ -98,11 +105,12 @@ class RowUnroller(Unroller):
 
 
 ROW_RULES: dict[str, Rule] = {}
-"""Rules by name of the primitive: `(unroller, equation, *arrays)` to the results."""
+"""Rules by name of the primitive. A rule takes an unroller, an equation and its
+operands, and returns the results as arrays of rows."""
 
 
 def row_rule(*names: str) -> Callable[[Rule], Rule]:
-    """Registers a rule of rows for primitives (a decorator)."""
+    """Registers a function as the row rule of primitives (a decorator)."""
     return rule(*names, rules=ROW_RULES)
 
 
@@ -112,13 +120,13 @@ def result_shape(equation: Any) -> tuple[int, ...]:
 
 
 def straight(array: Rows) -> list[Move]:
-    """Returns the moves of an array that is read unchanged."""
+    """Returns the moves that read each axis of an array in order, from its start."""
     return [Move(axis) for axis in range(len(array.shape))]
 
 
 @row_rule("slice")
 def sliced(unroller: RowUnroller, equation: Any, array: Rows) -> Rows:
-    """Translates a slice of an array."""
+    """Translates `slice`: every n-th entry between two limits along each axis."""
     starts = equation.params["start_indices"]
     strides = equation.params["strides"] or (1,) * len(starts)
     moves = [Move(axis, step) for axis, step in enumerate(strides)]
@@ -128,7 +136,7 @@ def sliced(unroller: RowUnroller, equation: Any, array: Rows) -> Rows:
 
 @row_rule("squeeze", "expand_dims", "reshape")
 def reshaped(unroller: RowUnroller, equation: Any, array: Rows) -> Rows:
-    """Translates a change of shape."""
+    """Translates a change of shape that keeps the order of the numbers."""
     if equation.params.get("new_sizes") and equation.params["dimensions"] is not None:
         raise NotUnrolled("rows have no reshape that permutes axes")
     shape = result_shape(equation)
@@ -137,7 +145,7 @@ def reshaped(unroller: RowUnroller, equation: Any, array: Rows) -> Rows:
 
 @row_rule("broadcast_in_dim")
 def broadcast(unroller: RowUnroller, equation: Any, array: Rows, *_: Any) -> Rows:
-    """Translates a broadcast along new axes, and along those of length one."""
+    """Translates `broadcast_in_dim`: numbers repeat along axes of length one or new."""
     shape = result_shape(equation)
     moves = [Move(None)] * len(shape)
     for axis, to in enumerate(equation.params["broadcast_dimensions"]):
@@ -148,7 +156,7 @@ def broadcast(unroller: RowUnroller, equation: Any, array: Rows, *_: Any) -> Row
 
 @row_rule("transpose")
 def transposed(unroller: RowUnroller, equation: Any, array: Rows) -> Rows:
-    """Translates a transpose."""
+    """Translates `transpose`: the axes are permuted."""
     moves = [Move(axis) for axis in equation.params["permutation"]]
     shape = result_shape(equation)
     return unroller.layout.taken(array, shape, [0] * len(shape), moves)
@@ -156,7 +164,7 @@ def transposed(unroller: RowUnroller, equation: Any, array: Rows) -> Rows:
 
 @row_rule("rev")
 def reversed_along(unroller: RowUnroller, equation: Any, array: Rows) -> Rows:
-    """Translates a reversal along axes."""
+    """Translates `rev`: the order of entries is reversed along axes."""
     moves, start = straight(array), [0] * len(array.shape)
     for axis in equation.params["dimensions"]:
         moves[axis], start[axis] = Move(axis, -1), array.shape[axis] - 1
@@ -165,13 +173,13 @@ def reversed_along(unroller: RowUnroller, equation: Any, array: Rows) -> Rows:
 
 @row_rule("concatenate")
 def concatenated(unroller: RowUnroller, equation: Any, *arrays: Rows) -> Rows:
-    """Translates a concatenation."""
+    """Translates `concatenate`: arrays are joined along an axis."""
     return unroller.layout.concatenated(arrays, equation.params["dimension"])
 
 
 @row_rule("stack")
 def stacked(unroller: RowUnroller, equation: Any, *arrays: Rows) -> Rows:
-    """Translates a stack along a new axis."""
+    """Translates `stack`: arrays are joined along a new axis."""
     return _stacked(unroller, arrays, equation.params["axis"])
 
 
@@ -184,13 +192,13 @@ def _stacked(unroller: RowUnroller, arrays: Sequence[Rows], axis: int) -> Rows:
 
 @row_rule("unstack")
 def unstacked(unroller: RowUnroller, equation: Any, array: Rows) -> list[Rows]:
-    """Translates the separation into slices along an axis; the axis is removed."""
+    """Translates `unstack`: returns the slices along an axis, without that axis."""
     axis = equation.params["axis"]
     return [slice_at(unroller, array, axis, i) for i in range(array.shape[axis])]
 
 
 def slice_at(unroller: RowUnroller, array: Rows, axis: int, index: int) -> Rows:
-    """Returns the slice at an index of an axis; the axis is removed."""
+    """Returns the slice of an array at an index of an axis, without that axis."""
     moves = [Move(a) for a in range(len(array.shape)) if a != axis]
     start = [index if a == axis else 0 for a in range(len(array.shape))]
     shape = tuple(n for a, n in enumerate(array.shape) if a != axis)
@@ -199,7 +207,7 @@ def slice_at(unroller: RowUnroller, array: Rows, axis: int, index: int) -> Rows:
 
 @row_rule("split")
 def parted(unroller: RowUnroller, equation: Any, array: Rows) -> list[Rows]:
-    """Translates a split along an axis."""
+    """Translates `split`: returns parts of the given sizes along an axis."""
     axis, begin, made = equation.params["axis"], 0, []
     for size in equation.params["sizes"]:
         made.append(unroller.layout.sliced(array, axis, begin, begin + size))
@@ -209,7 +217,10 @@ def parted(unroller: RowUnroller, equation: Any, array: Rows) -> list[Rows]:
 
 @row_rule("pad")
 def padded(unroller: RowUnroller, equation: Any, array: Rows, value: Rows) -> Rows:
-    """Translates padding at the edges and between entries."""
+    """Translates padding at the edges and between entries.
+
+    Negative padding removes entries at the edges.
+    """
     for axis, (low, high, inner) in enumerate(equation.params["padding_config"]):
         array = unroller.layout.padded(array, axis, low, high, inner, value.scalar)
     return array
@@ -217,7 +228,7 @@ def padded(unroller: RowUnroller, equation: Any, array: Rows, value: Rows) -> Ro
 
 @row_rule("iota")
 def counted(unroller: RowUnroller, equation: Any, *_: Any) -> Rows:
-    """Translates the integers from zero along an axis."""
+    """Translates `iota`: the integers 0, 1, 2, ... along an axis."""
     shape, axis = result_shape(equation), equation.params["dimension"]
     return row_of_places(unroller, shape, axis, kind_of(equation.outvars[0].aval))
 
@@ -225,7 +236,7 @@ def counted(unroller: RowUnroller, equation: Any, *_: Any) -> Rows:
 def row_of_places(
     unroller: RowUnroller, shape: tuple[int, ...], axis: int, kind: str
 ) -> Rows:
-    """Returns the integers from zero along an axis."""
+    """Returns an array of integers that are their own index along an axis."""
     graph, loops = unroller.graph, long_axes(shape)
     dims = tuple(shape[a] for a in loops)
     nodes = np.empty([1 if a in loops else n for a, n in enumerate(shape)], np.int64)
@@ -239,7 +250,7 @@ def row_of_places(
 
 @row_rule(*REDUCTIONS)
 def reduced(unroller: RowUnroller, equation: Any, array: Rows) -> Rows:
-    """Translates a reduction along axes."""
+    """Translates a reduction such as `reduce_sum` along axes."""
     operation = REDUCTIONS[equation.primitive.name]
     axes = tuple(equation.params["axes"])
     return _reduced(unroller, array, operation, axes)
@@ -280,7 +291,10 @@ def _reduced(
 
 @row_rule(*CUMULATIVE)
 def accumulated(unroller: RowUnroller, equation: Any, array: Rows) -> Rows:
-    """Translates a cumulative operation, by combination with ever longer shifts."""
+    """Translates a cumulative operation such as `cumsum` by log2(n) shifts.
+
+    The array is combined with itself shifted by 1, 2, 4, ... entries.
+    """
     operation = CUMULATIVE[equation.primitive.name]
     axis, kind = equation.params["axis"], array.kind
     none = unroller.graph.constant(identity(operation, kind), kind)
@@ -295,9 +309,9 @@ def accumulated(unroller: RowUnroller, equation: Any, array: Rows) -> Rows:
 
 @row_rule("argmax", "argmin")
 def place_of_extreme(unroller: RowUnroller, equation: Any, array: Rows) -> Rows:
-    """Translates the index of the first largest or first smallest entry.
+    """Translates `argmax` or `argmin`: index of the first largest or smallest entry.
 
-    The first NaN wins, as in JAX.
+    The first NaN counts as largest and smallest, as in JAX.
     """
     kind = kind_of(equation.outvars[0].aval)
     (axis,) = equation.params["axes"]
@@ -317,7 +331,7 @@ def place_of_extreme(unroller: RowUnroller, equation: Any, array: Rows) -> Rows:
 
 @row_rule("tile")
 def tiled(unroller: RowUnroller, equation: Any, array: Rows) -> Rows:
-    """Translates the repetition of a whole array."""
+    """Translates `tile`: an array is repeated along each axis."""
     for axis, count in enumerate(equation.params["reps"]):
         if count != 1:
             array = unroller.layout.concatenated([array] * count, axis)
@@ -326,7 +340,7 @@ def tiled(unroller: RowUnroller, equation: Any, array: Rows) -> Rows:
 
 @row_rule("dot_general")
 def product(unroller: RowUnroller, equation: Any, left: Rows, right: Rows) -> Rows:
-    """Translates sums of products, such as matrix products."""
+    """Translates `dot_general`: sums of products, such as matrix products."""
     kind = kind_of(equation.outvars[0].aval)
     summed, batch = equation.params["dimension_numbers"]
     layout = unroller.layout
@@ -356,7 +370,11 @@ def product(unroller: RowUnroller, equation: Any, left: Rows, right: Rows) -> Ro
 
 @row_rule("scan")
 def scanned(unroller: RowUnroller, equation: Any, *arrays: Rows) -> list[Rows]:
-    """Translates a loop of known length; it is unrolled if it is no recurrence."""
+    """Translates `scan` to one loop along rows if possible; otherwise unrolls it.
+
+    Raises:
+        NotUnrolled: There are too many rounds to unroll, or none.
+    """
     scan = scan_of(equation)
     looped = recurrence(unroller, scan, arrays)
     if looped is not None:

@@ -1,8 +1,8 @@
-"""Schedules: which loops compute which nodes, in which order, and what is stored.
+"""Schedules: order of the loops that compute the nodes of a graph of rows, and memory.
 
-Nodes of the same dims are computed in one loop, unless one needs another as a whole: a
-shifted view, a gather or a sum. So nodes get *levels*. A loop computes all nodes of one
-level with the same dims, and stores those that other loops need.
+Nodes of the same shape are computed in one loop, unless one needs all numbers of
+another: a shifted view, a gather or a sum. So nodes get *levels*. A loop computes all
+nodes of one level and shape, and stores those that other loops need.
 """
 
 from __future__ import annotations
@@ -18,66 +18,75 @@ from jaxrod.lanes.llvm.vector_code import BYTES
 from jaxrod.lanes.rows.row_graph import Dims, Piece, RowGraph
 
 STORED = frozenset({"joined", "scatter", "recurrence", "reduce", "input", "data"})
-"""Operations of nodes that are not computed in a loop over their own numbers."""
+"""Operations whose results are arrays in memory, not values in a loop over their own
+entries."""
 ALIGNMENT = 64
-"""Alignment of stored nodes, unless another is given [bytes]."""
+"""Default alignment of stored nodes [bytes]."""
 
 
 @dataclass(frozen=True)
 class Place:
-    """A place in memory."""
+    """A memory location: a pointer and an offset."""
 
     pointer: str
-    """Name of the pointer to the region."""
+    """Name of the pointer to a region of memory."""
     offset: int
-    """Distance from it [bytes]."""
+    """Distance of the location from the pointer [bytes]."""
 
 
 @dataclass(frozen=True)
 class Goal:
-    """A node that is written to a given place."""
+    """A node to be computed, and the part of an array where it is to be written."""
 
     node: int
     place: Place
-    """Place of the array to which it belongs."""
+    """Memory location of the array."""
     piece: Piece
-    """Part of that array that is written."""
+    """Part of the array that is written."""
 
 
 @dataclass(frozen=True)
 class Fill:
-    """Runs of fill between the pieces of a joined node, at equal distances."""
+    """Gaps of equal length and spacing between the pieces of a joined node.
+
+    One number, the fill, is written to every position of a gap.
+    """
 
     node: int
     first: int
-    """Place of the first number of the first run."""
+    """Flat index of the first number of the first gap."""
     count: int
-    """Numbers in a run."""
+    """Length of each gap."""
     runs: int = 1
     stride: int = 0
-    """Distance of the beginnings of neighbouring runs."""
+    """Distance between the beginnings of neighbouring gaps; 0 if there is one gap."""
 
 
 @dataclass
 class Loop:
-    """Nodes that are computed in one loop, or in straight-line code if `dims` is ()."""
+    """A loop nest that computes nodes of one shape, or straight-line code.
+
+    Its shape `dims` is () for straight-line code on single numbers.
+    """
 
     level: int
     dims: Dims
     nodes: list[int] = field(default_factory=list)
     goals: list[Goal] = field(default_factory=list)
-    """Nodes that are written to given places."""
+    """Nodes that are written to given memory locations."""
     reductions: list[int] = field(default_factory=list)
     scatters: list[int] = field(default_factory=list)
-    """Nodes of scatters, which have a loop of their own."""
+    """Nodes of scatters with the same indices, which are a loop without other nodes."""
     recurrence: int | None = None
-    """Node of a recurrence, which is a loop of its own."""
+    """Node of a recurrence, which is a loop without other nodes; `None` for other
+    loops."""
     mask: int | None = None
-    """Node of a mask; vectors in which it is false everywhere are skipped."""
+    """Node of a mask; vectors in which it is false everywhere are skipped. `None` if
+    all vectors are computed."""
 
 
 class Schedule:
-    """Loops that compute goals from stored nodes."""
+    """Order of the loops that compute goals, and memory of the nodes they store."""
 
     def __init__(
         self,
@@ -88,28 +97,28 @@ class Schedule:
         lasting: Callable[[int], Place] | None = None,
         alignment: int = ALIGNMENT,
     ) -> None:
-        """Makes a schedule.
+        """Assigns nodes to loops, and memory to the nodes that loops store.
 
         Args:
-            graph: The graph.
-            goals: Nodes to be written to given places.
-            ready: Places of nodes that are stored already.
-            stored: Nodes that are to be computed and stored; `ready` has their places,
-                too.
-            lasting: Function that gives a place to a node whose fill is a constant.
-                Fill is written there once, not in every step.
+            graph: The graph of rows.
+            goals: Nodes to be written to given memory locations.
+            ready: Memory locations of nodes that are stored already.
+            stored: Nodes that are to be computed and stored; their locations are in
+                `ready` too.
+            lasting: Function that returns a location for a joined node whose fill is a
+                constant. The fill is written there once, not in every step.
             alignment: Alignment of the nodes that the loops store [bytes].
         """
         self.alignment = alignment
         self.graph, self.ready = graph, dict(ready)
         self.fresh = set(stored)
         self.places: dict[int, Place] = {}
-        """Places of nodes that the loops store."""
+        """Memory locations of the nodes that the loops store."""
         self.fills: dict[int, list[Fill]] = {}
-        """Fill between pieces, by level."""
+        """Gaps between pieces to be filled, by level."""
         self._lasting = lasting
         self.size = 0
-        """Total size of the nodes that the loops store [bytes]."""
+        """Memory for all nodes that the loops store [bytes]."""
         self._at: dict[int, int] = {}
         self._done: dict[int, int] = {}
         self._loops: dict[tuple[int, Dims, str], Loop] = {}
@@ -131,11 +140,11 @@ class Schedule:
         self._allocate()
 
     def place(self, node: int) -> Place | None:
-        """Returns the place of a stored node, or `None`."""
+        """Returns the memory location of a node; `None` if it is not stored."""
         return self.ready.get(node) or self.places.get(node)
 
     def is_ready(self, node: int) -> bool:
-        """Whether a node is stored, or known, before the schedule begins."""
+        """Whether a node is stored, a constant or an index, before the first loop."""
         if node in self.fresh:
             return False
         return node in self.ready or self.graph.operations[node] in (
@@ -160,11 +169,11 @@ class Schedule:
         return order
 
     def _masked(self) -> dict[int, int]:
-        """Returns nodes that matter only where a mask is true, with that mask.
+        """Returns the mask of each node that matters only where the mask is true.
 
-        They are used only by scatters under that mask and by other such nodes. Places
-        of gathers are not among them, because these must be inside everywhere. Masks
-        are stored before the schedule begins.
+        Such a node is used only by scatters under that mask and by other such nodes.
+        Indices of gathers are excluded, because they must be inside the array
+        everywhere. The masks are stored before the first loop.
         """
         graph = self.graph
         users: dict[int, list[tuple[int, int]]] = {}
@@ -196,11 +205,15 @@ class Schedule:
         return masks
 
     def _after(self, node: int) -> int:
-        """Level from which a stored node can be read, or a number used in a row."""
+        """Returns the first level at which all numbers of a node are available."""
         return 0 if self.is_ready(node) else self._done[node] + 1
 
     def _beside(self, node: int, dims: Dims, mask: int | None = None) -> int:
-        """Level from which a loop over `dims`, under a mask, can use a node."""
+        """Returns the first level at which a loop can use a node, entry by entry.
+
+        `dims` and `mask` are the shape and the mask of that loop. In the loop that
+        computes the node, it is the node's own level.
+        """
         graph = self.graph
         if self.is_ready(node):
             return 0
@@ -257,7 +270,7 @@ class Schedule:
         self._take(goal.node, loop)
 
     def _take(self, node: int, loop: Loop) -> None:
-        """Records that a loop uses a node, which it computes or reads."""
+        """Records that a loop uses a node; a node of an earlier loop will be stored."""
         graph = self.graph
         if self.is_ready(node):
             return
@@ -281,14 +294,14 @@ class Schedule:
         self._read[node] = max(self._read.get(node, 0), level)
 
     def _use(self, node: int) -> None:
-        """Puts a node into its loop, and records the nodes that the loop uses."""
+        """Adds a node to its loop, and records the nodes that this loop uses."""
         graph = self.graph
         operation, arguments = graph.operations[node], graph.arguments[node]
         level, dims = self._at[node], graph.dims[node]
         if node in self.fresh and operation not in STORED:
             self._kept.add(node)
         if operation == "view":
-            # The node is read where it is used. A view that is stored has a loop.
+            # A view is read in the loops that use it; a single number is read once.
             if not dims:
                 loop = self._loop(level, ())
                 loop.nodes.append(node)
@@ -333,7 +346,7 @@ class Schedule:
             self._take(argument, loop)
 
     def _read_as_stored(self, node: int) -> None:
-        """Notes that a stored node is made of stored ones, and of single numbers."""
+        """Records that a scatter or recurrence reads its rows from memory."""
         graph, level = self.graph, self._at[node]
         self._kept.add(node)
         for argument in graph.arguments[node]:
@@ -355,7 +368,10 @@ class Schedule:
         self._loop(level, ())
 
     def _allocate(self) -> None:
-        """Allocates places for stored nodes, and reuses places that are done with."""
+        """Allocates memory for nodes that loops store.
+
+        Memory of a node is reused after its last read.
+        """
         graph = self.graph
         begins: dict[int, list[int]] = {}
         first_write: dict[int, int] = {}
@@ -391,7 +407,7 @@ class Schedule:
                 ends.setdefault(last, []).append((size, offset))
 
     def goal_place(self, goal: Goal) -> Place:
-        """Returns the place of the array to which a goal belongs."""
+        """Returns the memory location of the array to which a goal is written."""
         word, _, number = goal.place.pointer.partition(" ")
         if word != "node":
             return goal.place
@@ -400,15 +416,17 @@ class Schedule:
         return place
 
     def is_kept(self, node: int) -> bool:
-        """Whether a node is stored."""
+        """Whether the loop that computes a node also stores it."""
         return node in self._kept
 
 
 def hoisted(graph: RowGraph, goals: Iterable[int], given: Iterable[int]) -> list[int]:
-    """Returns the nodes that do not vary, but are read by nodes that do.
+    """Returns the nodes to compute once before all steps, for use in every step.
+
+    They do not vary, but nodes that vary read them.
 
     Args:
-        graph: The graph.
+        graph: The graph of rows.
         goals: Nodes that are to be computed in a step.
         given: Nodes that are stored already.
     """
@@ -437,12 +455,12 @@ def hoisted(graph: RowGraph, goals: Iterable[int], given: Iterable[int]) -> list
 
 
 def operation_is_read(graph: RowGraph, node: int) -> bool:
-    """Whether a node is read or known where it is used, and never computed."""
+    """Whether a node is a view, index or constant, which no loop has to compute."""
     return graph.operations[node] in ("view", "iota", "constant")
 
 
 def fills_of(graph: RowGraph, node: int) -> list[Fill]:
-    """Returns the runs of fill of a joined node."""
+    """Returns the gaps between the pieces of a joined node, grouped by length."""
     free = np.ones(math.prod(graph.dims[node]), bool)
     for piece in graph.extras[node]:
         free[piece.places()] = False

@@ -1,1 +1,1 @@
-"""Warps: a batch on a GPU, with 32 threads for each scene."""
+"""Kernels of warps: a batch on a GPU, with 32 threads (a warp) for each scene."""

@@ -1,7 +1,8 @@
-"""CUDA: kernels of warps compiled for NVIDIA's GPUs, and called by XLA.
+"""CUDA: compilation of warp kernels for NVIDIA GPUs, and their call by XLA.
 
-LLVM writes PTX, which the driver compiles for the GPU at hand. Elementary functions are
-those of NVIDIA's libdevice, which JAX's CUDA packages contain, so that they are XLA's.
+LLVM writes PTX, which the driver compiles for the GPU of this machine. Elementary
+functions are those of NVIDIA's libdevice, which JAX's CUDA packages contain. XLA uses
+the same functions.
 """
 
 from __future__ import annotations
@@ -33,39 +34,47 @@ from jaxrod.lanes.warps.kernels import WarpKernel
 from jaxrod.lanes.warps.warp_code import THREADS
 
 WARPS = 2
-"""Warps of a block. They do not wait for each other."""
+"""Warps in a thread block, if their memory fits; otherwise 1. They do not wait for each
+other."""
 REGISTERS = 128
-"""Registers of a thread: with fewer, more warps run at once, but each stores more."""
+"""Largest number of registers of a thread. With fewer, more warps run at once, but each
+spills more values to memory."""
 _NEWEST = 90
-"""Newest architecture that PTX is written for; the driver adapts it to later ones."""
+"""Newest GPU architecture (compute capability without its dot) for which PTX is
+written; the driver adapts it to later ones."""
 _OLDEST = 70
-"""Oldest architecture with the instructions that are used."""
+"""Oldest GPU architecture (compute capability without its dot) that kernels can run
+on."""
 _ROUND = 0.16e-6
-"""Time of a round of a loop [s]."""
+"""Estimated time of one round of a loop in a warp [s]."""
 _XLA_STEP, _XLA_RATE = 22e-6, 3.3e12
-"""Time of a step by XLA [s], and operations that it does per second in large batches.
+"""Estimated time of a step by XLA in small batches [s], and its operations per second
+in large batches [1/s].
 
-These three were measured on an H100 (docs/performance.md). They decide between the two
-programs, so that only their ratios matter."""
+These two and `_ROUND` were measured on an H100 (docs/performance.md). They decide
+between a kernel and XLA, so only their ratios matter.
+"""
 _BLOCKS, _RESIDENT = 32, 8
-"""Blocks of a multiprocessor: the most there can be, and those with workspace."""
+"""Largest number of thread blocks per multiprocessor: of kernels without memory in the
+workspace, and of others."""
 _RESERVED = 1024
-"""Shared memory of a block that CUDA keeps for itself [bytes]."""
+"""Shared memory of a block that CUDA itself uses [bytes]."""
 _MAJOR, _MINOR, _PROCESSORS, _SHARED = 75, 76, 16, 97
-"""Numbers of attributes of a device: architecture, multiprocessors, shared memory."""
+"""CUDA's attribute numbers of a device: major and minor compute capability, number of
+multiprocessors, largest shared memory of a block."""
 _DYNAMIC_SHARED = 8
-"""Number of the attribute of a kernel that admits more shared memory."""
+"""CUDA's attribute number of a kernel for its largest dynamic shared memory."""
 _loaded: dict[str, Any] = {}
-"""Loaded programs by name, kept for the life of the process."""
+"""Loaded kernels by name, kept for the life of the process because XLA calls them."""
 _lock = threading.Lock()
 
 
 @dataclass(frozen=True)
 class Device:
-    """A GPU, or the least that several have."""
+    """Properties of a GPU; of several GPUs, the smallest value of each property."""
 
     architecture: int
-    """Compute capability without its dot."""
+    """Compute capability without its dot, such as 90."""
     processors: int
     """Number of multiprocessors."""
     shared: int
@@ -74,22 +83,24 @@ class Device:
 
 @dataclass(frozen=True)
 class Launch:
-    """The blocks and the memory of one call of a kernel."""
+    """Number of thread blocks and use of memory in the launch of a kernel."""
 
     blocks: int
     warps: int
-    """Warps of a block."""
+    """Number of warps in a block."""
     in_shared: bool
-    """Whether the memory of a warp is shared memory; otherwise it is workspace."""
+    """Whether the memory of a warp is shared memory of its block; otherwise it is part
+    of the workspace."""
     every: int
-    """Number of carries that each warp keeps in the workspace."""
+    """Number of recomputed carries for which each warp has memory in the workspace: the
+    steps between checkpoints, or 0."""
 
     def shared(self, kernel: WarpKernel) -> int:
-        """Shared memory of a block [bytes]."""
+        """Shared memory of a block for its warps [bytes]."""
         return self.warps * kernel.room if self.in_shared else 0
 
     def workspace(self, kernel: WarpKernel) -> int:
-        """Size of the workspace [bytes]."""
+        """Size of the workspace for all warps [bytes]."""
         own = kernel.kept * self.every + (0 if self.in_shared else kernel.room)
         return kernel.uniform + self.blocks * self.warps * own + 64
 
@@ -105,7 +116,7 @@ def not_here() -> str | None:
     try:
         found = device()
     except Exception as error:
-        # Whatever is unknown about a GPU must leave the run to XLA.
+        # Any failure to query the GPU leaves the run to XLA.
         return f"there is no GPU for CUDA: {error}"
     if found.architecture < _OLDEST:
         return f"the GPU's architecture {found.architecture} is older than {_OLDEST}"
@@ -114,10 +125,10 @@ def not_here() -> str | None:
 
 @cache
 def _driver() -> Any:
-    """Returns CUDA's driver.
+    """Loads and starts CUDA's driver library.
 
     Raises:
-        OSError: There is none.
+        OSError: The driver is missing, does not start, or is older than CUDA 12.
     """
     driver = ctypes.CDLL("libcuda.so.1")
     driver.cuInit.argtypes = [ctypes.c_uint]
@@ -141,7 +152,7 @@ def _check(status: int, action: str) -> None:
 
 @cache
 def device() -> Device:
-    """Returns what all GPUs that JAX uses in this process can do.
+    """Returns the properties that all GPUs of JAX in this process have at least.
 
     Raises:
         OSError: There is no driver, or JAX uses no GPU.
@@ -155,7 +166,11 @@ def device() -> Device:
 
 
 def _device_numbers() -> list[int]:
-    """Returns CUDA's numbers of the GPUs that JAX uses in this process."""
+    """Returns CUDA's device numbers of the GPUs that JAX uses in this process.
+
+    Raises:
+        OSError: JAX uses no GPU.
+    """
     try:
         return [gpu.local_hardware_id or 0 for gpu in jax.local_devices(backend="gpu")]
     except RuntimeError as error:
@@ -174,19 +189,19 @@ def _attributes(number: int) -> list[int]:
 
 
 def launch_for(kernel: WarpKernel, rods: int, every: int, gpu: Device) -> Launch:
-    """Returns how a kernel is launched for a batch.
+    """Chooses the number of blocks and the memory to launch a kernel with.
 
     Args:
         kernel: The kernel.
         rods: Number of scenes.
-        every: Number of carries that each warp keeps.
+        every: Steps between checkpoints if carries are recomputed, otherwise 0.
         gpu: The GPU.
     """
     most = gpu.shared - _RESERVED
     warps = WARPS if WARPS * kernel.room <= most else 1
     in_shared = warps * kernel.room <= most
     blocks = -(-rods // warps)
-    # Warps that have memory of the workspace are no more than can run at once.
+    # Only as many warps as can run at once get memory in the workspace.
     small = in_shared and not kernel.kept
     resident = gpu.processors * (_BLOCKS if small else _RESIDENT)
     return Launch(min(blocks, resident), warps, in_shared, every)
@@ -195,13 +210,15 @@ def launch_for(kernel: WarpKernel, rods: int, every: int, gpu: Device) -> Launch
 def slower_than_xla(
     kernel: WarpKernel, launch: Launch, rods: int, gpu: Device
 ) -> str | None:
-    """Returns the reason why XLA is likely to be faster; `None` if it is not.
+    """Returns the reason why XLA is likely to be faster, or `None`.
 
-    A warp is slow where a scene is large: 32 threads have to do all of it.
+    Warps take rounds of loops times the time of a round, for each wave of scenes that
+    fits on the GPU. XLA takes operations divided by its rate, and at least the time of
+    a small step. A scene that does not fit into shared memory is left to XLA.
 
     Args:
         kernel: The kernel.
-        launch: Its blocks and memory.
+        launch: Blocks and memory of the kernel.
         rods: Number of scenes.
         gpu: The GPU.
     """
@@ -221,13 +238,13 @@ def slower_than_xla(
 
 
 def registered(kernel: WarpKernel, launch: Launch) -> str:
-    """Compiles and loads a kernel, unless done before, and registers it with XLA.
+    """Compiles and loads a kernel and registers it with XLA, unless done already.
 
     Returns:
         The kernel's name in XLA.
 
     Raises:
-        RuntimeError: The driver refuses it.
+        RuntimeError: The driver refuses the kernel.
     """
     architecture = min(device().architecture, _NEWEST)
     digest = f"{architecture} {launch} {kernel.text}"
@@ -271,11 +288,11 @@ def registered(kernel: WarpKernel, launch: Launch) -> str:
 
 
 def ptx(kernel: WarpKernel, launch: Launch, architecture: int) -> str:
-    """Compiles a kernel to PTX.
+    """Returns the PTX (assembly text of NVIDIA GPUs) of a kernel.
 
     Args:
         kernel: The kernel.
-        launch: Blocks and memory.
+        launch: Blocks and memory of the kernel.
         architecture: Compute capability without its dot.
 
     Raises:
@@ -321,11 +338,17 @@ define internal i32 @exchange(i64 %thread, i32 %number, i32 %step)
 ret i32 %found
 }}
 """
-"""Functions of the machine."""
+"""LLVM IR of the functions that need a GPU. `@wait` is a barrier for the threads of a
+warp. `@exchange` returns the number that the thread with index `thread xor step`
+passed."""
 
 
 def entry_of(kernel: WarpKernel, launch: Launch) -> str:
-    """Writes the entry of the kernel, which finds the thread and its memory."""
+    """Returns LLVM IR of the function that CUDA launches.
+
+    It computes the indices of thread and warp and the address of the warp's memory, and
+    calls `@run`.
+    """
     ins = [f"%in{i}" for i in range(kernel.n_operands)]
     outs = [f"%out{i}" for i in range(kernel.n_results)]
     buffers = [*ins, *outs]
@@ -372,7 +395,10 @@ ret void
 
 
 def _elementary(needs: frozenset[tuple[str, str, int]]) -> Iterator[str]:
-    """Writes the elementary functions, as calls of libdevice."""
+    """Yields LLVM IR of elementary functions, as calls of NVIDIA's libdevice.
+
+    `needs` has the operation, number type and lanes of each function.
+    """
     for operation, kind in sorted({need[:2] for need in needs}):
         row, one = OPERATIONS[operation], TYPES[kind]
         name = f"@__nv_{row.symbol}{'f' if kind == 'f32' else ''}"
@@ -391,10 +417,10 @@ def _elementary(needs: frozenset[tuple[str, str, int]]) -> Iterator[str]:
 
 @cache
 def _libdevice() -> bytes:
-    """Returns libdevice.
+    """Returns NVIDIA's library of elementary functions, in LLVM bitcode.
 
     Raises:
-        RuntimeError: It is not found.
+        RuntimeError: The library is not found.
     """
     for folder in _cuda_folders():
         file = folder / "nvvm" / "libdevice" / "libdevice.10.bc"
@@ -404,7 +430,7 @@ def _libdevice() -> bytes:
 
 
 def _cuda_folders() -> Iterator[Path]:
-    """Yields folders in which CUDA may be: packages of Python, then the system's."""
+    """Yields folders that may contain CUDA: Python packages first, then the system."""
     try:
         found = importlib.util.find_spec("nvidia")
     except ValueError:

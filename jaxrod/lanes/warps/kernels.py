@@ -1,11 +1,11 @@
-"""Kernels of warps: all steps of a batch, as LLVM IR for a GPU.
+"""Kernels of warps: LLVM IR that runs all steps of a batch on a GPU.
 
-A warp takes one scene after the other. What changes in a step is kept in the memory
-that the threads of a block share, if there is room. What all scenes share is computed
-by every warp once, before its first scene, and stored in the same place by all. They
-store the same numbers, so that none has to wait for another.
+A warp (32 threads) computes one scene after another. Values that change in a step are
+kept in shared memory of the thread block, if they fit. Values that all scenes share are
+computed by every warp, before its first scene, and stored by all at the same addresses.
+The warps store the same numbers, so none has to wait for another.
 
-The text is the same for every machine that has threads. `cuda.py` has the functions
+The LLVM IR is the same for every machine with threads. `cuda.py` adds the functions
 `@wait` and `@exchange` of a GPU.
 """
 
@@ -36,46 +36,52 @@ from jaxrod.lanes.warps.warp_code import (
 )
 
 REGIONS = ("%scratch", "%uniform", "%own")
-"""Pointers that all functions of a kernel take first."""
+"""Names of the pointers that are the first arguments of all functions of a kernel,
+after the thread."""
 
 
 @dataclass(frozen=True)
 class WarpKernel:
-    """A program in LLVM IR for the threads of a warp, and the memory that it needs.
+    """A kernel in LLVM IR for the threads of a warp, and the memory that it needs.
 
     Its operands and results are those of `jaxrod.lanes.llvm.kernel.Kernel`. The
-    function `@run` takes the thread, the warp, the number of warps, a pointer to the
-    memory of the warp, another to its kept carries, and all buffers.
+    arguments of its function `@run` are the index of the thread, the index of the warp,
+    the number of warps, a pointer to the memory of the warp, another to the carries
+    that it recomputes, and all buffers.
     """
 
     text: str
-    """LLVM IR without the functions of the machine."""
+    """LLVM IR without the functions of the GPU, `@wait` and `@exchange`."""
     needs: frozenset[tuple[str, str, int]]
-    """Elementary functions that it calls: operation, kind and lanes of each; 1 for
-    single numbers."""
+    """Elementary functions that the kernel calls: operation, number type and lanes of
+    each; 1 for single numbers."""
     n_operands: int
-    """Number of operands, with the counts."""
+    """Number of operands, including the counts."""
     n_results: int
-    """Number of results, with the workspace."""
+    """Number of results, including the workspace."""
     room: int
-    """Memory of a warp [bytes]."""
+    """Memory of a warp, without the carries that it recomputes [bytes]."""
     uniform: int
-    """Memory that all warps share, at the beginning of the workspace [bytes]."""
+    """Memory at the beginning of the workspace for values that all scenes share
+    [bytes]."""
     kept: int
-    """Size of each recomputed carry of a warp in the workspace [bytes]."""
+    """Size of each carry that the reverse pass recomputes, in the workspace [bytes]."""
     operations: int
-    """Number of lines that compute something."""
+    """Number of LLVM lines that compute a value."""
     rounds: int
-    """Rounds of loops that a thread runs in a step, one after another."""
+    """Number of loop rounds that a thread runs in the longest function of the kernel,
+    such as a step."""
     work: int
-    """Operations on single numbers in a step of one scene."""
+    """Number of operations on single numbers in the longest function of the kernel,
+    such as a step of one scene."""
 
 
 class WarpPlan(RowPlan):
-    """Memory and functions of a kernel of warps."""
+    """Memory and LLVM functions of a kernel being written; a warp runs each scene."""
 
     alignment = 16
-    """Alignment of arrays: threads read single numbers, so that less is lost."""
+    """Alignment of arrays in memory [bytes]. It is smaller than for rows, because
+    threads load single numbers, and less memory is lost."""
 
     def __init__(self, body: LoopBody, batched: Sequence[bool]) -> None:
         """Translates a step; arguments as in `RowPlan`."""
@@ -86,20 +92,28 @@ class WarpPlan(RowPlan):
         self.buffers: list[str] = []
 
     def rate(self, which: int) -> int:
-        """Returns the rate at which operand number `which` of the step changes."""
+        """Returns the rate at which operand number `which` of the step changes.
+
+        It is `UNIFORM` for a constant that all scenes share, `FIXED` for another
+        constant, and `VARYING` for an array of the carry.
+        """
         if which >= self.n_constants:
             return VARYING
         return FIXED if self.batched[which] else UNIFORM
 
     def places_of_constants(self) -> list[Place]:
-        """Returns the places from which constants are read: where XLA put them."""
+        """Returns the locations of constants: buffers of XLA, which are not copied."""
         return [
             Place(f"%{'row' if batched else 'in'}{1 + i}", 0)
             for i, batched in enumerate(self.batched)
         ]
 
     def hoist(self, goals: Sequence[Goal]) -> None:
-        """Writes the functions of values that are the same in all steps."""
+        """Writes the functions `@shared` and `@fixed` of values that all steps share.
+
+        `@shared` computes those that all scenes share too, `@fixed` those of one scene,
+        as far as the goals need them.
+        """
         graph = self.graph
         self.know_data()
         nodes = hoisted(graph, [goal.node for goal in goals], self.ready)
@@ -113,9 +127,10 @@ class WarpPlan(RowPlan):
         self.function("fixed", [], [], own)
 
     def _is_written_alike(self, node: int) -> bool:
-        """Whether all warps may write a node into the same place at any time.
+        """Whether all warps may write a node to one address without waiting.
 
-        They store the same numbers. But a sum in memory passes through other numbers.
+        They store the same final number. But while a sum is accumulated in memory,
+        other numbers are there, so such sums are excluded.
         """
         graph = self.graph
         if graph.rates[node] >= FIXED or graph.operations[node] == "scatter":
@@ -131,12 +146,15 @@ class WarpPlan(RowPlan):
         pointers: Sequence[str],
         stored: Sequence[int] = (),
     ) -> None:
-        """Writes a function that computes goals; its first arguments are `given`."""
+        """Writes an LLVM function that computes nodes and stores them.
+
+        Its first arguments are those of `given`, the last ones `pointers`.
+        """
         whole = [*REGIONS[1:], *self._buffers_of(name), *pointers]
         super().function(name, goals, whole, stored)
 
     def writer(self, schedule: Schedule) -> RowWriter:
-        """Returns the writer of a function."""
+        """Returns the writer of a function, and updates the kernel's cost estimates."""
         self.rounds = max(self.rounds, sum(map(self._rounds, schedule.loops)))
         self.work = max(self.work, sum(map(_work, schedule.loops)))
         return WarpWriter(self.graph, schedule, 4)
@@ -152,27 +170,36 @@ class WarpPlan(RowPlan):
         return math.prod(loop.dims[:-1]) * -(-loop.dims[-1] // THREADS)
 
     def call(self, name: str, *pointers: str) -> str:
-        """Writes a call of a function."""
+        """Returns LLVM IR that calls a function of the kernel.
+
+        The first arguments are those of `given`, the last ones `pointers`.
+        """
         given = [self.given(name), *(f"ptr {pointer}" for pointer in pointers)]
         return f"call void @{name}({', '.join(given)})\n"
 
     def given(self, name: str) -> str:
-        """Returns the first arguments of a function."""
+        """Returns the LLVM text of the first arguments of a function of the kernel.
+
+        They are the thread, the regions of memory and the buffers of XLA.
+        """
         pointers = (*REGIONS, *self._buffers_of(name))
         return ", ".join(["i64 %thread", *(f"ptr {pointer}" for pointer in pointers)])
 
     def _buffers_of(self, name: str) -> list[str]:
-        """Returns the buffers that a function takes: `@shared` has none of a scene."""
+        """Returns the names of the XLA buffers that a function takes.
+
+        `@shared` takes only constants that all scenes share.
+        """
         if name != "shared":
             return self.buffers
         return [buffer for buffer in self.buffers if buffer.startswith("%in")]
 
     def name_buffers(self, n_given: int, n_made: int) -> None:
-        """Names the buffers that functions read and write.
+        """Sets the names of the XLA buffers that the functions read and write.
 
         Args:
-            n_given: Number of arrays, after the constants, that each scene has.
-            n_made: Number of results that functions write.
+            n_given: Number of operands of each scene, after the constants.
+            n_made: Number of results that functions write directly.
         """
         self.buffers = [place.pointer for place in self.constant_places]
         first = 1 + self.n_constants
@@ -180,7 +207,11 @@ class WarpPlan(RowPlan):
         self.buffers += [f"%made{i}" for i in range(n_made)]
 
     def rows(self, given: Sequence[Any] = (), made: Sequence[Any] = ()) -> str:
-        """Writes pointers to the rows of a scene in operands and results."""
+        """Returns LLVM IR of pointers to one scene's part of each operand and result.
+
+        `given` and `made` are the types of the operands after the constants, and of the
+        results. Constants that all scenes share have no such pointer.
+        """
         first = 1 + self.n_constants
         arrays = [
             (f"row{1 + i}", f"in{1 + i}", aval)
@@ -194,7 +225,10 @@ class WarpPlan(RowPlan):
         return "".join(row_text(row, whole, aval) for row, whole, aval in arrays)
 
     def fetch_row(self, to: str, place: Place, source: str, aval: Any) -> str:
-        """Writes a copy of an array from a pointer into a region."""
+        """Returns LLVM IR that copies an array into a region of the warp's memory.
+
+        `to` points to the region, in which the array has the offset of `place`.
+        """
         at = f"{to}_{place.offset}"
         return (
             f"{at} = getelementptr i8, ptr {to}, i64 {place.offset}\n"
@@ -202,7 +236,10 @@ class WarpPlan(RowPlan):
         )
 
     def bring_row(self, to: str, region: str, place: Place, aval: Any) -> str:
-        """Writes a copy of an array from a region to a pointer."""
+        """Returns LLVM IR that copies an array out of a region of the warp's memory.
+
+        In the region, the array has the offset of `place`.
+        """
         at = f"{to}_from"
         return (
             f"{at} = getelementptr i8, ptr {region}, i64 {place.offset}\n"
@@ -217,14 +254,15 @@ class WarpPlan(RowPlan):
         spaces: dict[str, int],
         kept: int = 0,
     ) -> WarpKernel:
-        """Writes the function `@run` around the code of one scene.
+        """Returns the kernel, whose function `@run` loops over the scenes of a warp.
 
         Args:
-            per_scene: Code of one scene.
+            per_scene: LLVM IR that runs for each scene.
             n_operands: Number of operands, with the counts.
             n_results: Number of results, with the workspace.
-            spaces: Sizes of the regions of a warp after `%own`, by name [bytes].
-            kept: Size of each recomputed carry [bytes].
+            spaces: Sizes of the regions of a warp's memory after `%own`, by name
+                [bytes].
+            kept: Size of each carry that the reverse pass recomputes [bytes].
         """
         fills = "\n".join(self.fill_calls("i64 %thread, "))
         sizes = {"scratch": self.scratch, "own": self.fixed.size, **spaces}
@@ -287,7 +325,10 @@ def _work(loop: Loop) -> int:
 
 
 def row_text(row: str, whole: str, aval: Any, index: str = "%scene") -> str:
-    """Writes a pointer to the row of an array at an index."""
+    """Returns LLVM IR of a pointer `row` to one row of the array `whole`.
+
+    `aval` is the type of a row, and `index` its index along the leading axis.
+    """
     return (
         f"%{row}_at = mul i64 {index}, {size_of(aval)}\n"
         f"%{row} = getelementptr i8, ptr %{whole}, i64 %{row}_at\n"
@@ -303,7 +344,11 @@ def size_of(aval: Any) -> int:
 def cycles_by_warps(
     body: LoopBody, batched: tuple[bool, ...], *, checkpoints: bool
 ) -> WarpKernel:
-    """Writes the kernel that repeats a step; see `lanes.llvm.kernel.step_kernel`."""
+    """Returns the GPU kernel that repeats a step, with a warp for each scene.
+
+    Operands and results are those of `lanes.llvm.kernel.step_kernel`. `batched` tells
+    which constants differ between scenes.
+    """
     plan = WarpPlan(body, batched)
     n_carry, first = len(plan.carry), 1 + plan.n_constants
     plan.name_buffers(0, 0)
@@ -338,7 +383,11 @@ def cycles_by_warps(
 
 @lru_cache(maxsize=64)
 def run_by_warps(body: LoopBody, ends: Ends, batched: tuple[bool, ...]) -> WarpKernel:
-    """Writes the kernel of a whole run; see `lanes.llvm.kernel.run_kernel`."""
+    """Returns the GPU kernel of a whole run, with a warp for each scene.
+
+    Operands and results are those of `lanes.llvm.kernel.run_kernel`. `batched` tells
+    which constants differ between scenes.
+    """
     plan = WarpPlan(body, batched)
     n = plan.n_constants
     avals = ends.given[n:]
@@ -370,7 +419,11 @@ def run_by_warps(body: LoopBody, ends: Ends, batched: tuple[bool, ...]) -> WarpK
 def back_by_warps(
     body: LoopBody, moving: tuple[bool, ...], batched: tuple[bool, ...]
 ) -> WarpKernel:
-    """Writes the kernel of the reverse pass; see `lanes.llvm.kernel.adjoint_kernel`."""
+    """Returns the GPU kernel of the reverse pass, with a warp for each scene.
+
+    Operands and results are those of `lanes.llvm.kernel.adjoint_kernel`. `moving` tells
+    which constants have tangents, `batched` which constants differ between scenes.
+    """
     plan = WarpPlan(body, batched)
     n, n_carry = plan.n_constants, len(plan.carry)
     avals, n_seeds, before, before_places, step, back = plan.reverse(moving)
@@ -412,14 +465,14 @@ call void @fill_i8(i64 %thread, ptr %back0, i64 0, i8 0, i64 {before.size}, i64 
 
 
 def kernel_of_warps(name: str, spec: RunSpec) -> WarpKernel:
-    """Returns the kernel of a primitive.
+    """Returns the GPU kernel of a primitive, with a warp for each scene.
 
     Args:
         name: Name of the primitive.
         spec: Structure of the operation.
 
     Raises:
-        NotUnrolled: It cannot be written.
+        NotUnrolled: A kernel cannot run the operation.
     """
     body = spec.body
     batched = (False,) * body.n_constants

@@ -1,9 +1,9 @@
-"""Loops of a schedule for a warp: 32 threads that share the memory of one scene.
+"""LLVM IR of the loops of a schedule for a warp: 32 threads that share one scene.
 
-Each thread computes every 32nd number of a row. All threads compute single numbers, and
-come to the same. Stores of a level are visible in the next level, because all threads
-wait for each other in between. Where a number is added to another in memory, the first
-thread does it.
+Each thread computes every 32nd number of a row. Single numbers are computed by all
+threads alike. Between the levels of a schedule all threads wait for each other, so that
+stores of one level can be read in the next. If a number in memory is updated, only the
+first thread does it.
 """
 
 from __future__ import annotations
@@ -18,27 +18,30 @@ Lines = list[str]
 THREADS = 32
 """Threads of a warp."""
 READ_ONLY = ("%in", "%row")
-"""Beginnings of the names of pointers to operands."""
+"""Prefixes of the names of pointers to operands, which no thread writes."""
 WAIT = "call void @wait()"
-"""Line that waits for all threads of the warp, and for their stores."""
+"""LLVM line at which all threads of the warp wait for each other and for their
+stores."""
 
 
 class WarpWriter(RowWriter):
-    """Writer of a function that runs the loops of a schedule in the threads of a warp.
+    """Writer of an LLVM function in which a warp runs the loops of a schedule.
 
-    The first argument of the function is the number of the thread.
+    The first argument of the function is the index of the thread.
     """
 
     attributes = "alwaysinline nounwind"
     given = "i64 %thread, "
     level = 0
-    """Level of the last loop that was written."""
+    """Level of the last loop that was written; a barrier precedes the first loop of
+    another."""
 
     def function(self, name: str, pointers: Sequence[str], lines: Lines) -> str:
-        """Writes a function with these lines.
+        """Returns an LLVM function whose first argument is the thread.
 
-        Pointers to memory that threads write are not `noalias`: every thread has a
-        copy, and waits for what others wrote. LLVM would move loads across the wait.
+        Pointers to memory that threads write are not `noalias`: each thread reads what
+        others wrote before a barrier, and LLVM would move such loads across the
+        barrier.
         """
         given = ", ".join(f"ptr {_claims(p)}nocapture {p}" for p in pointers)
         head = (
@@ -48,11 +51,14 @@ class WarpWriter(RowWriter):
         return "\n".join([head, *begin, *lines, WAIT, "ret void", "}", ""])
 
     def synchronise(self) -> None:
-        """Appends a line that waits until all stores before it can be read."""
+        """Appends a barrier, after which all threads can read all earlier stores."""
         self.lines.append(WAIT)
 
     def one_by_one(self, name: str, write: Callable[[], None]) -> None:
-        """Writes code that only the first thread runs."""
+        """Appends code that updates memory, which only the first thread runs.
+
+        The function `write` appends the code; its labels begin with `name`.
+        """
         self.lines += [
             f"br i1 %alone, label %{name}_alone, label %{name}_all",
             f"{name}_alone:",
@@ -71,7 +77,10 @@ class WarpWriter(RowWriter):
     def innermost(
         self, mark: str, latch: str, length: int, phis: Lines, body: Lines
     ) -> Lines:
-        """Writes the loop over the numbers of a row that are this thread's."""
+        """Returns the lines of a loop over every 32nd number of a row.
+
+        It begins at the index of the thread. Arguments as in `RowWriter.innermost`.
+        """
         body_label = f"{mark}_body"
         return [
             f"br label %{mark}_pre",
@@ -92,18 +101,22 @@ class WarpWriter(RowWriter):
         ]
 
     def latch(self, mark: str) -> str:
-        """Returns the label of the last block of a loop that has reductions."""
+        """Returns the label of the last block in the body of a loop with reductions."""
         return f"{mark}_next"
 
     def after_loop(self, before: str, after: str) -> str:
-        """Returns the name of a thread's total once its loop is done."""
+        """Returns the name of a reduction's total of one thread after its loop.
+
+        The loop is left at the beginning of a round, so it is the total `before`.
+        """
         del after
         return before
 
     def across(self, operation: str, value: str, kind: str, rounds: int) -> str:
-        """Combines the totals of all threads; every thread has the same result.
+        """Appends the reduction of all threads' totals; returns the result's name.
 
-        Only the sign of a zero may differ, for the smallest or largest number.
+        Every thread has the same result. If the smallest or largest number is zero, its
+        sign may differ between threads.
         """
         if rounds == 1:
             return value
@@ -116,7 +129,11 @@ class WarpWriter(RowWriter):
         return value
 
     def _of_other_thread(self, value: str, kind: str, one: str, step: int) -> str:
-        """Writes the exchange of a number with the thread `step` from this one."""
+        """Appends the exchange of a number with the thread of index `thread xor step`.
+
+        Returns:
+            The name of that thread's number.
+        """
         bits = 1 if kind == "b1" else 8 * BYTES[kind]
         whole = f"i{bits}"
         sent = value
@@ -145,23 +162,23 @@ class WarpWriter(RowWriter):
         return self.new(f"call i32 @exchange(i64 %thread, i32 {number}, i32 {step})")
 
     def copy(self, to: str, source: str, count: int, kind: str) -> None:
-        """Writes a copy of numbers in memory."""
+        """Appends a copy of numbers from memory to memory, shared among the threads."""
         size = BYTES[kind]
         self.lines.append(copy_call(to, source, count * size, size))
 
 
 def _claims(pointer: str) -> str:
-    """Returns what LLVM may rely on: operands are read, and never written."""
+    """Returns LLVM attributes of a pointer: those to operands are `readonly`."""
     return "noalias readonly " if pointer.startswith(READ_ONLY) else ""
 
 
 def copy_call(to: str, source: str, size: int, alignment: int) -> str:
-    """Writes a call that copies memory, four bytes at a time if that is possible.
+    """Returns LLVM IR that copies memory, four bytes at a time if possible.
 
     Args:
-        to: Pointer to which numbers are copied.
-        source: Pointer from which they are copied.
-        size: Size of all of them [bytes].
+        to: Name of the pointer to which numbers are copied.
+        source: Name of the pointer from which they are copied.
+        size: Total size of the numbers [bytes].
         alignment: Alignment of both pointers [bytes].
     """
     word = 4 if size % 4 == 0 and alignment % 4 == 0 else 1
@@ -172,7 +189,10 @@ def copy_call(to: str, source: str, size: int, alignment: int) -> str:
 
 
 def _thread_loop(length: str, body: Lines) -> str:
-    """Writes the body of a function that is a loop over the numbers of a thread."""
+    """Returns the body of a function that loops over every 32nd index below `length`.
+
+    The lines `body` use the index `%i`.
+    """
     return "\n".join(
         [
             "entry:",
@@ -192,7 +212,10 @@ def _thread_loop(length: str, body: Lines) -> str:
 
 
 def copy_text(bits: int) -> str:
-    """Writes the function that copies memory, `bits` bits at a time."""
+    """Returns LLVM IR of a function that copies memory by words of `bits` bits.
+
+    The threads of a warp share the words.
+    """
     body = _thread_loop(
         "%count",
         [
@@ -207,7 +230,11 @@ def copy_text(bits: int) -> str:
 
 
 def warp_fill_text(one: str) -> str:
-    """Writes a function that repeats a number in memory, in runs."""
+    """Returns LLVM IR of a function that writes one number to runs of entries.
+
+    Run j begins at entry j times `%stride` and has `%count` entries. The threads of a
+    warp share the entries.
+    """
     body = _thread_loop(
         "%all",
         [

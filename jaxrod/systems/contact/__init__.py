@@ -1,1 +1,1 @@
-"""Contact between members: rods, bodies, lists of neighbours."""
+"""Contact couplings: rods with rods, rods with rigid bodies, and rigid bodies."""

@@ -56,13 +56,14 @@ class BodyContact(PenaltyContact):
     """
 
     touching: Float[Array, ""] | None = None
-    """Length of rod that touches a body at a time, for the stability bound [m]."""
+    """Length of rod that touches a body at one time, for the stability bound; `None`
+    for all of it [m]."""
     free_ends: Float[Array, "rods 2"] | None = None
     """Flags of the rods' ends: 1 if free, 0 if tied or attached."""
     segments: RodSegments | None = None
-    """Contact points of the rods, set by `prepared`; their lengths are zero at ends."""
+    """Segments and points of the rods, set by `prepared`; zero length at ends."""
     ends: Ends | None = None
-    """Ends of the rods, set by `prepared`."""
+    """Ends of the rods, with their contact law, set by `prepared`."""
     rod: str = static(default="")
     """Name of the member with the rods."""
     body: str = static(default="")
@@ -72,7 +73,7 @@ class BodyContact(PenaltyContact):
 
     @property
     def is_contact(self) -> bool:
-        """True: a replay can show its forces."""
+        """True: marks forces that a replay can show as contact forces."""
         return True
 
     def check(self, parts: AllParts) -> None:
@@ -90,7 +91,7 @@ class BodyContact(PenaltyContact):
             )
 
     def fitted(self, parts: AllParts, tied: tuple[TiedPair, ...]) -> BodyContact:
-        """The coupling with the number of points."""
+        """The coupling with the number of contact points, by default a radius apart."""
         if self.points_per_element is not None:
             return self
         # At most a radius apart.
@@ -98,11 +99,11 @@ class BodyContact(PenaltyContact):
         return replace(self, points_per_element=needed)
 
     def with_free_ends(self, free: Mapping[str, Array]) -> BodyContact:
-        """The coupling with flags of free ends; only free ends have a face."""
+        """The coupling with flags of free ends; only free ends have an end face."""
         return replace(self, free_ends=free[self.rod])
 
     def prepared(self, parts: AllParts) -> BodyContact:
-        """The coupling with lengths and radii of the points."""
+        """The coupling with `segments` and `ends` set from the rods' constants."""
         per, free = self.points_per_element, self.free_ends
         assert per is not None and free is not None
         made, ends = segments_and_ends(parts[self.rod], per, free)
@@ -141,7 +142,7 @@ class BodyContact(PenaltyContact):
         return {self.rod: on_rod, self.body: self._on_bodies(seen, reactions)}
 
     def _on_bodies(self, seen: AllSeen, reactions: list[tuple[Vec3, Vec3]]) -> Loads:
-        """Sums of reactions on each body, with couples in the bodies' frames."""
+        """Loads on bodies, from forces on rods and reaction couples, world frame."""
 
         def row(which: int) -> Vec3:
             x, y, z = (
@@ -156,11 +157,12 @@ class BodyContact(PenaltyContact):
     def _force(
         self, points: ContactPoints, body: Posed
     ) -> tuple[Vec3, Vec3 | None, Vec3, Vec3]:
-        """Contact forces, their couples and places, and the forces beside the ends.
+        """Contact forces and couples of one body on the rods, world frame.
 
         Returns:
-            Forces on the points, couples on their sections, the places where the forces
-            act, and forces at the places beside the ends.
+            Forces on the contact points, couples on the rod there, points on the
+            surface where the forces act, and forces at the points beside the ends (see
+            `Ends`).
         """
         segments, ends = self._segments(), self._ends()
         distance, normal = body.surface(points.position)
@@ -190,11 +192,11 @@ class BodyContact(PenaltyContact):
         return vectors.add(force, rub), vectors.cross(arm, rub), place, pull
 
     def _depth(self, radii: Array) -> Callable[[Array], Array]:
-        """Function from distance to penetration, positive; see `Ends.counted`."""
+        """Function from distance to positive penetration [m], for `Ends.counted`."""
         return lambda distance: depth_from_onset(radii - distance, self.onset * radii)
 
     def _density(self, radii: Array, distance: Array) -> Array:
-        """Energy per length of the springs [J/m]."""
+        """Spring energy per length of rod at a distance from the surface [J/m]."""
         return self.law.energy(radii - distance, self.onset * radii)
 
     def energy(self, seen: AllSeen) -> Array:
@@ -213,7 +215,7 @@ class BodyContact(PenaltyContact):
         return total
 
     def violation(self, seen: AllSeen) -> Array:
-        """Deepest penetration of a point over the radius."""
+        """Deepest penetration of a contact point over the rod's radius [1]."""
         segments = self._segments()
         points = points_at(segments, seen[self.rod], spins=False)
         worst = jnp.zeros((), self.stiffness.dtype)
@@ -223,14 +225,14 @@ class BodyContact(PenaltyContact):
         return worst
 
     def stability_bounds(self, parts: AllParts) -> dict[str, StabilityBound]:
-        """Stiffness and drag as if all of every rod touched every body.
+        """Bounds of stiffness and drag as if all of every rod touched every body.
 
         With `touching` only that length of rod counts. A spring's change of length is
         the sum of the contributions of node and body. By the Cauchy-Schwarz inequality
         its energy is at most that of all masses together at the squared frequency `k`
-        times the sum of the compliances. The compliance of a node is its length over
-        its mass. That of a body is the length touching it over its mass, plus this
-        length times the square of the lever arm over the body's inertia.
+        times the sum of the mobilities. The mobility of a node is its length over its
+        mass. That of a body is the length touching it over its mass, plus this length
+        times the square of the lever arm over the body's inertia.
         """
         rods, bodies = parts[self.rod], parts[self.body]
         assert rods.linear_density is not None and rods.radii is not None
@@ -286,7 +288,11 @@ def _sum(field: Array) -> Array:
 def _bound(
     parts: Parts, rate: Array, slow: Array | None, drags: bool, turns: bool
 ) -> StabilityBound:
-    """Bound for all masses at a squared frequency [1/s^2] and a rate of drag [1/s]."""
+    """Stability bound in proportion to masses and inertias.
+
+    Stiffness is `rate` [1/s^2] and drag `slow` [1/s] times the mass. Elements have
+    stiffness times inertia only if `turns`, and drag only if `drags`.
+    """
     inertia = jnp.min(parts.inertias, axis=0)
     return StabilityBound(
         nodes=rate * parts.node_masses,
@@ -297,7 +303,7 @@ def _bound(
 
 
 def _lever(bodies: Parts) -> Array:
-    """Largest lever arm of a force along the normal about the centre of mass [m]."""
+    """Largest lever arm of a normal force about the centre of mass [m]."""
     assert bodies.shape is not None
     centre = bodies.shape.centre_of_normals
     if centre is not None:
@@ -306,9 +312,9 @@ def _lever(bodies: Parts) -> Array:
 
 
 def _size(bodies: Parts) -> Array:
-    """Largest distance of a surface from the centre, from the inertia [m].
+    """Estimate sqrt(5 J/m) of the largest distance from centre to surface [m].
 
-    Computed for bodies of uniform density.
+    J is the largest moment of inertia, at uniform density.
     """
     largest = jnp.max(bodies.inertias, axis=0)
     return jnp.sqrt(5 * largest / bodies.node_masses)
@@ -348,7 +354,7 @@ def body_contact(
         A coupling for `make_system`.
 
     Raises:
-        ValueError: If a number is out of range, or friction has no drag.
+        ValueError: If a number is out of range, or friction is given without drag.
 
     Example:
         >>> shape = shapes.sphere((0.5, 0.0, -0.5), radius=0.1)

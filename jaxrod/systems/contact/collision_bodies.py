@@ -1,4 +1,4 @@
-"""Bodies in contact: their surfaces, and balls tested against other surfaces."""
+"""Rigid bodies in contact: their surfaces, and balls tested against other surfaces."""
 
 from __future__ import annotations
 
@@ -28,18 +28,18 @@ from jaxrod.systems.sites.coupling import AllSeen
 
 @pytree
 class Posed:
-    """One rigid body at one moment; every number has an axis of length one."""
+    """Pose and velocity of rigid bodies, in arrays that broadcast against points."""
 
     shape: Body
     """Surface of the body in its own frame."""
     position: Vec3
-    """Origin of the body [m]."""
+    """Origin of the body's frame [m]."""
     frame: tuple[Vec3, Vec3, Vec3]
-    """Axes of the body, world frame."""
+    """Axes d1, d2, d3 of the body's frame, world frame."""
     velocity: Vec3
-    """Velocity of the origin [m/s]."""
+    """Velocity of the origin, world frame [m/s]."""
     spin: Vec3
-    """Angular velocity [rad/s]."""
+    """Angular velocity, world frame [rad/s]."""
 
     def surface(self, points: Vec3) -> tuple[Array, Vec3]:
         """Signed distance [m] and outward normal at points in the world frame."""
@@ -54,7 +54,7 @@ class Posed:
 
 
 def posed(seen: Seen, number: int) -> Posed:
-    """One of the bodies of a member."""
+    """Pose and velocity of the body with index `number` of a member."""
     assert seen.parts.shape is not None
     motion = seen.motion
 
@@ -77,23 +77,23 @@ def posed(seen: Seen, number: int) -> Posed:
 
 @pytree
 class CollisionBodies:
-    """Bodies of one shape, with the balls that are tested for contact."""
+    """Group of bodies of one shape, with the balls that are tested for contact."""
 
     shape: Body
-    """Surface in the bodies' own frame."""
+    """Surface of each body in its own frame."""
     cloud: SphereCloud | None
-    """Balls in the bodies' own frame; `None` if only the surface is known."""
+    """Balls of each body in its own frame; `None` if only the surface is known."""
     sizes: Array
-    """Half the smallest thickness of each body, roughly; infinite for fixed bodies
-    [m]."""
+    """Size of each body, to scale the onset of contact: sqrt(2.5 J/m) with its smallest
+    moment of inertia J, a sphere's radius; infinite for a fixed body [m]."""
     reach: Array
-    """Largest distance of the surface from the origin [m]."""
+    """Largest distance of a contact from the body's origin; zero if fixed [m]."""
     masses: Array
     """Mass of each body; infinite for a fixed body [kg]."""
     inertias: Array
     """Smallest moment of inertia of each body; infinite for a fixed body [kg m^2]."""
     pose: Posed | None = None
-    """Pose of a fixed body, or of moving bodies at one moment."""
+    """Pose and velocity of a fixed body, or of moving bodies at one moment."""
     member: str = static(default="")
     """Name of the member; empty for a fixed body."""
 
@@ -104,16 +104,16 @@ class CollisionBodies:
 
     @property
     def is_round(self) -> bool:
-        """Whether the balls represent the whole body."""
+        """Whether the balls make up the whole body (spheres and capsules)."""
         return self.cloud is not None and self.cloud.is_round
 
     @property
     def is_ball(self) -> bool:
-        """Whether the body is a single ball."""
+        """Whether each body is a single ball."""
         return self.cloud is not None and self.is_round and self.cloud.count == 1
 
     def at(self, seen: AllSeen) -> CollisionBodies:
-        """The group with its pose at one moment."""
+        """The group with its pose and velocity in the given state."""
         if not self.member:
             return self
         own = seen[self.member]
@@ -128,7 +128,7 @@ class CollisionBodies:
         return replace(self, pose=pose)
 
     def loads(self, seen: AllSeen, forces: Vec3, couples: Vec3) -> Loads:
-        """Loads on the member, from couples given in the world frame."""
+        """Loads on the member, with couples rotated from world to body frames."""
         frame = directors(seen[self.member].motion.orientation)
         return Loads(forces, to_material(frame, couples))
 
@@ -140,14 +140,15 @@ def collision_bodies(
     points_per_edge: int,
     points: Mapping[str, Array],
 ) -> tuple[CollisionBodies, ...]:
-    """Members and fixed bodies with their balls.
+    """Groups of bodies with their balls: members first, then fixed bodies.
 
     Args:
         members: Constants of the members.
         fixed: Bodies that stand still.
-        balls: Number of balls along the axis of each.
-        points_per_edge: Points on every edge of a box.
-        points: Points on members, by name.
+        balls: Number of balls along the axis of each member and fixed body.
+        points_per_edge: Points on every edge of a box, corners included.
+        points: Contact points of members, by name, in place of their balls `(3, k)`
+            [m].
     """
     groups = []
     for (name, own), along in zip(members.items(), balls, strict=False):
@@ -177,7 +178,7 @@ def collision_bodies(
 
 
 def _standing(body: Body, balls: int, points_per_edge: int) -> CollisionBodies:
-    """Collision bodies of a fixed body, in the frame of its axes."""
+    """Group of one fixed body, of infinite mass, in the frame of its principal axes."""
     shape, centre = body, jnp.zeros(3)
     frame = directors(split_quaternion(jnp.asarray((1.0, 0.0, 0.0, 0.0))))
     if not body.is_half_space:
@@ -204,28 +205,31 @@ def _standing(body: Body, balls: int, points_per_edge: int) -> CollisionBodies:
 
 
 Way = tuple[bool, bool, float]
-"""Whether the first group's balls are tested, whether the second group's are, and the
-weight of each ball."""
+"""Direction of a test: whether the balls of the first group are tested, whether those
+of the second are, and the weight of each ball [1]."""
 
 
 @pytree
 class CollisionPair:
-    """The balls of one group against the surfaces of another, `(bodies, balls)`."""
+    """Contacts of the balls of one group with the surfaces of another.
+
+    Arrays are `(bodies with surfaces, balls of all bodies with balls)`.
+    """
 
     depth: Array
-    """Penetration [m]."""
+    """Penetration of each ball into each surface [m]."""
     width: Array
-    """Width of the onset [m]."""
+    """Width of the smooth onset of contact [m]."""
     normal: Vec3
-    """Outward normal of the surface."""
+    """Outward unit normal of the surface, world frame."""
     rate: Vec3
-    """Velocity of the ball's body relative to the other, at the place of contact [m/s].
-    """
+    """Velocity of the ball's body relative to the surface's body at the contact point,
+    world frame [m/s]."""
     arms: tuple[Vec3, Vec3]
-    """Vectors from the origins of the ball's body and of the other to the place of
-    contact [m]."""
+    """Lever arms from the origins of the ball's body and of the surface's body to the
+    contact point, world frame [m]."""
     share: Array
-    """Weight of each ball and surface [1]."""
+    """Weight of each ball and surface; zero for balls and their own body [1]."""
     balls: int = static()
     """Number of balls of each body."""
 
@@ -233,7 +237,7 @@ class CollisionPair:
     def between(
         a: CollisionBodies, b: CollisionBodies, *, same: bool
     ) -> tuple[Way, ...]:
-        """Directions in which two groups are tested against each other.
+        """Directions in which two groups are tested: whose balls, with which weight.
 
         Args:
             a: The first group.
@@ -259,7 +263,7 @@ class CollisionPair:
 
     @staticmethod
     def contacts(a: CollisionBodies, b: CollisionBodies, *, same: bool) -> float:
-        """Largest weighted number of balls with which two of their bodies touch."""
+        """Upper bound of the weighted number of balls with which two bodies touch."""
         total = 0.0
         for first, _, share in CollisionPair.between(a, b, same=same):
             looks, surface = (a, b) if first else (b, a)
@@ -279,13 +283,13 @@ class CollisionPair:
         *,
         same: bool,
     ) -> CollisionPair:
-        """Pairs of the balls of one group with the surfaces of another.
+        """Contacts of all balls of group `a` with all surfaces of group `b`.
 
         Args:
             a: Group with the balls, at one moment.
             b: Group with the surfaces, at one moment.
             share: Weight of each ball [1].
-            onset: Width of the onset over the smaller size [1].
+            onset: Width of the onset over the size of the smaller body [1].
             same: Whether both groups are the same; no body is tested against itself.
         """
         cloud, pose, other = a.cloud, a.pose, b.pose
@@ -339,7 +343,7 @@ class CollisionPair:
         )
 
     def loads(self, force: Vec3) -> tuple[tuple[Vec3, Vec3], tuple[Vec3, Vec3]]:
-        """Forces and couples on all bodies of both groups, from forces on balls."""
+        """Total force and couple on each body of both groups, from forces on balls."""
         couples = vectors.cross(self.arms[0], force)
         back = vectors.cross(force, self.arms[1])
 
@@ -362,7 +366,7 @@ class CollisionPair:
 def _touch(
     cloud: SphereCloud, balls: Posed, body: Posed, width: Array
 ) -> tuple[Array, Array, Vec3, Vec3, tuple[Vec3, Vec3]]:
-    """Depth, width, normal, rate and arms of balls against one surface."""
+    """Penetration, width, normal, velocity and lever arms of balls at a surface."""
 
     def world(own: Vec3) -> Vec3:
         return vectors.add(balls.position, to_world(balls.frame, own))

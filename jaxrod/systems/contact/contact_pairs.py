@@ -1,8 +1,8 @@
-"""Pairs of places that may touch, and the forces there.
+"""Pairs of points on two elements that may touch, and the forces between them.
 
-Force and reaction act at one common point of both elements, half a penetration deep. So
-momentum and angular momentum are exact, with damping and friction too, and friction
-turns both elements.
+Force and reaction act at one common point, midway between the two surfaces. So momentum
+and angular momentum are exact, with damping and friction too, and friction turns both
+elements.
 """
 
 from __future__ import annotations
@@ -18,31 +18,31 @@ from jaxrod.geometry.vectors import Vec3
 from jaxrod.structure import pytree
 
 ROUNDED = 1e-7
-"""Width within which distances are smoothed, over the sum of the radii [1]."""
+"""Length e in the smoothed distance sqrt(d^2 + e^2), over the sum of the radii [1]."""
 
 
 @pytree
 class ContactPair:
-    """Two places, and the penetration of the surfaces around them."""
+    """Pairs of points on the axes of two elements, and the penetration of surfaces."""
 
     places: tuple[Array | None, Array]
-    """Places on the first and on the second element, over their lengths [1]; `None` for
-    a contact point."""
+    """Fractions along the first and the second element at which the points lie [1]; the
+    first is `None` for a contact point."""
     normal: Vec3
-    """Unit vectors from the second place to the first."""
+    """Unit vectors from the second point to the first."""
     weight: Array
-    """Weight of the pair: a length in the line law [m], else a number [1]; negative for
-    pairs that are subtracted."""
+    """Factor on the force and energy of the pair: a length if the law is per length
+    [m], else a number [1]. It is negative for pairs that are subtracted."""
     depth: Array
-    """Penetration [m]."""
+    """Penetration: sum of the radii minus the distance of the points [m]."""
     width: Array
-    """Width of the onset of contact [m]."""
+    """Width of the smooth onset of contact [m]."""
     radii: tuple[Array, Array]
     """Radii of the first and of the second element [m]."""
 
     @property
     def arms(self) -> tuple[Vec3, Vec3]:
-        """Vectors from the places on both axes to the common point of contact [m]."""
+        """Lever arms from both axes to the point midway between the surfaces [m]."""
         overlap = 0.5 * self.depth
         return (
             vectors.scale(overlap - self.radii[0], self.normal),
@@ -51,13 +51,13 @@ class ContactPair:
 
 
 class Moving(Protocol):
-    """Elements or contact points in motion."""
+    """Interface of elements or contact points with velocities."""
 
     def spin_at(self, place: Any) -> Vec3:
-        """Angular velocities at places on the axes, world frame [rad/s]."""
+        """Angular velocities at fractions along the elements, world frame [rad/s]."""
 
     def velocity_at(self, place: Any) -> Vec3:
-        """Velocities of places on the axes [m/s]."""
+        """Velocities of the axes at fractions along the elements [m/s]."""
 
 
 def contact_pair(
@@ -67,12 +67,12 @@ def contact_pair(
     radii: tuple[Array, Array],
     onset: Array,
 ) -> ContactPair:
-    """Makes the pair of two places.
+    """Computes normals, penetrations and onset widths of pairs of points.
 
     Args:
-        way: Vector from the second place to the first [m].
-        places: Places on the first and on the second element [1].
-        weight: Weight of the pair.
+        way: Vector from the second point to the first [m].
+        places: Fractions along the first and the second element [1].
+        weight: Factor on the force and energy of the pair.
         radii: Radii of the first and of the second element [m].
         onset: Width of the onset over the mean of the radii [1].
     """
@@ -96,17 +96,18 @@ def pair_forces(
     law: PenaltyLaw,
     share: Array | None = None,
 ) -> tuple[Vec3, tuple[Vec3, Vec3] | None]:
-    """Normal force, dashpot and friction of a pair, times its weight.
+    """Forces of pairs, times their weights: spring, dashpot and friction.
 
     Args:
-        pair: The pair.
-        own: First elements.
-        other: Second elements.
-        law: Numbers of the law.
-        share: Fraction of the dashpot and of friction that counts; all by default [1].
+        pair: Pairs of points.
+        own: First elements or contact points, with velocities.
+        other: Second elements, with velocities.
+        law: Stiffness, damping and friction.
+        share: Factor on dashpot and friction forces; one by default [1].
 
     Returns:
-        Force on the first element, and couples on both; no couples without friction.
+        Force on the first element (the second gets the opposite force), and friction
+        couples on both; `None` for the couples without friction.
     """
     rate = turning = None
     arms = pair.arms

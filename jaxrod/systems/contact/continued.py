@@ -1,12 +1,12 @@
-"""Ends of rods that continue in other rods.
+"""Ends of rods: free, tied to another rod, or closed to a ring.
 
-A free end has a face; an end that is tied to another node has none.
+A free end has an end face in contact; an end that is tied to another node has none.
 
-Contact of rods with rods counts segments minus the nodes between them
-(inclusion-exclusion), so that every place counts once. Where ends of rods are tied, a
+Contact of rods with rods sums over segments and subtracts the nodes between them
+(inclusion-exclusion), so that each contact counts once. Where ends of rods are tied, a
 node lies between segments of different rods. So all nodes but one of a group of tied
-nodes are subtracted, too. Only last nodes can be subtracted, which is enough for rods
-welded end to end and for closed rods.
+nodes are subtracted, too. Only the last node of a rod can be subtracted, which is
+enough for rods welded end to end and for closed rods.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from jaxrod.systems.sites.coupling import AllParts, TiedPair
 def last_but_continued(
     member: str, parts: AllParts, tied: Sequence[TiedPair]
 ) -> tuple[int, ...]:
-    """Last segments of a member's rods, where another rod continues.
+    """Indices of last segments of rods that continue: their last nodes are subtracted.
 
     Args:
         member: Name of the member.
@@ -59,10 +59,11 @@ def free_ends(
     Args:
         member: Name of the member.
         parts: Constants of all members.
-        held: Nodes of members that are tied to other nodes or attached to bodies.
+        held: Members and indices of nodes that are tied to other nodes or attached to
+            bodies.
 
     Returns:
-        Ones and zeros `(rods, 2)`.
+        Flags `(rods, 2)`.
     """
     own = parts[member]
     last = own.n_elements
@@ -77,7 +78,7 @@ def free_ends(
 def closed_rods(
     member: str, parts: AllParts, tied: Sequence[TiedPair]
 ) -> tuple[int, ...]:
-    """Rods of a member whose last node is tied to their own first node only.
+    """Indices of a member's rods whose last node is tied to its first and to no other.
 
     Args:
         member: Name of the member.

@@ -4,9 +4,9 @@ Over the segments $i$, $j$ of two rods and the nodes between segments
 
 $$E = \sum_{ij} \big[\psi(p_{ij}) - \psi(p_{vj}) - \psi(p_{iw}) + \psi(p_{vw})\big].$$
 
-The penetration $p$ is taken at the closest points of two segments, of the next node $v$
-or $w$ of one segment and the other segment, and of both nodes. Segments are pieces of
-curves that are smooth at nodes (`jaxrod.systems.contact.smooth_axes`): on polylines,
+The penetration $p$ is taken at the closest points of two segments, of the second node
+$v$ or $w$ of one segment and the other segment, and of both nodes. Segments are pieces
+of curves that are smooth at nodes (`jaxrod.systems.contact.smooth_axes`): on polylines,
 rods at rest on each other would slide to nodes, where their energy is lower. By
 inclusion-exclusion over segments and the nodes between them a crossing counts once,
 wherever it is and however long segments are compared with their radius. The sum is
@@ -16,11 +16,11 @@ meant for nests, nets and knots of long elements. Forces are exactly those of th
 energy, and act at one common point of both rods.
 
 Subtracted terms have springs only. Dashpots and friction act at the closest points of
-two segments and are reduced by the subtracted share of the push. A subtracted dashpot
-would act at another place, which moves differently, and would feed in energy.
-So next to a node they belong to only one of its two segments. If the nodes of a rod are
-numbered in the opposite order, they change there by an amount of first order in the
-length of a segment.
+two segments and are reduced in proportion to the normal force that is subtracted. A
+subtracted dashpot would act at another point, which moves differently, and would feed
+in energy. So next to a node dashpots and friction belong to only one of its two
+segments. If the nodes of a rod are numbered in the opposite order, these forces change
+there by an amount of first order in the length of a segment.
 """
 
 from __future__ import annotations
@@ -70,7 +70,7 @@ Tree = TypeVar("Tree")
 
 @pytree
 class CrossingContact(TouchingRods):
-    """Contact between all rods of some members; see `crossing_contact`.
+    """Contact between rods, once for each crossing; see `crossing_contact`.
 
     Example:
         >>> contact = systems.crossing_contact("left", "right", stiffness=1e3)
@@ -82,12 +82,12 @@ class CrossingContact(TouchingRods):
     smooth: ClassVar[bool] = True
 
     def fitted(self, parts: AllParts, tied: tuple[TiedPair, ...]) -> CrossingContact:
-        """The coupling with the tied nodes; elements near them do not touch."""
+        """The coupling with the tied nodes set; elements near them do not touch."""
         fitted: Any = self.with_ties(parts, tied)
         return fitted
 
     def prepared(self, parts: AllParts) -> CrossingContact:
-        """The coupling with radii and lengths of segments."""
+        """The coupling with `segments` set: radii and lengths of segments."""
         made = tuple(
             rod_segments(
                 parts[name],
@@ -100,16 +100,16 @@ class CrossingContact(TouchingRods):
         return replace(self, segments=made)
 
     def bounding_radii(self, a: int) -> Array:
-        """Radii of the elements [m]."""
+        """Radii of the elements of member `a` [m]."""
         return self.segments[a].radii
 
     def allowed(self, a: int, b: int, own: Bounds, other: Bounds) -> Any:
-        """Whether pairs may touch: on two rods, or far apart along one rod."""
+        """Mask of pairs of elements with `weights` above zero; `None` for all."""
         share = self.share(a, b, own.elements, other.elements)
         return None if share is None else share > 0
 
     def scales(self, own: Elements, other: Elements) -> tuple[Array, Array]:
-        """Means of the two radii and of the two rest lengths [m]."""
+        """Mean radius and mean rest length of both elements; they limit contact [m]."""
         assert own.rest_lengths is not None and other.rest_lengths is not None
         return (
             0.5 * (own.radii + other.radii),
@@ -117,17 +117,18 @@ class CrossingContact(TouchingRods):
         )
 
     def weights(self, a: int, b: int, own: Elements, other: Elements) -> Array:
-        """Share with which pairs count [1]."""
+        """Weights of pairs: one, less near ties and between neighbours on a rod [1]."""
         share = self.share(a, b, own, other)
         return jnp.ones_like(own.radii + other.radii) if share is None else share
 
     def contact_pairs(
         self, own: Elements, other: Elements, weights: Array
     ) -> Iterator[ContactPair]:
-        """Terms of pairs: two segments, minus node and segment (twice), plus two nodes.
+        """Five pairs of points for each pair of elements, with their weights.
 
-        This is the inclusion-exclusion. Two segments touch at their closest points and,
-        as far as they are parallel, at their middles.
+        Two segments touch at their closest points and, as far as they are parallel, at
+        the middles of their overlap. By inclusion-exclusion, second nodes with segments
+        are subtracted and pairs of second nodes are added.
         """
         way = vectors.subtract(own.first, other.first)
         lines = way, own.edge, other.edge
@@ -152,7 +153,7 @@ class CrossingContact(TouchingRods):
     def pair_loads(
         self, own: Elements, other: Elements, weights: Array
     ) -> tuple[SegmentLoads, SegmentLoads]:
-        """Loads of all pairs of places."""
+        """Loads of pairs of elements, on the first and on the second."""
         nearest, middle, *nodes = self.contact_pairs(own, other, weights)
         law = self.law
         pushes = [
@@ -185,11 +186,15 @@ class CrossingContact(TouchingRods):
     def _shifting(
         self, nearest: ContactPair, middle: ContactPair, own: Elements, other: Elements
     ) -> tuple[Vec3, Vec3, Vec3]:
-        """Additional forces of the energy of segments that are nearly parallel.
+        """Forces from changes of the weight c of closest points, and of the middles.
 
-        At the closest points the distance is stationary, so the shift of these points
-        along the segments does not contribute. The shift of the middles does, and so
-        does the change of the shares of both touches.
+        The energy of two segments is c times that of contact at their closest points,
+        plus 1 - c times that of contact at the middles of their overlap. At the closest
+        points the distance is stationary, so the shift of these points along the
+        segments does not contribute.
+
+        Returns:
+            Forces conjugate to the vector between the first nodes and to both edges.
         """
         lines = vectors.subtract(own.first, other.first), own.edge, other.edge
         weight = nearest.weight + middle.weight
@@ -219,7 +224,7 @@ class CrossingContact(TouchingRods):
         return from_products(slopes, *lines)
 
     def bound(self, own: Parts, every: list[Parts]) -> StabilityBound:
-        """Largest stiffness and drag of `max_contacts` rods across every element.
+        """Bounds of stiffness and drag as if `max_contacts` rods crossed every element.
 
         A spring's change of length is the sum of the contributions of two rods. Its
         square is at most twice the sum of their squares. Slip has four contributions,
@@ -241,13 +246,13 @@ class CrossingContact(TouchingRods):
 
 
 Bulges = tuple[Vec3, Vec3]
-"""Forces conjugate to both bulges of elements [N]."""
+"""Forces conjugate to the bulges of elements at their first and second nodes [N]."""
 
 
 def _conjugate(
     pair: ContactPair, force: Vec3
 ) -> tuple[tuple[Vec3, Vec3, Vec3], tuple[Bulges, Bulges]]:
-    """Forces conjugate to the variables on which a pair of places depends.
+    """Forces on edges and bulges of two elements, from the force at a pair of points.
 
     Returns:
         Forces conjugate to the vector between the first nodes and to both edges, and
@@ -268,7 +273,7 @@ def _on_bulges(fraction: Array, force: Vec3) -> Bulges:
 def _turning_nodes(
     pair: ContactPair, turns: tuple[Vec3, Vec3]
 ) -> tuple[tuple[Vec3, Vec3], tuple[Vec3, Vec3]]:
-    """Couples at places of both elements, as couples at the nodes of each."""
+    """Divides the couples at a pair of points between both nodes of each element."""
 
     def shared(place: Array, turn: Vec3) -> tuple[Vec3, Vec3]:
         later = vectors.scale(place, turn)
@@ -282,7 +287,10 @@ def _turning_nodes(
 def _on_elements(
     force: Vec3, edge: Vec3, turning: tuple[Vec3, Vec3] | None, bulges: Bulges
 ) -> SegmentLoads:
-    """Loads on segments, whose variables are nodes and tangents, not edges."""
+    """Loads on nodes and tangents of segments, from forces on edges and bulges.
+
+    A bulge is a tangent minus the edge, so a force on it also acts on the edge.
+    """
     nexts = vectors.subtract(edge, vectors.add(*bulges))
     return SegmentLoads(
         forces=force, nexts=nexts, turning_nodes=turning, tangents=bulges
@@ -328,7 +336,7 @@ def crossing_contact(
         A coupling for `make_system`.
 
     Raises:
-        ValueError: If a number is out of range, or friction has no drag.
+        ValueError: If a number is out of range, or friction is given without drag.
         TypeError: If a name is not a string.
 
     Example:

@@ -1,10 +1,10 @@
 """Elements of rods that may touch: gather of elements, scatter of loads.
 
-Gather reads from one table with a row for each element, and scatter adds to such a
-table. The reason is XLA's CPU compiler (0.10.1, with the fusion that `configure_cpu`
-asks for): it aborts the process if each number is gathered separately and the program
-is transposed. It compiles a table of rows, forward and in reverse, in loops and under
-`vmap`.
+Gather reads rows of one table that has a row for each element, and scatter adds to the
+rows of such a table. The reason is XLA's CPU compiler (0.10.1, with the fusion that
+`configure_cpu` asks for): it aborts the process if each field is gathered separately
+and the program is transposed. It compiles a table of rows, forward and in reverse, in
+loops and under `vmap`.
 """
 
 from __future__ import annotations
@@ -26,72 +26,73 @@ Tree = TypeVar("Tree")
 
 @pytree
 class Elements:
-    """Elements of one member at one moment; all fields have one shape."""
+    """Elements of one member at one moment; all arrays have the same shape."""
 
     first: Vec3
-    """Positions of the first nodes [m]."""
+    """Positions of the axes at the first nodes [m]."""
     edge: Vec3
-    """Vectors from the first nodes to the next [m]."""
+    """Vectors from the first nodes to the second nodes [m]."""
     radii: Array
-    """Radii [m]."""
+    """Radii of the elements [m]."""
     follows: Array
     """Flag: 1 where another element follows on this rod or a tied one, else 0 [1]."""
     first_velocity: Vec3 | None = None
     """Velocities of the first nodes [m/s]; `None` if they are not needed."""
     velocity_change: Vec3 | None = None
-    """Velocities of the next nodes minus those of the first [m/s]."""
+    """Velocities at the second nodes minus those at the first [m/s]."""
     first_spin: Vec3 | None = None
     """Angular velocities at the first nodes, world frame [rad/s]; `None` without
     friction."""
     spin_change: Vec3 | None = None
-    """Angular velocities at the next nodes minus those at the first [rad/s]."""
+    """Angular velocities at the second nodes minus those at the first [rad/s]."""
     spin: Vec3 | None = None
-    """Angular velocities [rad/s]; `None` without contact points or friction."""
+    """Angular velocities of the elements, world frame [rad/s]; `None` without contact
+    points or friction."""
     rods: Array | None = None
-    """Number of each element's rod; `None` if it is not needed."""
+    """Index of the rod that each element belongs to; `None` if it is not needed."""
     starts: Array | None = None
-    """Rest arc length at the start of each element [m]."""
+    """Rest arc length from the start of its rod to each element [m]."""
     rest_lengths: Array | None = None
-    """Rest lengths [m]."""
+    """Rest lengths of the elements [m]."""
     first_radii: Array | None = None
     """Radius at the first node of each element [m]; `None` without contact points."""
     first_lengths: Array | None = None
-    """Rest length of the contact point at the first node [m]."""
+    """Rest length that the contact point at the first node stands for [m]."""
     last: Array | None = None
     """Flag: 1 where an element is the last of its rod, else 0 [1]."""
     bulges: tuple[Vec3, Vec3] | None = None
-    """Tangents of a smooth axis minus the edge, at the first node and at the next [m];
-    `None` for straight elements."""
+    """Tangents of a smooth axis minus the edge, at the first and at the second node
+    [m]; `None` for straight elements."""
     velocity_bulges: tuple[Vec3, Vec3] | None = None
-    """Rates of the bulges [m/s]."""
+    """Time derivatives of `bulges` [m/s]."""
 
     @property
     def ends(self) -> Array:
-        """Rest arc length at the end of each element [m]."""
+        """Rest arc length from the start of its rod to the end of each element [m]."""
         assert self.starts is not None and self.rest_lengths is not None
         return self.starts + self.rest_lengths
 
     def on_axis(self, fraction: Array) -> Vec3:
-        """Vector from the first node to a place on the axis [m]."""
+        """Vector from the first node to the point at a fraction along the axis [m]."""
         return _on_cubic(self.edge, self.bulges, fraction)
 
     def velocity_at(self, place: Array) -> Vec3:
-        """Velocity of a place on the axis [m/s]."""
+        """Velocity of the point at a fraction along the axis [m/s]."""
         assert self.first_velocity is not None and self.velocity_change is not None
         change = _on_cubic(self.velocity_change, self.velocity_bulges, place)
         return vectors.add(self.first_velocity, change)
 
     def spin_at(self, place: Array) -> Vec3:
-        """Angular velocity at a place, interpolated between the nodes [rad/s].
+        """Angular velocity at a fraction along the axis, world frame [rad/s].
 
-        So it is the same for two elements at the node between them, and terms that are
-        counted twice there cancel.
+        It is interpolated between the nodes, so two elements agree at the node between
+        them, and terms that are counted twice there cancel.
         """
         assert self.first_spin is not None and self.spin_change is not None
         return vectors.add(self.first_spin, vectors.scale(place, self.spin_change))
 
     def tangent(self, fraction: Array) -> Vec3:
-        """Derivative of the place on the axis by the fraction [m]."""
+        """Derivative of the point on the axis with respect to the fraction [m]."""
         if self.bulges is None:
             return self.edge
         first, second = self.bulges
@@ -99,7 +100,7 @@ class Elements:
         return _combined(self.edge, (a, first), (b, second))
 
     def bend(self, fraction: Array) -> Vec3:
-        """Derivative of the tangent by the fraction, for smooth axes [m]."""
+        """Second derivative of the point on a smooth axis by the fraction [m]."""
         assert self.bulges is not None
         first, second = self.bulges
         a, b = 6 * fraction - 4, 6 * fraction - 2
@@ -108,7 +109,7 @@ class Elements:
 
 
 def bulge_shares(fraction: Array) -> tuple[Array, Array]:
-    """Factors of both bulges at a place on a smooth axis [1]."""
+    """Hermite weights s (1 - s)^2 and -s^2 (1 - s) of the bulges at both nodes [1]."""
     rest = 1 - fraction
     return fraction * rest * rest, -fraction * fraction * rest
 
@@ -143,16 +144,16 @@ def elements_at(
     has_contact_points: bool = False,
     smooth: bool = False,
 ) -> Elements:
-    """Elements of a member.
+    """Elements of a member at one moment, with the fields that are needed.
 
     Args:
-        segments: Segments and points of the member.
+        segments: Segments and contact points of the member.
         seen: The member at one moment.
         moves: Whether velocities are needed.
         spins: Whether angular velocities are needed.
-        placed: Whether arc lengths along the rod are needed.
+        placed: Whether rods and arc lengths along them are needed.
         has_contact_points: Whether contact points, and so arc lengths, are needed.
-        smooth: Whether elements are pieces of a smooth axis.
+        smooth: Whether axes of elements are smooth curves instead of straight segments.
     """
     first, edge, bulges = _pieces(segments, seen.motion.position, smooth=smooth)
     velocity = change = velocity_bulges = None
@@ -189,7 +190,10 @@ def elements_at(
 def _pieces(
     segments: RodSegments, nodes: Vec3, *, smooth: bool
 ) -> tuple[Vec3, Vec3, tuple[Vec3, Vec3] | None]:
-    """A field at first nodes, its change to the next nodes, and its bulges."""
+    """Nodal field at first nodes, its change to second nodes, tangents minus change.
+
+    With `smooth` these are those of smooth axes; tangents are `None` without it.
+    """
     tangents: Vec3 | None = None
     if smooth:
         (x, p), (y, q), (z, r) = (segments.smooth(component) for component in nodes)
@@ -206,33 +210,33 @@ def _pieces(
 
 
 def row_vector(tree: Tree) -> Tree:
-    """Fields along the last of two axes."""
+    """Each array `(n,)` of a tree, reshaped to `(1, n)`."""
     return jax.tree.map(lambda leaf: leaf[None, :], tree)
 
 
 def column_vector(tree: Tree) -> Tree:
-    """Fields along the first of two axes."""
+    """Each array `(n,)` of a tree, reshaped to `(n, 1)`."""
     return jax.tree.map(lambda leaf: leaf[:, None], tree)
 
 
 def gather(tree: Tree, index: Int[Array, "..."]) -> Tree:
-    """Fields of elements at some indices."""
+    """Entries of every array of a tree at the given indices."""
     return unpack(pack(tree)[index], tree)
 
 
 def pack(tree: Any) -> Array:
-    """Fields as one table with a row for each element."""
+    """Arrays of a tree, stacked to one table with a row for each element."""
     return jnp.stack(jax.tree.leaves(tree), axis=-1)
 
 
 def unpack(rows: Array, like: Tree) -> Tree:
-    """Tree of fields with the structure of another, from rows of a table."""
+    """Tree of arrays with the structure of `like`, from the rows of a table."""
     leaves, structure = jax.tree.flatten(like)
     return jax.tree.unflatten(structure, [rows[..., k] for k in range(len(leaves))])
 
 
 def scatter_add(tree: Tree, index: Int[Array, "..."], size: int) -> Tree:
-    """Fields of pairs, summed on the elements at some indices."""
+    """Sums pair values on `size` elements; `index` gives the element of each pair."""
     rows = pack(tree)
     total = jnp.zeros((size, rows.shape[-1]), rows.dtype).at[index].add(rows)
     return unpack(total, tree)
@@ -240,11 +244,11 @@ def scatter_add(tree: Tree, index: Int[Array, "..."], size: int) -> Tree:
 
 @pytree
 class NeighbourList:
-    """List of pairs of elements of two members."""
+    """List of pairs of elements of two members that may touch."""
 
     own: Int[Array, " pairs"]
-    """Numbers of the first elements."""
+    """Indices of the first elements in their member."""
     other: Int[Array, " pairs"]
-    """Numbers of the second elements."""
+    """Indices of the second elements in their member."""
     there: Bool[Array, " pairs"]
-    """Mask of the entries in use."""
+    """Mask: true for entries in use."""

@@ -1,11 +1,10 @@
-"""Lists of neighbours: their sizes, and how often they are made.
+"""Lists of neighbours: their sizes, and how often they are rebuilt.
 
-A list has pairs of elements of two members that may touch before the list is made
-again: the gap between their surfaces is below a *skin*. The list is valid while no node
-has moved by more than half the skin. The number of entries is static; pairs that do not
-fit are counted and reported by `health`. A list is one row of pairs. With a fixed
-number of entries for each element most entries would be unused, since contact is
-uneven.
+A list holds pairs of elements of two members that may touch before it is rebuilt: the
+gap between their surfaces is below a *skin*. The list is valid while no node has moved
+by more than half the skin. The number of entries is static; pairs that do not fit are
+counted and reported by `health`. A list is one row of pairs. With a fixed number of
+entries for each element most entries would be unused, since contact is uneven.
 """
 
 from __future__ import annotations
@@ -24,7 +23,7 @@ from jaxrod.validation import Numbers, as_array, check_count
 SPARE = 1.5
 """Ratio of allocated entries to entries counted in a state [1]."""
 MOST_IN_CELLS = 10_000
-"""Largest number of elements in three cells; a larger number must be a mistake."""
+"""Largest `cell_slots` that is accepted; a larger number must be a mistake."""
 
 
 @pytree
@@ -43,37 +42,38 @@ class NeighbourLists:
     """Gap between surfaces up to which elements are listed, over the largest radius
     [1]."""
     refresh_every: int = static(default=32)
-    """Steps between searches."""
+    """Number of time steps between searches."""
     pairs: int | tuple[int, ...] | None = static(default=None)
-    """Entries of all lists, or of each list; `None` to count them in the state given to
-    `make_system`."""
+    """Largest number of pairs in a list: one number for all lists, or one for each;
+    `None` to count them in the state given to `make_system`."""
     candidates: int | tuple[int, ...] | None = static(default=None)
-    """Room for pairs near enough to compute their exact distance, for all lists or for
-    each; `None` to count them too."""
+    """Largest number of pairs near enough to compute their exact distance: one number
+    for all lists, or one for each; `None` to count them too."""
     cell_slots: int | None = static(default=None)
-    """Room for elements in three neighbouring cells of the search grid; 0 for no grid,
-    so that all pairs are tested; `None` to count them too."""
+    """Largest number of elements in three neighbouring cells of the search grid; 0 for
+    no grid, so that all pairs are tested; `None` to count them too."""
 
     @property
     def is_sized(self) -> bool:
-        """Whether all numbers of entries are known."""
+        """Whether `pairs`, `candidates` and `cell_slots` are all known."""
         return None not in (self.pairs, self.candidates, self.cell_slots)
 
 
 @pytree
 class FoundNeighbours:
-    """Lists of all pairs of members of a coupling, and where they were made."""
+    """Neighbour lists, node positions when they were made, and counts of entries."""
 
     lists: tuple[NeighbourList, ...]
-    """Lists, one for each pair of members."""
+    """Neighbour lists, one for each pair of members."""
     places: tuple[Vec3, ...]
     """Positions of the members' nodes at the search [m]."""
     missed: Float[Array, ""]
-    """Largest shortage of entries, of pairs, candidates or cell slots [1]."""
+    """Entries needed minus entries available, the largest of pairs, candidates and cell
+    slots; positive if pairs were missed [1]."""
     used: Float[Array, " lists"]
-    """Entries that each list needs [1]."""
+    """Number of pairs that each list needs [1]."""
     candidates: Float[Array, " lists"]
-    """Number of candidates of each list [1]."""
+    """Number of candidates of each list: pairs whose exact distance is computed [1]."""
     in_cells: Float[Array, ""]
     """Largest number of elements in three neighbouring cells [1]."""
 
@@ -82,8 +82,8 @@ class FoundNeighbours:
 class NeighbourRecord:
     """Worst shortage and age of neighbour lists since a run began.
 
-    It is under the name "neighbours" in the state of a system that has lists, and stays
-    until it is removed from the state.
+    It is stored under the name "neighbours" in the state of a system that has lists,
+    and stays until it is removed from the state.
 
     Example:
         >>> record = systems.NeighbourRecord(
@@ -94,9 +94,9 @@ class NeighbourRecord:
     """
 
     missed: Float[Array, ""]
-    """Largest shortage of entries in a list [1]."""
+    """Largest shortage of entries in a list; positive if pairs were missed [1]."""
     moved: Float[Array, ""]
-    """Largest displacement of a node since a search, over half the skin [1]."""
+    """Largest displacement of a node between two searches, over half the skin [1]."""
     used: Float[Array, ""]
     """Largest number of entries that a list needed [1]."""
 
@@ -112,17 +112,17 @@ class NeighbourRecord:
 
 
 RECORD = "neighbours"
-"""Name of the record in the state of a system."""
+"""Key of the `NeighbourRecord` in the state of a system."""
 
 
 def no_record(dtype: Any) -> NeighbourRecord:
-    """The record with which a run begins."""
+    """Record with which a run begins: all zero."""
     zero = jnp.zeros((), dtype)
     return NeighbourRecord(zero, zero, zero)
 
 
 def with_spare(count: float) -> int:
-    """Number of entries to allocate for a count, with some to spare."""
+    """Number of entries to allocate for a count: 1.5 times the count, plus 16."""
     return math.ceil(SPARE * count) + 16
 
 
@@ -147,14 +147,14 @@ def neighbour_lists(
             `skin * radius / (2 * dt * speed)` with the speed of the fastest node.
         skin: Gap between surfaces up to which elements are listed, over the largest
             radius [1]. A larger skin makes lists longer and valid for more steps.
-        pairs: Room for pairs of elements of two members (or of one) that may touch; by
-            default somewhat more than 1.5 times the number in the state given to
-            `make_system`.
-        candidates: Room for pairs whose exact distance is computed, several times
-            `pairs`; also counted by default.
-        cell_slots: Room for elements in three neighbouring cells of the search grid, or
-            0 to test all pairs instead. By default it is counted, too; members of up to
-            some hundred elements test all pairs.
+        pairs: Largest number of pairs of elements of two members (or of one) that may
+            touch; by default somewhat more than 1.5 times the number in the state given
+            to `make_system`.
+        candidates: Largest number of pairs whose exact distance is computed, several
+            times `pairs`; also counted by default.
+        cell_slots: Largest number of elements in three neighbouring cells of the search
+            grid, or 0 to test all pairs instead. By default it is counted, too; members
+            of up to some hundred elements test all pairs.
 
     Returns:
         Settings for the argument `lists` of `rod_contact` and `crossing_contact`.

@@ -1,13 +1,13 @@
 """Search for elements that are near to each other: in a grid of cells, or among all.
 
-The edge of a cell is longer than the largest distance between the middles of a pair
-within reach. The grid is centred at the mean of the middles of the second elements.
+The edge of a cell is longer than the largest distance between the midpoints of a pair
+within reach. The grid is centred at the mean of the second elements' midpoints.
 Everything beyond 512 cells from there is in the outermost cells: neighbours are then
 still in neighbouring cells, and only their number grows. Elements are sorted by cell,
 and three cells in a row are one stretch of this order. Nine stretches hold all elements
 that may be near, five if each pair of one member is searched once.
 
-Pairs from these stretches are candidates if their middles are near enough for their
+Pairs from these stretches are candidates if their midpoints are near enough for their
 lengths. The exact distance is computed for candidates only. The k-th candidate of an
 element is where its running count reaches k, found by bisection. Candidates are
 processed in blocks, and the pairs that remain of a block are written behind those of
@@ -33,9 +33,9 @@ from jaxrod.systems.contact.neighbour_lists import FoundNeighbours, NeighbourLis
 from jaxrod.systems.contact.segment_distance import nearest_places
 
 CELLS = 1024
-"""Number of cells along each axis; three times ten bits are one key."""
+"""Number of cells along each axis: 2^10, so that three indices form a 30-bit key."""
 BLOCK = 16_384
-"""Number of candidates that are processed at once."""
+"""Number of candidate pairs whose exact distance is computed at once."""
 MOST_AT_ONCE = 1024
 """Largest number of second elements for which all pairs are tested at once."""
 _ROUNDING = 1e-3
@@ -45,19 +45,19 @@ non-adjacent cell."""
 
 @pytree
 class Bounds:
-    """Straight elements whose neighbours are searched."""
+    """Straight elements, each with a distance within which neighbours are searched."""
 
     elements: Elements
-    """Elements with their places along their rods."""
+    """Straight elements, with their arc lengths along rods where these matter."""
     reach: Float[Array, " elements"]
     """Distance from the axis that includes the surface, the onset of contact and half
     the skin [m]."""
     numbers: Float[Array, " elements"]
-    """Numbers of the elements in their member."""
+    """Indices of the elements in their member."""
 
     @property
     def middle(self) -> Vec3:
-        """Middles [m]."""
+        """Midpoints of the elements [m]."""
         return vectors.add(self.elements.first, vectors.scale(0.5, self.elements.edge))
 
 
@@ -67,37 +67,39 @@ Allowed = Callable[[Bounds, Bounds], Array | None]
 
 @pytree
 class Rows:
-    """Second elements to test against each first element, one row after the other.
+    """Order in which second elements are tested against each first element.
 
-    Each first element has several stretches of the sorted second elements. A row is one
-    slot of one stretch, for all first elements.
+    The second elements are sorted. Each first element is tested against some stretches
+    of this order, each of consecutive elements. A row is the k-th element of one
+    stretch, for all first elements at once.
     """
 
     begin: Int[Array, "stretches own"]
-    """Start of each stretch in the order of the second elements."""
+    """Start of each stretch (run of elements to test) in `order`, for each first
+    element."""
     held: Int[Array, "stretches own"]
-    """Number of second elements in each stretch."""
+    """Number of second elements in each stretch of `order`, for each first element."""
     order: Int[Array, " other"]
-    """Numbers of the second elements, in order."""
+    """Indices of the second elements, sorted by cell if there are cells."""
     wide: Int[Array, ""]
-    """Rows of each stretch: the size of the longest stretch, at most `slots`."""
+    """Number of rows per stretch: the size of the longest stretch, at most `slots`."""
     slots: int = static()
-    """Room in a stretch."""
+    """Static upper bound of `wide`: most elements tested in a stretch."""
     complete: bool = static(default=False)
     """Whether there is only one stretch, with all second elements in order."""
 
     @property
     def room(self) -> int:
-        """Largest possible number of rows."""
+        """Static upper bound of `count`: stretches times `slots`."""
         return self.begin.shape[0] * self.slots
 
     @property
     def count(self) -> Array:
-        """Number of rows."""
+        """Number of rows to test: stretches times `wide`."""
         return self.begin.shape[0] * self.wide
 
     def places(self, row: Array, own: Array | slice) -> tuple[Array, Array]:
-        """Positions of a row's elements in `order`, and whether they exist."""
+        """Indices in `order` of a row's second elements; mask of existing ones."""
         stretch, slot = row // self.wide, row % self.wide
         place = self.begin[stretch, own] + slot
         most = self.order.shape[0] - 1
@@ -105,7 +107,7 @@ class Rows:
 
 
 def near_each_other(own: Bounds, other: Bounds, allowed: Allowed) -> Array:
-    """Whether pairs of elements may touch and are within reach."""
+    """Mask of pairs that may touch and are within the sum of their reaches."""
     way = vectors.subtract(own.elements.first, other.elements.first)
     square = nearest_places(way, own.elements.edge, other.elements.edge)[2]
     reach = own.reach + other.reach
@@ -122,14 +124,15 @@ def found_by(
     *,
     once: bool,
 ) -> FoundNeighbours:
-    """Neighbour lists of all pairs of members.
+    """Searches the neighbour lists of all pairs of members.
 
     Args:
         how: Settings of the lists, with their sizes.
         every: Elements of each member.
-        views: Pairs of members.
-        allowed: Function for the mask of elements of two members that may touch.
-        places: Positions of the members' nodes, to be kept with the lists [m].
+        views: Indices of the two members of each pair.
+        allowed: Function from two members' indices and elements to the mask of elements
+            that may touch.
+        places: Positions of the members' nodes, to be stored with the lists [m].
         once: Whether two elements of the same member are listed as one pair, not two.
     """
     assert how.cell_slots is not None
@@ -165,13 +168,13 @@ def found_by(
 
 
 def _room(given: int | tuple[int, ...] | None, number: int) -> int:
-    """Number of entries of a list."""
+    """Number of entries of list `number`; one number holds for all lists."""
     assert given is not None
     return given[number] if isinstance(given, tuple) else given
 
 
 def all_rows(own: Bounds, other: Bounds) -> Rows:
-    """Rows of all second elements, for each first element."""
+    """Rows that test all second elements against each first element."""
     count, size = other.reach.shape[0], own.reach.shape[0]
     return Rows(
         begin=jnp.zeros((1, size), jnp.int32),
@@ -186,15 +189,15 @@ def all_rows(own: Bounds, other: Bounds) -> Rows:
 def rows_of_cells(
     own: Bounds, other: Bounds, slots: int, *, once: bool
 ) -> tuple[Rows, Array]:
-    """Rows of second elements in the cells around each first element.
+    """Rows that test the second elements in the cells around each first element.
 
     Args:
         own: Elements of the first member.
         other: Elements of the second member.
-        slots: Room for elements in three neighbouring cells.
+        slots: Largest number of elements in three neighbouring cells.
         once: Whether each pair of elements of the same member is found only once. Then
-            only the cells on one side are searched, and the element's own column, which
-            is the first stretch.
+            only the cells on one side are searched, and the column of cells that
+            contains the element; this column is the first stretch.
 
     Returns:
         The rows, and the largest number of elements in three neighbouring cells.
@@ -219,26 +222,26 @@ def rows_of_cells(
 
 @pytree
 class CandidateList:
-    """Pairs whose middles are near, as running counts."""
+    """Pairs near enough to compute their exact distance, stored as running counts."""
 
     rows: Rows
-    """Second elements that were tested."""
+    """Second elements that were tested against each first element, in rows."""
     running: Int[Array, "rows own"]
-    """Running count of each element's candidates, over the rows."""
+    """Cumulative number of candidates of each first element, over the rows."""
     until: Int[Array, " own"]
-    """Running count of all candidates, over the elements."""
+    """Cumulative number of candidates in all rows, over the first elements."""
     size: int = static()
     """Largest number of candidates that can be listed."""
     once: bool = static()
-    """Whether a pair starts with the lower of its two numbers."""
+    """Whether the lower of the two element indices comes first in a pair."""
 
     @property
     def count(self) -> Array:
-        """Number of candidates."""
+        """Number of candidates, also those beyond `size`."""
         return self.until[-1]
 
     def named(self, number: Array) -> NeighbourList:
-        """List of the candidates with the given numbers."""
+        """Element indices of the candidates with the given numbers, from 0."""
         until, rows = self.until, self.rows
         column = jnp.minimum(_count(until, number), until.shape[0] - 1)
         before = jnp.where(column > 0, until[column - 1], 0)
@@ -254,15 +257,15 @@ class CandidateList:
 def candidates(
     own: Bounds, other: Bounds, rows: Rows, size: int, *, once: bool
 ) -> CandidateList:
-    """Pairs whose middles are near.
+    """Finds pairs with midpoints close enough for their half lengths and reaches.
 
     Args:
         own: Elements of the first member.
         other: Elements of the second member.
-        rows: Second elements to test.
+        rows: Rows of second elements to test.
         size: Largest number of candidates that can be listed.
         once: Whether each pair of elements of the same member is listed only once. The
-            first stretch contains both orders; there the lower number comes first.
+            first stretch contains both orders; there the lower index comes first.
     """
     x, y, z = own.middle
     reach = _half_length(own) + own.reach
@@ -299,14 +302,14 @@ def candidates(
 def pairs_within(
     own: Bounds, other: Bounds, some: CandidateList, allowed: Allowed, size: int
 ) -> tuple[NeighbourList, Array]:
-    """List of the candidates that are within reach, and their number.
+    """List of the candidates that are within reach and may touch, and their number.
 
     Args:
         own: Elements of the first member.
         other: Elements of the second member.
-        some: The candidates.
+        some: Candidates to test.
         allowed: Function for the mask of pairs that may touch.
-        size: Number of entries of the list.
+        size: Number of entries of the list; pairs beyond it are counted but not listed.
     """
     block = min(BLOCK, some.size)
     within = jnp.arange(block, dtype=jnp.int32)
@@ -322,7 +325,7 @@ def pairs_within(
         )
         running = jnp.cumsum(near.astype(jnp.int32))
         place = jnp.minimum(_count(running, within), block - 1)
-        # Both numbers are in one row: XLA's CPU compiler aborts the process for two
+        # Both indices are in one array: XLA's CPU compiler aborts the process for two
         # updates of a batch at the same index.
         pairs = jnp.stack([listed.own, listed.other], axis=-1)[place]
         # Entries after the last near pair are overwritten by the next block. Once the
@@ -346,13 +349,13 @@ def pairs_within(
 def _reached(
     running: Callable[[Array], Array], rank: Array, size: Array, room: int
 ) -> Array:
-    """First place at which a running count is above a rank, by bisection.
+    """First index at which a running count exceeds `rank`, by bisection.
 
     Args:
-        running: Function from a place to the count there.
-        rank: The rank.
-        size: Number of places.
-        room: Largest possible number of places.
+        running: Function from an index to the count there.
+        rank: Count to exceed.
+        size: Number of indices.
+        room: Largest possible number of indices, known when the program is compiled.
     """
     place, step = jnp.zeros_like(rank), 1 << (room.bit_length() - 1)
     while step:
@@ -364,7 +367,7 @@ def _reached(
 
 
 def _count(ordered: Array, number: Array) -> Array:
-    """Count of the entries of an ordered array that are at most a number."""
+    """Number of entries of a sorted array that are at most `number`, by bisection."""
     size = ordered.shape[0]
     place, step = jnp.zeros(number.shape, jnp.int32), 1 << (size.bit_length() - 1)
     while step:
@@ -381,7 +384,7 @@ def _half_length(bounds: Bounds) -> Array:
 
 
 def _cell_edge(own: Bounds, other: Bounds) -> Array:
-    """Largest distance between middles of a pair within reach, plus a margin [m]."""
+    """Edge of a cell: largest distance of midpoints within reach, plus a margin [m]."""
 
     def half(bounds: Bounds) -> Array:
         return jnp.max(_half_length(bounds)) + jnp.max(bounds.reach)
@@ -392,7 +395,7 @@ def _cell_edge(own: Bounds, other: Bounds) -> Array:
 def _cells(
     bounds: Bounds, centre: tuple[Array, ...], edge: Array
 ) -> tuple[Array, Array, Array]:
-    """Cell numbers of the middles along each axis."""
+    """Indices along x, y and z of the cells that contain the midpoints of elements."""
 
     def along(component: Array, middle: Array) -> Array:
         cell = jnp.floor((component - middle) / edge) + CELLS // 2

@@ -1,14 +1,16 @@
-"""Sums over pairs of elements of two members: over all pairs, or over those on a list.
+"""Sums over pairs of elements of two members: over all pairs, or over a neighbour list.
 
-All pairs are a matrix, `(others, own)`, whose sums along rows and columns need neither
-gather nor scatter. A list gathers elements and scatters loads, and pays where most
-pairs are far apart. Laws compute both kinds of pairs with the same functions.
+All pairs form a matrix `(second elements, first elements)`, whose sums along rows and
+columns need neither gather nor scatter. A list gathers elements and scatters loads, and
+is faster where most pairs are far apart. Laws compute both kinds of pairs with the same
+functions.
 
-A list has more room than entries, and its entries come first. It is processed block by
-block, and blocks without entries are skipped, so the cost of a step depends on the
-number of entries, not on the room. The number of blocks is static and each has a
-branch, so that sums are differentiable in reverse; under `jax.vmap` both branches are
-computed. There are few blocks, since in reverse each goes through all elements.
+A list has unused entries, all behind those in use. It is processed block by block, and
+blocks without entries in use are skipped, so the cost of a step depends on the number
+of entries in use, not on the length of the list. The number of blocks is static, and
+each block is a branch of `lax.cond`, so that sums can be differentiated in reverse
+mode; under `jax.vmap` both branches are computed. There are few blocks, since in
+reverse mode each goes through all elements.
 """
 
 from __future__ import annotations
@@ -30,17 +32,18 @@ from jaxrod.systems.contact.element_pairs import (
 )
 
 LEAST = 1024
-"""Smallest number of list entries processed at once; shorter lists are one block."""
+"""Smallest number of list entries in a block; a shorter list is one block."""
 BLOCKS = 32
-"""Largest number of blocks of a list."""
+"""Largest number of blocks that a list is split into."""
 
 
 def sums_over_all(on_own: Any, on_other: Any) -> tuple[Any, Any]:
-    """Sums over all pairs, on each element of the first member and of the second.
+    """Sums pair values over all pairs, on each first and on each second element.
 
     Args:
-        on_own: Values of the pairs for their first elements `(others, own)`.
-        on_other: Values of the pairs for their second elements `(others, own)`.
+        on_own: Values that pairs add to their first elements, arrays `(second elements,
+            first elements)`.
+        on_other: Values that pairs add to their second elements, of the same shape.
     """
     return (
         jax.tree.map(lambda field: jnp.sum(field, axis=0), on_own),
@@ -54,14 +57,14 @@ def sums_over_list(
     other: Elements,
     listed: NeighbourList,
 ) -> tuple[Any, Any]:
-    """Sums over listed pairs, on each element of the first member and of the second.
+    """Sums pair values over listed pairs, on each first and on each second element.
 
     Args:
         work: Function from first elements, second elements and the mask of entries in
-            use to values for the first elements and for the second.
+            use to pair values for the first elements and for the second.
         own: All elements of the first member.
         other: All elements of the second member.
-        listed: The list.
+        listed: Pairs of elements to sum over.
     """
     entries = listed.there.shape[0]
     block = max(LEAST, -(-entries // BLOCKS))
@@ -115,17 +118,17 @@ def sums_over_list(
 
 
 def _where(there: Array, tree: Any) -> Any:
-    """Values of entries in use; zero for the others, which kernels skip."""
+    """Sets the values of unused list entries to zero."""
     return jax.tree.map(lambda field: jnp.where(there, field, 0), tree)
 
 
 @jax.custom_jvp
 def _with_rows(total: Array, index: Array, rows: Array) -> Array:
-    """A table with rows added at some indices.
+    """Adds rows to a table at given row indices: `total.at[index].add(rows)`.
 
-    Its derivative uses separate indices: XLA's CPU compiler (0.10.1, with the fusion
-    that `configure_cpu` asks for) merges two such sums over the same indices into one
-    kernel and aborts the process.
+    Its derivative uses a copy of the indices: XLA's CPU compiler (0.10.1, with the
+    fusion that `configure_cpu` asks for) merges two such sums over the same indices
+    into one kernel and aborts the process.
     """
     return total.at[index].add(rows)
 

@@ -1,4 +1,4 @@
-"""Base of couplings with the penalty law of contact, and checks of its numbers."""
+"""Base class of couplings with penalty contact, and checks of their parameters."""
 
 from __future__ import annotations
 
@@ -14,22 +14,22 @@ from jaxrod.validation import Numbers, as_array
 
 @pytree
 class PenaltyContact(Coupling):
-    """Contact by springs, dashpots and friction, per length of contact or for each."""
+    """Base of penalty-contact couplings: springs, dashpots and Coulomb friction."""
 
     stiffness: Float[Array, ""]
-    """Force per penetration: [N/m^2] per length of contact, or [N/m]."""
+    """Normal force per penetration: [N/m^2] if per length of contact, else [N/m]."""
     onset: Float[Array, ""]
-    """Width of the smooth onset, over a radius or the size of the smaller body [1]."""
+    """Width of the smooth onset of contact, over a radius or body size [1]."""
     damping: Float[Array, ""] | None = None
-    """Force per speed along the normal: [kg/(m s)] per length, or [kg/s]."""
+    """Dashpot force per normal speed: [kg/(m s)] if per length, else [kg/s]."""
     friction: Float[Array, ""] | None = None
     """Coefficient of Coulomb friction [1]."""
     friction_drag: Float[Array, ""] | None = None
-    """Largest friction per slip speed: [kg/(m s)] per length, or [kg/s]."""
+    """Largest friction force per slip speed: [kg/(m s)] if per length, else [kg/s]."""
 
     @property
     def law(self) -> PenaltyLaw:
-        """Numbers of the law."""
+        """Stiffness, damping and friction as a `PenaltyLaw`, which computes forces."""
         return PenaltyLaw(
             self.stiffness, self.damping, self.friction, self.friction_drag
         )
@@ -44,18 +44,19 @@ def law_numbers(
     *,
     per_length: bool,
 ) -> dict[str, Any]:
-    """Checked fields of the law.
+    """Checks the parameters of the law; returns them as fields of `PenaltyContact`.
 
     Args:
-        stiffness: Force per penetration.
-        damping: Force per normal speed.
-        friction: Coefficient of Coulomb friction.
-        friction_drag: Largest friction per slip speed; by default the damping.
-        onset: Width of the onset.
-        per_length: Whether the law is per length of contact.
+        stiffness: Normal force per penetration [N/m^2] or [N/m].
+        damping: Dashpot force per normal speed [kg/(m s)] or [kg/s].
+        friction: Coefficient of Coulomb friction [1].
+        friction_drag: Largest friction per slip speed [kg/(m s)] or [kg/s]; by default
+            the damping.
+        onset: Width of the smooth onset over a radius or a body size [1].
+        per_length: Whether the law is per length of contact: the first of both units.
 
     Raises:
-        ValueError: If a number is out of range, or friction has no drag.
+        ValueError: If a number is out of range, or friction is given without drag.
     """
     rigidity, rate = ("N/m^2", "kg/(m s)") if per_length else ("N/m", "kg/s")
     drag = damping if friction_drag is None else friction_drag
@@ -81,7 +82,7 @@ def law_numbers(
 
 
 def check_members(members: tuple[str, ...]) -> None:
-    """Raises TypeError or ValueError unless all members are named once, by strings."""
+    """Raises unless members are one or more strings, no two of them equal."""
     for name in members:
         if not isinstance(name, str):
             raise TypeError(f"members are named by strings, got {name!r}")

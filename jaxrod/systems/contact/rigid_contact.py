@@ -55,19 +55,20 @@ class RigidContact(PenaltyContact):
     fixed: tuple[Body, ...] = ()
     """Bodies that stand still."""
     points: dict[str, Array] | None = None
-    """Points on the surfaces of members by name, own frames `(3, points)` [m]."""
+    """Contact points on the surfaces of members, by name, in the bodies' frames `(3,
+    points)` [m]."""
     groups: tuple[CollisionBodies, ...] = ()
     """Members, then fixed bodies, with their balls; set by `prepared`."""
     members: tuple[str, ...] = static(default=())
     """Names of the members."""
     balls: tuple[int, ...] = static(default=())
-    """Balls along the axis of each member and fixed body; set by `fitted`."""
+    """Number of balls along the axis of each member and fixed body; set by `fitted`."""
     balls_per_axis: int | None = static(default=None)
-    """Given number of balls along an axis; `None` to derive it from the shape."""
+    """Number of balls along each axis, if given; `None` to derive it from the shape."""
     points_per_edge: int = static(default=2)
-    """Points on every edge of a box, corners included."""
+    """Number of contact points on every edge of a box, corners included."""
     max_contacts: int | None = static(default=None)
-    """Bodies that may touch one body at a time, for the bound; `None` for all."""
+    """Bodies that may touch one body, for the stability bound; `None` for all."""
 
     def check(self, parts: AllParts) -> None:
         """Raises ValueError if members are missing, are rods or have no shape."""
@@ -88,7 +89,7 @@ class RigidContact(PenaltyContact):
                 )
 
     def fitted(self, parts: AllParts, tied: tuple[TiedPair, ...]) -> RigidContact:
-        """The coupling with the number of balls along axes.
+        """The coupling with the number of balls along each axis set.
 
         Raises:
             ValueError: If no bodies can meet, or contact of two bodies cannot be
@@ -119,7 +120,7 @@ class RigidContact(PenaltyContact):
         return fitted
 
     def prepared(self, parts: AllParts) -> RigidContact:
-        """The coupling with the balls of all bodies."""
+        """The coupling with `groups` set: all bodies and their balls."""
         return replace(
             self,
             groups=collision_bodies(
@@ -132,7 +133,7 @@ class RigidContact(PenaltyContact):
         )
 
     def _pairs(self, groups: Sequence[CollisionBodies]) -> Iterator[tuple[int, int]]:
-        """Numbers of the pairs of groups that may meet."""
+        """Pairs of indices of groups that may touch; the first group moves."""
         moving = len(self.members)
         for a in range(moving):
             for b in range(a, len(groups)):
@@ -140,7 +141,7 @@ class RigidContact(PenaltyContact):
                     yield a, b
 
     def _collisions(self, seen: AllSeen) -> Iterator[tuple[int, int, CollisionPair]]:
-        """Balls against surfaces, with the numbers of both groups."""
+        """Contacts (a, b, pair) of balls of group a with surfaces of group b."""
         for a, b in self._pairs(self.groups):
             one, two = self.groups[a], self.groups[b]
             for first, _, share in CollisionPair.between(one, two, same=a == b):
@@ -158,7 +159,7 @@ class RigidContact(PenaltyContact):
                 )
 
     def loads(self, seen: AllSeen) -> dict[str, Loads]:
-        """Forces and couples on all bodies."""
+        """Forces and couples on all bodies of the members."""
         total: dict[int, tuple[Vec3, Vec3]] = {}
         for a, b, pair in self._collisions(seen):
             for number, own in zip((a, b), pair.loads(self._force(pair)), strict=True):
@@ -175,7 +176,7 @@ class RigidContact(PenaltyContact):
         }
 
     def _force(self, pair: CollisionPair) -> Vec3:
-        """Forces on the balls."""
+        """Forces on the balls, times their weights, world frame [N]."""
         push, rub = self.law.forces(pair.depth, pair.width, pair.normal, pair.rate)
         force = vectors.scale(push, pair.normal)
         if rub is not None:
@@ -191,7 +192,7 @@ class RigidContact(PenaltyContact):
         return total
 
     def violation(self, seen: AllSeen) -> Array:
-        """Deepest penetration over the size of the smaller body."""
+        """Deepest penetration over the size of the smaller body [1]."""
         worst = jnp.zeros((), self.stiffness.dtype)
         for _, _, pair in self._collisions(seen):
             depth = jnp.where(pair.share > 0, pair.depth, 0)
@@ -199,7 +200,7 @@ class RigidContact(PenaltyContact):
         return worst
 
     def stability_bounds(self, parts: AllParts) -> dict[str, StabilityBound]:
-        """Stiffness and drag as if all bodies touched with all their balls."""
+        """Bounds of stiffness and drag if as many balls as possible touch at once."""
         moving, rubs = self.groups[: len(self.members)], self.friction is not None
         drag = self.law.largest_drag
         springs: list[list[Array]] = [[] for _ in moving]
@@ -249,10 +250,10 @@ def rigid_contact(
 ) -> RigidContact:
     """Contact of rigid bodies with one another and with bodies that stand still.
 
-    Spheres touch everything exactly. Capsules and cylinders are rows of balls a radius
-    apart; cylinders also stand and roll on their rims. Boxes touch with their corners.
-    If the edges of two boxes cross, with no corner of one in the other, they meet at
-    the points of `points_per_edge`.
+    Spheres touch everything exactly. Capsules and cylinders are rows of balls at most a
+    radius apart; cylinders also stand and roll on their rims. Boxes touch with their
+    corners. Where the edges of two boxes cross, with no corner of one in the other,
+    only the points of `points_per_edge` touch.
 
     Args:
         *members: Names of members that are rigid bodies. Every body touches all others,
@@ -265,9 +266,8 @@ def rigid_contact(
             `damping`.
         onset: Width of the smooth onset of contact over the size of the smaller body
             (the radius of a sphere) [1].
-        points: Points on the surfaces of members by name, tested for contact, in their
-            own frames `(3, k)` [m]. Bodies from `jaxrod.shapes.signed_distance` need
-            them.
+        points: Contact points on the surfaces of members, by name, in the bodies'
+            frames `(3, k)` [m]. Bodies from `jaxrod.shapes.signed_distance` need them.
         points_per_edge: Points on every edge of a box, corners included.
         balls_per_axis: Balls along the axis of capsules and cylinders; by default so
             many that they are at most a radius apart.
@@ -278,7 +278,7 @@ def rigid_contact(
         A coupling for `make_system`.
 
     Raises:
-        ValueError: If a number is out of range, or friction has no drag.
+        ValueError: If a number is out of range, or friction is given without drag.
         TypeError: If a name is not a string, or a fixed body is not a body.
 
     Example:
@@ -329,12 +329,12 @@ def rigid_contact(
 
 
 def _turns(group: CollisionBodies, rubs: bool) -> bool:
-    """Whether contact turns a body: only friction turns a ball."""
+    """Whether contact exerts couples: on a ball only friction does (`rubs`)."""
     return rubs or not group.is_ball
 
 
 def _ease(group: CollisionBodies, rubs: bool) -> Array:
-    """Largest mobility at a place of contact: velocity per impulse there [1/kg]."""
+    """Largest mobility at a contact, 1/m + reach^2/J; 1/m without couples [1/kg]."""
     moving = 1 / group.masses
     if not _turns(group, rubs):
         return moving
@@ -342,7 +342,7 @@ def _ease(group: CollisionBodies, rubs: bool) -> Array:
 
 
 def _worst(columns: list[Array], max_contacts: int | None) -> Array:
-    """Sum over all other bodies, or a bound for at most `max_contacts` of them."""
+    """Sum of each row over all bodies, or a bound of it for `max_contacts` bodies."""
     every = jnp.concatenate(columns, axis=1)
     total = jnp.sum(every, axis=1)
     if max_contacts is None:

@@ -58,7 +58,7 @@ SPACING = 1 / 3
 
 @pytree
 class RodContact(TouchingRods):
-    """Contact between all rods of some members; see `rod_contact`.
+    """Contact per length between all rods of some members; see `rod_contact`.
 
     Example:
         >>> contact = systems.rod_contact("left", "right", stiffness=1e5)
@@ -71,7 +71,7 @@ class RodContact(TouchingRods):
     member."""
 
     def fitted(self, parts: AllParts, tied: tuple[TiedPair, ...]) -> RodContact:
-        """The coupling with the number of points, and with the tied nodes."""
+        """The coupling with the number of contact points and the tied nodes set."""
         fitted: Any = self.with_ties(parts, tied)
         given = self.points_per_element * len(self.members)
         per = given or tuple(
@@ -81,7 +81,7 @@ class RodContact(TouchingRods):
         return replace(fitted, points_per_element=per)
 
     def prepared(self, parts: AllParts) -> RodContact:
-        """The coupling with radii and lengths of points and segments."""
+        """The coupling with `segments` set: the segments and points of members."""
         made = tuple(
             rod_segments(parts[name], per, last_but_continued(name, parts, self.tied))
             for name, per in zip(self.members, self.points_per_element, strict=True)
@@ -91,11 +91,11 @@ class RodContact(TouchingRods):
     has_contact_points: ClassVar[bool] = True
 
     def bounding_radii(self, a: int) -> Array:
-        """Largest of an element's own radius and those of its points [m]."""
+        """Larger of each element's radius and that at its first node [m]."""
         return jnp.maximum(self.segments[a].first_radii, self.segments[a].radii)
 
     def allowed(self, a: int, b: int, own: Bounds, other: Bounds) -> Any:
-        """Whether pairs may touch: on two rods, or far apart along one rod."""
+        """Mask of pairs on two rods or over pi radii apart on one; `None` for all."""
         if a != b:
             return None
         one, two = own.elements, other.elements
@@ -108,35 +108,39 @@ class RodContact(TouchingRods):
         return may
 
     def in_rows(self, a: int, own: Elements, seen: AllSeen) -> ContactPoints:
-        """Contact points of a member."""
+        """All contact points of member `a`, to be tested against segments."""
         rubs = self.friction is not None
         return points_at(self.segments[a], seen[self.members[a]], spins=rubs)
 
     def on_list(
         self, a: int, own: Elements, other: Elements, there: Array
     ) -> tuple[ContactPoints, Elements, Array]:
-        """Contact points of listed elements, along a leading axis, and the segments."""
+        """Points of listed elements along a leading axis, second elements, and mask."""
         points = points_on(row_vector(own), self.segments[a].per_element)
         return points, row_vector(other), row_vector(there)
 
     def weights(self, a: int, b: int, own: ContactPoints, other: Elements) -> Array:
-        """Rest length for which points count: half, since both ways are summed [m]."""
+        """Weights of point-segment pairs: half the point's rest length, or less [m].
+
+        Half, since the points of each rod are tested against the segments of the other.
+        Less near tied nodes and between neighbouring elements of one rod.
+        """
         half = 0.5 * own.lengths
         share = self.share(a, b, own, other)
         return half if share is None else half * share
 
     def scales(self, own: ContactPoints, other: Elements) -> tuple[Array, Array]:
-        """Radius and rest length of the segments [m]."""
+        """Radius and rest length of the segments, which limit self-contact [m]."""
         assert other.rest_lengths is not None
         return other.radii, other.rest_lengths
 
     def contact_pairs(
         self, own: ContactPoints, other: Elements, weights: Array
     ) -> Iterator[ContactPair]:
-        """Points with their closest points on segments, minus points with next nodes.
+        """Pairs of points with the closest points on segments, and with second nodes.
 
-        The subtraction is the inclusion-exclusion. It is made only where another
-        segment follows.
+        Pairs with second nodes have negative weights (inclusion-exclusion), or zero
+        where no other segment follows.
         """
         apart = vectors.subtract(own.position, other.first)
         square = vectors.dot(other.edge, other.edge)
@@ -152,7 +156,7 @@ class RodContact(TouchingRods):
     def pair_loads(
         self, own: ContactPoints, other: Elements, weights: Array
     ) -> tuple[SegmentLoads, SegmentLoads]:
-        """Loads on points and on segments."""
+        """Loads of point-segment pairs: on the points, and on the segments."""
         closest, node = self.contact_pairs(own, other, weights)
         force, turns = pair_forces(closest, own, other, self.law)
         subtracted, others = pair_forces(node, own, other, self.law)
@@ -179,7 +183,7 @@ class RodContact(TouchingRods):
     def collected(
         self, own: ContactPoints, on_own: SegmentLoads, on_other: SegmentLoads
     ) -> tuple[SegmentLoads, SegmentLoads]:
-        """Loads on listed elements, from the loads on their contact points."""
+        """Loads on listed elements, summed over the loads on their contact points."""
         force, turns = on_own.on_points, on_own.turning_points
         assert force is not None and own.fractions is not None
         nexts = vectors.scale(own.fractions, force)
@@ -196,11 +200,11 @@ class RodContact(TouchingRods):
         )
         one, two = jax.tree.map(lambda leaf: jnp.sum(leaf, axis=0), both)
         assert one.forces is not None
-        # The force on the segment is the opposite one, so it is summed only once.
+        # The force on the segment is opposite to that on the points: one sum is enough.
         return one, replace(two, forces=vectors.scale(-1.0, one.forces))
 
     def bound(self, own: Parts, every: list[Parts]) -> StabilityBound:
-        """Stiffness and drag as if `max_contacts` rods touched all of each.
+        """Bounds of stiffness and drag as if `max_contacts` rods touched all of a rod.
 
         A spring's change of length is the sum of the contributions of two rods. Its
         square is at most twice the sum of their squares. Slip has four contributions,
@@ -226,7 +230,7 @@ class RodContact(TouchingRods):
 
 
 def _ease(own: Parts) -> Array:
-    """Largest speed of a rod's surface per impulse along it, times length [m/kg]."""
+    """Largest mobility of a surface, 1/m + r^2/J, with m and J per length [m/kg]."""
     assert own.linear_density is not None and own.rest_lengths is not None
     assert own.radii is not None
     inertia = jnp.min(own.inertias, axis=0) / own.rest_lengths
@@ -254,14 +258,14 @@ def rod_contact(
         friction: Coefficient of Coulomb friction [1].
         friction_drag: Largest friction per length and slip speed [kg/(m s)]; by default
             equal to `damping`.
-        self_contact: Whether each rod also touches itself. Places that are nearer to
-            each other along the rod than pi times its radius do not touch.
+        self_contact: Whether each rod also touches itself. Parts of a rod that are
+            nearer to each other along it than pi times its radius do not touch.
         onset: Width of the smooth onset of contact over the mean of the radii [1].
-        points_per_element: Contact points per element; by default so many that they
-            are at most a third of a radius apart. Then the energy of crossing rods is
-            the same to 3 % wherever they cross.
-        max_contacts: Rods that may touch one place at the same time, for `stable_dt`: 2
-            for a few rods, 6 in a bundle.
+        points_per_element: Contact points per element; by default so many that they are
+            at most a third of a radius apart. Then the energy of crossing rods is the
+            same to 3 % wherever they cross.
+        max_contacts: Number of rods that may touch a rod at one place and time, for
+            `stable_dt`: 2 for a few rods, 6 in a bundle.
         lists: Lists of neighbours, from `neighbour_lists`; by default every step tests
             all points against all segments.
 
@@ -269,7 +273,7 @@ def rod_contact(
         A coupling for `make_system`.
 
     Raises:
-        ValueError: If a number is out of range, or friction has no drag.
+        ValueError: If a number is out of range, or friction is given without drag.
         TypeError: If a name is not a string.
 
     Example:
@@ -299,7 +303,7 @@ def rod_contact(
 
 
 def points_on(own: Elements, per_element: int) -> ContactPoints:
-    """Contact points of elements, along their leading axis of length one."""
+    """Contact points of listed elements `(1, pairs)`, in arrays `(points, pairs)`."""
     assert own.first_radii is not None and own.first_lengths is not None
     assert own.starts is not None and own.rest_lengths is not None
     assert own.last is not None and own.rods is not None

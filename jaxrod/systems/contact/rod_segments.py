@@ -1,6 +1,6 @@
 """Segments of a member's rods in one row, and their contact points in another.
 
-A segment is an element, from its first node to its next. Every segment has equally
+A segment is an element, from its first node to its second. Every segment has equally
 many contact points, the first of them at its first node; the last node of a rod is one
 more. Each point stands for a part of the rod's rest length (trapezoidal rule). The
 layout is regular, so rows are split and joined by reshaping, without indices.
@@ -30,42 +30,42 @@ from jaxrod.validation import is_traced
 
 @pytree
 class RodSegments:
-    """Constants of the segments and points of a member."""
+    """Constants of the segments and contact points of a member's rods."""
 
     lengths: Array
-    """Rest length that each point stands for [m]."""
+    """Rest length that each contact point stands for: its quadrature weight [m]."""
     point_radii: Array
-    """Radius at each point [m]."""
+    """Radius of the rod at each contact point [m]."""
     places: Array
-    """Rest arc length of each point along its rod [m]."""
+    """Rest arc length from the start of its rod to each contact point [m]."""
     radii: Array
     """Radius of each segment [m]."""
     starts: Array
-    """Rest arc length where each segment begins [m]."""
+    """Rest arc length from the start of its rod to each segment's first node [m]."""
     rest_lengths: Array
     """Rest length of each segment [m]."""
     count: int = static()
     """Number of rods."""
     per_element: int = static()
-    """Contact points per element."""
+    """Number of contact points per element."""
     continued: tuple[int, ...] = static(default=())
-    """Numbers of the last segments of rods that continue in another rod."""
+    """Indices of the last segments of rods that continue in another rod."""
     closed: tuple[int, ...] = static(default=())
-    """Numbers of the rods whose last node is their first."""
+    """Indices of the rods whose last node is tied to their first node."""
 
     @property
     def n_elements(self) -> int:
-        """Elements of each rod."""
+        """Number of elements of each rod."""
         return self.radii.shape[0] // self.count
 
     @property
     def segment_rods(self) -> np.ndarray:
-        """Number of the rod of each segment."""
+        """Index of the rod that each segment belongs to."""
         return np.repeat(np.arange(self.count), self.n_elements)
 
     @property
     def point_rods(self) -> np.ndarray:
-        """Number of the rod of each point."""
+        """Index of the rod that each contact point belongs to."""
         return np.repeat(np.arange(self.count), self.n_elements * self.per_element + 1)
 
     @property
@@ -75,12 +75,12 @@ class RodSegments:
 
     @property
     def first_lengths(self) -> Array:
-        """Rest length of the point at the first node of each segment [m]."""
+        """Rest length that the point at each segment's first node stands for [m]."""
         return self._rods(self.lengths)[:, : -1 : self.per_element].reshape(-1)
 
     @property
     def node_places(self) -> Array:
-        """Rest arc length of each node along its rod [m]."""
+        """Rest arc length from the start of its rod to each node [m]."""
         return self._rods(self.places)[:, :: self.per_element].reshape(-1)
 
     @property
@@ -90,11 +90,11 @@ class RodSegments:
 
     @property
     def is_end(self) -> np.ndarray:
-        """Whether each segment is the last of its rod and no other rod follows."""
+        """Whether each segment is the last of its rod and no other rod continues it."""
         return self.is_last & ~np.isin(np.arange(self.is_last.size), self.continued)
 
     def _rods(self, row: Array) -> Array:
-        """A row split into one row for each rod."""
+        """Reshapes a flat row to `(rods, entries per rod)`."""
         return row.reshape(self.count, -1)
 
     @property
@@ -103,33 +103,33 @@ class RodSegments:
         return np.isin(np.arange(self.count), self.closed)[:, None]
 
     def smooth(self, nodes: Array) -> tuple[Array, Array]:
-        """Places and tangents of smooth axes at the nodes, from a field on nodes."""
+        """Positions and tangents of smooth axes at the nodes, from nodal positions."""
         place, tangent = smooth_nodes(self._rods(nodes), self.is_closed)
         return place.reshape(-1), tangent.reshape(-1)
 
     def from_smooth(self, places: Array, tangents: Array) -> Array:
-        """Forces on nodes, from forces on the places and tangents of smooth axes."""
+        """Forces on nodes, from forces on smooth axes: the transpose of `smooth`."""
         return from_smooth_nodes(
             self._rods(places), self._rods(tangents), self.is_closed
         ).reshape(-1)
 
     def firsts(self, nodes: Array) -> Array:
-        """Values of a field on nodes at the first node of each segment."""
+        """Values of a nodal field at the first node of each segment."""
         return self._rods(nodes)[:, :-1].reshape(-1)
 
     def nexts(self, nodes: Array) -> Array:
-        """Values of a field on nodes at the next node of each segment."""
+        """Values of a nodal field at the second node of each segment."""
         return self._rods(nodes)[:, 1:].reshape(-1)
 
     def at_points(self, nodes: Array) -> Array:
-        """Values of a field on nodes, interpolated at the points."""
+        """Values of a nodal field at the contact points, by linear interpolation."""
         rods = self._rods(nodes)
         first, change = rods[:, :-1, None], (rods[:, 1:] - rods[:, :-1])[:, :, None]
         within = (first + self._fractions(nodes) * change).reshape(self.count, -1)
         return jnp.concatenate([within, rods[:, -1:]], axis=1).reshape(-1)
 
     def at_nodes(self, segments: Array) -> Array:
-        """Values of a field on segments at the nodes: averages by length."""
+        """Averages of a segment field at the nodes, weighted by rest length."""
         first, last = self._shares()
         rods = self._rods(segments)
         return (
@@ -137,19 +137,19 @@ class RodSegments:
         ).reshape(-1)
 
     def from_nodes(self, nodes: Array) -> Array:
-        """Couples at nodes, shared by the segments in proportion to their lengths."""
+        """Couples at nodes, divided between their segments: transpose of `at_nodes`."""
         first, last = self._shares()
         rods = self._rods(nodes)
         return (first * rods[:, :-1] + last * rods[:, 1:]).reshape(-1)
 
     def _shares(self) -> tuple[Array, Array]:
-        """Shares of each segment in the averages at its first and next node [1]."""
+        """Weights of each segment in the averages at its first and second node [1]."""
         lengths = self._rods(self.rest_lengths)
         both = vectors.pad(lengths, 0, 1) + vectors.pad(lengths, 1, 0)
         return lengths / both[:, :-1], lengths / both[:, 1:]
 
     def of_points(self, segments: Array) -> Array:
-        """Values of a field on segments at the points; averages at points on nodes."""
+        """Values of a segment field at the contact points; averages at the nodes."""
         within = self._rods(segments)[:, :, None]
         nodes = self._rods(self.at_nodes(segments))
         inner = jnp.repeat(within, self.per_element - 1, axis=2)
@@ -158,7 +158,7 @@ class RodSegments:
         return jnp.concatenate([rods, nodes[:, -1:]], axis=1).reshape(-1)
 
     def from_points(self, points: Array) -> Array:
-        """Forces at points, summed on the nodes."""
+        """Forces at contact points, divided between nodes: transpose of `at_points`."""
         rods = self._rods(points)
         within = rods[:, :-1].reshape(self.count, -1, self.per_element)
         later = jnp.sum(self._fractions(points) * within, axis=2)
@@ -168,13 +168,13 @@ class RodSegments:
         return (nodes + jnp.concatenate([none, later], axis=1)).reshape(-1)
 
     def from_segments(self, firsts: Array, nexts: Array) -> Array:
-        """Forces at both nodes of segments, summed on the nodes."""
+        """Sums on each node of the forces at first and second nodes of segments."""
         first = jnp.pad(self._rods(firsts), ((0, 0), (0, 1)))
         following = jnp.pad(self._rods(nexts), ((0, 0), (1, 0)))
         return (first + following).reshape(-1)
 
     def to_segments(self, points: Array) -> Array:
-        """Couples at points, summed on the segments: the transpose of `of_points`."""
+        """Couples at contact points, summed on segments: transpose of `of_points`."""
         rods = self._rods(points)
         within = rods[:, :-1].reshape(self.count, -1, self.per_element)
         nodes = jnp.concatenate([within[:, :, 0], rods[:, -1:]], axis=1)
@@ -182,7 +182,7 @@ class RodSegments:
         return inner + self.from_nodes(nodes.reshape(-1))
 
     def _fractions(self, like: Array) -> Array:
-        """Places of the points along a segment, over its length [1]."""
+        """Fractions along a segment at which its contact points lie [1]."""
         fractions = np.arange(self.per_element) / self.per_element
         return jnp.asarray(fractions, like.dtype)[None, None, :]
 
@@ -193,13 +193,14 @@ def rod_segments(
     continued: tuple[int, ...] = (),
     closed: tuple[int, ...] = (),
 ) -> RodSegments:
-    """Segments and points of a member.
+    """Segments and contact points of a member, with lengths, radii and arc lengths.
 
     Args:
         parts: Constants of a member that consists of rods.
-        per_element: Contact points per element.
-        continued: Last segments of rods that continue in another rod.
-        closed: Rods whose last node is their first.
+        per_element: Number of contact points per element.
+        continued: Indices of segments that are the last of their rod but continue in
+            another.
+        closed: Indices of the rods whose last node is tied to their first node.
     """
     assert parts.rest_lengths is not None and parts.radii is not None
     count, n = parts.count, parts.n_elements
@@ -236,11 +237,11 @@ def rod_segments(
 def segments_and_ends(
     parts: Parts, per_element: int, free: Float[Array, "rods 2"]
 ) -> tuple[RodSegments, Ends]:
-    """Segments of a member, with zero length at ends, and the ends of its rods.
+    """Segments of a member, with points of zero length at ends, and ends of its rods.
 
     Args:
         parts: Constants of a member that consists of rods.
-        per_element: Contact points per element.
+        per_element: Number of contact points per element.
         free: Flags of the ends: 1 if free, 0 where the rod continues in another rod.
     """
     made = rod_segments(parts, per_element)
@@ -264,7 +265,7 @@ def segments_and_ends(
 
 @pytree
 class ContactPoints:
-    """Contact points at one moment."""
+    """Contact points of a member, or of listed elements, at one moment."""
 
     position: Vec3
     """Positions on the centreline [m]."""
@@ -273,39 +274,39 @@ class ContactPoints:
     spin: Vec3 | None
     """Angular velocities of the rods at the points, world frame [rad/s]."""
     radii: Array
-    """Radii [m]."""
+    """Radius of the rod at each point [m]."""
     lengths: Array
     """Rest length that each point stands for [m]."""
     rods: Array
-    """Number of each point's rod."""
+    """Index of the rod that each point belongs to."""
     places: Array
-    """Rest arc length of each point along its rod [m]."""
+    """Rest arc length from the start of its rod to each point [m]."""
     fractions: Array | None = None
-    """Places on listed elements, over their lengths [1]; `None` for all points."""
+    """Fractions of the points along listed elements [1]; `None` without a list."""
 
     @property
     def starts(self) -> Array:
-        """The places themselves: points have no extent."""
+        """Rest arc lengths where the points start, equal to `places` [m]."""
         return self.places
 
     @property
     def ends(self) -> Array:
-        """The places themselves: points have no extent."""
+        """Rest arc lengths where the points end, equal to `places` [m]."""
         return self.places
 
     def velocity_at(self, place: Any) -> Vec3:
-        """Velocities of the points [m/s]."""
+        """Velocities of the points [m/s]; `place` is ignored."""
         assert self.velocity is not None
         return self.velocity
 
     def spin_at(self, place: Any) -> Vec3:
-        """Angular velocities at the points [rad/s]."""
+        """Angular velocities at the points [rad/s]; `place` is ignored."""
         assert self.spin is not None
         return self.spin
 
 
 def points_at(segments: RodSegments, seen: Seen, *, spins: bool) -> ContactPoints:
-    """Contact points of a member."""
+    """Contact points of a member at one moment, with angular velocities if `spins`."""
     turning = seen.angular_velocities if spins else None
     return ContactPoints(
         position=mapped(segments.at_points, seen.motion.position),
@@ -320,25 +321,25 @@ def points_at(segments: RodSegments, seen: Seen, *, spins: bool) -> ContactPoint
 
 @pytree
 class SegmentLoads:
-    """Forces and couples on contact points and on segments, world frame."""
+    """Forces and couples on contact points and segments; `None` stands for zero."""
 
     on_points: Vec3 | None = None
-    """Forces at the points [N]."""
+    """Forces on the contact points, world frame [N]."""
     turning_points: Vec3 | None = None
-    """Couples at the points [N m]."""
+    """Couples on the rod at the contact points, world frame [N m]."""
     forces: Vec3 | None = None
-    """Forces on segments [N]."""
+    """Total forces on segments, world frame [N]."""
     nexts: Vec3 | None = None
-    """Parts of these forces that act at the next nodes [N]."""
+    """Parts of `forces` that act at the second nodes of the segments [N]."""
     turning: Vec3 | None = None
-    """Couples on segments [N m]."""
+    """Couples on segments, world frame [N m]."""
     turning_nodes: tuple[Vec3, Vec3] | None = None
-    """Couples at the first and at the next nodes of segments [N m]."""
+    """Couples at the first and at the second nodes of segments, world frame [N m]."""
     tangents: tuple[Vec3, Vec3] | None = None
-    """Forces conjugate to the tangents at first and next nodes, for smooth axes [N]."""
+    """Forces conjugate to tangents at first and second nodes of smooth axes [N]."""
 
     def added(self, more: SegmentLoads) -> SegmentLoads:
-        """Sum of both loads; either may lack some parts."""
+        """Sum of these loads and `more`, field by field; `None` counts as zero."""
 
         def both(own: tuple[Vec3, Vec3] | None, other: tuple[Vec3, Vec3] | None) -> Any:
             if own is None or other is None:
@@ -357,7 +358,7 @@ class SegmentLoads:
 
 
 def loads_on_member(segments: RodSegments, seen: Seen, loads: SegmentLoads) -> Loads:
-    """Loads transferred to nodes and elements."""
+    """Loads on nodes, and on elements in their material frames, from segment loads."""
     nodes: Vec3 | None = None
     couples = loads.turning
     if loads.on_points is not None:
@@ -384,13 +385,13 @@ def loads_on_member(segments: RodSegments, seen: Seen, loads: SegmentLoads) -> L
 
 
 def points_needed(coupling: str, name: str, own: Parts, spacing: float) -> int:
-    """Points per element for which neighbours are at most `spacing` radii apart.
+    """Number of contact points per element, at most `spacing` radii apart.
 
     Args:
-        coupling: Name of the factory, for messages.
+        coupling: Name of the coupling's factory, for the error message.
         name: Name of the member.
         own: Constants of the member.
-        spacing: Largest distance between neighbours over the radius [1].
+        spacing: Largest distance between neighbouring points over the radius [1].
 
     Raises:
         ValueError: If lengths or radii are traced.

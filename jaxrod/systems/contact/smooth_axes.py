@@ -3,7 +3,7 @@ r"""Smooth axes: curves along rods that are as smooth at nodes as between them.
 Where a polyline bends, its nodes stick out and the middles of its elements lie inside.
 So a load that slides along the polyline goes up and down, and rests at nodes. A curve
 through the nodes still has this fault. Here each element has the cubic Hermite curve
-with places $y_i$ and tangents $m_i$ at its nodes. With the central differences
+with positions $y_i$ and tangents $m_i$ at its nodes. With the central differences
 $\mu\delta, \delta^2, \ldots$ of the nodes along the rod they are
 
 $$y = x + \tfrac1{24} \delta^2 x - 0.041\, \delta^4 x, \qquad
@@ -14,7 +14,7 @@ that a load on a limp rope does the same work as on a smooth rope. The other two
 fitted so that the work of a load on a straight rope under tension is the same wherever
 along an element the load has slid to. For a limp rope it varies by 4e-5 of the load
 times the angle times the length of an element, where a polyline has 6e-2; for a stiff
-one it varies less. Straight rods stay straight. The curve of a rod that turns turns
+one it varies less. Straight rods stay straight. When a rod rotates, its curve rotates
 with it, so a force on the curve has the same moment as its forces on the nodes.
 
 Open rods are continued beyond their ends by point reflection, closed rods by the
@@ -31,20 +31,24 @@ import numpy as np
 from jaxtyping import Array
 
 INWARDS, FLAT, TANGENT = 1 / 24, -0.041, -0.136
-"""Factors of second and fourth differences in places, and of third differences in
-tangents."""
+"""Coefficients of the second and fourth differences in positions, and of the third
+difference in tangents [1]."""
 FARTHEST = 1.165
-"""Largest displacement of a place on a curve if every node moves by at most one."""
+"""Largest displacement of a point on a smooth axis over that of any node [1]."""
 _ALIKE = 12
-"""Number of elements of a rod that is long enough for all kinds of node
-neighbourhoods."""
+"""Elements of the longest rod for which `stiffest` is computed. Longer rods repeat the
+value of its middle node."""
 
 
 def smooth_nodes(nodes: Array, closed: np.ndarray) -> tuple[Array, Array]:
-    """Places and tangents at nodes, from a field on nodes; all of one shape.
+    """Positions y and tangents m of smooth axes at the nodes, from nodal positions x.
+
+    With the central differences d1, ..., d4 of x along the rod, y = x + d2/24 - 0.041
+    d4 and m = d1 - 0.136 d3. Both are linear in x, so velocities are transformed in the
+    same way.
 
     Args:
-        nodes: One component of positions or velocities, a row for each rod.
+        nodes: One component of positions or velocities `(rods, nodes)`.
         closed: Whether each rod is closed, `(rods, 1)`.
     """
     tangent, second = _differences(nodes, closed)
@@ -53,14 +57,14 @@ def smooth_nodes(nodes: Array, closed: np.ndarray) -> tuple[Array, Array]:
 
 
 def from_smooth_nodes(places: Array, tangents: Array, closed: np.ndarray) -> Array:
-    """Forces on nodes, from forces conjugate to the places and tangents there."""
+    """Transpose of `smooth_nodes`: nodal forces, from those on axes and tangents."""
     back = jax.linear_transpose(lambda nodes: smooth_nodes(nodes, closed), places)
     (nodes,) = back((places, tangents))
     return nodes
 
 
 def _differences(nodes: Array, closed: np.ndarray) -> tuple[Array, Array]:
-    """Central first and second differences along rods."""
+    """Central first and second differences at the nodes of each rod, ends included."""
     edges = nodes[:, 1:] - nodes[:, :-1]
     before = jnp.pad(edges, ((0, 0), (1, 0)))
     after = jnp.pad(edges, ((0, 0), (0, 1)))
@@ -78,16 +82,16 @@ def _differences(nodes: Array, closed: np.ndarray) -> tuple[Array, Array]:
 
 @functools.cache
 def stiffest(n_elements: int) -> np.ndarray:
-    """Largest stiffness at each node if each element has one spring of stiffness one.
+    """Bound of each node's stiffness if every element has one spring of stiffness one.
 
-    These are the sums of the absolute entries in each row of the stiffness matrix, with
-    each spring at its worst place.
+    It is the sum of the absolute entries in the node's row of the stiffness matrix of
+    smooth axes. Each spring acts at the point of its element where it adds most.
     """
     n = min(n_elements, _ALIKE)
     with jax.ensure_compile_time_eval():
         open_rods = np.zeros((n + 1, 1), bool)
         both = smooth_nodes(jnp.eye(n + 1), open_rods)
-    # Response of all places and tangents to a unit displacement of each node.
+    # Response of all positions and tangents to a unit displacement of each node.
     place, tangent = (np.asarray(field, float).T for field in both)
     s = np.linspace(0, 1, 101)[:, None, None]
     weights = np.abs(

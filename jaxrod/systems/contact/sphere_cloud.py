@@ -1,6 +1,6 @@
 r"""Sphere clouds: balls on a rigid body, tested for contact with another.
 
-A ball is a place in the body's own frame and a radius. A sphere is a single ball. A
+A ball has a centre in the body's own frame and a radius. A sphere is a single ball. A
 capsule has several balls along its axis. A box has balls of zero radius at its corners.
 A cylinder has balls along its axis, like a capsule, and points on its two rims. The
 first point of a rim is always its lowest, so that a cylinder rolls and stands without
@@ -37,7 +37,7 @@ MOST_BALLS = 100
 
 @pytree
 class SphereCloud:
-    """Balls on one body, in its own frame."""
+    """Balls of one body, in its own frame, tested against other surfaces."""
 
     offsets: Float[Array, "3 balls"]
     """Centres of the balls; for points on a rim, the centre of the rim [m]."""
@@ -62,7 +62,7 @@ class SphereCloud:
 
     @property
     def reach(self) -> Array:
-        """Largest lever arm of a force along the normal [m]."""
+        """Largest distance of a ball's centre from the origin, as a lever arm [m]."""
         arms = vectors.safe_norm(vectors.split(self.offsets))
         if self.rim_radii is not None:
             arms = jnp.sqrt(arms * arms + self.rim_radii * self.rim_radii)
@@ -71,9 +71,11 @@ class SphereCloud:
     def places(self, downwards: Vec3) -> Vec3:
         """Centres of the balls, in the body's own frame [m].
 
+        The first point of each rim is its lowest, in the direction `downwards`.
+
         Args:
-            downwards: Vector from every ball towards the other surface, own frame, of
-                any length.
+            downwards: Vector from every ball towards the other surface, in the body's
+                own frame, of any length.
         """
         offsets = vectors.split(self.offsets)
         if self.rim_radii is None:
@@ -102,7 +104,7 @@ class SphereCloud:
 
 
 def _beside(axis: Vec3) -> Vec3:
-    """Unit vector perpendicular to another."""
+    """Unit vector perpendicular to a unit vector."""
     x, y, z = axis
     flat = jnp.abs(z) < 0.9
     p, q, r = jnp.where(flat, y, 0), jnp.where(flat, -x, z), jnp.where(flat, 0, -y)
@@ -179,12 +181,14 @@ def _(shape: Box, balls: int, points_per_edge: int) -> SphereCloud:
 
 
 def given_points(points: Array) -> SphereCloud:
-    """Balls of zero radius at given points on the surface of a body, own frame [m]."""
+    """Balls of radius zero at given points of a surface, in the body's frame [m]."""
     return SphereCloud(points, jnp.zeros_like(points[0]))
 
 
 def spheres_needed(name: str, shape: Body) -> int:
-    """Number of balls along the axis of a shape, at most a radius apart.
+    """Number of balls in a row along a shape's axis, at most a radius apart.
+
+    It is zero for shapes without such a row.
 
     Args:
         name: Name of the body, for messages.
@@ -219,6 +223,6 @@ def _direction(vector: Array) -> Array:
 
 
 def _line(start: Array, end: Array, count: int) -> Array:
-    """Equidistant places from one end to the other."""
+    """Equidistant points from `start` to `end`, both included `(3, count)` [m]."""
     share = jnp.asarray(np.linspace(0, 1, count), start.dtype)
     return start[:, None] + (end - start)[:, None] * share[None, :]

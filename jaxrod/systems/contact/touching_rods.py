@@ -1,14 +1,14 @@
-"""Common part of laws of contact between rods: pairs of elements, and sums over them.
+"""Base of the laws of contact between rods: pairs of elements, and sums over them.
 
-A law says which pairs of places of two elements count, and with which weights. Pairs
-are all pairs of two members, or those on lists of neighbours
+A law defines which pairs of points of two elements count, and with which weights. Pairs
+of elements are all those of two members, or those on lists of neighbours
 (`jaxrod.systems.contact.neighbour_lists`).
 
-Places that are near to each other along a rod do not touch: a rod bent to a curvature
+Elements that are near to each other along a rod do not touch: a rod bent to a curvature
 of one over its radius just touches itself half a turn away. So contact begins pi times
-the radius away along the rod. From there the share of contact rises, and is one an
-element's length farther on. The same holds near nodes that are tied together, with the
-distance measured along both rods.
+the radius away along the rod. From there a factor on contact, the share, rises to one
+over the length of an element. The same holds near nodes that are tied together, with
+the distance measured along both rods.
 """
 
 from __future__ import annotations
@@ -71,31 +71,32 @@ FEW_PAIRS = 40_000
 
 @pytree
 class TouchingRods(PenaltyContact):
-    """Contact between all rods of some members: the part common to all laws."""
+    """Base of the laws of contact between all rods of some members."""
 
     segments: tuple[RodSegments, ...] = ()
-    """Points and segments of each member, set by `prepared`."""
+    """Segments and contact points of each member, set by `prepared`."""
     lists: NeighbourLists | None = None
     """Settings of lists of neighbours; `None` to test all pairs in every step."""
     found: FoundNeighbours | None = None
-    """The lists; `None` before they are made."""
+    """Neighbour lists of the last search; `None` before it."""
     members: tuple[str, ...] = static(default=())
     """Names of the members."""
     self_contact: bool = static(default=False)
-    """Whether rods touch themselves."""
+    """Whether each rod also touches itself."""
     tied: tuple[TiedPair, ...] = static(default=())
     """Pairs of nodes that are tied together; elements near them do not touch."""
     max_contacts: int = static(default=2)
-    """Rods that may touch one place at a time, for the stability bound."""
+    """Number of rods that may touch a rod at one place, for the stability bound."""
 
     has_contact_points: ClassVar[bool] = False
-    """Whether the first of two elements is tested with its contact points."""
+    """Whether the first element of a pair is represented by its contact points."""
 
     symmetric: ClassVar[bool] = False
-    """Whether the law counts two elements of one member as one pair, not two."""
+    """Whether a pair of members or elements is tested in one order only, not in
+    both."""
 
     smooth: ClassVar[bool] = False
-    """Whether the law has smooth axes, not polylines."""
+    """Whether axes of elements are smooth curves instead of straight segments."""
 
     # Hooks of a law. A member is tested with its elements, or with the contact points
     # that the last three hooks make of them.
@@ -105,21 +106,25 @@ class TouchingRods(PenaltyContact):
         raise _without(self, "allowed")
 
     def bounding_radii(self, a: int) -> Array:
-        """Largest radius of each element of a member under the law [m]."""
+        """Largest radius of each element of member `a`, for the search [m]."""
         raise _without(self, "bounding_radii")
 
     def weights(self, a: int, b: int, own: Any, other: Elements) -> Array:
-        """Weights of pairs of elements of two members."""
+        """Factors on force and energy of pairs of elements of members `a`, `b`."""
         raise _without(self, "weights")
 
     def scales(self, own: Any, other: Elements) -> tuple[Array, Array]:
-        """Radius, and length over which the share of self-contact rises [m]."""
+        """Radius r and length l that limit the contact of a rod with itself [m].
+
+        Its weight rises from 0 at an arc length of pi r between the elements to 1 at pi
+        r + l.
+        """
         raise _without(self, "scales")
 
     def contact_pairs(
         self, own: Any, other: Elements, weights: Array
     ) -> Iterator[ContactPair]:
-        """Pairs of places of pairs of elements, with their weights."""
+        """Pairs of points that represent each pair of elements, with their weights."""
         raise _without(self, "contact_pairs")
 
     def pair_loads(
@@ -129,11 +134,11 @@ class TouchingRods(PenaltyContact):
         raise _without(self, "pair_loads")
 
     def bound(self, own: Parts, every: list[Parts]) -> StabilityBound:
-        """Stiffness and drag on one member, as if `max_contacts` rods touched it."""
+        """Bounds of stiffness and drag of `own` if `max_contacts` rods touch it."""
         raise _without(self, "bound")
 
     def in_rows(self, a: int, own: Elements, seen: AllSeen) -> Any:
-        """Elements or contact points with which a member is tested."""
+        """Elements or contact points of member `a`, to be tested against elements."""
         return own
 
     def on_list(
@@ -152,7 +157,7 @@ class TouchingRods(PenaltyContact):
 
     @property
     def is_contact(self) -> bool:
-        """True: a replay can show its forces."""
+        """True: marks forces that a replay can show as contact forces."""
         return True
 
     @property
@@ -162,12 +167,12 @@ class TouchingRods(PenaltyContact):
 
     @property
     def is_sized(self) -> bool:
-        """Whether the sizes of lists are known."""
+        """Whether the numbers of list entries are known; true without lists."""
         return self.lists is None or self.lists.is_sized
 
     @property
     def places_matter(self) -> bool:
-        """Whether touching depends on the elements' rods and places along them."""
+        """Whether contact depends on rods and arc lengths of the elements."""
         return (
             self.self_contact
             or bool(self.tied)
@@ -182,10 +187,12 @@ class TouchingRods(PenaltyContact):
                 raise ValueError(f"this contact is between rods, and {name!r} is rigid")
 
     def with_ties(self, parts: AllParts, tied: tuple[TiedPair, ...]) -> TouchingRods:
-        """The coupling with the tied nodes; elements near them do not touch.
+        """The coupling with the tied nodes set; elements near them do not touch.
+
+        If members have few elements, the search tests all pairs, without a grid.
 
         Raises:
-            ValueError: If there is nothing to touch.
+            ValueError: If there is only one rod, and no self-contact.
         """
         self.check(parts)
         rods = sum(parts[name].count for name in self.members)
@@ -203,7 +210,7 @@ class TouchingRods(PenaltyContact):
         return replace(self, tied=near, lists=lists)
 
     def member_pairs(self) -> list[tuple[int, int]]:
-        """Numbers of the pairs of members that are tested."""
+        """Indices (a, b) of the pairs of members that are tested for contact."""
         count = len(self.members)
         return [
             (a, b)
@@ -213,7 +220,7 @@ class TouchingRods(PenaltyContact):
         ]
 
     def share(self, a: int, b: int, own: Any, other: Elements) -> Array | None:
-        """Share of each pair's contact near ties and along rods [1]; `None` for one."""
+        """Weight 0..1 of each pair, less near ties and along a rod; `None` for 1."""
         share: Array | None = None
         if a == b:
             near: Array | float = 0.0
@@ -233,7 +240,7 @@ class TouchingRods(PenaltyContact):
         return share
 
     def _elements(self, seen: AllSeen, *, moves: bool) -> list[Elements]:
-        """Elements of all members."""
+        """Elements of all members at one moment, with velocities if `moves`."""
         moves = moves and self.law.has_rates
         listed = self.found is not None
         return [
@@ -252,14 +259,14 @@ class TouchingRods(PenaltyContact):
     def _rows(
         self, elements: list[Elements], seen: AllSeen
     ) -> Iterator[tuple[int, list[int], Any, Elements, Array]]:
-        """All pairs of elements: matrices `(others, own)`, one for each first member.
+        """All pairs of elements, as matrices `(second, first)` for each first member.
 
-        All other members share one row, so that the program has one part for each
-        member, not for each pair of members.
+        The second members are joined in one column, so that the program has one part
+        for each member, not for each pair of members.
 
         Returns:
-            Number of the first member, numbers of the others, elements or contact
-            points of the first, elements of the others, and weights.
+            Index of the first member, indices of the second members, elements or
+            contact points of the first, elements of the second, and weights.
         """
         met: dict[int, list[int]] = {}
         for a, b in self.member_pairs():
@@ -282,7 +289,7 @@ class TouchingRods(PenaltyContact):
     def _listed(
         self, a: int, b: int, own: Elements, other: Elements, there: Array
     ) -> tuple[Any, Elements, Array]:
-        """Elements or contact points of listed pairs, and weights."""
+        """First elements (or contact points) and second elements of a list; weights."""
         met, other, there = self.on_list(a, own, other, there)
         return met, other, jnp.where(there, self.weights(a, b, met, other), 0)
 
@@ -327,7 +334,7 @@ class TouchingRods(PenaltyContact):
         }
 
     def _all_contact_pairs(self, seen: AllSeen) -> Iterator[ContactPair]:
-        """Pairs of places of all tested members, from lists if there are any."""
+        """Pairs of points of all tested members, from lists if there are any."""
         elements = self._elements(seen, moves=False)
         if self.found is None:
             for _, _, *pairs in self._rows(elements, seen):
@@ -349,7 +356,7 @@ class TouchingRods(PenaltyContact):
         return jnp.where(self.found.missed > 0, jnp.nan, total)
 
     def violation(self, seen: AllSeen) -> Array:
-        """Deepest penetration over half the sum of the radii."""
+        """Deepest penetration over half the sum of the radii [1]."""
         worst = jnp.zeros((), self.stiffness.dtype)
         for pair in self._all_contact_pairs(seen):
             half = 0.5 * (pair.radii[0] + pair.radii[1])
@@ -358,14 +365,14 @@ class TouchingRods(PenaltyContact):
         return worst
 
     def stability_bounds(self, parts: AllParts) -> dict[str, StabilityBound]:
-        """Stiffness and drag as if `max_contacts` rods touched each at one place."""
+        """Bounds of stiffness and drag, with `max_contacts` rods at every element."""
         every = [parts[name] for name in self.members]
         return {name: self.bound(parts[name], every) for name in self.members}
 
     # Lists.
 
     def search(self, seen: AllSeen) -> FoundNeighbours:
-        """Neighbours of all elements in the given state; never differentiated."""
+        """Neighbour lists of all pairs of members in a state; never differentiated."""
         assert self.lists is not None
         seen = jax.lax.stop_gradient(seen)
         every = [self._bounds(a, seen) for a in range(len(self.members))]
@@ -382,7 +389,7 @@ class TouchingRods(PenaltyContact):
     def moved(self, seen: AllSeen) -> Array:
         """Largest displacement of a node since the search, over half the skin [1].
 
-        For smooth axes it is the bound for places on the axes.
+        For smooth axes it is an upper bound of the displacement of their points.
         """
         assert self.found is not None
         worst = jnp.zeros((), self.stiffness.dtype)
@@ -410,15 +417,15 @@ class TouchingRods(PenaltyContact):
         return replace(self, lists=self.needed(seen, with_spare))
 
     def needed(self, seen: AllSeen, spare: Callable[[float], int]) -> NeighbourLists:
-        """Lists with as many entries as a concrete state needs, and some to spare.
+        """Settings of lists with as many entries as a state needs, and some to spare.
 
         Args:
-            seen: Members in this state.
-            spare: Function from a count to the number of entries for it.
+            seen: Members in this state, which must not be traced.
+            spare: Function from a count to the number of entries to allocate for it.
         """
         assert self.lists is not None
         lists, given = self.lists, self.lists
-        # A count is correct only if the stage before had enough room.
+        # A count is correct only if the stage before had enough entries.
         for _ in range(3):
             trial = replace(
                 lists,
@@ -476,18 +483,18 @@ def rod_law(
     lists: NeighbourLists | None,
     per_length: bool,
 ) -> dict[str, Any]:
-    """Checked fields that laws between rods have in common.
+    """Checked fields that all laws of contact between rods have in common.
 
     Args:
         members: Names of the members.
-        *numbers: Numbers of the law, as for `law_numbers`.
-        self_contact: Whether rods touch themselves.
-        max_contacts: Rods that may touch one place at a time.
+        *numbers: Parameters of the law in the order of `law_numbers`.
+        self_contact: Whether each rod also touches itself.
+        max_contacts: Number of rods that may touch a rod at one place and time.
         lists: Settings of lists of neighbours.
         per_length: Whether the law is per length of contact.
 
     Raises:
-        ValueError: If a number is out of range, or friction has no drag.
+        ValueError: If a number is out of range, or friction is given without drag.
         TypeError: If a name is not a string.
     """
     check_members(members)
@@ -503,48 +510,48 @@ def rod_law(
 
 
 class Along(Protocol):
-    """Places on rods: elements, from their starts to their ends, or contact points."""
+    """Interface of elements and contact points, as intervals of arc length on rods."""
 
     @property
     def radii(self) -> Array:
-        """Radii [m]."""
+        """Radius of the rod at each element or point [m]."""
 
     @property
     def rods(self) -> Any:
-        """Number of the rod of each place."""
+        """Index of the rod that each element or point belongs to."""
 
     @property
     def starts(self) -> Any:
-        """Rest arc lengths where the places start [m]."""
+        """Rest arc length along its rod at which each element or point starts [m]."""
 
     @property
     def ends(self) -> Any:
-        """Rest arc lengths where the places end [m]."""
+        """Rest arc length along its rod at which each element or point ends [m]."""
 
 
 def same_rod(own: Along, other: Along) -> Array:
-    """Whether two places on one member are on the same rod."""
+    """Whether two elements (or points) of one member belong to the same rod."""
     return jnp.equal(own.rods, other.rods)
 
 
 def share_of_gap(gap: Array, radius: Array, length: Array) -> Array:
-    """Share of contact of places on one rod with a gap between them [1].
+    """Weight of contact along a rod: (gap - pi radius) / length, limited to 0..1 [1].
 
     Args:
-        gap: Rest arc length between the places; negative where they overlap [m].
+        gap: Rest arc length between the elements; negative where they overlap [m].
         radius: Radius of the rod [m].
-        length: Length over which the share rises [m].
+        length: Length over which the weight rises [m].
     """
     return jnp.clip((gap - math.pi * radius) / length, 0, 1)
 
 
 def rod_and_place(segments: RodSegments, node: int) -> tuple[int, Array]:
-    """Number of the rod of a node, and the node's rest arc length along it [m]."""
+    """Index of the rod of a node, and the node's rest arc length along it [m]."""
     return node // (segments.n_elements + 1), segments.node_places[node]
 
 
 def from_node(where: Along, place: Array) -> Array:
-    """Rest arc length from a node at some place along a rod; zero inside [m]."""
+    """Rest arc length between a node at `place` and elements; zero inside them [m]."""
     return jnp.maximum(jnp.maximum(where.starts - place, place - where.ends), 0)
 
 
@@ -554,13 +561,16 @@ def share_near_tie(
     nodes: tuple[tuple[int, Array], tuple[int, Array]],
     length: Array,
 ) -> Array:
-    """Share of contact near two nodes that are tied together [1].
+    """Weight of contact near two tied nodes, from 0 to 1 [1].
+
+    It depends on the sum of both arc lengths to the tie: zero up to pi times the mean
+    radius, then rising linearly over `length`. It is one on other rods.
 
     Args:
-        own: Places on the first member.
-        other: Places on the second member.
-        nodes: Rods of both nodes, and their rest arc lengths along them [m].
-        length: Length over which the share rises [m].
+        own: Elements or contact points of the first member.
+        other: Elements of the second member.
+        nodes: Index of the rod, and rest arc length along it, of each tied node [m].
+        length: Length over which the weight rises [m].
     """
     (rod, place), (fellow, mark) = nodes
     reach = 0.5 * math.pi * (own.radii + other.radii)

@@ -2,8 +2,8 @@
 
 An anchor on a rod is a node and an offset in the frame of an element there; on a body
 it is an offset in the body's frame. A force at a point near the anchor acts on the
-node, and the couple of its lever arm on the element. So pairs of forces at one point
-have no moment.
+node, and the couple of its lever arm on the element. So a force and its reaction at one
+point have no total moment.
 """
 
 from __future__ import annotations
@@ -53,11 +53,11 @@ class Anchors:
     points: Points
     """Node and element of each anchor."""
     offsets: Float[Array, "3 anchors"]
-    """Offsets from the node or the body's origin, in the element's or body's frame [m].
-    """
+    """Vectors from the node, or the body's origin, to the anchor, in the frame of the
+    element or body [m]."""
 
     def check(self, parts: AllParts) -> None:
-        """Raises ValueError if the member is missing or too small."""
+        """Raises ValueError if the member is missing or has too few nodes."""
         self.points.check(parts)
 
     def arms(self, seen: Seen) -> Vec3:
@@ -66,7 +66,7 @@ class Anchors:
         return to_world(frame, vectors.split(self.offsets))
 
     def nodes(self, seen: Seen) -> Vec3:
-        """Positions of the nodes [m]."""
+        """Positions of the nodes, or of the bodies' origins, world frame [m]."""
         x, y, z = (gather(c, self.points.nodes) for c in seen.motion.position)
         return x, y, z
 
@@ -75,19 +75,26 @@ class Anchors:
         return vectors.add(self.nodes(seen), self.arms(seen))
 
     def velocities(self, seen: Seen, point: Vec3) -> Vec3:
-        """Velocities of the elements' material at some points [m/s]."""
+        """Velocity of each element's material at a point, v + w x r [m/s]."""
         x, y, z = (gather(c, self.points.nodes) for c in seen.motion.velocity)
         arm = vectors.subtract(point, self.nodes(seen))
         return vectors.add((x, y, z), vectors.cross(spin_at(seen, self.points), arm))
 
     def loads(self, seen: Seen, force: Vec3, point: Vec3) -> Loads:
-        """Loads on the anchors' nodes and elements, from forces at some points."""
+        """Loads of a force [N] at a point [m] near each anchor, world frame.
+
+        The force acts on the anchor's node, and the couple of the lever arm on its
+        element.
+        """
         arm = vectors.subtract(point, self.nodes(seen))
         frame = directors(orientation_at(seen, self.points))
         return Loads(force, to_material(frame, vectors.cross(arm, force)))
 
     def mobility(self, parts: Parts, reach: Array | float = 0.0) -> Array:
-        """Largest velocity at the anchors per impulse [1/kg].
+        """Velocity of the anchors per impulse, an upper bound [1/kg].
+
+        It is `1 / m + r^2 / I`, with the mass of the node, the distance `r` of the
+        point of action from the node and the smallest moment of inertia of the element.
 
         Args:
             parts: Constants of the member.
@@ -112,7 +119,7 @@ def anchors(
         state: State of the system.
         at: Position of each anchor in `state`, world frame [m]; `None` for the node, or
             for all nodes.
-        name: Name of the argument, for messages.
+        name: Name of the argument `places` in messages.
 
     Raises:
         ValueError: If there is no such place.
@@ -142,14 +149,14 @@ def spring_bounds(
     stiffness: Array,
     drag: Array | None = None,
 ) -> dict[str, StabilityBound]:
-    """Bounds on the stiffness and drag of springs between anchors.
+    """Stability bounds of springs and dashpots between anchors.
 
     The elongation of a spring of stiffness $k$ is divided among the nodes and elements
     at its ends in proportion to their inertia.
 
     Args:
         a: Anchors on a member.
-        b: Anchors on the other member, or on the same; one for each of `a`.
+        b: Anchors on a second member, or on the same; one for each of `a`.
         parts: Constants of the members.
         stiffness: Largest force per distance, of all springs or of each [N/m].
         drag: Largest force per relative speed, if there is any [kg/s].

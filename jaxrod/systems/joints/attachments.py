@@ -1,10 +1,10 @@
 r"""Attachments: nodes of rods that are part of a rigid body, exactly.
 
-A node attached at the place $p$ of a body (own frame) has no motion of its own:
-$x = X + R p$, $v = V + \omega\times R p$. The node's mass counts in the body's mass,
-centre and inertia. The body takes the impulse of every kick of the node,
-$J = m\,\Delta v$ at $x$. Momentum is exact. Added inertia does not limit the time step.
-Any number of nodes may be on one body.
+A node attached at the position $p$ in the frame of a body moves with it: $x = X + R p$,
+$v = V + \omega\times R p$. The node's mass counts in the body's mass, centre and
+inertia. The body takes the impulse of every kick of the node, $J = m\,\Delta v$ at $x$.
+Momentum is exact. Added inertia does not limit the time step. Any number of nodes may
+be on one body.
 """
 
 from __future__ import annotations
@@ -44,27 +44,27 @@ class Attachment(Coupling):
     """Nodes that are part of bodies; see `attach`."""
 
     points: Points
-    """The nodes."""
+    """The attached nodes, with their elements."""
     bodies: Points
-    """The body of each node."""
+    """The body to which each node is attached."""
     places: Float[Array, "3 nodes"]
-    """Place of each node in its body's frame [m]."""
+    """Position of each node in its body's frame [m]."""
 
     @property
     def followed(self) -> str:
-        """Name of the bodies."""
+        """Name of the member that contains the bodies."""
         return self.bodies.member
 
     def joined_nodes(self) -> list[tuple[str, int]]:
-        """Nodes that are part of bodies."""
+        """All attached nodes, as pairs of a member and a node."""
         return [(self.points.member, int(i)) for i in self.points.nodes.values]
 
     def check(self, parts: AllParts) -> None:
         """Checks that the members fit.
 
         Raises:
-            ValueError: If members are missing, too small or of the wrong kind, or a
-                support holds one of the nodes.
+            ValueError: If members are missing, of the wrong kind or have too few nodes,
+                or if a support holds one of the nodes.
         """
         self.points.check(parts)
         self.bodies.check(parts)
@@ -86,7 +86,7 @@ class Attachment(Coupling):
             )
 
     def carried(self, parts: AllParts) -> dict[str, Carried]:
-        """Point masses of the nodes, summed on the bodies."""
+        """Mass and moments of mass of the nodes, summed for each body."""
         masses = parts[self.points.member].node_masses[self.points.nodes.values]
         place = vectors.split(self.places)
         weighted = vectors.scale(masses, place)
@@ -114,7 +114,7 @@ class Attachment(Coupling):
         return vectors.add((x, y, z), swing)
 
     def constrain(self, seen: AllSeen) -> dict[str, Motion]:
-        """Puts the nodes at their places on the bodies, with the velocities there."""
+        """Moves the nodes to their positions on the bodies; sets their velocities."""
         body = seen[self.bodies.member]
         arms = self._arms(body)
         x, y, z = (gather(c, self.bodies.nodes) for c in body.motion.position)
@@ -132,7 +132,7 @@ class Attachment(Coupling):
         return {self.points.member: moved}
 
     def constrain_rates(self, seen: AllSeen) -> dict[str, Motion]:
-        """Gives the nodes the velocities of their places on the bodies."""
+        """Gives the nodes the velocities of their positions on the bodies."""
         body = seen[self.bodies.member]
         motion = seen[self.points.member].motion
         velocity = self._velocities(body, self._arms(body))
@@ -141,7 +141,12 @@ class Attachment(Coupling):
         return {self.points.member: changed}
 
     def exchange(self, before: AllSeen, after: AllSeen) -> dict[str, Loads]:
-        """Impulses of the nodes, passed on to their bodies."""
+        """Impulses that the kick gave to the nodes, as impulses on their bodies.
+
+        With the velocities v of a node before and after the kick, the impulse is
+        `m (v_after - v_before)`, and its couple about the origin of the body is that of
+        the lever arm.
+        """
         name, nodes = self.points.member, self.points.nodes
         masses = gather(before[name].parts.node_masses, nodes)
         was, now = before[name].motion.velocity, after[name].motion.velocity
@@ -151,7 +156,7 @@ class Attachment(Coupling):
         return sum_of_loads((self.bodies, Loads((x, y, z), couple)), seen=before)
 
     def violation(self, seen: AllSeen) -> Array:
-        """Largest distance of a node from its place, over the radius."""
+        """Largest distance of a node from its position on the body, over the radius."""
         body, own = seen[self.bodies.member], seen[self.points.member]
         x, y, z = (gather(c, self.bodies.nodes) for c in body.motion.position)
         place = vectors.add((x, y, z), self._arms(body))
@@ -169,11 +174,11 @@ def _put(field: Vec3, index: Indices, value: Vec3) -> Vec3:
 def attachment(
     places: Sequence[Place], bodies: Sequence[Place], state: Mapping[str, Any]
 ) -> Attachment:
-    """Attachment of nodes to bodies at their places in a state.
+    """Attachment of nodes to bodies, at their relative positions in a state.
 
     Args:
-        places: Nodes of one member.
-        bodies: Bodies of one member, one for each place.
+        places: Nodes of one member, such as `("arm", "tip")`.
+        bodies: Bodies of one member, one for each node.
         state: State of the system.
     """
     layouts = layouts_of(state)

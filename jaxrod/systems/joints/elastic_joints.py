@@ -45,31 +45,35 @@ from jaxrod.systems.sites.rows import gather, scatter_add, sum_of_loads
 
 @pytree
 class ElasticJoint(Coupling):
-    """Elastic joints between elements of `a` and elements of `b`, one each."""
+    """Elastic joints against rotation of elements of `b` relative to those of `a`."""
 
     a: Points
-    """Elements of the first member."""
+    """Elements of the first member, one for each joint."""
     b: Points
-    """Elements of the second member, or of the same."""
+    """Elements of the second member, or of the same member, one for each joint."""
     rest_frames: Float[Array, "4 joints"]
-    """Orientations of `b` relative to `a` that count as zero rotation."""
+    """Relative orientation of `b` in the frame of `a` at which the rotation vector is
+    zero: quaternions (w, x, y, z)."""
     rest_rotations: Float[Array, "3 joints"]
-    """Rotation vectors at rest [rad]."""
+    """Rotation vectors at which the joints exert no moment, in the frame of `b` [rad].
+    """
     stiffness: Float[Array, "3 joints"] | None = None
-    """Stiffness about d1, d2, d3 of `b` [N m]; `None`: half an element of each rod."""
+    """Stiffness about d1, d2 and d3 of `b` [N m]; `None`: that of half an element of
+    each rod, in series."""
     mixed_stiffness: Float[Array, "3 joints"] | None = None
-    """Moment about one axis per rotation about another, for d2 and d3, d3 and d1, d1
-    and d2 [N m]; `None`: zero."""
+    """Off-diagonal stiffness for the axes d2 and d3, d3 and d1, d1 and d2 [N m];
+    `None`: zero."""
     damping: Float[Array, ""] | Float[Array, " joints"] | None = None
-    """Couple per relative angular velocity, one for all or one for each [N m s]."""
+    """Couple per relative angular velocity, one for all joints or one for each [N m s];
+    `None`: no damping."""
 
     def check(self, parts: AllParts) -> None:
-        """Raises ValueError if a member is missing or too small."""
+        """Raises ValueError if a member is missing or has too few nodes."""
         self.a.check(parts)
         self.b.check(parts)
 
     def prepared(self, parts: AllParts) -> ElasticJoint:
-        """The joint with the stiffness of its rods, unless a stiffness was given."""
+        """Copy with the stiffness of its rods, unless a stiffness was given."""
         if self.stiffness is not None:
             return self
         frames = split_quaternion(self.rest_frames)
@@ -77,7 +81,7 @@ class ElasticJoint(Coupling):
         return replace(self, stiffness=own, mixed_stiffness=mixed)
 
     def _rotation(self, seen: AllSeen) -> tuple[Vec3, Array, Vec3]:
-        """Rotation vectors [rad], their coupling, and moments [N m]."""
+        """Rotation vectors [rad], factors for `joint_couples`, and moments [N m]."""
         before = multiply_quaternions(
             orientation_at(seen[self.a.member], self.a),
             split_quaternion(self.rest_frames),
@@ -90,7 +94,7 @@ class ElasticJoint(Coupling):
         return rotation, coupling, self._moment(bend)
 
     def _moment(self, bend: Vec3) -> Vec3:
-        """Moments: the stiffness times the rotations from rest [N m]."""
+        """Moments: stiffness times the rotation `bend` from rest [N m]."""
         assert self.stiffness is not None
         moment = vectors.multiply(vectors.split(self.stiffness), bend)
         if self.mixed_stiffness is None:
@@ -101,11 +105,10 @@ class ElasticJoint(Coupling):
         return vectors.add(moment, more)
 
     def loads(self, seen: AllSeen) -> dict[str, Loads]:
-        """Couples of the joints and dashpots on both elements."""
+        """Couples of joints and dashpots on both elements of each joint."""
         rotation, coupling, moment = self._rotation(seen)
         odd, even = joint_couples(rotation, coupling, moment)
-        # Rotation from the element's frame turned by `rest_frames` to the element's
-        # frame.
+        # Rotates from the frame of `a` turned by `rest_frames` to the frame of `a`.
         frame = directors(split_quaternion(self.rest_frames))
         on_a = to_world(frame, vectors.add(odd, even))
         on_b = vectors.subtract(even, odd)
@@ -117,7 +120,7 @@ class ElasticJoint(Coupling):
         )
 
     def _drag(self, seen: AllSeen) -> tuple[Vec3, Vec3]:
-        """Couples of the dashpots, in the frames of the elements."""
+        """Couples of dashpots on `a` and on `b`, each in its material frame [N m]."""
         assert self.damping is not None
         one, two = seen[self.a.member], seen[self.b.member]
         apart = vectors.subtract(spin_at(two, self.b), spin_at(one, self.a))
@@ -128,13 +131,13 @@ class ElasticJoint(Coupling):
         return to_material(frame_a, pull), vectors.scale(-1.0, on_b)
 
     def energy(self, seen: AllSeen) -> Array:
-        """Elastic energy of the joints [J]."""
+        """Elastic energy, 1/2 (phi - phi_0) . K (phi - phi_0), of rotations phi [J]."""
         rotation, _, moment = self._rotation(seen)
         bend = vectors.subtract(rotation, vectors.split(self.rest_rotations))
         return 0.5 * jnp.sum(vectors.dot(moment, bend))
 
     def stability_bounds(self, parts: AllParts) -> dict[str, StabilityBound]:
-        """The stiffness of the joints on both elements."""
+        """Stability bounds on the elements of both members, by member."""
         assert self.stiffness is not None
         stiffness = jnp.max(self.stiffness, axis=0)
         if self.mixed_stiffness is not None:
@@ -223,26 +226,30 @@ def _inverse(matrix: Matrix) -> tuple[Array, Array]:
 
 
 def orientation_at(seen: Seen, points: Points) -> Quaternion:
-    """Orientations of the elements at some points."""
+    """Orientation of the element of each point, a quaternion, material to world."""
     w, x, y, z = (gather(c, points.elements) for c in seen.motion.orientation)
     return w, x, y, z
 
 
 def spin_at(seen: Seen, points: Points) -> Vec3:
-    """Angular velocities of the elements at some points, world frame [rad/s]."""
+    """Angular velocity of the element of each point, world frame [rad/s]."""
     x, y, z = (gather(c, points.elements) for c in seen.angular_velocities)
     return x, y, z
 
 
 def least_inertia(parts: Parts, points: Points) -> Array:
-    """Smallest moment of inertia of each element at some points [kg m^2]."""
+    """Smallest moment of inertia of the element of each point [kg m^2]."""
     return jnp.min(parts.inertias, axis=0)[points.elements.values]
 
 
 def turning_bounds(
     a: Points, b: Points, parts: AllParts, stiffness: Array, damping: Array | None
 ) -> dict[str, StabilityBound]:
-    """Bounds of springs against relative rotation, shared in proportion to inertia."""
+    r"""Stability bounds of springs and dashpots against relative rotation.
+
+    For elements with moments of inertia $I_a$ and $I_b$ and the stiffness $k$, the
+    bound on element $i$ is $k\,(1/I_a + 1/I_b)\,I_i$. The same holds for damping.
+    """
     inertia = least_inertia(parts[a.member], a), least_inertia(parts[b.member], b)
     ease = 1 / inertia[0] + 1 / inertia[1]
     total: dict[str, StabilityBound] = {}

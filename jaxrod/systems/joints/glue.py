@@ -2,10 +2,10 @@ r"""Glue: rods side by side, joined along their whole length by a line of spring
 
 Each pair of elements shares a point midway between their surfaces, fixed in both
 elements. With $g$ the gap between the two copies of this point and $\phi$ the relative
-rotation of the two elements from rest, the line stores per length
-$\frac12 k |g|^2 + \frac12 k_t |\phi|^2$. Forces of springs and dashpots act at one
-point, half on each node of an element, with the couple of the lever arm. So momentum
-and angular momentum are exact.
+rotation of the two elements from rest, the line stores per length $\frac12 k |g|^2 +
+\frac12 k_t |\phi|^2$. Forces of springs and dashpots act at one point, half on each
+node of an element, with the couple of the lever arm. So momentum and angular momentum
+are conserved exactly.
 """
 
 from __future__ import annotations
@@ -54,36 +54,42 @@ from jaxrod.validation import Numbers, as_array, check_count
 
 @pytree
 class GluedSide:
-    """Elements of one rod, and the points of glue on them."""
+    """Glued elements of one rod or several, and the point of glue on each of them."""
 
     points: Points
-    """The elements, with their first nodes."""
+    """The elements, and the first node of each."""
     offsets: Float[Array, "3 pairs"]
-    """Vectors from the middles of the elements to the glue, in their frames [m]."""
+    """Vector from the middle of each element to its point of glue, in the frame of the
+    element [m]."""
     nexts: Indices = static()
-    """Next nodes of the elements."""
+    """Second node of each element, the one after its node in `points`."""
 
     def middles(self, seen: Seen, field: Vec3) -> Vec3:
-        """Values of a field on nodes at the middles of the elements."""
+        """Mean of a nodal field over both nodes of each glued element."""
         x, y, z = (
             0.5 * (gather(c, self.points.nodes) + gather(c, self.nexts)) for c in field
         )
         return x, y, z
 
     def places(self, seen: Seen) -> Vec3:
-        """Points of glue, world frame [m]."""
+        """Positions of the points of glue, world frame [m]."""
         frame = directors(orientation_at(seen, self.points))
         arms = to_world(frame, vectors.split(self.offsets))
         return vectors.add(self.middles(seen, seen.motion.position), arms)
 
     def velocities(self, seen: Seen, place: Vec3) -> Vec3:
-        """Velocities of the elements' material at some places [m/s]."""
+        """Velocity of each element's material at a point `place`, v + w x r [m/s]."""
         arm = vectors.subtract(place, self.middles(seen, seen.motion.position))
         swing = vectors.cross(spin_at(seen, self.points), arm)
         return vectors.add(self.middles(seen, seen.motion.velocity), swing)
 
     def loads(self, seen: Seen, force: Vec3, place: Vec3) -> tuple[Any, Any]:
-        """Loads of forces at some places: on the first nodes, and on the next nodes."""
+        """Loads of a force on each element at a point `place`, world frame.
+
+        Each node gets half of the force, and the element the couple of the lever arm.
+        There are two pairs of nodes and loads: for the first nodes with the elements,
+        and for the second nodes.
+        """
         arm = vectors.subtract(place, self.middles(seen, seen.motion.position))
         frame = directors(orientation_at(seen, self.points))
         couple = to_material(frame, vectors.cross(arm, force))
@@ -92,7 +98,11 @@ class GluedSide:
         return (self.points, Loads(half, couple)), (others, Loads(half))
 
     def mobility(self, parts: Parts) -> Array:
-        """Largest velocity at the glue per impulse [1/kg]."""
+        """Velocity of the points of glue per impulse, an upper bound [1/kg].
+
+        It is `1 / (4 m1) + 1 / (4 m2) + r^2 / I`, with the masses of both nodes, the
+        length `r` of the offset and the smallest moment of inertia of the element.
+        """
         first = parts.node_masses[self.points.nodes.values]
         following = parts.node_masses[self.nexts.values]
         arms = vectors.split(self.offsets)
@@ -100,7 +110,7 @@ class GluedSide:
         return 0.25 / first + 0.25 / following + turning
 
     def bound(self, parts: Parts, rate: Array, slow: Array | None) -> StabilityBound:
-        """Bounds on one side: squared frequency and drag rate, each times inertia.
+        """Stability bound of one side: the rates times masses and moments of inertia.
 
         Args:
             parts: Constants of the member.
@@ -132,11 +142,11 @@ class GluedSide:
 def between_surfaces(
     a: GluedSide, b: GluedSide, thicker: Array
 ) -> tuple[GluedSide, GluedSide]:
-    """Glue moved from midway between two axes to midway between the surfaces.
+    """Moves glue from midway between two axes to midway between the surfaces.
 
     Args:
-        a: Elements of the first rod.
-        b: Elements of the second rod.
+        a: Glued elements of the first member.
+        b: Glued elements of the second member.
         thicker: Radii of `a` minus radii of `b` [m].
     """
     half = vectors.safe_norm(vectors.split(a.offsets))
@@ -163,24 +173,26 @@ class Glue(Coupling):
     """
 
     a: GluedSide
-    """Elements of the first rod."""
+    """Glued elements of the first member."""
     b: GluedSide
-    """Elements of the second rod."""
+    """Glued elements of the second member, or of the same member."""
     joint: ElasticJoint
-    """Joints that resist relative rotation."""
+    """Elastic joints that resist relative rotation of glued elements."""
     stiffness: Float[Array, ""] | Float[Array, " pairs"]
-    """Force per length of glue and distance, one for all or one for each [N/m^2]."""
+    """Force per length of glue and per gap, one for all pairs or one for each [N/m^2].
+    """
     turning_stiffness: Float[Array, ""] | Float[Array, " pairs"] | None = None
-    """Couple per length and angle [N]."""
+    """Couple per length of glue and per relative angle [N]; `None`: no resistance."""
     damping: Float[Array, ""] | Float[Array, " pairs"] | None = None
-    """Force per length and relative speed [kg/(m s)]."""
+    """Force per length of glue and per relative velocity [kg/(m s)]."""
     turning_damping: Float[Array, ""] | Float[Array, " pairs"] | None = None
-    """Couple per length and relative angular velocity [N s]."""
+    """Couple per length of glue and per relative angular velocity [N s]."""
     lengths: Float[Array, " pairs"] | None = None
-    """Length of glue of each pair, set by `prepared` [m]."""
+    """Length of glue of each pair, the mean rest length of both elements [m]; `None`
+    before `prepared`."""
 
     def check(self, parts: AllParts) -> None:
-        """Raises ValueError if a member is missing, too small or rigid."""
+        """Raises ValueError if a member is missing, rigid or has too few nodes."""
         for side in (self.a, self.b):
             side.points.check(parts)
             if not parts[side.points.member].is_rod:
@@ -190,7 +202,11 @@ class Glue(Coupling):
                 )
 
     def prepared(self, parts: AllParts) -> Glue:
-        """The glue with its places, its lengths and its stiffness against rotation."""
+        """Copy with constants computed from the rods.
+
+        They are the points of glue between the surfaces, the lengths of glue, and the
+        stiffness and damping of the joints.
+        """
         if self.lengths is not None:
             return self
         each, radii = [], []
@@ -210,14 +226,18 @@ class Glue(Coupling):
         return replace(self, a=a, b=b, lengths=lengths, joint=joint)
 
     def _gap(self, seen: AllSeen) -> tuple[Vec3, Vec3]:
-        """Vectors from the glue on `a` to the glue on `b`, and the points midway."""
+        """Vectors from the glue on `a` to that on `b`, and the points midway [m]."""
         first = self.a.places(seen[self.a.points.member])
         second = self.b.places(seen[self.b.points.member])
         gap = vectors.subtract(second, first)
         return gap, vectors.scale(0.5, vectors.add(first, second))
 
     def loads(self, seen: AllSeen) -> dict[str, Loads]:
-        """Forces and couples on both rods."""
+        """Loads on both rods: forces `l (k g + c u)`, and the couples of the joints.
+
+        `l` is the length of glue of a pair, `k` the stiffness, `g` the gap, `c` the
+        damping and `u` the relative velocity.
+        """
         one, two = seen[self.a.points.member], seen[self.b.points.member]
         gap, middle = self._gap(seen)
         pull = vectors.scale(self.stiffness, gap)
@@ -241,7 +261,7 @@ class Glue(Coupling):
         return total
 
     def energy(self, seen: AllSeen) -> Array:
-        """Elastic energy of the glue [J]."""
+        """Elastic energy, 1/2 l (k |gap|^2 + k_t angle^2) for each pair [J]."""
         gap, _ = self._gap(seen)
         assert self.lengths is not None
         squares = self.lengths * vectors.dot(gap, gap)
@@ -251,7 +271,7 @@ class Glue(Coupling):
         return stored + self.joint.energy(seen)
 
     def stability_bounds(self, parts: AllParts) -> dict[str, StabilityBound]:
-        """Stiffness and damping on both rods, shared in proportion to inertia."""
+        """Stability bounds on nodes and elements of both rods, by member."""
         assert self.lengths is not None
         one, two = parts[self.a.points.member], parts[self.b.points.member]
         ease = self.lengths * (self.a.mobility(one) + self.b.mobility(two))
@@ -289,7 +309,7 @@ def glue(
     Args:
         a: Name of a rod, or name and number of one of equal rods such as `("rods", 2)`.
             Or several rods of one member, each glued to one of `b`.
-        b: The other rod, or one for each rod of `a`.
+        b: Name of the second rod, or of one rod for each rod of `a`.
         state: State of the system at rest.
         stiffness: Force per length of glue and distance, in all directions [N/m^2].
             This and the next three are a number, or one for each pair of glued
@@ -346,7 +366,7 @@ def glue(
         points_of(side, [resolved(side, place, layouts) for place in places])
         for side, places in zip("ab", pairs, strict=True)
     ]
-    # All pairs are of the same two members, so there is one row of joints.
+    # All pairs are of the same two members, so there is one `ElasticJoint`.
     (joint,) = elastic_joints(pairs[0], pairs[1], state)
     middles = [_middles(state[own.member], own) for own in points]
     midway = 0.5 * (middles[0][0] + middles[1][0])
@@ -377,7 +397,10 @@ def glue(
 
 
 def _listed(elements: Any, count: int) -> list[Any]:
-    """Two lists of glued elements for each pair of rods; `None` if all are glued."""
+    """Lists of the glued elements of `a` and of `b`, for each pair of rods.
+
+    `None` stands for all elements of both rods.
+    """
     if elements is None:
         return [None] * count
     words = (
@@ -401,7 +424,7 @@ def _listed(elements: Any, count: int) -> list[Any]:
 
 
 def _rods(name: str, given: Any) -> list[tuple[Any, ...]]:
-    """Rods as a list of names, each with a number if one is given."""
+    """List of rods as tuples: `(name,)`, or `(name, number)` for one of equal rods."""
     if isinstance(given, str):
         return [(given,)]
     if not isinstance(given, Sequence) or not given:
@@ -419,7 +442,10 @@ def _glued(
     elements: Any,
     layouts: Mapping[str, Layout],
 ) -> tuple[list[tuple[Any, ...]], list[tuple[Any, ...]]]:
-    """Elements of two rods that are glued together."""
+    """Places of the glued elements on the first rod, and on the second rod.
+
+    A place is `(name, element)`, or `(name, number, element)` for one of equal rods.
+    """
     counts = []
     for side, name in zip("ab", (one, two), strict=True):
         if name[0] in layouts and not layouts[name[0]].is_rod:

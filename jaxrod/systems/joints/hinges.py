@@ -39,30 +39,32 @@ from jaxrod.validation import Numbers, as_array
 
 @pytree
 class AxisSprings(Coupling):
-    """Axes of elements of two members, pulled towards each other; see `hinge_joint`."""
+    """Springs that align an axis of one element with an axis of another; for hinges."""
 
     a: Points
-    """Elements of the first member."""
+    """Elements of the first member, one for each hinge."""
     b: Points
-    """Elements of the second member, one for each of the first."""
+    """Elements of the second member, one for each hinge."""
     axes_a: Float[Array, "3 hinges"]
-    """Unit vectors along the hinges, in the frames of `a`."""
+    """Unit vectors along the hinges, fixed in the elements of `a`, in their frames."""
     axes_b: Float[Array, "3 hinges"]
-    """Unit vectors along the hinges, in the frames of `b`."""
+    """Unit vectors along the hinges, fixed in the elements of `b`, in their frames."""
     stiffness: Float[Array, ""]
-    """Couple per angle between both axes [N m]."""
+    """Couple per sine of the angle between both axes [N m]."""
     damping: Float[Array, ""] | None = None
-    """Couple per relative angular velocity, about any axis [N m s]."""
+    """Couple per relative angular velocity, about any axis [N m s]; `None`: no damping.
+    """
     motor: Float[Array, ""] | None = None
-    """Couple on `b`, and its opposite on `a`, about the mean axis [N m]."""
+    """Couple on `b` about the mean axis, and its opposite on `a` [N m]; `None`: no
+    motor."""
 
     def check(self, parts: AllParts) -> None:
-        """Raises ValueError if a member is missing or too small."""
+        """Raises ValueError if a member is missing or has too few nodes."""
         self.a.check(parts)
         self.b.check(parts)
 
     def _axes(self, seen: AllSeen) -> tuple[Vec3, Vec3]:
-        """Both axes, world frame."""
+        """Unit vectors of the axes fixed in `a` and in `b`, world frame."""
         frame_a = directors(orientation_at(seen[self.a.member], self.a))
         frame_b = directors(orientation_at(seen[self.b.member], self.b))
         return (
@@ -71,7 +73,7 @@ class AxisSprings(Coupling):
         )
 
     def loads(self, seen: AllSeen) -> dict[str, Loads]:
-        """Couples on both elements of each hinge."""
+        """Couples of springs, dashpots and motors on both elements of each hinge."""
         one, two = self._axes(seen)
         pull = vectors.scale(self.stiffness, vectors.cross(two, one))
         if self.damping is not None:
@@ -93,13 +95,13 @@ class AxisSprings(Coupling):
         )
 
     def energy(self, seen: AllSeen) -> Array:
-        """Energy of the angle between both axes [J]."""
+        """Elastic energy, k (1 - a . b) for the axes a and b of each hinge [J]."""
         one, two = self._axes(seen)
         apart = vectors.subtract(two, one)
         return 0.5 * self.stiffness * jnp.sum(vectors.dot(apart, apart))
 
     def stability_bounds(self, parts: AllParts) -> dict[str, StabilityBound]:
-        """Stiffness and damping on both elements."""
+        """Stability bounds on the elements of both members, by member."""
         stiffness = jnp.broadcast_to(self.stiffness, (len(self.a.nodes),))
         return turning_bounds(self.a, self.b, parts, stiffness, self.damping)
 

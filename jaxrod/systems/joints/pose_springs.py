@@ -52,7 +52,7 @@ from jaxrod.validation import Numbers, as_array, check_array, check_kind, is_tra
 
 @pytree
 class PoseSpring(Coupling):
-    """A spring from a point of a member to a target pose; see `pose_spring`.
+    """Spring between a point of a member and a target pose; see `pose_spring`.
 
     Example:
         >>> held = systems.pose_spring(("arm", "tip"), {"arm": state}, stiffness=100.0)
@@ -61,22 +61,22 @@ class PoseSpring(Coupling):
     """
 
     anchor: Anchors
-    """The point that is pulled."""
+    """The point that is pulled, and its node and element."""
     place: Placed | Schedule
-    """Target position and its velocity."""
+    """Target position and its velocity, or a schedule of them."""
     turn: Turned | Schedule
-    """Target orientation and its angular velocity."""
+    """Target orientation and its angular velocity, or a schedule of them."""
     stiffness: Float[Array, ""]
-    """Force per distance [N/m]."""
+    """Force per distance from the target [N/m]."""
     damping: Float[Array, ""] | None = None
-    """Force per relative speed [kg/s]."""
+    """Force per velocity relative to the target [kg/s]; `None`: no damping."""
     turning_stiffness: Float[Array, ""] | None = None
-    """Couple per angle [N m]."""
+    """Couple per angle from the target [N m]; `None`: it turns freely."""
     turning_damping: Float[Array, ""] | None = None
-    """Couple per relative angular velocity [N m s]."""
+    """Couple per angular velocity relative to the target [N m s]."""
 
     def check(self, parts: AllParts) -> None:
-        """Raises ValueError if the member is missing or too small."""
+        """Raises ValueError if the member is missing or has too few nodes."""
         self.anchor.check(parts)
 
     @property
@@ -88,19 +88,22 @@ class PoseSpring(Coupling):
         return cast(Turned, self.turn)
 
     def _way(self, own: Seen) -> Vec3:
-        """Vector from the point to its target [m]."""
+        """Vector from the point to the target position, world frame [m]."""
         x, y, z = self.anchor.positions(own)
         a, b, c = self._placed.position
         return a - x, b - y, c - z
 
     def _angle(self, own: Seen) -> Vec3:
-        """Rotation vector from the target, which is the same in both frames [rad]."""
+        """Rotation vector from the target to the element, log(q*^-1 q) [rad].
+
+        Its components are the same in the frames of the target and of the element.
+        """
         q = _one_quaternion(self._turned.orientation)
         here = orientation_at(own, self.anchor.points)
         return rotation_log(multiply_quaternions(conjugate(q), here))
 
     def _pull(self, own: Seen) -> Vec3:
-        """Force on the point [N]."""
+        """Force on the point, k (x* - x) + c (v* - v) with the target x* [N]."""
         force = vectors.scale(self.stiffness, self._way(own))
         if self.damping is None:
             return force
@@ -126,7 +129,7 @@ class PoseSpring(Coupling):
         return couple
 
     def loads(self, seen: AllSeen) -> dict[str, Loads]:
-        """Force and couple on the member."""
+        """Loads of the spring and its dashpots on the member."""
         points = self.anchor.points
         own = seen[points.member]
         place = self.anchor.positions(own)
@@ -139,7 +142,7 @@ class PoseSpring(Coupling):
         return sum_of_loads((points, loads), seen=seen)
 
     def energy(self, seen: AllSeen) -> Array:
-        """Energy of the spring [J]."""
+        """Elastic energy, 1/2 k distance^2 + 1/2 k_t angle^2 from the target [J]."""
         own = seen[self.anchor.points.member]
         way = self._way(own)
         stored = 0.5 * self.stiffness * jnp.sum(vectors.dot(way, way))
@@ -150,7 +153,7 @@ class PoseSpring(Coupling):
         return stored + 0.5 * self.turning_stiffness * square
 
     def reaction(self, seen: AllSeen) -> Reaction:
-        """Force and couple on the member, and the power of the drive."""
+        """Force F, couple C, and power F . v* + C . w* of the drive of the target."""
         own = seen[self.anchor.points.member]
         force = vectors.split(jnp.stack(self._pull(own))[:, 0])
         power = vectors.dot(force, vectors.split(self._placed.velocity))
@@ -162,7 +165,7 @@ class PoseSpring(Coupling):
         return Reaction.of(force, turn, power + vectors.dot(turn, spin))
 
     def stability_bounds(self, parts: AllParts) -> dict[str, StabilityBound]:
-        """Stiffness and damping on the node and the element."""
+        """Stability bounds on the pulled node and its element, by member."""
         points = self.anchor.points
         own = parts[points.member]
         ease = self.anchor.mobility(own)
@@ -199,7 +202,7 @@ class PoseSpring(Coupling):
 
 
 def _one(vector: Array) -> Vec3:
-    """Vector as a field of one entry."""
+    """Converts a vector `(3,)` to a vector field with one entry."""
     return vector[0][None], vector[1][None], vector[2][None]
 
 
@@ -235,8 +238,8 @@ def pose_spring(
         turning_damping: Couple per relative angular velocity [N m s].
         position: Target position, world frame `(3,)` [m].
         orientation: Target orientation, a quaternion (w, x, y, z).
-        displacement: Displacement of the target from there, world frame: `(3,)` or a
-            schedule of such vectors [m].
+        displacement: Displacement of the target from that position, world frame:
+            `(3,)` or a schedule of such vectors [m].
         axis: Axis about which the target turns, world frame, of any length `(3,)`.
         angle: Angle by which the target turns, or a schedule [rad].
         at: Position in `state` of the point of the element or body that is pulled,

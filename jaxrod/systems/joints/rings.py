@@ -1,8 +1,8 @@
-r"""Closed rods: a rod whose last node coincides with its first, and the closing joint.
+"""Closed rods: a rod whose last node coincides with its first, and the closing joint.
 
 A closed rod is an open rod whose ends are tied, with one more elastic joint from its
-last element to its first, like the joints between all other elements. No place on it is
-special.
+last element to its first, like the joints between all other elements. So all points of
+it are alike.
 """
 
 from __future__ import annotations
@@ -129,7 +129,7 @@ def ring(
 def _closure(
     name: str, state: RodState, bend: np.ndarray, turn: float
 ) -> tuple[Coupling, ...]:
-    """The tie and the joint of a ring's ends.
+    """Couplings that close a ring: a tie of its end nodes, and an elastic joint.
 
     Args:
         name: Name of the member.
@@ -152,14 +152,14 @@ def _closure(
 
 
 def _twisted(state: RodState, angles: np.ndarray) -> RodState:
-    """The state with its elements turned about their own axes by angles [rad]."""
+    """Copy of the state with each element turned about its d3 by an angle [rad]."""
     own = split_quaternion(state.orientations)
     turned = multiply_quaternions(own, _about_axis(angles, own[0].dtype))
     return replace(state, orientations=join_quaternion(turned))
 
 
 def _about_axis(angles: np.ndarray, dtype: Any) -> Quaternion:
-    """Rotations about the third axis by angles [rad]."""
+    """Quaternions of rotations about the third axis by angles [rad]."""
     zero = jnp.zeros(angles.shape, dtype)
     half = np.cos(0.5 * angles), np.sin(0.5 * angles)
     return jnp.asarray(half[0], dtype), zero, zero, jnp.asarray(half[1], dtype)

@@ -29,27 +29,32 @@ from jaxrod.validation import Numbers, as_array, is_traced
 
 @pytree
 class Springs(Coupling):
-    """Springs and dashpots between anchors of two members, or of one."""
+    """Springs with dashpots between anchors of two members, or of one."""
 
     a: Anchors
-    """Anchors on the first member."""
+    """Anchors on the first member, one for each spring."""
     b: Anchors
-    """Anchors on the second member, one for each on the first."""
+    """Anchors on the second member, one for each spring."""
     stiffness: Float[Array, ""]
-    """Force per distance [N/m]."""
+    """Force per elongation of a spring [N/m]."""
     damping: Float[Array, ""] | None = None
-    """Force per relative speed [kg/s]."""
+    """Force of a dashpot per relative velocity [kg/s]; `None`: no dashpots."""
     rest_lengths: Float[Array, " springs"] | None = None
     """Distances at which springs exert no force [m]; `None` for zero, so that the
     springs are isotropic."""
 
     def check(self, parts: AllParts) -> None:
-        """Raises ValueError if a member is missing or too small."""
+        """Raises ValueError if a member is missing or has too few nodes."""
         self.a.check(parts)
         self.b.check(parts)
 
     def loads(self, seen: AllSeen) -> dict[str, Loads]:
-        """Forces at the points halfway between the anchors."""
+        """Loads of springs and dashpots, which act halfway between both anchors.
+
+        With the vector `g` from the first anchor to the second and the velocity `u`
+        there of the second member relative to the first, the force on the first is
+        `k (1 - d / |g|) g + c u`.
+        """
         one, two = seen[self.a.points.member], seen[self.b.points.member]
         first, second = self.a.positions(one), self.b.positions(two)
         gap = vectors.subtract(second, first)
@@ -71,7 +76,7 @@ class Springs(Coupling):
         )
 
     def energy(self, seen: AllSeen) -> Array:
-        """Elastic energy of the springs [J]."""
+        """Elastic energy, 1/2 k (length - rest length)^2 for each spring [J]."""
         one, two = seen[self.a.points.member], seen[self.b.points.member]
         gap = vectors.subtract(self.b.positions(two), self.a.positions(one))
         if self.rest_lengths is None:
@@ -80,7 +85,7 @@ class Springs(Coupling):
         return 0.5 * self.stiffness * jnp.sum(longer * longer)
 
     def stability_bounds(self, parts: AllParts) -> dict[str, StabilityBound]:
-        """Stiffness and damping on both ends, shared in proportion to inertia."""
+        """Stability bounds on nodes and elements at both ends, by member."""
         return spring_bounds(self.a, self.b, parts, self.stiffness, self.damping)
 
 
@@ -100,7 +105,8 @@ def spring(
         b: A place on the second member, or one for each place of `a`.
         state: State of the system at rest.
         stiffness: Force per change of distance [N/m].
-        damping: Force per relative speed of the two points [kg/s].
+        damping: Force per relative velocity of the two members [kg/s], both taken at
+            the point halfway between the ends.
         at: Ends of the spring in `state`: a pair of points `(3,)` [m]; by default the
             nodes, or the origins of the bodies.
 
@@ -209,7 +215,10 @@ def _springs(
 
 
 def _check_near(a: Place, b: Place, state: Mapping[str, Any]) -> None:
-    """Raises a `ValueError` if two rods of a known state are far apart at places."""
+    """Raises a `ValueError` if two nodes are further apart than an element is long.
+
+    Nodes of a traced state, and bodies, are not checked.
+    """
     one, two = position_of("a", a, state), position_of("b", b, state)
     spacings = one.spacing, two.spacing
     if is_traced(one, two) or not all(np.isfinite(spacings)):
@@ -231,7 +240,7 @@ def _poses(places: Any, state: Mapping[str, Any]) -> list[Any]:
 
 
 def optional_number(name: str, value: Numbers | None, unit: str) -> Array | None:
-    """A checked non-negative number; `None` if none is given."""
+    """Checked number that must not be negative; `None` if none is given."""
     if value is None:
         return None
     return as_array(name, value, unit, non_negative=True)

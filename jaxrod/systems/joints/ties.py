@@ -1,4 +1,4 @@
-r"""Ties: nodes of rods that always share one place, exactly.
+r"""Ties: nodes of rods that always have one position, exactly.
 
 Tied nodes with masses $m_i$ have one velocity, $\sum m_i v_i / \sum m_i$ after every
 kick. The constraint is linear in the positions, so this projection is the constrained
@@ -37,17 +37,17 @@ _APART = 1e-3
 
 @pytree
 class Tie(Coupling):
-    """Nodes that move as one; see `tie`."""
+    """Groups of nodes; all nodes of a group move as one. See `tie`."""
 
     points: tuple[Points, ...]
-    """Tied nodes, member by member."""
+    """Tied nodes, one entry for each member."""
     groups: tuple[Indices, ...] = static()
-    """Number of the group of each tied node, member by member."""
+    """Index of the group of each tied node, one entry for each member."""
     n_groups: int = static(default=1)
-    """Number of groups."""
+    """Number of groups of nodes that are tied together."""
 
     def check(self, parts: AllParts) -> None:
-        """Raises ValueError if a member is missing, too small or a rigid body."""
+        """Raises ValueError if a member is missing, rigid or has too few nodes."""
         for points in self.points:
             points.check(parts)
             if not parts[points.member].is_rod:
@@ -57,15 +57,21 @@ class Tie(Coupling):
                 )
 
     def constrain(self, seen: AllSeen) -> dict[str, Motion]:
-        """Puts each group at one place, because equal velocities leave round-off."""
+        """Gives all nodes of a group one position, which removes drift by round-off."""
         return self._together(seen, "position")
 
     def constrain_rates(self, seen: AllSeen) -> dict[str, Motion]:
-        """Gives each group one velocity."""
+        """Gives all nodes of a group one velocity, the mean weighted by mass.
+
+        If a support holds some of them, it is the mean of these.
+        """
         return self._together(seen, "velocity")
 
     def _together(self, seen: AllSeen, field: str) -> dict[str, Motion]:
-        """Motions in which a field is the same at all nodes of a group."""
+        """Motions of members with a field made equal at all nodes of each group.
+
+        The field is "position" or "velocity".
+        """
         shared = [self._shared(seen, field, k) for k in range(3)]
         changed = {}
         for number, points in enumerate(self.points):
@@ -86,7 +92,7 @@ class Tie(Coupling):
 
     @property
     def tied_pairs(self) -> tuple[TiedPair, ...]:
-        """All pairs of nodes that are tied together, each in both orders."""
+        """All pairs of tied nodes, each in both orders."""
         nodes = [
             (points.member, int(node), int(group))
             for points, groups in zip(self.points, self.groups, strict=True)
@@ -100,11 +106,11 @@ class Tie(Coupling):
         )
 
     def merged(self, others: Sequence[Any]) -> Tie:
-        """One tie, in which groups that share a node become one."""
+        """Merges this tie and others; groups that share a node become one."""
         return _merged([self, *others])
 
     def joined_nodes(self) -> list[tuple[str, int]]:
-        """Nodes that are tied."""
+        """All tied nodes, as pairs of a member and a node."""
         return [
             (points.member, int(i))
             for points in self.points
@@ -112,10 +118,10 @@ class Tie(Coupling):
         ]
 
     def _shared(self, seen: AllSeen, field: str, axis: int) -> Any:
-        """One component of a field, shared within each group, for each tied node.
+        """Common value of one component of a field, for each tied node by member.
 
-        It is the mean weighted by mass or, if a support holds some of the nodes, the
-        mean of these.
+        It is the mean over the group, weighted by mass. If a support holds some of its
+        nodes, it is the plain mean of these.
         """
         masses, speeds, held = [], [], []
         for points in self.points:
@@ -140,11 +146,11 @@ class Tie(Coupling):
         return [gather(shared, groups) for groups in self.groups]
 
     def _group(self) -> Indices:
-        """Number of the group of every tied node, all members in one row."""
+        """Index of the group of every tied node, with all members concatenated."""
         return Indices(np.concatenate([groups.values for groups in self.groups]))
 
     def violation(self, seen: AllSeen) -> Array:
-        """Largest distance of tied nodes from their group's mean, over the radius."""
+        """Largest distance of a tied node from its group's mean, over the radius."""
         places, radii = [], []
         for points in self.points:
             own = seen[points.member]
@@ -172,7 +178,7 @@ def tie(
     Args:
         a: A place, `("arm", "tip")`, `("arm", 7)` or `("arms", 2, "base")`; or
             several.
-        b: Another place, or one for each place of `a`, to which it is tied.
+        b: The place to which `a` is tied; or one for each place of `a`.
         state: State of the system, in which tied nodes are at one place.
 
     Returns:
@@ -180,7 +186,7 @@ def tie(
 
     Raises:
         ValueError: If there is no such place, or two tied nodes are apart.
-        TypeError: If a place is not of the form of a place.
+        TypeError: If a place is not a sequence such as `("arm", "tip")`.
 
     Example:
         >>> states = {"left": state, "right": state}
@@ -216,7 +222,7 @@ def tie(
 
 
 def _merged(ties: Sequence[Tie]) -> Tie:
-    """One tie for several, in which groups that share a node become one."""
+    """One tie for several ties; groups that share a node become one."""
     if len(ties) == 1:
         return ties[0]
     found: dict[tuple[str, int], int] = {}
@@ -249,7 +255,13 @@ def _tie_of(
     elements: Mapping[tuple[str, int], int],
     roots: Sequence[int],
 ) -> Tie:
-    """The tie of numbered nodes, from the root of each node's group."""
+    """Builds a tie from groups of nodes.
+
+    Args:
+        found: Number of each tied node, by member and node.
+        elements: Element of each tied node, by member and node.
+        roots: For each number, a number that all nodes of its group share.
+    """
     _, group = np.unique(roots, return_inverse=True)
     points, groups = [], []
     for member in dict.fromkeys(member for member, _ in found):
@@ -268,7 +280,7 @@ def _tie_of(
 def pairs(
     a: Place | Sequence[Place], b: Place | Sequence[Place]
 ) -> tuple[list[Place], list[Place]]:
-    """Pairs of places as two lists of equal length."""
+    """Two lists of places of equal length, from arguments of one place or several."""
     first, second = _listed("a", a), _listed("b", b)
     if len(first) != len(second):
         raise ValueError(
@@ -288,7 +300,7 @@ def _listed(name: str, places: Any) -> list[Place]:
 
 
 def check_together(a: Place, b: Place, state: Mapping[str, Any]) -> None:
-    """Raises a `ValueError` if two places of a known state are apart."""
+    """Raises a `ValueError` if two places do not coincide in a concrete state."""
     one, two = position_of("a", a, state), position_of("b", b, state)
     if is_traced(one, two):
         return

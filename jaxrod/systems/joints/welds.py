@@ -1,4 +1,4 @@
-"""Welds: rods joined to rods, and to rigid bodies, with the angle between them kept."""
+"""Welds: rods joined to rods, and to rigid bodies, at a fixed relative angle."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ def weld(
 
     Args:
         a: A place, `("trunk", "tip")` or `("arms", 2, 7)`; or several.
-        b: Another place, or one for each place of `a`, to which it is joined.
+        b: The place to which `a` is joined; or one for each place of `a`.
         state: State of the system at rest.
 
     Returns:
@@ -44,7 +44,7 @@ def weld(
 
     Raises:
         ValueError: If there is no such place, or two joined nodes are apart.
-        TypeError: If a place is not of the form of a place.
+        TypeError: If a place is not a sequence such as `("arm", "tip")`.
 
     Example:
         >>> left = replace(state, positions=state.positions.at[0].add(-1.0))
@@ -84,7 +84,7 @@ def attach(
 
     Raises:
         ValueError: If there is no such place.
-        TypeError: If a place is not of the form of a place.
+        TypeError: If a place is not a sequence such as `("arm", "tip")`.
 
     Example:
         >>> shape = shapes.sphere((1.0, 0.0, 0.0), radius=0.1)
@@ -109,7 +109,7 @@ def attach(
 def elastic_joints(
     a: Sequence[Place], b: Sequence[Place], state: Mapping[str, Any]
 ) -> list[ElasticJoint]:
-    """Elastic joints that are at rest in a state, one row for each pair of members."""
+    """Elastic joints at rest in a state, one `ElasticJoint` per pair of members."""
     layouts = layouts_of(state)
     sorted_pairs: dict[tuple[str, str], list[int]] = {}
     ends = [

@@ -1,1 +1,1 @@
-"""Members of a system: rigid bodies, constants and steppers of members."""
+"""Members of a system: rods and rigid bodies, their constants and steppers."""

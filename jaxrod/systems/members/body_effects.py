@@ -1,9 +1,9 @@
 """Check that effects can act on rigid bodies, made before the first step.
 
 A body is one node and one element. Bodies support four hooks of an effect: `loads`,
-`energy`, `damping_rates` and `stability_bound`. The only data of a rod that they have
-are masses. Effects that ask for lengths or radii, or that return loads for the nodes of
-a rod, are refused.
+`energy`, `damping_rates` and `stability_bound`. They have masses, but no lengths and no
+radii. Effects that ask for these, or that return loads for the nodes of a rod, are
+refused.
 """
 
 from __future__ import annotations
@@ -31,11 +31,11 @@ _OF_RODS = (
     "after_step",
     "drag",
 )
-"""Hooks that act on a rod but would do nothing to a body."""
+"""Hooks of effects that act on a rod but would do nothing to a body."""
 
 
 def check_body_effects(name: str, bodies: Any) -> None:
-    """Checks that bodies have all data that their effects use.
+    """Checks that all effects on bodies can act on them.
 
     Args:
         name: Name of the member, for messages.
@@ -44,7 +44,7 @@ def check_body_effects(name: str, bodies: Any) -> None:
     Raises:
         ValueError: If an effect does not act on bodies; the message names member and
             effect.
-        TypeError: If an effect is not an effect of jaxrod.
+        TypeError: If an effect is not an instance of `Effect`.
     """
     for effect in bodies.effects:
         check_kind(f"member {name!r}: effect", effect, Effect)
@@ -66,7 +66,11 @@ def check_body_effects(name: str, bodies: Any) -> None:
 
 
 def _try(name: str, effect: Effect, bodies: Any) -> None:
-    """Asks an effect for loads, energy, rates and bounds, without computing them."""
+    """Raises a ValueError unless all four hooks of an effect work for bodies.
+
+    The hooks are traced, not computed. They must raise no error and return one number,
+    or one per body.
+    """
     count, dtype = bodies.n_elements, bodies.masses.dtype
 
     def asked(bodies: Any) -> Any:

@@ -42,35 +42,38 @@ class Member(ABC):
     # Structure and parameters.
 
     def as_member(self) -> Member:
-        """The member itself: a system calls this method of every entry."""
+        """The member itself: a system calls this method of each entry of `members`."""
         return self
 
     @property
     @abstractmethod
     def dtype(self) -> Any:
-        """Type of all numbers."""
+        """Floating-point dtype of all its numbers."""
 
     @property
     @abstractmethod
     def array_shape(self) -> tuple[int, ...]:
-        """Shape of one number per element or per body, to tell a batch of systems."""
+        """Shape of one number per element or body; a longer one shows a batch."""
 
     @property
     def effects(self) -> tuple[Effect, ...]:
-        """Effects on it."""
+        """Effects that act on the member."""
         return ()
 
     @property
     def rod(self) -> Rod | None:
-        """Parameters of the rod or of equal rods; `None` for others."""
+        """Parameters of the rod or of equal rods; `None` for other members."""
         return None
 
     @abstractmethod
     def parts(self) -> Parts:
-        """Constants, as couplings see them, without the flags of supports."""
+        """Constants that couplings read, such as the masses of nodes.
+
+        The field `held`, flags of nodes that supports hold, is not set here.
+        """
 
     def check(self, name: str) -> None:
-        """Raises an error if it cannot be a member; `make_system` calls it.
+        """Raises an error if the member does not fit a system; `make_system` calls it.
 
         Args:
             name: Name of the member, for messages.
@@ -79,7 +82,9 @@ class Member(ABC):
             check_kind(f"member {name!r}: effect", effect, Effect)
 
     def check_statics(self, name: str) -> None:
-        """Raises a ValueError if it has no equilibria because its loads have no energy.
+        """Raises a ValueError if the member cannot take part in statics.
+
+        That is the case if its loads are not the gradient of an energy.
 
         Args:
             name: Name of the member, for messages.
@@ -90,22 +95,19 @@ class Member(ABC):
     def check_state(self, name: str, state: Any, dtype: Any) -> None:
         """Raises a TypeError or a ValueError if a state is not of this member."""
 
-    # These return copies of its entry in `System.members`: a scene, bodies, or the
-    # member itself.
+    # The entry of a member in `System.members` is a scene, rigid bodies, or the member
+    # itself. "Copy" below means a copy of this entry.
 
     def each(self, function: Callable[..., Any], *given: Any) -> Any:
-        """Calls a function with its entry and other arguments.
-
-        For equal rods it is called for each rod, with that rod's part of the arguments.
-        """
+        """Applies a function to the member's entry in a system and other arguments."""
         return function(self, *given)
 
     def with_effect(self, effect: Effect) -> Any:
-        """Copy of its entry with one more effect, such as the damping of `settled`."""
+        """Copy with one more effect, such as the damping of `settled`."""
         raise NotImplementedError(f"{type(self).__name__} takes no effects")
 
     def in_own_type(self, name: str) -> Any:
-        """Copy of its entry with the numbers of its effects in its own type.
+        """Copy with the numbers of effects converted to the member's dtype.
 
         Args:
             name: Name of the member, for messages.
@@ -116,7 +118,7 @@ class Member(ABC):
         return self
 
     def with_free_ends(self, free: Array) -> Any:
-        """Copy of its entry whose effects have flags of the free ends of its rods.
+        """Copy whose effects know which ends of its rods are free.
 
         Args:
             free: Flags of the ends of its rods `(rods, 2)`: 1 if free, 0 otherwise.
@@ -127,36 +129,43 @@ class Member(ABC):
 
     @property
     def remembers(self) -> bool:
-        """Whether an effect has memory."""
+        """Whether any of its effects has memory, which changes from step to step."""
         return False
 
     def recalling(self, state: Any) -> Any:
-        """Copy of its entry with the memory of its effects in a state."""
+        """Copy whose effects have the memory that a state holds."""
         return self
 
     def with_memory(self, state: Any) -> Any:
-        """The state with the initial memory of its effects, if it has none."""
+        """The state with the initial memory of its effects, if it holds none."""
         return state
 
     def memory(self, state: Any) -> Any:
-        """Memory of its effects in a state; empty if there is none."""
+        """Memory of its effects in a state, or their initial memory; empty if none."""
         return ()
 
-    # The state as couplings see it, and its steps.
+    # The state in the form that couplings read, and steps.
 
     def held(self, state: Any) -> Vec3 | None:
-        """Flags per node and axis: 1 if held by a support, else 0. `None` for none."""
+        """Flags per node and world axis: 1 if a support holds it, else 0.
+
+        `None` means that no node is held.
+        """
         return None
 
     @abstractmethod
     def motion(self, state: Any) -> Motion:
-        """Positions and rates in a state as couplings see them; spins are momenta."""
+        """Positions and rates in a state, in the form that couplings read.
+
+        Nodes of all rods are in one flat array, and so are elements. `Motion.spin` is
+        the angular momentum.
+        """
 
     @abstractmethod
     def stepper(
         self, state: Any, parts: Parts, carried: Carried | None, dt: Array
     ) -> MemberStepper:
-        """Its part of a step, with constants computed once.
+        """Integrator of this member in a run, with its constants computed once.
 
         Args:
             state: State of the member.
@@ -167,7 +176,9 @@ class Member(ABC):
 
     @abstractmethod
     def stable_step(self, bound: StabilityBound, safety: ArrayLike) -> tuple[Any, Any]:
-        """The largest safe step [s], and a rod's `StableStep`; `None` for others.
+        """Largest stable step times the factor `safety` [s], and what limits it.
+
+        The latter is a `StableStep` for rods, and `None` for other members.
 
         Args:
             bound: Bounds that couplings add.
@@ -176,10 +187,10 @@ class Member(ABC):
 
     @abstractmethod
     def health(self, state: Any, dt: ArrayLike, limits: HealthLimits) -> Any:
-        """Flags and the measured values behind them: a pytree with `flagged`."""
+        """Flags of numerical faults in a state: a pytree with an entry `flagged`."""
 
     def contact_forces(self, state: Any) -> list[Vec3]:
-        """Forces of fixed bodies on its nodes in one row [N], for each effect."""
+        """Contact forces of fixed bodies on the nodes [N], one entry per effect."""
         return []
 
     # Energies and momenta.
@@ -190,19 +201,19 @@ class Member(ABC):
 
     @abstractmethod
     def kinetic_energy(self, state: Any) -> Array:
-        """Kinetic energy [J]."""
+        """Kinetic energy of translation and rotation [J]."""
 
     @abstractmethod
     def potential_energy(self, state: Any) -> Array:
-        """Elastic energy, and potentials of its effects [J]."""
+        """Elastic energy plus potential energies of effects [J]."""
 
     @abstractmethod
     def momentum(self, state: Any) -> Array:
-        """Linear momentum, world frame [kg m/s]."""
+        """Total linear momentum, world frame [kg m/s]."""
 
     @abstractmethod
     def angular_momentum(self, state: Any) -> Array:
-        """Angular momentum about the origin, world frame [kg m^2/s]."""
+        """Total angular momentum about the origin, world frame [kg m^2/s]."""
 
 
 def check_fields(
@@ -215,7 +226,7 @@ def check_fields(
         state: Its state.
         shape: Shape that positions must have.
         dtype: Type of the system.
-        spins: Name of the field of spins.
+        spins: Name of the field of angular velocities or angular momenta.
     """
     if state.positions.shape != shape:
         raise ValueError(
@@ -238,7 +249,14 @@ def check_fields(
 def check_axes(
     name: str, what: str, shape: tuple[int, ...], *allowed: tuple[str, ...]
 ) -> None:
-    """Raises a ValueError if an array of a member has axes that are not allowed."""
+    """Raises a ValueError if an array of a member has too few or too many axes.
+
+    Args:
+        name: Name of the member, for the message.
+        what: Name of the array, for the message.
+        shape: Shape of the array.
+        *allowed: Allowed shapes, as names of axes; only their numbers of axes count.
+    """
     if len(shape) in map(len, allowed):
         return
     wanted = " or ".join(f"({', '.join(axes)})" for axes in allowed)

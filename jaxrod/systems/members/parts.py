@@ -1,8 +1,8 @@
-"""Parts: the nodes and elements of a member, as couplings see them.
+"""Parts: the constants of the nodes and elements of a member, for couplings.
 
-All nodes of a member are in one row, and so are its elements. Equal rods follow one
-another: first all entries of the first rod, then those of the second, and so on. A
-rigid body is one node and one element.
+All nodes of a member are in one flat array, called a row, and so are its elements.
+Equal rods follow one another: first all entries of the first rod, then those of the
+second, and so on. A rigid body is one node and one element.
 """
 
 from __future__ import annotations
@@ -40,32 +40,37 @@ class Parts:
     """Moments of inertia [kg m^2]: transverse and polar for round rods (2 rows), else
     about all three axes (3 rows)."""
     rest_lengths: Float[Array, " elements"] | None = None
-    """Rest lengths of elements of rods [m]."""
+    """Rest lengths of the elements of rods [m]; `None` for other members."""
     radii: Float[Array, " elements"] | None = None
-    """Radii of elements of rods [m]."""
+    """Radii of the elements of rods [m]; `None` for other members."""
     bend_twist_stiffness: Float[Array, "3 elements"] | None = None
-    """Bending and twisting stiffness of elements of rods [N m^2]."""
+    """Bending stiffness about d1 and d2 and twisting stiffness about d3 of the elements
+    of rods [N m^2]; `None` for other members."""
     linear_density: Float[Array, " elements"] | None = None
-    """Mass per length of elements of rods [kg/m]."""
+    """Mass per rest length of the elements of rods [kg/m]; `None` for other members."""
     shape: Body | None = None
-    """Surface of bodies, in their own frame."""
+    """Surface of rigid bodies in their own frame; `None` for other members."""
     held: Vec3 | None = None
-    """Flags per node and axis: 1 where a support holds the node, else 0."""
+    """Flags per node and world axis: 1 where a support holds the node, else 0; `None`
+    if they are not known."""
     count: int = static(default=1)
     """Number of rods, bodies or points."""
     n_elements: int = static(default=1)
-    """Elements of each rod; 1 for bodies and points, whose nodes are also elements."""
+    """Number of elements of each rod; 1 for bodies and points, whose nodes are also
+    elements."""
     is_rod: bool = static(default=True)
     """Whether the member consists of rods, with one more node than elements."""
     is_rigid: bool = static(default=False)
-    """Whether it consists of rigid bodies, which can carry the nodes of others."""
+    """Whether the member consists of rigid bodies, to which nodes of rods can be
+    attached."""
     joint_mean: str = static(default="arithmetic")
-    """Kind of mean by which a joint of a rod gets its stiffness from two elements."""
+    """Mean by which a joint of a rod gets its stiffness from its two elements:
+    "arithmetic" or "series"."""
 
     # `Motion.angular_velocities` uses these attributes of a rod.
     @property
     def is_round(self) -> bool:
-        """Whether elements have one inertia for d1 and d2."""
+        """Whether each element has the same moment of inertia about d1 and d2."""
         return self.inertias.shape[0] == 2
 
     @property
@@ -80,7 +85,7 @@ class Parts:
 
 
 def parts_of(rod: Rod) -> Parts:
-    """Constants of a rod."""
+    """Constants of one rod, for couplings."""
     return Parts(
         node_masses=rod.node_masses,
         inertias=rod.inertias if rod.is_round else rod.principal_inertias,
@@ -94,7 +99,7 @@ def parts_of(rod: Rod) -> Parts:
 
 
 def flatten_rods(tree: Any) -> Any:
-    """Leaves `(k, ..., n)` reshaped to `(..., k n)`."""
+    """Concatenates k rods along the last axis: `(k, ..., n)` becomes `(..., k n)`."""
 
     def one(leaf: Array) -> Array:
         moved = jnp.moveaxis(leaf, 0, -2)
@@ -104,7 +109,10 @@ def flatten_rods(tree: Any) -> Any:
 
 
 def unflatten_rods(tree: Any, count: int) -> Any:
-    """Leaves `(..., k n)` reshaped to `(k, ..., n)`; single numbers, `(k,)`."""
+    """Splits the last axis into k rods: leaves `(..., k n)` become `(k, ..., n)`.
+
+    Single numbers are repeated for each rod, `(k,)`.
+    """
 
     def one(leaf: Array) -> Array:
         if jnp.ndim(leaf) == 0:
@@ -127,11 +135,11 @@ class Seen:
     parts: Parts
     """Constants of the member."""
     motion: Motion
-    """Positions and rates, with all nodes and all elements in one row. For bodies they
-    are those of the origins of their frames."""
+    """Positions and rates, with the nodes of all rods in one array, and the elements in
+    another. For bodies they are those of the origins of their frames."""
     inverse_inertia: Matrix | None = None
-    """Inverse inertia, in their own frames, of bodies that carry attached masses
-    [1/(kg m^2)]."""
+    """Inverse inertia of bodies that carry attached masses, in their own frames [1/(kg
+    m^2)]; `None` for other members."""
 
     @property
     def angular_velocities(self) -> Vec3:
@@ -150,5 +158,5 @@ class Seen:
 
 
 def mapped(function: Callable[[Array], Array], vector: Vec3) -> Vec3:
-    """Result of a function applied to each component."""
+    """Applies a function to each of the three components of a vector field."""
     return function(vector[0]), function(vector[1]), function(vector[2])

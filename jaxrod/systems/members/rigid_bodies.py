@@ -41,22 +41,23 @@ from jaxrod.validation import (
 
 @pytree
 class BodyHealth:
-    """Flags and the measured values behind them, for rigid bodies of one member."""
+    """Flags of numerical faults in rigid bodies, and the values behind them."""
 
     finite: Bool[Array, ""]
     """Whether every number of the state is finite, and so are their squares."""
     spin: Bool[Array, ""]
-    """Flag: a body turns more than a radian per step."""
+    """Flag: a body turns in one step by more than `HealthLimits.largest_turn`, one
+    radian by default."""
     norm: Bool[Array, ""]
     """Flag: an orientation is not a unit quaternion."""
     largest_spin: Float[Array, ""]
     """Largest angular velocity [rad/s]."""
     largest_norm_error: Float[Array, ""]
-    """Largest error of the square of a quaternion's norm [1]."""
+    """Largest deviation of the squared norm of a quaternion from one [1]."""
 
     @property
     def flagged(self) -> Bool[Array, ""]:
-        """Whether anything is wrong."""
+        """Whether a number is not finite, or one of the flags is set."""
         return ~self.finite | self.spin | self.norm
 
 
@@ -81,28 +82,29 @@ class RigidBodies(Member):
     shape: Body | None = None
     """Surface in the body's own frame, the same for all; `None` for no surface."""
     effects: tuple[Effect, ...] = ()
-    """Effects on the bodies: only those that use masses and rates alone."""
+    """Effects on the bodies, such as gravity. They may use masses and rates, but no
+    lengths or radii."""
 
     # Effects use these attributes of the member on which they act: a body is one node
     # and one element.
     @property
     def n_elements(self) -> int:
-        """Number of bodies."""
+        """Number of bodies: for effects each body is one element."""
         return self.masses.shape[-1]
 
     @property
     def node_masses(self) -> Float[Array, " k"]:
-        """Mass of each body [kg]."""
+        """Mass of each body [kg]: for effects each body is one node."""
         return self.masses
 
     @property
     def dtype(self) -> Any:
-        """Type of all numbers."""
+        """Floating-point dtype of all numbers."""
         return self.masses.dtype
 
     @property
     def array_shape(self) -> tuple[int, ...]:
-        """Number of bodies."""
+        """Shape of the masses, `(bodies,)`."""
         return jnp.shape(self.masses)
 
     def check(self, name: str) -> None:
@@ -111,11 +113,11 @@ class RigidBodies(Member):
         check_body_effects(name, self)
 
     def with_effect(self, effect: Effect) -> RigidBodies:
-        """The bodies with one more effect."""
+        """Copy of the bodies with one more effect."""
         return replace(self, effects=(*self.effects, effect))
 
     def in_own_type(self, name: str) -> RigidBodies:
-        """The bodies, with the numbers of their effects converted to their dtype."""
+        """Copy of the bodies with the numbers of effects converted to their dtype."""
         where = f"effects of {name!r}"
         return replace(self, effects=in_type(self.dtype, where, self.effects))
 
@@ -125,7 +127,7 @@ class RigidBodies(Member):
         check_fields(name, state, (3, *self.array_shape), dtype, "angular_velocities")
 
     def parts(self) -> Parts:
-        """Constants, as couplings see them."""
+        """Constants of the bodies, for couplings: each is one node and one element."""
         return Parts(
             node_masses=self.masses,
             inertias=self.principal_inertias,
@@ -136,7 +138,7 @@ class RigidBodies(Member):
         )
 
     def motion(self, state: Any) -> Motion:
-        """Positions and rates in a state, spins as angular momenta."""
+        """Positions and rates in a state; `spin` is angular momentum, world frame."""
         return Motion(
             vectors.split(state.positions),
             split_quaternion(state.orientations),
@@ -147,20 +149,20 @@ class RigidBodies(Member):
     def stepper(
         self, state: Any, parts: Parts, carried: Carried | None, dt: Array
     ) -> MemberStepper:
-        """Their part of a step."""
+        """Integrator of the bodies, with the masses of attached nodes (`carried`)."""
         return BodiesStepper(RigidStepper.create(self, carried, dt))
 
     def momenta(self, state: Any) -> tuple[Array, Array]:
-        """Momenta and angular momenta of the bodies, world frame."""
+        """Momenta [kg m/s] and angular momenta [kg m^2/s] of bodies, world frame."""
         masses = self.masses[None]
         return masses * state.velocities, body_angular_momenta(self, state)
 
     def kinetic_energy(self, state: Any) -> Array:
-        """Kinetic energy [J]."""
+        """Kinetic energy of translation and rotation [J]."""
         return body_kinetic_energy(self, state)
 
     def potential_energy(self, state: Any) -> Array:
-        """Potentials of their effects [J]."""
+        """Sum of the potential energies of the effects [J]."""
         total = jnp.zeros((), state.positions.dtype)
         bodies: Any = self
         for effect in self.effects:
@@ -168,11 +170,11 @@ class RigidBodies(Member):
         return total
 
     def momentum(self, state: Any) -> Array:
-        """Linear momentum, world frame [kg m/s]."""
+        """Total linear momentum, world frame [kg m/s]."""
         return jnp.sum(self.masses[None] * state.velocities, axis=1)
 
     def angular_momentum(self, state: Any) -> Array:
-        """Angular momentum about the origin, world frame [kg m^2/s]."""
+        """Total angular momentum about the origin, world frame [kg m^2/s]."""
         orbital = vectors.cross(
             vectors.split(state.positions),
             vectors.scale(self.masses, vectors.split(state.velocities)),
@@ -181,7 +183,7 @@ class RigidBodies(Member):
         return jnp.sum(vectors.join(orbital) + own, axis=1)
 
     def health(self, state: Any, dt: ArrayLike, limits: HealthLimits) -> BodyHealth:
-        """Flags and the measured values behind them."""
+        """Flags of numerical faults in a state, and the values behind them."""
         spins = vectors.safe_norm(vectors.split(state.angular_velocities))
         norms = jnp.abs(jnp.sum(state.orientations**2, axis=0) - 1)
         spin, norm = jnp.max(spins), jnp.max(norms)
@@ -195,7 +197,10 @@ class RigidBodies(Member):
         )
 
     def stable_step(self, bound: StabilityBound, safety: ArrayLike) -> tuple[Any, Any]:
-        """The step at which explicit springs and dashpots on bodies are stable [s]."""
+        """Largest stable step times the factor `safety` [s], and `None`.
+
+        Springs and dashpots of couplings (`bound`) and of effects limit it.
+        """
         bodies: Any = self
         for effect in self.effects:
             own = effect.stability_bound(bodies)
@@ -246,7 +251,7 @@ def rigid_body(
     Raises:
         ValueError: If mass or inertia are missing, not positive or impossible (a moment
             above the sum of the two others), or if both mass and density are given.
-        TypeError: If the shape is not a body, or an effect is not an effect.
+        TypeError: If the shape is not a `Body`, or an effect is not an `Effect`.
 
     Example:
         >>> shape = shapes.box((0.0, 0.0, 0.5), half_lengths=(0.1, 0.1, 0.2))
@@ -290,7 +295,7 @@ def _inertia(
     inertia: Numbers | None,
     dtype: Any,
 ) -> tuple[Array, Array]:
-    """Mass and principal moments of inertia."""
+    """Checks and returns mass [kg] and principal moments of inertia `(3,)` [kg m^2]."""
     if (density is None) == (mass is None):
         raise ValueError("a rigid body needs a density [kg/m^3] or a mass [kg]")
     filled = solid is not None and solid.volume is not None
@@ -342,7 +347,7 @@ def _place(
     orientation: Numbers | None,
     dtype: Any,
 ) -> tuple[Array, Array]:
-    """Centre of mass and orientation."""
+    """Centre of mass `(3,)` [m] and unit quaternion: as given, or of the solid."""
     if position is None:
         centre = jnp.zeros(3, dtype) if solid is None else solid.centre.astype(dtype)
     else:
@@ -361,7 +366,7 @@ def _place(
 
 
 def body_kinetic_energy(bodies: RigidBodies, state: BodyState) -> Float[Array, ""]:
-    """Kinetic energy of translation and rotation [J]."""
+    """Sum of 1/2 m |v|^2 + 1/2 w . I w over all bodies [J]."""
     translation = 0.5 * jnp.sum(bodies.masses[None] * state.velocities**2)
     frame = directors(split_quaternion(state.orientations))
     own = jnp.stack(to_material(frame, vectors.split(state.angular_velocities)))
@@ -386,7 +391,7 @@ def stacked_bodies(
 
     Raises:
         ValueError: If there are none.
-        TypeError: If something else is given.
+        TypeError: If an entry is not a pair of `RigidBodies` and `BodyState`.
 
     Example:
         >>> def ball(height):
@@ -419,12 +424,16 @@ def stacked_bodies(
 
 
 def _limit(inertia: Array, stiffness: Array | None, drag: Array | None) -> Array:
-    """Positive root h of `k h^2 + 2 c h = 4 m`."""
+    """Step [s] at which a spring and a dashpot become unstable; infinite without them.
+
+    It is the positive root h of `k h^2 + 2 c h = 4 m`, with the stiffness k, the drag c
+    and the mass or moment of inertia m.
+    """
     zero = jnp.zeros_like(inertia)
     k = zero if stiffness is None else stiffness
     c = zero if drag is None else drag
     square = c * c + 4 * k * inertia
     free = square <= 0
-    # Two wheres: at zero the root has no derivative.
+    # The inner `where` avoids the root of zero, which has no derivative.
     below = c + jnp.sqrt(jnp.where(free, 1, square))
     return jnp.where(free, jnp.inf, 4 * inertia / below)

@@ -1,4 +1,4 @@
-r"""State and steps of rigid bodies: free flight and exact rotation between kicks.
+"""State and steps of rigid bodies: free flight and free rotation between kicks.
 
 Nodes of rods that are attached to a body move with it. The body carries their masses:
 its centre of mass and its inertia are those of body and nodes together. Outside of this
@@ -35,7 +35,7 @@ from jaxrod.systems.members.parts import Parts, Seen
 
 @pytree
 class BodyState:
-    """State of rigid bodies.
+    """State of one or more rigid bodies.
 
     Example:
         >>> shape = shapes.sphere((0.0, 0.0, 0.5), radius=0.1)
@@ -58,16 +58,16 @@ class BodyState:
 
     @property
     def layout(self) -> Layout:
-        """Number of bodies."""
+        """Layout of the state: the number of bodies, each one node and one element."""
         return Layout(self.positions.shape[-1])
 
     @property
     def rates(self) -> tuple[Array, Array]:
-        """Velocities and angular velocities."""
+        """Velocities [m/s] and angular velocities [rad/s], world frame."""
         return self.velocities, self.angular_velocities
 
     def with_rates(self, velocities: Array, spins: Array) -> BodyState:
-        """The state with other velocities [m/s] and angular velocities [rad/s]."""
+        """Copy with the given velocities [m/s] and angular velocities [rad/s]."""
         return replace(self, velocities=velocities, angular_velocities=spins)
 
     @property
@@ -78,44 +78,44 @@ class BodyState:
 
 @pytree
 class Carried:
-    """Point masses that bodies carry, summed per body."""
+    """Mass and moments of mass of the nodes attached to each body."""
 
     mass: Array
-    """Total mass [kg]."""
+    """Sum of the masses [kg]."""
     moment: Vec3
-    """Sum of mass times place, own frame [kg m]."""
+    """Sum of m p, with the position p of a node in the body's frame [kg m]."""
     second: Matrix
-    """Sum of mass times the outer product of place and place, own frame [kg m^2]."""
+    """Sum of the matrices m p p^T, in the body's frame [kg m^2]."""
 
 
 @pytree
 class RigidStepper:
-    """Constants of the step of rigid bodies."""
+    """Integrator of rigid bodies, with constants computed once per run."""
 
     bodies: Any
-    """The `RigidBodies`."""
+    """The bodies, as `RigidBodies`."""
     dt: Array
     """Step size [s]."""
     parts: Parts
     """Constants of the bodies, without carried masses."""
     mass: Array
-    """Masses including carried masses [kg]."""
+    """Mass of each body with the masses it carries [kg]."""
     centre: Vec3 | None
-    """Centres of mass including carried masses, in the bodies' own frames [m]; `None`
-    if there are none."""
+    """Centres of mass of bodies with carried masses, in the bodies' frames [m]; `None`
+    without carried masses."""
     inertia: Matrix | None
-    """Inertias about these centres, own frames [kg m^2]; `None` without carried masses.
-    """
+    """Inertia about `centre`, in the bodies' frames [kg m^2]; `None` without carried
+    masses."""
     inverse_inertia: Matrix | None
-    """Inverses of these inertias [1/(kg m^2)]."""
+    """Inverse of `inertia` [1/(kg m^2)]; `None` without carried masses."""
     velocity_kick: Kick
-    """Kick of the velocities by forces."""
+    """Change of velocities by forces and damping over one step."""
     spin_kick: Kick
-    """Kick of the angular momenta by couples."""
+    """Change of angular momenta by couples and damping over one step."""
 
     @staticmethod
     def create(bodies: Any, carried: Carried | None, dt: Array) -> RigidStepper:
-        """Computes the constants once, outside the loop."""
+        """Computes the constants for steps of size `dt` [s]."""
         parts = bodies.parts()
         mass, centre, inertia, inverse = bodies.masses, None, None, None
         if carried is not None:
@@ -137,7 +137,10 @@ class RigidStepper:
         )
 
     def enter(self, state: BodyState) -> Motion:
-        """Motion of the common centre of mass in a state, with angular momentum."""
+        """Motion of the centres of mass, from a state that refers to the origins.
+
+        Carried masses count. The spin is the angular momentum about the centre of mass.
+        """
         orientation = split_quaternion(state.orientations)
         rate = vectors.split(state.angular_velocities)
         position, velocity = (
@@ -158,7 +161,7 @@ class RigidStepper:
         return Motion(position, orientation, velocity, to_world(frame, momentum))
 
     def leave(self, motion: Motion) -> BodyState:
-        """State of a motion."""
+        """State of the bodies' origins, from the motion of the centres of mass."""
         seen = self.seen(motion)
         return BodyState(
             positions=vectors.join(seen.motion.position),
@@ -168,7 +171,7 @@ class RigidStepper:
         )
 
     def seen(self, motion: Motion) -> Seen:
-        """The bodies as couplings see them: motion of their own origins."""
+        """Constants and motion of the bodies' origins, as couplings read them."""
         seen = Seen(self.parts, motion, self.inverse_inertia)
         if self.centre is None:
             return seen
@@ -182,7 +185,7 @@ class RigidStepper:
         return replace(seen, motion=at_origin)
 
     def drift(self, motion: Motion, dt: Array) -> Motion:
-        """Moves and turns freely for a time `dt` [s]."""
+        """Motion after a time `dt` [s] of free flight and free rotation."""
         return replace(motion, orientation=self._turned(motion, dt)).moved(dt)
 
     def _turned(self, motion: Motion, dt: Array) -> Quaternion:
@@ -201,12 +204,12 @@ class RigidStepper:
         return freely_turned(motion.orientation, motion.spin, None, parts, dt)
 
     def kick(self, motion: Motion, loads: Loads) -> Motion:
-        """Changes rates by the loads of effects and by others over one step.
+        """Motion after loads have acted for one step, at unchanged positions.
 
         Args:
-            motion: Motion as this stepper has it.
-            loads: Other loads: forces at the bodies' origins, and couples in their own
-                frames.
+            motion: Motion of the centres of mass, as `enter` returns it.
+            loads: Loads of couplings, added to those of effects: forces at the bodies'
+                origins, world frame [N], and couples in the bodies' frames [N m].
         """
         forces, couples = loads.forces, loads.couples
         seen = self.seen(motion)
@@ -231,7 +234,11 @@ class RigidStepper:
         )
 
     def pushed(self, motion: Motion, impulses: Loads) -> Motion:
-        """Changes rates by impulses at the bodies' origins, all in the world frame."""
+        """Motion after impulses have changed velocities and angular momenta.
+
+        The impulses are forces times time at the bodies' origins [N s] and couples
+        times time [N m s], both in the world frame.
+        """
         none = mapped_zero(motion.position)
         push = none if impulses.forces is None else impulses.forces
         turn = none if impulses.couples is None else impulses.couples
@@ -254,7 +261,7 @@ class RigidStepper:
 
 
 def mapped_zero(vector: Vec3) -> Vec3:
-    """Zeros of the shape of a field."""
+    """Vector field of zeros, with the shape of the given field."""
     zero = jnp.zeros_like(vector[0])
     return zero, zero, zero
 
@@ -271,7 +278,12 @@ def _damping(bodies: Any) -> tuple[Array | None, Array | None]:
 
 
 def _together(principal: Array, carried: Carried, mass: Array, centre: Vec3) -> Matrix:
-    """Inertia of bodies and carried masses about their common centre of mass."""
+    """Inertia of bodies and carried masses about their common centre of mass.
+
+    It is `I + tr(S) 1 - S`, with the inertia `I` of a body and `S` the second moment of
+    the carried masses minus `m c c^T`, for the total mass `m` and the common centre
+    `c`, all in the frame of the body [kg m^2].
+    """
     a, b, c = principal
     zero = jnp.zeros_like(a)
     own = ((a, zero, zero), (zero, b, zero), (zero, zero, c))
@@ -299,7 +311,7 @@ def _inverse(matrix: Matrix) -> Matrix:
 
 
 def _cholesky(matrix: Matrix) -> Matrix:
-    """Vectors whose outer products add up to a positive definite matrix."""
+    """Columns of the Cholesky factor: the sum of their outer products is the matrix."""
     (xx, xy, xz), (_, yy, yz), (_, _, zz) = matrix
     zero = jnp.zeros_like(xx)
     a = jnp.sqrt(xx)

@@ -30,19 +30,19 @@ from jaxrod.validation import check_kind
 
 @dataclass(frozen=True)
 class OneRod(Member):
-    """One rod with its effects, as a member."""
+    """A scene of one rod with its effects, as a member of a system."""
 
     model: Any
-    """Its scene, a `LoadedRod`."""
+    """The scene, a `LoadedRod`."""
 
     @property
     def dtype(self) -> Any:
-        """Type of all numbers."""
+        """Floating-point dtype of all numbers."""
         return self.model.rod.rest_lengths.dtype
 
     @property
     def array_shape(self) -> tuple[int, ...]:
-        """Number of elements."""
+        """Shape of the rest lengths: `(elements,)`; equal rods: `(rods, elements)`."""
         return jnp.shape(self.model.rod.rest_lengths)
 
     @property
@@ -52,7 +52,7 @@ class OneRod(Member):
         return effects
 
     def check(self, name: str) -> None:
-        """Raises a ValueError for a batch, or a method without steps in a system."""
+        """Raises a ValueError for wrong axes, or a method without steps in systems."""
         shape, axes = self.array_shape, (("elements",), ("rods", "elements"))
         check_axes(name, "rest lengths", shape, *axes)
         if not self.model.method.steps_in_systems:
@@ -62,7 +62,7 @@ class OneRod(Member):
             )
 
     def check_statics(self, name: str) -> None:
-        """Raises a ValueError for a law whose loads have no energy."""
+        """Raises a ValueError if internal loads are not the gradient of an energy."""
         if not self.model.method.has_energy:
             raise ValueError(
                 f"member {name!r}: statics need the consistent law, got "
@@ -70,15 +70,15 @@ class OneRod(Member):
             )
 
     def with_effect(self, effect: Effect) -> Any:
-        """The scene with one more effect, the same for equal rods."""
+        """Copy of the scene with one more effect; equal rods all get the same one."""
         return self.each(lambda scene: scene.with_effect(effect))
 
     def in_own_type(self, name: str) -> Any:
-        """The scene: `make_scene` has converted its effects."""
+        """The unchanged scene: `make_scene` has already converted its effects."""
         return self.model
 
     def with_free_ends(self, free: Array) -> Any:
-        """The scene, whose effects have flags of the free ends of its rods."""
+        """Copy of the scene whose effects know which ends of its rods are free."""
         if not self.effects or bool(jnp.all(free)):
             return self.model
         own = self.of_rods(free)
@@ -86,12 +86,12 @@ class OneRod(Member):
         return replace(self.model, effects=effects)
 
     def of_rods(self, numbers: Array) -> Array:
-        """Numbers of every rod in the shape of the scene: without the axis of rods."""
+        """Drops the leading axis of rods, which has one entry: `numbers[0]`."""
         return numbers[0]
 
     @property
     def remembers(self) -> bool:
-        """Whether an effect has memory."""
+        """Whether any effect has memory, which changes from step to step."""
         return self.model.remembers
 
     @property
@@ -100,15 +100,15 @@ class OneRod(Member):
         return self.model.rod
 
     def each(self, function: Callable[..., Any], *given: Any) -> Any:
-        """Calls a function with each rod's scene and its part of other arguments."""
+        """Calls a function with the scene and its part of the arguments, rod by rod."""
         return function(self.model, *given)
 
     def recalling(self, state: Any) -> Any:
-        """The scene with the memory of its effects in a state."""
+        """Copy of the scene whose effects have the memory that a state holds."""
         return self.each(lambda scene, own: scene.recalling(own), state)
 
     def with_memory(self, state: Any) -> Any:
-        """The state with the initial memory of its effects, if it has none."""
+        """The state with the initial memory of the effects, if it holds none."""
         if not self.remembers or state.memory is not None:
             return state
 
@@ -118,7 +118,7 @@ class OneRod(Member):
         return self.each(one, state)
 
     def memory(self, state: Any) -> Any:
-        """Memory of its effects in a state."""
+        """Memory of the effects in a state, or their initial memory."""
         return self.each(memory_in, state)
 
     def check_state(self, name: str, state: Any, dtype: Any) -> None:
@@ -129,34 +129,37 @@ class OneRod(Member):
         check_memory(self.model, state, f"state of {name!r}: state")
 
     def parts(self) -> Parts:
-        """Constants, as couplings see them."""
+        """Constants of the rod, for couplings."""
         return parts_of(self.model.rod)
 
     def held(self, state: Any) -> Vec3 | None:
-        """Flags per node and axis: 1 where a support holds the node, else 0."""
+        """Flags per node and world axis: 1 if a support holds it, else 0.
+
+        `None` for a rod without effects.
+        """
         if not self.model.effects:
             return None
         x, y, z = self.row(self.each(_free_rates, state))
         return 1 - x, 1 - y, 1 - z
 
     def motion(self, state: Any) -> Motion:
-        """Positions and rates in a state."""
+        """Positions and rates in a state, with all rods in one flat array."""
         motion: Motion = self.row(self.each(lambda _, own: motion_of(own), state))
         return motion
 
     def row(self, tree: Any) -> Any:
-        """Fields of every rod, with all nodes and elements in one row."""
+        """Concatenates the nodes and elements of all rods; one rod is unchanged."""
         return tree
 
     def stepper(
         self, state: Any, parts: Parts, carried: Carried | None, dt: Array
     ) -> MemberStepper:
-        """Its part of a step."""
+        """Integrator of the rods in a run; `carried` is for rigid bodies only."""
         del carried
         return RodStepper(self.model.method.stepper(self.model, state, dt), parts)
 
     def contact_forces(self, state: Any) -> list[Vec3]:
-        """Forces of fixed bodies on the nodes [N], for each effect."""
+        """Contact forces of fixed bodies on the nodes [N], one entry per effect."""
 
         def one(scene: LoadedRod, own: RodState) -> list[Vec3]:
             touching = [effect for effect in scene.effects if effect.obstacle]
@@ -167,36 +170,36 @@ class OneRod(Member):
         return forces
 
     def momenta(self, state: Any) -> tuple[Array, Array]:
-        """Momenta of nodes, and angular momenta of elements, `(..., 3, n)`."""
+        """Momenta of nodes [kg m/s], angular momenta of elements [kg m^2/s]."""
         masses = self.model.rod.node_masses
         return masses[..., None, :] * state.velocities, state.angular_momenta
 
     def kinetic_energy(self, state: Any) -> Array:
-        """Kinetic energy [J]."""
+        """Kinetic energy of all rods [J]."""
         return self.total(lambda scene, own: scene.kinetic_energy(own), state)
 
     def potential_energy(self, state: Any) -> Array:
-        """Elastic energy, and potentials of its effects [J]."""
+        """Elastic energy of all rods, plus potential energies of effects [J]."""
         return self.total(lambda scene, own: scene.potential_energy(own), state)
 
     def momentum(self, state: Any) -> Array:
-        """Linear momentum, world frame [kg m/s]."""
+        """Total linear momentum, world frame [kg m/s]."""
         return self.total(lambda scene, own: scene.momentum(own), state)
 
     def angular_momentum(self, state: Any) -> Array:
-        """Angular momentum about the origin, world frame [kg m^2/s]."""
+        """Total angular momentum about the origin, world frame [kg m^2/s]."""
         return self.total(lambda scene, own: scene.angular_momentum(own), state)
 
     def total(self, function: Callable[[Any, Any], Array], state: Any) -> Array:
-        """Sum of a function of every scene and its state."""
+        """Sum over all rods of a function of the scene and the state of a rod."""
         return self.each(function, state)
 
     def health(self, state: Any, dt: ArrayLike, limits: HealthLimits) -> Any:
-        """Flags and the measured values behind them, for every rod."""
+        """Flags of numerical faults and the values behind them, for each rod."""
         return self.each(lambda s, own: scene_health(s, own, dt, limits=limits), state)
 
     def stable_step(self, bound: StabilityBound, safety: ArrayLike) -> tuple[Any, Any]:
-        """The largest safe step [s], and what limits it."""
+        """Largest stable step of all rods [s], and the `StableStep` of each."""
 
         def one(scene: LoadedRod, own: StabilityBound) -> Any:
             effects = (*scene.effects, CouplingBounds(own))
@@ -206,12 +209,12 @@ class OneRod(Member):
         return jnp.min(step.dt), step
 
     def rows(self, tree: Any) -> Any:
-        """Fields given in one row, split by rod."""
+        """Splits fields in one flat array by rod, the inverse of `row`."""
         return tree
 
 
 class EqualRods(OneRod):
-    """Scenes of equal rods, with a leading axis on every number."""
+    """Scenes of equal rods, with a leading axis on every number, as one member."""
 
     @property
     def count(self) -> int:
@@ -219,50 +222,50 @@ class EqualRods(OneRod):
         return int(self.array_shape[0])
 
     def each(self, function: Callable[..., Any], *given: Any) -> Any:
-        """Result of a function of a scene and of other arguments, for every rod."""
+        """Applies a function to the scene and arguments of each rod, by `jax.vmap`."""
         return jax.vmap(function)(self.model, *given)
 
     def parts(self) -> Parts:
-        """Constants, as couplings see them."""
+        """Constants of all rods, concatenated, for couplings."""
         count, n = self.array_shape
         rows = flatten_rods(jax.vmap(parts_of)(self.model.rod))
         parts: Parts = replace(rows, count=count, n_elements=n)
         return parts
 
     def of_rods(self, numbers: Array) -> Array:
-        """Numbers of every rod in the shape of the scenes: with an axis of rods."""
+        """Returns `numbers` unchanged: the scenes have the same axis of rods."""
         return numbers
 
     def row(self, tree: Any) -> Any:
-        """Fields of every rod, with all nodes and elements in one row."""
+        """Concatenates all rods: fields `(rods, ..., n)` become `(..., rods n)`."""
         return flatten_rods(tree)
 
     def rows(self, tree: Any) -> Any:
-        """Fields given in one row, split by rod."""
+        """Splits fields `(..., rods n)` by rod, into `(rods, ..., n)`."""
         return unflatten_rods(tree, self.count)
 
     def stepper(
         self, state: Any, parts: Parts, carried: Carried | None, dt: Array
     ) -> MemberStepper:
-        """Its part of a step."""
+        """Integrator of all rods in a run; `carried` is for rigid bodies only."""
         del carried
         verlet = self.each(lambda s, own: s.method.stepper(s, own, dt), state)
         return RodsStepper(verlet, parts, parts.count)
 
     def total(self, function: Callable[[Any, Any], Array], state: Any) -> Array:
-        """Sum of a function of every scene and its state."""
+        """Sum over all rods of a function of the scene and the state of a rod."""
         return jnp.sum(self.each(function, state), axis=0)
 
 
 @pytree
 class CouplingBounds(Effect):
-    """Stiffness and drag that couplings add to a rod: a bound without loads."""
+    """Effect without loads that adds the stability bounds of couplings to a rod."""
 
     bound: StabilityBound
-    """The bound."""
+    """Stiffness and drag of the couplings on nodes and elements of the rod."""
 
     def stability_bound(self, rod: Rod) -> StabilityBound:
-        """The given bound."""
+        """Returns the stored bound, for any rod."""
         return self.bound
 
 
@@ -271,5 +274,5 @@ def _free_rates(scene: LoadedRod, state: RodState) -> Vec3:
 
 
 def member_of_rod(scene: LoadedRod) -> OneRod:
-    """The member for a scene, or for equal rods if the scene is stacked."""
+    """Wraps a scene as a member: `EqualRods` if its rods are stacked, else `OneRod`."""
     return EqualRods(scene) if scene.rod.batch_shape else OneRod(scene)

@@ -21,11 +21,11 @@ from jaxrod.systems.members.rigid_stepper import RigidStepper
 
 
 class MemberStepper(ABC):
-    """One member's part of a step, a pytree.
+    """Integrator of one member within a step of a system, a pytree.
 
-    Motions have the stepper's own form: a leading axis for equal rods, the common
-    centre of mass for bodies. The defaults are for members without supports, ties and
-    effects.
+    Motions have a form that only the stepper knows: a leading axis for equal rods, the
+    common centre of mass with attached nodes for bodies. The defaults are for members
+    without supports, ties and effects.
 
     Example:
         >>> arm = scene.as_member()
@@ -38,111 +38,122 @@ class MemberStepper(ABC):
 
     @abstractmethod
     def enter(self, state: Any) -> Any:
-        """Motion of a state."""
+        """Converts a state to the stepper's form of motion."""
 
     @abstractmethod
     def leave(self, motion: Any) -> Any:
-        """State of a motion."""
+        """Converts the stepper's form of motion to a state."""
 
     @abstractmethod
     def drift(self, motion: Any, dt: Array) -> Any:
-        """Moves at unchanged rates for a time `dt` [s]."""
+        """Motion after a time `dt` [s] at unchanged velocities and spins."""
 
     @abstractmethod
     def kick(self, motion: Any, loads: Loads) -> Any:
-        """Changes the rates by the member's own loads and by others, over one step."""
+        """Motion after loads have acted for one step, at unchanged positions.
+
+        `loads` are those of couplings. Loads of the member's effects are added to them,
+        and internal loads of rods.
+        """
 
     @abstractmethod
     def seen(self, motion: Any) -> Seen:
-        """The member as couplings see it."""
+        """Constants and motion of the member, in the form that couplings read."""
 
     def supported(self, motion: Any) -> Any:
-        """The motion with the rates that supports impose now."""
+        """Motion in which supported nodes have the velocities that supports impose."""
         return motion
 
     def moved_as(self, motion: Any, seen: Motion) -> Any:
-        """The member's motion with the changes that couplings made to `seen`."""
+        """Converts a motion that couplings have changed to the stepper's form."""
         raise NotImplementedError(f"{type(self).__name__}: nodes cannot follow others")
 
     def pushed(self, motion: Any, impulses: Loads) -> Any:
-        """Changes rates by impulses, with forces and couples in the world frame."""
+        """Motion after impulses have changed velocities and spins.
+
+        The impulses are forces times time on nodes [N s] and couples times time on
+        elements [N m s], both in the world frame.
+        """
         raise NotImplementedError(f"{type(self).__name__}: nothing can be attached")
 
     def at_rest(self) -> MemberStepper:
-        """The stepper for loads at rest, without effects that only dissipate."""
+        """Copy for statics, without effects that only dissipate."""
         return self
 
     def at(self, model: Any, memory: Any, clock: Clock) -> MemberStepper:
-        """The stepper with the member's numbers at a time.
+        """Copy with the schedules and the memory of the member evaluated at a time.
 
         Args:
             model: Entry of the member in the system, with its schedules.
             memory: Memory of its effects.
-            clock: The time.
+            clock: The time, as a count of steps.
         """
         return self
 
     def remembered(self, motion: Any, memory: Any, dt: Array) -> Any:
-        """Memory of the effects one step later."""
+        """Memory of the effects after a step, updated from its motion after the kick.
+
+        The default is for effects without memory.
+        """
         return memory
 
 
 @pytree
 class RodStepper(MemberStepper):
-    """Stepper of a scene: one rod and its effects."""
+    """Integrator of a scene, one rod and its effects, within a system."""
 
     verlet: Any
     """The stepper of the scene, with a leading axis for equal rods. It has the methods
     of `Verlet`, on motions that couplings can read."""
     parts: Parts
-    """Constants of the rod, or of all rods in one row."""
+    """Constants of the rod; of equal rods, concatenated."""
 
     def each(self, function: Callable[..., Any], *given: Any) -> Any:
-        """Calls a function with each rod's stepper and its part of other arguments."""
+        """Applies a function to each rod's stepper and its part of the arguments."""
         return function(self.verlet, *given)
 
     def enter(self, state: Any) -> Motion:
-        """Motion of a state."""
+        """Converts a state to a motion, with a leading axis for equal rods."""
         motion: Motion = self.each(lambda one, own: one.enter(own), state)
         return motion
 
     def leave(self, motion: Motion) -> Any:
-        """State of a motion."""
+        """Converts a motion to a state."""
         return self.each(lambda one, own: one.leave(own), motion)
 
     def drift(self, motion: Motion, dt: Array) -> Motion:
-        """Moves at unchanged rates."""
+        """Motion after a time `dt` [s] at unchanged velocities and spins."""
         moved: Motion = self.each(lambda one, own: one.drift(own, dt), motion)
         return moved
 
     def kick(self, motion: Motion, loads: Loads) -> Motion:
-        """Changes the rates by internal loads, effects and other loads."""
+        """Motion after internal loads, effects and couplings have acted for a step."""
         kicked: Motion = self.each(
             lambda one, own, more: one.kick(own, more), motion, self.rows(loads)
         )
         return kicked
 
     def supported(self, motion: Motion) -> Motion:
-        """The motion with the rates that supports impose now."""
+        """Motion in which supported nodes have the velocities that supports impose."""
         held: Motion = self.each(lambda one, own: one.constrain_rates(own), motion)
         return held
 
     def seen(self, motion: Motion) -> Seen:
-        """The rod, or all rods in one row."""
+        """Constants and motion of all rods, concatenated, as couplings read them."""
         return Seen(self.parts, self.row(motion))
 
     def moved_as(self, motion: Motion, seen: Motion) -> Motion:
-        """The motion `seen`, which couplings have changed, divided among the rods."""
+        """Splits `seen`, a motion that couplings have changed, by rod."""
         changed: Motion = self.rows(seen)
         return changed
 
     def at_rest(self) -> RodStepper:
-        """The stepper for loads at rest, without effects that only dissipate."""
+        """Copy for statics, without effects that only dissipate."""
         scene = without_dissipation(self.verlet.scene)
         return replace(self, verlet=replace(self.verlet, scene=scene))
 
     def at(self, model: Any, memory: Any, clock: Clock) -> RodStepper:
-        """The stepper with the scene's numbers at a time."""
+        """Copy with the schedules and memories of the scene evaluated at a time."""
         if not model.evolves:
             return self
 
@@ -153,7 +164,7 @@ class RodStepper(MemberStepper):
         return replace(self, verlet=replace(self.verlet, scene=scene))
 
     def remembered(self, motion: Motion, memory: Any, dt: Array) -> Any:
-        """Memory of the effects one step later."""
+        """Memory of the effects after a step, from the motion after its kick."""
         if not any(memory):
             return memory
         none = jnp.zeros((), jnp.int32)
@@ -164,66 +175,66 @@ class RodStepper(MemberStepper):
         return self.each(one, motion, memory)
 
     def row(self, tree: Any) -> Any:
-        """Fields of every rod, with all nodes and elements in one row."""
+        """Concatenates the nodes and elements of all rods; one rod is unchanged."""
         return tree
 
     def rows(self, tree: Any) -> Any:
-        """Fields given in one row, split by rod."""
+        """Splits fields in one flat array by rod, the inverse of `row`."""
         return tree
 
 
 @pytree
 class RodsStepper(RodStepper):
-    """Stepper of equal rods with their effects, with a leading axis on every number."""
+    """Integrator of equal rods within a system, with a leading axis on every number."""
 
     count: int = static()
     """Number of rods."""
 
     def each(self, function: Callable[..., Any], *given: Any) -> Any:
-        """Result of a function of a stepper and of other arguments, for every rod."""
+        """Applies a function to the stepper and arguments of each rod, with `vmap`."""
         return jax.vmap(function)(self.verlet, *given)
 
     def row(self, tree: Any) -> Any:
-        """Fields of every rod, with all nodes and elements in one row."""
+        """Concatenates all rods: fields `(rods, ..., n)` become `(..., rods n)`."""
         return flatten_rods(tree)
 
     def rows(self, tree: Any) -> Any:
-        """Fields given in one row, split by rod."""
+        """Splits fields `(..., rods n)` by rod, into `(rods, ..., n)`."""
         return unflatten_rods(tree, self.count)
 
 
 @pytree
 class BodiesStepper(MemberStepper):
-    """Stepper of rigid bodies."""
+    """Integrator of rigid bodies within a system."""
 
     rigid: RigidStepper
-    """Their stepper."""
+    """The stepper of the bodies, to which all methods delegate."""
 
     def enter(self, state: Any) -> Motion:
-        """Motion of a state."""
+        """Motion of the centres of mass, from a state that refers to the origins."""
         return self.rigid.enter(state)
 
     def leave(self, motion: Motion) -> Any:
-        """State of a motion."""
+        """State of the bodies' origins, from the motion of the centres of mass."""
         return self.rigid.leave(motion)
 
     def drift(self, motion: Motion, dt: Array) -> Motion:
-        """Moves and turns freely."""
+        """Motion after a time `dt` [s] of free flight and free rotation."""
         return self.rigid.drift(motion, dt)
 
     def kick(self, motion: Motion, loads: Loads) -> Motion:
-        """Changes the rates by effects and other loads."""
+        """Motion after effects and couplings have acted for one step."""
         return self.rigid.kick(motion, loads)
 
     def seen(self, motion: Motion) -> Seen:
-        """The bodies as couplings see them, at their origins."""
+        """Constants and motion of the bodies' origins, as couplings read them."""
         return self.rigid.seen(motion)
 
     def pushed(self, motion: Motion, impulses: Loads) -> Motion:
-        """Changes rates by impulses on the origins."""
+        """Motion after impulses at the bodies' origins have changed its rates."""
         return self.rigid.pushed(motion, impulses)
 
     def at(self, model: Any, memory: Any, clock: Clock) -> BodiesStepper:
-        """The stepper with schedules of the bodies' effects evaluated at a time."""
+        """Copy with schedules of the bodies' effects evaluated at a time."""
         bodies = replace(self.rigid.bodies, effects=at_clock(model.effects, clock))
         return replace(self, rigid=replace(self.rigid, bodies=bodies))

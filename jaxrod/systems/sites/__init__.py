@@ -1,1 +1,1 @@
-"""Sites of couplings on members, and the interface of a coupling."""
+"""Places on members where couplings act, and the interface of a coupling."""

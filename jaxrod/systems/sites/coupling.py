@@ -13,7 +13,7 @@ from jaxrod.systems.members.parts import Parts, Seen
 from jaxrod.systems.members.rigid_stepper import Carried
 
 AllSeen = Mapping[str, Seen]
-"""Members of a system at one moment, by name."""
+"""Constants and motion of the members of a system at one moment, by name."""
 AllParts = Mapping[str, Parts]
 """Constants of the members of a system, by name."""
 TiedPair = tuple[str, int, str, int]
@@ -24,7 +24,7 @@ class Coupling:
     """Base of all couplings, whose hooks do nothing by default. A subclass is a pytree.
 
     Hooks are pure. Members are identified by name; a member that a hook does not return
-    is unchanged. Nodes and elements of a member are in one row
+    is unchanged. All nodes of a member are in one flat array, and so are its elements
     (`jaxrod.systems.members.parts`).
 
     Unless a coupling acts from outside, as a pose spring does, its forces come in pairs
@@ -53,7 +53,7 @@ class Coupling:
         """Raises a `ValueError` if the coupling does not fit the members."""
 
     def fitted(self, parts: AllParts, tied: tuple[TiedPair, ...]) -> Coupling:
-        """The coupling with the structure that depends on the members.
+        """Copy with the static structure that depends on the members.
 
         `make_system` calls it.
 
@@ -64,43 +64,43 @@ class Coupling:
         return self
 
     def joined_nodes(self) -> Iterable[tuple[str, int]]:
-        """Nodes of members that are tied to other nodes, or part of a body."""
+        """Nodes tied to other nodes or attached to bodies, as `(member, node)`."""
         return ()
 
     @property
     def followed(self) -> str | None:
-        """Name of the member that `joined_nodes` follow; `None` if they are equals."""
+        """Name of the bodies to which `joined_nodes` are attached; else `None`."""
         return None
 
     @property
     def tied_pairs(self) -> tuple[TiedPair, ...]:
-        """Pairs of nodes that it gives one place exactly, each in both orders.
+        """Pairs of nodes kept at exactly one position, each pair in both orders.
 
         Couplings with such pairs are merged into one, which is applied last.
         """
         return ()
 
     def merged(self, others: Sequence[Any]) -> Coupling:
-        """One coupling that replaces this one and others with tied pairs."""
-        # Not abstract: couplings without tied pairs are never asked.
+        """One coupling that replaces this one and others; all have `tied_pairs`."""
+        # Not abstract: it is never called for couplings without tied pairs.
         raise NotImplementedError(f"{type(self).__name__} cannot be merged")
 
     @property
     def is_contact(self) -> bool:
-        """Whether its forces are those of contact, which a replay can show."""
+        """Whether its forces are contact forces, which a replay can show."""
         return False
 
     @property
     def lists(self) -> Any:
-        """Settings of its `NeighbourLists`; `None` if it has no such lists."""
+        """Settings of its neighbour lists, `NeighbourLists`; `None` without lists."""
         return None
 
     def reaction(self, seen: AllSeen) -> Reaction | None:
-        """Force, couple and power of a drive from outside; `None` without a drive."""
+        """Force, couple and power of an external drive; `None` without a drive."""
         return None
 
     def with_free_ends(self, free: Mapping[str, Array]) -> Coupling:
-        """The coupling with the given free ends of rods; other ends continue.
+        """Copy that knows which ends of rods are free, and which continue.
 
         Args:
             free: For each member, flags of the first and the last end of each of its
@@ -110,61 +110,63 @@ class Coupling:
         return self
 
     def carried(self, parts: AllParts) -> dict[str, Carried]:
-        """Masses that the coupling attaches to bodies, by the member that has them."""
+        """Mass and moments of nodes attached to bodies, by name of the bodies."""
         return {}
 
     def prepared(self, parts: AllParts) -> Coupling:
-        """The coupling with constants computed once, before the first step."""
+        """Copy with constants computed once, before the first step."""
         return self
 
     @property
     def refresh_every(self) -> int | None:
-        """Steps between calls of `search`; `None` if there is nothing to search."""
+        """Steps between calls of `search`; `None` for couplings without a search."""
         return None
 
     @property
     def is_sized(self) -> bool:
-        """Whether the room for the results of `search` is known."""
+        """Whether the sizes of the arrays that `search` returns are known."""
         return True
 
     def sized(self, seen: AllSeen) -> Coupling:
-        """The coupling with room for the results of `search` in a state.
+        """Copy with sizes for the arrays that `search` returns in a state.
 
         `make_system` calls it.
         """
         return self
 
     def search(self, seen: AllSeen) -> Any:
-        """Result of an occasional search, as a pytree of arrays; for `refresh_every`.
+        """Searches for neighbours, every `refresh_every` steps.
 
-        It has fields `missed` and `used`, and stays in the coupling's field `found`
-        until the next search: see `jaxrod.systems.contact.neighbour_lists`.
+        The result is a pytree of arrays with fields `missed` and `used`. It stays in
+        the coupling's field `found` until the next search: see
+        `jaxrod.systems.contact.neighbour_lists`.
         """
-        # Not abstract: couplings without `refresh_every` are never asked.
+        # Not abstract: it is never called for couplings without `refresh_every`.
         raise NotImplementedError(f"{type(self).__name__} has no search")
 
     def moved(self, seen: AllSeen) -> Array:
-        """Displacement of members since the last search, over the allowed one [1]."""
+        """Largest displacement of a node since the search, over the allowed one [1]."""
         # Not abstract, for the same reason.
         raise NotImplementedError(f"{type(self).__name__} has no moved")
 
     def loads(self, seen: AllSeen) -> dict[str, Loads]:
-        """Forces on nodes, world frame [N], and couples on elements, own frames [N m].
+        """Forces on nodes, world frame [N], and couples on elements [N m].
 
-        They are computed at the same moment as the loads of effects.
+        Couples are in the material frames of the elements. Loads are computed at the
+        same moment as the loads of effects.
         """
         return {}
 
     def energy(self, seen: AllSeen) -> Array | float:
-        """Potential energy [J]."""
+        """Potential energy of the coupling [J]."""
         return 0.0
 
     def constrain(self, seen: AllSeen) -> dict[str, Motion]:
-        """Motions of members whose nodes follow others, with the nodes put in place."""
+        """Motions in which nodes that are tied or attached have exact positions."""
         return {}
 
     def exchange(self, before: AllSeen, after: AllSeen) -> dict[str, Loads]:
-        """Impulses that pass from member to member in a kick.
+        """Impulses that act between members as a result of a kick.
 
         Args:
             before: Members before the kick.
@@ -177,21 +179,25 @@ class Coupling:
         return {}
 
     def constrain_rates(self, seen: AllSeen) -> dict[str, Motion]:
-        """Motions with tied rates made equal, after kicks and exchanges."""
+        """Motions in which the velocities of tied or attached nodes are made exact.
+
+        It is called after kicks and the exchange of impulses.
+        """
         return {}
 
     def stability_bounds(self, parts: AllParts) -> dict[str, StabilityBound]:
-        """Bounds on the stiffness and drag of `loads`, member by member.
+        """Bounds on the stiffness and drag of `loads`, by name of the member.
 
         For a spring of stiffness `k` on an elongation that changes by the sum of
-        `g_i . u_i`, the bound `k (sum_j |g_j|^2 / m_j) m_i` on each node `i` is enough.
+        `g_i . u_i`, with displacements `u_i` of nodes, the bound
+        `k (sum_j |g_j|^2 / m_j) m_i` on each node `i` is enough.
         """
         return {}
 
     def violation(self, seen: AllSeen) -> Array | None:
-        """Violation of the coupling in a state [1]; `health` flags it above a limit.
+        """Violation of the coupling in a state [1]; `None` if it cannot be violated.
 
-        The limit is one by default.
+        `health` flags it above a limit, which is one by default.
         """
         return None
 

@@ -15,31 +15,32 @@ from jaxrod.systems.sites.coupling import AllParts, check_named
 from jaxrod.validation import check_count, is_traced
 
 Place = Sequence[Any]
-"""Place on a member: `("arm", "tip")` or `("arm", 7)` on a rod, `("arms", 2,
-"base")` on one of equal rods, `("ball",)` or `("balls", 3)` on bodies and
-points. A place within a rod has the orientation of the element after the node."""
+"""Place on a member: `("arm", "tip")` or `("arm", 7)` on a rod, `("arms", 2, "base")`
+on one of equal rods, `("ball",)` or `("balls", 3)` on bodies and points. A place on a
+rod has the orientation of the element after the node; at the tip, of the last element.
+"""
 
 
 @storable
 @dataclass(init=False, repr=False, eq=False)
 class Indices:
-    """Static integers: hashable, and compared by value."""
+    """Static array of integers: hashable, and compared by value."""
 
     values: np.ndarray
-    """The integers; they cannot be changed."""
+    """The integers, read-only."""
 
     def __init__(self, values: Any) -> None:
-        """Keeps a copy of the integers."""
+        """Stores a read-only copy of the integers."""
         self.values = np.array(values, np.int32, ndmin=1)
         self.values.flags.writeable = False
         self._hash = hash((self.values.shape, self.values.tobytes()))
 
     def __hash__(self) -> int:
-        """Hash, computed once."""
+        """Hash of the integers, computed once."""
         return self._hash
 
     def __eq__(self, other: object) -> bool:
-        """Whether all integers are equal."""
+        """Whether the other object has equal integers."""
         return (
             isinstance(other, Indices)
             and self._hash == other._hash
@@ -51,23 +52,23 @@ class Indices:
         return len(self.values)
 
     def __repr__(self) -> str:
-        """Text with the integers."""
+        """Text such as `Indices([0, 1])`."""
         return f"Indices({self.values.tolist()})"
 
 
 @pytree
 class Points:
-    """Places on one member: their nodes and elements in the member's row."""
+    """Nodes and elements of one member, by index over all its rods or bodies."""
 
     member: str = static()
     """Name of the member."""
     nodes: Indices = static()
-    """Nodes, or bodies."""
+    """Indices of nodes, over all rods of the member; or of bodies."""
     elements: Indices = static()
-    """Elements that turn with the nodes, or bodies."""
+    """Indices of the elements that turn with these nodes; or of bodies."""
 
     def check(self, parts: AllParts) -> None:
-        """Raises a `ValueError` if the member is missing or too small."""
+        """Raises a `ValueError` if the member is missing or has too few nodes."""
         check_named(self.member, parts)
         largest = parts[self.member].n_nodes
         if np.any(self.nodes.values >= largest):
@@ -78,7 +79,7 @@ class Points:
 
 
 def layouts_of(state: Mapping[str, Any]) -> dict[str, Layout]:
-    """Layouts of the members of a system, from its state.
+    """Layouts (numbers of rods and elements) of all members, from a state.
 
     Raises:
         TypeError: If it is not a mapping from names to states of rods and bodies.
@@ -104,7 +105,9 @@ def _layout(name: str, state: Any) -> Layout:
 def resolved(
     name: str, place: Place, layouts: Mapping[str, Layout]
 ) -> tuple[str, int, int]:
-    """Name of the member of a place, and its node and element in the member's row.
+    """Name of the member of a place, and the indices of its node and its element.
+
+    Indices count over all rods of the member.
 
     Args:
         name: Name of the argument, for messages.
@@ -161,7 +164,7 @@ def _node(name: str, member: str, node: Any, layout: Layout) -> int:
 
 
 def points_of(name: str, places: Sequence[tuple[str, int, int]]) -> Points:
-    """Points from resolved places of one member.
+    """Points from places of one member, as `resolved` returns them.
 
     Raises:
         ValueError: If the places are of several members.
@@ -188,7 +191,7 @@ class Pose:
     orientation: Quaternion
     """Orientation of the element that turns with the place, or of the body."""
     spacing: Any
-    """Distance to the next node; infinite for a body [m]."""
+    """Current length of that element [m]; infinite for a body."""
 
 
 def position_of(name: str, place: Place, state: Mapping[str, Any]) -> Pose:

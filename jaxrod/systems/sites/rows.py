@@ -1,4 +1,4 @@
-"""Gather and scatter of entries of a row, by static indices.
+"""Gather and scatter of entries of a row, a flat array, by static indices.
 
 There are no scatter operations: each entry of a row collects the values that go to it.
 So sums are the same in every run, on every device. Stretches of consecutive indices are
@@ -87,9 +87,10 @@ def scatter_add(values: Array, index: Indices, size: int) -> Array:
 
 @functools.lru_cache(maxsize=256)
 def _stretches(index: Indices) -> tuple[tuple[int, int, int], ...] | None:
-    """Stretches of consecutive indices: first index, begin and end in the list.
+    """Stretches of consecutive indices: `(first index, begin, end)` each.
 
-    `None` if there are too many stretches, or more than half as many as indices.
+    Begin and end are positions in the list of indices. `None` if there are too many
+    stretches, or more than half as many as indices.
     """
     cuts = np.flatnonzero(np.diff(index.values) != 1) + 1
     bounds = [0, *cuts.tolist(), len(index)]
@@ -103,15 +104,15 @@ def _stretches(index: Indices) -> tuple[tuple[int, int, int], ...] | None:
 
 @functools.lru_cache(maxsize=256)
 def _same(index: Indices, size: int) -> np.ndarray:
-    """Mask of equal pairs of an index and an entry's number, `(indices, size)`."""
+    """Mask `(indices, size)`: whether index i is the number j of an entry."""
     return index.values[:, None] == np.arange(size)[None, :]
 
 
 @functools.lru_cache(maxsize=256)
 def _table(index: Indices, size: int) -> np.ndarray:
-    """Numbers of the values for each entry, `(most, size)`.
+    """Table `(most, size)`: in column j the positions of the values added to entry j.
 
-    It is padded with the count of values, which is the number of an appended zero.
+    It is padded with the count of values, which is the position of an appended zero.
     """
     counts = np.bincount(index.values, minlength=size)
     table = np.full((max(int(np.max(counts)), 1), size), len(index), np.int32)

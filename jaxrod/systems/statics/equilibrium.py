@@ -32,68 +32,70 @@ from jaxrod.systems.stepping.listing import with_shortage
 from jaxrod.systems.stepping.stepper import Motions
 
 _SPARE = 16
-"""Multiple of the stiffness error down to which eigenvalues may be negative [1]."""
+"""Largest size of a negative eigenvalue of a stable equilibrium, over the error of the
+stiffness matrix [1]."""
 
 
 @pytree
 class _SystemPlace:
-    """A configuration of a system, with its loads and its stiffness there."""
+    """A configuration of a system, with its loads and its stiffness matrix there."""
 
     linear: Linear
-    """The problem about the configuration."""
+    """The static problem, linearised about the configuration."""
     stiffness: Float[Array, "m m"]
-    """Stiffness, made regular along barred rates and loose motions [J]."""
+    """Stiffness matrix, with springs along constrained rates and loose motions that
+    make it regular [J]."""
     loose: Float[Array, "modes m"]
-    """Loose motions, which nothing resists; zeros in unused rows."""
+    """Loose motions, in scaled rates, which nothing resists; zeros in unused rows."""
     driven: Bool[Array, ""]
-    """Whether loads drive a loose motion."""
+    """Whether loads drive a loose motion: then they cannot balance."""
 
     @property
     def loads(self) -> Float[Array, " m"]:
-        """Loads out of balance [J]."""
+        """Loads out of balance on the scaled unknowns, forces times length [J]."""
         return self.linear.loads
 
     def at(self, motions: Motions) -> _SystemPlace:
-        """The place with another configuration."""
+        """Copy with another configuration, but with the same loads and stiffness."""
         return replace(self, linear=replace(self.linear, motions=motions))
 
     def momentum(self, step: Float[Array, " m"]) -> Float[Array, " m"]:
-        """The mass times a step."""
+        """Mass matrix times a step of the scaled unknowns."""
         return self.linear.mass @ step
 
     def factors(self, inertia: Array) -> tuple[Array, Array]:
-        """Factors of the stiffness plus a multiple of the mass."""
+        """LU factors of the stiffness plus `inertia` [1/s^2] times the mass matrix."""
         return jax.scipy.linalg.lu_factor(self.stiffness + inertia * self.linear.mass)
 
     def solve(
         self, factors: tuple[Array, Array], right: Float[Array, " m"]
     ) -> Float[Array, " m"]:
-        """Solution of the linear system that has been factored."""
+        """Solution of the linear system with the given LU factors and right side."""
         return jax.scipy.linalg.lu_solve(factors, right)
 
 
 @pytree
 class _SystemAtRest:
-    """The static problem of a system, in the form that the solver needs."""
+    """The static problem of a system, in the form that `find_rest` needs."""
 
     problem: StaticProblem
-    """The problem."""
+    """Loads and stiffness as functions of the configuration."""
     displaced: Bool[Array, " m"]
-    """Whether an unknown is a displacement."""
+    """Flags of the unknowns: true for displacements, false for rotations."""
 
     @property
     def element_lengths(self) -> Float[Array, " m"]:
-        """Size of a scaled step in element lengths and radians."""
+        """Factors from a scaled step to element lengths (nodes) and radians."""
         scales = self.problem.scales
         return jnp.where(self.displaced, scales.length / scales.element, 1)
 
     @property
     def largest_step(self) -> Float[Array, " m"]:
-        """Largest scaled step."""
+        """Largest scaled step allowed in one correction, for each unknown."""
         return jnp.where(self.displaced, LARGEST_DISPLACEMENT, LARGEST_TURN)
 
     def place(self, motions: Motions) -> _SystemPlace:
-        """The place of a configuration."""
+        """Loads, stiffness matrix and loose motions at a configuration."""
         here = self.problem.linear(motions)
         loose = loose_motions(self.problem, here)
         return _SystemPlace(
@@ -112,7 +114,7 @@ class _SystemAtRest:
 def system_equilibrium(
     system: Assembly, state: SystemState, tolerance: Array, max_iterations: Array
 ) -> Equilibrium:
-    """An equilibrium of a system; its arguments are checked.
+    """Searches for an equilibrium of a system; the caller has checked the arguments.
 
     Args:
         system: The system, at one moment.
@@ -126,8 +128,8 @@ def system_equilibrium(
     end = find_rest(*lax.stop_gradient((at_rest, start, tolerance)), max_iterations)
     here = end.here
     found = by_kernel(problem, "with_held", (here.linear.motions, start))
-    # The search did not judge its last correction. Along a motion that hardly anything
-    # resists it may be large; then it is left out.
+    # The search has not tested its last correction. It may be large along a motion that
+    # hardly anything resists, and is then left out.
     largest = jnp.max(jnp.abs(end.step) * at_rest.element_lengths)
     last = jnp.where(largest <= tolerance, end.step, jnp.zeros_like(end.step))
     correction = _last_correction(problem, found, last)
@@ -184,7 +186,7 @@ def _last_correction_jvp(primals: Any, tangents: Any) -> tuple[Array, Array]:
 def _with_memory(
     system: Assembly, state: Mapping[str, Any], before: SystemState
 ) -> dict[str, Any]:
-    """State with the memory of effects as it was."""
+    """Adds to a state the memories of effects in the state `before`."""
     together = dict(state)
     for name, member in system.interfaces().items():
         memory = member.memory(before[name])
@@ -194,7 +196,7 @@ def _with_memory(
 
 
 def _is_positive(here: _SystemPlace, rounding: Array) -> Array:
-    """Whether the symmetric part of the stiffness is positive definite.
+    """Whether the symmetric part of the stiffness matrix is positive definite.
 
     Negative eigenvalues within the effect of round-off and of residual loads are
     tolerated: residual loads alone give a free rotation a stiffness of their size.

@@ -1,4 +1,4 @@
-"""Small motions of a system about a state at rest."""
+"""Frequencies of small motions of a system about a state at rest."""
 
 from __future__ import annotations
 

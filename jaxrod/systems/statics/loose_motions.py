@@ -25,22 +25,24 @@ _ROUNDINGS = 64
 """Multiple of the machine epsilon up to which a resistance counts as zero."""
 
 _SLIGHT = 1e-9
-"""Resistance below which round-off is taken to add up like a random walk over all
-unknowns [1]. Slender rods resist bending by more, so single precision has no room."""
+"""Largest tolerance for round-off that adds up like a random walk over all unknowns
+[1]. Slender rods resist bending by more. In single precision `_ROUNDINGS` alone gives a
+larger tolerance."""
 
 _DRIVEN = 1024
 """Multiple of the machine epsilon up to which loads along a loose motion count as zero.
 It is larger because these loads sum up the round-off of all elements."""
 
 _LEAST = 0.01
-"""Relative size of a combination of motions up to which it counts as zero [1]."""
+"""Largest relative singular value at which a combination of motions counts as zero [1].
+"""
 
 
 def loose_motions(problem: StaticProblem, here: Linear) -> Float[Array, "modes m"]:
-    """Independent loose motions, in scaled rates, normalised.
+    """Independent loose motions in scaled rates, each of length one.
 
     Returns:
-        As many rows as there are rigid motions; zeros for motions that are resisted.
+        As many rows as there are candidates; rows that are not needed are zero.
     """
     whole = by_kernel(problem, "motions_of_the_whole", here.motions)
     resisted = here.stiffness @ whole.T
@@ -63,7 +65,7 @@ def loose_motions(problem: StaticProblem, here: Linear) -> Float[Array, "modes m
 def are_driven(
     problem: StaticProblem, here: Linear, motions: Float[Array, "modes m"]
 ) -> Bool[Array, ""]:
-    """Whether loads drive loose motions by more than their round-off."""
+    """Whether loads act along loose motions by more than their round-off."""
     work = jnp.abs(motions @ here.loads)
     sizes = jnp.sum(jnp.abs(here.stiffness), axis=1)
     rounding = _DRIVEN * problem.rounding(here.motions)
@@ -73,7 +75,7 @@ def are_driven(
 def held(
     problem: StaticProblem, here: Linear, motions: Float[Array, "modes m"]
 ) -> Float[Array, "m m"]:
-    """Stiffness plus springs against loose motions and barred rates."""
+    """Stiffness matrix plus springs against loose motions and barred rates [J]."""
     momenta = motions @ here.mass
     inertia = jnp.sum(momenta * motions, axis=1)
     free = inertia > 0

@@ -42,26 +42,27 @@ from jaxrod.systems.stepping.stepper import Motions, SystemStepper
 INSTANT = 1e-9
 """Duration of the kick that measures loads, over the time in which a rod bends [1]."""
 ANCHOR, ROUNDINGS = 1e-8, 100
-"""Weight that keeps free rods in place when gaps are closed [1], and the smallest
-multiple of the machine epsilon for this weight."""
+"""Weight of the regularisation that keeps free rods in place in `moved_along_edges`
+[1], and its smallest value in units of the machine epsilon."""
 
 
 @pytree
 class Scales:
-    """Units in which a system is scaled, from its rods."""
+    """Units of length, energy and time for a system, computed from its rods."""
 
     length: Float[Array, ""]
     """Length of the longest rod [m]."""
     element: Float[Array, ""]
     """Length of the shortest element [m]."""
     energy: Float[Array, ""]
-    """Bending stiffness over length, mean of all rods [J]."""
+    """Bending stiffness over length, mean over all members made of rods [J]."""
     time: Float[Array, ""]
-    """Time in which the fastest rod bends by its own length [s]."""
+    """Bending time of the fastest rod, `L^2 sqrt(rho / B)` with the mass per length rho
+    and the bending stiffness B [s]."""
 
 
 def scales_of(system: Assembly) -> Scales:
-    """Units in which a system is scaled; ones if it has no rods."""
+    """Units for a system; ones if it has no rods."""
     lengths, elements, energies, times = [], [], [], []
     for own in system.parts().values():
         if not own.is_rod:
@@ -87,25 +88,26 @@ def scales_of(system: Assembly) -> Scales:
 
 @pytree
 class Linear:
-    """A static problem about a configuration; rates are scaled.
+    """A static problem, linearised about a configuration.
 
-    Unknowns are displacements over the scale of length, and rotations.
+    Unknowns are displacements over the scale of length, and rotations. Their rates are
+    called scaled rates.
     """
 
     motions: Any
-    """Configuration."""
+    """The configuration."""
     loads: Float[Array, " m"]
-    """Loads out of balance [J]."""
+    """Loads out of balance on the scaled unknowns, forces times length [J]."""
     stiffness: Float[Array, "m m"]
-    """Stiffness against allowed rates; zero for all others [J]."""
+    """Stiffness matrix for allowed rates; zero for all other rates [J]."""
     mass: Float[Array, "m m"]
-    """Mass of allowed rates; zero for all others [kg m^2]."""
+    """Mass matrix for allowed rates; zero for all other rates [kg m^2]."""
     projection: Float[Array, "m m"]
-    """Projection on allowed rates."""
+    """Projection P on the rates that supports, ties and attachments allow."""
 
     @property
     def barred(self) -> Float[Array, "m m"]:
-        """Square of the projection on barred rates, which are not allowed."""
+        """Matrix (1 - P)^T (1 - P), which measures rates that are not allowed."""
         rest = jnp.eye(len(self.loads), dtype=self.mass.dtype) - self.projection
         return rest.T @ rest
 
@@ -117,11 +119,11 @@ class StaticProblem:
     system: Assembly
     """The system."""
     stepper: SystemStepper
-    """Its stepper."""
+    """The stepper of the system; its kick from rest gives the accelerations."""
     scales: Scales
-    """The units of its unknowns."""
+    """The units of the unknowns."""
 
-    # Methods for kernels: each takes one argument.
+    # Methods for kernels take one argument, often a pair: a configuration, and rates.
 
     def allowed(self, given: tuple[Motions, Any]) -> Any:
         """Part of the rates that supports, ties and attachments allow."""
@@ -134,7 +136,7 @@ class StaticProblem:
         return jax.tree.map(jnp.subtract, held(rates), held(none))
 
     def momenta(self, given: tuple[Motions, Any]) -> Any:
-        """Gradient of the kinetic energy of the allowed part of the rates."""
+        """Gradient by rates of the kinetic energy of the allowed part of the rates."""
         motions, rates = given
 
         def energy(own: Any) -> Array:
@@ -148,7 +150,7 @@ class StaticProblem:
         return jax.grad(energy)(rates)
 
     def accelerations(self, motions: Motions) -> Any:
-        """Accelerations that all loads cause at rest."""
+        """Accelerations that all loads cause at rest, within the constraints."""
         rest = at_rest(motions)
         still = rates_of(self.stepper.supported(rest))
         kicked = rates_of(self.stepper.kick(rest))
@@ -156,16 +158,16 @@ class StaticProblem:
         return jax.tree.map(lambda a, b: (a - b) / dt, kicked, still)
 
     def moved(self, given: tuple[Motions, Any]) -> Motions:
-        """Configuration after a second at rates."""
+        """Configuration after moving for one second at the given rates."""
         one = jnp.ones((), self.system.dtype)
         return at_rest(self.stepper.drift(with_rates(*given), one))
 
     def accelerations_after(self, given: tuple[Motions, Any]) -> Any:
-        """Accelerations after a second at rates."""
+        """Accelerations after moving for one second at the given rates."""
         return self.accelerations(self.moved(given))
 
     def column(self, given: tuple[Motions, Array]) -> tuple[Array, ...]:
-        """A column of all matrices, for given scaled rates.
+        """Column of all matrices that belongs to a vector of scaled rates.
 
         Returns:
             Loads out of balance, the allowed part of the rates, its momenta, and the
@@ -185,7 +187,7 @@ class StaticProblem:
         return momenta[1], self.scaled(motions, allowed), momenta[0], momenta[2]
 
     def moved_with_gaps(self, given: tuple[Motions, Any]) -> tuple[Motions, Array]:
-        """Configuration after a second at rates, and the gaps of its edges.
+        """Configuration after one second at the given rates, and the gaps of its edges.
 
         Strains should change linearly. But moving at rates stretches the edges of rods
         in proportion to the square of the rotation of their elements, and stretching is
@@ -209,28 +211,31 @@ class StaticProblem:
         return moved, jnp.concatenate(gaps)
 
     def placed(self, given: tuple[Motions, Any]) -> Motions:
-        """Configuration after a second at rates, with following nodes put in place."""
+        """Configuration after one second at the given rates, with constraints enforced.
+
+        Tied and attached nodes get their exact positions.
+        """
         return at_rest(self.stepper.supported(self.moved(given)))
 
     def entered(self, state: SystemState) -> Motions:
-        """Configuration of a state, with held and following nodes put in place."""
+        """Configuration of a state, with all ties and attachments enforced."""
         return self.placed(_still(self.stepper.enter(state)))
 
     def moved_after(self, given: tuple[Motions, Array]) -> Motions:
-        """Configuration after a second at scaled rates."""
+        """Configuration after moving for one second at given scaled rates."""
         return self.moved((given[0], self.rates(given)))
 
     def left_after(self, given: tuple[Motions, Array]) -> dict[str, Any]:
-        """State of the configuration after a second at scaled rates."""
+        """State after moving for one second at given scaled rates."""
         return self.stepper.leave(self.placed((given[0], self.rates(given))))
 
     def accelerations_scaled(self, given: tuple[Motions, Array]) -> Array:
-        """Scaled accelerations after a second at scaled rates."""
+        """Scaled accelerations after one second at given scaled rates."""
         moved = self.moved_after(given)
         return self.scaled(moved, self.accelerations(moved))
 
     def with_held(self, given: tuple[Motions, Motions]) -> Motions:
-        """Configuration found, with held nodes and elements as they were at the start.
+        """The configuration found, with held nodes and elements as in the initial one.
 
         Members are held at their initial places or at the places in a support's
         parameters. Both have derivatives, while the configuration found has none.
@@ -263,9 +268,9 @@ class StaticProblem:
         return self.placed(_still(together))
 
     def motions_of_the_whole(self, motions: Motions) -> Float[Array, "modes m"]:
-        """Rigid motions of each part, and rotation about d3, in scaled rates.
+        """Rigid motions of each rod and body, in scaled rates, each of length one.
 
-        A part is a rod of a member, or a body. Each motion is normalised.
+        The rotation of all elements of a rod about their own d3 is one of them.
         """
         still = jax.tree.map(jnp.zeros_like, rates_of(motions))
         found = []
@@ -280,20 +285,23 @@ class StaticProblem:
     # Matrices and vectors of scaled rates.
 
     def rounding(self, motions: Motions) -> Float[Array, ""]:
-        """Round-off of positions over system size; larger far from the origin [1]."""
+        """Relative round-off of positions: eps max(1, largest coordinate / length) [1].
+
+        The length is the scale of length of the system.
+        """
         places = [c for motion in motions.values() for c in motion.position]
         far = jnp.max(jnp.stack([jnp.max(jnp.abs(place)) for place in places]))
         return jnp.finfo(far.dtype).eps * jnp.maximum(1, far / self.scales.length)
 
     def listed(self, motions: Motions) -> StaticProblem:
-        """The problem with the lists of neighbours at a configuration."""
+        """Copy with the lists of neighbours at a configuration."""
         seen = self.stepper.seen(motions)
         found = lax.stop_gradient(searched(self.stepper.couplings, seen))
         couplings = with_found(self.stepper.couplings, found)
         return replace(self, stepper=replace(self.stepper, couplings=couplings))
 
     def rates(self, given: tuple[Motions, Array]) -> Any:
-        """Rates of all members, from scaled rates.
+        """Converts a vector of scaled rates to velocities and spins of all members.
 
         Scaled rates are velocities over the scale of length, and angular velocities.
         """
@@ -306,7 +314,7 @@ class StaticProblem:
         }
 
     def scaled(self, motions: Motions, rates: Any) -> Float[Array, " m"]:
-        """Scaled rates."""
+        """Converts velocities and spins of all members to a vector of scaled rates."""
         moving = self.stepper.seen(motions)
         found = {}
         for name, (velocity, spin) in rates.items():
@@ -320,7 +328,7 @@ class StaticProblem:
         return ravel_pytree(found)[0]
 
     def scaled_momenta(self, motions: Motions, momenta: Any) -> Float[Array, " m"]:
-        """Gradient by scaled rates, from the gradient by rates."""
+        """Converts a gradient by rates to the gradient by scaled rates."""
         length = self.scales.length
         found = {
             name: (vectors.scale(length, moving), self._spins(motions, name, turning))
@@ -329,12 +337,12 @@ class StaticProblem:
         return ravel_pytree(found)[0]
 
     def _spins(self, motions: Motions, name: str, turning: Vec3) -> Vec3:
-        """Spins of a member at given angular velocities: inertias times these."""
+        """Spins (angular momenta) of a member at given angular velocities."""
         row = jax.tree.map(lambda a: a.reshape(-1), turning)
         return _shaped(spins(self.stepper.seen(motions)[name], row), turning)
 
     def linear(self, motions: Motions) -> Linear:
-        """The problem about a configuration."""
+        """Linearises the problem about a configuration, column by column."""
         motions = jax.tree.map(lax.optimization_barrier, motions)
         problem = self.listed(motions)
         numbers = jnp.arange(ravel_pytree(rates_of(motions))[0].size)
@@ -359,10 +367,10 @@ class StaticProblem:
     def moved_along_edges(
         self, here: Linear, scaled: Float[Array, " m"], loose: Float[Array, "modes m"]
     ) -> Motions:
-        """Configuration after scaled rates, to first order; strains change linearly.
+        """Configuration after a second at scaled rates; strains change linearly.
 
-        Displacements close the gaps of the edges, in the least-squares sense where ties
-        and supports do not allow more.
+        Nodes are displaced to close the gaps of `moved_with_gaps`, in the least-squares
+        sense where ties and supports do not allow more.
 
         Args:
             here: The configuration before.
@@ -373,7 +381,7 @@ class StaticProblem:
         rates = by_kernel(self, "rates", (here.motions, scaled))
         moved, gaps = by_kernel(self, "moved_with_gaps", (here.motions, rates))
         first, second = self._places_of_edges(here.motions)
-        # Everything is displaced, and nothing is turned.
+        # Gaps are closed by displacements alone, without rotations.
         (columns,) = np.nonzero(displacements(here.motions))
         allowed = here.projection[:, columns]
         along = allowed[second] - allowed[first]
@@ -396,7 +404,10 @@ class StaticProblem:
         return closed
 
     def _places_of_edges(self, motions: Motions) -> tuple[np.ndarray, np.ndarray]:
-        """Indices of the two nodes of each gap among all unknowns."""
+        """Indices of the two nodes of each edge in the vector of unknowns.
+
+        There is one pair of indices for each edge and axis.
+        """
         leaves, tree = jax.tree.flatten(rates_of(motions))
         ends = np.cumsum([leaf.size for leaf in leaves])
         places = [
@@ -428,12 +439,12 @@ def static_problem(
 
 
 def rates_of(motions: Motions) -> Any:
-    """Velocities and spins of all members."""
+    """Velocities and spins of all members, by name."""
     return {k: (motion.velocity, motion.spin) for k, motion in motions.items()}
 
 
 def with_rates(motions: Motions, rates: Any) -> Motions:
-    """Motions at one configuration with other rates."""
+    """Copy of the motions with the given velocities and spins."""
     return {
         k: replace(motion, velocity=rates[k][0], spin=rates[k][1])
         for k, motion in motions.items()
@@ -441,12 +452,12 @@ def with_rates(motions: Motions, rates: Any) -> Motions:
 
 
 def at_rest(motions: Motions) -> Motions:
-    """Motions with zero rates."""
+    """Copy of the motions with zero velocities and spins."""
     return {k: motion.at_rest for k, motion in motions.items()}
 
 
 def displacements(motions: Motions) -> np.ndarray:
-    """Whether each unknown is a displacement, not a rotation."""
+    """Flags of the unknowns: true for displacements, false for rotations."""
     flags = {
         k: (
             jax.tree.map(lambda leaf: np.ones(leaf.size, bool), motion.velocity),
@@ -463,7 +474,7 @@ def _shaped(field: Vec3, like: Vec3) -> Vec3:
 
 
 def _still(motions: Motions) -> tuple[Motions, Any]:
-    """A configuration and zero rates."""
+    """Pair of a configuration and zero rates, as an argument of `moved`."""
     return motions, jax.tree.map(jnp.zeros_like, rates_of(motions))
 
 
@@ -473,7 +484,7 @@ def _rods(seen: dict[str, Seen]) -> list[tuple[str, Parts]]:
 
 
 def _edges(motion: Motion, parts: Parts) -> Vec3:
-    """Vectors from each node to the next of each rod, all elements in one row [m]."""
+    """Vectors from each node of a rod to the next, with all rods concatenated [m]."""
 
     def differences(component: Array) -> Array:
         rows = component.reshape(parts.count, parts.n_elements + 1)

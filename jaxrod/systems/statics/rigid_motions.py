@@ -15,7 +15,7 @@ from jaxrod.systems.members.parts import Seen
 
 
 def rigid_motions(own: Seen, length: Array) -> Iterator[tuple[Vec3, Vec3]]:
-    """Scaled velocities and angular velocities of rigid motions, part after part.
+    """Yields scaled velocities and angular velocities of the rigid motions of parts.
 
     Each part is displaced along three axes and turned about three through its middle,
     and all elements of a rod turn about their own axes.
@@ -46,7 +46,7 @@ def rigid_motions(own: Seen, length: Array) -> Iterator[tuple[Vec3, Vec3]]:
 
 
 def _of_part(part: int, count: int, field: Vec3) -> Vec3:
-    """Field with zeros for all parts but one."""
+    """Copy of a field with zeros for all parts but one."""
     x, y, z = (
         jnp.where(jnp.arange(c.size) // (c.size // count) == part, c, 0) for c in field
     )
@@ -54,13 +54,13 @@ def _of_part(part: int, count: int, field: Vec3) -> Vec3:
 
 
 def _along(axis: int, like: Array) -> Vec3:
-    """Field of unit vectors along a world axis."""
+    """Constant field of unit vectors along a world axis."""
     x, y, z = (jnp.full_like(like, k == axis) for k in range(3))
     return x, y, z
 
 
 def spins(own: Seen, turning: Vec3) -> Vec3:
-    """Spins of elements at given angular velocities [rad/s]: inertias times these."""
+    """Spins (angular momenta) of elements at given angular velocities [rad/s]."""
     # Angular velocities are linear in spins: their matrix, column by column.
     columns = []
     for axis in range(3):

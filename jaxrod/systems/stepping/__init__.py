@@ -1,1 +1,1 @@
-"""Steps of a system: its assembly, stepper, lists and runs."""
+"""Time stepping of a system: its assembly, stepper, neighbour lists and runs."""

@@ -39,7 +39,8 @@ class Assembly:
     couplings: tuple[Coupling, ...] = ()
     """Couplings between them."""
     shapes: tuple[tuple[int, ...], ...] = static(default=())
-    """Shapes of each member's elements or bodies when the system was made."""
+    """`array_shape` of each member when the system was made, by which a batch of
+    systems is detected."""
 
     def interfaces(self) -> dict[str, Member]:
         """The members by name, each through the interface `Member`."""
@@ -47,7 +48,7 @@ class Assembly:
 
     @property
     def dtype(self) -> Any:
-        """Type of all numbers."""
+        """Floating-point dtype of all numbers."""
         return next(iter(self.members.values())).as_member().dtype
 
     @property
@@ -63,11 +64,11 @@ class Assembly:
 
     @property
     def evolves(self) -> bool:
-        """Whether it depends on time or has memory."""
+        """Whether the system depends on time or has memory."""
         return self.depends_on_time or self.remembers
 
     def at(self, time: ArrayLike | Clock) -> Self:
-        """The system at a time [s], with schedules replaced by their values."""
+        """Copy of the system at a time [s], with schedules replaced by their values."""
         if not self.depends_on_time:
             return self
         clock = clock_at(time, self.dtype)
@@ -75,18 +76,18 @@ class Assembly:
 
     @property
     def at_largest(self) -> Self:
-        """The system with every schedule replaced by the bound on its size."""
+        """Copy with every schedule replaced by the bound on its size."""
         return self._replaced(at_largest) if self.depends_on_time else self
 
     def _replaced(self, function: Callable[[Any], Any]) -> Self:
-        """The system after a function was applied to every member and the couplings."""
+        """Copy with a function applied to every member and to the couplings."""
         members = {
             name: member.each(function) for name, member in self.interfaces().items()
         }
         return replace(self, members=members, couplings=function(self.couplings))
 
     def with_effect(self, effect: Effect) -> Self:
-        """The system with one more effect on each member."""
+        """Copy of the system with one more effect on each member."""
         members = {
             name: member.with_effect(effect)
             for name, member in self.interfaces().items()
@@ -94,7 +95,7 @@ class Assembly:
         return replace(self, members=members)
 
     def recalling(self, state: SystemState) -> Self:
-        """The system with the memory of its effects in a state."""
+        """Copy of the system whose effects have the memory that a state holds."""
         if not self.remembers:
             return self
         members = {
@@ -106,11 +107,11 @@ class Assembly:
         return replace(self, members=members)
 
     def parts(self) -> dict[str, Parts]:
-        """Constants of all members as couplings see them, without flags of supports."""
+        """Constants of all members, for couplings, without flags of supports."""
         return {name: member.parts() for name, member in self.interfaces().items()}
 
     def stepper(self, state: SystemState, dt: Array) -> SystemStepper:
-        """The integrator, with constants computed once for one call."""
+        """Integrator of the system, with constants computed once for a run."""
         parts = held_parts(self, state)
         couplings = tuple(coupling.prepared(parts) for coupling in self.couplings)
         carried: dict[str, Carried] = {}
@@ -129,15 +130,15 @@ class Assembly:
 
 
 def member_shapes(members: Mapping[str, Any]) -> tuple[tuple[int, ...], ...]:
-    """Shapes of the members' elements or bodies, in the order of their names."""
+    """`array_shape` of each member, in the order of their sorted names."""
     # JAX sorts a dict by its keys, so the order given by the user is lost.
     return tuple(members[name].as_member().array_shape for name in sorted(members))
 
 
 def held_parts(system: Assembly, state: SystemState) -> dict[str, Parts]:
-    """Constants of all members, with the flags of nodes held by supports at time 0."""
+    """Constants of all members, with flags of the nodes that supports hold."""
     parts = system.parts()
-    # The flags do not depend on the place to which a node is driven.
+    # The flags are the same at all times, wherever a support moves its node.
     for name, member in system.at(0.0).interfaces().items():
         held = member.held(state[name])
         if held is not None:

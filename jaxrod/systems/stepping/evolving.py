@@ -27,7 +27,7 @@ class SystemNow:
     step: Int[Array, ""]
     """Whole steps since time zero."""
     memories: Memories
-    """Memories of the effects of its rods."""
+    """Memories of the effects of its rods, by the name of the member."""
 
 
 @pytree
@@ -44,16 +44,16 @@ class EvolvingSystem:
     system: Assembly
     """The system with its schedules."""
     couplings: tuple[Coupling, ...]
-    """Couplings, prepared, with their schedules."""
+    """Couplings with the constants that `prepared` computes, and their schedules."""
     first: Int[Array, ""]
-    """Steps since time zero at the beginning of the run."""
+    """Number of steps from time zero to the beginning of the run."""
 
     def seen(self, carry: tuple[Motions, SystemNow]) -> dict[str, Seen]:
-        """All members as couplings see them."""
+        """Constants and motion of all members, as couplings read them."""
         return self.stepper.seen(carry[0])
 
     def begin(self, state: Mapping[str, Any]) -> tuple[Motions, SystemNow]:
-        """Carry in the middle of the first step."""
+        """Loop carry in the middle of the first step, from the initial state."""
         memories = {
             name: member.memory(state[name])
             for name, member in self.system.interfaces().items()
@@ -62,12 +62,12 @@ class EvolvingSystem:
         return self._at(now, 0.5).begin(state), now
 
     def cycle(self, carry: tuple[Motions, SystemNow]) -> tuple[Motions, SystemNow]:
-        """Moves from the middle of a step to the middle of the next."""
+        """Loop carry in the middle of the next step: a kick, then a whole drift."""
         kicked, now = self._kick(carry)
         return self._at(now, 0.5).drift(kicked, self.stepper.dt), now
 
     def end(self, carry: tuple[Motions, SystemNow]) -> dict[str, Any]:
-        """Moves from the middle of the last step to its end."""
+        """State at the end of the last step, from the carry in the middle of it."""
         kicked, now = self._kick(carry)
         last = self._at(now, 0.0)
         moved = last.drift(kicked, 0.5 * self.stepper.dt)
@@ -91,7 +91,7 @@ class EvolvingSystem:
         return kicked, SystemNow(now.step + 1, after)
 
     def _at(self, now: SystemNow, fraction: float) -> SystemStepper:
-        """The stepper with schedules at a fraction of a step after `now.step`."""
+        """Stepper with schedules at `fraction` of a step after step `now.step`."""
         dt = self.stepper.dt
         clock = Clock(now.step, jnp.asarray(fraction, dt.dtype), dt)
         members = {

@@ -26,7 +26,7 @@ from jaxrod.systems.stepping.stepper import SystemStepper
 
 
 def refresh_every(couplings: Sequence[Coupling]) -> int | None:
-    """Steps between searches: the smallest number of any coupling."""
+    """Steps between searches: the least of all couplings; `None` if none searches."""
     asked = [c.refresh_every for c in couplings if c.refresh_every is not None]
     return min(asked) if asked else None
 
@@ -39,7 +39,7 @@ def lists_neighbours(system: Assembly) -> bool:
 def with_found(
     couplings: Sequence[Coupling], found: Sequence[Any]
 ) -> tuple[Coupling, ...]:
-    """Couplings with the results of their searches in their field `found`."""
+    """Couplings with the results `found` of their searches in the field `found`."""
     left = iter(found)
     # A coupling that searches is a dataclass, by its decorator, with a field `found`.
     return tuple(
@@ -49,14 +49,14 @@ def with_found(
 
 
 def searched(couplings: Sequence[Coupling], seen: Any) -> tuple[Any, ...]:
-    """Results of the searches of couplings that search for neighbours."""
+    """Results of the search of every coupling that searches for neighbours."""
     return tuple(c.search(seen) for c in couplings if c.refresh_every is not None)
 
 
 def with_shortage(
     record: NeighbourRecord, couplings: Sequence[Coupling]
 ) -> NeighbourRecord:
-    """The record, updated with the shortage of entries in the last searches."""
+    """Updates the record with the shortage of entries in the last searches."""
     missed, used = record.missed, record.used
     for coupling in couplings:
         if coupling.refresh_every is not None:
@@ -68,16 +68,16 @@ def with_shortage(
 
 @pytree
 class Listing:
-    """Motions of a system, and its lists of neighbours."""
+    """Loop carry: motions of a system, its lists of neighbours and their age."""
 
     motions: Any
-    """Carry of the system's own stepper."""
+    """Loop carry of the stepper without lists: motions of the members."""
     found: tuple[Any, ...]
-    """Lists of each coupling that searches."""
+    """Results of the last search of each coupling that searches."""
     age: Int[Array, ""]
-    """Steps since the lists were made."""
+    """Number of steps since the last search."""
     record: NeighbourRecord
-    """Record of contacts that the lists may have missed."""
+    """Worst shortage and age of the lists since the run began."""
 
 
 @pytree
@@ -89,24 +89,24 @@ class ListingSystem:
     """Whether the systems of a batch are stepped one after another, so that branches
     on the contents of lists stay branches."""
     stepper: SystemStepper | EvolvingSystem
-    """The system's stepper, whose couplings have no lists yet."""
+    """The stepper of the system, whose couplings have no lists yet."""
     every: int = static()
     """Steps between searches."""
 
     def begin(self, state: Mapping[str, Any]) -> Listing:
-        """Carry in the middle of the first step, without lists yet."""
+        """Loop carry in the middle of the first step; a search is due at once."""
         motions = by_kernel(self.stepper, "begin", state)
         like = jax.eval_shape(self.search, motions)
         found = jax.tree.map(lambda leaf: jnp.zeros(leaf.shape, leaf.dtype), like)
         return Listing(motions, found, jnp.int32(self.every), state[RECORD])
 
     def search(self, motions: Any) -> tuple[Any, ...]:
-        """Results of the searches of all couplings; they have no derivatives."""
+        """Results of the searches of all couplings, without derivatives."""
         motions = jax.lax.stop_gradient(motions)
         return searched(self.stepper.couplings, self._seen(motions))
 
     def renewed(self, carry: Listing) -> Listing:
-        """The carry with new lists, valid for the next steps."""
+        """The carry with new lists if they are `every` steps old; else unchanged."""
         found = jax.lax.cond(
             carry.age >= self.every,
             lambda _: by_kernel(self, "search", carry.motions),
@@ -117,22 +117,22 @@ class ListingSystem:
         return replace(carry, found=found, age=age)
 
     def cycle(self, carry: Listing) -> Listing:
-        """Moves from the middle of a step to the middle of the next."""
+        """Loop carry in the middle of the next step, with the same lists."""
         carry = replace(carry, record=self._recorded(carry))
         moved = self._listed(carry).cycle(carry.motions)
         return replace(carry, motions=moved, age=carry.age + 1)
 
     def end(self, carry: Listing) -> dict[str, Any]:
-        """Moves from the middle of the last step to its end."""
+        """State at the end of the last step, with the record of the lists."""
         return by_kernel(self, "ended", carry)
 
     def ended(self, carry: Listing) -> dict[str, Any]:
-        """State at the end of the last step, with the record of the run."""
+        """State at the end of the last step; `end` calls it in a kernel."""
         state = self._listed(carry).end(carry.motions)
         return {**state, RECORD: self._recorded(carry)}
 
     def _recorded(self, carry: Listing) -> NeighbourRecord:
-        """The record, updated with the current lists; it has no derivative."""
+        """Updates the record with the current lists and motions; no derivatives."""
         carry = jax.lax.stop_gradient(carry)
         couplings = self._listed(carry).couplings
         seen = self._seen(carry.motions)
@@ -143,10 +143,10 @@ class ListingSystem:
         return with_shortage(replace(carry.record, moved=moved), couplings)
 
     def _listed(self, carry: Listing) -> SystemStepper | EvolvingSystem:
-        """The system's stepper with lists."""
+        """The stepper, with the lists of the carry in its couplings."""
         couplings = with_found(self.stepper.couplings, carry.found)
         return replace(self.stepper, couplings=couplings)
 
     def _seen(self, motions: Any) -> Any:
-        """Members as couplings see them."""
+        """Constants and motion of all members, as couplings read them."""
         return self.stepper.seen(motions)

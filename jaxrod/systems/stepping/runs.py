@@ -71,9 +71,10 @@ def _check_record(record: Any) -> None:
 def system_stepper(
     system: Assembly, state: SystemState, dt: Array, first: Array | None
 ) -> Stepper:
-    """The integrator of a system; `first` is the first step if time matters.
+    """Integrator of a system in a run, for `advance`.
 
-    It is `None` for a system that neither depends on time nor remembers.
+    `first` is the number of the first step since time zero. It is `None` for a system
+    that neither depends on time nor has memory.
     """
     own = _own_stepper(system, state, dt, first)
     every = refresh_every(own.couplings)
@@ -93,7 +94,7 @@ def _own_stepper(
 
 
 def system_with_memory(system: Assembly, state: SystemState) -> dict[str, Any]:
-    """The state with the initial memories of effects, where it has none.
+    """Copy of the state with the initial memories of effects, where it has none.
 
     A system with lists of neighbours also gets a record of the contacts that they miss.
     """

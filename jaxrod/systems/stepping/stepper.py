@@ -1,8 +1,8 @@
 """Steps of a system: its members drift and are kicked together.
 
-One step is position Verlet, as for a single rod: half a drift of every member; placing
-of attached and tied nodes; loads of all members and couplings at this configuration;
-kicks; exchange of impulses between attached members; half a drift.
+One step is position Verlet, as for a single rod: half a drift of every member; exact
+positions of attached and tied nodes; loads of all members and couplings at this
+configuration; kicks; exchange of impulses between attached members; half a drift.
 """
 
 from __future__ import annotations
@@ -32,12 +32,12 @@ class SystemStepper:
     members: Mapping[str, MemberStepper]
     """Steppers of the members, by name."""
     couplings: tuple[Coupling, ...]
-    """Couplings, prepared."""
+    """Couplings with the constants that `prepared` computes."""
     dt: Array
     """Step size [s]."""
 
     def seen(self, motions: Motions) -> dict[str, Seen]:
-        """All members as couplings see them."""
+        """Constants and motion of all members, as couplings read them."""
         return {k: m.seen(motions[k]) for k, m in self.members.items()}
 
     def enter(self, state: Mapping[str, Any]) -> Motions:
@@ -46,16 +46,16 @@ class SystemStepper:
         return self._rates_tied(self._placed(motions))
 
     def leave(self, motions: Motions) -> dict[str, Any]:
-        """State of the motions."""
+        """Converts the motions of all members to a state."""
         return {k: m.leave(motions[k]) for k, m in self.members.items()}
 
     def drift(self, motions: Motions, dt: Array) -> Motions:
-        """Moves all members at unchanged rates for a time `dt` [s]."""
+        """Motions after a time `dt` [s] at unchanged velocities and spins."""
         moved = {k: m.drift(motions[k], dt) for k, m in self.members.items()}
         return self._placed(moved)
 
     def kick(self, motions: Motions) -> Motions:
-        """Changes the rates of all members by all loads over one step."""
+        """Motions after all loads have acted for one step, at unchanged positions."""
         before = self.seen(motions)
         loads = self.loads(before)
         kicked = {
@@ -65,7 +65,7 @@ class SystemStepper:
         return self._rates_tied(self._exchanged(before, kicked))
 
     def loads(self, seen: Mapping[str, Seen]) -> dict[str, Loads]:
-        """Loads of all couplings."""
+        """Sum of the loads of all couplings, by name of the member."""
         total: dict[str, Loads] = {}
         for coupling in self.couplings:
             for name, loads in coupling.loads(seen).items():
@@ -73,24 +73,27 @@ class SystemStepper:
         return total
 
     def begin(self, state: Mapping[str, Any]) -> Motions:
-        """Carry in the middle of the first step."""
+        """Loop carry in the middle of the first step, from the initial state."""
         return self.drift(self.enter(state), 0.5 * self.dt)
 
     def cycle(self, motions: Motions) -> Motions:
-        """Moves from the middle of a step to the middle of the next."""
+        """Loop carry in the middle of the next step: a kick, then a whole drift."""
         return self.drift(self.kick(motions), self.dt)
 
     def end(self, motions: Motions) -> dict[str, Any]:
-        """Moves from the middle of the last step to its end."""
+        """State at the end of the last step, from the carry in the middle of it."""
         return self.leave(self.drift(self.kick(motions), 0.5 * self.dt))
 
     def supported(self, motions: Motions) -> Motions:
-        """Motions with the rates that supports and ties impose now."""
+        """Motions with the velocities that supports, ties and attachments impose."""
         held = {k: m.supported(motions[k]) for k, m in self.members.items()}
         return self._rates_tied(self._placed(held))
 
     def _exchanged(self, before: Mapping[str, Seen], kicked: Motions) -> Motions:
-        """Kicked motions with the impulses that pass between members in a kick."""
+        """Motions after the impulses that a kick causes between members.
+
+        Nodes attached to a body pass their impulses on to it.
+        """
         impulses: dict[str, Loads] = {}
         after: dict[str, Seen] | None = None
         for coupling in self.couplings:
@@ -103,14 +106,14 @@ class SystemStepper:
         return {**kicked, **pushed}
 
     def _placed(self, motions: Motions) -> Motions:
-        """Motions with the nodes that follow other members put in place."""
+        """Motions with tied and attached nodes at their exact positions."""
         for coupling in self.couplings:
             if type(coupling).constrain is not Coupling.constrain:
                 motions = self._with(motions, coupling.constrain(self.seen(motions)))
         return motions
 
     def _rates_tied(self, motions: Motions) -> Motions:
-        """Motions with equal rates of tied nodes."""
+        """Motions with exact velocities of tied and attached nodes."""
         for coupling in self.couplings:
             if type(coupling).constrain_rates is not Coupling.constrain_rates:
                 changed = coupling.constrain_rates(self.seen(motions))
@@ -125,7 +128,7 @@ class SystemStepper:
 
 
 def added(a: Loads, b: Loads) -> Loads:
-    """Sum of two loads; either may lack forces or couples."""
+    """Sum of two loads on one member; either may lack forces or couples."""
     return Loads(_added(a.forces, b.forces), _added(a.couples, b.couples))
 
 
