@@ -89,7 +89,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--out",
         type=settings.path,
         metavar="DIR",
-        help="folder of the run (default: runs/TASK-VARIANT-ALGORITHM-SEED)",
+        help="folder of the run (default: runs/TASK-VARIANT-OPTIONS-ALGORITHM-SEED)",
     )
     existing = parser.add_mutually_exclusive_group()
     existing.add_argument(
