@@ -55,3 +55,11 @@ def test_an_episode_is_cut_short_at_its_length_and_not_before(name):
         assert jnp.all(jnp.isfinite(observation)) and jnp.isfinite(reward)
         assert not terminated and not info.get("flagged", False)
         assert truncated == (number == 2)
+
+
+@pytest.mark.parametrize("name", ["tracking", "reaching", "structured", "unstructured"])
+def test_the_target_is_drawn_as_large_as_the_distance_of_the_second_bonus(name):
+    env = make(name, variant="paper", n_elements=10)
+    params = env.default_params()
+    assert params.target.radius == params.bonus.touching
+    assert params.bonus.touching < params.bonus.near
