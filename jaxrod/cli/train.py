@@ -379,7 +379,7 @@ def _draw(
 def _lines(summary: Mapping[str, Any], config: Mapping[str, Any]) -> list[str]:
     """Summary of a finished run as lines of text."""
     final = summary["final_score"]
-    score = "no episode was completed"
+    score = "none, because no training episode ended in these steps"
     if final is not None:
         episodes = min(summary["score_window"], summary["episodes"])
         score = f"{final:,.1f}, mean return of the last {episodes} training episodes"
