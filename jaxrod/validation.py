@@ -11,6 +11,8 @@ from __future__ import annotations
 import functools
 import math
 import numbers
+import sys
+import warnings
 from collections.abc import Callable, Iterator, Sequence
 from typing import Any, ParamSpec, TypeVar
 
@@ -54,6 +56,24 @@ def knows_constants(function: Callable[Given, Made]) -> Callable[Given, Made]:
             return function(*args, **kwargs)
 
     return knowing
+
+
+def warn(message: str, category: type[Warning] = UserWarning) -> None:
+    """Warns about the innermost calling line outside jaxrod and JAX.
+
+    Args:
+        message: Text of the warning.
+        category: Class of the warning.
+    """
+    frame, level = sys._getframe(1), 2
+    while frame.f_back is not None and _is_ours(frame.f_globals.get("__name__", "")):
+        frame, level = frame.f_back, level + 1
+    warnings.warn(message, category, stacklevel=level)
+
+
+def _is_ours(module: str) -> bool:
+    """Whether a module is part of jaxrod, or of JAX, through which calls pass."""
+    return module.partition(".")[0] in ("jaxrod", "jax")
 
 
 def check_kind(name: str, value: Any, kind: type | tuple[type, ...]) -> None:

@@ -80,12 +80,9 @@ def scale_inertia(scene: LoadedRod, dt: Numbers | None = None) -> InertiaScaling
     """
     check_scene(scene)
     given, scene = scene, scene.at_largest
-    dtype = scene.rod.rest_lengths.dtype
-    before = scene_stable_step(scene, 1.0).dt
-    others = SHARE_OF_OTHER_LIMITS * _other_limit(scene)
-    if dt is None:
-        factors = _factors(scene, others, _reasonable(scene.rod))
-    else:
+    step = None
+    if dt is not None:
+        dtype = scene.rod.rest_lengths.dtype
         step = as_array("dt", dt, "s", positive=True, dtype=dtype)
         largest = _other_limit(scene)
         if not is_traced(step, largest) and step >= largest:
@@ -94,11 +91,24 @@ def scale_inertia(scene: LoadedRod, dt: Numbers | None = None) -> InertiaScaling
                 "twist, which transverse inertia does not change, got "
                 f"{float(step):.3g} s"
             )
-        unlimited = jnp.full_like(scene.rod.rest_lengths, jnp.inf)
-        factors = _factors(scene, step, unlimited)
+    rod, factors, before, now = _enlarged(scene, step)
+    return InertiaScaling(replace(given, rod=rod), factors, before, now)
+
+
+@jax.jit
+def _enlarged(scene: LoadedRod, step: Array | None) -> tuple[Rod, Array, Array, Array]:
+    """Rod with enlarged inertia, the factors, and the limits before and after.
+
+    It is one program, because each of its operations by itself would be compiled.
+    """
+    if step is None:
+        others = SHARE_OF_OTHER_LIMITS * _other_limit(scene)
+        factors = _factors(scene, others, _reasonable(scene.rod))
+    else:
+        factors = _factors(scene, step, jnp.full_like(scene.rod.rest_lengths, jnp.inf))
     scaled = _scaled(scene, factors)
-    now = scene_stable_step(scaled, 1.0).dt
-    return InertiaScaling(replace(given, rod=scaled.rod), factors, before, now)
+    before, now = (scene_stable_step(one, 1.0).dt for one in (scene, scaled))
+    return scaled.rod, factors, before, now
 
 
 def frequency_changes(

@@ -27,8 +27,8 @@ import shlex
 import sys
 import traceback
 import warnings
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Collection, Iterator, Sequence
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from types import ModuleType
 from typing import TextIO
@@ -46,6 +46,7 @@ COMMANDS = {
     "export": "write the policy of a run for a controller: C, ONNX",
     "identify": "find the numbers of a real arm from recordings",
     "optimise": "find actuation by gradients through the simulation",
+    "completion": "print a completion script for bash or zsh",
     "doctor": "check that this machine computes correctly",
     "reproduce": "run the published benchmark: cases, algorithms, seeds *",
     "tradeoff": "measure what accuracy costs, and find the cheapest setting *",
@@ -61,6 +62,7 @@ EXTRAS = {
     "ray": "ray",
     "tensorboardX": "tensorboard",
     "onnx": "onnx",
+    "shtab": "shell",
 }
 
 PROGRAMS = {
@@ -176,6 +178,23 @@ def _parser(
     Only the chosen command gets its arguments, because only its module is imported. The
     name is None if there is no such command.
     """
+    chosen = next((word for word in arguments if not word.startswith("-")), None)
+    known = chosen if chosen in COMMANDS else None
+    return _parser_of([] if known is None else [known]), known
+
+
+def whole_parser() -> argparse.ArgumentParser:
+    """Returns a parser with the arguments of every command that is installed."""
+    installed = []
+    for name in COMMANDS:
+        with suppress(NoCheckoutError):
+            module_of(name)
+            installed.append(name)
+    return _parser_of(installed)
+
+
+def _parser_of(described: Collection[str]) -> argparse.ArgumentParser:
+    """Builds the parser, with the arguments of some commands."""
     parser = argparse.ArgumentParser(
         prog="jaxrod",
         description="Soft, slender rods on JAX: simulate, differentiate, train.",
@@ -188,17 +207,16 @@ def _parser(
     commands = parser.add_subparsers(
         title="commands", metavar="COMMAND", required=True, dest="command"
     )
-    chosen = next((word for word in arguments if not word.startswith("-")), None)
     for name, summary in COMMANDS.items():
         subparser = commands.add_parser(
             name, help=summary, formatter_class=argparse.RawDescriptionHelpFormatter
         )
-        if name == chosen:
+        if name in described:
             module = module_of(name)
             subparser.description = (module.__doc__ or summary).strip()
             module.add_arguments(subparser)
             subparser.set_defaults(run=module.run)
-    return parser, chosen if chosen in COMMANDS else None
+    return parser
 
 
 def module_of(command: str) -> ModuleType:

@@ -89,7 +89,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--out",
         type=settings.path,
         metavar="DIR",
-        help="folder of the run (default: runs/TASK-VARIANT-ALGORITHM-SEED)",
+        help="folder of the run (default: runs/TASK-VARIANT-OPTIONS-ALGORITHM-SEED)",
     )
     existing = parser.add_mutually_exclusive_group()
     existing.add_argument(
@@ -379,7 +379,7 @@ def _draw(
 def _lines(summary: Mapping[str, Any], config: Mapping[str, Any]) -> list[str]:
     """Summary of a finished run as lines of text."""
     final = summary["final_score"]
-    score = "no episode was completed"
+    score = "none, because no training episode ended in these steps"
     if final is not None:
         episodes = min(summary["score_window"], summary["episodes"])
         score = f"{final:,.1f}, mean return of the last {episodes} training episodes"

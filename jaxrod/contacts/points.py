@@ -12,7 +12,6 @@ motion at the points, so no momentum and no power is lost.
 from __future__ import annotations
 
 import math
-import warnings
 from typing import Protocol
 
 import numpy as np
@@ -23,7 +22,7 @@ from jaxrod.geometry import vectors
 from jaxrod.geometry.vectors import Vec3
 from jaxrod.rods.rod import Rod
 from jaxrod.structure import pytree
-from jaxrod.validation import is_traced
+from jaxrod.validation import is_traced, warn
 
 
 class Points(Protocol):
@@ -166,12 +165,11 @@ def check_spacing(inradius: Array | None, rod: Rod, per_element: int) -> None:
     worst = int(np.argmax(needed))
     if needed[worst] <= per_element * (1 + 1e-5):
         return
-    warnings.warn(
+    warn(
         f"contact points are {lengths[worst] / per_element:.2g} m apart along a rod "
         f"of radius {radii[worst]:.2g} m: a body of radius {body:.2g} m can slip "
         f"through between. Use points_per_element={math.ceil(needed[worst] - 1e-5)}, "
         'or more elements; warnings.simplefilter("error", jaxrod.ThinBodyWarning) '
         "makes this an error.",
         ThinBodyWarning,
-        stacklevel=4,
     )

@@ -203,7 +203,7 @@ class StokesDrag(FluidDrag):
         """Decay rates: drag coefficients over node masses and over rotary inertia."""
         masses, turning = rod.node_masses, None
         if self.turning is not None:
-            about = self.turning / rod.rotary_inertia[1]
+            about = self.turning / rod.rotary_inertia[-1]
             turning = about, jnp.zeros_like(about)
         return Drag(
             along=on_nodes(rod, self.along) / masses,

@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-import warnings
-
 import numpy as np
 from jaxtyping import Array
 
 from jaxrod.rods.rod import Rod
-from jaxrod.validation import is_traced
+from jaxrod.validation import is_traced, warn
 
 MOST_STRETCH = 9.0
 """Weight over axial stiffness above which a rod is unlikely: at a strain of 9 it is ten
@@ -58,9 +56,8 @@ def warn_of_weight(rod: Rod, acceleration: Array) -> None:
 
 
 def _warn(words: str) -> None:
-    warnings.warn(
+    warn(
         f'{words} warnings.simplefilter("ignore", jaxrod.UnlikelyWarning) silences '
         "this.",
         UnlikelyWarning,
-        stacklevel=5,
     )

@@ -6,7 +6,9 @@ traced. Both use the same formulas; `xp` is NumPy or JAX's NumPy.
 
 from __future__ import annotations
 
+import functools
 import math
+from collections.abc import Callable
 from types import ModuleType
 from typing import Any
 
@@ -26,6 +28,21 @@ def module_for(*values: Any) -> ModuleType:
     return jnp if is_traced(values) else np
 
 
+def _compiled_if_traced(function: Callable[..., Any]) -> Callable[..., Any]:
+    """Decorates `function(xp, *arrays)` so that it is called without `xp`.
+
+    Known arrays are computed with NumPy. For traced ones the function is a single
+    program, because a factory under `jax.vmap` would compile each operation by itself.
+    """
+    program = jax.jit(functools.partial(function, jnp))
+
+    @functools.wraps(function)
+    def call(*arrays: Any) -> Any:
+        return program(*arrays) if is_traced(arrays) else function(np, *arrays)
+
+    return call
+
+
 def unit_vector(name: str, value: Numbers, size: int = 3) -> Any:
     """A given direction or quaternion, of any length but zero, scaled to unit length.
 
@@ -33,12 +50,15 @@ def unit_vector(name: str, value: Numbers, size: int = 3) -> Any:
         ValueError: If it is not a vector of this size, or the zero vector.
     """
     vector = check_array(name, value, [(size,)], "")
-    xp = module_for(vector)
-    # First divided by the largest component, because its square may overflow.
-    largest = xp.max(xp.abs(vector))
-    if xp is np and largest == 0:
+    if not is_traced(vector) and not np.any(vector):
         raise ValueError(f"{name} must not be the zero vector")
-    vector = vector / largest
+    return _unit(vector)
+
+
+@_compiled_if_traced
+def _unit(xp: ModuleType, vector: Any) -> Any:
+    # First divided by the largest component, because its square may overflow.
+    vector = vector / xp.max(xp.abs(vector))
     return vector / xp.sqrt(xp.sum(vector * vector))
 
 
@@ -73,24 +93,33 @@ def transported_frames(tangents: Any, normal: Numbers | None) -> Any:
 
 def straight_frame(axis: Any, normal: Numbers | None) -> Any:
     """Directors (rows) with d3 along a unit axis and d1 near `normal`."""
-    d1 = _first_normal(axis, normal)
-    xp = module_for(axis, d1)
+    return _frame(axis, _first_normal(axis, normal))
+
+
+@_compiled_if_traced
+def _frame(xp: ModuleType, axis: Any, d1: Any) -> Any:
     return xp.stack([d1, xp.cross(axis, d1), axis])
 
 
 def _first_normal(axis: Any, normal: Numbers | None) -> Any:
-    if normal is None:
-        # The world axis least aligned with the rod, so that the choice is stable.
-        xp = module_for(axis)
+    guess = None if normal is None else unit_vector("normal", normal)
+    d1, length = _across(axis, guess)
+    if not is_traced(length) and length <= 1e-6:
+        raise ValueError(f"normal must not be parallel to the rod, got {normal}")
+    return d1
+
+
+@_compiled_if_traced
+def _across(xp: ModuleType, axis: Any, guess: Any) -> Any:
+    """Unit vector across an axis near a guess, and the length of the guess across it.
+
+    Without a guess it is the world axis least aligned, so that the choice is stable.
+    """
+    if guess is None:
         guess = xp.eye(3)[xp.argmin(xp.abs(axis))]
-    else:
-        guess = unit_vector("normal", normal)
-    xp = module_for(axis, guess)
     d1 = guess - axis * xp.sum(axis * guess)
     length = xp.sqrt(xp.sum(d1 * d1))
-    if xp is np and length <= 1e-6:
-        raise ValueError(f"normal must not be parallel to the rod, got {normal}")
-    return d1 / length
+    return d1 / (length if xp is jnp else max(length, 1e-300)), length
 
 
 def _carried(xp: ModuleType, vector: Any, start: Any, end: Any) -> Any:
@@ -148,9 +177,9 @@ def check_frames(directors: Numbers, tangents: Any) -> Any:
     return frames
 
 
-def quaternions(frames: Any) -> Any:
+@_compiled_if_traced
+def quaternions(xp: ModuleType, frames: Any) -> Any:
     """Unit quaternions (w, x, y, z), material to world, of directors `(3, 3, n)`."""
-    xp = module_for(frames)
     m = xp.swapaxes(frames, 0, 1)
     # The largest of these four is at least 1, so division by its root is safe.
     squares = 1 + xp.stack(

@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import os
 import shlex
-import warnings
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -18,7 +17,7 @@ import jax
 
 from jaxrod.installation.machine import available_cores
 from jaxrod.installation.program_cache import asked_for, keep_programs
-from jaxrod.validation import check_count
+from jaxrod.validation import check_count, warn
 
 MOST_DEVICES = 1024
 """Largest number of CPU devices. A larger number is taken for a mistake, because XLA
@@ -74,10 +73,9 @@ def configure_cpu(
     if not isinstance(kept, bool | str | os.PathLike | None) or kept == "":
         raise ValueError(f"cache must be True, False or a folder, got {cache!r}")
     if _backend_is_running():
-        warnings.warn(
+        warn(
             "jaxrod.configure_cpu() came after the first JAX computation and has no "
             "effect: call it right after importing jaxrod",
-            stacklevel=2,
         )
         return
     os.environ["XLA_FLAGS"] = with_backend_options(given_options())

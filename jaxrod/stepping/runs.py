@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import warnings
 from typing import Any, TypeVar
 
 import jax
@@ -13,7 +12,7 @@ from jaxrod.jax_internals.scans import scan
 from jaxrod.lanes.choice import lane_mode
 from jaxrod.model import Model, check_model
 from jaxrod.stepping.loops import integrated
-from jaxrod.validation import MOST, as_array, check_count, is_traced
+from jaxrod.validation import MOST, as_array, check_count, is_traced, warn
 
 State = TypeVar("State")
 
@@ -47,7 +46,7 @@ def check_step(scene: Model, dt: Array, state: Any = None) -> bool:
     """
     words, near = scene.step_warning(dt, state)
     if words is not None:
-        warnings.warn(words + _ADVICE, UnstableStepWarning, stacklevel=3)
+        warn(words + _ADVICE, UnstableStepWarning)
     return near
 
 

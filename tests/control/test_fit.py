@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from jaxrod import control
+from jaxrod.control.identification.fit import _spreads
 
 TIMES = np.linspace(0, 2, 40)
 TRUTH = {"frequency": 5.0, "rate": 0.7}
@@ -217,6 +218,21 @@ def test_bad_arguments_are_refused(change, words):
     observed, start = given.pop("observed"), given.pop("start")
     with pytest.raises(ValueError, match=words):
         control.fit(ring, observed, start, **given)
+
+
+def test_residuals_of_each_kind_are_in_its_unit_and_none_where_none_was_seen():
+    seen = {
+        "a": np.array([True]),
+        "b": np.array([True, False, True]),
+        "c": np.array([False]),
+    }
+    noise = {"a": 2.0, "b": 0.5, "c": 1.0}
+    # In the order of the tree, divided by the noise, and zero where nothing was seen.
+    flat = jnp.asarray([3.0, 6.0, 0.0, 8.0, 0.0])
+    found = _spreads(flat, seen, noise)
+    assert float(found["a"]) == 6.0
+    assert float(found["b"]) == pytest.approx(np.sqrt((3.0**2 + 4.0**2) / 2))
+    assert float(found["c"]) == 0.0
 
 
 def test_several_kinds_need_their_noise():

@@ -31,6 +31,16 @@ def some_knots(problem, count=3):
     return 0.2 * noise.astype(problem.lower.dtype)
 
 
+@pytest.mark.parametrize("n_knots", [1, 2, 3, 5, 12])
+def test_controls_are_interpolated_linearly_between_knots(n_knots):
+    rng = np.random.default_rng(n_knots)
+    knots = rng.normal(size=(n_knots, 2))
+    places = (np.arange(10) + 0.5) / 10 * (n_knots - 1)
+    expected = [np.interp(places, np.arange(n_knots), column) for column in knots.T]
+    found = over_time(jnp.asarray(knots), 10)
+    np.testing.assert_allclose(found, np.transpose(expected), atol=1e-14)
+
+
 @pytest.mark.slow
 def test_a_reach_costs_what_its_formula_says():
     problem = short(speed_weight=0.3, running_weight=0.7, effort_weight=0.2)
@@ -221,8 +231,10 @@ def test_twist_is_a_third_direction():
 
 
 def test_a_target_beyond_the_arm_is_warned_about():
-    with pytest.warns(control.UnreachableTargetWarning, match=r"1\.5 m .* 1 m long"):
+    words = r"1\.5 m .* 1 m long"
+    with pytest.warns(control.UnreachableTargetWarning, match=words) as warned:
         short(target=(0.0, 1.5, 0.0))
+    assert [one.filename for one in warned] == [__file__]
 
 
 @pytest.mark.parametrize(

@@ -42,6 +42,36 @@ def test_sums_over_the_entries_in_use_are_those_of_xla(used, dtype):
     np.testing.assert_allclose(*found, rtol=tolerance, atol=tolerance)
 
 
+def windows(places, table, rows):
+    """Sums over pieces of arrays that begin at traced places, some of them outside."""
+    pieces = jax.vmap(lambda at: jax.lax.dynamic_slice(table, (at,), (3,)))(places)
+    corner = lambda at: jax.lax.dynamic_slice(rows, (at, at // 9), (2, 3))
+    both = jax.vmap(corner)(places)
+    weights = jnp.asarray([1.0, 2.0, 4.0], table.dtype)
+    return [
+        jnp.sum(pieces * weights[None], axis=1),
+        jnp.sum(both * weights[None, None], axis=2),
+    ]
+
+
+@pytest.mark.parametrize("dtype", ["float32", "float64"])
+def test_gathers_of_pieces_are_those_of_xla(dtype):
+    rng = np.random.default_rng(0)
+    table = jnp.asarray(rng.normal(size=SIZE), dtype)
+    rows = jnp.asarray(rng.normal(size=(5, 4)), dtype)
+    places = jnp.asarray([-3, 0, 1, 2, 4, 8, 9, 30], jnp.int32)
+    given = places, table, rows
+    slots = [jnp.zeros(8, dtype), jnp.zeros((8, 2), dtype)]
+    step = lambda *arrays: windows(*arrays[:3])
+    body = LoopBody(jax.make_jaxpr(step)(*given, *slots), 3)
+    use_lanes("rows")
+    run = jax.jit(lambda *a: cycles_p.bind(*a, spec=RunSpec(body, None)))
+    found = run(jnp.int32(1), *given, *slots)
+    assert lane_choices()[-1].taken, lane_choices()[-1].why
+    for made, expected in zip(found, windows(*given), strict=True):
+        np.testing.assert_allclose(made, expected, rtol=1e-6)
+
+
 def falling(above, below, backwards):
     """A loop forwards along pairs of numbers, and one back along what it keeps."""
 

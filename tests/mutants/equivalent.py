@@ -90,5 +90,28 @@ REASONS: dict[tuple[str, str], str] = {
         "index: `0` -> `(1)` in "
         "`drag = relaxation_time * rod.joint_stiffness[0] / rod.joint_lengths`",
     ): "sections are round: both bending stiffnesses are the same",
+    (
+        "jaxrod/systems/statics/rigid_motions.py",
+        "dropped term: `+ matrix[1][1]` -> `` in "
+        "`size = matrix[0][0] + matrix[1][1] + matrix[2][2]`",
+    ): "the size only scales what is divided by it again",
+    (
+        "jaxrod/lanes/rows/schedule.py",
+        "min and max: `min` -> `max` in `first = min(first, at)`",
+    ): "gaps may be filled at any level before that of the first reader",
+    (
+        "jaxrod/systems/contact/neighbour_search.py",
+        "sign: `-` -> `` in "
+        "`pairs = jnp.stack([listed.own, listed.other], axis=-1)[place]`",
+    ): "rows are stacked: the new last axis is axis 1",
+    (
+        "jaxrod/twin/identification.py",
+        "number: `0` -> `1` in "
+        "`away = np.where(there, made - np.where(there, group.seen, 0), 0)`",
+    ): "it stands where nothing was seen, which is left out of the rows",
+    (
+        "jaxrod/lanes/rows/row_graph.py",
+        "number: `1` -> `2` in `return at.reshape(-1)`",
+    ): "NumPy takes any negative length for the one that is left",
 }
 """Reasons by file and change."""

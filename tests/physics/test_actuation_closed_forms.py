@@ -255,6 +255,17 @@ def test_the_bound_of_a_tendon_is_above_all_that_its_energy_is_curved_by():
     assert min(left) > -1e-8 * max(left)
 
 
+@pytest.mark.parametrize("across", [False, True])
+def test_the_bound_of_a_muscle_is_above_all_that_its_energy_is_curved_by(across):
+    """A constant pull on the axis. Only stiffness counts, and no lack of it."""
+    rod, state = arm(3)
+    muscle = jaxrod.actuation.muscle(
+        rod, 50.0, curve=jaxrod.actuation.constant_force(), across=across
+    )
+    left = above_curvature(rod, state, muscle)[4 * 3 + 3 * 3 :]
+    assert min(left) > -1e-8 * max(left)
+
+
 def above_curvature(rod, state, effect):
     """Eigenvalues of an effect's bound with and without the curvature of its energy."""
     none, back = ravel_pytree(no_moves(state))

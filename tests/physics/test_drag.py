@@ -81,6 +81,32 @@ def test_sedimentation_is_exact_and_twice_as_fast_along(dt, record):
     assert speeds[1] / speeds[0] == 2.0
 
 
+@pytest.mark.parametrize(
+    "section",
+    [
+        jaxrod.circle(RADIUS),
+        jaxrod.rectangle(width=0.04, height=0.01),
+        jaxrod.rectangle(width=0.01, height=0.04),
+        jaxrod.ellipse(0.03, 0.01),
+    ],
+)
+def test_a_rod_of_any_section_stops_turning_by_its_polar_inertia(section):
+    rod, state = arm(N, radius=None, section=section)
+    dt, steps, rate = 5e-5, 50, 400.0
+    polar = jnp.sum(rod.principal_inertias[:2], axis=0) / rod.rest_lengths
+    np.testing.assert_allclose(rod.rotary_inertia[-1], polar, rtol=1e-12)
+    turning = rate * float(polar[0])
+    spinning = jaxrod.with_angular_velocities(
+        rod, state, jnp.zeros((3, N)).at[2].set(2.0)
+    )
+    drag = jaxrod.fluids.stokes_drag(0.0, 0.0, turning)
+    couple = drag.loads(rod, motion_of(spinning)).couples[2]
+    np.testing.assert_allclose(couple, -2.0 * turning * rod.rest_lengths, rtol=1e-12)
+    after = jaxrod.advance(jaxrod.make_scene(rod, drag), spinning, dt, steps)
+    left = motion_of(after).angular_velocities(rod)[2]
+    np.testing.assert_allclose(left, 2.0 * np.exp(-rate * dt * steps), rtol=1e-10)
+
+
 def test_rates_of_drag_and_of_damping_add_up():
     """In still fluid, along a rod and across it."""
     rate, dt, steps = 200.0, 1e-4, 7

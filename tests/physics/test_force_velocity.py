@@ -51,7 +51,6 @@ def test_the_curve_meets_itself_with_its_slope():
     np.testing.assert_allclose(values, [DRAWN_OUT, 1.0, 0.0, 0.0], atol=1e-8)
 
 
-@pytest.mark.fast_sets(1)
 @pytest.mark.parametrize("across", [False, True])
 def test_a_rod_that_shortens_evenly_is_pulled_by_the_share_of_its_speed(across, record):
     """Across the rod a fibre lengthens half as fast as the rod shortens."""

@@ -93,3 +93,12 @@ def test_the_same_number_changes_nothing_and_too_few_are_refused():
     assert again[0] is scene and again[1] is state
     with pytest.raises(ValueError, match="n_elements must be at least 2"):
         jaxrod.resample(scene, state, 1)
+
+
+@pytest.mark.parametrize("n", [2, 5])
+def test_numbers_for_the_whole_rod_stay_one_number(n):
+    """A muscle's force is one number for each fibre, on any grid."""
+    rod, state = arm(n)
+    muscle = jaxrod.actuation.muscle(rod, (2.0, 3.0), offsets=((0.01, 0.0),) * 2)
+    finer, _ = jaxrod.resample(jaxrod.make_scene(rod, muscle), state, 8)
+    np.testing.assert_array_equal(finer.effects[0].force, [[2.0], [3.0]])

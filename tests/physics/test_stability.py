@@ -172,8 +172,10 @@ def test_a_step_above_the_bound_is_warned_of(run):
     rod, state = arm(5)
     scene = jaxrod.make_scene(rod, jaxrod.clamp(state))
     bound = float(jaxrod.stable_dt(scene, 1.0).dt)
-    with pytest.warns(jaxrod.UnstableStepWarning, match="shear and bending"):
+    words = "shear and bending"
+    with pytest.warns(jaxrod.UnstableStepWarning, match=words) as warned:
         run(scene, state, 1.01 * bound, 2)
+    assert [one.filename for one in warned] == [__file__]
     with warnings.catch_warnings():
         warnings.simplefilter("error", jaxrod.UnstableStepWarning)
         run(scene, state, 0.99 * bound, 2)

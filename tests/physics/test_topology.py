@@ -150,6 +150,16 @@ def test_a_gap_is_bridged():
     )
 
 
+def test_a_ring_closed_up_to_rounding_is_a_ring():
+    """A last piece as short as rounding has no direction that means anything."""
+    nodes, normals = map(jnp.asarray, ring(3))
+    gap = 1e-14 * jnp.asarray([0.3, -1.0, 0.5])
+    nearly = nodes.at[:, -1].set(nodes[:, 0] + gap)
+    for quantity in (writhe, lambda x, **ends: twist(x, normals, **ends)):
+        found, exact = (quantity(x, ends="joined") for x in (nearly, nodes))
+        np.testing.assert_allclose(found, exact, atol=1e-12)
+
+
 def test_twist_of_a_state():
     """A straight rod twisted by 0.9 turns from end to end, and any way it lies."""
     _, state = arm(POINTS)

@@ -15,8 +15,9 @@ from physics.rods import arm
 def test_a_radius_above_the_length_is_warned_of_in_any_unit(unit):
     rod, _ = arm(4, length=unit, radius=50 * unit)
     words = "radius of the rod.* 50 times its length"
-    with pytest.warns(jaxrod.UnlikelyWarning, match=words):
+    with pytest.warns(jaxrod.UnlikelyWarning, match=words) as warned:
         jaxrod.make_scene(rod)
+    assert [one.filename for one in warned] == [__file__]
 
 
 @pytest.mark.parametrize("unit", [1.0, 1e-3, 1e3])
@@ -30,8 +31,10 @@ def test_a_modulus_in_other_units_is_warned_of_where_there_is_gravity(unit):
     }
     rod, _ = arm(4, **numbers)
     weight = jaxrod.gravity((0.0, 0.0, -9.81 * unit))
-    with pytest.warns(jaxrod.UnlikelyWarning, match="is 981 times its stiffness"):
+    words = "is 981 times its stiffness"
+    with pytest.warns(jaxrod.UnlikelyWarning, match=words) as warned:
         jaxrod.make_scene(rod, weight)
+    assert [one.filename for one in warned] == [__file__]
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         jaxrod.make_scene(rod)

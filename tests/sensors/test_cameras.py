@@ -55,6 +55,32 @@ def test_points_behind_the_camera_are_flagged_and_have_no_derivative():
     np.testing.assert_allclose(slope[:, 2], [50, 50, -100 * 0.3 / 4], rtol=1e-12)
 
 
+def test_a_ray_that_grazes_the_rod_misses_it_and_has_no_derivative():
+    """Depth has a vertical slope at the outline. All numbers here are exact."""
+    rod, state = jaxrod.straight_rod(
+        2,
+        length=1.0,
+        radius=0.5,
+        density=1e3,
+        youngs_modulus=1e6,
+        start=(0.5, -0.5, 4.0),
+        direction=(0.0, 1.0, 0.0),
+    )
+    scene = jaxrod.make_scene(rod)
+    eye = sensors.Camera(
+        position=jnp.zeros(3),
+        orientation=jnp.asarray([1.0, 0.0, 0.0, 0.0]),
+        focal_length=jnp.asarray(1.0),
+        principal_point=jnp.asarray([0.5, 0.5]),
+    )
+    image = sensors.depth_image(eye, 1, 1, max_range=9.0)
+    depth, slope = jax.value_and_grad(lambda state: image.read(scene, state)[0, 0])(
+        state
+    )
+    assert depth == 9.0
+    np.testing.assert_array_equal(slope.positions, 0)
+
+
 def depths(eye, state, scene, **more):
     image = sensors.depth_image(eye, 16, 24, **more)
     return np.asarray(image.read(scene, state))

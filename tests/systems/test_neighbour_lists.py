@@ -389,6 +389,24 @@ def test_lists_are_counted_where_a_rod_is_driven():
     np.testing.assert_allclose(listed, dense, rtol=0, atol=1e-13)
 
 
+def test_a_list_is_old_once_a_node_has_moved_by_half_the_skin():
+    scenes, state = heap(2, n=2, speed=0.0)
+    skin = 0.5
+    lists = jaxrod.systems.neighbour_lists(skin=skin)
+    system = system_of(scenes, state, law="line", lists=lists)
+
+    @jax.jit
+    def moved(far):
+        _, (contact,) = seen_at_rest(system, {"rods": state})
+        there = replace(state, positions=state.positions.at[1, 2, 1].add(far))
+        later, _ = seen_at_rest(system, {"rods": there})
+        return contact.moved(later)
+
+    half = 0.5 * skin * RADIUS
+    for far in (0.0, 0.3 * half, -1.7 * half):
+        np.testing.assert_allclose(moved(far), abs(far) / half, rtol=1e-12)
+
+
 def test_rods_near_each_other_are_found_wherever_they_are():
     found = []
     for x in (0.0, 20.0):

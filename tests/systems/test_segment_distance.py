@@ -11,6 +11,7 @@ from jaxrod.systems.contact.segment_distance import (
     apart,
     nearest_on_curves,
     nearest_places,
+    nearest_to_node,
 )
 
 PAIRS = 2000
@@ -72,6 +73,39 @@ def test_closest_points_of_curves_are_stationary_in_the_unit_square(record):
         np.mean(np.max(np.abs(left), axis=1) > 1e-9),
         at_most=0.002,
     )
+
+
+def test_the_point_closest_to_a_node_is_stationary_and_moves_with_the_node():
+    """The slope is zero inside, and the derivative that of the implicit function."""
+
+    def node_of(pair):
+        return pair["way"] + pair["own"]
+
+    def nearest_point(pair):
+        way, own, other = (tuple(pair[k]) for k in ("way", "own", "other"))
+        first = elements(pair["own"], pair["bulges"][0])
+        second = elements(pair["other"], pair["bulges"][1])
+        start = nearest_places(way, own, other)[1]
+        return nearest_to_node(way, first, second, start), second
+
+    def tried(key):
+        pair = pieces(key)
+        t, second = nearest_point(pair)
+        r = vectors.subtract(tuple(node_of(pair)), second.on_axis(t))
+        v = second.tangent(t)
+        moved = lambda way: nearest_point({**pair, "way": way})[0]
+        stiff = vectors.dot(v, v) - vectors.dot(r, second.bend(t))
+        expected = jnp.stack(v) / stiff
+        return t, vectors.dot(r, v), jax.grad(moved)(pair["way"]), expected, stiff
+
+    keys = jax.random.split(jax.random.key(2), PAIRS)
+    found = jax.jit(jax.vmap(tried))(keys)
+    t, slope, derivative, expected, stiff = map(np.asarray, found)
+    inside = (t > 0) & (t < 1) & (stiff > 0.6)
+    assert np.sum(inside) > 100
+    assert np.mean(np.abs(slope[inside]) > 1e-9) < 0.002
+    wrong = np.abs(derivative - expected)[inside] > 1e-6
+    assert np.mean(np.any(wrong, axis=1)) < 0.002
 
 
 @pytest.mark.slow

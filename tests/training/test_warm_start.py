@@ -14,10 +14,12 @@ from jaxrod.envs.trivial import Trivial
 from jaxrod.training import (
     PPO,
     SAC,
+    SHAC,
     TRPO,
     MLPPolicy,
     PPOConfig,
     SACConfig,
+    SHACConfig,
     TRPOConfig,
     train,
     warm_start,
@@ -30,7 +32,7 @@ SMALL = PPOConfig(
 SEEN = np.linspace(-1, 1, 7)[:, None]
 
 
-def some_policy(hidden=8, limit=0.7):
+def some_policy(hidden=8, limit=0.7, **more):
     """With a bound of observations that is not the usual one."""
     draw = np.random.default_rng(3)
     return MLPPolicy(
@@ -40,16 +42,25 @@ def some_policy(hidden=8, limit=0.7):
             (jnp.asarray(draw.normal(size=(i, o))), jnp.asarray(draw.normal(size=o)))
             for i, o in ((1, hidden), (hidden, 1))
         ),
+        **more,
     )
 
 
-@pytest.mark.fast_sets(1)
 @pytest.mark.parametrize(
-    ("algorithm", "config"),
-    [(PPO, SMALL), (TRPO, TRPOConfig(num_envs=8, rollout_steps=16, hidden_sizes=(8,)))],
+    ("algorithm", "config", "output"),
+    [
+        (PPO, SMALL, "clip"),
+        pytest.param(
+            TRPO,
+            TRPOConfig(num_envs=8, rollout_steps=16, hidden_sizes=(8,)),
+            "clip",
+            marks=pytest.mark.slow,
+        ),
+        (SHAC, SHACConfig(num_envs=8, hidden_sizes=(8,)), "tanh"),
+    ],
 )
-def test_the_first_policy_is_the_one_that_is_given(algorithm, config):
-    given = some_policy()
+def test_the_first_policy_is_the_one_that_is_given(algorithm, config, output):
+    given = some_policy(output=output)
     begun = warm_start(algorithm, given)
     state, usual = jax.jit(
         lambda key: tuple(a.init(key, Trivial(), config) for a in (begun, algorithm))
@@ -93,7 +104,9 @@ def test_what_cannot_be_begun_with_is_refused():
     with pytest.raises(ValueError, match="the initial policy must be an MLPPolicy"):
         warm_start(PPO, lambda seen: seen)
     with pytest.raises(ValueError, match="activation 'tanh' and output 'clip'"):
-        warm_start(PPO, dataclasses.replace(given, activation="relu"))
+        started(PPO, dataclasses.replace(given, activation="relu"), SMALL)
+    with pytest.raises(ValueError, match=r"output 'tanh', as shac has; got .* 'clip'"):
+        started(SHAC, given, SHACConfig(num_envs=8, hidden_sizes=(8,)))
     with pytest.raises(ValueError, match=r"\[\(1, 8\), \(8, 1\)\].* got \[\(1, 4\)"):
         started(PPO, some_policy(hidden=4), SMALL)
     with pytest.raises(ValueError, match="network must be None"):

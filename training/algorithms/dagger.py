@@ -297,7 +297,7 @@ def _act(
         said = Advice(environments.observation, advised)
         finite = jnp.isfinite(reached)
         told = {
-            "reward_mean": jnp.mean(outcome.reward) / config.action_repeat,
+            "reward_mean": jnp.mean(outcome.reward),
             "advice_change": jnp.mean((advised - own) ** 2),
             "plan_cost": jnp.sum(jnp.where(finite, reached, 0))
             / jnp.maximum(jnp.sum(finite), 1),

@@ -345,7 +345,7 @@ def update(
     seen = window.raw.reshape(-1, window.raw.shape[-1])
     scalars = {
         "objective": -found,
-        "reward_mean": jnp.mean(window.reward) / config.action_repeat,
+        "reward_mean": jnp.mean(window.reward),
         "value_error": error,
         "action_std": jnp.mean(jnp.exp(policy["log_std"])),
     }

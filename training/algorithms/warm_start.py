@@ -16,12 +16,9 @@ from jaxtyping import Array, Int, Key
 
 from jaxrod.envs import Environment
 from jaxrod.training.algorithm import Algorithm
-from jaxrod.training.algorithms.on_policy import ACTIVATION, OnPolicyState
+from jaxrod.training.algorithms.on_policy import OnPolicyState
 from jaxrod.training.networks import layers
 from jaxrod.training.policy import MLPPolicy
-
-OUTPUT = "clip"
-"""Function that bounds the actions of PPO and TRPO, a name in `policy.OUTPUTS`."""
 
 
 def warm_start(algorithm: Algorithm, policy: MLPPolicy) -> Algorithm:
@@ -34,14 +31,14 @@ def warm_start(algorithm: Algorithm, policy: MLPPolicy) -> Algorithm:
     what was learned. The value network starts from random weights.
 
     Args:
-        algorithm: `PPO` or `TRPO`, whose configuration must have the policy's
+        algorithm: `PPO`, `TRPO` or `SHAC`, whose configuration must have the policy's
             `hidden_sizes`.
         policy: The initial policy, for the same task.
 
     Raises:
-        ValueError: The policy is no perceptron, or its activation or output differs
-            from that of on-policy learners. If the algorithm is not on-policy or sizes
-            differ, the error is raised when the run begins.
+        ValueError: The policy is no perceptron. When the run begins: the algorithm is
+            not on-policy, or its own policy has another activation, another output or
+            layers of other sizes.
 
     Example:
         >>> policy = training.untrained_policy(envs.make("trivial"))  # or of a run
@@ -52,12 +49,6 @@ def warm_start(algorithm: Algorithm, policy: MLPPolicy) -> Algorithm:
     if not isinstance(policy, MLPPolicy):
         raise ValueError(
             f"the initial policy must be an MLPPolicy, got {type(policy).__name__}"
-        )
-    if (policy.activation, policy.output) != (ACTIVATION, OUTPUT):
-        raise ValueError(
-            f"policy must have activation {ACTIVATION!r} and output {OUTPUT!r}, as "
-            f"on-policy learners have; got {policy.activation!r} and "
-            f"{policy.output!r}"
         )
 
     def init(
@@ -71,7 +62,17 @@ def warm_start(algorithm: Algorithm, policy: MLPPolicy) -> Algorithm:
         if not isinstance(state, OnPolicyState):
             raise ValueError(
                 f"{algorithm.name} cannot begin with a policy: it does not learn on "
-                "policy, as ppo and trpo do"
+                "policy, as ppo, trpo and shac do"
+            )
+        if state.config.network is not None:
+            raise ValueError("network must be None to begin with an MLPPolicy")
+        own = algorithm.policy(state)
+        assert isinstance(own, MLPPolicy)
+        if (policy.activation, policy.output) != (own.activation, own.output):
+            raise ValueError(
+                f"policy must have activation {own.activation!r} and output "
+                f"{own.output!r}, as {algorithm.name} has; got {policy.activation!r} "
+                f"and {policy.output!r}"
             )
         return _with_policy(state, policy)
 
@@ -82,8 +83,6 @@ def warm_start(algorithm: Algorithm, policy: MLPPolicy) -> Algorithm:
 
 def _with_policy(state: OnPolicyState, policy: MLPPolicy) -> OnPolicyState:
     """The train state with the policy's network, moments and observation bound."""
-    if state.config.network is not None:
-        raise ValueError("network must be None to begin with an MLPPolicy")
     weights: dict[str, Any] = dict(state.weights)
     usual = weights["policy"]["mean"]
     own, given = _sizes(layers(usual)), _sizes(policy.layers)

@@ -5,7 +5,6 @@ The tables of a resumed run are cut back to the rows that the checkpoint counts.
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Collection
 from functools import partial
 from pathlib import Path
@@ -41,6 +40,7 @@ from jaxrod.training.runs.folder import (
 from jaxrod.training.runs.owned_folder import CONFIG
 from jaxrod.training.runs.recorded_settings import plain, restored
 from jaxrod.training.runs.table import check_mark
+from jaxrod.validation import warn
 
 _FACTS = {
     "config": OBJECT,
@@ -140,10 +140,9 @@ def restore(
     # Files that were being written when the run was killed.
     folder.remove_temporary(but=(LEARNING_CURVE, REPLAY))
     if damaged:
-        warnings.warn(
+        warn(
             f"{'; '.join(damaged)}. Going on from {file.name}, the one before",
             DamagedCheckpointWarning,
-            stacklevel=5,
         )
     return found
 

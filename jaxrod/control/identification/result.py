@@ -221,7 +221,7 @@ def _words(way: np.ndarray, names: tuple[str, ...], by_log: tuple[bool, ...]) ->
         return f"{names[part[0]]}: the data say next to nothing about it"
     changes = ", ".join(
         f"{names[k]} by {10 * shares[k]:+.2g} %"
-        + ("" if by_log[k] else " of its start")
+        + ("" if by_log[k] else " of its scale")
         for k in sorted(part)
     )
     several = " and ".join(names[k] for k in sorted(part))

@@ -9,7 +9,6 @@ $$L = d(T)^2 + w_v\, v(T)^2 + w_r\, \overline{d^2} + w_u\, \overline{u^2}.$$
 from __future__ import annotations
 
 import math
-import warnings
 from dataclasses import replace
 from typing import Any, Protocol
 
@@ -25,7 +24,7 @@ from jaxrod.rods.rod import RodState
 from jaxrod.scene import Scene
 from jaxrod.stepping.runs import advance, check_step, with_memory
 from jaxrod.structure import pytree, static
-from jaxrod.validation import Numbers, check_array
+from jaxrod.validation import Numbers, check_array, warn
 
 
 class UnreachableTargetWarning(UserWarning):
@@ -315,11 +314,10 @@ def _checked(arm: Any, target: Numbers) -> np.ndarray:
     base = np.asarray(arm.state.positions[:, 0], float)
     away, length = float(np.linalg.norm(place - base)), float(arm.scene.rod.length)
     if away > length * (1 + 1e-6):
-        warnings.warn(
+        warn(
             f"target is {away:.3g} m from the arm's base and the arm is {length:.3g} m "
             "long: the tip can only approach it",
             UnreachableTargetWarning,
-            stacklevel=3,
         )
     return np.asarray(place)
 

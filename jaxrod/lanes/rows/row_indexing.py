@@ -266,13 +266,6 @@ def _index_columns(unroller: RowUnroller, indices: Rows) -> list[Rows]:
     return [slice_at(unroller, indices, last, i) for i in range(indices.shape[last])]
 
 
-def _both(unroller: RowUnroller, one: Rows | None, other: Rows) -> Rows:
-    """Returns the logical and of two masks, the first of which may be absent."""
-    if one is None:
-        return other
-    return unroller.each("and", "b1", one, other)
-
-
 def _bounded(unroller: RowUnroller, column: Rows, room: int) -> tuple[Rows, Rows]:
     """Returns indices clamped to 0 and `room`, and a mask: whether each was inside."""
     kind = column.kind
