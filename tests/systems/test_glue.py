@@ -53,9 +53,12 @@ def deflection(load, bending, axial, gap, stiffness):
     return load * (LENGTH**3 / (3 * together) + slip), (apart, together)
 
 
-@pytest.mark.parametrize("thin", [0.25, 1.0])
-def test_glue_is_between_the_surfaces(thin):
-    """A rod that turns about its axis pulls on the glue with its own radius."""
+@pytest.mark.parametrize(("thin", "turning"), [(0.25, None), (1.0, None), (1.0, 30.0)])
+def test_glue_is_between_the_surfaces(thin, turning):
+    """A rod that turns about its axis pulls on the glue with its own radius.
+
+    Turning stiffness adds the energy of a torsional spring.
+    """
     gap = 0.3 * RADIUS
     apart = RADIUS + thin * RADIUS + gap
     one, of_one = rod(4, LENGTH)
@@ -63,16 +66,21 @@ def test_glue_is_between_the_surfaces(thin):
     state = {"low": of_one, "high": of_other}
     system = jaxrod.make_system(
         {"low": jaxrod.make_scene(one), "high": jaxrod.make_scene(other)},
-        jaxrod.systems.glue("low", "high", state, stiffness=1e5),
+        jaxrod.systems.glue(
+            "low", "high", state, stiffness=1e5, turning_stiffness=turning
+        ),
     )
     angle = 0.01
+    twisted = 0.5 * (turning or 0.0) * LENGTH * angle**2
     about = jnp.asarray([angle] * 4)[None, :] * jnp.asarray([[0.0], [0.0], [1.0]])
     for name, radius in (("low", RADIUS), ("high", thin * RADIUS)):
         own = state[name]
         turned = replace(own, orientations=turn(own.orientations, about))
         energy = system.potential_energy(state | {name: turned})
         moved = 2 * (radius + 0.5 * gap) * np.sin(angle / 2)
-        assert float(energy) == pytest.approx(0.5 * 1e5 * LENGTH * moved**2, rel=1e-9)
+        sheared = 0.5 * 1e5 * LENGTH * moved**2
+        tolerance = 1e-9 if turning is None else 1e-4
+        assert float(energy) == pytest.approx(sheared + twisted, rel=tolerance)
 
 
 @pytest.mark.slow

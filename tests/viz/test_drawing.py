@@ -6,6 +6,9 @@ import numpy as np
 import pytest
 
 from jaxrod.viz import animation, frame
+from jaxrod.viz.colours import rod_colours, rod_legend
+from jaxrod.viz.recording import Recording
+from jaxrod.viz.rods import Rods
 from missing import pretend_missing
 from viz.swinging_arm import swinging_arm
 
@@ -42,3 +45,32 @@ def test_without_matplotlib_a_sentence_says_what_to_install(monkeypatch):
     pretend_missing(monkeypatch, "matplotlib")
     with pytest.raises(ModuleNotFoundError, match=r'pip install "jaxrod\[viz\]"'):
         frame(swinging_arm(num_frames=11), 0)
+
+
+def group(count, name="", names=(), colour=""):
+    """Rods of two elements, at two moments."""
+    places = np.zeros((2, count, 3, 3)) + np.arange(3)[:, None]
+    return Rods(places, np.full((count, 2), 0.1), name, names, colour)
+
+
+@pytest.mark.parametrize(
+    ("groups", "words"),
+    [
+        ([group(1)], ["rod"]),
+        ([group(1, "arm")], ["arm"]),
+        ([group(2, names=("left", "right"))], ["left", "right"]),
+        ([group(3, "cilia", colour="#808080")], ["cilia × 3"]),
+        ([group(9, "cilia")], ["cilia × 9"]),
+        ([group(9)], ["9 rods"]),
+        ([group(1, "arm"), group(3, "hair"), group(1)], ["arm", "hair × 3", "rod"]),
+    ],
+)
+def test_the_legend_names_rods_and_groups_in_their_colours(groups, words):
+    times = np.array([0.0, 1.0])
+    replay = Recording(times=times, rods=tuple(groups))
+    entries = rod_legend(replay)
+    assert [text for _, text, _ in entries] == words
+    firsts = np.cumsum([0, *(some.num_rods for some in groups[:-1])])
+    colours = rod_colours(replay)
+    if len(entries) == len(groups) and not entries[0][2]:
+        assert [colour for colour, _, _ in entries] == [colours[k] for k in firsts]
