@@ -15,7 +15,7 @@ from jaxrod.structure import pytree
 from jaxrod.systems.contact.neighbour_lists import RECORD, NeighbourRecord, no_record
 from jaxrod.systems.energies import seen_at_rest
 from jaxrod.systems.stepping.assembly import Assembly, SystemState
-from jaxrod.systems.stepping.listing import with_shortage
+from jaxrod.systems.stepping.changing import with_shortage
 
 
 @pytree

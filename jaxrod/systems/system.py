@@ -31,7 +31,7 @@ from jaxrod.systems.members.member import Member
 from jaxrod.systems.sites.coupling import AllParts, Coupling
 from jaxrod.systems.stability import StableSystemStep, stable_system_dt
 from jaxrod.systems.statics.equilibrium import system_equilibrium
-from jaxrod.systems.statics.frequencies import squared_frequencies
+from jaxrod.systems.statics.problem import squared_frequencies
 from jaxrod.systems.stepping.assembly import (
     Assembly,
     SystemState,

@@ -23,7 +23,7 @@ from jaxrod.files import LinkedFileError, UntrustedError, open_to_write
 from jaxrod.training import PPOConfig, RunFolder, load_policy, restore_policy
 from jaxrod.training.runs.checkpoint import Checkpoints
 from jaxrod.training.runs.event_file import EventFile
-from jaxrod.training.runs.lock import NAME, only_process
+from jaxrod.training.runs.owned_folder import NAME, only_process
 
 CONFIG = {
     "format": "jaxrod training run 1",

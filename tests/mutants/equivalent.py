@@ -36,7 +36,7 @@ REASONS: dict[tuple[str, str], str] = {
         "number: `1.0` -> `(2 * 1.0)` in `normal=(0.0, 0.0, 1.0),`",
     ): "a normal may be of any length: its direction is taken",
     (
-        "jaxrod/tradeoff/scenes.py",
+        "jaxrod/tradeoff/workload.py",
         "index: `0` -> `(-1)` in `VISCOSITY / float(rod.linear_density[0]),`",
     ): "the arm is uniform: the first element is like the last",
     (

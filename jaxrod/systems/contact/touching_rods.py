@@ -37,6 +37,8 @@ from jaxrod.systems.contact.element_pairs import (
     farthest_from_chord,
     gather,
     row_vector,
+    sums_over_all,
+    sums_over_list,
 )
 from jaxrod.systems.contact.neighbour_lists import (
     FoundNeighbours,
@@ -44,7 +46,6 @@ from jaxrod.systems.contact.neighbour_lists import (
     with_spare,
 )
 from jaxrod.systems.contact.neighbour_search import Bounds, found_by
-from jaxrod.systems.contact.pair_sums import sums_over_all, sums_over_list
 from jaxrod.systems.contact.penalty_contact import (
     PenaltyContact,
     check_members,

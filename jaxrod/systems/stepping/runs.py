@@ -18,8 +18,8 @@ from jaxrod.systems.stepping.assembly import (
     held_parts,
     member_shapes,
 )
-from jaxrod.systems.stepping.evolving import EvolvingSystem
-from jaxrod.systems.stepping.listing import (
+from jaxrod.systems.stepping.changing import (
+    EvolvingSystem,
     ListingSystem,
     lists_neighbours,
     refresh_every,
