@@ -17,6 +17,7 @@ from jaxrod import training as training
 from jaxrod import twin as twin
 from jaxrod import validation as validation
 from jaxrod import viz as viz
+from jaxrod.analysis.dynamics import reactions as reactions
 from jaxrod.analysis.frequency import highest_frequency as highest_frequency
 from jaxrod.analysis.frequency import natural_frequencies as natural_frequencies
 from jaxrod.analysis.health import Health as Health
@@ -25,7 +26,6 @@ from jaxrod.analysis.health import freeze as freeze
 from jaxrod.analysis.health import health as health
 from jaxrod.analysis.inertia_scaling import frequency_changes as frequency_changes
 from jaxrod.analysis.inertia_scaling import scale_inertia as scale_inertia
-from jaxrod.analysis.reactions import reactions as reactions
 from jaxrod.analysis.stability import StableStep as StableStep
 from jaxrod.analysis.stability import stable_dt as stable_dt
 from jaxrod.contacts.contact import contact as contact

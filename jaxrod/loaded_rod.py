@@ -14,8 +14,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, ArrayLike
 
-from jaxrod.effects.base import Effect
-from jaxrod.effects.memory import memory_of, recalled, remembers, stirred
+from jaxrod.effects.base import Effect, memory_of, recalled, remembers, stirred
 from jaxrod.effects.time import Clock, at_clock, at_largest, clock_at, depends_on_time
 from jaxrod.geometry.vectors import Vec3
 from jaxrod.model import Stepper

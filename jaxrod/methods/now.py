@@ -8,7 +8,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, ArrayLike, Int
 
-from jaxrod.effects.memory import Memory, memory_of, recalled
+from jaxrod.effects.base import Memory, memory_of, recalled
 from jaxrod.effects.time import Clock, at_clock
 from jaxrod.loaded_rod import LoadedRod
 from jaxrod.rods.motion import Motion

@@ -53,7 +53,7 @@ REASONS: dict[tuple[str, str], str] = {
         "`observation, running = self._start(_key(rng, 2 * ticks))`",
     ): "the number of ticks is zero there",
     (
-        "jaxrod/systems/stability.py",
+        "jaxrod/systems/stepping/runs.py",
         "number: `1` -> `2` in "
         "`return jnp.where(free, jnp.inf, 4 * inertia / jnp.where(free, 1, be...`",
     ): "it divides what `where` does not choose: it has to differ from zero",

@@ -158,7 +158,7 @@ NAMED = (
     Named(
         "m18",
         "contact of rods: lever of friction on the second",
-        "jaxrod/systems/contact/contact_pairs.py",
+        "jaxrod/systems/contact/penalty_contact.py",
         "other_turn = vectors.cross(rub, arms[1])",
         "other_turn = vectors.cross(rub, arms[0])",
         ("tests/systems/test_crossing_contact.py",),

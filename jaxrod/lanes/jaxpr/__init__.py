@@ -3,6 +3,6 @@
 Importing this package registers the rules of all primitives.
 """
 
-from jaxrod.lanes.jaxpr import arithmetic, control_flow, indexing
+from jaxrod.lanes.jaxpr import arithmetic, indexing
 
-__all__ = ["arithmetic", "control_flow", "indexing"]
+__all__ = ["arithmetic", "indexing"]

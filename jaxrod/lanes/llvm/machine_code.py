@@ -27,8 +27,8 @@ import jax
 from jaxrod.files import write_atomically
 from jaxrod.jax_internals.foreign_call import handler_text, unknown_layout
 from jaxrod.jax_internals.primitives import unknown_rules
+from jaxrod.lanes.graph import OPERATIONS
 from jaxrod.lanes.llvm.kernel import Kernel
-from jaxrod.lanes.operations import OPERATIONS
 from jaxrod.private_folders import (
     make_private_folder,
     read_own,

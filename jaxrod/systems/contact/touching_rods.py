@@ -29,7 +29,6 @@ from jaxrod.geometry import vectors
 from jaxrod.lanes.steps import by_kernel
 from jaxrod.rods.motion import Loads
 from jaxrod.structure import pytree, static
-from jaxrod.systems.contact.contact_pairs import ContactPair
 from jaxrod.systems.contact.element_pairs import (
     Elements,
     column_vector,
@@ -47,6 +46,7 @@ from jaxrod.systems.contact.neighbour_lists import (
 )
 from jaxrod.systems.contact.neighbour_search import Bounds, found_by
 from jaxrod.systems.contact.penalty_contact import (
+    ContactPair,
     PenaltyContact,
     check_members,
     law_numbers,
