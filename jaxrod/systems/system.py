@@ -28,10 +28,10 @@ from jaxrod.systems.energies import (
     system_momentum,
     system_potential_energy,
 )
+from jaxrod.systems.equilibrium import system_equilibrium
 from jaxrod.systems.members.member import Member
 from jaxrod.systems.sites.coupling import AllParts, Coupling
-from jaxrod.systems.statics.equilibrium import system_equilibrium
-from jaxrod.systems.statics.problem import squared_frequencies
+from jaxrod.systems.static_problem import squared_frequencies
 from jaxrod.systems.stepping.assembly import (
     Assembly,
     SystemState,

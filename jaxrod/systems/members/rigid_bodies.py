@@ -17,8 +17,7 @@ import numpy as np
 from jaxtyping import Array, ArrayLike, Bool, Float
 
 from jaxrod.analysis.health import HealthLimits
-from jaxrod.contacts.bodies import Body
-from jaxrod.contacts.solids import Solid
+from jaxrod.contacts.bodies import Body, Solid
 from jaxrod.effects.base import Effect, StabilityBound, added_bounds, remembers
 from jaxrod.effects.own_classes import check_own_class
 from jaxrod.effects.time import at_clock, clock_at, depends_on_time

@@ -34,7 +34,7 @@ from jaxrod.statics.pseudo_transient import (
 )
 from jaxrod.structure import pytree
 from jaxrod.systems.contact.neighbour_lists import RECORD
-from jaxrod.systems.statics.problem import (
+from jaxrod.systems.static_problem import (
     Linear,
     StaticProblem,
     displacements,
