@@ -19,8 +19,8 @@ from jaxrod.lanes.steps import by_kernel
 from jaxrod.model import Model, Stepper
 from jaxrod.statics.equilibrium import Equilibrium, search_limits
 from jaxrod.structure import pytree
-from jaxrod.systems.contact.continued import free_ends
 from jaxrod.systems.contact.neighbour_lists import RECORD, NeighbourRecord, no_record
+from jaxrod.systems.contact.rod_segments import free_ends
 from jaxrod.systems.energies import (
     seen_at_rest,
     system_angular_momentum,

@@ -21,10 +21,9 @@ from jaxrod.rods.elasticity import strains
 from jaxrod.rods.rod import RodState
 from jaxrod.systems.members.parts import Parts
 from jaxrod.viz.colours import FIXED
-from jaxrod.viz.meshes import Mesh, checked_mesh
 from jaxrod.viz.recording import extent
 from jaxrod.viz.rods import Rods, checked_rods
-from jaxrod.viz.shapes import Arrows, checked_arrows
+from jaxrod.viz.shapes import Arrows, Mesh, checked_arrows, checked_mesh
 
 _ONLY = "rod"
 """Key of a scene's only rod in `fields` and `colours`."""

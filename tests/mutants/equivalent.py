@@ -27,7 +27,7 @@ REASONS: dict[tuple[str, str], str] = {
         '`return f"{value:,.0f}" if runs[0].quantity == RETURN else f"{value:...`',
     ): "all runs of a picture have the same quantity, which is checked",
     (
-        "jaxrod/viz/meshes.py",
+        "jaxrod/viz/shapes.py",
         "number: `1e-9` -> `(2 * 1e-9)` in "
         "`normals[f, c] = total / size if size > 1e-9 else face[f]`",
     ): "sums of unit normals are of size one or cancel to rounding",

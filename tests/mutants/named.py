@@ -126,7 +126,7 @@ NAMED = (
     Named(
         "m14",
         "iLQR: held controls not moved on",
-        "jaxrod/control/trajectories/riccati.py",
+        "jaxrod/control/trajectories/ilqr.py",
         "moved = rest + by_control @ jnp.where(held, change, 0)",
         "moved = rest + 0 * by_control @ jnp.where(held, change, 0)",
         ("tests/control/test_ilqr.py",),

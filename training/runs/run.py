@@ -22,8 +22,7 @@ from jaxrod.files import make_folder
 from jaxrod.training.algorithm import Algorithm, Metrics
 from jaxrod.training.evaluation import Evaluation, evaluate
 from jaxrod.training.leaves import from_array, named_leaves, to_array, with_leaves
-from jaxrod.training.policy import Policy
-from jaxrod.training.policy_files import save_policy
+from jaxrod.training.policy import Policy, save_policy
 from jaxrod.training.progress import ProgressBar, reached
 from jaxrod.training.runs.checkpoint import Checkpoints
 from jaxrod.training.runs.contract import check_state, updates_of

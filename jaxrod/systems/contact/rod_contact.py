@@ -31,7 +31,6 @@ from jaxrod.effects.base import StabilityBound
 from jaxrod.geometry import vectors
 from jaxrod.geometry.vectors import Vec3
 from jaxrod.structure import pytree, static
-from jaxrod.systems.contact.continued import last_but_continued
 from jaxrod.systems.contact.element_pairs import Elements, row_vector
 from jaxrod.systems.contact.neighbour_lists import NeighbourLists
 from jaxrod.systems.contact.neighbour_search import Bounds
@@ -43,6 +42,7 @@ from jaxrod.systems.contact.penalty_contact import (
 from jaxrod.systems.contact.rod_segments import (
     ContactPoints,
     SegmentLoads,
+    last_but_continued,
     points_at,
     points_needed,
     rod_segments,
