@@ -13,7 +13,7 @@ import pytest
 import jaxrod
 from jaxrod import cli
 from jaxrod.installation import backend, doctor, program_cache
-from jaxrod.installation.program_cache import shared_with
+from jaxrod.private_folders import shared_with
 
 REFUSED = "Error reading persistent compilation cache entry"
 

@@ -12,8 +12,14 @@ from typing import Any, ClassVar
 import jax.numpy as jnp
 from jaxtyping import Array, Int
 
-from jaxrod.loaded_rod import LoadedRod, constrain_rates
-from jaxrod.methods.now import Now, memory_in, remembering, scene_at
+from jaxrod.loaded_rod import (
+    LoadedRod,
+    Now,
+    constrain_rates,
+    memory_in,
+    remembering,
+    scene_at,
+)
 from jaxrod.rods.motion import Motion
 from jaxrod.rods.rod import RodState
 from jaxrod.structure import pytree

@@ -25,15 +25,15 @@ from typing import Any
 import jax
 
 from jaxrod.files import write_atomically
-from jaxrod.installation.program_cache import (
-    make_private_folder,
-    read_own,
-    shared_with,
-)
 from jaxrod.jax_internals.foreign_call import handler_text, unknown_layout
 from jaxrod.jax_internals.primitives import unknown_rules
 from jaxrod.lanes.graph import OPERATIONS
 from jaxrod.lanes.llvm.kernel import Kernel
+from jaxrod.private_folders import (
+    make_private_folder,
+    read_own,
+    shared_with,
+)
 
 OPTIMISATION = 2
 """Optimisation level of LLVM, from 0 to 3."""
