@@ -102,7 +102,7 @@ NAMED = (
     Named(
         "m11",
         "lanes: the last of equal extremes",
-        "jaxrod/lanes/jaxpr/arithmetic.py",
+        "jaxrod/lanes/jaxpr/reductions.py",
         'better = "gt" if',
         'better = "ge" if',
         ("tests/lanes/test_primitives.py",),

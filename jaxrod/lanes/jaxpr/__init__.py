@@ -3,6 +3,6 @@
 Importing this package registers the rules of all primitives.
 """
 
-from jaxrod.lanes.jaxpr import arithmetic, indexing
+from jaxrod.lanes.jaxpr import arithmetic, indexing, reductions
 
-__all__ = ["arithmetic", "indexing"]
+__all__ = ["arithmetic", "indexing", "reductions"]

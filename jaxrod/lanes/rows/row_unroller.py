@@ -12,7 +12,8 @@ from typing import Any
 import numpy as np
 
 from jaxrod.jax_internals.equations import scan_of
-from jaxrod.lanes.jaxpr.arithmetic import CUMULATIVE, REDUCTIONS, as_kind
+from jaxrod.lanes.jaxpr.arithmetic import as_kind
+from jaxrod.lanes.jaxpr.reductions import CUMULATIVE, REDUCTIONS
 from jaxrod.lanes.jaxpr.unroll import (
     RULES,
     NotUnrolled,
