@@ -17,6 +17,7 @@ from jaxrod import training as training
 from jaxrod import twin as twin
 from jaxrod import validation as validation
 from jaxrod import viz as viz
+from jaxrod.analysis.dynamics import reactions as reactions
 from jaxrod.analysis.frequency import highest_frequency as highest_frequency
 from jaxrod.analysis.frequency import natural_frequencies as natural_frequencies
 from jaxrod.analysis.health import Health as Health
@@ -25,7 +26,6 @@ from jaxrod.analysis.health import freeze as freeze
 from jaxrod.analysis.health import health as health
 from jaxrod.analysis.inertia_scaling import frequency_changes as frequency_changes
 from jaxrod.analysis.inertia_scaling import scale_inertia as scale_inertia
-from jaxrod.analysis.reactions import reactions as reactions
 from jaxrod.analysis.stability import StableStep as StableStep
 from jaxrod.analysis.stability import stable_dt as stable_dt
 from jaxrod.contacts.contact import contact as contact
@@ -34,7 +34,6 @@ from jaxrod.contacts.points import ThinBodyWarning as ThinBodyWarning
 from jaxrod.damping.filters import laplacian_filter as laplacian_filter
 from jaxrod.damping.filters import short_wave_damping as short_wave_damping
 from jaxrod.damping.internal_damping import internal_damping as internal_damping
-from jaxrod.damping.linear_damper import linear_damper as linear_damper
 from jaxrod.effects.clamps import clamp as clamp
 from jaxrod.effects.clamps import fixed_end as fixed_end
 from jaxrod.effects.driven import driven as driven
@@ -54,6 +53,7 @@ from jaxrod.lanes.choice import use_lanes as use_lanes
 from jaxrod.methods.consistent import consistent as consistent
 from jaxrod.methods.implicit import implicit as implicit
 from jaxrod.methods.planar import planar as planar
+from jaxrod.methods.pyelastica import linear_damper as linear_damper
 from jaxrod.methods.pyelastica import pyelastica as pyelastica
 from jaxrod.methods.torsion_free import torsion_free as torsion_free
 from jaxrod.rods.elasticity import stored_energy as stored_energy

@@ -6,10 +6,9 @@ subclass, decorated with `pytree`, that overrides the hooks it needs; docs/exten
 describes all four.
 """
 
-from jaxrod.contacts.solids import Solid
+from jaxrod.contacts.bodies import Solid
 from jaxrod.effects.base import Effect, Reaction, StabilityBound
-from jaxrod.effects.ends import Wall
-from jaxrod.effects.held import Held
+from jaxrod.effects.ends import Held, Wall
 from jaxrod.geometry import rotations, vectors
 from jaxrod.loaded_rod import LoadedRod, Method
 from jaxrod.model import Stepper

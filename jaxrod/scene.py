@@ -17,9 +17,8 @@ from jaxrod.analysis.stability import (
     scene_stable_step,
     scene_step_warning,
 )
-from jaxrod.effects.base import Effect
-from jaxrod.effects.held import check_held_once
-from jaxrod.effects.memory import memory_fields, memory_of
+from jaxrod.effects.base import Effect, memory_fields, memory_of
+from jaxrod.effects.ends import check_held_once
 from jaxrod.effects.own_classes import check_own_class, check_own_loads
 from jaxrod.effects.time import Clock, at_clock, clock_at, depends_on_time
 from jaxrod.effects.unlikely import warn_of_thickness

@@ -27,8 +27,7 @@ try:
     from jaxrod.training.evaluation import Evaluation, evaluate
     from jaxrod.training.exporting.exports import export_c, export_onnx
     from jaxrod.training.networks import NetworkPolicy
-    from jaxrod.training.policy import MLPPolicy, Policy
-    from jaxrod.training.policy_files import load_policy, save_policy
+    from jaxrod.training.policy import MLPPolicy, Policy, load_policy, save_policy
     from jaxrod.training.runs.folder import RunFolder
     from jaxrod.training.runs.loop import train, train_seeds
     from jaxrod.training.runs.resuming import restore_policy, untrained_policy

@@ -1,13 +1,43 @@
-"""Trained policies: pytrees that are pure functions from observations to actions."""
+"""Trained policies: pure functions from observations to actions, and their files.
+
+A policy is a pytree. It is stored as two files without pickle, policy.json and
+policy.npz. A multilayer perceptron (format 1) can be read by any program: the files
+hold its layers, activation and normalisation. Any other policy (format 2) is stored as
+arrays under their paths in the pytree. To read it, the code that trained it must make a
+policy of the same structure, see `load_policy`.
+"""
 
 from __future__ import annotations
 
-from typing import Protocol
+import io
+import json
+import zipfile
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any, Protocol
 
+import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Float
 
+from jaxrod.envs import held_for
+from jaxrod.files import (
+    OBJECT,
+    check_entries,
+    one_of,
+    read_json,
+    reading,
+    whole,
+    write_atomically,
+)
 from jaxrod.structure import pytree, static
+from jaxrod.training.leaves import (
+    differences_of_leaves,
+    named_leaves,
+    to_array,
+    with_leaves,
+)
 from jaxrod.training.normalisation import RunningMoments, normalise
 
 ACTIVATIONS = {
@@ -77,3 +107,254 @@ class MLPPolicy:
             bias = jnp.expand_dims(bias, tuple(range(hidden.ndim - 1)))
             hidden = hidden @ kernel + bias
         return OUTPUTS[self.output](hidden)
+
+
+PERCEPTRON, PYTREE = 1, 2
+"""Format numbers in policy.json: a multilayer perceptron, and any other pytree."""
+
+_ROOT = "policy"
+_MAY_LACK = {"action_repeat": whole(1, 2**31 - 1), "about": OBJECT}
+
+
+def save_policy(
+    policy: Any, folder: str | Path, about: Mapping[str, Any] | None = None
+) -> None:
+    """Writes a policy as `policy.json` (description) and `policy.npz` (arrays).
+
+    Args:
+        policy: An `MLPPolicy`, or any other pytree of arrays.
+        folder: Folder of the files; created if missing.
+        about: Further facts for the JSON file, such as the task.
+
+    Example:
+        >>> from pathlib import Path
+        >>> sizes = training.untrained_policy(envs.make("trivial"))
+        >>> policy = jax.tree.map(lambda leaf: jnp.ones(leaf.shape), sizes)
+        >>> training.save_policy(policy, "policy", about={"task": "trivial"})
+        >>> sorted(file.name for file in Path("policy").iterdir())
+        ['policy.json', 'policy.npz']
+    """
+    folder = Path(folder)
+    folder.mkdir(parents=True, exist_ok=True)
+    if isinstance(policy, MLPPolicy):
+        description, arrays = _perceptron(policy)
+    else:
+        description, arrays = _pytree(policy)
+    description |= {"action_repeat": held_for(policy), "about": dict(about or {})}
+    buffer = io.BytesIO()
+    np.savez(buffer, allow_pickle=False, **arrays)
+    write_atomically(folder / "policy.npz", buffer.getvalue())
+    text = json.dumps(description, indent=2) + "\n"
+    write_atomically(folder / "policy.json", text.encode())
+
+
+def load_policy(folder: str | Path, like: Any = None) -> Any:
+    """Reads a policy written by `save_policy`.
+
+    Args:
+        folder: Folder of the policy.
+        like: A policy of the same structure, whose numbers do not matter; see
+            `jaxrod.training.untrained_policy`. Only needed for policies other than
+            `MLPPolicy`. `jaxrod.training.restore_policy` makes it from a run.
+
+    Returns:
+        An `MLPPolicy`, or a policy with the structure of `like`.
+
+    Raises:
+        ValueError: The folder holds no policy, or one of another format or structure;
+            or a file is damaged or holds something that cannot be a policy. The message
+            names the file.
+
+    Example:
+        >>> sizes = training.untrained_policy(envs.make("trivial"))
+        >>> policy = jax.tree.map(lambda leaf: jnp.ones(leaf.shape), sizes)
+        >>> training.save_policy(policy, "policy")
+        >>> again = training.load_policy("policy")
+        >>> bool((again(jnp.ones(1)) == policy(jnp.ones(1))).all())
+        True
+    """
+    folder = Path(folder)
+    texts, numbers = folder / "policy.json", folder / "policy.npz"
+    for file in (texts, numbers):
+        if not file.is_file():
+            raise ValueError(
+                f"{folder} must hold policy.json and policy.npz, lacks {file.name}"
+            )
+    description = read_json(texts)
+    with reading(texts):
+        _check_description(description)
+    perceptron = description["format"] == PERCEPTRON
+    if not perceptron and like is None:
+        raise ValueError(
+            f"{folder} holds a policy that is not a multilayer perceptron: read it "
+            "with like=, a policy of the same structure, or with "
+            "jaxrod.training.restore_policy"
+        )
+    with reading(numbers):
+        if not zipfile.is_zipfile(numbers):
+            raise ValueError("it is torn")
+        with np.load(numbers, allow_pickle=False) as stored:
+            arrays = {name: stored[name] for name in stored.files}
+        if perceptron:
+            _check_numbers(arrays, description)
+    if not perceptron:
+        return _put_into(like, numbers, arrays)
+    found = {name: jnp.asarray(array) for name, array in arrays.items()}
+    return MLPPolicy(
+        moments=RunningMoments(
+            found["observation_count"],
+            found["observation_mean"],
+            found["observation_variance"],
+        ),
+        limit=found["observation_limit"],
+        layers=tuple(
+            (found[f"kernel_{i}"], found[f"bias_{i}"])
+            for i in range(description["layers"])
+        ),
+        activation=description["activation"],
+        output=description["output"],
+        # Policies from before this entry existed decided at every control step.
+        action_repeat=description.get("action_repeat", 1),
+    )
+
+
+def needs_structure(folder: str | Path) -> bool:
+    """Whether `load_policy` needs its argument `like` for the policy in a folder."""
+    file = Path(folder) / "policy.json"
+    return file.is_file() and read_json(file).get("format") == PYTREE
+
+
+def _perceptron(policy: MLPPolicy) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
+    """Entries of policy.json and arrays of policy.npz for a multilayer perceptron."""
+    arrays = {
+        "observation_count": policy.moments.count,
+        "observation_mean": policy.moments.mean,
+        "observation_variance": policy.moments.variance,
+        "observation_limit": policy.limit,
+    }
+    for i, (kernel, bias) in enumerate(policy.layers):
+        arrays |= {f"kernel_{i}": kernel, f"bias_{i}": bias}
+    description = {
+        "format": PERCEPTRON,
+        "activation": policy.activation,
+        "output": policy.output,
+        "layers": len(policy.layers),
+        "observation_size": int(policy.layers[0][0].shape[0]),
+        "action_size": int(policy.layers[-1][1].shape[0]),
+    }
+    return description, {name: np.asarray(array) for name, array in arrays.items()}
+
+
+def _pytree(policy: Any) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
+    """Entries of policy.json and arrays of policy.npz for a policy of any structure."""
+    leaves = named_leaves(jax.tree.map(jnp.asarray, policy), _ROOT)
+    kinds = {name: str(leaf.dtype) for name, leaf in leaves.items()}
+    arrays = {name: to_array(leaf) for name, leaf in leaves.items()}
+    return {"format": PYTREE, "leaves": kinds}, arrays
+
+
+def _put_into(like: Any, file: Path, arrays: dict[str, np.ndarray]) -> Any:
+    """A policy with the structure of `like` and the arrays of a policy.npz.
+
+    The arrays may have another floating-point precision than the leaves of `like`,
+    because a policy may be evaluated in another precision than it was trained in.
+
+    Args:
+        like: Policy that gives the names, kinds and shapes of the leaves.
+        file: File that held the arrays, for messages.
+        arrays: Arrays by name of the leaf.
+
+    Raises:
+        ValueError: The names, kinds or shapes differ, or a number is NaN.
+    """
+    leaves = named_leaves(like, _ROOT)
+    for name in leaves.keys() & arrays.keys():
+        dtype = np.dtype(leaves[name].dtype)
+        if dtype.kind == "V" and arrays[name].dtype == f"u{dtype.itemsize}":
+            arrays[name] = arrays[name].view(dtype)
+    apart = differences_of_leaves(
+        {name: _kind(leaf) for name, leaf in leaves.items()},
+        {name: _kind(array) for name, array in arrays.items()},
+    )
+    if apart:
+        raise ValueError(
+            f"{file} is of another policy than the algorithm and the settings of this "
+            f"run make: it {apart}"
+        )
+    with reading(file):
+        for name, array in arrays.items():
+            if np.isnan(array).any():
+                raise ValueError(f"{name!r} holds a value that is not a number")
+    # Leaves without elements hold nothing and are not stored.
+    empty = jax.tree.map(lambda leaf: jnp.zeros(leaf.shape, leaf.dtype), like)
+    found = {name: jnp.asarray(array) for name, array in arrays.items()}
+    return with_leaves(empty, _ROOT, found)
+
+
+def _kind(array: Any) -> str:
+    """Kind and shape of an array without its precision, such as "float[3]"."""
+    return f"{np.dtype(array.dtype).name.rstrip('0123456789')}{list(array.shape)}"
+
+
+def _check_description(description: dict[str, Any]) -> None:
+    """Raises ValueError unless the entries of policy.json describe a policy."""
+    if description.get("format") == PYTREE:
+        check_entries(description, {"leaves": OBJECT}, _MAY_LACK)
+        return
+    if description.get("format") != PERCEPTRON:
+        raise ValueError(
+            f"it is of format {description.get('format')!r}, this version reads "
+            f"formats {PERCEPTRON} and {PYTREE}"
+        )
+    check_entries(
+        description,
+        {
+            "activation": one_of(*ACTIVATIONS),
+            "output": one_of(*OUTPUTS),
+            "layers": whole(1, 1000),
+            "observation_size": whole(1),
+            "action_size": whole(1),
+        },
+        _MAY_LACK,
+    )
+
+
+def _check_numbers(
+    arrays: dict[str, np.ndarray], description: Mapping[str, Any]
+) -> None:
+    """Raises ValueError unless all arrays are finite and fit policy.json."""
+    layers = range(description["layers"])
+    names = {f"{part}_{i}" for i in layers for part in ("kernel", "bias")}
+    names |= {f"observation_{part}" for part in ("count", "mean", "variance", "limit")}
+    for name in sorted(names ^ arrays.keys()):
+        if name in names:
+            raise ValueError(f"it lacks {name!r}, which follows from policy.json")
+        raise ValueError(f"it has {name!r}, which does not follow from policy.json")
+    sizes = [description["observation_size"]]
+    sizes += [arrays[f"bias_{i}"].size for i in layers[:-1]]
+    sizes += [description["action_size"]]
+    shapes: dict[str, tuple[int, ...]] = {
+        "observation_count": (),
+        "observation_limit": (),
+        "observation_mean": (sizes[0],),
+        "observation_variance": (sizes[0],),
+    }
+    for i in layers:
+        shapes |= {
+            f"kernel_{i}": (sizes[i], sizes[i + 1]),
+            f"bias_{i}": (sizes[i + 1],),
+        }
+    for name, shape in shapes.items():
+        array = arrays[name]
+        if array.shape != shape:
+            raise ValueError(
+                f"{name!r} has the shape {array.shape}, not {shape}, which follows "
+                "from policy.json"
+            )
+        if array.dtype.kind != "f" or not np.isfinite(array).all():
+            raise ValueError(f"{name!r} must hold finite numbers")
+    for name in ("observation_count", "observation_variance"):
+        if (arrays[name] < 0).any():
+            raise ValueError(f"{name!r} must not be negative")
+    if arrays["observation_limit"] <= 0:
+        raise ValueError("'observation_limit' must be positive")

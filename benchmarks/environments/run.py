@@ -27,7 +27,7 @@ from jaxrod.files import write_atomically
 from jaxrod.installation.machine import processor_and_versions
 from jaxrod.lanes.choice import slower
 from jaxrod.training.algorithm import DEVICE_AXIS
-from jaxrod.training.runs.devices import device_mesh, place
+from jaxrod.training.runs.hosts import device_mesh, place
 
 ARMS = ("tracking", "reaching", "structured", "unstructured")
 TASKS = (

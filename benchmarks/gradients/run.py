@@ -32,7 +32,7 @@ from benchmarks.gradients.report import (
     without_contact,
 )
 from jaxrod.files import write_atomically
-from jaxrod.tradeoff.scenes import SCENES as PROBLEMS
+from jaxrod.tradeoff.workload import SCENES as PROBLEMS
 
 SCENES = ("swing", "slam", "rope")
 RIGHT = 1e-6

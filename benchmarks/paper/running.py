@@ -15,18 +15,18 @@ from benchmarks.paper.report import write_report
 from jaxrod.cli.sweeps.plan import differs
 from jaxrod.cli.sweeps.running import (
     Ended,
+    RunsView,
     ThisMachine,
     last_row,
     log_of,
     train_all,
     wait_for,
 )
-from jaxrod.cli.sweeps.view import RunsView
 from jaxrod.files import refuse_link, write_atomically
 from jaxrod.installation.machine import processor
 from jaxrod.training import RunFolder, algorithm_names, find_algorithm
 from jaxrod.training.runs.interruption import Interruption
-from jaxrod.training.runs.lock import only_process
+from jaxrod.training.runs.owned_folder import only_process
 from jaxrod.training.runs.recorded_settings import recorded
 
 CHECKPOINT_SECONDS = 300

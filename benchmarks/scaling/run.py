@@ -30,7 +30,7 @@ from benchmarks.shared.page_tables import measured_table
 from jaxrod.envs import make
 from jaxrod.installation.machine import available_cores
 from jaxrod.training import find_algorithm
-from jaxrod.training.runs.devices import (
+from jaxrod.training.runs.hosts import (
     device_mesh,
     lower_updates,
     partition_of,

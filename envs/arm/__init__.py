@@ -1,1 +1,1 @@
-"""The benchmark's soft arm, its obstacles and its moving target."""
+"""The benchmark's soft arm, clean and as published, its obstacles and its target."""

@@ -20,10 +20,10 @@ from jaxtyping import Array, Bool, Float, Int, Key
 from jaxrod import Rod, RodState, freeze
 from jaxrod.actuation import control_spline
 from jaxrod.envs.arm.clean import clean_arm
+from jaxrod.envs.arm.published import published_arm
 from jaxrod.envs.arm.soft_arm import CONTROL_PERIOD, LENGTH, REFERENCE_ELEMENTS
 from jaxrod.envs.checking import action_of_size, check_variant
 from jaxrod.envs.protocol import Channel, Snapshot, Step
-from jaxrod.envs.published.arm import published_arm
 from jaxrod.methods.planar_verlet import PlaneName
 from jaxrod.structure import pytree
 from jaxrod.validation import Numbers, check_count

@@ -23,9 +23,9 @@ from jaxrod.actuation import control_spline
 from jaxrod.contacts.bodies import Body
 from jaxrod.envs.arm.clean import clean_arm
 from jaxrod.envs.arm.cylinders import OBSERVED_POINTS, Cylinders, points_along
+from jaxrod.envs.arm.published import published_arm
 from jaxrod.envs.arm.soft_arm import CONTROL_PERIOD, LENGTH
 from jaxrod.envs.protocol import Channel, Snapshot
-from jaxrod.envs.published.arm import published_arm
 from jaxrod.envs.tasks.arm_task import (
     OBSERVED_NODES,
     Arm,

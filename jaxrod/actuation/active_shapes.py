@@ -27,8 +27,7 @@ from jaxrod.effects.base import Reach, StabilityBound
 from jaxrod.effects.clamps import Clamp
 from jaxrod.effects.time import Scheduled, Timed, as_timed, is_schedule
 from jaxrod.geometry import vectors
-from jaxrod.rods.along_rod import middle_places, node_places, resampled_along
-from jaxrod.rods.rod import Rod
+from jaxrod.rods.rod import Rod, middle_places, node_places, resampled_along
 from jaxrod.structure import pytree
 from jaxrod.validation import check_kind
 

@@ -31,8 +31,7 @@ from jaxrod.actuation.section_load import (
 from jaxrod.effects.base import StabilityBound
 from jaxrod.geometry import vectors
 from jaxrod.geometry.vectors import Vec3
-from jaxrod.rods.along_rod import node_places, resampled_along
-from jaxrod.rods.rod import Rod
+from jaxrod.rods.rod import Rod, node_places, resampled_along
 from jaxrod.structure import pytree
 from jaxrod.validation import Numbers, as_array, numeric
 

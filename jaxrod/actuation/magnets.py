@@ -21,9 +21,8 @@ from jaxrod.effects.time import Timed, as_timed_vector
 from jaxrod.geometry import vectors
 from jaxrod.geometry.rotations import directors, to_material, to_world
 from jaxrod.geometry.vectors import Vec3
-from jaxrod.rods.along_rod import middle_places, resampled_along
 from jaxrod.rods.motion import Loads, Motion, motion_of
-from jaxrod.rods.rod import Rod, RodState
+from jaxrod.rods.rod import Rod, RodState, middle_places, resampled_along
 from jaxrod.structure import pytree
 from jaxrod.validation import Numbers, as_array, check_kind
 

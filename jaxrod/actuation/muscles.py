@@ -53,9 +53,8 @@ from jaxrod.effects.time import Scheduled, Timed, as_timed
 from jaxrod.geometry import vectors
 from jaxrod.geometry.rotations import Quaternion, multiply_quaternions
 from jaxrod.geometry.vectors import Vec3
-from jaxrod.rods.along_rod import middle_places, resampled_along
 from jaxrod.rods.motion import Motion
-from jaxrod.rods.rod import Rod
+from jaxrod.rods.rod import Rod, middle_places, resampled_along
 from jaxrod.structure import pytree, static
 from jaxrod.validation import Numbers, as_array, check_kind
 

@@ -38,9 +38,8 @@ from jaxrod.effects.time import Clock, Schedule, Scheduled, is_schedule
 from jaxrod.geometry import vectors
 from jaxrod.geometry.material_frames import module_for, unit_vector
 from jaxrod.geometry.rotations import directors, to_material
-from jaxrod.rods.along_rod import node_places, resampled_along
 from jaxrod.rods.motion import Loads, Motion
-from jaxrod.rods.rod import Rod
+from jaxrod.rods.rod import Rod, node_places, resampled_along
 from jaxrod.structure import pytree
 from jaxrod.validation import (
     Numbers,

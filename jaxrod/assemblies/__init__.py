@@ -1,9 +1,8 @@
 """Systems of many rods, built by one call: each returns a system and its state."""
 
+from jaxrod.assemblies.branched_rods import octopus, tree
 from jaxrod.assemblies.nests import nest
-from jaxrod.assemblies.octopods import octopus
 from jaxrod.assemblies.parallel_rods import bundle, cilia, hexagonal_places
-from jaxrod.assemblies.trees import tree
 from jaxrod.assemblies.woven_rods import braid, net
 
 __all__ = [

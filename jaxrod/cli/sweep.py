@@ -244,10 +244,15 @@ def _train(runs: Sequence[SweepRun], out: Path, place: Place, more: list[str]) -
         Exit code: 0 if all runs finished, 1 if some failed, 130 if interrupted.
     """
     from jaxrod.cli.sweeps.results import Results
-    from jaxrod.cli.sweeps.running import last_row, log_of, train_all, wait_for
-    from jaxrod.cli.sweeps.view import RunsView
+    from jaxrod.cli.sweeps.running import (
+        RunsView,
+        last_row,
+        log_of,
+        train_all,
+        wait_for,
+    )
     from jaxrod.training.runs.interruption import Interruption
-    from jaxrod.training.runs.lock import only_process
+    from jaxrod.training.runs.owned_folder import only_process
 
     folders = {run.name: _folder(run, out) for run in runs}
     with only_process(out):

@@ -7,12 +7,12 @@ from jaxrod.control.identification.parameters import Parameters, make_parameters
 from jaxrod.control.identification.result import Fit, Forecast
 from jaxrod.control.identification.windows import MultipleShooting, shots, windows
 from jaxrod.control.least_squares import LeastSquares, least_squares
-from jaxrod.control.linear.linearisation import Linearisation, linearise
-from jaxrod.control.linear.local_coordinates import (
+from jaxrod.control.linearisation import Linearisation, linearise
+from jaxrod.control.local_coordinates import (
     LocalCoordinates,
     local_coordinates,
 )
-from jaxrod.control.planning.mpc import PlanningPolicy, mpc
+from jaxrod.control.mpc import PlanningPolicy, mpc
 from jaxrod.control.trajectories.adam import adam
 from jaxrod.control.trajectories.ilqr import ilqr
 from jaxrod.control.trajectories.levenberg_marquardt import (

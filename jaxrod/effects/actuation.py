@@ -29,9 +29,8 @@ from jaxrod.effects.time import (
 from jaxrod.geometry import vectors
 from jaxrod.geometry.matrices import Matrix, skew
 from jaxrod.geometry.rotations import directors, to_world
-from jaxrod.rods.along_rod import interpolated
 from jaxrod.rods.motion import Loads, Motion
-from jaxrod.rods.rod import Rod
+from jaxrod.rods.rod import Rod, interpolated
 from jaxrod.structure import pytree
 from jaxrod.validation import (
     Numbers,

@@ -10,17 +10,18 @@ from jaxtyping import Array, Float
 from jaxrod.effects.base import Effect, Reaction, StabilityBound
 from jaxrod.effects.ends import (
     End,
+    Held,
     Wall,
     at_end,
     check_end,
     check_made_for,
+    held_end,
     made_again_for,
     only_at_end,
     place,
     replace_end,
     zero_at_end,
 )
-from jaxrod.effects.held import Held, held_end
 from jaxrod.geometry import vectors
 from jaxrod.geometry.matrices import Matrix, skew, subtract
 from jaxrod.geometry.rotations import (

@@ -11,14 +11,16 @@ from jaxtyping import Array
 from jaxrod.effects.base import Effect, Reaction, StabilityBound
 from jaxrod.effects.clamps import Clamp
 from jaxrod.effects.ends import (
+    Axes,
     End,
+    Held,
     at_end,
     check_end,
     check_made_for,
+    held_end,
     made_again_for,
     replace_end,
 )
-from jaxrod.effects.held import Axes, Held, held_end
 from jaxrod.effects.paths import Path, Turning, schedule_of
 from jaxrod.effects.supports import (
     at_node,

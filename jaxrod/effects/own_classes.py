@@ -1,7 +1,8 @@
 """Checks of effects and couplings that users write: hook names, pytrees, load shapes.
 
 Without them a misspelled hook is never called, without any message, or an error is
-raised deep inside JAX. Classes of jaxrod are not checked: they have tests.
+raised deep inside JAX. Classes of jaxrod are not checked: they have tests. Effects are
+tested numerically on a motion without symmetries.
 """
 
 from __future__ import annotations
@@ -14,8 +15,10 @@ import jax
 import jax.numpy as jnp
 
 from jaxrod.effects.base import Effect
-from jaxrod.effects.trial_motion import trial_motion
-from jaxrod.rods.motion import Loads
+from jaxrod.effects.directions import frame_along
+from jaxrod.geometry import vectors
+from jaxrod.geometry.vectors import Vec3
+from jaxrod.rods.motion import Loads, Motion
 from jaxrod.rods.rod import Rod
 
 ALIKE = 0.85
@@ -155,3 +158,25 @@ def _public(kind: type) -> set[str]:
 
 def _is_method(value: Any) -> bool:
     return callable(value) or isinstance(value, property | classmethod | staticmethod)
+
+
+def trial_motion(rod: Rod) -> Motion:
+    """Unstretched rod with irregular directions of elements and irregular rates.
+
+    The angular momentum of each element is perpendicular to the element.
+    """
+    k = jnp.arange(rod.n_elements, dtype=rod.rest_lengths.dtype)
+    x, y, z = jnp.cos(1.1 * k + 0.3), jnp.sin(1.7 * k + 0.7), jnp.cos(0.6 * k - 0.5)
+    direction = vectors.scale(1 / jnp.sqrt(x * x + y * y + z * z), (x, y, z))
+    position = _summed(vectors.scale(rod.rest_lengths, direction))
+    return Motion(
+        position=position,
+        orientation=frame_along(direction),
+        velocity=(position[1], position[2], position[0]),
+        spin=vectors.cross(direction, vectors.scale(rod.inertias[0], (y, z, x))),
+    )
+
+
+def _summed(edges: Vec3) -> Vec3:
+    x, y, z = (vectors.pad(jnp.cumsum(c), 1, 0) for c in edges)
+    return x, y, z

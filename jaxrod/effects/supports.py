@@ -14,15 +14,18 @@ from jaxtyping import Array, Float
 
 from jaxrod.effects.base import Effect, Reaction, StabilityBound
 from jaxrod.effects.ends import (
+    ALL_AXES,
+    Axes,
     End,
+    Held,
     at_end,
     check_end,
     check_made_for,
+    held_end,
     made_again_for,
     only_at_end,
     place,
 )
-from jaxrod.effects.held import ALL_AXES, Axes, Held, held_end
 from jaxrod.geometry import vectors
 from jaxrod.geometry.material_frames import unit_vector
 from jaxrod.geometry.rotations import (

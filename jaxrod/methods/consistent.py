@@ -55,8 +55,7 @@ from jaxrod.loaded_rod import (
     external_loads,
 )
 from jaxrod.methods.drag_kick import drag_kick, without_drag
-from jaxrod.methods.kick import Kick
-from jaxrod.methods.verlet import Verlet
+from jaxrod.methods.verlet import Kick, Verlet
 from jaxrod.rods.elasticity import ElasticLaw, elastic_law, internal_loads
 from jaxrod.rods.motion import Loads, Motion, accumulate, motion_of, state_of
 from jaxrod.rods.rod import RodState

@@ -24,12 +24,12 @@ import jax.numpy as jnp
 from jaxtyping import Array
 
 from jaxrod.effects.base import Effect
-from jaxrod.effects.trial_motion import trial_motion
+from jaxrod.effects.own_classes import trial_motion
 from jaxrod.geometry import vectors
 from jaxrod.geometry.rotations import directors
 from jaxrod.geometry.vectors import Vec3
 from jaxrod.loaded_rod import LoadedRod, damping_rates
-from jaxrod.methods.kick import Kick
+from jaxrod.methods.verlet import Kick
 from jaxrod.rods.drag import Drag, node_tangents, relative_velocity
 from jaxrod.rods.motion import Motion
 

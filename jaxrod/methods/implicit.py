@@ -39,12 +39,15 @@ from jaxrod.geometry.vectors import Vec3
 from jaxrod.loaded_rod import (
     LoadedRod,
     Method,
+    Now,
     constrain,
     constrain_rates,
     damping_rates,
     dissipate,
+    memory_in,
+    remembering,
+    scene_at,
 )
-from jaxrod.methods.now import Now, memory_in, remembering, scene_at
 from jaxrod.rods.elasticity import ElasticLaw, elastic_law
 from jaxrod.rods.motion import Motion, motion_of, state_of
 from jaxrod.rods.rod import RodState

@@ -11,8 +11,8 @@ import numpy as np
 from jaxtyping import Array, ArrayLike, Float
 
 from jaxrod.effects.base import Effect
+from jaxrod.effects.own_classes import trial_motion
 from jaxrod.effects.time import at_clock, clock_at
-from jaxrod.effects.trial_motion import trial_motion
 from jaxrod.loaded_rod import LoadedRod, Method, constrain, constrain_rates
 from jaxrod.methods.consistent import Consistent
 from jaxrod.methods.planar_laws import PlanarConsistentStepper, PlanarPyElasticaStepper

@@ -24,7 +24,6 @@ from jaxtyping import Array
 from jaxrod.geometry.vectors import Vec3
 from jaxrod.loaded_rod import LoadedRod, damping_rates, dissipates
 from jaxrod.methods.drag_kick import drag_kick, without_drag
-from jaxrod.methods.kick import Kick
 from jaxrod.methods.planar_verlet import (
     PLANES,
     PlanarMotion,
@@ -35,6 +34,7 @@ from jaxrod.methods.planar_verlet import (
     inertia_about_normal,
     spread,
 )
+from jaxrod.methods.verlet import Kick
 from jaxrod.rods.rod import RodState
 from jaxrod.structure import pytree
 

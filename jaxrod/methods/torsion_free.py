@@ -35,8 +35,8 @@ from jaxrod.effects.directions import (
     turned_to,
 )
 from jaxrod.effects.ends import End, Wall, at_end
+from jaxrod.effects.own_classes import trial_motion
 from jaxrod.effects.time import at_largest
-from jaxrod.effects.trial_motion import trial_motion
 from jaxrod.geometry import vectors
 from jaxrod.geometry.rotations import (
     Quaternion,
@@ -57,8 +57,7 @@ from jaxrod.loaded_rod import (
     dissipates,
 )
 from jaxrod.methods.drag_kick import drag_kick, without_drag
-from jaxrod.methods.kick import Kick
-from jaxrod.methods.verlet import Verlet
+from jaxrod.methods.verlet import Kick, Verlet
 from jaxrod.rods.motion import Loads, Motion, motion_of, state_of
 from jaxrod.rods.rod import Rod, RodState
 from jaxrod.structure import pytree, static

@@ -19,7 +19,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from jaxrod.analysis.accelerations import rates_of_change
+from jaxrod.analysis.dynamics import rates_of_change
 from jaxrod.geometry import vectors
 from jaxrod.geometry.material_frames import unit_vector
 from jaxrod.geometry.rotations import (

@@ -9,7 +9,7 @@ from jaxtyping import Array, Float
 
 from jaxrod.actuation.chambers import Chamber, WoundChamber
 from jaxrod.actuation.tendons import Tendon
-from jaxrod.analysis.reactions import reactions
+from jaxrod.analysis.dynamics import reactions
 from jaxrod.effects.base import Reaction
 from jaxrod.effects.ends import End, check_end
 from jaxrod.geometry import vectors

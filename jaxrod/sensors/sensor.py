@@ -18,7 +18,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
-from jaxrod.effects.trial_motion import trial_motion
+from jaxrod.effects.own_classes import trial_motion
 from jaxrod.geometry import vectors
 from jaxrod.geometry.rotations import (
     Quaternion,
@@ -27,10 +27,9 @@ from jaxrod.geometry.rotations import (
 )
 from jaxrod.geometry.vectors import Vec3
 from jaxrod.loaded_rod import LoadedRod, scene_of
-from jaxrod.rods.along_rod import middle_places, node_places
 from jaxrod.rods.elasticity import joint_rotations
 from jaxrod.rods.motion import Motion, state_of
-from jaxrod.rods.rod import Rod, RodState
+from jaxrod.rods.rod import Rod, RodState, middle_places, node_places
 from jaxrod.structure import pytree
 from jaxrod.validation import Numbers, as_array, is_traced, numeric
 

@@ -16,7 +16,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from jaxrod.effects.base import Effect, Reach
-from jaxrod.effects.trial_motion import trial_motion
+from jaxrod.effects.own_classes import trial_motion
 from jaxrod.geometry import vectors
 from jaxrod.geometry.rotations import (
     directors,

@@ -11,7 +11,7 @@ from jaxrod.lanes.steps import by_kernel
 from jaxrod.structure import pytree
 from jaxrod.systems.members.parts import Seen
 from jaxrod.systems.stepping.assembly import Assembly, SystemState, held_parts
-from jaxrod.systems.stepping.listing import searched, with_found
+from jaxrod.systems.stepping.changing import searched, with_found
 
 
 @jax.jit

@@ -13,9 +13,16 @@ from jaxrod.tradeoff.measure import (
     prepare,
     reference,
 )
-from jaxrod.tradeoff.scenes import SCENES, rope, slam, swing, tracking_arm
 from jaxrod.tradeoff.tuning import Tuned, tune
-from jaxrod.tradeoff.workload import Workload, workload_of
+from jaxrod.tradeoff.workload import (
+    SCENES,
+    Workload,
+    rope,
+    slam,
+    swing,
+    tracking_arm,
+    workload_of,
+)
 
 __all__ = [
     "SCENES",

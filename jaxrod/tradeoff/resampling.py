@@ -17,10 +17,9 @@ from jaxrod.geometry.rotations import (
     split_quaternion,
 )
 from jaxrod.loaded_rod import check_scene_and_state
-from jaxrod.rods.along_rod import interpolated, neighbours
 from jaxrod.rods.elasticity import joint_rotations
 from jaxrod.rods.factories import MOST_ELEMENTS
-from jaxrod.rods.rod import Rod, RodState
+from jaxrod.rods.rod import Rod, RodState, interpolated, neighbours
 from jaxrod.scene import Scene
 from jaxrod.validation import check_count, is_traced
 

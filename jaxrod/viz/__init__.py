@@ -8,11 +8,10 @@ from typing import Any
 
 from jaxrod.viz.curves import ReferenceScore, learning_curve
 from jaxrod.viz.drawing import animation, film, frame, picture
-from jaxrod.viz.meshes import Mesh
 from jaxrod.viz.page import html, save_html
 from jaxrod.viz.replay import Replay, show
 from jaxrod.viz.rods import Rods
-from jaxrod.viz.shapes import Arrows, Cylinder, Sphere
+from jaxrod.viz.shapes import Arrows, Cylinder, Mesh, Sphere
 
 __all__ = [
     "Arrows",

@@ -16,9 +16,9 @@ from jaxrod.viz.colours import (
     ramp,
     rod_colours,
 )
-from jaxrod.viz.meshes import Mesh, rotation, shaded
 from jaxrod.viz.recording import Recording
 from jaxrod.viz.rods import at_nodes
+from jaxrod.viz.shapes import Mesh, rotation, shaded
 
 _SIDES = 24
 _MOST_SEGMENTS = 4000

@@ -25,9 +25,9 @@ import numpy as np
 
 from jaxrod.files import write_atomically
 from jaxrod.viz import colours
-from jaxrod.viz.meshes import shaded
 from jaxrod.viz.recording import Recording
 from jaxrod.viz.rods import at_nodes
+from jaxrod.viz.shapes import shaded
 
 # The order matters, because later scripts use the definitions of earlier ones.
 _SCRIPTS = (

@@ -9,9 +9,8 @@ from typing import Literal, Self
 import numpy as np
 from jaxtyping import Float
 
-from jaxrod.viz.meshes import Mesh
 from jaxrod.viz.rods import Rods
-from jaxrod.viz.shapes import Arrows, Cylinder, Sphere
+from jaxrod.viz.shapes import Arrows, Cylinder, Mesh, Sphere
 
 Axis = Literal["x", "y", "z"]
 _EVERY = 8

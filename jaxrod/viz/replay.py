@@ -11,16 +11,17 @@ from typing import Any
 
 import numpy as np
 
-from jaxrod.viz.meshes import Mesh, checked_mesh
 from jaxrod.viz.page import html, save_html
 from jaxrod.viz.recording import Axis, Recording
 from jaxrod.viz.rods import Rods, checked_rods
 from jaxrod.viz.shapes import (
     Arrows,
     Cylinder,
+    Mesh,
     Sphere,
     checked_arrows,
     checked_cylinder,
+    checked_mesh,
     checked_sphere,
     checked_times,
     numbers,

@@ -18,7 +18,7 @@ from benchmarks.paper.cell_records import COLUMNS
 from benchmarks.paper.plan import plan
 from jaxrod import __version__
 from jaxrod.cli.sweeps import running
-from jaxrod.training.runs.lock import only_process
+from jaxrod.training.runs.owned_folder import only_process
 
 # A stand-in for `jaxrod train`, which takes seconds to start: its run ends with the
 # score 100 seed + 1, diverges where seed is 7, is killed where seed is 9, and has no

@@ -14,7 +14,7 @@ from benchmarks.tradeoff.mujoco_cable import measure_mujoco
 from benchmarks.tradeoff.pyelastica import measure_pyelastica
 from jaxrod.tradeoff import Reference, Setting, prepare, reference
 from jaxrod.tradeoff.measure import tips_of
-from jaxrod.tradeoff.scenes import SCENES, slam, swing, tracking_arm
+from jaxrod.tradeoff.workload import SCENES, slam, swing, tracking_arm
 
 
 def short(problem, periods):

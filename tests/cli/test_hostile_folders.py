@@ -23,7 +23,7 @@ from jaxrod.files import LinkedFileError, UntrustedError, open_to_write
 from jaxrod.training import PPOConfig, RunFolder, load_policy, restore_policy
 from jaxrod.training.runs.checkpoint import Checkpoints
 from jaxrod.training.runs.event_file import EventFile
-from jaxrod.training.runs.lock import NAME, only_process
+from jaxrod.training.runs.owned_folder import LOCK, only_process
 
 CONFIG = {
     "format": "jaxrod training run 1",
@@ -242,9 +242,9 @@ HOSTILE = [
     of_policy("settings", {"network": "evil_module:system"}, "--trust evil_module"),
     stored_setting("builtins:exec", "network: 'builtins:exec' is not imported"),
     stored_setting("evil_module:make", "network: .*--trust evil_module"),
-    led(NAME, lock, LINK),
-    led(NAME, lock, r"2 names \(hard links\)", how=os.link),
-    led(NAME, lock, "not a plain file", how=pipe),
+    led(LOCK, lock, LINK),
+    led(LOCK, lock, r"2 names \(hard links\)", how=os.link),
+    led(LOCK, lock, "not a plain file", how=pipe),
     led("progress.csv", append("progress"), LINK),
     led("episodes.csv", append("episodes"), r"2 names \(hard links\)", how=os.link),
     led("progress.csv", append("progress"), "not a plain file", how=pipe),
@@ -376,9 +376,9 @@ def test_a_folder_that_is_a_link_itself_is_the_users_own_choice(place):
 
 
 def test_a_lock_that_was_left_behind_is_taken_over(place):
-    (place / "run" / NAME).write_text("17 somewhere\n" * 20)
+    (place / "run" / LOCK).write_text("17 somewhere\n" * 20)
     with only_process(place / "run"):
-        assert (place / "run" / NAME).read_text().startswith(f"{os.getpid()} ")
+        assert (place / "run" / LOCK).read_text().startswith(f"{os.getpid()} ")
     with pytest.raises(LinkedFileError, match="not a plain file"):
         open_to_write(place / "run", os.O_RDONLY)
 

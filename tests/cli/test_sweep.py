@@ -14,7 +14,7 @@ from commands import run as run
 from jaxrod.cli.sweeps import running
 from jaxrod.cli.sweeps.plan import plan
 from jaxrod.training.runs.folder import RunFolder
-from jaxrod.training.runs.lock import only_process
+from jaxrod.training.runs.owned_folder import only_process
 
 # A stand-in for `jaxrod train`: fails where the seed is 7 and is killed where it is 9,
 # unless it is resumed.

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from jaxrod import control
-from jaxrod.control.trajectories.riccati import Linear, backward, box_step
+from jaxrod.control.trajectories.ilqr import Linear, backward, box_step
 
 STEP, COUNT = 0.1, 30
 

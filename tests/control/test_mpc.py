@@ -9,7 +9,7 @@ import optax
 import pytest
 
 from jaxrod.control import mpc
-from jaxrod.control.planning.plans import (
+from jaxrod.control.plans import (
     PlanCost,
     by_gradient,
     piece_weights,

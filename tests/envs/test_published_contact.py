@@ -7,7 +7,7 @@ import pytest
 
 from jaxrod import straight_rod
 from jaxrod.envs.arm.cylinders import cylinders
-from jaxrod.envs.published.contact import PublishedContact, boxes_overlap
+from jaxrod.envs.arm.published_contact import PublishedContact, boxes_overlap
 from jaxrod.extend import Loads, Motion
 from jaxrod.geometry import vectors
 from published_oracle import Obstacle

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 import jaxrod
-from jaxrod.envs.published.arm import MuscleParams, contract, relaxed
+from jaxrod.envs.arm.published import MuscleParams, contract, relaxed
 
 N, BOUND = 6, 0.1
 

@@ -9,7 +9,7 @@ from pathlib import Path
 import jax
 import pytest
 
-from jaxrod.lanes.llvm.object_cache import keeps_objects
+from jaxrod.lanes.llvm.machine_code import keeps_objects
 
 PROGRAM = """
 import time

@@ -27,7 +27,7 @@ REASONS: dict[tuple[str, str], str] = {
         '`return f"{value:,.0f}" if runs[0].quantity == RETURN else f"{value:...`',
     ): "all runs of a picture have the same quantity, which is checked",
     (
-        "jaxrod/viz/meshes.py",
+        "jaxrod/viz/shapes.py",
         "number: `1e-9` -> `(2 * 1e-9)` in "
         "`normals[f, c] = total / size if size > 1e-9 else face[f]`",
     ): "sums of unit normals are of size one or cancel to rounding",
@@ -36,7 +36,7 @@ REASONS: dict[tuple[str, str], str] = {
         "number: `1.0` -> `(2 * 1.0)` in `normal=(0.0, 0.0, 1.0),`",
     ): "a normal may be of any length: its direction is taken",
     (
-        "jaxrod/tradeoff/scenes.py",
+        "jaxrod/tradeoff/workload.py",
         "index: `0` -> `(-1)` in `VISCOSITY / float(rod.linear_density[0]),`",
     ): "the arm is uniform: the first element is like the last",
     (
@@ -53,7 +53,7 @@ REASONS: dict[tuple[str, str], str] = {
         "`observation, running = self._start(_key(rng, 2 * ticks))`",
     ): "the number of ticks is zero there",
     (
-        "jaxrod/systems/stability.py",
+        "jaxrod/systems/stepping/runs.py",
         "number: `1` -> `2` in "
         "`return jnp.where(free, jnp.inf, 4 * inertia / jnp.where(free, 1, be...`",
     ): "it divides what `where` does not choose: it has to differ from zero",

@@ -126,7 +126,7 @@ NAMED = (
     Named(
         "m14",
         "iLQR: held controls not moved on",
-        "jaxrod/control/trajectories/riccati.py",
+        "jaxrod/control/trajectories/ilqr.py",
         "moved = rest + by_control @ jnp.where(held, change, 0)",
         "moved = rest + 0 * by_control @ jnp.where(held, change, 0)",
         ("tests/control/test_ilqr.py",),
@@ -158,7 +158,7 @@ NAMED = (
     Named(
         "m18",
         "contact of rods: lever of friction on the second",
-        "jaxrod/systems/contact/contact_pairs.py",
+        "jaxrod/systems/contact/penalty_contact.py",
         "other_turn = vectors.cross(rub, arms[1])",
         "other_turn = vectors.cross(rub, arms[0])",
         ("tests/systems/test_crossing_contact.py",),

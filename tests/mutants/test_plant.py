@@ -118,7 +118,7 @@ def test_files_that_speak_of_a_module_come_first():
     )
     # What no test names is reached by what stands on it.
     assert "tests/control/test_ilqr.py" in likely.first(
-        "jaxrod/control/trajectories/riccati.py"
+        "jaxrod/control/trajectories/ilqr.py"
     )
 
 

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import jaxrod
-from jaxrod.effects.held import Held
+from jaxrod.effects.ends import Held
 from jaxrod.effects.supports import Pin, own_couple
 from jaxrod.methods.planar import Planar
 from jaxrod.rods.motion import Loads, motion_of

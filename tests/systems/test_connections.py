@@ -11,7 +11,7 @@ import jaxrod
 from jaxrod.geometry.rotations import rotation_log
 from jaxrod.rods.motion import Motion
 from jaxrod.systems.energies import seen_at_rest
-from jaxrod.systems.joints.attachments import Attachment
+from jaxrod.systems.joints.welds import Attachment
 from jaxrod.systems.members.rigid_stepper import Carried, RigidStepper
 from systems.members import free_system, rod
 

@@ -9,14 +9,15 @@ import pytest
 
 import jaxrod
 from jaxrod.geometry import vectors
-from jaxrod.systems.contact import pair_sums
+from jaxrod.systems.contact import element_pairs
 from jaxrod.systems.contact.element_pairs import (
+    LEAST,
     Elements,
     NeighbourList,
     gather,
     scatter_add,
+    sums_over_list,
 )
-from jaxrod.systems.contact.pair_sums import LEAST, sums_over_list
 
 ENTRIES, SIZES = 3 * LEAST + 100, (40, 30)
 
@@ -106,7 +107,7 @@ def test_in_a_batch_lists_may_be_full_of_different_numbers():
 @pytest.mark.slow
 def test_a_nest_with_room_to_spare_is_that_with_little(monkeypatch):
     """Runs and their slopes, with lists of one block and of many."""
-    monkeypatch.setattr(pair_sums, "LEAST", 32)
+    monkeypatch.setattr(element_pairs, "LEAST", 32)
 
     def one(start):
         made, state = jaxrod.straight_rod(

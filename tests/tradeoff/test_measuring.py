@@ -10,7 +10,7 @@ import pytest
 import jaxrod
 from jaxrod.tradeoff import Setting, measure, prepare, reference, workload_of
 from jaxrod.tradeoff.measure import tip_error, tips_of
-from jaxrod.tradeoff.scenes import rope, slam, swing, tracking_arm
+from jaxrod.tradeoff.workload import rope, slam, swing, tracking_arm
 
 
 def short(workload, periods):

@@ -9,7 +9,7 @@ import pytest
 import jaxrod
 from jaxrod.tradeoff import tuning
 from jaxrod.tradeoff.measure import reference, tip_error, tips_of
-from jaxrod.tradeoff.scenes import swing
+from jaxrod.tradeoff.workload import swing
 
 
 @pytest.fixture(autouse=True)

@@ -8,12 +8,12 @@ import sys
 
 import pytest
 
-from jaxrod.training.runs import lock
-from jaxrod.training.runs.lock import FolderInUseError, only_process
+from jaxrod.training.runs import owned_folder
+from jaxrod.training.runs.owned_folder import FolderInUseError, only_process
 
 HOLD = """
 import pathlib, sys, time
-from jaxrod.training.runs.lock import only_process
+from jaxrod.training.runs.owned_folder import only_process
 with only_process(pathlib.Path(sys.argv[1])):
     print("holds", flush=True)
     time.sleep(600)
@@ -31,10 +31,10 @@ def test_a_second_process_is_refused_until_the_first_is_gone_however_it_went(tmp
         first.send_signal(signal.SIGKILL)
         first.wait()
     # The file is still there, and nobody holds it.
-    assert (folder / lock.NAME).exists()
+    assert (folder / owned_folder.LOCK).exists()
     (folder / "something").touch()
     with only_process(folder):
-        assert (folder / lock.NAME).read_text().startswith(f"{os.getpid()} ")
+        assert (folder / owned_folder.LOCK).read_text().startswith(f"{os.getpid()} ")
     assert [file.name for file in folder.iterdir()] == ["something"]
 
 
@@ -52,16 +52,16 @@ def test_a_lock_that_was_removed_while_one_waited_for_it_is_not_enough(
     tmp_path, monkeypatch
 ):
     """Whoever has the lock removes its file; a third one may have made it anew."""
-    real, third = lock._lock, []
+    real, third = owned_folder._lock, []
 
     def late(handle):
         if not third:
-            (tmp_path / lock.NAME).unlink()
-            third.append(os.open(tmp_path / lock.NAME, os.O_RDWR | os.O_CREAT))
+            (tmp_path / owned_folder.LOCK).unlink()
+            third.append(os.open(tmp_path / owned_folder.LOCK, os.O_RDWR | os.O_CREAT))
             real(third[0])
         real(handle)
 
-    monkeypatch.setattr(lock, "_lock", late)
+    monkeypatch.setattr(owned_folder, "_lock", late)
     with pytest.raises(FolderInUseError), only_process(tmp_path):
         pytest.fail("two at once")
     os.close(third[0])
@@ -71,9 +71,9 @@ def test_a_file_system_without_locks_is_told_of(tmp_path, monkeypatch):
     def unknown(handle):
         raise OSError(errno.ENOSYS, "Function not implemented")
 
-    monkeypatch.setattr(lock, "_lock", unknown)
+    monkeypatch.setattr(owned_folder, "_lock", unknown)
     with (
-        pytest.warns(lock.UnlockedFolderWarning, match="has no locks"),
+        pytest.warns(owned_folder.UnlockedFolderWarning, match="has no locks"),
         only_process(tmp_path),
     ):
         pass

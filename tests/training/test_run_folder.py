@@ -14,7 +14,7 @@ import pytest
 from jaxrod.envs import make
 from jaxrod.envs.trivial import Trivial
 from jaxrod.training import PPOConfig, RunFolder, find_algorithm, train
-from jaxrod.training.runs.lock import FolderInUseError
+from jaxrod.training.runs.owned_folder import FolderInUseError
 from jaxrod.training.runs.resuming import DamagedCheckpointWarning
 
 SMALL = PPOConfig(

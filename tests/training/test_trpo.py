@@ -15,12 +15,12 @@ from jaxrod.envs.trivial import Trivial
 from jaxrod.training import TRPOConfig, evaluate, train, train_seeds
 from jaxrod.training.algorithms import trpo
 from jaxrod.training.algorithms.on_policy import log_density
-from jaxrod.training.algorithms.trpo import mean_divergence
-from jaxrod.training.algorithms.trust_region import (
+from jaxrod.training.algorithms.trpo import (
     backtrack,
     conjugate_gradient,
     fisher_product,
     longest_step,
+    mean_divergence,
 )
 from jaxrod.training.networks import GaussianPolicy, MultilayerPerceptron
 

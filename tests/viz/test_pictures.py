@@ -13,11 +13,10 @@ from PIL import Image
 import jaxrod
 from jaxrod.geometry import surfaces
 from jaxrod.viz import Arrows, Mesh, Replay, Sphere, film, picture
-from jaxrod.viz.bodies import leaning_plane
 from jaxrod.viz.geometry import Shapes, refined
-from jaxrod.viz.light import _Lamp, view_of
-from jaxrod.viz.meshes import shaded
-from jaxrod.viz.raster import nearest, shares_at
+from jaxrod.viz.light import _Lamp, nearest, shares_at, view_of
+from jaxrod.viz.recorded import leaning_plane
+from jaxrod.viz.shapes import shaded
 from viz.swinging_arm import swinging_arm
 
 SMALL = {"width": 120, "height": 90}

@@ -24,7 +24,7 @@ import jax.numpy as jnp
 import optax
 from jaxtyping import Array, Float, Int, Key
 
-from jaxrod.control.planning.plans import PlanCost, by_gauss_newton, check_model
+from jaxrod.control.plans import PlanCost, by_gauss_newton, check_model
 from jaxrod.envs import Environment, EpisodeRecord, VectorEnvironment, VectorState
 from jaxrod.envs.wrappers import repeating
 from jaxrod.structure import pytree, static

@@ -8,8 +8,8 @@ from typing import Any
 
 import numpy as np
 
-from jaxrod.training.exporting.operations import OPERATIONS
 from jaxrod.training.exporting.program import (
+    OPERATIONS,
     Buffer,
     Each,
     Join,

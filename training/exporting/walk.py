@@ -24,8 +24,8 @@ from jaxrod.jax_internals.equations import (
     scan_of,
     unknown_parameter,
 )
-from jaxrod.training.exporting.operations import OPERATIONS
 from jaxrod.training.exporting.program import (
+    OPERATIONS,
     Buffer,
     Each,
     Join,

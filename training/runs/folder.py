@@ -9,8 +9,8 @@ policy/         the trained policy, see `jaxrod.training.load_policy`
 tensorboard/    the rows of progress.csv as an event file, if requested
 
 The command line also draws learning_curve.png and replay.html there. While a process
-trains in the folder it holds a lock, see `jaxrod.training.runs.lock`. Other files in
-the folder are never changed.
+trains in the folder it holds a lock, see `jaxrod.training.runs.owned_folder`. Other
+files in the folder are never changed.
 """
 
 from __future__ import annotations

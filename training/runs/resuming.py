@@ -26,8 +26,7 @@ from jaxrod.files import (
 from jaxrod.structure import pytree
 from jaxrod.training.algorithm import Algorithm
 from jaxrod.training.leaves import is_key
-from jaxrod.training.policy import Policy
-from jaxrod.training.policy_files import load_policy, needs_structure
+from jaxrod.training.policy import Policy, load_policy, needs_structure
 from jaxrod.training.runs.checkpoint import Checkpoints
 from jaxrod.training.runs.contract import resolve, updates_of
 from jaxrod.training.runs.folder import (

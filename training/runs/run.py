@@ -22,20 +22,21 @@ from jaxrod.files import make_folder
 from jaxrod.training.algorithm import Algorithm, Metrics
 from jaxrod.training.evaluation import Evaluation, evaluate
 from jaxrod.training.leaves import from_array, named_leaves, to_array, with_leaves
-from jaxrod.training.policy import Policy
-from jaxrod.training.policy_files import save_policy
+from jaxrod.training.policy import Policy, save_policy
 from jaxrod.training.progress import ProgressBar, reached
 from jaxrod.training.runs.checkpoint import Checkpoints
 from jaxrod.training.runs.contract import check_state, updates_of
-from jaxrod.training.runs.devices import (
-    compile_updates,
-    device_mesh,
-    partition_of,
-    place,
-)
 from jaxrod.training.runs.event_file import EventFile
 from jaxrod.training.runs.folder import RunFolder
-from jaxrod.training.runs.hosts import Hosts, packed, unpacked
+from jaxrod.training.runs.hosts import (
+    Hosts,
+    compile_updates,
+    device_mesh,
+    packed,
+    partition_of,
+    place,
+    unpacked,
+)
 from jaxrod.training.runs.interruption import Interruption
 from jaxrod.training.runs.resuming import Stored, facts_of, restore, stored
 from jaxrod.training.settings import check_steps

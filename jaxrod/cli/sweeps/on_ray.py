@@ -5,8 +5,8 @@ folder, on a file system that the nodes share. So a task that is retried, on any
 continues from the last checkpoint.
 
 Only the process of a run writes its folder, whose lock it holds
-(`jaxrod.training.runs.lock`). The process ends when its task ends, because the pipe
-from the task to it is then closed. If a task is retried while the first process is
+(`jaxrod.training.runs.owned_folder`). The process ends when its task ends, because the
+pipe from the task to it is then closed. If a task is retried while the first process is
 still alive, the second waits until the lock is free.
 """
 
@@ -21,7 +21,7 @@ from threading import Event
 
 from jaxrod.cli.sweeps.running import Ended, log_of, open_log, train_here, wait_for
 from jaxrod.training import RunFolder
-from jaxrod.training.runs.lock import FolderInUseError
+from jaxrod.training.runs.owned_folder import FolderInUseError
 
 RETRIES = 10
 """Number of retries of a run whose node or worker died."""

@@ -26,7 +26,7 @@ from jax.scipy.linalg import solve_triangular
 from jaxtyping import Array, Float, Int
 
 from jaxrod.control.estimation.process import Estimate, Process, check_estimate
-from jaxrod.control.linear.linearisation import measured, period
+from jaxrod.control.linearisation import measured, period
 from jaxrod.structure import pytree
 
 

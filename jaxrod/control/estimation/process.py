@@ -19,8 +19,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, ArrayLike, Float, Int
 
-from jaxrod.control.linear.linearisation import Measure, checked_control
-from jaxrod.control.linear.local_coordinates import (
+from jaxrod.control.linearisation import Measure, checked_control
+from jaxrod.control.local_coordinates import (
     LocalCoordinates,
     WithControl,
     coordinates_under,

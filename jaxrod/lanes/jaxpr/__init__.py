@@ -3,12 +3,6 @@
 Importing this package registers the rules of all primitives.
 """
 
-from jaxrod.lanes.jaxpr import (
-    arithmetic,
-    control_flow,
-    indexing,
-    reductions,
-    shape_ops,
-)
+from jaxrod.lanes.jaxpr import arithmetic, indexing, reductions
 
-__all__ = ["arithmetic", "control_flow", "indexing", "reductions", "shape_ops"]
+__all__ = ["arithmetic", "indexing", "reductions"]

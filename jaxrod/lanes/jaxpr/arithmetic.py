@@ -6,9 +6,8 @@ from typing import Any
 
 import numpy as np
 
-from jaxrod.lanes.graph import DTYPES
+from jaxrod.lanes.graph import DTYPES, OPERATIONS
 from jaxrod.lanes.jaxpr.unroll import NotUnrolled, Unroller, kind_of, rule
-from jaxrod.lanes.operations import OPERATIONS
 
 
 @rule(*(name for name, operation in OPERATIONS.items() if operation.primitive))

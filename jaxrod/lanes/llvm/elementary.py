@@ -11,8 +11,8 @@ from __future__ import annotations
 
 import math
 
+from jaxrod.lanes.graph import OPERATIONS
 from jaxrod.lanes.llvm.vector_code import BYTES, TYPES, literal
-from jaxrod.lanes.operations import OPERATIONS
 
 _HALF_PI = (1.5707963267948966, 6.123233995736766e-17, -1.4973849048591698e-33)
 """Numbers whose sum is half of pi, each much smaller than the one before."""

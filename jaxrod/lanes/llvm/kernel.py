@@ -10,8 +10,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from jaxrod.lanes.graph import EndNodes, Step
-from jaxrod.lanes.llvm.kernel_plan import KernelPlan, goals_in
-from jaxrod.lanes.llvm.memory import Region
+from jaxrod.lanes.llvm.kernel_plan import KernelPlan, Region, goals_in
 
 
 @dataclass(frozen=True)

@@ -11,8 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from jaxrod.lanes.graph import Graph
-from jaxrod.lanes.operations import OPERATIONS
+from jaxrod.lanes.graph import OPERATIONS, Graph
 
 TYPES = {
     "f32": "float",

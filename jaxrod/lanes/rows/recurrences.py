@@ -14,10 +14,9 @@ from typing import Any
 import numpy as np
 
 from jaxrod.jax_internals.equations import Scan, operand_types, result_types
-from jaxrod.lanes.graph import VARYING
+from jaxrod.lanes.graph import OPERATIONS, VARYING
 from jaxrod.lanes.jaxpr.unroll import kind_of
 from jaxrod.lanes.llvm.vector_code import BYTES, TYPES, Writer
-from jaxrod.lanes.operations import OPERATIONS
 from jaxrod.lanes.rows.arrays import Rows, long_axes
 from jaxrod.lanes.rows.row_graph import Move, RowGraph
 

@@ -26,10 +26,10 @@ from jaxrod.jax_internals.foreign_call import (
     unknown_stream,
 )
 from jaxrod.jax_internals.primitives import unknown_rules
+from jaxrod.lanes.graph import OPERATIONS
 from jaxrod.lanes.llvm.elementary import lane_by_lane, vector_name
 from jaxrod.lanes.llvm.machine_code import capsule, native_function
 from jaxrod.lanes.llvm.vector_code import TYPES
-from jaxrod.lanes.operations import OPERATIONS
 from jaxrod.lanes.warps.kernels import WarpKernel
 from jaxrod.lanes.warps.warp_code import THREADS
 

@@ -38,16 +38,20 @@ from jaxrod.effects.base import StabilityBound
 from jaxrod.geometry import vectors
 from jaxrod.geometry.vectors import Vec3
 from jaxrod.structure import pytree
-from jaxrod.systems.contact.contact_pairs import (
+from jaxrod.systems.contact.element_pairs import Elements, bulge_shares
+from jaxrod.systems.contact.neighbour_lists import NeighbourLists
+from jaxrod.systems.contact.neighbour_search import Bounds
+from jaxrod.systems.contact.penalty_contact import (
     ContactPair,
     contact_pair,
     pair_forces,
 )
-from jaxrod.systems.contact.continued import closed_rods, last_but_continued
-from jaxrod.systems.contact.element_pairs import Elements, bulge_shares
-from jaxrod.systems.contact.neighbour_lists import NeighbourLists
-from jaxrod.systems.contact.neighbour_search import Bounds
-from jaxrod.systems.contact.rod_segments import SegmentLoads, rod_segments
+from jaxrod.systems.contact.rod_segments import (
+    SegmentLoads,
+    closed_rods,
+    last_but_continued,
+    rod_segments,
+)
 from jaxrod.systems.contact.segment_distance import (
     Products,
     apart,

@@ -1,12 +1,20 @@
-"""Base class of couplings with penalty contact, and checks of their parameters."""
+"""Penalty contact of members: base class of couplings, and forces of pairs of points.
+
+Force and reaction act at one common point, midway between the two surfaces. So momentum
+and angular momentum are exact, with damping and friction too, and friction turns both
+elements.
+"""
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, Protocol
 
+import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from jaxrod.contacts.contact_law import PenaltyLaw
+from jaxrod.geometry import vectors
+from jaxrod.geometry.vectors import Vec3
 from jaxrod.structure import pytree
 from jaxrod.systems.sites.coupling import Coupling
 from jaxrod.validation import Numbers, as_array
@@ -88,3 +96,120 @@ def check_members(members: tuple[str, ...]) -> None:
             raise TypeError(f"members are named by strings, got {name!r}")
     if not members or len(set(members)) < len(members):
         raise ValueError(f"members must be named once each, got {list(members)}")
+
+
+ROUNDED = 1e-7
+"""Length e in the smoothed distance sqrt(d^2 + e^2), over the sum of the radii [1]."""
+
+
+@pytree
+class ContactPair:
+    """Pairs of points on the axes of two elements, and the penetration of surfaces."""
+
+    places: tuple[Array | None, Array]
+    """Fractions along the first and the second element at which the points lie [1]; the
+    first is `None` for a contact point."""
+    normal: Vec3
+    """Unit vectors from the second point to the first."""
+    weight: Array
+    """Factor on the force and energy of the pair: a length if the law is per length
+    [m], else a number [1]. It is negative for pairs that are subtracted."""
+    depth: Array
+    """Penetration: sum of the radii minus the distance of the points [m]."""
+    width: Array
+    """Width of the smooth onset of contact [m]."""
+    radii: tuple[Array, Array]
+    """Radii of the first and of the second element [m]."""
+
+    @property
+    def arms(self) -> tuple[Vec3, Vec3]:
+        """Lever arms from both axes to the point midway between the surfaces [m]."""
+        overlap = 0.5 * self.depth
+        return (
+            vectors.scale(overlap - self.radii[0], self.normal),
+            vectors.scale(self.radii[1] - overlap, self.normal),
+        )
+
+
+class Moving(Protocol):
+    """Interface of elements or contact points with velocities."""
+
+    def spin_at(self, place: Any) -> Vec3:
+        """Angular velocities at fractions along the elements, world frame [rad/s]."""
+
+    def velocity_at(self, place: Any) -> Vec3:
+        """Velocities of the axes at fractions along the elements [m/s]."""
+
+
+def contact_pair(
+    way: Vec3,
+    places: tuple[Array | None, Array],
+    weight: Array,
+    radii: tuple[Array, Array],
+    onset: Array,
+) -> ContactPair:
+    """Computes normals, penetrations and onset widths of pairs of points.
+
+    Args:
+        way: Vector from the second point to the first [m].
+        places: Fractions along the first and the second element [1].
+        weight: Factor on the force and energy of the pair.
+        radii: Radii of the first and of the second element [m].
+        onset: Width of the onset over the mean of the radii [1].
+    """
+    together = radii[0] + radii[1]
+    rounded = (ROUNDED * together) * (ROUNDED * together)
+    distance = jnp.sqrt(vectors.dot(way, way) + rounded)
+    return ContactPair(
+        places=places,
+        normal=vectors.scale(1 / distance, way),
+        weight=weight,
+        depth=together - distance,
+        width=0.5 * onset * together,
+        radii=radii,
+    )
+
+
+def pair_forces(
+    pair: ContactPair,
+    own: Moving,
+    other: Moving,
+    law: PenaltyLaw,
+    share: Array | None = None,
+) -> tuple[Vec3, tuple[Vec3, Vec3] | None]:
+    """Forces of pairs, times their weights: spring, dashpot and friction.
+
+    Args:
+        pair: Pairs of points.
+        own: First elements or contact points, with velocities.
+        other: Second elements, with velocities.
+        law: Stiffness, damping and friction.
+        share: Factor on dashpot and friction forces; one by default [1].
+
+    Returns:
+        Force on the first element (the second gets the opposite force), and friction
+        couples on both; `None` for the couples without friction.
+    """
+    rate = turning = None
+    arms = pair.arms
+    if law.has_rates:
+        rate = vectors.subtract(
+            own.velocity_at(pair.places[0]), other.velocity_at(pair.places[1])
+        )
+    if law.friction is not None:
+        turning = vectors.subtract(
+            vectors.cross(own.spin_at(pair.places[0]), arms[0]),
+            vectors.cross(other.spin_at(pair.places[1]), arms[1]),
+        )
+    push, rub = law.forces(pair.depth, pair.width, pair.normal, rate, turning)
+    pressed = pair.weight * push
+    if share is not None and law.damping is not None:
+        spring = law.spring(pair.depth, pair.width)
+        pressed = pair.weight * (spring + share * (push - spring))
+    force = vectors.scale(pressed, pair.normal)
+    if rub is None:
+        return force, None
+    rub = vectors.scale(pair.weight if share is None else pair.weight * share, rub)
+    own_turn = vectors.cross(arms[0], rub)
+    other_turn = vectors.cross(rub, arms[1])
+    return vectors.add(force, rub), (own_turn, other_turn)

@@ -31,18 +31,18 @@ from jaxrod.effects.base import StabilityBound
 from jaxrod.geometry import vectors
 from jaxrod.geometry.vectors import Vec3
 from jaxrod.structure import pytree, static
-from jaxrod.systems.contact.contact_pairs import (
+from jaxrod.systems.contact.element_pairs import Elements, row_vector
+from jaxrod.systems.contact.neighbour_lists import NeighbourLists
+from jaxrod.systems.contact.neighbour_search import Bounds
+from jaxrod.systems.contact.penalty_contact import (
     ContactPair,
     contact_pair,
     pair_forces,
 )
-from jaxrod.systems.contact.continued import last_but_continued
-from jaxrod.systems.contact.element_pairs import Elements, row_vector
-from jaxrod.systems.contact.neighbour_lists import NeighbourLists
-from jaxrod.systems.contact.neighbour_search import Bounds
 from jaxrod.systems.contact.rod_segments import (
     ContactPoints,
     SegmentLoads,
+    last_but_continued,
     points_at,
     points_needed,
     rod_segments,

@@ -29,7 +29,6 @@ from jaxrod.geometry import vectors
 from jaxrod.lanes.steps import by_kernel
 from jaxrod.rods.motion import Loads
 from jaxrod.structure import pytree, static
-from jaxrod.systems.contact.contact_pairs import ContactPair
 from jaxrod.systems.contact.element_pairs import (
     Elements,
     column_vector,
@@ -37,6 +36,8 @@ from jaxrod.systems.contact.element_pairs import (
     farthest_from_chord,
     gather,
     row_vector,
+    sums_over_all,
+    sums_over_list,
 )
 from jaxrod.systems.contact.neighbour_lists import (
     FoundNeighbours,
@@ -44,8 +45,8 @@ from jaxrod.systems.contact.neighbour_lists import (
     with_spare,
 )
 from jaxrod.systems.contact.neighbour_search import Bounds, found_by
-from jaxrod.systems.contact.pair_sums import sums_over_all, sums_over_list
 from jaxrod.systems.contact.penalty_contact import (
+    ContactPair,
     PenaltyContact,
     check_members,
     law_numbers,

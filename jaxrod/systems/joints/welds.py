@@ -1,28 +1,50 @@
-"""Welds: rods joined to rods, and to rigid bodies, at a fixed relative angle."""
+r"""Welds: rods joined to rods, and to rigid bodies, at a fixed relative angle.
+
+Nodes of rods may be part of a rigid body, exactly: a node attached at the position $p$
+in the frame of a body moves with it: $x = X + R p$, $v = V + \omega\times R p$. The
+node's mass counts in the body's mass, centre and inertia. The body takes the impulse of
+every kick of the node, $J = m\,\Delta v$ at $x$. Momentum is exact. Added inertia does
+not limit the time step. Any number of nodes may be on one body.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from typing import Any
 
 import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
 
+from jaxrod.geometry import matrices, vectors
 from jaxrod.geometry.rotations import (
     conjugate,
+    directors,
     join_quaternion,
     multiply_quaternions,
+    to_material,
+    to_world,
 )
-from jaxrod.systems.joints.attachments import attachment
-from jaxrod.systems.joints.elastic_joints import ElasticJoint
+from jaxrod.geometry.vectors import Vec3
+from jaxrod.rods.motion import Loads, Motion
+from jaxrod.structure import pytree
+from jaxrod.systems.joints.elastic_joints import ElasticJoint, orientation_at, spin_at
 from jaxrod.systems.joints.ties import pairs, tie
-from jaxrod.systems.sites.coupling import Coupling
+from jaxrod.systems.members.parts import Seen
+from jaxrod.systems.members.rigid_stepper import Carried
+from jaxrod.systems.sites.coupling import AllParts, AllSeen, Coupling
 from jaxrod.systems.sites.places import (
+    Indices,
     Place,
+    Points,
     layouts_of,
     points_of,
     position_of,
     resolved,
 )
+from jaxrod.systems.sites.rows import gather, scatter_add, scatter_set, sum_of_loads
+from jaxrod.validation import is_traced
 
 
 def weld(
@@ -141,3 +163,159 @@ def elastic_joints(
             )
         )
     return joints
+
+
+@pytree
+class Attachment(Coupling):
+    """Nodes that are part of bodies; see `attach`."""
+
+    points: Points
+    """The attached nodes, with their elements."""
+    bodies: Points
+    """The body to which each node is attached."""
+    places: Float[Array, "3 nodes"]
+    """Position of each node in its body's frame [m]."""
+
+    @property
+    def followed(self) -> str:
+        """Name of the member that contains the bodies."""
+        return self.bodies.member
+
+    def joined_nodes(self) -> list[tuple[str, int]]:
+        """All attached nodes, as pairs of a member and a node."""
+        return [(self.points.member, int(i)) for i in self.points.nodes.values]
+
+    def check(self, parts: AllParts) -> None:
+        """Checks that the members fit.
+
+        Raises:
+            ValueError: If members are missing, of the wrong kind or have too few nodes,
+                or if a support holds one of the nodes.
+        """
+        self.points.check(parts)
+        self.bodies.check(parts)
+        if not (
+            parts[self.points.member].is_rod and parts[self.bodies.member].is_rigid
+        ):
+            raise ValueError(
+                "attach needs nodes of rods and a rigid body, got "
+                f"{self.points.member!r} and {self.bodies.member!r}"
+            )
+        held = parts[self.points.member].held
+        if held is None or is_traced(held):
+            return
+        index = self.points.nodes.values
+        if any(bool(np.any(np.asarray(c)[index] > 0)) for c in held):
+            raise ValueError(
+                f"a node of {self.points.member!r} is held by a support and attached "
+                f"to {self.bodies.member!r}: it can follow one only"
+            )
+
+    def carried(self, parts: AllParts) -> dict[str, Carried]:
+        """Mass and moments of mass of the nodes, summed for each body."""
+        masses = parts[self.points.member].node_masses[self.points.nodes.values]
+        place = vectors.split(self.places)
+        weighted = vectors.scale(masses, place)
+        count = parts[self.bodies.member].count
+
+        def total(field: Array) -> Array:
+            return scatter_add(field, self.bodies.elements, count)
+
+        x, y, z = (total(component) for component in weighted)
+        one, two, three = (
+            (total(row[0]), total(row[1]), total(row[2]))
+            for row in matrices.outer(weighted, place)
+        )
+        own = Carried(total(masses), (x, y, z), (one, two, three))
+        return {self.bodies.member: own}
+
+    def _arms(self, seen: Seen) -> Vec3:
+        """Vectors from the bodies' origins to the nodes, world frame [m]."""
+        frame = directors(orientation_at(seen, self.bodies))
+        return to_world(frame, vectors.split(self.places))
+
+    def _velocities(self, seen: Seen, arms: Vec3) -> Vec3:
+        x, y, z = (gather(c, self.bodies.nodes) for c in seen.motion.velocity)
+        swing = vectors.cross(spin_at(seen, self.bodies), arms)
+        return vectors.add((x, y, z), swing)
+
+    def constrain(self, seen: AllSeen) -> dict[str, Motion]:
+        """Moves the nodes to their positions on the bodies; sets their velocities."""
+        body = seen[self.bodies.member]
+        arms = self._arms(body)
+        x, y, z = (gather(c, self.bodies.nodes) for c in body.motion.position)
+        place = vectors.add((x, y, z), arms)
+        motion = seen[self.points.member].motion
+        nodes = self.points.nodes
+        moved = replace(
+            motion,
+            position=_put(motion.position, nodes, place),
+            velocity=_put(motion.velocity, nodes, self._velocities(body, arms)),
+        )
+        if motion.remainder is not None:
+            zero = vectors.scale(0.0, place)
+            moved = replace(moved, remainder=_put(motion.remainder, nodes, zero))
+        return {self.points.member: moved}
+
+    def constrain_rates(self, seen: AllSeen) -> dict[str, Motion]:
+        """Gives the nodes the velocities of their positions on the bodies."""
+        body = seen[self.bodies.member]
+        motion = seen[self.points.member].motion
+        velocity = self._velocities(body, self._arms(body))
+        nodes = self.points.nodes
+        changed = replace(motion, velocity=_put(motion.velocity, nodes, velocity))
+        return {self.points.member: changed}
+
+    def exchange(self, before: AllSeen, after: AllSeen) -> dict[str, Loads]:
+        """Impulses that the kick gave to the nodes, as impulses on their bodies.
+
+        With the velocities v of a node before and after the kick, the impulse is
+        `m (v_after - v_before)`, and its couple about the origin of the body is that of
+        the lever arm.
+        """
+        name, nodes = self.points.member, self.points.nodes
+        masses = gather(before[name].parts.node_masses, nodes)
+        was, now = before[name].motion.velocity, after[name].motion.velocity
+        gained = vectors.subtract(now, was)
+        x, y, z = (masses * gather(component, nodes) for component in gained)
+        couple = vectors.cross(self._arms(before[self.bodies.member]), (x, y, z))
+        return sum_of_loads((self.bodies, Loads((x, y, z), couple)), seen=before)
+
+    def violation(self, seen: AllSeen) -> Array:
+        """Largest distance of a node from its position on the body, over the radius."""
+        body, own = seen[self.bodies.member], seen[self.points.member]
+        x, y, z = (gather(c, self.bodies.nodes) for c in body.motion.position)
+        place = vectors.add((x, y, z), self._arms(body))
+        at, bt, ct = (gather(c, self.points.nodes) for c in own.motion.position)
+        apart = vectors.safe_norm(vectors.subtract((at, bt, ct), place))
+        assert own.parts.radii is not None
+        return jnp.max(apart) / jnp.min(own.parts.radii)
+
+
+def _put(field: Vec3, index: Indices, value: Vec3) -> Vec3:
+    x, y, z = (scatter_set(a, index, b) for a, b in zip(field, value, strict=True))
+    return x, y, z
+
+
+def attachment(
+    places: Sequence[Place], bodies: Sequence[Place], state: Mapping[str, Any]
+) -> Attachment:
+    """Attachment of nodes to bodies, at their relative positions in a state.
+
+    Args:
+        places: Nodes of one member, such as `("arm", "tip")`.
+        bodies: Bodies of one member, one for each node.
+        state: State of the system.
+    """
+    layouts = layouts_of(state)
+    nodes = [resolved("a", place, layouts) for place in places]
+    owners = [resolved("b", place, layouts) for place in bodies]
+    offsets = []
+    for place, body in zip(places, bodies, strict=True):
+        origin = position_of("b", body, state)
+        way = position_of("a", place, state).place - origin.place
+        frame = directors(origin.orientation)
+        offsets.append(vectors.join(to_material(frame, vectors.split(way))))
+    return Attachment(
+        points_of("a", nodes), points_of("b", owners), jnp.stack(offsets, axis=1)
+    )

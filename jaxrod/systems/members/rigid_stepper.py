@@ -26,7 +26,7 @@ from jaxrod.geometry.rotations import (
     to_world,
 )
 from jaxrod.geometry.vectors import Vec3
-from jaxrod.methods.kick import Kick
+from jaxrod.methods.verlet import Kick
 from jaxrod.rods.motion import Loads, Motion, accumulate
 from jaxrod.rods.rod import Layout
 from jaxrod.structure import pytree

@@ -12,11 +12,9 @@ from jaxtyping import Array, ArrayLike
 
 from jaxrod.analysis.health import HealthLimits, scene_health
 from jaxrod.analysis.stability import scene_stable_step
-from jaxrod.effects.base import Effect, StabilityBound
-from jaxrod.effects.memory import memory_of
+from jaxrod.effects.base import Effect, StabilityBound, memory_of
 from jaxrod.geometry.vectors import Vec3
-from jaxrod.loaded_rod import LoadedRod, check_memory
-from jaxrod.methods.now import memory_in
+from jaxrod.loaded_rod import LoadedRod, check_memory, memory_in
 from jaxrod.rods.motion import Motion, motion_of
 from jaxrod.rods.rod import Rod, RodState
 from jaxrod.statics.degrees_of_freedom import free_velocity_mask

@@ -12,8 +12,7 @@ import jax.numpy as jnp
 from jaxtyping import Array
 
 from jaxrod.effects.time import Clock, at_clock
-from jaxrod.loaded_rod import without_dissipation
-from jaxrod.methods.now import Now, remembering, scene_at
+from jaxrod.loaded_rod import Now, remembering, scene_at, without_dissipation
 from jaxrod.rods.motion import Loads, Motion
 from jaxrod.structure import pytree, static
 from jaxrod.systems.members.parts import Parts, Seen, flatten_rods, unflatten_rods

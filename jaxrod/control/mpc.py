@@ -35,7 +35,7 @@ import numpy as np
 from jax import lax
 from jaxtyping import Array, Float, Int, Key
 
-from jaxrod.control.planning.plans import (
+from jaxrod.control.plans import (
     SHAPES,
     PlanCost,
     by_gauss_newton,

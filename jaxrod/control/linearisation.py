@@ -19,7 +19,7 @@ import jax.numpy as jnp
 from jax.flatten_util import ravel_pytree
 from jaxtyping import Array, ArrayLike, Float
 
-from jaxrod.control.linear.local_coordinates import (
+from jaxrod.control.local_coordinates import (
     LocalCoordinates,
     WithControl,
     coordinates_under,

@@ -13,10 +13,14 @@ So an equilibrium needs no further hook of a coupling, an effect or a member of 
 own. Loads are those at rest: friction, dashpots and drag are zero.
 
 The matrices are dense. They are computed column by column, by one compiled kernel.
+Rigid motions of the parts of a member, its rods or its bodies, are candidates for
+motions that no load resists. Small motions about a state at rest have the frequencies
+of $K$ and $M$.
 """
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import replace
 from typing import Any
 
@@ -27,16 +31,15 @@ from jax import lax
 from jax.flatten_util import ravel_pytree
 from jaxtyping import Array, Float
 
-from jaxrod.geometry import vectors
+from jaxrod.geometry import matrices, vectors
 from jaxrod.geometry.rotations import directors, to_material, to_world
 from jaxrod.geometry.vectors import Vec3
 from jaxrod.lanes.steps import by_kernel
 from jaxrod.rods.motion import Motion
 from jaxrod.structure import pytree
 from jaxrod.systems.members.parts import Parts, Seen
-from jaxrod.systems.statics.rigid_motions import rigid_motions, spins
 from jaxrod.systems.stepping.assembly import Assembly, SystemState
-from jaxrod.systems.stepping.listing import searched, with_found
+from jaxrod.systems.stepping.changing import searched, with_found
 from jaxrod.systems.stepping.stepper import Motions, SystemStepper
 
 INSTANT = 1e-9
@@ -495,3 +498,95 @@ def _edges(motion: Motion, parts: Parts) -> Vec3:
         return x, y, z
     u, v, w = map(differences, motion.remainder)
     return vectors.subtract((x, y, z), (u, v, w))
+
+
+def rigid_motions(own: Seen, length: Array) -> Iterator[tuple[Vec3, Vec3]]:
+    """Yields scaled velocities and angular velocities of the rigid motions of parts.
+
+    Each part is displaced along three axes and turned about three through its middle,
+    and all elements of a rod turn about their own axes.
+
+    Args:
+        own: The member.
+        length: Scale of velocities [m].
+    """
+    count = own.parts.count
+    centred = []
+    for component in own.motion.position:
+        rows = component.reshape(count, -1)
+        # Relative to the first node, so that no digits are lost far from the origin.
+        rows = rows - rows[:, :1]
+        centred.append((rows - jnp.mean(rows, axis=1, keepdims=True)).reshape(-1))
+    arm: Vec3 = (centred[0], centred[1], centred[2])
+    d3 = directors(own.motion.orientation)[2]
+    still, unturned = vectors.scale(0.0, arm), vectors.scale(0.0, d3)
+    motions = [] if not own.parts.is_rod else [(still, d3)]
+    for axis in range(3):
+        moving, turning = _along(axis, arm[0]), _along(axis, d3[0])
+        motions.append((moving, unturned))
+        around = vectors.scale(1 / length, vectors.cross(moving, arm))
+        motions.append((around, turning))
+    for velocity, turning in motions:
+        for part in range(count):
+            yield _of_part(part, count, velocity), _of_part(part, count, turning)
+
+
+def _of_part(part: int, count: int, field: Vec3) -> Vec3:
+    """Copy of a field with zeros for all parts but one."""
+    x, y, z = (
+        jnp.where(jnp.arange(c.size) // (c.size // count) == part, c, 0) for c in field
+    )
+    return x, y, z
+
+
+def _along(axis: int, like: Array) -> Vec3:
+    """Constant field of unit vectors along a world axis."""
+    x, y, z = (jnp.full_like(like, k == axis) for k in range(3))
+    return x, y, z
+
+
+def spins(own: Seen, turning: Vec3) -> Vec3:
+    """Spins (angular momenta) of elements at given angular velocities [rad/s]."""
+    # Angular velocities are linear in spins: their matrix, column by column.
+    columns = []
+    for axis in range(3):
+        spin = _along(axis, turning[0])
+        moving = replace(own, motion=replace(own.motion, spin=spin))
+        columns.append(moving.angular_velocities)
+    matrix = matrices.transpose((columns[0], columns[1], columns[2]))
+    # Scaled to the size of one, because products of three inertias would underflow in
+    # float32.
+    size = matrix[0][0] + matrix[1][1] + matrix[2][2]
+    a, b, c = matrices.scale(1 / size, matrix)
+    cofactors = vectors.cross(b, c), vectors.cross(c, a), vectors.cross(a, b)
+    determinant = vectors.dot(a, cofactors[0]) * size
+    inverse = matrices.transpose(matrices.scale(1 / determinant, cofactors))
+    x, y, z = (vectors.dot(row, turning) for row in inverse)
+    return x, y, z
+
+
+def squared_frequencies(system: Assembly, state: SystemState) -> np.ndarray:
+    """Squares of all angular frequencies, increasing [rad^2/s^2].
+
+    They are computed in a basis of the rates that supports, ties and attachments allow.
+
+    Raises:
+        ValueError: If a number is traced.
+    """
+    here = _linear(system, state)
+    projection = np.asarray(here.projection, np.float64)
+    left, shares, _ = np.linalg.svd(projection)
+    basis = left[:, : round(float(np.trace(projection)))]
+    assert np.all(shares[: basis.shape[1]] > 0.5)
+    stiffness = basis.T @ np.asarray(here.stiffness, np.float64) @ basis
+    mass = basis.T @ np.asarray(here.mass, np.float64) @ basis
+    inverse = np.linalg.inv(np.linalg.cholesky(0.5 * (mass + mass.T)))
+    squares = inverse @ (0.5 * (stiffness + stiffness.T)) @ inverse.T
+    found: np.ndarray = np.linalg.eigvalsh(0.5 * (squares + squares.T))
+    return found
+
+
+@jax.jit
+def _linear(system: Assembly, state: SystemState) -> Linear:
+    problem, start = static_problem(system, state)
+    return problem.linear(start)

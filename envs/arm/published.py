@@ -19,8 +19,8 @@ from jaxrod import Rod, RodState, Scene, advance, fixed_end, planar, pyelastica
 from jaxrod.actuation import ControlSpline, ElementCouples
 from jaxrod.effects.clamps import FixedEnd
 from jaxrod.envs.arm.cylinders import Cylinders
+from jaxrod.envs.arm.published_contact import PublishedContact
 from jaxrod.envs.arm.soft_arm import TORQUE_PER_ELEMENT, VISCOSITY, published_rod
-from jaxrod.envs.published.contact import PublishedContact
 from jaxrod.extend import Effect, Loads, Motion, StabilityBound
 from jaxrod.geometry import vectors
 from jaxrod.methods.planar import Planar

@@ -42,7 +42,7 @@ def check_model(env: Any, needed: tuple[str, ...], planner: str = "") -> None:
 
 @pytree
 class PlanCost:
-    """Cost of a plan, defined in `jaxrod.control.planning.mpc`.
+    """Cost of a plan, defined in `jaxrod.control.mpc`.
 
     Methods take `now`, the action at the time of planning `(action,)`, the actions at
     the `knots` `(knots, action)`, and the environment's `state`.

@@ -1,1 +1,0 @@
-"""The published benchmark's arm, with the laws of the published simulator."""

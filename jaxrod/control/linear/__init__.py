@@ -1,1 +1,0 @@
-"""Linear models of a control period, in local coordinates of states."""

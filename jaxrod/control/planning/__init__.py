@@ -1,1 +1,0 @@
-"""Planning while acting: plans, planning policies, model predictive control."""

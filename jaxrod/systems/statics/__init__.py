@@ -1,1 +1,0 @@
-"""Statics of systems: equilibria, and small motions about them."""
