@@ -27,7 +27,7 @@ from jaxrod.geometry import vectors
 from jaxrod.geometry.rotations import multiply_quaternions, rotation_exp
 from jaxrod.loaded_rod import LoadedRod, scene_of
 from jaxrod.model import Model, check_model
-from jaxrod.rods.motion import motion_of
+from jaxrod.rods.motion import Motion, motion_of
 from jaxrod.rods.rod import Rod, RodState
 from jaxrod.statics.degrees_of_freedom import degrees_of_freedom
 from jaxrod.structure import pytree
@@ -49,11 +49,11 @@ class Vibration:
     angular_frequency: Float[Array, ""]
     """Angular frequency [rad/s]."""
     displacements: Float[Array, "3 n+1"]
-    """Fraction of the kinetic energy in each component of node motion, world frame
-    [1]."""
+    """Displacements of the nodes times the roots of their masses, world frame. Their
+    squares are fractions of the kinetic energy [1]."""
     turns: Float[Array, "3 n"]
-    """Fraction of the kinetic energy in each component of element rotation, material
-    frame [1]."""
+    """Rotations of the elements times the roots of their inertias, material frame.
+    Their squares are fractions of the kinetic energy [1]."""
 
 
 def highest_frequency(
@@ -94,10 +94,11 @@ def natural_frequencies(
     """Angular frequencies of small undamped motions about a state at rest.
 
     They come from the dense eigenvalue problem of all degrees of freedom (`6 n + 3` for
-    a rod), without those that constraints hold. Use it to examine a rod or a system,
-    not inside a loop. A straight rod of round section bends in the same way in two
-    planes and has its bending frequencies twice. The frequencies of a free rod start
-    with the six zeros of rigid motions.
+    a rod), without those that constraints hold, and without twist in a scene of
+    `torsion_free()`. Use it to examine a rod or a system, not inside a loop. A straight
+    rod of round section bends in the same way in two planes and has its bending
+    frequencies twice. The frequencies of a free rod start with the six zeros of rigid
+    motions.
 
     Args:
         scene: The scene in consistent mode, or the system.
@@ -146,7 +147,7 @@ def squared_frequencies(scene: LoadedRod, state: RodState) -> np.ndarray:
             "PyElastica's loads are not the gradient of an energy"
         )
     matrix = np.asarray(_stiffness(scene, state), np.float64)
-    free = np.asarray(_free(scene, state))
+    free = np.asarray(free_motions(scene, state))
     matrix = matrix[np.ix_(free, free)]
     squares: np.ndarray = np.linalg.eigvalsh(0.5 * (matrix + matrix.T))
     return squares
@@ -182,9 +183,8 @@ def fastest_vibration(
     basis, projected = _krylov(apply, start, size)
     largest, weights = _largest_eigenvalue(projected)
     motion = jnp.sum(weights[:, None] * basis, axis=0)
-    energy = motion**2
-    energy = energy / jnp.sum(energy)
-    nodes, elements = energy[: 3 * n + 3], energy[3 * n + 3 :]
+    motion = motion / jnp.sqrt(jnp.sum(motion**2))
+    nodes, elements = motion[: 3 * n + 3], motion[3 * n + 3 :]
     return Vibration(
         angular_frequency=jnp.sqrt(largest),
         displacements=nodes.reshape(3, n + 1),
@@ -234,10 +234,7 @@ def linearised(
 
     _, change = jax.linearize(loads_after, jnp.zeros_like(root))
 
-    # Constraints hold some degrees of freedom completely and leave the others.
-    nodes, (x, y, z) = degrees_of_freedom(scene, still)
-    about_axis = z if scene.method.twist else jnp.zeros_like(z)
-    free = jnp.concatenate([*nodes, x, y, about_axis]) / root
+    free = _flags(scene, still) / root
 
     def apply(motion: Array) -> Array:
         # Barriers: without them XLA's CPU compiler takes minutes to fuse the map with
@@ -317,7 +314,14 @@ def _stiffness(scene: LoadedRod, state: RodState) -> jax.Array:
 
 
 @jax.jit
-def _free(scene: LoadedRod, state: RodState) -> jax.Array:
+def free_motions(scene: LoadedRod, state: RodState) -> jax.Array:
     """Whether each degree of freedom is free: node displacements, then rotations."""
-    nodes, elements = degrees_of_freedom(scene, motion_of(state))
-    return jnp.concatenate([*nodes, *elements]) != 0
+    return _flags(scene, motion_of(state)) != 0
+
+
+def _flags(scene: LoadedRod, motion: Motion) -> Array:
+    """Flags of all degrees of freedom: 1 if free, 0 if held or not in the method."""
+    # Constraints hold some degrees of freedom completely and leave the others.
+    nodes, (x, y, z) = degrees_of_freedom(scene, motion)
+    about_axis = z if scene.method.twist else jnp.zeros_like(z)
+    return jnp.concatenate([*nodes, x, y, about_axis])

@@ -257,7 +257,7 @@ def scene_health(
         growth = balance.growth
         allowed = work + limits.largest_energy_growth * balance.own + balance.rounding
     # Each comparison is written so that NaN counts as wrong.
-    travel = speed * dt / jnp.min(scene.rod.radii)
+    travel = dt * _largest_travel(scene.rod, relative)
     return Health(
         finite=finite,
         stretch=~(
@@ -302,6 +302,13 @@ def _largest_joint_angle(rod: Rod, state: RodState) -> Array:
     rotation, _ = joint_rotations(split_quaternion(state.orientations))
     rest = vectors.split(rod.rest_curvatures * rod.joint_lengths[None, :])
     return _largest_norm(vectors.subtract(rotation, rest))
+
+
+def _largest_travel(rod: Rod, state: RodState) -> Array:
+    """Largest speed of a node over its radius, that of its thinner element [1/s]."""
+    radii = jnp.pad(rod.radii, (1, 1), mode="edge")
+    thin = jnp.minimum(radii[1:], radii[:-1])
+    return _largest_norm(vectors.scale(1 / thin, vectors.split(state.velocities)))
 
 
 def _largest_spin(rod: Rod, state: RodState) -> Array:

@@ -256,18 +256,22 @@ def _measured(scene: LoadedRod, safety: Array, state: RodState) -> StableStep:
         jnp.zeros_like(state.angular_momenta),
     )
     found = _largest_step(_vibration, 1e-3, (scene, state), nothing)
-    motion = found.details
-    nodes = motion.displacements
-    axial = jnp.sum(nodes[:, 1:] * state.directors[2] ** 2, axis=0)
-    across = jnp.sum(nodes[:, 1:], axis=0) - axial
-    energies = jnp.stack(
-        [motion.turns[0] + motion.turns[1] + across, axial, motion.turns[2]]
-    )
-    mode = jnp.argmax(jnp.sum(energies, axis=1))
-    element = jnp.argmax(jnp.sum(energies, axis=0))
+    mode, element = limiting(found.details, state)
     return StableStep(
         safety * found.step, element, mode, 2 / found.undamped, found.uncertainty
     )
+
+
+def limiting(
+    vibration: Vibration, state: RodState
+) -> tuple[Int[Array, ""], Int[Array, ""]]:
+    """Index into `MODE_NAMES` and element with the largest energy of a vibration."""
+    nodes = vibration.displacements[:, 1:]
+    axial = jnp.sum(nodes * state.directors[2], axis=0) ** 2
+    across = jnp.sum(nodes**2, axis=0) - axial
+    turns = vibration.turns**2
+    energies = jnp.stack([turns[0] + turns[1] + across, axial, turns[2]])
+    return jnp.argmax(jnp.sum(energies, axis=1)), jnp.argmax(jnp.sum(energies, axis=0))
 
 
 @pytree

@@ -106,6 +106,5 @@ def drag_loads(rod: Rod, motion: Motion, drag: Drag) -> Loads:
     about, tilting = drag.turning
     frame = directors(motion.orientation)
     a, b, c = to_material(frame, motion.angular_velocities(rod))
-    transverse, polar = rod.inertias
-    tilt = -tilting * transverse
-    return Loads(forces, (tilt * a, tilt * b, -about * polar * c))
+    one, two, three = vectors.split(rod.principal_inertias)
+    return Loads(forces, (-tilting * one * a, -tilting * two * b, -about * three * c))

@@ -60,8 +60,8 @@ def straight_rod(
         n_elements: Number of elements, at least 2.
         length: Rest length [m].
         radius: Radius [m]: one number, one per element `(n,)`, or the pair `(2,)` of
-            base and tip radius, between which it varies linearly. With 2 elements a
-            pair could mean either, so one number only.
+            base and tip radius, between which it varies linearly along the rod. With
+            2 elements a pair could mean either, so one number only.
         section: Shape of the sections instead of a radius: `circle`, `tube`,
             `rectangle` or `ellipse`.
         density: Mass density [kg/m^3], one number or one per element.
@@ -240,6 +240,7 @@ def _build(
     rod = rod_of_section(
         n,
         rest_lengths=rest_lengths,
+        middles=_middles(n if straight else rest_lengths),
         radius=radius,
         section=section,
         density=density,
@@ -259,6 +260,19 @@ def _build(
         angular_momenta=jnp.asarray(np.zeros((3, n), dtype)),
     )
     return (rod if straight else unstressed(rod, state)), state
+
+
+def _middles(elements: Any) -> Any:
+    """Arc lengths of the middles of elements, over that of the rod `(n,)` [1].
+
+    Args:
+        elements: Number of elements of equal length, or lengths of elements [m].
+    """
+    if isinstance(elements, int):
+        return (np.arange(elements) + 0.5) / elements
+    xp = module_for(elements)
+    ends = xp.cumsum(elements)
+    return (ends - 0.5 * elements) / ends[-1]
 
 
 def _check_resolved(

@@ -219,6 +219,7 @@ def rod_of_section(
     n: int,
     *,
     rest_lengths: Any,
+    middles: Any,
     radius: Numbers | None,
     section: Section | None,
     density: Numbers,
@@ -233,6 +234,8 @@ def rod_of_section(
     Args:
         n: Number of elements.
         rest_lengths: Rest lengths of the elements `(n,)`, checked [m].
+        middles: Arc lengths of the middles of the elements over that of the rod
+            `(n,)` [1].
         radius: Radius of round sections [m]: one number, one per element, or the pair
             of base and tip radius.
         section: Section instead of a radius.
@@ -262,7 +265,7 @@ def rod_of_section(
             assert section is not None
             _check_shapes(section, n)
         else:
-            section = _round(_radii(radius, n, dtype))
+            section = _round(_radii(radius, middles, dtype))
     densities = per_element("density", density, "kg/m^3")
     young = per_element("youngs_modulus", youngs_modulus, "Pa")
     factors = section.shear_factors
@@ -367,8 +370,9 @@ def _check_shapes(section: Section, n: int) -> None:
             )
 
 
-def _radii(radius: Numbers, n: int, dtype: Any) -> Any:
+def _radii(radius: Numbers, middles: Any, dtype: Any) -> Any:
     """Checks a radius; a pair becomes one radius per element, with a linear taper."""
+    n = len(middles)
     shapes = [(), (2,), (n,)]
     radii = check_array("radius", radius, shapes, "m", positive=True, dtype=dtype)
     if radii.shape != (2,):
@@ -380,4 +384,4 @@ def _radii(radius: Numbers, n: int, dtype: Any) -> Any:
             f"{radius}. Take 3 elements"
         )
     base, tip = radii
-    return base + (tip - base) * (np.arange(n) + 0.5) / n
+    return base + (tip - base) * middles
