@@ -96,6 +96,24 @@ def squares_of_frequencies(system, state):
     return found * line * RADIUS**4 / bending(rod)
 
 
+@pytest.mark.parametrize(
+    ("straight", "turns"), [(False, 0.0), (True, 0.0), (True, 0.3)]
+)
+def test_a_ring_stores_what_bends_it_round_and_twists_it(straight, turns):
+    """B (2 pi)^2 / 2L if the rod was straight, and C (2 pi turns)^2 / 2L.
+
+    Both together are one rotation at each joint, so the sum is of second order in n.
+    """
+    rod, state, closure = made(7, straight_at_rest=straight, turns=turns)
+    system, whole = closed(rod, state, closure)
+    twisting = float(rod.bend_twist_stiffness[2, 0])
+    stiffness = straight * bending(rod) + twisting * turns**2
+    expected = 0.5 * stiffness * (2 * np.pi) ** 2 / (2 * np.pi * RADIUS)
+    found = float(jax.jit(system.potential_energy)(whole))
+    rtol = 0.1 / 7**2 if turns else 1e-9
+    np.testing.assert_allclose(found, expected, rtol=rtol, atol=1e-15)
+
+
 @pytest.mark.slow
 def test_frequencies_of_a_ring(record):
     found = {}
