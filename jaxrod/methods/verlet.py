@@ -58,10 +58,12 @@ class Kick:
 
     def __call__(self, rate: Array, load: Array) -> Array:
         """Rate after the kick, rate + gain load - loss rate, of one component."""
+        return rate + self.change(rate, load)
+
+    def change(self, rate: Array, load: Array) -> Array:
+        """Change of the rate by the kick, gain load - loss rate, of one component."""
         change = self.gain * load
-        if self.loss is not None:
-            change = change - self.loss * rate
-        return rate + change
+        return change if self.loss is None else change - self.loss * rate
 
 
 @pytree

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 import jaxrod
-from jaxrod.geometry.rotations import rotation_log
-from jaxrod.rods.motion import Motion
+from jaxrod.geometry.rotations import directors, rotation_log, to_material
+from jaxrod.rods.motion import Loads, Motion
 from jaxrod.systems.energies import seen_at_rest
 from jaxrod.systems.joints.welds import Attachment
 from jaxrod.systems.members.rigid_stepper import Carried, RigidStepper
@@ -308,6 +308,82 @@ def test_a_body_has_the_inertia_of_what_it_carries_about_the_common_centre():
     turns = [np.array(rotation_log(end.orientation))[:, 0] for end in ends]
     rate = (turns[1] - turns[0]) / (2 * short)
     np.testing.assert_allclose(rate, np.linalg.solve(expected, momentum), rtol=1e-8)
+
+
+def on_a_box(*effects):
+    """A rod attached to a box off its centre, both moving; and effects on the box."""
+    one, of_one = rod(2)
+    box, of_box = jaxrod.systems.rigid_body(
+        jaxrod.shapes.box((-0.05, 0.01, 0.0), (0.05, 0.03, 0.02)),
+        density=500.0,
+        velocity=(0.3, -0.2, 0.5),
+        angular_velocity=(2.0, -1.0, 3.0),
+        effects=effects,
+        dtype=jnp.float64,
+    )
+    state = {"rod": of_one, "box": of_box}
+    scenes = {"rod": jaxrod.make_scene(one), "box": box}
+    joint = jaxrod.systems.attach(("rod", "base"), ("box",), state)
+    return scenes, joint, state
+
+
+def test_what_is_damped_at_one_rate_loses_momentum_at_that_rate():
+    """Also where the nodes of a rod are part of a body: each is damped once."""
+    rate, dt = 3.0, 0.1
+    damping = jaxrod.exponential_damping(rate)
+    scenes, joint, state = on_a_box(damping)
+    scenes["rod"] = scenes["rod"].with_effect(damping)
+    system = jaxrod.make_system(scenes, joint)
+
+    @jax.jit
+    def momenta(state):
+        stepper = system.stepper(state, jnp.float64(dt))
+        before = stepper.enter(state)
+        return [
+            sum(scenes[name].momentum(own) for name, own in at.items())
+            for at in map(stepper.leave, (before, stepper.kick(before)))
+        ]
+
+    before, after = momenta(state)
+    np.testing.assert_allclose(after, np.exp(-rate * dt) * before, rtol=1e-12)
+
+
+@jaxrod.extend.pytree
+class Drag(jaxrod.extend.Effect):
+    """The loads of exponential damping on bodies: minus a rate times momentum."""
+
+    rate: jax.Array
+
+    def loads(self, bodies, motion):
+        forces = tuple(-self.rate * bodies.masses * v for v in motion.velocity)
+        frame = directors(motion.orientation)
+        couples = to_material(frame, tuple(-self.rate * p for p in motion.spin))
+        return jaxrod.extend.Loads(forces, couples)
+
+
+def test_a_body_is_damped_by_its_own_momenta_whatever_it_carries():
+    """In a short step a decay of its rates is a drag in proportion to its momenta."""
+    rate, dt, changes = 5.0, 1e-7, []
+    for effect in (jaxrod.exponential_damping(rate), Drag(jnp.float64(rate))):
+        scenes, joint, state = on_a_box(effect)
+        system = jaxrod.make_system(scenes, joint)
+        box = system.stepper(state, jnp.float64(dt)).members["box"]
+        at_rest, before = box.enter(state["box"]).at_rest, box.enter(state["box"])
+        assert np.max(np.abs(box.kick(at_rest, Loads()).velocity)) == 0
+        after = box.kick(before, Loads())
+        changes += [
+            np.stack(new) - np.stack(old)
+            for new, old in (
+                (after.velocity, before.velocity),
+                (after.spin, before.spin),
+            )
+        ]
+    np.testing.assert_allclose(changes[0], changes[2], rtol=1e-5)
+    np.testing.assert_allclose(changes[1], changes[3], rtol=1e-5)
+    mass, carried = scenes["box"].masses[0], scenes["rod"].rod.node_masses[0]
+    speed = np.asarray(state["box"].velocities)
+    expected = -rate * dt * mass / (mass + carried) * speed
+    np.testing.assert_allclose(changes[0], expected, rtol=1e-5)
 
 
 @pytest.mark.slow

@@ -53,8 +53,10 @@ def weld(
     """Joins rods: nodes become one, and an elastic joint connects their elements.
 
     The joint is half an element of each rod, as two springs in series that are at rest
-    in `state`, each about the axes of its own section. Two halves of a rod welded end
-    to end make the whole rod, and the order of `a` and `b` does not matter.
+    in `state`, each about the axes of its own section. The order of `a` and `b` does
+    not matter. Two halves of a rod welded end to end make the whole rod. If the
+    elements at the weld differ, as in a tapered rod, they do so only with
+    `joint_mean="series"`.
 
     Args:
         a: A place, `("trunk", "tip")` or `("arms", 2, 7)`; or several.

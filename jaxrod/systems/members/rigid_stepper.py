@@ -109,9 +109,11 @@ class RigidStepper:
     inverse_inertia: Matrix | None
     """Inverse of `inertia` [1/(kg m^2)]; `None` without carried masses."""
     velocity_kick: Kick
-    """Change of velocities by forces and damping over one step."""
+    """Change of velocities by forces and damping over one step; of the momenta of the
+    bodies alone if they carry masses."""
     spin_kick: Kick
-    """Change of angular momenta by couples and damping over one step."""
+    """Change of angular momenta by couples and damping over one step; of those of the
+    bodies alone if they carry masses."""
 
     @staticmethod
     def create(bodies: Any, carried: Carried | None, dt: Array) -> RigidStepper:
@@ -132,7 +134,9 @@ class RigidStepper:
             centre=centre,
             inertia=inertia,
             inverse_inertia=inverse,
-            velocity_kick=Kick.create(1 / mass, rates[0], dt),
+            velocity_kick=Kick.create(
+                1 / mass if carried is None else None, rates[0], dt
+            ),
             spin_kick=Kick.create(None, rates[1], dt),
         )
 
@@ -212,9 +216,9 @@ class RigidStepper:
                 origins, world frame [N], and couples in the bodies' frames [N m].
         """
         forces, couples = loads.forces, loads.couples
-        seen = self.seen(motion)
+        own = self._alone(motion)
         for effect in self.bodies.effects:
-            more = effect.loads(self.bodies, seen.motion)
+            more = effect.loads(self.bodies, own)
             forces = more.forces if forces is None else accumulate(forces, more.forces)
             if more.couples is not None:
                 couples = (
@@ -226,12 +230,31 @@ class RigidStepper:
         force = none if forces is None else forces
         frame = directors(motion.orientation)
         couple = none if couples is None else to_world(frame, couples)
-        couple = self._about_centre(frame, force, couple)
-        return replace(
-            motion,
-            velocity=vectors.apply(self.velocity_kick, motion.velocity, force),
-            spin=vectors.apply(self.spin_kick, motion.spin, couple),
+        if self.centre is None:
+            return replace(
+                motion,
+                velocity=vectors.apply(self.velocity_kick, motion.velocity, force),
+                spin=vectors.apply(self.spin_kick, motion.spin, couple),
+            )
+        # As for attached nodes: the body alone is kicked and damped, and what it gains
+        # acts on the whole.
+        momentum = vectors.scale(self.bodies.masses, own.velocity)
+        gained = Loads(
+            vectors.apply(self.velocity_kick.change, momentum, force),
+            vectors.apply(self.spin_kick.change, own.spin, couple),
         )
+        return self.pushed(motion, gained)
+
+    def _alone(self, motion: Motion) -> Motion:
+        """Motion of the bodies' origins, with the spin of the bodies alone."""
+        seen = self.seen(motion)
+        if self.centre is None:
+            return seen.motion
+        frame = directors(motion.orientation)
+        own = to_material(frame, seen.angular_velocities)
+        moments = vectors.split(self.bodies.principal_inertias)
+        spin = to_world(frame, vectors.multiply(moments, own))
+        return replace(seen.motion, spin=spin)
 
     def pushed(self, motion: Motion, impulses: Loads) -> Motion:
         """Motion after impulses have changed velocities and angular momenta.
