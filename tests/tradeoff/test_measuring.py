@@ -129,3 +129,13 @@ def test_the_rope_is_slender_and_the_arm_is_not():
     plain = prepare(swing(), Setting(20)).scene
     np.testing.assert_array_equal(scene.rod.rotary_inertia, plain.rod.rotary_inertia)
     assert scene.rod.rotary_inertia.dtype == jnp.float32
+
+
+def test_the_post_is_below_a_point_at_two_thirds_of_the_arm():
+    prepared = prepare(slam(), Setting(8))
+    (contact,) = (e for e in prepared.scene.effects if hasattr(e, "body"))
+    along = jnp.linspace(0, 1, 101)
+    distance, _ = contact.body.surface((along, 0 * along, 0 * along))
+    nearest = int(jnp.argmin(distance))
+    assert abs(float(along[nearest]) - 2 / 3) < 0.02
+    assert 0 < float(distance[nearest]) < 0.5  # the arm falls on it
