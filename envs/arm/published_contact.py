@@ -237,7 +237,11 @@ def _sweep(
 
 
 def _skewed(field: Float[Array, "m n"], rounds: int) -> Float[Array, "rounds m"]:
-    """Field arranged by round of `_sweep`: row r, column j has element r - 2 j - 1."""
+    """Field arranged by round of `_sweep`, in which cylinders lag by two elements each.
+
+    Row r (round), column j (cylinder) has the value of cylinder j and element
+    r - 2 j - 1, or zero if there is no such element.
+    """
     count, n = field.shape
     wide = jnp.pad(field, ((0, 0), (1, rounds + 1 - n)))
     flat = jnp.reshape(wide, (count * (rounds + 2),))[: count * rounds]

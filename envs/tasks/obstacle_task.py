@@ -48,7 +48,7 @@ nothing passes between two nodes of an arm that the strongest actions stretch.
 """
 CONTROL_STEPS = 3571
 PLACED = (0.4, 0.9)
-"""Arc lengths of the paper's two control points, over the arm's length [1]."""
+"""Arc lengths of the paper's two control points, divided by the arm's length [1]."""
 STIFFNESS = 2e8
 """Stiffness of contact in "clean" [N/m^2]. The strongest actions stretch the arm
 twofold, to a tension of 100 kN. Pulled over a cylinder, the arm presses on it with 1
@@ -108,10 +108,10 @@ class ObstacleTask(BenchmarkTask):
     target_position: ClassVar[tuple[float, float, float]]
     """Position of the target [m]."""
     contact_points: ClassVar[int]
-    """Number of contact points per element of the arm ("clean")."""
+    """Number of contact points per element of the arm, in the variant "clean"."""
     nearest_obstacles: ClassVar[int | None]
-    """Number of nearest obstacles that each contact point considers in a control step
-    ("clean"); `None` for all."""
+    """Number of nearest obstacles that each contact point considers in a control step,
+    in the variant "clean"; `None` for all."""
 
     @abstractmethod
     def obstacles(self) -> Cylinders:
@@ -119,7 +119,7 @@ class ObstacleTask(BenchmarkTask):
 
     @abstractmethod
     def bodies(self, obstacles: Cylinders) -> Body:
-        """Converts the cylinders to bodies for `jaxrod.contact` ("clean")."""
+        """Converts the cylinders to bodies for `jaxrod.contact`, in variant "clean"."""
 
     @abstractmethod
     def observed_starts(self, obstacles: Cylinders) -> Float[Array, "3 m"]:
@@ -189,9 +189,10 @@ class ObstacleTask(BenchmarkTask):
         before: ArmState,
         params: Any,
     ) -> tuple[Float[Array, " observation"], Bool[Array, ""]]:
-        """Observation to return, and whether it was not finite and ends the episode.
+        """Observation to return in the variant "paper", and whether the episode ends.
 
-        A number that is not finite is replaced by its value in the step before.
+        The episode ends if a number of the observation is not finite. The number is
+        replaced by its value in the state `before` the step.
         """
         finite = jnp.isfinite(observation)
         shown = jnp.where(finite, observation, self.observe(before, params))

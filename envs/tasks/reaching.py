@@ -136,9 +136,10 @@ class Reaching(BenchmarkTask):
         before: ArmState,
         params: Any,
     ) -> tuple[Float[Array, " observation"], Bool[Array, ""]]:
-        """Observation to return, and whether the episode is terminated ("paper").
+        """Observation to return in the variant "paper", and whether the episode ends.
 
-        An arm has also crashed if an observed number is not finite.
+        The episode ends, and the observation is zero, if the arm crashed or an observed
+        number is not finite. `before` is the state before the step.
         """
         crashed |= ~jnp.all(jnp.isfinite(observation))
         return super().ended(observation, crashed, before, params)

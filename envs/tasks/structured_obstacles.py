@@ -87,7 +87,10 @@ class StructuredObstacles(ObstacleTask):
         return cylinders(starts, along, along, length=CYLINDER_LENGTH, radius=RADIUS)
 
     def bodies(self, obstacles: Cylinders) -> Body:
-        """Spheres in the plane of motion, which the cylinders intersect in circles."""
+        """Spheres for the contact in the variant "clean", one for each cylinder.
+
+        In the plane of motion, sphere and cylinder are the same circle.
+        """
         return Sphere(obstacles.centres.T, obstacles.radii)
 
     def observed_starts(self, obstacles: Cylinders) -> Float[Array, "3 m"]:

@@ -153,9 +153,10 @@ class Twin:
 
     @property
     def drawn_sds(self) -> dict[str, float]:
-        """Standard deviations of the unknowns in the drawing, by the names in the fit.
+        """Standard deviation of each search variable in the drawing, by name [1].
 
-        They are those of the search variables: of logarithms, or else one.
+        For an unknown in `LOGARITHMIC` it is that of its logarithm. The search variable
+        of any other unknown is in units of its standard deviation, which gives one.
         """
         return dict(
             zip(self.fit.names, _drawn(self.arm, self.fit.parameters), strict=True)
@@ -380,7 +381,10 @@ def _fitted(
 
 
 class _Residuals(NamedTuple):
-    """Cost at a point, and residuals whose sum of squares has the same gradient."""
+    """Cost at a point, and residuals `rows` whose squares have the same gradient.
+
+    A robust cost is not the sum of these squares, so it is stored separately.
+    """
 
     rows: np.ndarray
     slopes: np.ndarray
@@ -476,7 +480,11 @@ def _problem(arm: Arm, data: Sequence[tuple[_Layout, _Group]]) -> FitProblem:
 def _evaluated(
     arm: Arm, point: Any, prepared: tuple[_Layout, _Group]
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Predicted markers of a recording, and derivatives by each search variable [m]."""
+    """Predicted markers of a recording, and derivatives by each search variable [m].
+
+    `point` has the search variables, `prepared` the recording as `_prepared` returns
+    it.
+    """
     made, slopes = _markers(arm, prepared[0], jnp.asarray(point), prepared[1])
     return np.asarray(made), np.asarray(slopes)
 
@@ -499,8 +507,10 @@ def _markers(
 def _noise(found: Fit, drawn: np.ndarray, count: int, squares: float) -> float:
     """Estimates the noise from the residuals, as a factor of that in the fit [1].
 
-    It is the root of `squares` over the degrees of freedom, which are `count` minus the
-    number of unknowns that the recordings determine.
+    It is the root of `squares`, the sum of squares, divided by the degrees of freedom.
+    These are `count`, the number of coordinates, minus the number of unknowns that the
+    recordings determine. `drawn` has the standard deviations of the unknowns in the
+    drawing.
 
     Source: P. J. Huber, Robust statistics, 1981, proposal 2.
     """
@@ -523,7 +533,11 @@ def _mean_square(limit: float | None) -> float:
 
 
 def _drawn(arm: Arm, parameters: Parameters) -> np.ndarray:
-    """Standard deviation of each search variable in the drawing."""
+    """Standard deviation of each search variable in the drawing [1].
+
+    It is that of the logarithm for unknowns in `LOGARITHMIC`, and one for others, whose
+    search variables are in units of their standard deviation.
+    """
     return np.array([
         arm.unknown[name] if name in LOGARITHMIC else 1.0
         for name, shape in parameters.shapes
@@ -532,7 +546,10 @@ def _drawn(arm: Arm, parameters: Parameters) -> np.ndarray:
 
 
 def _combination(names: Sequence[str], way: np.ndarray) -> str:
-    """Text of a direction's larger components, the largest first, scaled to +1."""
+    """Text of a direction's larger components, the largest first, scaled to +1.
+
+    `way` has the component of the direction for each unknown in `names`.
+    """
     shares = way / way[np.argmax(np.abs(way))]
     large = [k for k in np.argsort(-np.abs(shares)) if abs(shares[k]) > SMALL_PART]
     return ", ".join(f"{names[k]} {shares[k]:+.1f}" for k in large)

@@ -206,7 +206,10 @@ class _Known:
     def likely(
         self, moments: _Moments, options: np.ndarray
     ) -> list[tuple[np.ndarray, np.ndarray]]:
-        """Rotations and shifts of the orders `options` that fit a recording best."""
+        """Rotations and shifts of the `CANDIDATES` orders that fit a recording best.
+
+        The orders are rows of `options`; `moments` are those of the recording.
+        """
         if self.axes is None:
             products = moments.paired(options, self.origin)
             if self.origin is None:
@@ -234,8 +237,8 @@ class _Known:
     ) -> np.ndarray:
         """Shift of a recording for each order in `options` [m].
 
-        It follows from the marker at the origin if there is one, else it is the known
-        shift, else `found`.
+        It follows from the marker at the origin and the rotation `turn` if there is
+        such a marker, else it is the known shift, else `found`.
         """
         if self.origin is not None:
             seen = moments.seen[options[:, self.origin]]

@@ -154,7 +154,10 @@ def _fit_windows(
     damping: Any,
     tolerance: Any,
 ) -> Fit:
-    """Fits parameters together with the unknown initial states of windows."""
+    """Fits parameters together with the unknown initial states of windows.
+
+    `problem` holds the checked arguments of `fit`; `damping` is its `initial_damping`.
+    """
     values = problem.parameters.values
     noise = jax.tree.map(
         lambda n, t: jnp.broadcast_to(n, t.shape), problem.noise, problem.target
@@ -226,9 +229,9 @@ class FitProblem(NamedTuple):
     noise: Any
     """Standard deviations of the noise of the observations."""
     low: Array
-    """Lower bounds of the search variables."""
+    """Lower bounds of the search variables, see `Parameters`."""
     high: Array
-    """Upper bounds of the search variables."""
+    """Upper bounds of the search variables, see `Parameters`."""
     observations: Array
     """Number of finite observations."""
     noise_is_given: bool
@@ -333,7 +336,11 @@ def _decomposed(jacobian: Array) -> tuple[Array, Array]:
 
 
 def _spreads(flat: Array, seen: Any, noise: Any) -> Any:
-    """Root mean square residual of each kind of observation, in its unit."""
+    """Root mean square residual of each kind of observation, in its unit.
+
+    `flat` has all residuals in units of the noise; `seen` and `noise` are trees like
+    the observations, of masks and of standard deviations.
+    """
     _, unravel = ravel_pytree(jax.tree.map(lambda s: s.astype(flat.dtype), seen))
     return jax.tree.map(
         lambda r, s, n: jnp.sqrt(jnp.sum((r * n) ** 2) / jnp.maximum(jnp.sum(s), 1)),

@@ -194,6 +194,8 @@ def shots(
 def count_windows(name: str, stacked: Any) -> int:
     """Counts the windows or trajectories: the length of the leading axis of all leaves.
 
+    `name` is the name of the tree `stacked` in the error message.
+
     Raises:
         ValueError: The leaves have leading axes of different lengths.
     """
@@ -208,6 +210,8 @@ def count_windows(name: str, stacked: Any) -> int:
 
 def check_finite_floats(name: str, tree: Any) -> None:
     """Checks that all leaves of `tree` are finite floats.
+
+    `name` is the name of the tree in the error message.
 
     Raises:
         ValueError: A leaf is not floating point, or its value is known and not finite.

@@ -62,8 +62,8 @@ from jaxrod.validation import check_array, check_count
 SHARES = 10
 """Number of step sizes tried at once in the line search: 1, 1/2, 1/4, ..."""
 FASTER, SLOWER = 4.0, 8.0
-"""Divisor of the damping after a full step (and factor after a step of 1/8 or less);
-factor if no step lowers the cost [1]."""
+"""Factors of the damping [1]. A full step divides it by FASTER, a step of 1/8 or less
+multiplies it by FASTER. If no step lowers the cost it is multiplied by SLOWER."""
 LEAST_DAMPING, MOST_DAMPING = 1e-9, 1e9
 
 

@@ -85,13 +85,16 @@ class Problem:
         return after, self.on_the_way(after, control, interval)
 
     def on_the_way(self, after: Any, control: Array, interval: Array) -> Any:
-        """Residuals of an interval, by the state after it; `None` if none are given."""
+        """Residuals of an interval: the function `running` of this problem.
+
+        `after` is the state after the interval. `None` if the problem has no `running`.
+        """
         if self.running is None:
             return None
         return self.running(self.data, after, control, interval)
 
     def at_the_end(self, last: Any) -> Any:
-        """Residuals of the last state; `None` if none are given."""
+        """Residuals of the last state; `None` if the problem has no `final`."""
         return None if self.final is None else self.final(self.data, last)
 
 
@@ -381,6 +384,8 @@ def within_bounds(
     problem: Problem, name: str, given: Any, shape: tuple[int, ...]
 ) -> Array:
     """Checks given controls, and converts them to the dtype of the problem.
+
+    `shape` is the required shape, `name` the name of the controls in error messages.
 
     Raises:
         ValueError: They have another shape, are not finite or exceed the bounds.
