@@ -187,7 +187,10 @@ class ArmTask(ABC):
         params: Any,
         width: float = COST_WIDTH,
     ) -> Float[Array, " residuals"]:
-        """Residuals whose squares sum to the planners' cost; see `tip_residuals`."""
+        """Residuals whose squares sum to the planners' cost; see `tip_residuals`.
+
+        `width` is the distance beyond which the cost grows linearly [m].
+        """
         del action
         return tip_residuals(
             state.arm.tip - state.target.position, params.bonus.touching, width

@@ -132,7 +132,7 @@ class GripperState:
 
 @dataclasses.dataclass(frozen=True)
 class Gripper:
-    """The gripper task; see the module docstring. Make one with `gripper`."""
+    """Task in which soft fingers grasp a ball and lift it; made by `gripper`."""
 
     n_elements: int
     substeps: int

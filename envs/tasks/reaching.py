@@ -96,7 +96,7 @@ class ReachingParams(ArmParams):
 
 @dataclasses.dataclass(frozen=True)
 class Reaching(BenchmarkTask):
-    """The reaching task; see the module docstring. Make one with `reaching`."""
+    """Task in which the tip reaches a point with an orientation; made by `reaching`."""
 
     variant: Variant
     n_elements: int
@@ -239,7 +239,10 @@ def misaligned(arm: RodState, goal: Goal) -> Array:
 def reaching_reward(
     distance_squared: Array, misalignment: Array, params: ReachingParams
 ) -> Array:
-    """Reward -d^2 - misalignment^2 / 2, plus the bonuses of the module docstring."""
+    """Reward -d^2 - misalignment^2 / 2, plus the bonuses of the module docstring.
+
+    d^2 is `distance_squared`, of the tip from the goal [m^2].
+    """
     near = distance_squared <= params.bonus.near**2
     touching = distance_squared <= params.bonus.touching**2
     aligned = misalignment <= params.aligned

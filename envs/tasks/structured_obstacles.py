@@ -50,7 +50,7 @@ CYLINDER_LENGTH = 1.0
 
 @dataclasses.dataclass(frozen=True)
 class StructuredObstacles(ObstacleTask):
-    """Task of Case 3, see the module docstring. Make it with `structured_obstacles`."""
+    """Task of Case 3: a planar arm in a maze; made by `structured_obstacles`."""
 
     controls: int | None = None
     """Number of equidistant control points; `None` for the two points of the paper, at

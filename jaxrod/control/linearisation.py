@@ -196,7 +196,8 @@ def measured(
 ) -> tuple[Array, Array]:
     """Returns a measurement of a state, and its derivatives C by local coordinates.
 
-    `ways` has the changes of all components per coordinate.
+    `ways` is the matrix from `LocalCoordinates.directions`: changes of all components
+    of the state per coordinate.
     """
     now = model.recalling(state)
 

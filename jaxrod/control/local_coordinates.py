@@ -204,7 +204,10 @@ class LocalCoordinates:
         return changes[self._chosen(state)]
 
     def check_size(self, name: str, step: Any) -> None:
-        """Raises a `ValueError` unless `step` has the shape `(size,)`."""
+        """Raises a `ValueError` unless `step` has the shape `(size,)`.
+
+        `name` is its name in the message.
+        """
         if jnp.shape(step) != (self.size,):
             raise ValueError(
                 f"{name} must have shape {(self.size,)}, one number for each local "
@@ -251,9 +254,10 @@ def coordinates_under(
     control: Array | None,
     with_control: WithControl | None,
 ) -> LocalCoordinates:
-    """Finds local coordinates, by `tangent_map` with a control (or `None`).
+    """Finds the local coordinates of states near `state`, with a control or `None`.
 
-    They do not depend on the control; the same compiled program then serves runs.
+    The coordinates do not depend on the control. If it is that of later runs, the same
+    compiled program (`tangent_map`) serves both.
     """
     begin = check_first(model, 0, 1)
     if is_traced(model, state, dt):

@@ -122,7 +122,10 @@ class PlanCost:
         ) / self.knots
 
     def total(self, now: Array, knots: Array, state: Any) -> Float[Array, ""]:
-        """Returns the mean of `env.cost` at the knots, plus effort and smoothness."""
+        """Returns the mean of `env.cost` at the times of the knots, plus `regular`.
+
+        `now` and `knots` are the actions of the plan, as in the class.
+        """
         found = self.along(
             now,
             knots,
@@ -132,9 +135,10 @@ class PlanCost:
         return jnp.mean(found) + self.regular(now, knots)
 
     def least_squares(self, now: Array, knots: Array, state: Any) -> Float[Array, ""]:
-        """Returns the sum of squared `residuals`, plus effort and smoothness.
+        """Returns the cost of a plan: sum of squared `residuals`, plus `regular`.
 
-        It is infinite if the sum is not finite.
+        It is infinite if the sum is not finite. `now` and `knots` are the actions of
+        the plan, as in the class.
         """
         found = jnp.sum(self.residuals(now, knots, state) ** 2)
         return _or_infinite(found + self.regular(now, knots))
@@ -335,7 +339,9 @@ def piece_weights(
 ) -> Float[np.ndarray, "pieces knots_and_now"]:
     """Returns interpolation weights for the actions of a plan, a row per action.
 
-    Each action is held for `hold` control steps, and is the plan's value in the middle.
+    Each action is held for `hold` control steps, and is the plan's value in the middle
+    of this time. The `knots` are `spacing` control steps apart; `shape` is one of
+    `SHAPES`.
     """
     pieces = knots * spacing // hold
     return weights_at((np.arange(pieces) + 0.5) * hold, knots, spacing, shape)
@@ -347,6 +353,7 @@ def shift_weights(
     """Returns the matrix that shifts a plan, values now and at knots, by `by` steps.
 
     The new values are those of the old plan `by` control steps later. If the knots of a
-    plan in steps are shifted by a part of the spacing, the later step is taken.
+    plan in steps are shifted by a part of the spacing, the later step is taken. `shape`
+    is one of `SHAPES`.
     """
     return weights_at(by + spacing * np.arange(knots + 1), knots, spacing, shape)

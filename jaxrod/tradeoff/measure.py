@@ -240,7 +240,8 @@ def reference(workload: Workload, n_elements: int = REFERENCE_ELEMENTS) -> Refer
 def tips_of(workload: Workload, prepared: Prepared) -> np.ndarray:
     """Simulates a workload; returns the tip at the end of every control period.
 
-    The result is `(periods, 3)` [m].
+    `prepared` has the scene and the steps of a setting. The result is `(periods, 3)`
+    [m].
     """
     with jax.enable_x64(prepared.setting.dtype == "float64"):
         args = _arguments(workload, prepared)

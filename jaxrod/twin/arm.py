@@ -442,7 +442,8 @@ class Arm:
     def _along(self, name: str, given: Any) -> np.ndarray:
         """Interpolates a quantity at the middles of the elements, and checks it.
 
-        `given` is a positive number, or pairs of arc length [m] and number.
+        `given` is a positive number, or pairs of arc length [m] and number; `name` is
+        the quantity's name in error messages.
         """
         table = np.asarray(given, float)
         if table.ndim == 0:

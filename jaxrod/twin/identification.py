@@ -334,7 +334,10 @@ def _fitted(
     robust: float | None,
     iterations: int,
 ) -> tuple[Fit, float]:
-    """Fits unknowns to registered recordings; returns the fit, and the noise [m]."""
+    """Fits unknowns to registered recordings; returns the fit, and the noise [m].
+
+    `noise`, `robust` and `iterations` are as in `identify`.
+    """
     data = [_prepared(arm, recording) for recording in recordings]
     problem = _problem(arm, data)
     drawn = _drawn(arm, problem.parameters)
@@ -411,7 +414,7 @@ def _searched(
     problem: FitProblem,
     iterations: int,
 ) -> _Found:
-    """Minimises the cost of `evaluate` by damped steps, within the problem's bounds.
+    """Minimises the cost of `evaluate` by damped steps from `start`, within bounds.
 
     It is the search of `control.least_squares` as a loop in Python, so that only the
     simulations of recordings are compiled, once for each shape.
@@ -453,7 +456,10 @@ def _searched(
 
 
 def _problem(arm: Arm, data: Sequence[tuple[_Layout, _Group]]) -> FitProblem:
-    """Makes the `FitProblem`: names, scales, bounds, and number of seen coordinates."""
+    """Makes the `FitProblem`: names, scales, bounds, and number of seen coordinates.
+
+    `data` are the recordings, as `_prepared` returns them.
+    """
     first = {name: arm.start[name] for name in arm.unknown}
     logs = [name for name in first if name in LOGARITHMIC]
     scales = {name: sd for name, sd in arm.unknown.items() if name not in logs}
@@ -582,7 +588,8 @@ def _registered(
 ) -> tuple[tuple[Recording, ...], Registration]:
     """Converts recordings to the arm's marker order and frame, by their predictions.
 
-    `known` has the rotation and shift from an earlier registration, or is `None`.
+    Predictions are made with the unknowns `values`. `known` has the rotation and shift
+    from an earlier registration, or is `None`.
     """
     ready = [r.averaged() if r.is_at_rest(arm.length) else r for r in recordings]
     parameters = _problem(arm, ()).parameters
@@ -617,7 +624,10 @@ def _registered(
 
 
 class _Layout(NamedTuple):
-    """Numbers of steps of the simulation of a recording; zero at rest."""
+    """Numbers of steps of a recording's simulation: `records` times `every`.
+
+    Both are zero for a recording at rest, which is compared with an equilibrium.
+    """
 
     every: int
     """Number of time steps between stored states."""
@@ -659,7 +669,11 @@ def _prepared(arm: Arm, recording: Recording) -> tuple[_Layout, _Group]:
 
 
 def _made(arm: Arm, layout: _Layout, values: Mapping[str, Any], data: _Group) -> Array:
-    """Predicts the markers of a recording `(frames, markers, 3)` [m]."""
+    """Predicts the markers of a recording `(frames, markers, 3)` [m].
+
+    `data` and `layout` are the recording as `_prepared` returns it, `values` those of
+    the unknowns.
+    """
     rest, points = _pose(arm, values, data.inputs[0])
     if layout.records == 0:
         return points[None]
@@ -675,7 +689,10 @@ def _made(arm: Arm, layout: _Layout, values: Mapping[str, Any], data: _Group) ->
 
 
 def _pose(arm: Arm, values: Mapping[str, Any], inputs: Array) -> tuple[Any, Array]:
-    """Equilibrium under constant inputs, and its markers [m]; NaN if not found."""
+    """Equilibrium under constant inputs, and its markers [m]; NaN if not found.
+
+    `values` are those of the unknowns.
+    """
     pulls = arm.tensions(values, inputs)
     scene, state = arm.scene(values, lambda numbers: pulls[numbers])
     found = equilibrium(scene, state)
@@ -684,9 +701,10 @@ def _pose(arm: Arm, values: Mapping[str, Any], inputs: Array) -> tuple[Any, Arra
 
 
 def _steps(arm: Arm, inputs: np.ndarray, duration: float) -> tuple[_Layout, float]:
-    """Numbers of steps of a simulation, and its time step [s].
+    """Numbers of steps of a simulation over `duration` [s], and its time step [s].
 
-    The step is stable for values of unknowns within three standard deviations.
+    The step is stable for the largest tensions of `inputs` `(frames, inputs)`, and for
+    values of unknowns within three standard deviations.
     """
     start = arm.start
     stiff = dict(start)

@@ -191,7 +191,10 @@ def read_recording(path: str | Path, arm: Arm) -> Recording:
 def _numbers(
     rows: Sequence[Sequence[str]], chosen: Sequence[int], columns: Sequence[str]
 ) -> np.ndarray:
-    """Converts the cells of the columns `chosen` to numbers; NaN for empty cells."""
+    """Converts the cells of the columns `chosen` to numbers; NaN for empty cells.
+
+    `columns` are the names of all columns, for the error message.
+    """
     table = np.empty((len(rows), len(chosen)))
     for r, row in enumerate(rows):
         for c, column in enumerate(chosen):

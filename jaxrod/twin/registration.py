@@ -166,7 +166,8 @@ class _Moments:
     def paired(self, options: np.ndarray, origin: int | None) -> np.ndarray:
         """Sum over markers of outer products p q^T of paired points, for each order.
 
-        If `origin` is the index of a marker, points are relative to that marker.
+        The recorded point q of each predicted marker p is a row of `options`. If
+        `origin` is the index of a marker, points are relative to that marker.
         """
         own = self.products[options, np.arange(self.count)].sum(axis=-3)
         if origin is None:
@@ -250,7 +251,10 @@ class _Known:
 def _as_known(
     recordings: Sequence[Recording], predictions: Sequence[np.ndarray], known: _Known
 ) -> Registration:
-    """Makes a registration from known orders and frame; markers may be missing."""
+    """Makes a registration from known orders and frame; markers may be missing.
+
+    `predictions` are the positions of the markers, with which its distance is computed.
+    """
     assert known.axes is not None
     shifts, squares = [], []
     for recording, predicted in zip(recordings, predictions, strict=True):
@@ -329,7 +333,7 @@ def _improved(
 
 
 def _turned(turn: np.ndarray, points: np.ndarray) -> np.ndarray:
-    """Rotates points `(..., 3)` by a matrix, or by each of several."""
+    """Rotates points `(..., 3)` by the matrix `turn`, or by each of several."""
     return np.sum(turn * points[..., None, :], axis=-1)
 
 

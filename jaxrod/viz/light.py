@@ -140,8 +140,8 @@ def _on_screen(view: View, corners: np.ndarray, size: tuple[int, int]) -> np.nda
     """Projects corners (M, 3, 3) to pixels, and a depth -1/distance [1/m].
 
     x is to the right and y down, from the upper left corner of the picture, whose width
-    and height [pixels] are `size`. The distance is along the camera's axis.
-    A triangle with a corner behind the camera is NaN.
+    and height [pixels] are `size`. The distance is along the camera's axis. A triangle
+    with a corner behind the camera is NaN.
     """
     width, height = size
     focal = 0.5 * height / _LENS
@@ -268,8 +268,8 @@ class _Lamp:
     def reaches(self, places: np.ndarray, blur: float) -> np.ndarray:
         """Fraction of the lamp's light that reaches points, from 0 (shadow) to 1.
 
-        The points are the rows of `places` (N, 3), world frame [m].
-        The edges of shadows are soft, over a width of `blur` [m].
+        The points are the rows of `places` (N, 3), world frame [m]. The edges of
+        shadows are soft, over a width of `blur` [m].
         """
         own = places @ self.frame.T.astype(places.dtype)
         spots = (own[:, :2] - self.low[:2]) * self.scale + 0.07 * self.side

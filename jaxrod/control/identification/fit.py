@@ -351,7 +351,11 @@ def _spreads(flat: Array, seen: Any, noise: Any) -> Any:
 
 
 def _checked(simulate: Simulate, parameters: Parameters, observed: Any) -> Any:
-    """Checks observations against `simulate`; returns masks, True where finite."""
+    """Checks that `observed` has the structure and shapes that `simulate` returns.
+
+    Returns masks of the observations, True where they are finite. `simulate` is traced
+    at the start of `parameters`.
+    """
     made = jax.eval_shape(simulate, parameters.start)
     wanted: Any = jax.tree.structure(made)
     given: Any = jax.tree.structure(observed)
@@ -377,7 +381,11 @@ def _checked(simulate: Simulate, parameters: Parameters, observed: Any) -> Any:
 
 
 def _noise(noise: Any, observed: Any) -> Any:
-    """Returns standard deviations of all observations; ones if `noise` is `None`."""
+    """Returns standard deviations of all observations; ones if `noise` is `None`.
+
+    `noise` is a number or a tree prefix of `observed`; it must be given if `observed`
+    has several leaves.
+    """
     leaves, tree = jax.tree.flatten(observed)
     if noise is None:
         if len(leaves) > 1:

@@ -83,7 +83,10 @@ class MultipleShooting:
         return self.states is not None
 
     def state(self, parameters: dict[str, Any], unknowns: Any, known: Any) -> Any:
-        """Returns the initial state of a window, by `initial_state` if it is given."""
+        """Returns the initial state of a window, by `initial_state` if it is given.
+
+        Without it the state is `unknowns`. Arguments are those of `initial_state`.
+        """
         if self.initial_state is None:
             return unknowns
         return self.initial_state(parameters, unknowns, known)
@@ -110,6 +113,9 @@ class MultipleShooting:
 
     def check(self, run: Any, observed: Any, start: Mapping[str, Any]) -> None:
         """Checks that all arrays are stacked equally, and that first values are floats.
+
+        Arguments are as in `fit`: the simulation of a window, observations, and first
+        values of the parameters.
 
         Raises:
             ValueError: Numbers of trajectories or windows differ; first values are not

@@ -183,7 +183,10 @@ def _recorded(problem: Problem, scaled: Array) -> tuple[Array, Array, Any, Array
 def _clipped_adam(
     learning_rate: float, max_gradient_norm: float, iterations: int
 ) -> Any:
-    """Optax optimiser: Adam on gradients of clipped norm, with cosine decay to 1/10."""
+    """Optax optimiser: Adam on gradients of clipped norm, with cosine decay to 1/10.
+
+    The step size decays from `learning_rate` to a tenth over `iterations`.
+    """
     import optax
 
     schedule = optax.cosine_decay_schedule(learning_rate, iterations, alpha=0.1)

@@ -186,9 +186,10 @@ def _solved(
     def tried_with(
         search: _Search, changes: Array, gains: Array, share: Array
     ) -> tuple[Array, Array, Array]:
-        """Simulates controls plus `share` of their changes, with feedback.
+        """Simulates u + share du + K (x - x_planned), clipped to the bounds.
 
-        Returns the clipped controls, the states and the cost.
+        u and x_planned are controls and states of `search`, du are `changes`, K
+        `gains`. Returns the clipped controls, the states and the cost.
         """
 
         def one(state: Array, given: tuple[Array, ...]) -> Any:
@@ -288,7 +289,10 @@ def _linearised(
     states: Float[Array, "intervals+1 n"],
     controls: Float[Array, "intervals m"],
 ) -> Linear:
-    """Linearises dynamics and residuals of all intervals, as one batch."""
+    """Linearises dynamics and residuals of all intervals, as one batch.
+
+    `unravel` converts a flat state, a row of `states`, to a state of the problem.
+    """
     n, m = states.shape[1], controls.shape[1]
     ways = jnp.eye(n + m, dtype=states.dtype)
 

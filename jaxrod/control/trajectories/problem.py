@@ -80,7 +80,7 @@ class Problem:
         return int(self.lower.shape[-1])
 
     def step(self, state: Any, control: Array, interval: Array) -> tuple[Any, Any]:
-        """Returns the state after an interval, and the residuals of the interval."""
+        """Returns the state after an interval under a control, and the residuals."""
         after = self.move(self.data, state, control, interval)
         return after, self.on_the_way(after, control, interval)
 
@@ -244,7 +244,10 @@ def numbers(problem: Problem) -> Int[Array, " intervals"]:
 
 
 def _alike(before: Any, after: Any) -> bool:
-    """Whether two trees have the same structure, shapes and types."""
+    """Whether two trees have the same structure, shapes and types.
+
+    Used to check that a state after an interval is like the one before.
+    """
     trees: list[Any] = [jax.tree.structure(state) for state in (before, after)]
     kinds = [
         [(leaf.shape, leaf.dtype) for leaf in jax.tree.leaves(state)]
