@@ -564,8 +564,9 @@ def _combination(names: Sequence[str], way: np.ndarray) -> str:
 def _robust(away: np.ndarray, limit: float | None) -> tuple[np.ndarray, float]:
     """Returns roots of the robust weights of residuals, and their robust cost.
 
-    `away` holds residuals in units of the noise, `limit` is c in the module's formula.
-    The gradient of the cost is that of the weighted squares at constant weights.
+    `away` holds residuals in units of the noise. `limit` is c in the module's formula,
+    or `None` for equal weights. The gradient of the cost is that of the weighted
+    squares at constant weights.
     """
     squares = np.sum(away**2, axis=-1, keepdims=True)
     if limit is None:
