@@ -134,7 +134,10 @@ def _nodes(seen: Snapshot) -> Float[np.ndarray, "rods 3 n+1"]:
 
 
 def _lasting(name: str, values: Any) -> np.ndarray:
-    """First of the values of all frames; raises a ValueError unless all are equal."""
+    """First of the values of all frames; raises a ValueError unless all are equal.
+
+    `name` is the name of the values in the message.
+    """
     if not np.array_equal(values, np.broadcast_to(values[:1], values.shape)):
         raise ValueError(f"{name} of a snapshot must not change during an episode")
     return values[0]

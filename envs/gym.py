@@ -45,7 +45,7 @@ VARIANTS = {
 
 
 def ids() -> tuple[str, ...]:
-    """Returns the ids that are registered with Gymnasium."""
+    """Returns the Gymnasium ids of all tasks, such as "jaxrod/tracking-paper-v0"."""
     return tuple(_id(task, variant) for task in VARIANTS for variant in VARIANTS[task])
 
 

@@ -236,8 +236,10 @@ def _program(
 ) -> Program:
     """Compiled control step, cached so that equal batches share it.
 
-    Steps with waiting environments (`waits`) have a separate program, so that other
-    steps do not pay for the selection.
+    `waits` tells whether the step takes a mask of waiting environments: these keep
+    their state, and their new episode begins with the next step. Such steps have a
+    separate program, because choosing between old and new states costs time. `in_order`
+    tells whether XLA runs the kernels one after another.
     """
     del waits
     return Program(batch, state, params, in_order)
@@ -248,7 +250,8 @@ def _without(
 ) -> VectorStep:
     """Results of a step, where waiting environments have no reward and do not end.
 
-    Their observation is the one before the step.
+    Their observation is that of the state `before` the step. `outcome` are the results
+    without waiting.
     """
     nothing = jnp.zeros_like(outcome.reward)
     shown, final = outcome.observation, outcome.final_observation

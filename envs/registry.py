@@ -94,7 +94,10 @@ options, or without `make`.
 def _made_by(
     task: str, build: Callable[..., Any], options: Mapping[str, Any]
 ) -> Environment:
-    """Calls a user's callable, and checks that the result is an environment."""
+    """Calls a user's callable, and checks that the result is an environment.
+
+    `build` is called with `options`; `task` is its import path, for messages.
+    """
     try:
         env = build(**options)
         check_facts(env)
@@ -119,7 +122,8 @@ def _chosen(
 ) -> dict[str, Any]:
     """Checks the names of options; returns the options with non-default values.
 
-    The variant is always included, because it identifies the physics.
+    Names and defaults are those of `build`, the callable of `task`. The variant is
+    always included, because it identifies the physics.
 
     Raises:
         ValueError: There is no such option, or one is missing.

@@ -151,7 +151,8 @@ def rollout(
 def _scanned(step: Any, carry: Any, along: Any, length: int) -> tuple[Any, Any]:
     """`lax.scan` as two nested, checkpointed loops of about sqrt(length) steps each.
 
-    A third loop runs the remaining steps. Gradients need the memory of about
+    `step`, `carry` and `along` are the function, first carry and inputs of the scan. A
+    third loop runs the remaining steps. Gradients need the memory of about
     2 sqrt(length) carries instead of `length`.
     """
     remembered = jax.checkpoint(step, prevent_cse=False)

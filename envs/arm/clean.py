@@ -1,10 +1,10 @@
 """The arm of the `clean` variants: the library's own physics.
 
-It has the consistent elastic law, a wall-accurate clamp, damping integrated exactly,
-and couples per metre instead of per element, with the same sum as the published
-couples. When a numerical health flag rises the arm is frozen at its last sound state.
-Its energy is not checked: the check costs more than another half control step, and it
-raises no flag on sound arms (`tests/envs/test_energy.py`).
+It has the consistent elastic law, a clamp with a second-order error (`jaxrod.clamp`),
+damping integrated exactly, and couples per metre instead of per element, with the same
+sum as the published couples. When a numerical health flag rises the arm is frozen at
+its last sound state. Its energy is not checked: the check costs more than another half
+control step, and it raises no flag on sound arms (`tests/envs/test_energy.py`).
 """
 
 from __future__ import annotations

@@ -118,7 +118,7 @@ class _DrivenArm:
     controls: Float[Array, "3 n_controls"]
 
     def begin(self, given: tuple[RodState, Muscles]) -> tuple[Any, Muscles, Array]:
-        """Drifts half a time step to the first kick.
+        """Drifts half a time step from the given states to the first kick.
 
         Returns:
             Motion, muscles, and True, which says that the commanded values are new.
@@ -127,13 +127,19 @@ class _DrivenArm:
         return self.stepper.begin(state), muscles, jnp.ones((), bool)
 
     def cycle(self, carry: tuple[Any, Muscles, Array]) -> tuple[Any, Muscles, Array]:
-        """Updates the muscles, kicks, and drifts one time step to the next kick."""
+        """Updates the muscles, kicks, and drifts one time step to the next kick.
+
+        `carry` is the result of `begin` or of the cycle before, and so is the new one.
+        """
         kicked, muscles = self._kicked(carry)
         moved = self.stepper.drift(kicked, self.stepper.dt)
         return moved, muscles, jnp.zeros((), bool)
 
     def end(self, carry: tuple[Any, Muscles, Array]) -> tuple[RodState, Muscles]:
-        """Updates the muscles, kicks, and drifts half a time step to the end."""
+        """Updates the muscles, kicks, and drifts half a time step to the end.
+
+        `carry` is the result of the last cycle; returns the states of arm and muscles.
+        """
         kicked, muscles = self._kicked(carry)
         moved = self.stepper.drift(kicked, 0.5 * self.stepper.dt)
         return self.stepper.leave(moved), muscles

@@ -118,7 +118,11 @@ class PublishedContact(Effect):
     def _closest_in_plane(
         self, motion: Motion, cylinders: Cylinders
     ) -> tuple[Components, Float[Array, "m n"]]:
-        """Planar version of `_closest_points`: a cylinder's axis is a point."""
+        """Vector from each element to each cylinder axis, a point of the plane [m].
+
+        It begins at the closest point of the element. The second result is as in
+        `_closest_points`.
+        """
         offset = tuple(
             c[None, :-1] - start[:, None]
             for c, start in zip(motion.position, cylinders.starts, strict=True)
@@ -136,7 +140,11 @@ def boxes_overlap(
     lengths: Float[Array, " n"],
     radii: Float[Array, " n"],
 ) -> Bool[Array, " m"]:
-    """Whether each cylinder's published bounding box overlaps that of the arm."""
+    """Whether each cylinder's published bounding box overlaps that of the arm.
+
+    The arm's box is that of its nodes, widened by its largest radius plus its largest
+    element length.
+    """
     margin = jnp.max(radii) + jnp.max(lengths)
     d1 = vectors.split(cylinders.normals)
     d3 = vectors.split(cylinders.directions)
@@ -198,6 +206,7 @@ def _sweep(
 ) -> Components:
     """Adds the contact forces of all cylinders and elements to the node forces [N].
 
+    `normals` and `pushes` are those of `encounters`, for cylinder j and element i.
     The published loops run over cylinders, then over elements. Cylinder j can treat
     element i once it has treated element i - 1 and cylinder j - 1 has treated element
     i + 1. So all cylinders are treated in parallel, each two elements behind the
@@ -237,7 +246,11 @@ def _sweep(
 
 
 def _skewed(field: Float[Array, "m n"], rounds: int) -> Float[Array, "rounds m"]:
-    """Field arranged by round of `_sweep`: row r, column j has element r - 2 j - 1."""
+    """Field arranged by round of `_sweep`, in which cylinders lag by two elements each.
+
+    Row r (round), column j (cylinder) has the value of cylinder j and element
+    r - 2 j - 1, or zero if there is no such element.
+    """
     count, n = field.shape
     wide = jnp.pad(field, ((0, 0), (1, rounds + 1 - n)))
     flat = jnp.reshape(wide, (count * (rounds + 2),))[: count * rounds]

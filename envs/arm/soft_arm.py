@@ -35,7 +35,9 @@ the length [N m/m]."""
 def published_rod(
     n_elements: int, start: tuple[float, float, float], axis: str
 ) -> tuple[Rod, RodState]:
-    """Makes the arm with the published moduli, straight and at rest.
+    """Makes the arm with the published moduli, G = E/1.5, shear correction 4/3.
+
+    It is straight and at rest.
 
     Args:
         n_elements: Number of elements: 20 in Cases 1 and 2, 50 in Cases 3 and 4.
@@ -64,7 +66,8 @@ def clean_rod(
 ) -> tuple[Rod, RodState]:
     """Makes the arm of incompressible material: G = E/3, shear correction 27/28.
 
-    Its dimensions, density and Young's modulus are those of `published_rod`.
+    Its dimensions, density and Young's modulus are those of `published_rod`, which also
+    explains the arguments.
     """
     return straight_rod(
         n_elements,

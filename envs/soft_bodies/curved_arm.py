@@ -88,8 +88,8 @@ class CurvedArm:
 
         Args:
             state: State of the arm.
-            before: Angles of the segments about d1 and d2 at the beginning [rad].
-            after: Angles at the end; linear in time in between [rad].
+            before: Angles of the segments about d1 and d2 at its beginning [rad].
+            after: Angles at its end; linear in time in between [rad].
             dt: Time step [s].
             n_steps: Number of steps, at least 1.
 

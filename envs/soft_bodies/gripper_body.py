@@ -60,7 +60,7 @@ TABLE_STIFFNESS = 500.0
 SUNK = 4 / 3 * math.pi * BALL**3 * BALL_DENSITY * GRAVITY / TABLE_STIFFNESS
 """Indentation of the table under the full weight of the ball, m g / k [m]."""
 HIGHEST = 0.2
-"""Height of the wrist above the table in the state `rest`, its highest [m]."""
+"""Largest height of the wrist above the table, which it has in the state `rest` [m]."""
 
 
 @pytree

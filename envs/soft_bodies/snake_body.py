@@ -113,8 +113,8 @@ class SnakeBody:
 
         Args:
             state: State of the snake.
-            before: Control values at the beginning [1].
-            after: Control values at the end [1].
+            before: Control values at its beginning [1].
+            after: Control values at its end; linear in time in between [1].
             dt: Time step [s].
             n_steps: Number of steps, at least 1.
 

@@ -81,8 +81,8 @@ class ArmTask(ABC):
     ) -> tuple[Any, Bool[Array, ""]]:
         """Returns the state one control step later, and whether the arm crashed.
 
-        An arm crashes when its state is not finite ("paper") or when a health flag
-        rises ("clean").
+        In the variant "paper" an arm crashes when its state is not finite, in the
+        variant "clean" when a health flag rises.
 
         Args:
             key: Random key of the step; `None` for a step without random events.
@@ -126,15 +126,24 @@ class ArmTask(ABC):
         before: Any,
         params: Any,
     ) -> tuple[Float[Array, " observation"], Bool[Array, ""]]:
-        """Observation to return, and whether the episode is terminated ("paper").
+        """Observation to return in the variant "paper", and whether the episode ends.
 
-        By default a crash terminates it, and the observation is then zero.
+        By default a crash terminates the episode, and the observation is then zero.
+
+        Args:
+            observation: Observation after the step.
+            crashed: Whether the arm crashed in the step.
+            before: State before the step.
+            params: Parameters of the task.
         """
         del before, params
         return jnp.where(crashed, 0, observation), crashed
 
     def reward(self, state: Any, params: Any) -> Float[Array, ""]:
-        """Reward of a state whose arm has not crashed; see `distance_reward`."""
+        """Reward of a state whose arm has not crashed: -d^2 plus bonuses.
+
+        d is the distance of the tip from the target; see `distance_reward`.
+        """
         return distance_reward(squared_distance(state), params.bonus)
 
     def scalars(self, arm: RodState, target: Any) -> dict[str, Array]:
@@ -178,7 +187,10 @@ class ArmTask(ABC):
         params: Any,
         width: float = COST_WIDTH,
     ) -> Float[Array, " residuals"]:
-        """Residuals whose squares sum to the planners' cost; see `tip_residuals`."""
+        """Residuals whose squares sum to the planners' cost; see `tip_residuals`.
+
+        `width` is the distance beyond which the cost grows linearly [m].
+        """
         del action
         return tip_residuals(
             state.arm.tip - state.target.position, params.bonus.touching, width
@@ -204,7 +216,7 @@ class ArmTask(ABC):
         return jnp.sum(self.residuals(state, action, params, width) ** 2)
 
     def snapshot(self, state: Any, params: Any) -> Snapshot:
-        """Snapshot of arm and target, with their distance as a readout."""
+        """Snapshot of arm and target, with the tip's distance from it as a readout."""
         tip, target = state.arm.tip, state.target.position
         distance = jnp.sqrt(jnp.sum((tip - target) ** 2))
         return Snapshot(
@@ -265,7 +277,7 @@ class ArmParams:
     bonus: Bonus
     """Distances from the target at which the reward has its bonuses."""
     crash_reward: Float[Array, ""]
-    """Reward of a step in which the arm crashes ("paper")."""
+    """Reward of a step in which the arm crashes, in the variant "paper"."""
 
 
 @pytree
@@ -300,7 +312,7 @@ class BenchmarkTask(ArmTask):
     largest_rate: ClassVar[float | None] = None
     """Largest rate of a control value [1/s]; `None` if control values may jump."""
     crash_reward: ClassVar[float]
-    """Reward of a step in which the arm crashes ("paper")."""
+    """Reward of a step in which the arm crashes, in the variant "paper"."""
 
     @property
     @abstractmethod

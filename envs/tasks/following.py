@@ -91,7 +91,7 @@ class FollowingState:
 
 @dataclasses.dataclass(frozen=True)
 class Following(ArmTask):
-    """The following task; see the module docstring. Make one with `following`."""
+    """Task in which the tip follows a target by curvatures; made by `following`."""
 
     n_elements: int
     substeps: int

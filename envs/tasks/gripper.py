@@ -71,8 +71,8 @@ VARIANTS: tuple[Variant, ...] = ("clean",)
 CONTROL_PERIOD = 0.1
 """Time between actions [s]."""
 SUCTION = 0.2
-"""Suction at a control value of -1 over the pressure at a control value of 1, both
-relative to the surroundings [1]."""
+"""Suction at a control value of -1, divided by the pressure at a control value of 1;
+both are relative to the surroundings [1]."""
 SLACK = 2 * SUCTION / (1 + SUCTION) - 1
 """Control value for zero pressure relative to the surroundings [1]."""
 RATE = 10.0
@@ -132,7 +132,7 @@ class GripperState:
 
 @dataclasses.dataclass(frozen=True)
 class Gripper:
-    """The gripper task; see the module docstring. Make one with `gripper`."""
+    """Task in which soft fingers grasp a ball and lift it; made by `gripper`."""
 
     n_elements: int
     substeps: int
@@ -304,7 +304,7 @@ def _told(
 
     Returns:
         Displacement of the wrist from its highest position [m], and the pressure of
-        each chamber over the largest pressure [1].
+        each chamber divided by the largest pressure [1].
     """
     top = jnp.asarray([0.0, 0.0, 1.0], controls.dtype)
     wrist = (controls[1:] - top) * jnp.asarray(_REACH, controls.dtype)

@@ -48,26 +48,28 @@ nothing passes between two nodes of an arm that the strongest actions stretch.
 """
 CONTROL_STEPS = 3571
 PLACED = (0.4, 0.9)
-"""Arc lengths of the paper's two control points, over the arm's length [1]."""
+"""Arc lengths of the paper's two control points, divided by the arm's length [1]."""
 STIFFNESS = 2e8
-"""Stiffness of contact in "clean" [N/m^2]. The strongest actions stretch the arm
-twofold, to a tension of 100 kN. Pulled over a cylinder, the arm presses on it with 1
-MN/m, as in an impact at 100 m/s. The overlap is then half a centimetre to 2 cm,
+"""Stiffness of contact in the variant "clean" [N/m^2]. The strongest actions stretch
+the arm twofold, to a tension of 100 kN. Pulled over a cylinder, the arm presses on it
+with 1 MN/m, as in an impact at 100 m/s. The overlap is then half a centimetre to 2 cm,
 less than the arm's radius of 5 cm. With half the stiffness, one arm of ten thousand was
 pulled into a cylinder beyond its centreline (`benchmarks/extremes`)."""
 FREE_ENDS = (0.0, 0.0)
-"""Flags of the arm's two ends in "clean": 0 means without a face in contact, see
-`jaxrod.contacts.ends`. A face would have the stiffness of 10 cm of arm, on a tip with
-the mass of 1.25 cm of arm. It would require 44 steps per control step in the maze and
-51 in the nest. Without a face the tip is no stiffer for its mass than the rest."""
+"""Flags of the arm's two ends in the variant "clean": 0 means without a face in
+contact, see `jaxrod.contacts.ends`. A face would have the stiffness of 10 cm of arm, on
+a tip with the mass of 1.25 cm of arm. It would require 44 steps per control step in the
+maze and 51 in the nest. Without a face the tip is no stiffer for its mass than the
+rest."""
 SMALLEST_STRETCH = 0.15
 LARGEST_STRETCH = 3.0
-"""Largest element stretch in "clean" before the arm is flagged [1]. Saturated actions
-stretch elements to 2.5, and impacts on a cylinder compress them below 0.3. From 0.15 to
-3 the time step is far below the stability bound of a free arm, and below the bound with
-contact at every obstacle that a point considers."""
+"""Largest element stretch in the variant "clean" before the arm is flagged [1].
+Saturated actions stretch elements to 2.5, and impacts on a cylinder compress them below
+0.3. From 0.15 to 3 the time step is far below the stability bound of a free arm, and
+below the bound with contact at every obstacle that a point considers."""
 DAMPING = 4e3
-"""Damping of contact in "clean": a twentieth of critical damping [kg/(m s)]."""
+"""Damping of contact in the variant "clean": a twentieth of critical damping [kg/(m
+s)]."""
 
 
 @pytree
@@ -90,7 +92,7 @@ class ObstacleParams(ArmParams):
 
 @dataclasses.dataclass(frozen=True)
 class ObstacleTask(BenchmarkTask):
-    """Base class of Cases 3 and 4; see the module docstring."""
+    """Base class of Cases 3 and 4: the tip reaches a fixed target behind obstacles."""
 
     variant: Variant
     n_elements: int
@@ -108,10 +110,10 @@ class ObstacleTask(BenchmarkTask):
     target_position: ClassVar[tuple[float, float, float]]
     """Position of the target [m]."""
     contact_points: ClassVar[int]
-    """Number of contact points per element of the arm ("clean")."""
+    """Number of contact points per element of the arm, in the variant "clean"."""
     nearest_obstacles: ClassVar[int | None]
-    """Number of nearest obstacles that each contact point considers in a control step
-    ("clean"); `None` for all."""
+    """Number of nearest obstacles that each contact point considers in a control step,
+    in the variant "clean"; `None` for all."""
 
     @abstractmethod
     def obstacles(self) -> Cylinders:
@@ -119,7 +121,7 @@ class ObstacleTask(BenchmarkTask):
 
     @abstractmethod
     def bodies(self, obstacles: Cylinders) -> Body:
-        """Converts the cylinders to bodies for `jaxrod.contact` ("clean")."""
+        """Converts the cylinders to bodies for `jaxrod.contact`, in variant "clean"."""
 
     @abstractmethod
     def observed_starts(self, obstacles: Cylinders) -> Float[Array, "3 m"]:
@@ -189,9 +191,10 @@ class ObstacleTask(BenchmarkTask):
         before: ArmState,
         params: Any,
     ) -> tuple[Float[Array, " observation"], Bool[Array, ""]]:
-        """Observation to return, and whether it was not finite and ends the episode.
+        """Observation to return in the variant "paper", and whether the episode ends.
 
-        A number that is not finite is replaced by its value in the step before.
+        The episode ends if a number of the observation is not finite. The number is
+        replaced by its value in the state `before` the step.
         """
         finite = jnp.isfinite(observation)
         shown = jnp.where(finite, observation, self.observe(before, params))

@@ -99,7 +99,7 @@ class OctopusState:
 
 @dataclasses.dataclass(frozen=True)
 class Octopus:
-    """The octopus task; see the module docstring. Make one with `octopus`."""
+    """Task in which an octopus crawls along a heading; made by `octopus`."""
 
     n_elements: int
     substeps: int

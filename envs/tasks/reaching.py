@@ -96,7 +96,7 @@ class ReachingParams(ArmParams):
 
 @dataclasses.dataclass(frozen=True)
 class Reaching(BenchmarkTask):
-    """The reaching task; see the module docstring. Make one with `reaching`."""
+    """Task in which the tip reaches a point with an orientation; made by `reaching`."""
 
     variant: Variant
     n_elements: int
@@ -136,9 +136,10 @@ class Reaching(BenchmarkTask):
         before: ArmState,
         params: Any,
     ) -> tuple[Float[Array, " observation"], Bool[Array, ""]]:
-        """Observation to return, and whether the episode is terminated ("paper").
+        """Observation to return in the variant "paper", and whether the episode ends.
 
-        An arm has also crashed if an observed number is not finite.
+        The episode ends, and the observation is zero, if the arm crashed or an observed
+        number is not finite. `before` is the state before the step.
         """
         crashed |= ~jnp.all(jnp.isfinite(observation))
         return super().ended(observation, crashed, before, params)
@@ -238,7 +239,10 @@ def misaligned(arm: RodState, goal: Goal) -> Array:
 def reaching_reward(
     distance_squared: Array, misalignment: Array, params: ReachingParams
 ) -> Array:
-    """Reward -d^2 - misalignment^2 / 2, plus the bonuses of the module docstring."""
+    """Reward -d^2 - misalignment^2 / 2, plus the bonuses of the module docstring.
+
+    d^2 is `distance_squared`, of the tip from the goal [m^2].
+    """
     near = distance_squared <= params.bonus.near**2
     touching = distance_squared <= params.bonus.touching**2
     aligned = misalignment <= params.aligned

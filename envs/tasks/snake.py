@@ -131,7 +131,7 @@ class SnakeState:
 
 @dataclasses.dataclass(frozen=True)
 class Snake:
-    """The snake task; see the module docstring. Make one with `snake`."""
+    """Task in which a snake crawls along a heading; made by `snake`."""
 
     n_elements: int
     substeps: int

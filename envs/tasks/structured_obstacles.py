@@ -50,7 +50,7 @@ CYLINDER_LENGTH = 1.0
 
 @dataclasses.dataclass(frozen=True)
 class StructuredObstacles(ObstacleTask):
-    """Task of Case 3, see the module docstring. Make it with `structured_obstacles`."""
+    """Task of Case 3: a planar arm in a maze; made by `structured_obstacles`."""
 
     controls: int | None = None
     """Number of equidistant control points; `None` for the two points of the paper, at
@@ -87,7 +87,10 @@ class StructuredObstacles(ObstacleTask):
         return cylinders(starts, along, along, length=CYLINDER_LENGTH, radius=RADIUS)
 
     def bodies(self, obstacles: Cylinders) -> Body:
-        """Spheres in the plane of motion, which the cylinders intersect in circles."""
+        """Spheres for the contact in the variant "clean", one for each cylinder.
+
+        In the plane of motion, sphere and cylinder are the same circle.
+        """
         return Sphere(obstacles.centres.T, obstacles.radii)
 
     def observed_starts(self, obstacles: Cylinders) -> Float[Array, "3 m"]:

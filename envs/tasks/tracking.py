@@ -10,11 +10,11 @@ Variants:
 
 - `"paper"`: the published environment in every detail, so that scores compare.
 - `"clean"`: the same arm with the library's own physics: consistent elastic law, a
-  wall-accurate clamp, damping integrated exactly, actuation per metre instead of per
-  element, and as few elements and steps as keep the tip within 1 % of the length under
-  the actions of a trained policy (docs/clean_settings.md), see `jaxrod.envs.arm.clean`.
-  When a numerical health flag rises the arm is frozen at its last sound state and the
-  episode truncated.
+  clamp with a second-order error, damping integrated exactly, actuation per metre
+  instead of per element, and as few elements and steps as keep the tip within 1 % of
+  the length under the actions of a trained policy (docs/clean_settings.md), see
+  `jaxrod.envs.arm.clean`. When a numerical health flag rises the arm is frozen at its
+  last sound state and the episode truncated.
 """
 
 from __future__ import annotations
@@ -51,7 +51,7 @@ HEADING_STEPS = 500
 
 @dataclasses.dataclass(frozen=True)
 class Tracking(BenchmarkTask):
-    """The tracking task; see the module docstring. Make one with `tracking`."""
+    """Task in which the tip follows a moving target; made by `tracking`."""
 
     variant: Variant
     n_elements: int

@@ -87,7 +87,7 @@ def random_nest(seed: int) -> Cylinders:
 
 @dataclasses.dataclass(frozen=True)
 class UnstructuredNest(ObstacleTask):
-    """Task of Case 4; see the module docstring. Make one with `unstructured_nest`."""
+    """Task of Case 4: an arm in a nest of cylinders; made by `unstructured_nest`."""
 
     nest: int | None = None
     """Seed of a random nest; `None` for the published nest."""
@@ -117,7 +117,10 @@ class UnstructuredNest(ObstacleTask):
         return published_nest() if self.nest is None else random_nest(self.nest)
 
     def bodies(self, obstacles: Cylinders) -> Body:
-        """Cylinders as capsules, because the published contact also has round ends."""
+        """Capsules for the contact in the variant "clean", one for each cylinder.
+
+        The published contact also has round ends.
+        """
         return Capsule(obstacles.starts.T, obstacles.ends.T, obstacles.radii)
 
     def observed_starts(self, obstacles: Cylinders) -> Float[Array, "3 m"]:

@@ -376,6 +376,8 @@ def _step(
 
     With J restricted to the free unknowns, it solves
     (J^T J + rho + mu diag(J^T J + rho)) d = -(J^T r + pull).
+    Here `rho` is the ridge of each unknown, `pull` is its gradient rho (z - z_0) at the
+    `point` z, and `low` and `high` are the bounds of z.
     """
     slope = jacobian.T @ residuals + pull
     held = ((point <= low) & (slope > 0)) | ((point >= high) & (slope < 0))

@@ -135,7 +135,10 @@ def linearise(
 def checked_control(
     control: Any, with_control: WithControl | None, dtype: Any, name: str = "control"
 ) -> Array | None:
-    """Converts a control to an array; `None` if neither argument is given.
+    """Converts a control to an array of `dtype`; `None` without control.
+
+    `with_control` must be given exactly if `control` is. `name` is the control's name
+    in error messages.
 
     Raises:
         ValueError: If only one of `control` and `with_control` is given, or the control
@@ -193,7 +196,8 @@ def measured(
 ) -> tuple[Array, Array]:
     """Returns a measurement of a state, and its derivatives C by local coordinates.
 
-    `ways` has the changes of all components per coordinate.
+    `ways` is the matrix from `LocalCoordinates.directions`: changes of all components
+    of the state per coordinate.
     """
     now = model.recalling(state)
 

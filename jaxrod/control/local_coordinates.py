@@ -145,7 +145,9 @@ class LocalCoordinates:
         control: Array | None = None,
         with_control: WithControl | None = None,
     ) -> Float[Array, "components size"]:
-        """Matrix B: change of all components per unit of each coordinate.
+        """Matrix B: change of all components of a state per unit of each coordinate.
+
+        Components are displacements of nodes, rotations of elements, and their rates.
 
         Args:
             state: State about which coordinates are taken.
@@ -195,11 +197,17 @@ class LocalCoordinates:
         return ravel_pytree(differences(here, there))[0][self._chosen(state)]
 
     def chosen(self, state: Any, changes: Array) -> Array:
-        """Selects the rows of the free components of `state` from those of all."""
+        """Selects the rows of `changes` whose component of `state` is free.
+
+        `changes` has a row for each component.
+        """
         return changes[self._chosen(state)]
 
     def check_size(self, name: str, step: Any) -> None:
-        """Raises a `ValueError` unless `step` has the shape `(size,)`."""
+        """Raises a `ValueError` unless `step` has the shape `(size,)`.
+
+        `name` is its name in the message.
+        """
         if jnp.shape(step) != (self.size,):
             raise ValueError(
                 f"{name} must have shape {(self.size,)}, one number for each local "
@@ -246,9 +254,10 @@ def coordinates_under(
     control: Array | None,
     with_control: WithControl | None,
 ) -> LocalCoordinates:
-    """Finds local coordinates, by `tangent_map` with a control (or `None`).
+    """Finds the local coordinates of states near `state`, with a control or `None`.
 
-    They do not depend on the control; the same compiled program then serves runs.
+    The coordinates do not depend on the control. If it is that of later runs, the same
+    compiled program (`tangent_map`) serves both.
     """
     begin = check_first(model, 0, 1)
     if is_traced(model, state, dt):
@@ -291,8 +300,8 @@ def coordinates_under(
 def _free(rates_of_change: np.ndarray) -> list[int]:
     """Indices of free components: a largest set of independent displacements.
 
-    `rates_of_change` is the Jacobian of the very short step over its duration: columns
-    of rates follow those of displacements and rotations.
+    `rates_of_change` is the Jacobian of the very short step divided by its duration.
+    Its rows and columns are displacements and rotations, followed by their rates.
     """
     half = len(rates_of_change) // 2
     moved = rates_of_change[:half, half:]
@@ -313,7 +322,11 @@ def _free(rates_of_change: np.ndarray) -> list[int]:
 
 
 def _shaking(model: Any, state: Any) -> float:
-    """Size of random changes of a state, for displacements [m] and rotations [rad]."""
+    """Size of the random changes of a state that show which components follow others.
+
+    It is a tenth of the shortest edge, at most 0.1, for displacements [m] and rotations
+    [rad].
+    """
     edges = [
         np.min(np.linalg.norm(np.diff(np.asarray(own.positions)), axis=-2))
         for own in model.states_by_name(state).values()
@@ -357,7 +370,11 @@ def fields(model: Any, state: Any) -> dict[str, Fields]:
 
 
 def differences(here: dict[str, Fields], there: dict[str, Fields]) -> Any:
-    """Components of `there` about `here`: displacements and rotations, then rates."""
+    """Differences `there` - `here` of two states: displacements, rotations, then rates.
+
+    Both are dicts by member. A rotation is the rotation vector from the orientation in
+    `here` to that in `there`, material frame.
+    """
     places, rates = {}, {}
     for name, one in here.items():
         other = there[name]

@@ -59,7 +59,8 @@ class Plan:
     """Memory of a planner for a batch of episodes."""
 
     values: Float[Array, "batch knots_and_now action"]
-    """Actions at the time of planning, then at the knots."""
+    """Planned actions; on axis 1 first the one at the time of planning, then the
+    knots."""
     calls: Int[Array, ""]
     """Number of calls of `act` since the start; the same for all episodes."""
     key: Key[Array, ""]

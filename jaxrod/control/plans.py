@@ -44,8 +44,9 @@ def check_model(env: Any, needed: tuple[str, ...], planner: str = "") -> None:
 class PlanCost:
     """Cost of a plan, defined in `jaxrod.control.mpc`.
 
-    Methods take `now`, the action at the time of planning `(action,)`, the actions at
-    the `knots` `(knots, action)`, and the environment's `state`.
+    A plan has an action at the time of planning and one at each of K later times, the
+    knots. Methods take the first, `now` `(action,)`, the others, `knots` `(K, action)`,
+    and the environment's `state` at the time of planning.
     """
 
     params: Any
@@ -53,11 +54,12 @@ class PlanCost:
     effort: Float[Array, ""]
     """Weight of the squared norm of actions, averaged over the knots."""
     smoothness: Float[Array, ""]
-    """Weight of the squared norm of changes from knot to knot, averaged."""
+    """Weight of the squared norm of changes from knot to knot, averaged over the
+    knots."""
     env: Any = static()
     """Environment that serves as the model."""
     knots: int = static()
-    """Number of knots."""
+    """Number K of knots: the times of the planned actions after the present one."""
     spacing: int = static()
     """Number of control steps from knot to knot."""
     hold: int = static()
@@ -66,7 +68,11 @@ class PlanCost:
     """Shape of the plan between knots, one of `SHAPES`."""
 
     def actions(self, now: Array, knots: Array) -> Float[Array, "knots pieces action"]:
-        """Returns a plan's actions, one per `hold` control steps, grouped by knot."""
+        """Returns the actions of a plan, each held for `hold` control steps.
+
+        They are interpolated between `now` and the actions at the knots, and grouped by
+        the knot before which they act: `(K, spacing / hold, action)`.
+        """
         table = jnp.asarray(
             piece_weights(self.knots, self.spacing, self.hold, self.shape), knots.dtype
         )
@@ -74,7 +80,11 @@ class PlanCost:
         return jnp.reshape(acted, (self.knots, -1, acted.shape[-1]))
 
     def along(self, now: Array, knots: Array, state: Any, of: Any) -> Array:
-        """Simulates a plan; returns `of(state, last action)` at every knot, stacked."""
+        """Simulates a plan from `state`; evaluates `of` at the time of every knot.
+
+        `of` takes the state at that time, and the last action before it. Its results
+        are stacked.
+        """
 
         def piece(state: Any, action: Array) -> tuple[Any, None]:
             return self.env.predict(state, action, self.params, self.hold), None
@@ -86,7 +96,12 @@ class PlanCost:
         return lax.scan(interval, state, self.actions(now, knots))[1]
 
     def residuals(self, now: Array, knots: Array, state: Any) -> Float[Array, " all"]:
-        """Returns the environment's residuals at all K knots, divided by sqrt(K)."""
+        """Returns the environment's residuals at the times of all K knots of a plan.
+
+        `now` is the action at the time of planning, `knots` are the actions at the
+        knots. Divided by sqrt(K), the residuals have squares that sum to the mean over
+        the knots.
+        """
         found = self.along(
             now,
             knots,
@@ -96,14 +111,21 @@ class PlanCost:
         return jnp.ravel(found) / jnp.sqrt(self.knots).astype(found.dtype)
 
     def regular(self, now: Array, knots: Array) -> Float[Array, ""]:
-        """Returns the cost of effort and smoothness, averaged over the knots."""
+        """Returns the cost of effort and smoothness, averaged over the K knots.
+
+        It is (effort sum |u_k|^2 + smoothness sum |u_k - u_(k-1)|^2) / K, where u_k are
+        the actions `knots`, and u_0 is `now`, the action at the time of planning.
+        """
         changes = jnp.diff(jnp.concatenate([now[None], knots]), axis=0)
         return (
             self.effort * jnp.sum(knots**2) + self.smoothness * jnp.sum(changes**2)
         ) / self.knots
 
     def total(self, now: Array, knots: Array, state: Any) -> Float[Array, ""]:
-        """Returns the mean of `env.cost` at the knots, plus effort and smoothness."""
+        """Returns the mean of `env.cost` at the times of the knots, plus `regular`.
+
+        `now` and `knots` are the actions of the plan, as in the class.
+        """
         found = self.along(
             now,
             knots,
@@ -113,9 +135,10 @@ class PlanCost:
         return jnp.mean(found) + self.regular(now, knots)
 
     def least_squares(self, now: Array, knots: Array, state: Any) -> Float[Array, ""]:
-        """Returns the sum of squared `residuals`, plus effort and smoothness.
+        """Returns the cost of a plan: sum of squared `residuals`, plus `regular`.
 
-        It is infinite if the sum is not finite.
+        It is infinite if the sum is not finite. `now` and `knots` are the actions of
+        the plan, as in the class.
         """
         found = jnp.sum(self.residuals(now, knots, state) ** 2)
         return _or_infinite(found + self.regular(now, knots))
@@ -124,9 +147,10 @@ class PlanCost:
 def by_gauss_newton(
     cost: PlanCost, now: Array, knots: Array, state: Any, iterations: Int[Array, ""]
 ) -> tuple[Float[Array, "knots action"], Float[Array, ""]]:
-    """Improves knots by `iterations` Gauss-Newton steps within the bounds of actions.
+    """Improves a plan by `iterations` Gauss-Newton steps within the bounds of actions.
 
-    `now` is the action at the time of planning. Returns the knots and their cost.
+    `now` is the action at the time of planning, `knots` are the planned actions at the
+    knots. Returns the improved actions at the knots, and the cost of the plan.
     """
     shares = jnp.asarray(SHARES, knots.dtype)
 
@@ -155,10 +179,12 @@ def quadratic_step(
 ) -> Float[Array, "knots action"]:
     """Minimises the cost with linearised residuals, within the bounds of actions.
 
-    `values` are the residuals at `knots`, and `rows` their Jacobian. The Hessian is
+    `now` and `knots` are the actions of the plan, as in `PlanCost`. `values` are the
+    residuals, and `rows` their Jacobian by `knots`. The Hessian is
     J^T J plus a small matrix that is the same for each action component, so only a
     matrix of the number of residuals is inverted (Woodbury). Bounds are imposed by the
-    alternating direction method of multipliers (ADMM). Returns the new knots.
+    alternating direction method of multipliers (ADMM). Returns the new actions at the
+    knots.
     """
     count, dtype = cost.knots, knots.dtype
     changes = jnp.eye(count, dtype=dtype) - jnp.eye(count, k=-1, dtype=dtype)
@@ -203,9 +229,10 @@ def by_gradient(
     iterations: Int[Array, ""],
     rate: Array,
 ) -> tuple[Float[Array, "knots action"], Float[Array, ""]]:
-    """Improves knots by `iterations` steps of Adam with step size `rate`.
+    """Improves a plan by `iterations` steps of Adam with step size `rate`.
 
-    `now` is the action at the time of planning. Returns the best knots and their cost.
+    `now` is the action at the time of planning, `knots` are the planned actions at the
+    knots. Returns the best actions at the knots, and the cost of the plan.
     """
     slow, slower = 0.8, 0.95
 
@@ -243,10 +270,11 @@ def by_sampling(
     key: Key[Array, ""],
     samples: int,
 ) -> tuple[Float[Array, "knots action"], Float[Array, ""]]:
-    """Replaces knots by the weighted mean of noisy plans, `iterations` times (MPPI).
+    """Replaces a plan by the weighted mean of noisy plans, `iterations` times (MPPI).
 
-    `now` is the action at the time of planning. Returns the knots, and the lowest cost
-    of the last samples.
+    `now` is the action at the time of planning, `knots` are the planned actions at the
+    knots. `samples` plans are drawn with the standard `deviation` about them. Returns
+    the actions at the knots, and the lowest cost of the last samples.
     """
 
     def again(index: Array, given: tuple[Array, Array]) -> tuple[Array, Array]:
@@ -311,7 +339,9 @@ def piece_weights(
 ) -> Float[np.ndarray, "pieces knots_and_now"]:
     """Returns interpolation weights for the actions of a plan, a row per action.
 
-    Each action is held for `hold` control steps, and is the plan's value in the middle.
+    Each action is held for `hold` control steps, and is the plan's value in the middle
+    of this time. The `knots` are `spacing` control steps apart; `shape` is one of
+    `SHAPES`.
     """
     pieces = knots * spacing // hold
     return weights_at((np.arange(pieces) + 0.5) * hold, knots, spacing, shape)
@@ -323,6 +353,7 @@ def shift_weights(
     """Returns the matrix that shifts a plan, values now and at knots, by `by` steps.
 
     The new values are those of the old plan `by` control steps later. If the knots of a
-    plan in steps are shifted by a part of the spacing, the later step is taken.
+    plan in steps are shifted by a part of the spacing, the later step is taken. `shape`
+    is one of `SHAPES`.
     """
     return weights_at(by + spacing * np.arange(knots + 1), knots, spacing, shape)

@@ -257,7 +257,9 @@ def _nearest(rays: Vec3, nodes: Vec3, axes: Vec3, radii: Array) -> Array:
 def _entry(ray: Vec3, centre: Vec3, radius: Array) -> tuple[Array, Array]:
     """Factor of a ray vector at which it enters a sphere, and whether it does.
 
-    With vectors projected perpendicular to an axis, the sphere is a cylinder.
+    The sphere has a `centre` and a `radius`. The ray begins at the origin of `centre`.
+    With `ray` and `centre` projected perpendicular to an axis, the sphere is a cylinder
+    around this axis.
     """
     square = vectors.dot(ray, ray)
     # A ray along the axis never enters through the side.

@@ -129,7 +129,8 @@ def _mounted(
 ) -> Vec3:
     """Converts world vectors at stations to the frames of the sensors there.
 
-    `orientation` is the unit quaternion from the sensor's to the section's frame.
+    `orientation` is the unit quaternion from the sensor's to the section's frame; the
+    frames of the sections follow from `motion`.
     """
     in_sections = to_material(directors(stations.orientation(motion)), vector)
     mounting = split_quaternion(orientation.astype(vector[0].dtype))

@@ -34,7 +34,8 @@ from jaxrod.structure import pytree
 from jaxrod.validation import Numbers, as_array, is_traced, numeric
 
 _BEYOND = 1e-5
-"""Largest accepted distance of a station beyond the end, over the rod's length [1]."""
+"""Largest accepted distance of a station beyond the end, as a fraction of the rod's
+length [1]."""
 
 
 class Sensor(ABC):

@@ -72,7 +72,11 @@ class StrainGauge(StationSensor):
         return (ratio - 1).reshape(self.arc_length.shape)
 
     def _stretch(self, stations: Stations, strain: Vec3, curvature: Vec3) -> Array:
-        """Length |u| of the fibres per length of the unstressed centreline [1]."""
+        """Length |u| of the fibres per length of the unstressed centreline [1].
+
+        u = e_3 + strain + curvature x offset, with `strain` of the elements and
+        `curvature` of the joints interpolated to the stations.
+        """
         x, y, z = stations.elements.of_vectors(strain)
         bend = stations.joints.of_vectors(curvature)
         offset = in_section(self.offsets, x)

@@ -169,9 +169,9 @@ class Reference:
     length: float
     """Length of the rod [m]."""
     error: float
-    """Estimated error of `tips`: root mean square over time, over the rod's length [1].
-    It is a quarter of the difference from a run with half the elements: the change
-    that another refinement would cause, for a second-order method."""
+    """Estimated error of `tips`: root mean square over time, divided by the rod's
+    length [1]. It is a quarter of the difference from a run with half the elements: the
+    change that another refinement would cause, for a second-order method."""
     n_elements: int
     """Number of elements of the fine simulation."""
     dt: float
@@ -193,8 +193,8 @@ class Measurement:
     setting: Setting
     """The setting, with the step size that was used."""
     error: float
-    """Root mean square over time of the tip's distance from the reference, over the
-    rod's length [1]; infinite if the run was not finite."""
+    """Root mean square over time of the tip's distance from the reference, divided by
+    the rod's length [1]; infinite if the run was not finite."""
     wall_s_per_sim_s: dict[int, float]
     """Wall-clock time per simulated second and rod [1], by batch size."""
 
@@ -240,7 +240,8 @@ def reference(workload: Workload, n_elements: int = REFERENCE_ELEMENTS) -> Refer
 def tips_of(workload: Workload, prepared: Prepared) -> np.ndarray:
     """Simulates a workload; returns the tip at the end of every control period.
 
-    The result is `(periods, 3)` [m].
+    `prepared` has the scene and the steps of a setting. The result is `(periods, 3)`
+    [m].
     """
     with jax.enable_x64(prepared.setting.dtype == "float64"):
         args = _arguments(workload, prepared)
@@ -248,7 +249,10 @@ def tips_of(workload: Workload, prepared: Prepared) -> np.ndarray:
 
 
 def tip_error(tips: np.ndarray, exact: np.ndarray, length: float) -> float:
-    """Root mean square over time of |tips - exact|, over `length` [1]; or infinity."""
+    """Root mean square over time of |tips - exact|, divided by `length` [1].
+
+    It is infinite if the tips are not all finite.
+    """
     squares = np.sum((tips - exact) ** 2, axis=1)
     error = float(np.sqrt(np.mean(squares))) / length
     return error if np.isfinite(error) else float("inf")
@@ -354,7 +358,11 @@ def _run(
     dt: Array,
     substeps: Array,
 ) -> Float[Array, "periods *batch 3"]:
-    """Positions of the tip after each control period; if `batched`, of many rods."""
+    """Positions of the tip after each control period [m]; if `batched`, of many rods.
+
+    Leaves of `state` then have a leading batch axis. `controls` are those of each
+    period, `substeps` is the number of time steps of length `dt` in a period.
+    """
     act = workload.act(scene)
 
     def period(state: RodState, control: Array) -> tuple[RodState, Array]:

@@ -60,16 +60,17 @@ class Tuned:
     """The fastest of the timed settings that are accurate enough."""
     error: float
     """Measured error of `setting`: root mean square over time of the tip's distance
-    from the reference, over the rod's length [1]."""
+    from the reference, divided by the rod's length [1]."""
     wall_s_per_sim_s: float
     """Measured cost of `setting`: wall-clock time per simulated second and rod, at the
     batch size `batch` [1]."""
     max_error: float
-    """Largest allowed error, over the rod's length [1]."""
+    """Largest allowed error, as a fraction of the rod's length [1]."""
     batch: int
     """Batch size (number of rods) of the timing."""
     reference_error: float
-    """Estimated error of the reference itself, over the rod's length [1]."""
+    """Estimated error of the reference itself, as a fraction of the rod's length
+    [1]."""
     tried: tuple[Measurement, ...]
     """All measurements in the order of the search; only candidates for `setting` have
     times."""
@@ -114,7 +115,7 @@ def tune(
             controls.
         state: Initial state of the scene; not used with a `Workload`.
         max_error: Largest allowed error [1]: root mean square over time of the tip's
-            distance from the reference, over the rod's length.
+            distance from the reference, divided by the rod's length.
         duration: Simulated time [s].
         batch: Batch size (number of rods) to optimise the speed for.
         elements: Numbers of elements to choose from, increasing.
@@ -274,8 +275,10 @@ class _Search:
     ) -> Prepared | None:
         """Cheapest accurate precision of a method; `None` if there is none.
 
-        It tries `elements[index]` and the next two numbers, because reductions and
-        larger steps add errors, which more elements may compensate.
+        The method is an integrator, its step size `dt` (`None`: from the stability
+        limit) and reductions. It tries `elements[index]` and the next two numbers,
+        because reductions and larger steps add errors, which more elements may
+        compensate.
         """
         for n in self.elements[index : index + 3]:
             for dtype, more in _PRECISIONS:
@@ -296,7 +299,11 @@ _PRECISIONS: tuple[tuple[str, tuple[Reduction, ...]], ...] = (
 
 
 def _kinds(workload: Workload, n_elements: int) -> list[tuple[Reduction, ...]]:
-    """Combinations of reductions that are valid and useful for a workload."""
+    """Combinations of reductions that are valid and useful for a workload.
+
+    They depend on `n_elements`, because only slender elements gain from enlarged
+    inertia.
+    """
     kinds: list[tuple[Reduction, ...]] = [()]
     if _is_slender(workload, n_elements):
         kinds.append(("inertia",))
@@ -308,7 +315,10 @@ def _kinds(workload: Workload, n_elements: int) -> list[tuple[Reduction, ...]]:
 
 
 def _is_slender(workload: Workload, n_elements: int) -> bool:
-    """Whether enlarging the transverse inertia changes anything."""
+    """Whether elements are so slender that larger inertia permits larger steps.
+
+    The workload's rod is divided into `n_elements` elements.
+    """
     with jax.enable_x64(True):
         scene, _ = workload.build(n_elements, "consistent")
         return bool((scale_inertia(scene).factors > 1).any())

@@ -238,7 +238,10 @@ def _arm(
     direction: tuple[float, float, float],
     normal: tuple[float, float, float],
 ) -> tuple[Rod, RodState]:
-    """Makes a straight rod, 1 m long, of Young's modulus 10 MPa and 1000 kg/m^3."""
+    """Makes a straight rod, 1 m long, of Young's modulus 10 MPa and 1000 kg/m^3.
+
+    It extends from the origin along `direction`, with d1 along `normal`.
+    """
     return straight_rod(
         n_elements,
         length=1.0,
@@ -265,7 +268,8 @@ def _released(
 ) -> Workload:
     """Makes a workload of `_arm` released from a horizontal position, clamped, damped.
 
-    Its control periods are 10 ms; `others` make further effects.
+    Its control periods are 10 ms. `radius` is that of the rod [m], `damping_rate` is in
+    1/s, and `others` are functions that make further effects.
     """
 
     def build(n_elements: int, law: Law) -> tuple[Scene, RodState]:

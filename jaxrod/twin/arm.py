@@ -360,9 +360,10 @@ class Arm:
         return -np.sum(np.asarray(axes, float) * point, axis=-1)
 
     def tensions(self, values: Mapping[str, Any], inputs: Any) -> Any:
-        """Tensions of the tendons `(..., tendons)` [N]: inputs, over any pulley radius.
+        """Tensions of the tendons `(..., tendons)` [N], from the recorded inputs.
 
-        The unknown `tension` in `values` scales them. `inputs` is `(..., inputs)`.
+        A tension is its input, divided by the radius if there is a pulley, times the
+        unknown `tension` in `values`. `inputs` is `(..., inputs)`.
         """
         if not self.tendons:
             return jnp.zeros((*inputs.shape[:-1], 0))
@@ -376,7 +377,7 @@ class Arm:
         return values["tension"] * drawn
 
     def _last_eyelet(self, drawn: TendonDrawing) -> int:
-        """Index of the element at which a tendon ends."""
+        """Index of the last element along which the tendon `drawn` runs."""
         end = self.length if drawn.until is None else drawn.until
         return max(1, int(np.sum(self._middles < end)) - 1)
 
@@ -388,7 +389,11 @@ class Arm:
         values: Mapping[str, Any],
         tensions: Callable[..., Any],
     ) -> Effect:
-        """Makes the effect of the tendons `numbers`, which end at element `last`."""
+        """Makes the effect of tendons that end at element `last`.
+
+        `numbers` are the indices of the tendons, `values` those of the unknowns, and
+        `tensions` is a function as in `scene`.
+        """
         drawn = [self.tendons[k] for k in numbers]
         distances = [self._along("distance of a tendon", t.distance) for t in drawn]
         distance = values["eyelet_distance"] * np.stack(distances)[:, : last + 1]
@@ -437,7 +442,8 @@ class Arm:
     def _along(self, name: str, given: Any) -> np.ndarray:
         """Interpolates a quantity at the middles of the elements, and checks it.
 
-        `given` is a positive number, or pairs of arc length [m] and number.
+        `given` is a positive number, or pairs of arc length [m] and number; `name` is
+        the quantity's name in error messages.
         """
         table = np.asarray(given, float)
         if table.ndim == 0:
@@ -472,11 +478,12 @@ class MarkerWeights(Effect):
     reach: ClassVar[Reach] = "neighbours"
 
     levers: Float[Array, "markers 3"]
-    """Mass times offset from the middle of the element along d1, d2, d3 [kg m]."""
+    """Mass of each marker times its offset from the middle of its element, along d1, d2
+    and d3 [kg m]."""
     acceleration: Float[Array, "3"]
     """Acceleration of gravity [m/s^2]."""
     placed: Float[Array, "markers n"]
-    """One where a marker is on an element, else zero."""
+    """Matrix: one where a marker (row) is on an element (column), else zero."""
 
     def loads(self, rod: Rod, motion: Motion) -> Loads:
         """Couples on the elements, lever cross gravity, material frame [N m]."""
@@ -580,7 +587,10 @@ def _taken(
     needed: tuple[str, ...],
     allowed: tuple[str, ...],
 ) -> dict[str, Any]:
-    """Entries of the TOML table `where`, checked against needed and allowed names."""
+    """Entries of the TOML table `content`, checked against needed and allowed names.
+
+    `where` is the name of the table in error messages.
+    """
     if not isinstance(content, Mapping):
         raise ValueError(f"{where} must be a table, got {content!r}")
     for name in needed:

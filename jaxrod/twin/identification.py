@@ -153,9 +153,10 @@ class Twin:
 
     @property
     def drawn_sds(self) -> dict[str, float]:
-        """Standard deviations of the unknowns in the drawing, by the names in the fit.
+        """Standard deviation of each search variable in the drawing, by name [1].
 
-        They are those of the search variables: of logarithms, or else one.
+        For an unknown in `LOGARITHMIC` it is that of its logarithm. The search variable
+        of any other unknown is in units of its standard deviation, which gives one.
         """
         return dict(
             zip(self.fit.names, _drawn(self.arm, self.fit.parameters), strict=True)
@@ -333,7 +334,10 @@ def _fitted(
     robust: float | None,
     iterations: int,
 ) -> tuple[Fit, float]:
-    """Fits unknowns to registered recordings; returns the fit, and the noise [m]."""
+    """Fits unknowns to registered recordings; returns the fit, and the noise [m].
+
+    `noise`, `robust` and `iterations` are as in `identify`.
+    """
     data = [_prepared(arm, recording) for recording in recordings]
     problem = _problem(arm, data)
     drawn = _drawn(arm, problem.parameters)
@@ -380,7 +384,10 @@ def _fitted(
 
 
 class _Residuals(NamedTuple):
-    """Cost at a point, and residuals whose sum of squares has the same gradient."""
+    """Cost at a point, and residuals `rows` whose squares have the same gradient.
+
+    A robust cost is not the sum of these squares, so it is stored separately.
+    """
 
     rows: np.ndarray
     slopes: np.ndarray
@@ -407,7 +414,7 @@ def _searched(
     problem: FitProblem,
     iterations: int,
 ) -> _Found:
-    """Minimises the cost of `evaluate` by damped steps, within the problem's bounds.
+    """Minimises the cost of `evaluate` by damped steps from `start`, within bounds.
 
     It is the search of `control.least_squares` as a loop in Python, so that only the
     simulations of recordings are compiled, once for each shape.
@@ -449,7 +456,10 @@ def _searched(
 
 
 def _problem(arm: Arm, data: Sequence[tuple[_Layout, _Group]]) -> FitProblem:
-    """Makes the `FitProblem`: names, scales, bounds, and number of seen coordinates."""
+    """Makes the `FitProblem`: names, scales, bounds, and number of seen coordinates.
+
+    `data` are the recordings, as `_prepared` returns them.
+    """
     first = {name: arm.start[name] for name in arm.unknown}
     logs = [name for name in first if name in LOGARITHMIC]
     scales = {name: sd for name, sd in arm.unknown.items() if name not in logs}
@@ -476,7 +486,11 @@ def _problem(arm: Arm, data: Sequence[tuple[_Layout, _Group]]) -> FitProblem:
 def _evaluated(
     arm: Arm, point: Any, prepared: tuple[_Layout, _Group]
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Predicted markers of a recording, and derivatives by each search variable [m]."""
+    """Predicted markers of a recording, and derivatives by each search variable [m].
+
+    `point` has the search variables, `prepared` the recording as `_prepared` returns
+    it.
+    """
     made, slopes = _markers(arm, prepared[0], jnp.asarray(point), prepared[1])
     return np.asarray(made), np.asarray(slopes)
 
@@ -499,8 +513,10 @@ def _markers(
 def _noise(found: Fit, drawn: np.ndarray, count: int, squares: float) -> float:
     """Estimates the noise from the residuals, as a factor of that in the fit [1].
 
-    It is the root of `squares` over the degrees of freedom, which are `count` minus the
-    number of unknowns that the recordings determine.
+    It is the root of `squares`, the sum of squares, divided by the degrees of freedom.
+    These are `count`, the number of coordinates, minus the number of unknowns that the
+    recordings determine. `drawn` has the standard deviations of the unknowns in the
+    drawing.
 
     Source: P. J. Huber, Robust statistics, 1981, proposal 2.
     """
@@ -523,7 +539,11 @@ def _mean_square(limit: float | None) -> float:
 
 
 def _drawn(arm: Arm, parameters: Parameters) -> np.ndarray:
-    """Standard deviation of each search variable in the drawing."""
+    """Standard deviation of each search variable in the drawing [1].
+
+    It is that of the logarithm for unknowns in `LOGARITHMIC`, and one for others, whose
+    search variables are in units of their standard deviation.
+    """
     return np.array([
         arm.unknown[name] if name in LOGARITHMIC else 1.0
         for name, shape in parameters.shapes
@@ -532,7 +552,10 @@ def _drawn(arm: Arm, parameters: Parameters) -> np.ndarray:
 
 
 def _combination(names: Sequence[str], way: np.ndarray) -> str:
-    """Text of a direction's larger components, the largest first, scaled to +1."""
+    """Text of a direction's larger components, the largest first, scaled to +1.
+
+    `way` has the component of the direction for each unknown in `names`.
+    """
     shares = way / way[np.argmax(np.abs(way))]
     large = [k for k in np.argsort(-np.abs(shares)) if abs(shares[k]) > SMALL_PART]
     return ", ".join(f"{names[k]} {shares[k]:+.1f}" for k in large)
@@ -541,8 +564,9 @@ def _combination(names: Sequence[str], way: np.ndarray) -> str:
 def _robust(away: np.ndarray, limit: float | None) -> tuple[np.ndarray, float]:
     """Returns roots of the robust weights of residuals, and their robust cost.
 
-    `away` holds residuals in units of the noise, `limit` is c in the module's formula.
-    The gradient of the cost is that of the weighted squares at constant weights.
+    `away` holds residuals in units of the noise. `limit` is c in the module's formula,
+    or `None` for equal weights. The gradient of the cost is that of the weighted
+    squares at constant weights.
     """
     squares = np.sum(away**2, axis=-1, keepdims=True)
     if limit is None:
@@ -565,7 +589,8 @@ def _registered(
 ) -> tuple[tuple[Recording, ...], Registration]:
     """Converts recordings to the arm's marker order and frame, by their predictions.
 
-    `known` has the rotation and shift from an earlier registration, or is `None`.
+    Predictions are made with the unknowns `values`. `known` has the rotation and shift
+    from an earlier registration, or is `None`.
     """
     ready = [r.averaged() if r.is_at_rest(arm.length) else r for r in recordings]
     parameters = _problem(arm, ()).parameters
@@ -600,7 +625,10 @@ def _registered(
 
 
 class _Layout(NamedTuple):
-    """Numbers of steps of the simulation of a recording; zero at rest."""
+    """Numbers of steps of a recording's simulation: `records` times `every`.
+
+    Both are zero for a recording at rest, which is compared with an equilibrium.
+    """
 
     every: int
     """Number of time steps between stored states."""
@@ -642,7 +670,11 @@ def _prepared(arm: Arm, recording: Recording) -> tuple[_Layout, _Group]:
 
 
 def _made(arm: Arm, layout: _Layout, values: Mapping[str, Any], data: _Group) -> Array:
-    """Predicts the markers of a recording `(frames, markers, 3)` [m]."""
+    """Predicts the markers of a recording `(frames, markers, 3)` [m].
+
+    `data` and `layout` are the recording as `_prepared` returns it, `values` those of
+    the unknowns.
+    """
     rest, points = _pose(arm, values, data.inputs[0])
     if layout.records == 0:
         return points[None]
@@ -658,7 +690,10 @@ def _made(arm: Arm, layout: _Layout, values: Mapping[str, Any], data: _Group) ->
 
 
 def _pose(arm: Arm, values: Mapping[str, Any], inputs: Array) -> tuple[Any, Array]:
-    """Equilibrium under constant inputs, and its markers [m]; NaN if not found."""
+    """Equilibrium under constant inputs, and its markers [m]; NaN if not found.
+
+    `values` are those of the unknowns.
+    """
     pulls = arm.tensions(values, inputs)
     scene, state = arm.scene(values, lambda numbers: pulls[numbers])
     found = equilibrium(scene, state)
@@ -667,9 +702,10 @@ def _pose(arm: Arm, values: Mapping[str, Any], inputs: Array) -> tuple[Any, Arra
 
 
 def _steps(arm: Arm, inputs: np.ndarray, duration: float) -> tuple[_Layout, float]:
-    """Numbers of steps of a simulation, and its time step [s].
+    """Numbers of steps of a simulation over `duration` [s], and its time step [s].
 
-    The step is stable for values of unknowns within three standard deviations.
+    The step is stable for the largest tensions of `inputs` `(frames, inputs)`, and for
+    values of unknowns within three standard deviations.
     """
     start = arm.start
     stiff = dict(start)

@@ -14,16 +14,16 @@ from jaxrod.files import DamagedFileError, read_csv
 from jaxrod.twin.arm import Arm
 
 STILL = 2e-3
-"""Largest standard deviation over time of a marker's coordinate, less its noise, with
-which an arm counts as at rest, over the arm's length [1]."""
+"""Largest standard deviation over time of a marker's coordinate, after subtraction of
+its noise, of an arm that counts as at rest; divided by the arm's length [1]."""
 FEW = 30
 """Number of frames below which noise cannot be separated from movement."""
 DOUBT = 3.0
 """Number of standard deviations of the estimated noise variance that are subtracted
 before a variance counts as movement [1]."""
 LOUDEST = 2e-2
-"""Largest distance between the quartiles of a coordinate at rest, including noise, over
-the arm's length [1]. More is a movement faster than the frame rate."""
+"""Largest distance between the quartiles of a coordinate at rest, including noise,
+divided by the arm's length [1]. More is a movement faster than the frame rate."""
 
 
 @dataclass(frozen=True)
@@ -191,7 +191,10 @@ def read_recording(path: str | Path, arm: Arm) -> Recording:
 def _numbers(
     rows: Sequence[Sequence[str]], chosen: Sequence[int], columns: Sequence[str]
 ) -> np.ndarray:
-    """Converts the cells of the columns `chosen` to numbers; NaN for empty cells."""
+    """Converts the cells of the columns `chosen` to numbers; NaN for empty cells.
+
+    `columns` are the names of all columns, for the error message.
+    """
     table = np.empty((len(rows), len(chosen)))
     for r, row in enumerate(rows):
         for c, column in enumerate(chosen):

@@ -166,7 +166,8 @@ class _Moments:
     def paired(self, options: np.ndarray, origin: int | None) -> np.ndarray:
         """Sum over markers of outer products p q^T of paired points, for each order.
 
-        If `origin` is the index of a marker, points are relative to that marker.
+        The recorded point q of each predicted marker p is a row of `options`. If
+        `origin` is the index of a marker, points are relative to that marker.
         """
         own = self.products[options, np.arange(self.count)].sum(axis=-3)
         if origin is None:
@@ -206,7 +207,10 @@ class _Known:
     def likely(
         self, moments: _Moments, options: np.ndarray
     ) -> list[tuple[np.ndarray, np.ndarray]]:
-        """Rotations and shifts of the orders `options` that fit a recording best."""
+        """Rotations and shifts of the `CANDIDATES` orders that fit a recording best.
+
+        The orders are rows of `options`; `moments` are those of the recording.
+        """
         if self.axes is None:
             products = moments.paired(options, self.origin)
             if self.origin is None:
@@ -234,8 +238,8 @@ class _Known:
     ) -> np.ndarray:
         """Shift of a recording for each order in `options` [m].
 
-        It follows from the marker at the origin if there is one, else it is the known
-        shift, else `found`.
+        It follows from the marker at the origin and the rotation `turn` if there is
+        such a marker, else it is the known shift, else `found`.
         """
         if self.origin is not None:
             seen = moments.seen[options[:, self.origin]]
@@ -247,7 +251,10 @@ class _Known:
 def _as_known(
     recordings: Sequence[Recording], predictions: Sequence[np.ndarray], known: _Known
 ) -> Registration:
-    """Makes a registration from known orders and frame; markers may be missing."""
+    """Makes a registration from known orders and frame; markers may be missing.
+
+    `predictions` are the positions of the markers, with which its distance is computed.
+    """
     assert known.axes is not None
     shifts, squares = [], []
     for recording, predicted in zip(recordings, predictions, strict=True):
@@ -326,7 +333,7 @@ def _improved(
 
 
 def _turned(turn: np.ndarray, points: np.ndarray) -> np.ndarray:
-    """Rotates points `(..., 3)` by a matrix, or by each of several."""
+    """Rotates points `(..., 3)` by the matrix `turn`, or by each of several."""
     return np.sum(turn * points[..., None, :], axis=-1)
 
 

@@ -106,7 +106,7 @@ def _millimetres(errors: np.ndarray) -> list[str]:
 
 
 def _pictures(one: Comparison) -> str:
-    """SVG pictures of the last frame of a recording and its prediction, two views."""
+    """SVG pictures of the last frame: recorded and predicted markers in two views."""
     seen, made = one.recording.points[-1], one.predicted[-1]
     every = np.concatenate([seen[np.all(np.isfinite(seen), axis=1)], made])
     low, high = every.min(axis=0), every.max(axis=0)

@@ -291,7 +291,10 @@ def _draw(
 
 
 def _clock(axes: Any, runs: list[Curve], last_step: float) -> None:
-    """Adds the upper axis: wall-clock time of the run, mean over the runs."""
+    """Adds an upper axis to `axes`: wall-clock time at each step, mean over `runs`.
+
+    The lower axis has control steps, up to `last_step`.
+    """
     from matplotlib.ticker import MaxNLocator
 
     steps = np.linspace(0, last_step, 400)
@@ -334,7 +337,10 @@ def _run_label(label: str, runs: list[Curve]) -> str:
 
 
 def _shown(runs: list[Curve], value: float) -> str:
-    """Text of a value: a return as a whole number, a reward with three digits."""
+    """Text of a `value` of the quantity in `runs`.
+
+    A return is a whole number, a reward has three digits.
+    """
     return f"{value:,.0f}" if runs[0].quantity == RETURN else f"{value:.3g}"
 
 

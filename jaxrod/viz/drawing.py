@@ -376,7 +376,11 @@ _INK, _QUIET = "#1c2430", "#5a6676"
 def captioned(
     pixels: np.ndarray, replay: Recording, frame: int, field: str | None, step: float
 ) -> np.ndarray:
-    """Writes title, time and grid spacing above in a picture, and the legend below."""
+    """Writes title, time and grid spacing at the top of a picture, the legend below.
+
+    `field` is the label of the field that colours the rods, or `None`; `step` is the
+    grid spacing [m].
+    """
     from PIL import Image, ImageDraw
 
     image = Image.fromarray(pixels)

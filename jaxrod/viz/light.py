@@ -20,13 +20,16 @@ _TAPS = 16
 _SKY, _GROUND = linear("#f8fafc"), linear("#dfe5ee")
 _GRID = linear("#8b98ab")
 _SHADE = np.array([0.95, 0.88, 0.74], np.float32)
-"""Shares of red, green and blue that a full shadow removes from the ground, times 2
-[1]."""
+"""Twice the fraction of red, green and blue light that a full shadow removes from the
+ground [1]."""
 
 
 @dataclasses.dataclass(frozen=True)
 class View:
-    """Camera: its position `eye` [m] and its directions as unit vectors."""
+    """Camera: its position `eye` [m], and unit vectors `right`, `above` and `backward`.
+
+    All are in the world frame. The camera looks along -`backward`.
+    """
 
     right: np.ndarray
     above: np.ndarray
@@ -134,9 +137,11 @@ def rendered(triangles: Triangles, ground: Ground, fine: int) -> np.ndarray:
 
 
 def _on_screen(view: View, corners: np.ndarray, size: tuple[int, int]) -> np.ndarray:
-    """Projects corners (M, 3, 3) to x and y in pixels, and a depth -1/distance [1/m].
+    """Projects corners (M, 3, 3) to pixels, and a depth -1/distance [1/m].
 
-    A triangle with a corner behind the camera is NaN.
+    x is to the right and y down, from the upper left corner of the picture, whose width
+    and height [pixels] are `size`. The distance is along the camera's axis. A triangle
+    with a corner behind the camera is NaN.
     """
     width, height = size
     focal = 0.5 * height / _LENS
@@ -150,7 +155,12 @@ def _on_screen(view: View, corners: np.ndarray, size: tuple[int, int]) -> np.nda
 
 
 def _rays(spots: np.ndarray, size: tuple[int, int]) -> np.ndarray:
-    """Directions of rays through pixels, in camera coordinates with z = -1, (N, 3)."""
+    """Directions of the rays through the centres of pixels, scaled to z = -1, (N, 3).
+
+    `spots` are the pixels' indices x and y (N, 2), from the upper left corner. `size`
+    is the width and height of the picture [pixels]. Rays are in camera axes (right,
+    above, backward). The vertical angle of view is that of `_LENS`.
+    """
     width, height = size
     focal = 0.5 * height / _LENS
     x, y = np.asarray(spots, np.float32).T
@@ -159,7 +169,7 @@ def _rays(spots: np.ndarray, size: tuple[int, int]) -> np.ndarray:
 
 
 def _ground_distance(view: View, floor: float, rays: np.ndarray) -> np.ndarray:
-    """Distance along the camera's axis at which rays hit the ground [m].
+    """Distance along the camera's axis at which rays hit the ground at `floor` [m].
 
     It is infinite for rays that miss the ground. `rays` are the upward components of
     the rays, per unit of distance along the camera's axis.
@@ -219,7 +229,10 @@ class Ground:
         self.picture[self.seen] += strength * (_GRID - self.picture[self.seen])
 
     def light(self, lamp: _Lamp) -> np.ndarray:
-        """Background with the shadows of a lamp, linear light (height, width, 3)."""
+        """Background with the shadows of a lamp: linear red, green and blue.
+
+        The result is (height, width, 3).
+        """
         picture = self.picture.copy()
         dark = 0.50 * (1 - lamp.reaches(self.places, 0.012 * lamp.span))
         some = np.flatnonzero(dark)
@@ -231,7 +244,10 @@ class _Lamp:
     """Shadow map: for rays of a parallel lamp, the depth of the first surface."""
 
     def __init__(self, corners: np.ndarray, view: View, side: int) -> None:
-        """Computes a map of `side` times `side` pixels from the triangles' corners."""
+        """Computes a map of `side` times `side` pixels from the triangles' corners.
+
+        Light falls from the direction `view.lamp`.
+        """
         lamp = view.lamp
         first = np.cross(lamp, np.eye(3)[np.argmin(np.abs(lamp))])
         first /= np.linalg.norm(first)
@@ -250,9 +266,10 @@ class _Lamp:
         self.span = span
 
     def reaches(self, places: np.ndarray, blur: float) -> np.ndarray:
-        """Share of the lamp's light that reaches each place, from 0 (shadow) to 1.
+        """Fraction of the lamp's light that reaches points, from 0 (shadow) to 1.
 
-        The edges of shadows are soft, over a width of `blur` [m].
+        The points are the rows of `places` (N, 3), world frame [m]. The edges of
+        shadows are soft, over a width of `blur` [m].
         """
         own = places @ self.frame.T.astype(places.dtype)
         spots = (own[:, :2] - self.low[:2]) * self.scale + 0.07 * self.side
@@ -429,8 +446,8 @@ def _shares(
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Signed areas, times 2, of (P, b, c), (P, c, a) and (a, b, c) in the picture.
 
-    P is the point (x, y); a, b and c are a triangle's corners. The first two over the
-    third are the barycentric coordinates of P with respect to a and b.
+    P is the point (x, y); a, b and c are a triangle's corners. The first two areas
+    divided by the third are the barycentric coordinates of P with respect to a and b.
     """
     at = lambda c, axis: corners[:, c, axis].astype(np.float32)[:, None, None]
     ax, ay, bx, by, cx, cy = (at(c, k) for c in range(3) for k in range(2))
@@ -443,7 +460,11 @@ def _shares(
 def shares_at(
     corners: Float[np.ndarray, "k 3 3"], places: Float[np.ndarray, "k 2"]
 ) -> Float[np.ndarray, "k 3"]:
-    """Barycentric coordinates of one point in each triangle [1]."""
+    """Barycentric coordinates of one point in each triangle [1].
+
+    Row i of `places` is the point (x, y) of the triangle `corners[i]` in the picture.
+    The coordinates are the weights of the triangle's three corners.
+    """
     u, v, area = (
         part[:, 0, 0]
         for part in _shares(

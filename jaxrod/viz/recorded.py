@@ -48,7 +48,9 @@ def recorded(
     colours: Mapping[str, str],
     up: str,
 ) -> Recorded:
-    """Makes the shapes of all members over all frames; see `Replay.from_states`.
+    """Makes the shapes of all members over all frames.
+
+    Arguments are those of `Replay.from_states`.
 
     Raises:
         ValueError: An argument has the wrong shape or an impossible value.
@@ -391,7 +393,10 @@ def leaning_plane(body: Any, low: np.ndarray, high: np.ndarray) -> Mesh | None:
 def _cut(
     corners: list[np.ndarray], axis: int, sign: int, bound: float
 ) -> list[np.ndarray]:
-    """Clips a flat polygon at a plane: keeps points with sign x[axis] <= bound."""
+    """Clips a flat polygon at a plane: keeps points with sign x[axis] <= bound.
+
+    `corners` are the polygon's corners in order, and so is the result.
+    """
     kept = []
     for here, after in zip(corners, corners[1:] + corners[:1], strict=True):
         a, b = sign * here[axis] - bound, sign * after[axis] - bound

@@ -68,7 +68,10 @@ def checked_rods(
     colour: str = "",
     fields: Mapping[str, Any] | None = None,
 ) -> Rods:
-    """Makes a group of rods from a user's arrays; raises a ValueError if invalid."""
+    """Makes a group of rods from a user's arrays; raises a ValueError if invalid.
+
+    Arguments are those of `Replay.from_nodes`; `names` are its `rod_names`.
+    """
     nodes = numbers("positions", positions, "m")
     if nodes.ndim == 3:
         nodes = nodes[:, None]

@@ -112,7 +112,10 @@ class Arrows:
 
 
 def checked_sphere(index: int, sphere: Sphere, times: np.ndarray) -> Sphere:
-    """Copy of a sphere with one position per frame; raises a ValueError if invalid."""
+    """Copy of a sphere with one position per frame; raises a ValueError if invalid.
+
+    `index` is its index in the list of spheres, for the error message.
+    """
     name = f"spheres[{index}].positions"
     centre = numbers(name, sphere.positions, "m")
     if centre.shape not in ((3,), (len(times), 3)):
@@ -126,7 +129,10 @@ def checked_sphere(index: int, sphere: Sphere, times: np.ndarray) -> Sphere:
 
 
 def checked_cylinder(index: int, cylinder: Cylinder) -> Cylinder:
-    """Copy of a cylinder with NumPy arrays; raises a ValueError if invalid."""
+    """Copy of a cylinder with NumPy arrays; raises a ValueError if invalid.
+
+    `index` is its index in the list of cylinders, for the error message.
+    """
     ends = []
     for side in ("start", "end"):
         name = f"cylinders[{index}].{side}"
@@ -147,7 +153,7 @@ def checked_arrows(index: int, arrows: Arrows, times: np.ndarray) -> Arrows:
     """Copy of a group of arrows; raises a ValueError if invalid.
 
     Arrows that are too short to be drawn in all frames are left out, and so are all but
-    the `MOST` longest.
+    the `MOST` longest. `index` is that of the group, for the error message.
     """
     name = f"arrows[{index}]"
     vectors = numbers(f"{name}.vectors", arrows.vectors, "-")
@@ -193,7 +199,10 @@ def checked_colour(colour: str) -> str:
 
 
 def numbers(name: str, values: ArrayLike, unit: str) -> np.ndarray:
-    """Copies values into a new float64 array; a ValueError if they are not numbers."""
+    """Copies values into a new float64 array; a ValueError if they are not numbers.
+
+    `name` and `unit` are those of the values in the error message.
+    """
     try:
         return np.array(values, dtype=np.float64)
     except (TypeError, ValueError) as error:
@@ -205,7 +214,11 @@ def numbers(name: str, values: ArrayLike, unit: str) -> np.ndarray:
 def require_finite(
     name: str, values: np.ndarray, unit: str, times: np.ndarray | None = None
 ) -> None:
-    """Raises a ValueError for NaN or infinity, with index and time of the first one."""
+    """Raises a ValueError for NaN or infinity, with index and time of the first one.
+
+    `name` and `unit` are for the message. `times` are those of the first axis; `None`
+    if the values do not depend on time.
+    """
     finite = np.isfinite(values)
     if finite.all():
         return
@@ -217,7 +230,10 @@ def require_finite(
 
 
 def checked_times(times: ArrayLike, shape: tuple[int, ...]) -> np.ndarray:
-    """Times of the frames as a new array [s]; a ValueError unless they increase."""
+    """Times of the frames as a new array of `shape` [s].
+
+    Raises a ValueError if their shape is another one or they do not increase.
+    """
     clock = numbers("times", times, "s")
     if clock.shape != shape:
         raise ValueError(
@@ -284,7 +300,11 @@ class Mesh:
 
 
 def checked_mesh(index: int, mesh: Mesh, times: np.ndarray) -> Mesh:
-    """A checked copy of a mesh, with a position and orientation per body and frame."""
+    """Copy of a mesh with a position and orientation per body and frame.
+
+    Raises a ValueError if invalid; `index` is the mesh's index in the list, for the
+    message.
+    """
     name = f"meshes[{index}]"
     vertices = numbers(f"{name}.vertices", mesh.vertices, "m")
     if vertices.ndim != 2 or vertices.shape[1] != 3 or len(vertices) < 3:

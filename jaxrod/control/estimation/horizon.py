@@ -148,7 +148,11 @@ def _solved(
         return process.control_noise[None] * unknown["control"]
 
     def motion(unknown: Any) -> tuple[Any, Any]:
-        """States of the window, and residuals of the measurements in units of noise."""
+        """Simulates the window with the unknowns xi, w and v of the module's formula.
+
+        Returns the states at the start and after each period, and the residuals
+        (y - h(x)) / r of the measurements, zero for missing values.
+        """
 
         def one(state: Any, given: Any) -> tuple[Any, Any]:
             begin, control, push, target, there = given

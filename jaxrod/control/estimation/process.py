@@ -248,7 +248,8 @@ def root_of(
 ) -> Float[Array, "size size"]:
     """Root L of a covariance P = L L^T of local coordinates.
 
-    `covariance` holds variances `(size,)` or is a matrix `(size, size)`.
+    `covariance` holds variances `(size,)` or is a matrix `(size, size)`; `name` is its
+    name in error messages.
 
     Raises:
         ValueError: If its shape is wrong, or it is not symmetric and positive
@@ -282,7 +283,10 @@ def check_process(process: Any) -> None:
 
 
 def check_estimate(process: Process, estimate: Any, name: str = "estimate") -> None:
-    """Raises unless `estimate` is an `Estimate` with the coordinates of `process`."""
+    """Raises unless `estimate` is an `Estimate` with the coordinates of `process`.
+
+    `name` is its name in the error message.
+    """
     check_process(process)
     check_kind(name, estimate, Estimate)
     size = process.coordinates.size

@@ -154,7 +154,10 @@ def _fit_windows(
     damping: Any,
     tolerance: Any,
 ) -> Fit:
-    """Fits parameters together with the unknown initial states of windows."""
+    """Fits parameters together with the unknown initial states of windows.
+
+    `problem` holds the checked arguments of `fit`; `damping` is its `initial_damping`.
+    """
     values = problem.parameters.values
     noise = jax.tree.map(
         lambda n, t: jnp.broadcast_to(n, t.shape), problem.noise, problem.target
@@ -226,9 +229,9 @@ class FitProblem(NamedTuple):
     noise: Any
     """Standard deviations of the noise of the observations."""
     low: Array
-    """Lower bounds of the search variables."""
+    """Lower bounds of the search variables, see `Parameters`."""
     high: Array
-    """Upper bounds of the search variables."""
+    """Upper bounds of the search variables, see `Parameters`."""
     observations: Array
     """Number of finite observations."""
     noise_is_given: bool
@@ -333,7 +336,11 @@ def _decomposed(jacobian: Array) -> tuple[Array, Array]:
 
 
 def _spreads(flat: Array, seen: Any, noise: Any) -> Any:
-    """Root mean square residual of each kind of observation, in its unit."""
+    """Root mean square residual of each kind of observation, in its unit.
+
+    `flat` has all residuals in units of the noise; `seen` and `noise` are trees like
+    the observations, of masks and of standard deviations.
+    """
     _, unravel = ravel_pytree(jax.tree.map(lambda s: s.astype(flat.dtype), seen))
     return jax.tree.map(
         lambda r, s, n: jnp.sqrt(jnp.sum((r * n) ** 2) / jnp.maximum(jnp.sum(s), 1)),
@@ -344,7 +351,11 @@ def _spreads(flat: Array, seen: Any, noise: Any) -> Any:
 
 
 def _checked(simulate: Simulate, parameters: Parameters, observed: Any) -> Any:
-    """Checks observations against `simulate`; returns masks, True where finite."""
+    """Checks that `observed` has the structure and shapes that `simulate` returns.
+
+    Returns masks of the observations, True where they are finite. `simulate` is traced
+    at the start of `parameters`.
+    """
     made = jax.eval_shape(simulate, parameters.start)
     wanted: Any = jax.tree.structure(made)
     given: Any = jax.tree.structure(observed)
@@ -370,7 +381,11 @@ def _checked(simulate: Simulate, parameters: Parameters, observed: Any) -> Any:
 
 
 def _noise(noise: Any, observed: Any) -> Any:
-    """Returns standard deviations of all observations; ones if `noise` is `None`."""
+    """Returns standard deviations of all observations; ones if `noise` is `None`.
+
+    `noise` is a number or a tree prefix of `observed`; it must be given if `observed`
+    has several leaves.
+    """
     leaves, tree = jax.tree.flatten(observed)
     if noise is None:
         if len(leaves) > 1:

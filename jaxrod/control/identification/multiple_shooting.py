@@ -75,7 +75,9 @@ it again costs rejected steps."""
 class Point:
     """A point of the search: shared and own unknowns, and initial states of windows.
 
-    Own unknowns and states are flat vectors, stacked by trajectory (and window).
+    Shared unknowns are common to all trajectories. Own unknowns belong to the first
+    state of one trajectory: `(trajectories, own)`. States are `(trajectories, windows,
+    numbers)`.
     """
 
     shared: Array
@@ -271,7 +273,11 @@ def _by_leaves(rows: Array, like: Any) -> Array:
 def _stepped(
     point: Point, slopes: Slopes, mu: Array, share: Array, low: Array, high: Array
 ) -> Point:
-    """Point after a fraction `share` of the damped step and of closing the gaps."""
+    """Point after a fraction `share` of the damped step and of closing the gaps.
+
+    `mu` is the damping, as a fraction of the diagonal; `low` and `high` are the bounds
+    of the shared unknowns.
+    """
     step, own_steps = schur_step(
         _rows(slopes.jacobian), _rows(slopes.closed), mu, point.shared, low, high
     )

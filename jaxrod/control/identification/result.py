@@ -93,8 +93,9 @@ class Fit:
     residual_sd: Any
     """Root mean square of the residuals of each kind of observation, in its units."""
     misfit: Float[Array, ""]
-    """Sum of squared residuals in units of the noise, over the degrees of freedom:
-    about one if model and noise are right, exactly one if no noise was given."""
+    """Sum of squared residuals in units of the noise, divided by the degrees of
+    freedom: about one if model and noise are right, exactly one if no noise was
+    given."""
     remaining: Float[Array, ""]
     """Length of the Gauss-Newton step from `values` to the minimum, in standard
     deviations, along directions that the data determine."""
@@ -214,7 +215,11 @@ def smallest_ratio(dtype: Any) -> float:
 
 
 def _words(way: np.ndarray, names: tuple[str, ...], by_log: tuple[bool, ...]) -> str:
-    """Describes a direction that the data do not determine, as a sentence."""
+    """Describes a direction that the data do not determine, as a sentence.
+
+    `way` has the direction's component of each scalar parameter in `names`; `by_log`
+    says which of them are found by their logarithm.
+    """
     shares = way / way[np.argmax(np.abs(way))]
     part = [k for k in np.argsort(-np.abs(shares)) if abs(shares[k]) >= PLAIN]
     if len(part) == 1:

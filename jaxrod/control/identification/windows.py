@@ -83,7 +83,10 @@ class MultipleShooting:
         return self.states is not None
 
     def state(self, parameters: dict[str, Any], unknowns: Any, known: Any) -> Any:
-        """Returns the initial state of a window, by `initial_state` if it is given."""
+        """Returns the initial state of a window, by `initial_state` if it is given.
+
+        Without it the state is `unknowns`. Arguments are those of `initial_state`.
+        """
         if self.initial_state is None:
             return unknowns
         return self.initial_state(parameters, unknowns, known)
@@ -110,6 +113,9 @@ class MultipleShooting:
 
     def check(self, run: Any, observed: Any, start: Mapping[str, Any]) -> None:
         """Checks that all arrays are stacked equally, and that first values are floats.
+
+        Arguments are as in `fit`: the simulation of a window, observations, and first
+        values of the parameters.
 
         Raises:
             ValueError: Numbers of trajectories or windows differ; first values are not
@@ -194,6 +200,8 @@ def shots(
 def count_windows(name: str, stacked: Any) -> int:
     """Counts the windows or trajectories: the length of the leading axis of all leaves.
 
+    `name` is the name of the tree `stacked` in the error message.
+
     Raises:
         ValueError: The leaves have leading axes of different lengths.
     """
@@ -208,6 +216,8 @@ def count_windows(name: str, stacked: Any) -> int:
 
 def check_finite_floats(name: str, tree: Any) -> None:
     """Checks that all leaves of `tree` are finite floats.
+
+    `name` is the name of the tree in the error message.
 
     Raises:
         ValueError: A leaf is not floating point, or its value is known and not finite.

@@ -153,7 +153,10 @@ def adam(
 
 
 def _valued(problem: Problem, scaled: Array) -> tuple[Array, Array]:
-    """Returns the cost and its gradient by knots, scaled by the bounds' half widths."""
+    """Returns the cost and its gradient by `scaled`.
+
+    `scaled` are the knots divided by half the range between their bounds.
+    """
 
     def value(scaled: Array) -> Array:
         knots = scaled * half_widths(problem)[None]
@@ -163,7 +166,10 @@ def _valued(problem: Problem, scaled: Array) -> tuple[Array, Array]:
 
 
 def _recorded(problem: Problem, scaled: Array) -> tuple[Array, Array, Any, Array]:
-    """Returns the knots without scaling, and their controls, states and cost."""
+    """Returns the knots without scaling, and their controls, states and cost.
+
+    `scaled` are the knots divided by half the range between their bounds.
+    """
     knots = scaled * half_widths(problem)[None]
     controls = over_time(knots, problem.n_intervals)
     return (
@@ -177,7 +183,10 @@ def _recorded(problem: Problem, scaled: Array) -> tuple[Array, Array, Any, Array
 def _clipped_adam(
     learning_rate: float, max_gradient_norm: float, iterations: int
 ) -> Any:
-    """Optax optimiser: Adam on gradients of clipped norm, with cosine decay to 1/10."""
+    """Optax optimiser: Adam on gradients of clipped norm, with cosine decay to 1/10.
+
+    The step size decays from `learning_rate` to a tenth over `iterations`.
+    """
     import optax
 
     schedule = optax.cosine_decay_schedule(learning_rate, iterations, alpha=0.1)

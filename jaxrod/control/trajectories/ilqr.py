@@ -62,8 +62,8 @@ from jaxrod.validation import check_array, check_count
 SHARES = 10
 """Number of step sizes tried at once in the line search: 1, 1/2, 1/4, ..."""
 FASTER, SLOWER = 4.0, 8.0
-"""Divisor of the damping after a full step (and factor after a step of 1/8 or less);
-factor if no step lowers the cost [1]."""
+"""Factors of the damping [1]. A full step divides it by FASTER, a step of 1/8 or less
+multiplies it by FASTER. If no step lowers the cost it is multiplied by SLOWER."""
 LEAST_DAMPING, MOST_DAMPING = 1e-9, 1e9
 
 
@@ -186,9 +186,10 @@ def _solved(
     def tried_with(
         search: _Search, changes: Array, gains: Array, share: Array
     ) -> tuple[Array, Array, Array]:
-        """Simulates controls plus `share` of their changes, with feedback.
+        """Simulates u + share du + K (x - x_planned), clipped to the bounds.
 
-        Returns the clipped controls, the states and the cost.
+        u and x_planned are controls and states of `search`, du are `changes`, K
+        `gains`. Returns the clipped controls, the states and the cost.
         """
 
         def one(state: Array, given: tuple[Array, ...]) -> Any:
@@ -288,7 +289,10 @@ def _linearised(
     states: Float[Array, "intervals+1 n"],
     controls: Float[Array, "intervals m"],
 ) -> Linear:
-    """Linearises dynamics and residuals of all intervals, as one batch."""
+    """Linearises dynamics and residuals of all intervals, as one batch.
+
+    `unravel` converts a flat state, a row of `states`, to a state of the problem.
+    """
     n, m = states.shape[1], controls.shape[1]
     ways = jnp.eye(n + m, dtype=states.dtype)
 

@@ -229,7 +229,13 @@ def _solved(
     mode: str | None = None,
     several: bool = False,
 ) -> tuple[LeastSquares, Array, Any, Array, Any]:
-    """Returns the search's result, and its controls, states, cost and problem data."""
+    """Minimises the cost of a problem; returns the result and values at the best point.
+
+    The values are controls, states, cost without the ridge, and data of the problem.
+    `start` has the first `"knots"` and `"design"`, `bounds` are those of the design,
+    `numbers` are `"ridge"` and `"initial_damping"`. Other arguments are those of
+    `least_squares` and `codesign`.
+    """
     knots = start["knots"]
     low, high = (
         {"design": bound, "knots": jnp.broadcast_to(limit, knots.shape)}

@@ -80,18 +80,21 @@ class Problem:
         return int(self.lower.shape[-1])
 
     def step(self, state: Any, control: Array, interval: Array) -> tuple[Any, Any]:
-        """Returns the state after an interval, and the residuals of the interval."""
+        """Returns the state after an interval under a control, and the residuals."""
         after = self.move(self.data, state, control, interval)
         return after, self.on_the_way(after, control, interval)
 
     def on_the_way(self, after: Any, control: Array, interval: Array) -> Any:
-        """Residuals of an interval, by the state after it; `None` if none are given."""
+        """Residuals of an interval: the function `running` of this problem.
+
+        `after` is the state after the interval. `None` if the problem has no `running`.
+        """
         if self.running is None:
             return None
         return self.running(self.data, after, control, interval)
 
     def at_the_end(self, last: Any) -> Any:
-        """Residuals of the last state; `None` if none are given."""
+        """Residuals of the last state; `None` if the problem has no `final`."""
         return None if self.final is None else self.final(self.data, last)
 
 
@@ -241,7 +244,10 @@ def numbers(problem: Problem) -> Int[Array, " intervals"]:
 
 
 def _alike(before: Any, after: Any) -> bool:
-    """Whether two trees have the same structure, shapes and types."""
+    """Whether two trees have the same structure, shapes and types.
+
+    Used to check that a state after an interval is like the one before.
+    """
     trees: list[Any] = [jax.tree.structure(state) for state in (before, after)]
     kinds = [
         [(leaf.shape, leaf.dtype) for leaf in jax.tree.leaves(state)]
@@ -381,6 +387,8 @@ def within_bounds(
     problem: Problem, name: str, given: Any, shape: tuple[int, ...]
 ) -> Array:
     """Checks given controls, and converts them to the dtype of the problem.
+
+    `shape` is the required shape, `name` the name of the controls in error messages.
 
     Raises:
         ValueError: They have another shape, are not finite or exceed the bounds.

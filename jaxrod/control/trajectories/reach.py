@@ -247,7 +247,11 @@ def moved(data: Reach, state: RodState, control: Array, interval: Array) -> RodS
 def on_the_way(
     data: Reach, state: RodState, control: Array, interval: Array
 ) -> tuple[Array, Array]:
-    """Returns the residuals of an interval: tip minus target, and control, weighted."""
+    """Returns the residuals of an interval: tip minus target, and the control.
+
+    They are weighted by the roots in `data`, so that squares sum to the running terms
+    of the cost. `state` is that after the interval.
+    """
     del interval
     count = data.n_intervals
     return (

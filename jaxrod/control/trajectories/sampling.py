@@ -192,7 +192,9 @@ def _solved(
 ) -> tuple[Array, Array, Any, Array, Array]:
     """Returns the best knots, their controls, states and cost, and the cost history.
 
-    The history has the best cost so far, after each iteration.
+    The history has the best cost so far, after each iteration. `start` and `spread` are
+    the first mean and standard deviation of the knots. With `elites` it is the
+    cross-entropy method; without, it is MPPI at the `temperature`.
     """
     half = half_widths(problem)[None]
     low, high = problem.lower[None], problem.upper[None]

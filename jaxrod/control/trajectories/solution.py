@@ -171,7 +171,11 @@ class Solution:
 
 
 def reason_to_stop(converged: bool, tried: int, iterations: int, gained: str) -> str:
-    """Reason why a damped search stopped, as text; `gained` if it converged."""
+    """Reason why a damped search stopped, as text.
+
+    It is the text `gained` if the search converged. Otherwise `tried`, the number of
+    steps tried, may have reached the limit `iterations`, or no step lowers the cost.
+    """
     if converged:
         return gained
     if tried >= iterations:
