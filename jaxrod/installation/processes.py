@@ -18,7 +18,7 @@ LARGEST_PORT = 65_535
 """Largest number of a TCP port."""
 
 LONGEST_WAIT = 604_800
-"""Largest allowed value of `within`, a week [s]."""
+"""Largest time that processes may be given to join, a week [s]."""
 
 LOST_AFTER = 20
 """Time without contact after which a process counts as lost [s]."""
@@ -78,7 +78,7 @@ class LastWords:
         faulthandler.enable(self._to, all_threads=False)
 
     def __call__(self, sentence: str) -> None:
-        """Replaces the message that would be printed, one line."""
+        """Sets the message, one line, that is printed if this process is aborted."""
         if self._to:
             try:
                 self._to.write(sentence.replace("\n", " ") + "\n")

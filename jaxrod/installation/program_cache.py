@@ -215,7 +215,11 @@ def _folder_of_this_process(folder: Path) -> Path:
 
 
 def _give_back(own: Path, process: int) -> None:
-    """Moves the programs that a process added to the common folder; removes `own`."""
+    """Moves the programs in a process's folder `own` to the common folder.
+
+    Then `own` is removed. Nothing is done in a process other than `process`, such as a
+    fork.
+    """
     if os.getpid() != process:
         return
     with suppress(OSError):

@@ -74,7 +74,7 @@ def _harmless(line: str) -> str:
 
 
 def _fields(arrays: Sequence[Buffer]) -> tuple[dict[Buffer, str], list[str]]:
-    """C expressions of the memory's arrays, by buffer, and the fields of its struct."""
+    """C expressions of a policy memory's arrays, by buffer, and its struct fields."""
     named = {buffer: f"memory->m{i}" for i, buffer in enumerate(arrays) if buffer.size}
     fields = [
         f"  {TYPES[buffer.kind]} {name.partition('->')[2]}[{buffer.size}];"
@@ -196,7 +196,11 @@ class _Body:
         return self._table(TYPES[kind], numbers.ravel(), lambda x: _literal(x, kind))
 
     def _table(self, kind: str, numbers: np.ndarray, shown: Any) -> str:
-        """Name of a static array of constants; equal arrays are written once."""
+        """Name of a static array of constants; equal arrays are written once.
+
+        `kind` is the C type, and `shown` a function that returns the C text of a
+        number.
+        """
         key = kind, numbers.tobytes()
         if key not in self.counted:
             name = self.counted[key] = f"c{len(self.counted)}"
@@ -219,9 +223,10 @@ def _literal(number: Any, kind: str) -> str:
 
 
 def _allocated(program: Program) -> tuple[dict[Buffer, int], dict[str, int]]:
-    """Start of each result in scratch memory, and the size of that memory, by kind.
+    """Offset of each result in scratch memory, and the size of that memory, by kind.
 
-    Results that no later step reads are overwritten.
+    The kinds of numbers are those of `KINDS`. Results that no later step reads are
+    overwritten.
     """
     last: dict[Buffer, int] = {}
     for i, step in enumerate(program.steps):

@@ -104,7 +104,10 @@ class Unroller:
         return self.graph.each(operation, kind, *arrays)
 
     def mapped(self, function: Callable[..., int], kind: str, *arrays: Any) -> Any:
-        """Returns the nodes of type `kind` that a function makes of nodes of arrays."""
+        """Returns the nodes that a function returns for the entries of arrays of nodes.
+
+        The arrays are broadcast; `kind` is the type of the results, such as `"f32"`.
+        """
         return self.graph.mapped(function, *arrays)
 
     def full(self, value: Any, shape: tuple[int, ...], kind: str) -> Any:

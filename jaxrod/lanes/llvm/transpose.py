@@ -186,6 +186,8 @@ def _turned_over(
 ) -> list[str]:
     """Appends lines that transpose a square tile of vectors, in log2(width) rounds.
 
+    `names` are the vectors, one for each row of the tile, of the LLVM type `many`.
+
     Returns:
         The names of the transposed vectors.
     """

@@ -96,8 +96,9 @@ class RowGraph(Graph):
     ) -> int:
         """Returns the node of an operation that moves numbers, which may exist already.
 
-        `extra` has the parameters of the operation. The rate is by default the highest
-        of the arguments.
+        `dims` is the shape of its result, `kind` the type of the numbers, and `extra`
+        has the parameters of the operation. The rate of change is by default the
+        highest of the arguments.
         """
         key = (operation, arguments, kind, dims, extra)
         node = self._known.get(key)

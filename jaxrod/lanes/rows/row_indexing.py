@@ -261,7 +261,7 @@ def _gathered(
 
 
 def _index_columns(unroller: RowUnroller, indices: Rows) -> list[Rows]:
-    """Returns the indices for each indexed axis, from the last axis of `indices`."""
+    """Splits `indices` along its last axis, into one array for each indexed axis."""
     last = len(indices.shape) - 1
     return [slice_at(unroller, indices, last, i) for i in range(indices.shape[last])]
 
@@ -400,8 +400,9 @@ def _changed(
 ) -> Rows:
     """Combines a slice of an array, from known indices `start` on, with `new`.
 
-    The operation is that of a scatter, or `"set"`. Axes before `axis` are sliced
-    already.
+    `operation` is that of a scatter, such as `"add"`, or `"set"`. The function calls
+    itself for one axis after another: along the axes before `axis`, `array` has been
+    cut to the slice.
     """
     layout = unroller.layout
     if axis == len(array.shape):

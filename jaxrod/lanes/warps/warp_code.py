@@ -131,6 +131,8 @@ class WarpWriter(RowWriter):
     def _of_other_thread(self, value: str, kind: str, one: str, step: int) -> str:
         """Appends the exchange of a number with the thread of index `thread xor step`.
 
+        `one` is the LLVM type of the number `value`; `step` is a power of two.
+
         Returns:
             The name of that thread's number.
         """
@@ -168,7 +170,10 @@ class WarpWriter(RowWriter):
 
 
 def _claims(pointer: str) -> str:
-    """Returns LLVM attributes of a pointer: those to operands are `readonly`."""
+    """Returns the LLVM attributes of a pointer argument.
+
+    Pointers to operands are `noalias readonly`; others have none of these.
+    """
     return "noalias readonly " if pointer.startswith(READ_ONLY) else ""
 
 
