@@ -12,7 +12,7 @@ from collections.abc import Callable
 from typing import IO
 
 JOINED_WITHIN = 30
-"""Time for which processes wait for each other at the beginning [s]."""
+"""Default time within which all processes of a program must join [s]."""
 
 LARGEST_PORT = 65_535
 """Largest number of a TCP port."""
@@ -24,7 +24,7 @@ LOST_AFTER = 20
 """Time without contact after which a process counts as lost [s]."""
 
 PATIENCE = 60
-"""Time for which processes wait for each other at the end [s]."""
+"""Time for which processes wait for each other at the end of the program [s]."""
 
 GO_ON = "resume continues a run from its last checkpoint, with any number of processes"
 """Advice that ends the messages about a lost process."""

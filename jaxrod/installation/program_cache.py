@@ -84,7 +84,7 @@ def asked_for() -> bool | str | None:
 
 
 def obstacle() -> str | None:
-    """Reason why programs are not kept by default; None if they are."""
+    """Whether kept programs would lack a checksum: JAX would use zstandard."""
     if asked_for() is False:
         return f"{VARIABLE} is 0"
     if without_checksum():

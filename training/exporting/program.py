@@ -122,7 +122,7 @@ class Product:
     out: Buffer
     operands: tuple[Value, ...]
     sizes: tuple[int, int, int, int]
-    """Sizes (batch, m, k, n)."""
+    """Sizes (batch, m, k, n) of the products."""
 
     def write(self, writer: Writer) -> None:
         """Passes this step to the matching method of a writer."""

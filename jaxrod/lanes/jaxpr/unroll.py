@@ -111,7 +111,10 @@ class Unroller:
         return self.graph.mapped(function, *arrays)
 
     def full(self, value: Any, shape: tuple[int, ...], kind: str) -> Any:
-        """Returns an array whose entries are all the node of one known number."""
+        """Returns an array whose entries are all the node of one known number.
+
+        `kind` is the type of the number, such as `"f32"`.
+        """
         return np.full(shape, self.graph.constant(value, kind), np.int64)
 
     def known(self, value: Any, aval: Any) -> Any:

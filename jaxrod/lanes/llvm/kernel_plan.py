@@ -37,7 +37,7 @@ class Region:
     """Allocated size [bytes]."""
 
     def place(self, kind: str, count: int = 1) -> int:
-        """Allocates `count` numbers of a type, and returns their offset [bytes]."""
+        """Allocates `count` numbers of type `kind`; returns their offset [bytes]."""
         step = BYTES[kind] * self.lanes
         aligned = min(ALIGNMENT, max(step, 1))
         start = -(-self.size // aligned) * aligned
@@ -75,7 +75,7 @@ class Memory:
         return offset
 
     def keep(self, used: Sequence[int]) -> tuple[list[int], list[int]]:
-        """Allocates loop-invariant values that values of a higher rate need.
+        """Allocates loop-invariant values that values which change more often need.
 
         Such a value is the same for all rods, or fixed for each rod.
 
@@ -209,7 +209,7 @@ def _store(writer: Writer, name: str, kind: str, region: Region, offset: int) ->
 
 
 class KernelPlan:
-    """Memory and LLVM functions of a kernel with a rod in each lane, being written."""
+    """Kernel with a rod in each lane, under construction: memory and LLVM functions."""
 
     def __init__(self, step: Step, width: int) -> None:
         """Allocates memory for the constants of a step.

@@ -52,7 +52,7 @@ class Layout:
     """Operations that slice, join and rearrange arrays of rows in one graph."""
 
     def __init__(self, graph: RowGraph) -> None:
-        """Creates the operations of a graph.
+        """Creates a layout, whose operations add nodes to a graph.
 
         Args:
             graph: Graph to which nodes are added.
@@ -60,19 +60,28 @@ class Layout:
         self.graph = graph
 
     def from_memory(self, node: int, shape: Dims, kind: str) -> Rows:
-        """Returns the array with the numbers of a stored node, in row-major order."""
+        """Returns the array with the numbers of a stored node, in row-major order.
+
+        `kind` is the type of the numbers, such as `"f32"`.
+        """
         base = self.graph.flat(node)
         loops = long_axes(shape)
         return self.views(base, shape, loops, kind)
 
     def full(self, node: int, shape: Dims, kind: str) -> Rows:
-        """Returns an array in which the number of one node is repeated."""
+        """Returns an array in which the number of one node is repeated.
+
+        `kind` is the type of the number, such as `"f32"`.
+        """
         loops = long_axes(shape)
         nodes = np.full(_unrolled(shape, loops), node, np.int64)
         return Rows(shape, loops, nodes, kind)
 
     def known(self, numbers: np.ndarray, kind: str) -> Rows:
-        """Returns an array of known numbers."""
+        """Returns an array of known numbers.
+
+        `kind` is the type of the numbers, such as `"f32"`.
+        """
         if numbers.size and (numbers == numbers.reshape(-1)[0]).all():
             node = self.graph.constant(numbers.reshape(-1)[0], kind)
             return self.full(node, numbers.shape, kind)

@@ -48,7 +48,7 @@ class Storage:
         self.pointer, self.alignment, self.size = pointer, alignment, 0
 
     def give(self, kind: str, count: int) -> Place:
-        """Allocates `count` numbers of a type, and returns their memory location."""
+        """Allocates `count` numbers of type `kind`; returns their location."""
         place = Place(self.pointer, self.size)
         size = max(count, 1) * BYTES[kind]
         self.size += -(-size // self.alignment) * self.alignment
@@ -66,8 +66,8 @@ class Reverse(NamedTuple):
     """Types of the cotangents: of the carry, then of the constants that have
     tangents."""
     n_seeds: int
-    """Number of cotangents of the carry. Those of constants are sums over the steps,
-    which begin at zero."""
+    """Number of seeds, the given cotangents of the carry after the last step.
+    Cotangents of constants are sums over the steps, which begin at zero."""
     before: Storage
     """Region of the cotangents after the step, which the reversed step reads."""
     places: list[Place]
@@ -81,7 +81,7 @@ class Reverse(NamedTuple):
 
 
 class RowPlan:
-    """Memory and LLVM functions of a kernel for scenes one by one, being written."""
+    """A kernel for scenes one by one, under construction: memory and LLVM functions."""
 
     alignment = ALIGNMENT
     """Alignment of arrays in memory [bytes]."""

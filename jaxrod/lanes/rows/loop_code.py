@@ -41,7 +41,8 @@ class RowWriter(Writer):
         self.schedule, self.vector_bytes = schedule, vector_bytes
         self.count = 0
         self.numbers: dict[int, str] = {}
-        """Names of single numbers, by node; they can be used in all later loops."""
+        """LLVM names of single numbers, by node; they can be used in all later
+        loops."""
         self.spreads: dict[tuple[int, int], str] = {}
         """Names of vectors with one number in every lane, by node and width, in this
         loop."""
@@ -197,7 +198,7 @@ class RowWriter(Writer):
     def _load(self, place: Place, base: int, strides: Dims, kind: str) -> str:
         """Appends the load of a vector, outside all loops whose index it does not need.
 
-        The flat index is that of `address`.
+        Place, flat index and type are those of `address`.
 
         Returns:
             The name of the vector.
@@ -452,7 +453,10 @@ class RowWriter(Writer):
         ]
 
     def latch(self, mark: str) -> str:
-        """Returns the label of the last block in the body of a loop with reductions."""
+        """Returns the label of the last block in the body of a loop with reductions.
+
+        `mark` is the label of the loop.
+        """
         return mark
 
     def after_loop(self, before: str, after: str) -> str:
@@ -609,7 +613,10 @@ class RowWriter(Writer):
         return self._select([fresh, value, none], kind)
 
     def _combined(self, operation: str, a: str, b: str, kind: str) -> str:
-        """Appends a reduction's operation on two values; returns the result's name."""
+        """Appends a reduction's operation on two values; returns the result's name.
+
+        `a` and `b` are the names of the values, `kind` is their type.
+        """
         if operation in ("min", "max"):
             return self._extreme(operation, (-1, -1), [a, b], kind)
         if kind[0] == "f":

@@ -267,7 +267,7 @@ def _index_columns(unroller: RowUnroller, indices: Rows) -> list[Rows]:
 
 
 def _bounded(unroller: RowUnroller, column: Rows, room: int) -> tuple[Rows, Rows]:
-    """Returns indices clamped to 0 and `room`, and a mask: whether each was inside."""
+    """Returns indices clamped to 0 ... `room`, and a mask: whether each was inside."""
     kind = column.kind
     if kind not in ("i32", "i64", "u32"):
         raise NotUnrolled(f"rows have no indices of type {DTYPES[kind]}")

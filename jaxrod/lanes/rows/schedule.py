@@ -86,7 +86,10 @@ class Loop:
 
 
 class Schedule:
-    """Order of the loops that compute goals, and memory of the nodes they store."""
+    """Order of the loops that compute the required nodes (goals) of a graph of rows.
+
+    It also has the memory locations of the nodes that the loops store.
+    """
 
     def __init__(
         self,
@@ -146,7 +149,10 @@ class Schedule:
         return self.ready.get(node) or self.places.get(node)
 
     def is_ready(self, node: int) -> bool:
-        """Whether a node is stored, a constant or an index, before the first loop."""
+        """Whether a node is available before the first loop.
+
+        It is if it is stored already, or is a constant or an index.
+        """
         if node in self.fresh:
             return False
         return node in self.ready or self.graph.operations[node] in (
@@ -462,7 +468,7 @@ def operation_is_read(graph: RowGraph, node: int) -> bool:
 
 
 def fills_of(graph: RowGraph, node: int) -> list[Fill]:
-    """Returns the gaps between the pieces of a joined node, grouped by length."""
+    """Returns the gaps in a node that is assembled from pieces, grouped by length."""
     free = np.ones(math.prod(graph.dims[node]), bool)
     for piece in graph.extras[node]:
         free[piece.places()] = False

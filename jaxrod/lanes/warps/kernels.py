@@ -78,7 +78,7 @@ class WarpKernel:
 
 
 class WarpPlan(RowPlan):
-    """Memory and LLVM functions of a kernel being written; a warp runs each scene."""
+    """A kernel with a warp for each scene, under construction: memory and functions."""
 
     alignment = 16
     """Alignment of arrays in memory [bytes]. It is smaller than for rows, because
