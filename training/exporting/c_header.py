@@ -21,7 +21,8 @@ from jaxrod.training.exporting.program import (
 TYPES = {"f": "float", "i": "long", "b": "unsigned char"}
 """C types by kind of number, see `KINDS`. `long` has at least 32 bits everywhere."""
 BLOCK = 8
-"""Number of terms of a scalar product that are summed before the running sum."""
+"""Number of terms of a scalar product that are summed before their sum is added to the
+total, for less round-off."""
 _BEYOND = {"inf": "INFINITY", "-inf": "(-INFINITY)", "nan": "NAN"}
 
 

@@ -48,7 +48,7 @@ class Value:
 
     buffer: Buffer
     places: np.ndarray
-    """Index into the buffer of every entry; its shape is the shape of the array."""
+    """Index of each entry in the buffer, in an array of the shape of the value."""
 
     @property
     def known(self) -> bool:

@@ -110,7 +110,7 @@ operands, and returns the results as arrays of rows."""
 
 
 def row_rule(*names: str) -> Callable[[Rule], Rule]:
-    """Registers a function as the row rule of primitives (a decorator)."""
+    """Registers a function that translates primitives to rows (a decorator)."""
     return rule(*names, rules=ROW_RULES)
 
 
