@@ -81,7 +81,10 @@ def is_key(leaf: Any) -> bool:
 
 
 def _hint(apart: list[str]) -> str:
-    """Hint at JAX_ENABLE_X64 if the first differences are float32 against float64."""
+    """Hint at JAX_ENABLE_X64 if the first differences are float32 against float64.
+
+    It is empty otherwise. `apart` has the differences as text.
+    """
     double = all("float32" in one and "float64" in one for one in apart[:3])
     return " (has JAX_ENABLE_X64 changed?)" if double else ""
 

@@ -194,7 +194,7 @@ def whole_parser() -> argparse.ArgumentParser:
 
 
 def _parser_of(described: Collection[str]) -> argparse.ArgumentParser:
-    """Builds the parser, with the arguments of some commands."""
+    """Builds the parser; only the commands in `described` get their arguments."""
     parser = argparse.ArgumentParser(
         prog="jaxrod",
         description="Soft, slender rods on JAX: simulate, differentiate, train.",

@@ -151,7 +151,10 @@ def open_run(path: Path, trust: Collection[str] = ()) -> StoredRun:
 def _made_again(
     file: Path, task: str, options: Mapping[str, Any], trust: Collection[str]
 ) -> Environment:
-    """Makes the environment of a user's own task; errors name `file`, the config."""
+    """Makes the environment of a user's own task again, from a run's `config.json`.
+
+    Errors name the file.
+    """
     try:
         return make_task(task, options, trust)
     except UntrustedError as error:

@@ -198,7 +198,10 @@ def run(args: argparse.Namespace) -> int:
 
 @contextmanager
 def _place(args: argparse.Namespace, number: int) -> Iterator[Place]:
-    """Machine or Ray cluster, as the arguments request, for a number of runs."""
+    """Yields the machine or Ray cluster, as the arguments request, that trains runs.
+
+    `number` is the number of runs.
+    """
     if args.ray is None:
         from jaxrod.cli.sweeps.running import ThisMachine
 

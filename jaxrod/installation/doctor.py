@@ -317,7 +317,7 @@ def check_lanes() -> Check:
     @jax.tree_util.register_dataclass
     @dataclass(frozen=True)
     class Decay:
-        """Repetition of value <- factor * value + 1, as steps for lanes."""
+        """Test integrator: each cycle replaces a value by factor * value + 1."""
 
         factor: Any
 

@@ -12,7 +12,7 @@ import re
 from importlib import metadata
 
 OLDEST = (0, 10, 1)
-"""The oldest release the test suite runs with."""
+"""Oldest release of JAX that the test suite runs with."""
 
 UNSOUND = {
     (0, 10, 2): (
@@ -29,7 +29,7 @@ UNSOUND = {
         "an array in a loop, and flax.nnx of flax 0.12.8 cannot be imported with it"
     ),
 }
-"""Fault of each refused release."""
+"""Fault of each refused release of JAX, by release."""
 
 
 class UnsoundJaxError(ImportError):

@@ -12,19 +12,19 @@ from collections.abc import Callable
 from typing import IO
 
 JOINED_WITHIN = 30
-"""Time for which processes wait for each other at the beginning [s]."""
+"""Default time within which all processes of a program must join [s]."""
 
 LARGEST_PORT = 65_535
 """Largest number of a TCP port."""
 
 LONGEST_WAIT = 604_800
-"""Largest allowed value of `within`, a week [s]."""
+"""Largest time that processes may be given to join, a week [s]."""
 
 LOST_AFTER = 20
 """Time without contact after which a process counts as lost [s]."""
 
 PATIENCE = 60
-"""Time for which processes wait for each other at the end [s]."""
+"""Time for which processes wait for each other at the end of the program [s]."""
 
 GO_ON = "resume continues a run from its last checkpoint, with any number of processes"
 """Advice that ends the messages about a lost process."""
@@ -78,7 +78,7 @@ class LastWords:
         faulthandler.enable(self._to, all_threads=False)
 
     def __call__(self, sentence: str) -> None:
-        """Replaces the message that would be printed, one line."""
+        """Sets the message, one line, that is printed if this process is aborted."""
         if self._to:
             try:
                 self._to.write(sentence.replace("\n", " ") + "\n")

@@ -84,7 +84,7 @@ def asked_for() -> bool | str | None:
 
 
 def obstacle() -> str | None:
-    """Reason why programs are not kept by default; None if they are."""
+    """Whether kept programs would lack a checksum: JAX would use zstandard."""
     if asked_for() is False:
         return f"{VARIABLE} is 0"
     if without_checksum():
@@ -215,7 +215,11 @@ def _folder_of_this_process(folder: Path) -> Path:
 
 
 def _give_back(own: Path, process: int) -> None:
-    """Moves the programs that a process added to the common folder; removes `own`."""
+    """Moves the programs in a process's folder `own` to the common folder.
+
+    Then `own` is removed. Nothing is done in a process other than `process`, such as a
+    fork.
+    """
     if os.getpid() != process:
         return
     with suppress(OSError):

@@ -15,7 +15,7 @@ from pathlib import Path
 import jax
 
 _EXTENSIONS = ("XLA_FFI_InternalExtension", "XLA_FFI_Extension_Base")
-"""Names of the C structure at the beginning of extensions: since jaxlib 0.11, and
+"""Names of the C structure with which extensions begin: in jaxlib since 0.11, and
 before."""
 _EXTENSION = ("struct_size", "type", "next")
 _EXPECTED = {

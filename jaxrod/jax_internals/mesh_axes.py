@@ -15,7 +15,7 @@ from jax.sharding import NamedSharding, PartitionSpec
 
 
 def axes_of(*avals: Any) -> frozenset[str]:
-    """Returns the axes over which at least one of the arrays varies."""
+    """Returns the mesh axes over which at least one of the arrays varies."""
     found: frozenset[str] = frozenset()
     for aval in avals:
         kind = getattr(aval, "manual_axis_type", None)

@@ -37,11 +37,11 @@ class LaneChoice:
     rods: int
     """Number of rods in the batch; 1 without a batch."""
     operations: int = 0
-    """Size of the kernel. Lanes: number of graph nodes, with inputs and constants. Rows
-    and warps: lines of LLVM IR that compute a value. Beginning and end of a run count
-    too."""
+    """Size of the kernel; 0 for XLA. Lanes: number of graph nodes, with inputs and
+    constants. Rows and warps: lines of LLVM IR that compute a value. Beginning and end
+    of a run count too."""
     seconds: float = 0.0
-    """Time spent on generating and compiling the kernel [s]."""
+    """Time spent on generating and compiling the kernel [s]; 0 for XLA."""
 
 
 _choices: deque[LaneChoice] = deque(maxlen=100)
@@ -108,12 +108,15 @@ def lane_mode() -> str:
 
 
 def lanes_wanted() -> bool:
-    """Whether runs are to be traced as primitives that kernels can replace."""
+    """Whether runs are traced as primitives that kernels can replace.
+
+    It is false in mode `"never"`, and if the default device has no kernels.
+    """
     return lane_mode() != NEVER and no_kernels_here() is None
 
 
 def no_kernels_here() -> str | None:
-    """Returns the reason why the default device has no kernels, or `None`."""
+    """Returns the reason why there are no kernels for the default device, or `None`."""
     device = jax.default_backend()
     if device == "cpu":
         return not_here()

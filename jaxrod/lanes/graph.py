@@ -28,16 +28,17 @@ import numpy as np
 
 @dataclass(frozen=True)
 class Operation:
-    """An operation on single numbers."""
+    """An operation on single numbers: a row of the table `OPERATIONS`."""
 
     name: str
     """Name in graphs. If `primitive` is true, it is the name of the JAX primitive
     too."""
     fold: Callable[..., Any] | None = None
-    """Function of NumPy numbers that folds constants; `None` if they are not folded."""
+    """Function of NumPy numbers that computes the result if all operands are constants;
+    `None` if it is not computed in advance."""
     llvm: str | None = None
-    """LLVM's instruction for floats, or its intrinsic if the name begins with
-    `llvm.`."""
+    """LLVM instruction for floats, such as `fadd`, or intrinsic, such as `llvm.sqrt`;
+    `None` if there is neither."""
     symbol: str | None = None
     """Name of the function in the C library for double precision; `None` without
     one."""
@@ -55,17 +56,26 @@ class Operation:
 
 
 def _library(name: str, operands: int = 1) -> Operation:
-    """Returns an elementary function that JAX and the C library name alike."""
+    """Returns the row of a function that JAX and the C library give the same name.
+
+    `operands` is the number of its arguments.
+    """
     return Operation(name, symbol=name, operands=operands)
 
 
 def _two(name: str, **more: Any) -> Operation:
-    """Returns an operation with two operands, floats or integers by default."""
+    """Returns the row of an operation with two operands.
+
+    They are floats or integers by default. `more` has further fields of `Operation`.
+    """
     return Operation(name, **{"operands": 2, "kinds": "fiu", **more})
 
 
 def _compares(name: str, fold: Callable[..., Any], **more: Any) -> Operation:
-    """Returns a comparison of two numbers of any type."""
+    """Returns the row of a comparison of two numbers of any type.
+
+    `fold` compares NumPy numbers. `more` has further fields of `Operation`.
+    """
     return _two(name, fold=fold, primitive=False, compares=True, kinds="fiub", **more)
 
 
@@ -159,9 +169,10 @@ class Graph:
         self.kinds: list[str] = []
         self.rates: list[int] = []
         self.values: dict[int, Any] = {}
-        """Numbers of constants, by node."""
+        """Values of the constants of the graph, by node."""
         self.places: dict[int, tuple[int, int]] = {}
-        """Number of the input array and flat index in it, by input node."""
+        """Origin of each input node: number of the input array, and flat index in
+        it."""
         self._known: dict[Any, int] = {}
 
     def __len__(self) -> int:
@@ -180,7 +191,7 @@ class Graph:
         return node
 
     def constants(self, array: Any) -> np.ndarray:
-        """Returns an array of nodes for an array of known numbers."""
+        """Returns an array of constant nodes, one for each number of an array."""
         array = np.asarray(array)
         kind = KINDS[array.dtype]
         return self.mapped(lambda value: self.constant(value, kind), array)
@@ -216,9 +227,9 @@ class Graph:
         return node
 
     def mapped(self, function: Callable[..., int], *arrays: Any) -> np.ndarray:
-        """Returns an array of the nodes that a function makes of entries of arrays.
+        """Returns the nodes that a function returns for the entries of arrays.
 
-        The arrays are broadcast against each other.
+        The arrays are broadcast against each other. `function` takes an entry of each.
         """
         shaped = np.broadcast_arrays(*arrays)
         nodes = np.empty(shaped[0].shape, np.int64)
@@ -277,7 +288,11 @@ class Graph:
     def _folded(
         self, operation: str, arguments: tuple[int, ...], kind: str
     ) -> int | None:
-        """Returns an existing or simpler node that equals an operation, or `None`."""
+        """Returns a simpler node with the value of an operation, or `None`.
+
+        For example, x + 0 is x, and an operation on constants is a constant. `kind` is
+        the type of the result, such as `"f32"`.
+        """
         known = [self.values.get(a) for a in arguments]
         if operation == "select":
             return _chosen(arguments, known)
@@ -329,9 +344,10 @@ class Graph:
         return arguments[0] if arguments[0] == arguments[1] else None
 
     def _divided(self, node: int, by: Any, kind: str) -> int | None:
-        """Returns the node of a quotient by 1 or by a power of two; otherwise `None`.
+        """Returns the node of `node / by` if no division is needed; otherwise `None`.
 
-        A quotient by a power of two becomes a product, which is exact.
+        A quotient by 1 is `node`. A quotient by a power of two becomes a product, which
+        is exact.
         """
         if by == 1:
             return node
@@ -349,9 +365,11 @@ class Graph:
 
 
 def _chosen(arguments: tuple[int, ...], known: list[Any]) -> int | None:
-    """Returns the node that equals `select(condition, if_true, if_false)`, or `None`.
+    """Returns the argument that a `select` always returns, or `None`.
 
-    `known` has the numbers of the three arguments, `None` if they are not constants.
+    The arguments are the nodes of the condition, of the result if it is true, and of
+    the result if it is false. `known` has their values, `None` if they are not
+    constants.
     """
     if known[0] is not None:
         return arguments[1] if known[0] else arguments[2]
@@ -360,7 +378,7 @@ def _chosen(arguments: tuple[int, ...], known: list[Any]) -> int | None:
 
 @dataclass(frozen=True)
 class Entries:
-    """Type, size and rate of change of one array of a rod's program."""
+    """Type, size and rate of change of one operand or result of a rod's program."""
 
     kind: str
     """Type of the numbers, such as `"f32"`."""

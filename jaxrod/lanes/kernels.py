@@ -143,7 +143,8 @@ def _failed(error: Exception, rods: int) -> None:
 def _of_lanes(name: str, spec: RunSpec, most: int) -> tuple[Kernel | None, str]:
     """Returns a kernel with a rod in each vector lane, or `None` and the reason.
 
-    A graph of more than `most` nodes is a reason.
+    `name` is the name of the primitive, `spec` describes the run. A graph of more than
+    `most` nodes is refused. With a kernel the reason is empty.
     """
     body = spec.body
     shared = (True,) * body.n_constants
@@ -160,7 +161,11 @@ def _of_lanes(name: str, spec: RunSpec, most: int) -> tuple[Kernel | None, str]:
 
 
 def _of_rows(name: str, spec: RunSpec) -> tuple[Kernel | None, str]:
-    """Returns a kernel that runs scenes one by one, or `None` and the reason."""
+    """Returns a kernel that runs scenes one by one, or `None` and the reason.
+
+    `name` is the name of the primitive, `spec` describes the run. With a kernel the
+    reason is empty.
+    """
     body = spec.body
     batched = (False,) * body.n_constants
     if spec.batch is not None:
@@ -178,10 +183,11 @@ def _of_rows(name: str, spec: RunSpec) -> tuple[Kernel | None, str]:
 def _program(
     target: str, room: int, spec: RunSpec, rods: int, results: Sequence[Any]
 ) -> Callable[..., Any]:
-    """Returns a function that calls the kernel `target`, with `room` workspace bytes.
+    """Returns a function that calls the kernel registered as `target`.
 
-    It takes the number of steps and the operands, and returns the results, which have
-    the types `results`.
+    The function takes the number of steps and the operands, and returns results of the
+    types `results`. The kernel gets `room` bytes of workspace, the number of rods, and
+    the number of checkpoints and steps between them, from `spec`.
     """
     kept = spec.n_kept if spec.keeps else 0
     every = spec.every if kept else 2**31 - 1
@@ -241,7 +247,7 @@ def _back_kernel(
 
 
 def _width(body: LoopBody) -> int:
-    """Number of rods in a vector register, for the widest float type of the carry."""
+    """Number of rods per vector register (at least 2), by the carry's widest float."""
     sizes = [aval.dtype.itemsize for aval in chosen(body.avals, body.floating)] or [4]
     return max(vector_bytes() // max(sizes), 2)
 
@@ -313,7 +319,7 @@ def _unrolled_run(
 
 
 def _entries_of(aval: Any) -> Entries:
-    """Returns type and size of an array whose numbers change in every step."""
+    """Returns number type and size of an array, marked as changing in every step."""
     return Entries(kind_of(aval), math.prod(aval.shape), VARYING)
 
 

@@ -23,7 +23,7 @@ class LoopBody:
     closed: Any
     """Closed jaxpr of the step; its operands are constants, then the carry."""
     n_constants: int
-    """Number of constants."""
+    """Number of constants, which are the first operands of the step."""
 
     @property
     def avals(self) -> Any:

@@ -29,7 +29,7 @@ class Learner:
     weights: dict[str, Any]
     """Weights of the networks and other learned numbers, by name."""
     optimiser: dict[str, Any]
-    """States of the optimisers, by name."""
+    """States of the optimisers, by name of the weights that they change."""
 
 
 def policy_network(

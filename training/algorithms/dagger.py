@@ -135,7 +135,8 @@ class DAggerState(LearnerState):
     optimiser: Any
     """State of Adam."""
     advice: ReplayBuffer
-    """Observations with actions of the planner so far; the oldest are overwritten."""
+    """Ring buffer of observations with the planner's actions; the oldest are
+    overwritten."""
     keys: Key[Array, " num_envs"]
     """One key per environment, for who acts (planner or policy) and for the samples."""
 

@@ -49,7 +49,7 @@ class ReplayBuffer:
 
     @property
     def size(self) -> Int[Array, ""]:
-        """Number of stored time steps."""
+        """Number of stored time steps, at most `slots`."""
         return jnp.minimum(self.written, self.slots)
 
 

@@ -191,7 +191,10 @@ class WithCost(EnvironmentWrapper):
         action: Float[Array, " action"],
         params: Any,
     ) -> Any:
-        """Advances the environment; `info["cost"]` is the cost of the new state."""
+        """Advances the environment; adds the cost to `info["cost"]`.
+
+        It is the cost of the new state and the action.
+        """
         *most, info = self.env.step(key, state, action, params)
         env: Any = self.env
         return (*most, info | {"cost": env.cost(most[1], action, params)})
@@ -219,7 +222,7 @@ class SHACConfig(OnPolicyConfig):
     """Whether the objective includes the critic's value at the end of a window. False
     gives the analytic policy gradient (APG)."""
     epochs: int = static(default=8)
-    """Number of passes of the critic over the samples of one update."""
+    """Number of passes over the samples of one update when the critic is fitted."""
     minibatches: int = static(default=4)
     """Number of gradient steps in one pass; divides `rollout_steps`."""
     learning_rate: Scalar = 2e-3

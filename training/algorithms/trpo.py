@@ -67,7 +67,8 @@ class TRPOConfig(OnPolicyConfig):
     line_search_tries: int = static(default=10)
     """Largest number of step lengths that the line search tries."""
     value_epochs: int = static(default=8)
-    """Number of passes of the value network over the experience of one update."""
+    """Number of passes over the experience of one update when the value network is
+    fitted."""
     value_minibatches: int = static(default=8)
     """Number of gradient steps in one pass; divides `rollout_steps`."""
     max_kl: Scalar = 0.01
@@ -171,7 +172,11 @@ def _improve_policy(
     old_mean, old_log_std = outputs(start, batch.observation)
 
     def objective(parameters: Array) -> tuple[Float[Array, ""], Float[Array, ""]]:
-        """Surrogate mean(q A) + entropy_weight H, q the probability ratio; mean KL."""
+        """Surrogate mean(q A) + entropy_weight H, and mean KL(old policy, new policy).
+
+        q is the ratio of the probabilities of an action by the new and the old policy,
+        A the advantage, and H the entropy.
+        """
         mean, log_std = outputs(parameters, batch.observation)
         noise = (batch.action - mean) * jnp.exp(-log_std)[None]
         ratio = jnp.exp(log_density(noise, log_std) - batch.log_prob)

@@ -21,7 +21,8 @@ from jaxrod.training.exporting.program import (
 TYPES = {"f": "float", "i": "long", "b": "unsigned char"}
 """C types by kind of number, see `KINDS`. `long` has at least 32 bits everywhere."""
 BLOCK = 8
-"""Number of terms of a scalar product that are summed before the running sum."""
+"""Number of terms of a scalar product that are summed before their sum is added to the
+total, for less round-off."""
 _BEYOND = {"inf": "INFINITY", "-inf": "(-INFINITY)", "nan": "NAN"}
 
 
@@ -74,7 +75,7 @@ def _harmless(line: str) -> str:
 
 
 def _fields(arrays: Sequence[Buffer]) -> tuple[dict[Buffer, str], list[str]]:
-    """C expressions of the memory's arrays, by buffer, and the fields of its struct."""
+    """C expressions of a policy memory's arrays, by buffer, and its struct fields."""
     named = {buffer: f"memory->m{i}" for i, buffer in enumerate(arrays) if buffer.size}
     fields = [
         f"  {TYPES[buffer.kind]} {name.partition('->')[2]}[{buffer.size}];"
@@ -196,7 +197,11 @@ class _Body:
         return self._table(TYPES[kind], numbers.ravel(), lambda x: _literal(x, kind))
 
     def _table(self, kind: str, numbers: np.ndarray, shown: Any) -> str:
-        """Name of a static array of constants; equal arrays are written once."""
+        """Name of a static array of constants; equal arrays are written once.
+
+        `kind` is the C type, and `shown` a function that returns the C text of a
+        number.
+        """
         key = kind, numbers.tobytes()
         if key not in self.counted:
             name = self.counted[key] = f"c{len(self.counted)}"
@@ -219,9 +224,10 @@ def _literal(number: Any, kind: str) -> str:
 
 
 def _allocated(program: Program) -> tuple[dict[Buffer, int], dict[str, int]]:
-    """Start of each result in scratch memory, and the size of that memory, by kind.
+    """Offset of each result in scratch memory, and the size of that memory, by kind.
 
-    Results that no later step reads are overwritten.
+    The kinds of numbers are those of `KINDS`. Results that no later step reads are
+    overwritten.
     """
     last: dict[Buffer, int] = {}
     for i, step in enumerate(program.steps):

@@ -287,7 +287,7 @@ def _vector(env: Environment, name: str) -> dict[str, Any]:
 
 
 def _as_lines(name: str, facts: Mapping[str, Any]) -> Sequence[str]:
-    """The contract as lines of text, for the comment at the top of the file."""
+    """The contract as lines of text, for the comment at the top of the file `name`."""
     about = ", ".join(f"{k} {v}" for k, v in facts["about"].items() if v is not None)
     lines = [f"{name}: a policy exported by jaxrod {facts['jaxrod']}", about, ""]
     if facts["rate_hz"] is None:

@@ -102,7 +102,10 @@ class _Graph:
         return self.node(operator, *inputs)
 
     def node(self, operator: str, *inputs: str, out: str = "", **more: Any) -> str:
-        """Adds a node; returns the name of its result, which is `out` if given."""
+        """Adds a node; returns the name of its result, which is `out` if given.
+
+        `more` has the attributes of the ONNX operator.
+        """
         name = out or f"t{len(self.nodes)}"
         made = self.onnx.helper.make_node(operator, inputs, [name], **more)
         self.nodes.append(made)

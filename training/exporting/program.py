@@ -48,7 +48,7 @@ class Value:
 
     buffer: Buffer
     places: np.ndarray
-    """Index into the buffer of every entry; its shape is the shape of the array."""
+    """Index of each entry in the buffer, in an array of the shape of the value."""
 
     @property
     def known(self) -> bool:
@@ -122,7 +122,7 @@ class Product:
     out: Buffer
     operands: tuple[Value, ...]
     sizes: tuple[int, int, int, int]
-    """Sizes (batch, m, k, n)."""
+    """Sizes (batch, m, k, n) of the products."""
 
     def write(self, writer: Writer) -> None:
         """Passes this step to the matching method of a writer."""

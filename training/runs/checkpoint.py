@@ -161,7 +161,11 @@ def _read(file: Path) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
 
 
 def _check_structure(file: Path, leaves: dict[str, Any], found: dict[str, str]) -> None:
-    """Raises ValueError unless the stored leaves fit the train state."""
+    """Raises ValueError unless the stored leaves fit the train state.
+
+    `leaves` are those of the state, by name, and `found` has the descriptions of those
+    in the file.
+    """
     wanted = {name: described(leaf) for name, leaf in leaves.items()}
     apart = differences_of_leaves(wanted, found)
     if apart:

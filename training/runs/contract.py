@@ -113,7 +113,10 @@ def check_state(algorithm: Algorithm, state: Any, env: Environment) -> None:
 
 
 def _check_same_form(name: str, before: Any, after: Any) -> None:
-    """Raises ValueError unless two states agree in structure, shapes and dtypes."""
+    """Raises ValueError unless two states agree in structure, shapes and dtypes.
+
+    `name` is that of the algorithm, for the message.
+    """
     forms = [
         {
             jax.tree_util.keystr(path): f"{leaf.dtype}{list(leaf.shape)}"
@@ -134,7 +137,10 @@ def _check_same_form(name: str, before: Any, after: Any) -> None:
 
 
 def _check_metrics(name: str, metrics: Any) -> None:
-    """Raises ValueError unless `metrics` has the form that `Metrics` describes."""
+    """Raises ValueError unless `metrics` has the form that `Metrics` describes.
+
+    `name` is that of the algorithm, for the message.
+    """
     if not isinstance(metrics, Metrics):
         raise ValueError(
             f"update of {name} must return Metrics beside the state, got "
@@ -160,7 +166,10 @@ def _check_metrics(name: str, metrics: Any) -> None:
 
 
 def _check_policy(name: str, policy: Any, env: Environment) -> None:
-    """Raises ValueError unless a policy maps observations to actions, without a key."""
+    """Raises ValueError unless a policy maps observations to actions, without a key.
+
+    `name` is that of the algorithm, for the message.
+    """
     if not callable(policy):
         raise ValueError(
             f"policy of {name} must return a callable, policy(observation), got "

@@ -183,7 +183,10 @@ class OwnedFolder:
         return os.path.lexists(self.path / CONFIG)
 
     def only_process(self) -> AbstractContextManager[None]:
-        """Context that locks the folder for this process, see `lock.only_process`."""
+        """Context that locks the folder for this process.
+
+        See the function `jaxrod.training.runs.owned_folder.only_process`.
+        """
         return only_process(self.path)
 
     def stored(self) -> dict[str, Any]:
@@ -227,7 +230,7 @@ class OwnedFolder:
                 raise ValueError(f"{self.path / name} was not written by jaxrod")
 
     def _there(self) -> list[str]:
-        """Names of the known files and folders that exist, without empty folders."""
+        """Names of jaxrod's files and folders that exist, without empty folders."""
         return [name for name in self._files if os.path.lexists(self.path / name)] + [
             name
             for name in self._folders

@@ -144,7 +144,10 @@ class Run:
         return self.done * self.per_update
 
     def _clock(self) -> float:
-        """Updates and returns the time of this run, with that before resuming [s]."""
+        """Updates and returns the time of the run so far [s].
+
+        Time before the run was resumed counts too.
+        """
         self.wall_s = self.wall_before + time.monotonic() - self.began
         return self.wall_s
 
@@ -260,7 +263,7 @@ class Run:
         self._stop_if(name for name, value in row.items() if value != value)
 
     def _stop_if(self, broken: Iterable[str]) -> None:
-        """Raises FloatingPointError with the names of numbers that are NaN, if any."""
+        """Raises FloatingPointError if `broken` has names of numbers that are NaN."""
         names = ", ".join(broken)
         if names:
             raise FloatingPointError(

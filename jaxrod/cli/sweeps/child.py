@@ -26,7 +26,7 @@ def _follow() -> None:
 
 
 def main() -> int:
-    """Runs the command in the words of this process; returns its exit code."""
+    """Runs the jaxrod command in the words of this process; returns its exit code."""
     threading.Thread(target=_follow, daemon=True).start()
     try:
         from jaxrod import cli

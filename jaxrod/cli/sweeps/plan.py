@@ -40,7 +40,7 @@ class Planned(Protocol):
 
     @property
     def steps(self) -> int:
-        """Number of control steps."""
+        """Number of control steps of the run."""
 
     @property
     def config(self) -> dict[str, Any]:
@@ -82,7 +82,7 @@ class SweepRun:
     seed: int
     """Seed of all random numbers."""
     steps: int
-    """Number of control steps."""
+    """Number of control steps of the run."""
     chosen: Mapping[str, str]
     """Values of the settings that the sweep sets, as text, by name."""
     config: dict[str, Any]
@@ -239,7 +239,10 @@ def _meant(name: str, sets: Sequence[str], algorithms: Sequence[str]) -> list[st
 
 
 def _alternatives(defaults: Any, sets: Sequence[str]) -> dict[str, dict[str, None]]:
-    """Distinct values as text of every given setting, as ordered keys of a dict."""
+    """Distinct values as text, as ordered keys of a dict, by name of the setting.
+
+    `sets` has words NAME=VALUE,VALUE,... of the command line.
+    """
     values: dict[str, dict[str, None]] = {}
     for word in sets:
         setting, equals, text = word.partition("=")

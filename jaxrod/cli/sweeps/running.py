@@ -167,7 +167,11 @@ def train_here(
 
 
 class ThisMachine:
-    """This machine as a place for runs, each bound to an equal share of the cores."""
+    """This machine as a place for runs, each bound to an equal share of the cores.
+
+    Runs are not bound if there is one job, if there are fewer cores than jobs, or if
+    the system cannot bind processes.
+    """
 
     def __init__(self, jobs: int) -> None:
         """Divides the available cores among the jobs.
@@ -266,7 +270,10 @@ _STATES = ("done", "running", "stopped", "waiting", "failed")
 
 
 class RunsView:
-    """Prints a line when the state of a run changes and after every tenth of a run."""
+    """Prints a line when the state of a run changes and after every tenth of a run.
+
+    The states are waiting, running, done, failed and stopped.
+    """
 
     def __init__(self, runs: Sequence[Planned], stream: TextIO) -> None:
         """Marks all runs as waiting; prints nothing."""

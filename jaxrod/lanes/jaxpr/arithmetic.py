@@ -12,7 +12,10 @@ from jaxrod.lanes.jaxpr.unroll import NotUnrolled, Unroller, kind_of, rule
 
 @rule(*(name for name, operation in OPERATIONS.items() if operation.primitive))
 def same(unroller: Unroller, equation: Any, *arrays: Any) -> Any:
-    """Translates a primitive that is one operation of the graph, entry by entry."""
+    """Translates a primitive such as `add` to the operation of the same name.
+
+    It is applied entry by entry.
+    """
     name, kind = equation.primitive.name, kind_of(equation.outvars[0].aval)
     if kind[0] not in OPERATIONS[name].kinds:
         raise NotUnrolled(f"lanes have no '{name}' of numbers of type {DTYPES[kind]}")

@@ -108,7 +108,7 @@ def scattered(
 def _targets(
     equation: Any, shape: tuple[int, ...], known: Any, updates: Any
 ) -> list[int | None]:
-    """Returns the flat index that each update of a scatter changes.
+    """Returns the flat index of the entry that each update of a scatter changes.
 
     It is `None` for an update outside the array of shape `shape`, which is dropped.
     `known` has the indices of the scatter.

@@ -104,11 +104,17 @@ class Unroller:
         return self.graph.each(operation, kind, *arrays)
 
     def mapped(self, function: Callable[..., int], kind: str, *arrays: Any) -> Any:
-        """Returns the nodes of type `kind` that a function makes of nodes of arrays."""
+        """Returns the nodes that a function returns for the entries of arrays of nodes.
+
+        The arrays are broadcast; `kind` is the type of the results, such as `"f32"`.
+        """
         return self.graph.mapped(function, *arrays)
 
     def full(self, value: Any, shape: tuple[int, ...], kind: str) -> Any:
-        """Returns an array whose entries are all the node of one known number."""
+        """Returns an array whose entries are all the node of one known number.
+
+        `kind` is the type of the number, such as `"f32"`.
+        """
         return np.full(shape, self.graph.constant(value, kind), np.int64)
 
     def known(self, value: Any, aval: Any) -> Any:

@@ -46,7 +46,11 @@ def elementary_texts(needs: set[tuple[str, str, int]]) -> tuple[list[str], set[s
 
 
 def vector_name(operation: str, kind: str, width: int) -> str:
-    """Returns the name of the LLVM function of a vector; of one number for width 1."""
+    """Returns the name of an operation's LLVM function, such as `@exp_f32_8`.
+
+    `kind` is the type of the numbers, `width` the number of lanes. Names of functions
+    of single numbers (width 1) end in `_one`.
+    """
     return f"@{operation}_{kind}_{'one' if width == 1 else width}"
 
 
@@ -61,7 +65,10 @@ def _of_vector(operation: str, kind: str, width: int) -> tuple[str, set[str]]:
 
 
 def _needed_by(operation: str, kind: str) -> set[tuple[str, str]]:
-    """Returns the functions, by operation and type, that a vector function calls."""
+    """Returns operation and type of further vector functions that an operation needs.
+
+    tanh in float32 needs exp in float64; other functions need none.
+    """
     return {("exp", "f64")} if (operation, kind) == ("tanh", "f32") else set()
 
 
@@ -97,7 +104,7 @@ def lane_by_lane(operation: str, kind: str, width: int, name: str) -> str:
         operation: The operation.
         kind: Type of the numbers, such as `"f32"`.
         width: Lanes of the vector.
-        name: Beginning of the function's name.
+        name: Name of the operation in the function's name, see `vector_name`.
     """
     one, many = TYPES[kind], f"<{width} x {TYPES[kind]}>"
     given = ["%x", "%y"][: OPERATIONS[operation].operands]

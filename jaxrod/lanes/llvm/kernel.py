@@ -25,14 +25,15 @@ class Kernel:
     text: str
     """LLVM IR of the kernel."""
     n_operands: int
-    """Number of operands, including the counts."""
+    """Number of operands, including the first one, the array of counts."""
     n_results: int
-    """Number of results, including the workspace."""
+    """Number of results, including the last one, the workspace."""
     room: int
     """Size of the workspace [bytes], without the carries that the reverse pass
     recomputes between checkpoints."""
     kept: int
-    """Size of each carry that the reverse pass recomputes [bytes]; 0 without one."""
+    """Size of each carry that the reverse pass recomputes [bytes]; 0 in kernels of the
+    forward pass."""
     operations: int
     """Size of the program. Lanes: number of graph nodes, with inputs and constants.
     Rows: lines of LLVM IR that compute a value."""
@@ -136,7 +137,7 @@ def forward_loops(entry: str, given: str, marks: str = "") -> str:
     Args:
         entry: Label of the block before the loops.
         given: Arguments of `@step` before the two carries.
-        marks: LLVM IR that stores a checkpoint, if there are any.
+        marks: LLVM IR that stores a checkpoint; empty without checkpoints.
     """
     return f"""
 br label %segments

@@ -37,7 +37,7 @@ class Region:
     """Allocated size [bytes]."""
 
     def place(self, kind: str, count: int = 1) -> int:
-        """Allocates `count` numbers of a type, and returns their offset [bytes]."""
+        """Allocates `count` numbers of type `kind`; returns their offset [bytes]."""
         step = BYTES[kind] * self.lanes
         aligned = min(ALIGNMENT, max(step, 1))
         start = -(-self.size // aligned) * aligned
@@ -61,18 +61,21 @@ class Memory:
     nodes: dict[int, tuple[Region, int]] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        """Creates the empty regions of values shared by all rods and fixed for each."""
+        """Creates empty regions for values shared by all rods and those of each rod."""
         self.shared = Region("%shared", 1)
         self.own = Region("%own", self.width)
 
     def give(self, which: int, region: Region, kind: str, count: int) -> int:
-        """Allocates input array number `which`, and returns its offset [bytes]."""
+        """Allocates input array number `which` in a region; returns its offset [bytes].
+
+        The array has `count` numbers of type `kind`, such as `"f32"`.
+        """
         offset = region.place(kind, count)
         self.arrays[which] = region, offset
         return offset
 
     def keep(self, used: Sequence[int]) -> tuple[list[int], list[int]]:
-        """Allocates loop-invariant values that values of a higher rate need.
+        """Allocates loop-invariant values that values which change more often need.
 
         Such a value is the same for all rods, or fixed for each rod.
 
@@ -206,7 +209,7 @@ def _store(writer: Writer, name: str, kind: str, region: Region, offset: int) ->
 
 
 class KernelPlan:
-    """Memory and LLVM functions of a kernel with a rod in each lane, being written."""
+    """Kernel with a rod in each lane, under construction: memory and LLVM functions."""
 
     def __init__(self, step: Step, width: int) -> None:
         """Allocates memory for the constants of a step.
@@ -247,7 +250,8 @@ class KernelPlan:
     def pointers(self, start: int, **regions: Region) -> str:
         """Returns LLVM IR of pointers to regions that are consecutive in the workspace.
 
-        The first begins at byte `start`.
+        The keywords are the names of the pointers. The first region begins at byte
+        `start`.
         """
         lines = []
         for name, region in regions.items():
@@ -264,8 +268,9 @@ class KernelPlan:
     ) -> str:
         """Returns LLVM IR that loads operands into vectors with a rod in each lane.
 
-        `first` is the number of the first operand. `places` has the offset of each
-        array in the region [bytes].
+        Operand number `first` is the first of `arrays`. The vectors are stored in the
+        region with pointer `region`, those of each array at its offset in `places`
+        [bytes].
         """
         return "".join(
             self.transpose("fetch", entries, f"%in{first + i}", region, place)
@@ -277,8 +282,8 @@ class KernelPlan:
     ) -> str:
         """Returns LLVM IR that stores vectors as results with a row for each rod.
 
-        They are the first results. `places` has the offset of each array in the region
-        [bytes].
+        The results are `arrays`, numbered from 0. The vectors are read from the region
+        with pointer `region`, those of each array at its offset in `places` [bytes].
         """
         return "".join(
             self.transpose("bring", entries, f"%out{i}", region, place)
@@ -462,8 +467,10 @@ def goals_in(
 ) -> list[tuple[int, Region, int]]:
     """Returns the output nodes of arrays, each with its region and offset [bytes].
 
-    They are ordered by their relative position in the arrays, which is the position
-    along the rod. So values of neighbouring elements are computed close together.
+    `outputs` has the nodes of each array, `places` the offset of each array in
+    `region`. The nodes are ordered by their relative position in the arrays, which is
+    the position along the rod. So values of neighbouring elements are computed close
+    together.
     """
     ordered = []
     for nodes, entries, place in zip(outputs, arrays, places, strict=True):
@@ -476,7 +483,11 @@ def goals_in(
 
 
 def entry_text(n_operands: int, n_results: int) -> str:
-    """Returns LLVM IR that loads the counts, and the data pointers of all buffers."""
+    """Returns the LLVM lines that begin a kernel on a CPU.
+
+    They load the data pointers of all operands and results, and the counts of
+    `counts_text`.
+    """
     loads = [_pointer(f"%in{i}", "%operands", i) for i in range(n_operands)]
     loads += [_pointer(f"%out{i}", "%results", i) for i in range(n_results)]
     return "".join(loads) + counts_text()
@@ -498,7 +509,11 @@ def counts_text() -> str:
 
 
 def _pointer(name: str, array: str, index: int) -> str:
-    """Returns LLVM IR that loads the data pointer of one buffer of an XLA call."""
+    """Returns LLVM IR that loads the data pointer of one buffer of an XLA call.
+
+    `name` is the name of the pointer, `index` the number of the buffer in the list
+    `array` (`%operands` or `%results`).
+    """
     return (
         f"{name}b = getelementptr ptr, ptr {array}, i64 {index}\n"
         f"{name}c = load ptr, ptr {name}b\n"

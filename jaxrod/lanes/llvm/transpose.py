@@ -15,7 +15,7 @@ from jaxrod.lanes.llvm.vector_code import BYTES, TYPES
 def is_tiled(kind: str, count: int, width: int) -> bool:
     """Whether rows of `count` numbers are transposed by square tiles in registers.
 
-    A tile has `width` numbers of each of `width` rods.
+    A tile has `width` numbers, of type `kind`, of each of `width` rods.
     """
     return BYTES[kind] in (4, 8) and width > 1 and 2 * count >= width
 
@@ -23,8 +23,8 @@ def is_tiled(kind: str, count: int, width: int) -> bool:
 def room_for(kind: str, count: int, width: int) -> int:
     """Returns the number of vectors in a block for rows of `count` numbers.
 
-    There is one vector per number, which holds that number of `width` rods. For rows
-    that are moved by tiles it is rounded up to a multiple of `width`.
+    There is one vector per number, which holds that number, of type `kind`, of `width`
+    rods. For rows that are moved by tiles it is rounded up to a multiple of `width`.
     """
     return -(-count // width) * width if is_tiled(kind, count, width) else count
 
@@ -185,6 +185,8 @@ def _turned_over(
     lines: list[str], names: list[str], many: str, width: int
 ) -> list[str]:
     """Appends lines that transpose a square tile of vectors, in log2(width) rounds.
+
+    `names` are the vectors, one for each row of the tile, of the LLVM type `many`.
 
     Returns:
         The names of the transposed vectors.

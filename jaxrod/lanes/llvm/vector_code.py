@@ -77,7 +77,7 @@ class Writer:
         self.declared: set[str] = set()
 
     def type(self, kind: str) -> str:
-        """Returns the LLVM type of values of a number type: a vector, or one number."""
+        """Returns the LLVM type of a vector, or of one number, of type `kind`."""
         one = TYPES[kind]
         return one if self.width == 1 else f"<{self.width} x {one}>"
 
@@ -88,7 +88,7 @@ class Writer:
         return name
 
     def literal(self, value: Any, kind: str) -> str:
-        """Returns a known number as LLVM text, repeated in every lane."""
+        """Returns a number of type `kind` as LLVM text, repeated in every lane."""
         text = literal(value, kind)
         if self.width == 1:
             return text
@@ -96,7 +96,10 @@ class Writer:
         return "<" + ", ".join([entry] * self.width) + ">"
 
     def spread(self, name: str, kind: str) -> str:
-        """Appends lines that copy a number to every lane; returns the vector's name."""
+        """Appends lines that copy a number to every lane; returns the vector's name.
+
+        `name` is the name of the number, `kind` its type, such as `"f32"`.
+        """
         if self.width == 1:
             return name
         one, many = TYPES[kind], self.type(kind)
@@ -189,6 +192,8 @@ class Writer:
     def _divide(self, operation: str, names: list[str], kind: str) -> str:
         """Appends an integer division or remainder with XLA's results in special cases.
 
+        `names` are dividend and divisor, integers of type `kind`.
+
         By zero, the quotient is -1 and the remainder is the dividend. The most negative
         number divided by -1 is itself.
         """
@@ -213,6 +218,8 @@ class Writer:
 
     def _shift(self, operation: str, names: list[str], kind: str) -> str:
         """Appends a shift of bits.
+
+        `names` are the shifted integer and the number of bits, of type `kind`.
 
         A shift by the number of bits or more gives zero; an arithmetic shift to the
         right then gives the sign bit everywhere.
@@ -250,6 +257,7 @@ class Writer:
         """Appends the minimum or maximum of two numbers; NaN if one of them is NaN.
 
         `sources` are the nodes of the numbers, which tell whether they are constants.
+        `names` are their LLVM names, `kind` is their type.
         """
         many, (a, b) = self.type(kind), names
         if kind[0] != "f":
@@ -301,7 +309,7 @@ class Writer:
 
 
 def literal(value: Any, kind: str) -> str:
-    """Returns a known number as LLVM text; floats in hexadecimal, exactly."""
+    """Returns a number of type `kind` as LLVM text; floats in hexadecimal, exactly."""
     if kind == "b1":
         return "true" if value else "false"
     if kind[0] == "f":

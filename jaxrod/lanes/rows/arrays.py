@@ -27,8 +27,8 @@ class Rows:
     loops: Dims
     """Axes along which a node has all numbers (loops), in ascending order."""
     nodes: np.ndarray
-    """Graph nodes by index, in an array of that shape but of length one along the
-    loops."""
+    """Graph nodes, in an array of the shape `shape`, but of length one along
+    `loops`."""
     kind: str
     """Type of the numbers, such as `"f32"`."""
 
@@ -52,7 +52,7 @@ class Layout:
     """Operations that slice, join and rearrange arrays of rows in one graph."""
 
     def __init__(self, graph: RowGraph) -> None:
-        """Creates the operations of a graph.
+        """Creates a layout, whose operations add nodes to a graph.
 
         Args:
             graph: Graph to which nodes are added.
@@ -60,19 +60,28 @@ class Layout:
         self.graph = graph
 
     def from_memory(self, node: int, shape: Dims, kind: str) -> Rows:
-        """Returns the array with the numbers of a stored node, in row-major order."""
+        """Returns the array with the numbers of a stored node, in row-major order.
+
+        `kind` is the type of the numbers, such as `"f32"`.
+        """
         base = self.graph.flat(node)
         loops = long_axes(shape)
         return self.views(base, shape, loops, kind)
 
     def full(self, node: int, shape: Dims, kind: str) -> Rows:
-        """Returns an array in which the number of one node is repeated."""
+        """Returns an array in which the number of one node is repeated.
+
+        `kind` is the type of the number, such as `"f32"`.
+        """
         loops = long_axes(shape)
         nodes = np.full(_unrolled(shape, loops), node, np.int64)
         return Rows(shape, loops, nodes, kind)
 
     def known(self, numbers: np.ndarray, kind: str) -> Rows:
-        """Returns an array of known numbers."""
+        """Returns an array of known numbers.
+
+        `kind` is the type of the numbers, such as `"f32"`.
+        """
         if numbers.size and (numbers == numbers.reshape(-1)[0]).all():
             node = self.graph.constant(numbers.reshape(-1)[0], kind)
             return self.full(node, numbers.shape, kind)
@@ -187,9 +196,9 @@ class Layout:
         return self.taken(array, shape, [0] * len(shape), moves)
 
     def mapped(self, function: Callable[..., int], kind: str, *arrays: Rows) -> Rows:
-        """Returns the nodes of type `kind` that a function makes of entries of arrays.
+        """Returns the nodes that a function returns for the entries of arrays.
 
-        The arrays are broadcast.
+        The arrays are broadcast; `kind` is the type of the results, such as `"f32"`.
         """
         same = self.aligned(*arrays)
         first = max(same, key=lambda array: len(array.shape))
@@ -381,11 +390,11 @@ class Layout:
         )
 
     def _with_margins(self, source: int, piece: Piece, dims: Dims, fill: int) -> int:
-        """Returns a row padded with at most two numbers at each end, as a view.
+        """Returns a row with at most two numbers of `fill` at each end, as a view.
 
-        `piece` is the position of the source in the padded row. All such rows with the
-        same source and fill are views of one stored row, with two numbers of fill at
-        each end.
+        `source` is the row without these numbers, and `piece` its position in the
+        result, which has the shape `dims`. All such rows with the same source and fill
+        are views of one stored row, with two numbers of fill at each end.
         """
         (n,) = piece.dims
         wide = (n + 4,)
@@ -393,7 +402,7 @@ class Layout:
         return self.graph.view(whole, dims, 2 - piece.base, (1,))
 
     def _flat(self, array: Rows, lead: Dims) -> tuple[int, int]:
-        """Returns a stored node with the numbers of an array at leading indices `lead`.
+        """Returns a stored node with the numbers of `array[lead]`, in row-major order.
 
         Returns:
             The stored node, and the flat index in it at which the numbers begin.
@@ -423,9 +432,10 @@ class Layout:
     def views(
         self, stored: tuple[int, int], shape: Dims, loops: Dims, kind: str
     ) -> Rows:
-        """Returns an array whose nodes are views of a stored node, in row-major order.
+        """Returns an array of shape `shape`, whose nodes are views of a stored node.
 
-        `stored` is the node, and the flat index in it at which the numbers begin.
+        `stored` is the node, and the flat index in it at which the numbers begin, in
+        row-major order. The axes `loops` are loops, the others are unrolled.
         """
         node, base = stored
         strides = row_major(shape)

@@ -29,7 +29,8 @@ from jaxrod.lanes.run_spec import Ends, LoopBody, RunSpec, adjoint_body
 ALIGNMENT = 64
 """Alignment of regions and of stored nodes [bytes]."""
 GIVEN = "ptr %scratch, ptr %fixed"
-"""LLVM text of the first arguments of `@step` and `@adjoint`."""
+"""LLVM text of the first arguments of `@step` and `@adjoint`: pointers to scratch
+memory, and to values that all steps share."""
 MOST_LINES = 400_000
 """Largest number of LLVM lines of a kernel; a longer program is refused."""
 
@@ -47,7 +48,7 @@ class Storage:
         self.pointer, self.alignment, self.size = pointer, alignment, 0
 
     def give(self, kind: str, count: int) -> Place:
-        """Allocates `count` numbers of a type, and returns their memory location."""
+        """Allocates `count` numbers of type `kind`; returns their location."""
         place = Place(self.pointer, self.size)
         size = max(count, 1) * BYTES[kind]
         self.size += -(-size // self.alignment) * self.alignment
@@ -65,13 +66,13 @@ class Reverse(NamedTuple):
     """Types of the cotangents: of the carry, then of the constants that have
     tangents."""
     n_seeds: int
-    """Number of cotangents of the carry. Those of constants are sums over the steps,
-    which begin at zero."""
+    """Number of seeds, the given cotangents of the carry after the last step.
+    Cotangents of constants are sums over the steps, which begin at zero."""
     before: Storage
-    """Region of the cotangents that the reversed step reads."""
+    """Region of the cotangents after the step, which the reversed step reads."""
     places: list[Place]
-    """Locations of the cotangents in `before`; the offsets in the region that is
-    written are the same."""
+    """Locations of the cotangents in `before`. The cotangents before the step have the
+    same offsets, in another region."""
     step: list[Goal]
     """Nodes of the next carry, with the locations where they are written."""
     back: list[Goal]
@@ -80,7 +81,7 @@ class Reverse(NamedTuple):
 
 
 class RowPlan:
-    """Memory and LLVM functions of a kernel for scenes one by one, being written."""
+    """A kernel for scenes one by one, under construction: memory and LLVM functions."""
 
     alignment = ALIGNMENT
     """Alignment of arrays in memory [bytes]."""
@@ -110,7 +111,8 @@ class RowPlan:
         self.made = self.unroller.run(body.closed, self.inputs)
         self.scratch = 0
         self.lasting: dict[int, Place] = {}
-        """Locations of the joined nodes whose fill is written once for each scene."""
+        """Locations of nodes that are assembled from pieces (`joined`) with a constant
+        in the gaps, which is written once for each scene."""
         self.texts: list[str] = []
         self.declared: set[str] = {
             "declare i64 @llvm.smin.i64(i64, i64)",
@@ -231,7 +233,7 @@ class RowPlan:
         """Writes an LLVM function that computes nodes and stores them.
 
         They are the nodes of the goals, and those in `stored`, whose locations are
-        known.
+        known. `pointers` are the arguments of the function.
 
         Raises:
             NotUnrolled: The kernel is too long.
@@ -255,10 +257,10 @@ class RowPlan:
         return RowWriter(self.graph, schedule, vector_bytes())
 
     def lasting_place(self, node: int) -> Place:
-        """Returns the location of a joined node with constant fill.
+        """Returns the location of a node assembled from pieces with constant gaps.
 
-        It is allocated at the first call. The fill is written there once for each
-        scene.
+        It is allocated at the first call. The constant is written to the gaps once for
+        each scene.
         """
         place = self.lasting.get(node)
         if place is None:
@@ -269,13 +271,13 @@ class RowPlan:
     def lasting_fills(self) -> str:
         """Returns LLVM IR of the function `@fills`, called once for each scene.
 
-        It writes the fill of joined nodes whose fill is a constant.
+        It writes the constants in the gaps of nodes that are assembled from pieces.
         """
         body = "\n".join(["entry:", *self.fill_calls(""), "ret void"])
         return f"define internal void @fills(ptr %fixed) noinline {{\n{body}\n}}\n"
 
     def fill_calls(self, given: str) -> list[str]:
-        """Returns LLVM calls that write the fill of joined nodes.
+        """Returns LLVM calls that write constants to the gaps of assembled nodes.
 
         `given` is the LLVM text of the first arguments of each call.
         """
@@ -338,10 +340,10 @@ ret void
     def fetch(
         self, operand: int, aval: Any, place: Place, batched: bool, row: str = "%scene"
     ) -> str:
-        """Returns LLVM IR that copies one operand of the kernel to the workspace.
+        """Returns LLVM IR that copies operand number `operand` to the workspace.
 
-        `aval` is the type for one scene. If the operand is batched, `row` is the index
-        along its leading axis.
+        `aval` is its type for one scene, `place` the location of the copy. If the
+        operand is batched, `row` is the index along its leading axis.
         """
         size = math.prod(aval.shape) * BYTES[kind_of(aval)]
         mark = f"%f{operand}"
@@ -362,7 +364,8 @@ ret void
     ) -> str:
         """Returns LLVM IR that copies an array of the workspace to a row of a result.
 
-        The array has the type `aval`, and the offset of `place` in the region.
+        The array has the type `aval`, and the offset of `place` in the region with
+        pointer `region`. It becomes row `row` of result number `result`.
         """
         size = math.prod(aval.shape) * BYTES[kind_of(aval)]
         mark = f"%b{result}"
@@ -516,6 +519,8 @@ def next_carry(plan: RowPlan) -> list[Goal]:
 
 def _pointers(plan: RowPlan, **sizes: int) -> tuple[str, int]:
     """Returns LLVM IR of pointers to regions of given sizes that follow `%fixed`.
+
+    The keywords are the names of the pointers, their values the sizes [bytes].
 
     Returns:
         The text, and the size of the workspace up to the last region [bytes].

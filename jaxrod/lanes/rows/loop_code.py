@@ -41,7 +41,8 @@ class RowWriter(Writer):
         self.schedule, self.vector_bytes = schedule, vector_bytes
         self.count = 0
         self.numbers: dict[int, str] = {}
-        """Names of single numbers, by node; they can be used in all later loops."""
+        """LLVM names of single numbers, by node; they can be used in all later
+        loops."""
         self.spreads: dict[tuple[int, int], str] = {}
         """Names of vectors with one number in every lane, by node and width, in this
         loop."""
@@ -173,7 +174,8 @@ class RowWriter(Writer):
     def address(self, place: Place, base: int, strides: Dims, kind: str) -> str:
         """Appends the address of an array's entry in the first lane; returns its name.
 
-        The flat index is `base`, plus loop index times stride, summed over the loops.
+        The array is at `place` and has numbers of type `kind`. The flat index of the
+        entry is `base`, plus loop index times stride, summed over the loops.
         """
         size = BYTES[kind]
         at = self.new(
@@ -196,7 +198,7 @@ class RowWriter(Writer):
     def _load(self, place: Place, base: int, strides: Dims, kind: str) -> str:
         """Appends the load of a vector, outside all loops whose index it does not need.
 
-        The flat index is that of `address`.
+        Place, flat index and type are those of `address`.
 
         Returns:
             The name of the vector.
@@ -288,7 +290,10 @@ class RowWriter(Writer):
         return self._nest(number, loop)
 
     def _straight(self, loop: Loop) -> Lines:
-        """Returns the lines of all operations on single numbers in one level."""
+        """Returns the lines of all operations on single numbers in one level.
+
+        Levels are those of the schedule; `loop` has the operations.
+        """
         self.width, self.dims, self.indices = 1, (), []
         lines: Lines = []
         self.lines = lines
@@ -343,7 +348,10 @@ class RowWriter(Writer):
         return min(lanes, 1 << (loop.dims[-1].bit_length() - 1))
 
     def _nest(self, number: int, loop: Loop) -> Lines:
-        """Returns the lines of a loop over a row, and of the loops around it."""
+        """Returns the lines of a loop over a row, and of the loops around it.
+
+        `number` distinguishes its labels from those of other loops.
+        """
         graph, schedule = self.graph, self.schedule
         dims = self.dims = loop.dims
         depth = len(dims)
@@ -445,7 +453,10 @@ class RowWriter(Writer):
         ]
 
     def latch(self, mark: str) -> str:
-        """Returns the label of the last block in the body of a loop with reductions."""
+        """Returns the label of the last block in the body of a loop with reductions.
+
+        `mark` is the label of the loop.
+        """
         return mark
 
     def after_loop(self, before: str, after: str) -> str:
@@ -588,7 +599,8 @@ class RowWriter(Writer):
         """Replaces lanes that the previous vector contains too by the identity element.
 
         The last vector of a row overlaps with the one before if the width does not
-        divide the length of the row.
+        divide the length of the row. `value` is the name of the vector, `mark` the
+        label of the loop. Returns the name of the result.
         """
         many = f"<{self.width} x i64>"
         over = self.new(f"sub i64 %c_{mark}, %i_{mark}")
@@ -601,7 +613,10 @@ class RowWriter(Writer):
         return self._select([fresh, value, none], kind)
 
     def _combined(self, operation: str, a: str, b: str, kind: str) -> str:
-        """Appends the operation of a reduction on two values; returns the name."""
+        """Appends a reduction's operation on two values; returns the result's name.
+
+        `a` and `b` are the names of the values, `kind` is their type.
+        """
         if operation in ("min", "max"):
             return self._extreme(operation, (-1, -1), [a, b], kind)
         if kind[0] == "f":
@@ -644,7 +659,10 @@ class RowWriter(Writer):
         return value
 
     def _scatters(self, number: int, loop: Loop) -> Lines:
-        """Returns the lines of scatters with the same indices, number by number."""
+        """Returns the lines of scatters with the same indices, number by number.
+
+        `number` distinguishes the labels of their loop from those of other loops.
+        """
         graph, schedule = self.graph, self.schedule
         self.width, self.dims = 1, ()
         self.names, self.spreads, self.indices = {}, {}, []

@@ -63,9 +63,12 @@ class Recurrence:
 def recurrence(unroller: Any, scan: Scan, arrays: Sequence[Rows]) -> list[Rows] | None:
     """Returns the results of a `scan` that is compiled as one loop along rows.
 
+    `arrays` are the operands of the scan: constants, carry, rows.
+
     Returns:
-        The last carry, then the stacked results. `None` if a round does other things
-        than arithmetic on numbers or short vectors of one type and length.
+        The last carry, then the stacked results. `None` if there are fewer than two
+        rounds, or if a round does more than arithmetic on floats, or on short vectors
+        of floats, of one type and length.
     """
     body = scan.body
     avals = [*operand_types(body), *result_types(body)]
@@ -126,7 +129,7 @@ def _results(unroller: Any, made: Recurrence, arrays: Sequence[Rows]) -> list[Ro
 
 
 def _of_lane(layout: Any, array: Rows, lane: int, rows: int) -> int:
-    """Returns the node of vector entry `lane` of an operand of a scan.
+    """Returns the node of entry `lane` of the vectors in an operand of a scan.
 
     `rows` is 1 if the operand is scanned along its leading axis, otherwise 0.
     """
@@ -238,7 +241,8 @@ def write_recurrence(writer: Any, number: int, node: int) -> Lines:
 def _vector(writer: Any, nodes: Sequence[int], many: str) -> str:
     """Appends lines that load or assemble a vector; returns its name.
 
-    Its entries are the numbers of nodes at the index of the loop.
+    Its entries are the numbers of nodes at the index of the loop. `many` is its LLVM
+    type.
     """
     graph, kind = writer.graph, writer.graph.kinds[nodes[0]]
     if len(nodes) == 1:

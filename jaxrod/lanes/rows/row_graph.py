@@ -96,8 +96,9 @@ class RowGraph(Graph):
     ) -> int:
         """Returns the node of an operation that moves numbers, which may exist already.
 
-        `extra` has the parameters of the operation. The rate is by default the highest
-        of the arguments.
+        `dims` is the shape of its result, `kind` the type of the numbers, and `extra`
+        has the parameters of the operation. The rate of change is by default the
+        highest of the arguments.
         """
         key = (operation, arguments, kind, dims, extra)
         node = self._known.get(key)
@@ -113,14 +114,18 @@ class RowGraph(Graph):
     def array(self, which: int, size: int, kind: str, rate: int) -> int:
         """Returns the node of input array number `which`, a row of numbers in memory.
 
-        `rate` is its rate of change: `UNIFORM`, `FIXED` or `VARYING`.
+        `kind` is the type of its numbers, such as `"f32"`, and `rate` its rate of
+        change: `UNIFORM`, `FIXED` or `VARYING`.
         """
         node = self.place("input", (), kind, (size,), which, rate)
         self.places[node] = (which, 0)
         return node
 
     def known_array(self, numbers: np.ndarray, kind: str) -> int:
-        """Returns the node of an array of known numbers, a row in memory."""
+        """Returns the node of an array of known numbers, a row in memory.
+
+        `kind` is the type of the numbers, such as `"f32"`.
+        """
         flat = np.ascontiguousarray(numbers).reshape(-1)
         node = self.place("data", (), kind, (flat.size,), flat.tobytes(), 1)
         self.data[node] = flat
@@ -147,7 +152,7 @@ class RowGraph(Graph):
         Args:
             node: Any node.
             start: First index along each axis of the node.
-            moves: Motion of each axis of the result.
+            moves: Path of each axis of the result through the node.
             dims: Lengths of the axes of the result.
         """
         own = self.dims[node]
@@ -272,7 +277,10 @@ class RowGraph(Graph):
         return self.place("scatter", given, kind, (size,), extra)
 
     def iota(self, dims: Dims, axis: int, kind: str) -> int:
-        """Returns a node whose entries are their own index along an axis."""
+        """Returns a node whose entries are their own index along an axis.
+
+        `kind` is the type of the numbers, such as `"f32"`.
+        """
         return self.place("iota", (), kind, dims, axis, 0)
 
 
@@ -293,7 +301,10 @@ _IDENTITY = {
 
 
 def identity(operation: str, kind: str) -> object:
-    """Returns the identity element of an operation, such as 0 for `"add"`."""
+    """Returns the identity element of an operation on numbers of type `kind`.
+
+    It is 0 for `"add"` and 1 for `"mul"`.
+    """
     none = _IDENTITY[operation]
     if kind == "b1":
         return bool(none) if operation in ("and", "or", "xor") else operation == "min"

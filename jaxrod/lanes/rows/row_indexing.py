@@ -261,13 +261,13 @@ def _gathered(
 
 
 def _index_columns(unroller: RowUnroller, indices: Rows) -> list[Rows]:
-    """Returns the indices for each indexed axis, from the last axis of `indices`."""
+    """Splits `indices` along its last axis, into one array for each indexed axis."""
     last = len(indices.shape) - 1
     return [slice_at(unroller, indices, last, i) for i in range(indices.shape[last])]
 
 
 def _bounded(unroller: RowUnroller, column: Rows, room: int) -> tuple[Rows, Rows]:
-    """Returns indices clamped to 0 and `room`, and a mask: whether each was inside."""
+    """Returns indices clamped to 0 ... `room`, and a mask: whether each was inside."""
     kind = column.kind
     if kind not in ("i32", "i64", "u32"):
         raise NotUnrolled(f"rows have no indices of type {DTYPES[kind]}")
@@ -400,8 +400,9 @@ def _changed(
 ) -> Rows:
     """Combines a slice of an array, from known indices `start` on, with `new`.
 
-    The operation is that of a scatter, or `"set"`. Axes before `axis` are sliced
-    already.
+    `operation` is that of a scatter, such as `"add"`, or `"set"`. The function calls
+    itself for one axis after another: along the axes before `axis`, `array` has been
+    cut to the slice.
     """
     layout = unroller.layout
     if axis == len(array.shape):

@@ -110,7 +110,7 @@ operands, and returns the results as arrays of rows."""
 
 
 def row_rule(*names: str) -> Callable[[Rule], Rule]:
-    """Registers a function as the row rule of primitives (a decorator)."""
+    """Registers a function that translates primitives to rows (a decorator)."""
     return rule(*names, rules=ROW_RULES)
 
 
@@ -236,7 +236,10 @@ def counted(unroller: RowUnroller, equation: Any, *_: Any) -> Rows:
 def row_of_places(
     unroller: RowUnroller, shape: tuple[int, ...], axis: int, kind: str
 ) -> Rows:
-    """Returns an array of integers that are their own index along an axis."""
+    """Returns an array of integers that are their own index along an axis.
+
+    `kind` is the type of the numbers, such as `"f32"`.
+    """
     graph, loops = unroller.graph, long_axes(shape)
     dims = tuple(shape[a] for a in loops)
     nodes = np.empty([1 if a in loops else n for a, n in enumerate(shape)], np.int64)

@@ -18,8 +18,8 @@ from jaxrod.lanes.llvm.vector_code import BYTES
 from jaxrod.lanes.rows.row_graph import Dims, Piece, RowGraph
 
 STORED = frozenset({"joined", "scatter", "recurrence", "reduce", "input", "data"})
-"""Operations whose results are arrays in memory, not values in a loop over their own
-entries."""
+"""Operations whose results are arrays in memory. The results of other operations are
+values within the loop that computes them."""
 ALIGNMENT = 64
 """Default alignment of stored nodes [bytes]."""
 
@@ -36,7 +36,7 @@ class Place:
 
 @dataclass(frozen=True)
 class Goal:
-    """A node to be computed, and the part of an array where it is to be written."""
+    """A node to be computed, and the part of an array to which it is written."""
 
     node: int
     place: Place
@@ -47,7 +47,7 @@ class Goal:
 
 @dataclass(frozen=True)
 class Fill:
-    """Gaps of equal length and spacing between the pieces of a joined node.
+    """Gaps of equal length and spacing in a node that is assembled from pieces.
 
     One number, the fill, is written to every position of a gap.
     """
@@ -86,7 +86,10 @@ class Loop:
 
 
 class Schedule:
-    """Order of the loops that compute goals, and memory of the nodes they store."""
+    """Order of the loops that compute the required nodes (goals) of a graph of rows.
+
+    It also has the memory locations of the nodes that the loops store.
+    """
 
     def __init__(
         self,
@@ -105,8 +108,9 @@ class Schedule:
             ready: Memory locations of nodes that are stored already.
             stored: Nodes that are to be computed and stored; their locations are in
                 `ready` too.
-            lasting: Function that returns a location for a joined node whose fill is a
-                constant. The fill is written there once, not in every step.
+            lasting: Function that returns a location for a node that is assembled from
+                pieces, with a constant in the gaps. The constant is written there once,
+                not in every step.
             alignment: Alignment of the nodes that the loops store [bytes].
         """
         self.alignment = alignment
@@ -115,7 +119,8 @@ class Schedule:
         self.places: dict[int, Place] = {}
         """Memory locations of the nodes that the loops store."""
         self.fills: dict[int, list[Fill]] = {}
-        """Gaps between pieces to be filled, by level."""
+        """Gaps in nodes that are assembled from pieces, by the level at which they are
+        filled."""
         self._lasting = lasting
         self.size = 0
         """Memory for all nodes that the loops store [bytes]."""
@@ -144,7 +149,10 @@ class Schedule:
         return self.ready.get(node) or self.places.get(node)
 
     def is_ready(self, node: int) -> bool:
-        """Whether a node is stored, a constant or an index, before the first loop."""
+        """Whether a node is available before the first loop.
+
+        It is if it is stored already, or is a constant or an index.
+        """
         if node in self.fresh:
             return False
         return node in self.ready or self.graph.operations[node] in (
@@ -211,8 +219,8 @@ class Schedule:
     def _beside(self, node: int, dims: Dims, mask: int | None = None) -> int:
         """Returns the first level at which a loop can use a node, entry by entry.
 
-        `dims` and `mask` are the shape and the mask of that loop. In the loop that
-        computes the node, it is the node's own level.
+        `dims` and `mask` are the shape and the mask of that loop. If the same loop can
+        compute the node, it is the level of the node; otherwise it is a later one.
         """
         graph = self.graph
         if self.is_ready(node):
@@ -370,7 +378,7 @@ class Schedule:
     def _allocate(self) -> None:
         """Allocates memory for nodes that loops store.
 
-        Memory of a node is reused after its last read.
+        The memory of a node is used again for others after the last loop that reads it.
         """
         graph = self.graph
         begins: dict[int, list[int]] = {}
@@ -460,7 +468,7 @@ def operation_is_read(graph: RowGraph, node: int) -> bool:
 
 
 def fills_of(graph: RowGraph, node: int) -> list[Fill]:
-    """Returns the gaps between the pieces of a joined node, grouped by length."""
+    """Returns the gaps in a node that is assembled from pieces, grouped by length."""
     free = np.ones(math.prod(graph.dims[node]), bool)
     for piece in graph.extras[node]:
         free[piece.places()] = False

@@ -55,8 +55,8 @@ These two and `_ROUND` were measured on an H100 (docs/performance.md). They deci
 between a kernel and XLA, so only their ratios matter.
 """
 _BLOCKS, _RESIDENT = 32, 8
-"""Largest number of thread blocks per multiprocessor: of kernels without memory in the
-workspace, and of others."""
+"""Largest number of thread blocks per multiprocessor: for kernels whose warps need no
+memory in the workspace, and for others."""
 _RESERVED = 1024
 """Shared memory of a block that CUDA itself uses [bytes]."""
 _MAJOR, _MINOR, _PROCESSORS, _SHARED = 75, 76, 16, 97
@@ -96,7 +96,7 @@ class Launch:
     steps between checkpoints, or 0."""
 
     def shared(self, kernel: WarpKernel) -> int:
-        """Shared memory of a block for its warps [bytes]."""
+        """Shared memory of a block [bytes]; 0 if its warps use the workspace."""
         return self.warps * kernel.room if self.in_shared else 0
 
     def workspace(self, kernel: WarpKernel) -> int:

@@ -56,16 +56,17 @@ class WarpKernel:
     """Elementary functions that the kernel calls: operation, number type and lanes of
     each; 1 for single numbers."""
     n_operands: int
-    """Number of operands, including the counts."""
+    """Number of operands, including the first one, the array of counts."""
     n_results: int
-    """Number of results, including the workspace."""
+    """Number of results, including the last one, the workspace."""
     room: int
     """Memory of a warp, without the carries that it recomputes [bytes]."""
     uniform: int
     """Memory at the beginning of the workspace for values that all scenes share
     [bytes]."""
     kept: int
-    """Size of each carry that the reverse pass recomputes, in the workspace [bytes]."""
+    """Size of each carry that the reverse pass recomputes, in the workspace [bytes]; 0
+    in kernels of the forward pass."""
     operations: int
     """Number of LLVM lines that compute a value."""
     rounds: int
@@ -77,7 +78,7 @@ class WarpKernel:
 
 
 class WarpPlan(RowPlan):
-    """Memory and LLVM functions of a kernel being written; a warp runs each scene."""
+    """A kernel with a warp for each scene, under construction: memory and functions."""
 
     alignment = 16
     """Alignment of arrays in memory [bytes]. It is smaller than for rows, because
@@ -129,8 +130,8 @@ class WarpPlan(RowPlan):
     def _is_written_alike(self, node: int) -> bool:
         """Whether all warps may write a node to one address without waiting.
 
-        They store the same final number. But while a sum is accumulated in memory,
-        other numbers are there, so such sums are excluded.
+        Its value must be the same for all scenes. Sums that are accumulated in memory
+        are excluded, because the memory holds partial sums in the meantime.
         """
         graph = self.graph
         if graph.rates[node] >= FIXED or graph.operations[node] == "scatter":
@@ -148,13 +149,15 @@ class WarpPlan(RowPlan):
     ) -> None:
         """Writes an LLVM function that computes nodes and stores them.
 
+        Arguments as in `RowPlan.function`.
+
         Its first arguments are those of `given`, the last ones `pointers`.
         """
         whole = [*REGIONS[1:], *self._buffers_of(name), *pointers]
         super().function(name, goals, whole, stored)
 
     def writer(self, schedule: Schedule) -> RowWriter:
-        """Returns the writer of a function, and updates the kernel's cost estimates."""
+        """Returns the writer of a function; updates the plan's `rounds` and `work`."""
         self.rounds = max(self.rounds, sum(map(self._rounds, schedule.loops)))
         self.work = max(self.work, sum(map(_work, schedule.loops)))
         return WarpWriter(self.graph, schedule, 4)
@@ -227,7 +230,8 @@ class WarpPlan(RowPlan):
     def fetch_row(self, to: str, place: Place, source: str, aval: Any) -> str:
         """Returns LLVM IR that copies an array into a region of the warp's memory.
 
-        `to` points to the region, in which the array has the offset of `place`.
+        `source` points to the array, which has the type `aval`. `to` points to the
+        region, in which the copy has the offset of `place`.
         """
         at = f"{to}_{place.offset}"
         return (
@@ -238,7 +242,8 @@ class WarpPlan(RowPlan):
     def bring_row(self, to: str, region: str, place: Place, aval: Any) -> str:
         """Returns LLVM IR that copies an array out of a region of the warp's memory.
 
-        In the region, the array has the offset of `place`.
+        `region` points to the region, in which the array of type `aval` has the offset
+        of `place`. `to` points to the copy.
         """
         at = f"{to}_from"
         return (

@@ -101,13 +101,17 @@ class WarpWriter(RowWriter):
         ]
 
     def latch(self, mark: str) -> str:
-        """Returns the label of the last block in the body of a loop with reductions."""
+        """Returns the label of the last block in the body of a loop with reductions.
+
+        `mark` is the label of the loop.
+        """
         return f"{mark}_next"
 
     def after_loop(self, before: str, after: str) -> str:
-        """Returns the name of a reduction's total of one thread after its loop.
+        """Returns the name of one thread's total of a reduction, after its loop.
 
-        The loop is left at the beginning of a round, so it is the total `before`.
+        `before` and `after` are the names at the beginning and at the end of a round.
+        The loop is left at the beginning of a round, so the result is `before`.
         """
         del after
         return before
@@ -130,6 +134,8 @@ class WarpWriter(RowWriter):
 
     def _of_other_thread(self, value: str, kind: str, one: str, step: int) -> str:
         """Appends the exchange of a number with the thread of index `thread xor step`.
+
+        `one` is the LLVM type of the number `value`; `step` is a power of two.
 
         Returns:
             The name of that thread's number.
@@ -162,13 +168,19 @@ class WarpWriter(RowWriter):
         return self.new(f"call i32 @exchange(i64 %thread, i32 {number}, i32 {step})")
 
     def copy(self, to: str, source: str, count: int, kind: str) -> None:
-        """Appends a copy of numbers from memory to memory, shared among the threads."""
+        """Appends a copy of numbers from memory to memory, shared among the threads.
+
+        Arguments as in `RowWriter.copy`.
+        """
         size = BYTES[kind]
         self.lines.append(copy_call(to, source, count * size, size))
 
 
 def _claims(pointer: str) -> str:
-    """Returns LLVM attributes of a pointer: those to operands are `readonly`."""
+    """Returns the LLVM attributes of a pointer argument.
+
+    Pointers to operands are `noalias readonly`; others have none of these.
+    """
     return "noalias readonly " if pointer.startswith(READ_ONLY) else ""
 
 
