@@ -43,7 +43,7 @@ from jaxrod.geometry.vectors import Vec3
 from jaxrod.structure import pytree
 
 STRIBECK = 3.0
-"""Slip speed at which sticking friction fades, over the onset speed u_s [1]."""
+"""Slip speed at which sticking friction fades, divided by the onset speed u_s [1]."""
 _ALONG_THE_NORMAL = 1e-6
 """Sine of the angle between axis and normal below which the projection of the axis on
 the surface fades to zero [1]."""

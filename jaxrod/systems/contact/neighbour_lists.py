@@ -39,8 +39,8 @@ class NeighbourLists:
     """
 
     skin: Float[Array, ""]
-    """Gap between surfaces up to which elements are listed, over the largest radius
-    [1]."""
+    """Gap between surfaces up to which elements are listed, divided by the largest
+    radius of the rods [1]."""
     refresh_every: int = static(default=32)
     """Number of time steps between searches."""
     pairs: int | tuple[int, ...] | None = static(default=None)
@@ -96,7 +96,8 @@ class NeighbourRecord:
     missed: Float[Array, ""]
     """Largest shortage of entries in a list; positive if pairs were missed [1]."""
     moved: Float[Array, ""]
-    """Largest displacement of a node between two searches, over half the skin [1]."""
+    """Largest displacement of a node between two searches, divided by half the skin
+    [1]."""
     used: Float[Array, ""]
     """Largest number of entries that a list needed [1]."""
 

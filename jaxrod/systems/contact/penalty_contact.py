@@ -27,7 +27,8 @@ class PenaltyContact(Coupling):
     stiffness: Float[Array, ""]
     """Normal force per penetration: [N/m^2] if per length of contact, else [N/m]."""
     onset: Float[Array, ""]
-    """Width of the smooth onset of contact, over a radius or body size [1]."""
+    """Width of the smooth onset of contact, divided by a rod's radius or a body's size
+    [1]."""
     damping: Float[Array, ""] | None = None
     """Dashpot force per normal speed: [kg/(m s)] if per length, else [kg/s]."""
     friction: Float[Array, ""] | None = None
@@ -99,7 +100,8 @@ def check_members(members: tuple[str, ...]) -> None:
 
 
 ROUNDED = 1e-7
-"""Length e in the smoothed distance sqrt(d^2 + e^2), over the sum of the radii [1]."""
+"""Length e in the smoothed distance sqrt(d^2 + e^2), divided by the sum of both radii
+[1]."""
 
 
 @pytree

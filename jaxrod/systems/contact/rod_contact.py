@@ -53,7 +53,7 @@ from jaxrod.systems.sites.coupling import AllParts, AllSeen, TiedPair
 from jaxrod.validation import Numbers, check_count
 
 SPACING = 1 / 3
-"""Largest distance between neighbouring contact points over the radius [1]."""
+"""Largest distance between neighbouring contact points divided by the radius [1]."""
 
 
 @pytree
@@ -91,11 +91,16 @@ class RodContact(TouchingRods):
     has_contact_points: ClassVar[bool] = True
 
     def bounding_radii(self, a: int) -> Array:
-        """Larger of each element's radius and that at its first node [m]."""
+        """Larger of each element's radius and its first node's, in member `a` [m]."""
         return jnp.maximum(self.segments[a].first_radii, self.segments[a].radii)
 
     def allowed(self, a: int, b: int, own: Bounds, other: Bounds) -> Any:
-        """Mask of pairs on two rods or over pi radii apart on one; `None` for all."""
+        """Mask of the pairs of elements that may touch; `None` for all.
+
+        Elements of members `a` and `b` that differ, or of two rods, may touch. Elements
+        of one rod may with self-contact, if they reach farther apart along it than pi
+        radii.
+        """
         if a != b:
             return None
         one, two = own.elements, other.elements
@@ -108,14 +113,18 @@ class RodContact(TouchingRods):
         return may
 
     def in_rows(self, a: int, own: Elements, seen: AllSeen) -> ContactPoints:
-        """All contact points of member `a`, to be tested against segments."""
+        """All contact points of member `a`, in place of its elements `own`."""
         rubs = self.friction is not None
         return points_at(self.segments[a], seen[self.members[a]], spins=rubs)
 
     def on_list(
         self, a: int, own: Elements, other: Elements, there: Array
     ) -> tuple[ContactPoints, Elements, Array]:
-        """Points of listed elements along a leading axis, second elements, and mask."""
+        """Contact points of listed elements `own`, listed elements `other`, and mask.
+
+        All have a leading axis: over the points of an element for the first, of length
+        one for the others. The mask `there` is true for entries in use.
+        """
         points = points_on(row_vector(own), self.segments[a].per_element)
         return points, row_vector(other), row_vector(there)
 
@@ -156,7 +165,7 @@ class RodContact(TouchingRods):
     def pair_loads(
         self, own: ContactPoints, other: Elements, weights: Array
     ) -> tuple[SegmentLoads, SegmentLoads]:
-        """Loads of point-segment pairs: on the points, and on the segments."""
+        """Loads on points and on segments, for each pair of both, times `weights`."""
         closest, node = self.contact_pairs(own, other, weights)
         force, turns = pair_forces(closest, own, other, self.law)
         subtracted, others = pair_forces(node, own, other, self.law)
@@ -183,7 +192,11 @@ class RodContact(TouchingRods):
     def collected(
         self, own: ContactPoints, on_own: SegmentLoads, on_other: SegmentLoads
     ) -> tuple[SegmentLoads, SegmentLoads]:
-        """Loads on listed elements, summed over the loads on their contact points."""
+        """Loads on first and second elements of a list, summed over contact points.
+
+        `on_own` are the loads on the points `own`, and `on_other` those on second
+        elements. Both have a leading axis over the points of an element.
+        """
         force, turns = on_own.on_points, on_own.turning_points
         assert force is not None and own.fractions is not None
         nexts = vectors.scale(own.fractions, force)

@@ -32,7 +32,8 @@ from jaxrod.systems.sites.rows import gather, scatter_add, scatter_set
 from jaxrod.validation import is_traced
 
 _APART = 1e-3
-"""Largest initial distance of tied nodes, over the distance to the next node [1]."""
+"""Largest initial distance of tied nodes divided by the distance to the next node
+[1]."""
 
 
 @pytree
@@ -150,7 +151,7 @@ class Tie(Coupling):
         return Indices(np.concatenate([groups.values for groups in self.groups]))
 
     def violation(self, seen: AllSeen) -> Array:
-        """Largest distance of a tied node from its group's mean, over the radius."""
+        """Largest distance of tied nodes from their mean, divided by the radius [1]."""
         places, radii = [], []
         for points in self.points:
             own = seen[points.member]

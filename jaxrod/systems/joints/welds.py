@@ -282,7 +282,7 @@ class Attachment(Coupling):
         return sum_of_loads((self.bodies, Loads((x, y, z), couple)), seen=before)
 
     def violation(self, seen: AllSeen) -> Array:
-        """Largest distance of a node from its position on the body, over the radius."""
+        """Largest gap between node and attachment point divided by the radius [1]."""
         body, own = seen[self.bodies.member], seen[self.points.member]
         x, y, z = (gather(c, self.bodies.nodes) for c in body.motion.position)
         place = vectors.add((x, y, z), self._arms(body))

@@ -53,7 +53,10 @@ class Member(ABC):
     @property
     @abstractmethod
     def array_shape(self) -> tuple[int, ...]:
-        """Shape of one number per element or body; a longer one shows a batch."""
+        """Shape of an array with one number per element or body, of all rods.
+
+        More axes than a member of its kind has show a batch of systems.
+        """
 
     @property
     def effects(self) -> tuple[Effect, ...]:
@@ -93,13 +96,20 @@ class Member(ABC):
 
     @abstractmethod
     def check_state(self, name: str, state: Any, dtype: Any) -> None:
-        """Raises a TypeError or a ValueError if a state is not of this member."""
+        """Raises a TypeError or a ValueError if a state is not of this member.
+
+        Args: name: Name of the member, for messages. state: The state to check. dtype:
+        Floating-point dtype of the system, which the state must have.
+        """
 
     # The entry of a member in `System.members` is a scene, rigid bodies, or the member
     # itself. "Copy" below means a copy of this entry.
 
     def each(self, function: Callable[..., Any], *given: Any) -> Any:
-        """Applies a function to the member's entry in a system and other arguments."""
+        """Value of a function of the member's entry in the system and of `given`.
+
+        For equal rods it is mapped over the rods, by `jax.vmap`.
+        """
         return function(self, *given)
 
     def with_effect(self, effect: Effect) -> Any:
@@ -190,7 +200,7 @@ class Member(ABC):
         """Flags of numerical faults in a state: a pytree with an entry `flagged`."""
 
     def contact_forces(self, state: Any) -> list[Vec3]:
-        """Contact forces of fixed bodies on the nodes [N], one entry per effect."""
+        """Contact forces of fixed bodies on the nodes, one entry per contact [N]."""
         return []
 
     # Energies and momenta.

@@ -64,7 +64,7 @@ class MemberStepper(ABC):
         return motion
 
     def moved_as(self, motion: Any, seen: Motion) -> Any:
-        """Converts a motion that couplings have changed to the stepper's form."""
+        """Converts `seen`, a motion that couplings changed, to the stepper's form."""
         raise NotImplementedError(f"{type(self).__name__}: nodes cannot follow others")
 
     def pushed(self, motion: Any, impulses: Loads) -> Any:
@@ -108,7 +108,7 @@ class RodStepper(MemberStepper):
     """Constants of the rod; of equal rods, concatenated."""
 
     def each(self, function: Callable[..., Any], *given: Any) -> Any:
-        """Applies a function to each rod's stepper and its part of the arguments."""
+        """Value of a function of the stepper and `given`; `RodsStepper` maps over rods."""
         return function(self.verlet, *given)
 
     def enter(self, state: Any) -> Motion:
@@ -142,7 +142,7 @@ class RodStepper(MemberStepper):
         return Seen(self.parts, self.row(motion))
 
     def moved_as(self, motion: Motion, seen: Motion) -> Motion:
-        """Splits `seen`, a motion that couplings have changed, by rod."""
+        """Splits `seen`, a motion of all rods that couplings have changed, by rod."""
         changed: Motion = self.rows(seen)
         return changed
 
@@ -174,11 +174,11 @@ class RodStepper(MemberStepper):
         return self.each(one, motion, memory)
 
     def row(self, tree: Any) -> Any:
-        """Concatenates the nodes and elements of all rods; one rod is unchanged."""
+        """Returns `tree` unchanged; `RodsStepper` concatenates fields of its rods."""
         return tree
 
     def rows(self, tree: Any) -> Any:
-        """Splits fields in one flat array by rod, the inverse of `row`."""
+        """Returns `tree` unchanged; `RodsStepper` splits its fields by rod."""
         return tree
 
 

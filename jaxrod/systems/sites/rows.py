@@ -104,7 +104,7 @@ def _stretches(index: Indices) -> tuple[tuple[int, int, int], ...] | None:
 
 @functools.lru_cache(maxsize=256)
 def _same(index: Indices, size: int) -> np.ndarray:
-    """Mask `(indices, size)`: whether index i is the number j of an entry."""
+    """Mask `(indices, size)`: true at (i, j) where the index number i equals j."""
     return index.values[:, None] == np.arange(size)[None, :]
 
 
