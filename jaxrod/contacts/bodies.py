@@ -61,8 +61,8 @@ class Solid:
     volume: Float[Array, ""] | None = None
     """Volume [m^3]; `None` if it is not known."""
     gyration: Float[Array, "3"] | None = None
-    """Moments of inertia about the principal axes over the mass, at uniform density
-    [m^2]; `None` if they are not known."""
+    """Moments of inertia about the principal axes divided by the mass, at uniform
+    density [m^2]; `None` if they are not known."""
 
 
 def ends_along_z(half: Array) -> tuple[Array, Array]:

@@ -458,8 +458,8 @@ def contact(
             sliding friction with a ratio of 1.5, 2 or 2.8. With a ratio above 1,
             friction falls with speed once a rod slips faster than it creeps; this makes
             rods stick and slip [1].
-        onset: Width of the smooth onset of contact over the rod's radius [1]. The
-            force starts half a width before rod and body touch and is linear beyond
+        onset: Width of the smooth onset of contact, divided by the rod's radius [1].
+            The force starts half a width before rod and body touch and is linear beyond
             half a width of penetration.
         points_per_element: Contact points per element: 1 for the nodes alone, 2 for
             nodes and middles, and so on. Neighbouring points should be nearer to each

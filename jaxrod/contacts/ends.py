@@ -64,7 +64,7 @@ class Ends:
         return jnp.concatenate([rods[:, :1], rods[:, -1:]], axis=1).reshape(-1)
 
     def beside(self, field: Vec3) -> Vec3:
-        """Vector field at the point beside each end, from values at the points."""
+        """Vector field at the point beside each end, from values at contact points."""
 
         def one(component: Array) -> Array:
             rods = component.reshape(len(self.shares), 1, -1)
@@ -177,7 +177,7 @@ def ends_of(
     """
 
     def at_start(lengths: Array, radius: Array) -> tuple[Array, Array]:
-        """Rest length from the first end to the point beside it; nodal weights there."""
+        """Rest length from the first end to the point beside it; its nodal weights."""
         reach = jnp.maximum(lengths[0], jnp.minimum(radius, 0.5 * jnp.sum(lengths)))
         before = jnp.cumsum(lengths) - lengths
         passed = jnp.clip((reach - before) / lengths, 0, 1)

@@ -60,7 +60,7 @@ class Settled:
     state: Any
     """State at the end, with zero velocities."""
     converged: Bool[Array, ""]
-    """Whether loads balance in this state, to the tolerances."""
+    """Whether loads balance in `state`, to the tolerances."""
     steps: Int[Array, ""]
     """Number of steps taken."""
     force_residual: Float[Array, ""]

@@ -94,12 +94,12 @@ def scales_of(system: Assembly) -> Scales:
 class Linear:
     """A static problem, linearised about a configuration.
 
-    Unknowns are displacements over the scale of length, and rotations. Their rates are
-    called scaled rates.
+    Unknowns are displacements divided by the scale of length, and rotations. Their
+    rates are called scaled rates.
     """
 
     motions: Any
-    """The configuration."""
+    """Configuration about which the problem is linearised."""
     loads: Float[Array, " m"]
     """Loads out of balance on the scaled unknowns, forces times length [J]."""
     stiffness: Float[Array, "m m"]
@@ -130,7 +130,7 @@ class StaticProblem:
     # Methods for kernels take one argument, often a pair: a configuration, and rates.
 
     def allowed(self, given: tuple[Motions, Any]) -> Any:
-        """Part P r of rates r that constraints allow; `given` is a configuration and r."""
+        """Part P r of rates r that constraints allow; `given` is (configuration, r)."""
         motions, rates = given
 
         def held(own: Any) -> Any:
@@ -142,7 +142,7 @@ class StaticProblem:
     def momenta(self, given: tuple[Motions, Any]) -> Any:
         """Gradient, with respect to rates r, of the kinetic energy T(P r).
 
-        P r is the part of r that constraints allow; `given` is a configuration and r.
+        P r is the part of r that constraints allow; `given` is (configuration, r).
         """
         motions, rates = given
 

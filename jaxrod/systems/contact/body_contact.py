@@ -170,9 +170,9 @@ class BodyContact(PenaltyContact):
         """Contact forces and couples of one body on the rods, world frame.
 
         Returns:
-            Forces on the contact points, couples on the rod there, points on the
-            surface where the forces act, and forces at the points beside the ends (see
-            `Ends`).
+            Forces on the contact points, couples on the rod there (`None` without
+            friction), points on the surface where the forces act, and forces at the
+            points beside the ends (see `Ends`).
         """
         segments, ends = self._segments(), self._ends()
         distance, normal = body.surface(points.position)
@@ -360,9 +360,9 @@ def body_contact(
         friction: Coefficient of Coulomb friction [1].
         friction_drag: Largest friction per length and slip speed [kg/(m s)]; by default
             equal to `damping`.
-        onset: Width of the smooth onset of contact over the rod's radius [1].
-        points_per_element: Contact points per element; by default so many that they
-            are at most a radius apart.
+        onset: Width of the smooth onset of contact, divided by the rod's radius [1].
+        points_per_element: Contact points per element; by default so many that they are
+            at most a radius apart.
         touching: Length of rod that touches a body at a time, for `stable_dt`; by
             default all of it [m].
 

@@ -297,7 +297,7 @@ class CollisionPair:
             a: Group with the balls, at one moment.
             b: Group with the surfaces, at one moment.
             share: Weight of each ball [1].
-            onset: Width of the onset over the size of the smaller body [1].
+            onset: Width of the onset divided by the size of the smaller body [1].
             same: Whether both groups are the same; no body is tested against itself.
         """
         cloud, pose, other = a.cloud, a.pose, b.pose

@@ -344,7 +344,8 @@ def crossing_contact(
             `damping`.
         self_contact: Whether each rod also touches itself. Elements that are nearer to
             each other along the rod than pi times its radius do not touch.
-        onset: Width of the smooth onset of contact over the mean of the radii [1].
+        onset: Width of the smooth onset of contact, divided by the mean of the radii
+            [1].
         max_contacts: Rods that may cross one element at the same time, for `stable_dt`.
         lists: Lists of neighbours, from `neighbour_lists`; by default every step tests
             all pairs of elements.

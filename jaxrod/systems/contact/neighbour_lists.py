@@ -144,10 +144,11 @@ def neighbour_lists(
     entries that a state needs.
 
     Args:
-        refresh_every: Steps between searches: somewhat less than
-            `skin * radius / (2 * dt * speed)` with the speed of the fastest node.
-        skin: Gap between surfaces up to which elements are listed, over the largest
-            radius [1]. A larger skin makes lists longer and valid for more steps.
+        refresh_every: Steps between searches: somewhat less than `skin * radius / (2 *
+            dt * speed)` with the speed of the fastest node.
+        skin: Gap between surfaces up to which elements are listed, divided by the
+            largest radius [1]. A larger skin makes lists longer and valid for more
+            steps.
         pairs: Largest number of pairs of elements of two members (or of one) that may
             touch; by default somewhat more than 1.5 times the number in the state given
             to `make_system`.

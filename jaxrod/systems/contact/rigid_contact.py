@@ -267,8 +267,8 @@ def rigid_contact(
         friction: Coefficient of Coulomb friction [1].
         friction_drag: Largest friction per slip speed [kg/s]; by default equal to
             `damping`.
-        onset: Width of the smooth onset of contact over the size of the smaller body
-            (the radius of a sphere) [1].
+        onset: Width of the smooth onset of contact, divided by the size of the smaller
+            body (the radius of a sphere) [1].
         points: Contact points on the surfaces of members, by name, in the bodies'
             frames `(3, k)` [m]. Bodies from `jaxrod.shapes.signed_distance` need them.
         points_per_edge: Points on every edge of a box, corners included.

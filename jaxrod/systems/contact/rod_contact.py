@@ -273,7 +273,8 @@ def rod_contact(
             equal to `damping`.
         self_contact: Whether each rod also touches itself. Parts of a rod that are
             nearer to each other along it than pi times its radius do not touch.
-        onset: Width of the smooth onset of contact over the mean of the radii [1].
+        onset: Width of the smooth onset of contact, divided by the mean of the radii
+            [1].
         points_per_element: Contact points per element; by default so many that they are
             at most a third of a radius apart. Then the energy of crossing rods is the
             same to 3 % wherever they cross.

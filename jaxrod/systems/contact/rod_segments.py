@@ -403,7 +403,7 @@ def points_needed(coupling: str, name: str, own: Parts, spacing: float) -> int:
         coupling: Name of the coupling's factory, for the error message.
         name: Name of the member.
         own: Constants of the member.
-        spacing: Largest distance between neighbouring points over the radius [1].
+        spacing: Largest distance between neighbouring points divided by the radius [1].
 
     Raises:
         ValueError: If lengths or radii are traced.

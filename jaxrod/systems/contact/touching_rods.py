@@ -575,7 +575,7 @@ def rod_and_place(segments: RodSegments, node: int) -> tuple[int, Array]:
 
 
 def from_node(where: Along, place: Array) -> Array:
-    """Rest arc length along a rod from a node at `place` to elements; zero inside [m]."""
+    """Rest arc length along a rod from a node at `place` to elements; 0 inside [m]."""
     return jnp.maximum(jnp.maximum(where.starts - place, place - where.ends), 0)
 
 

@@ -103,7 +103,7 @@ class PoseSpring(Coupling):
         return rotation_log(multiply_quaternions(conjugate(q), here))
 
     def _pull(self, own: Seen) -> Vec3:
-        """Force on the point, k (x* - x) + c (v* - v), with x*, v* of the target [N]."""
+        """Force on the point, k (x* - x) + c (v* - v), with the target x*, v* [N]."""
         force = vectors.scale(self.stiffness, self._way(own))
         if self.damping is None:
             return force

@@ -113,11 +113,11 @@ class Member(ABC):
         return function(self, *given)
 
     def with_effect(self, effect: Effect) -> Any:
-        """Copy with one more effect, such as the damping of `settled`."""
+        """Copy of its entry in the system with one more effect, such as a damping."""
         raise NotImplementedError(f"{type(self).__name__} takes no effects")
 
     def in_own_type(self, name: str) -> Any:
-        """Copy with the numbers of effects converted to the member's dtype.
+        """Copy of its entry in the system, with effects in the member's dtype.
 
         Args:
             name: Name of the member, for messages.
@@ -128,7 +128,7 @@ class Member(ABC):
         return self
 
     def with_free_ends(self, free: Array) -> Any:
-        """Copy whose effects know which ends of its rods are free.
+        """Copy of its entry in the system whose effects know which ends are free.
 
         Args:
             free: Flags of the ends of its rods `(rods, 2)`: 1 if free, 0 otherwise.
@@ -143,11 +143,11 @@ class Member(ABC):
         return False
 
     def recalling(self, state: Any) -> Any:
-        """Copy whose effects have the memory that a state holds."""
+        """Copy of its entry in the system whose effects have the memory of a state."""
         return self
 
     def with_memory(self, state: Any) -> Any:
-        """The state with the initial memory of its effects, if it holds none."""
+        """Copy of the state with initial memory of effects, if the state holds none."""
         return state
 
     def memory(self, state: Any) -> Any:
@@ -157,7 +157,7 @@ class Member(ABC):
     # The state in the form that couplings read, and steps.
 
     def held(self, state: Any) -> Vec3 | None:
-        """Flags per node and world axis: 1 if a support holds it, else 0.
+        """Flags per node and world axis: 1 where a support holds the node, else 0.
 
         `None` means that no node is held.
         """

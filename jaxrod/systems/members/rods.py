@@ -50,7 +50,7 @@ class OneRod(Member):
         return effects
 
     def check(self, name: str) -> None:
-        """Raises a ValueError for wrong axes, or a method without steps in systems."""
+        """Raises a ValueError for wrong axes, or a method without steps in a system."""
         shape, axes = self.array_shape, (("elements",), ("rods", "elements"))
         check_axes(name, "rest lengths", shape, *axes)
         if not self.model.method.steps_in_systems:
@@ -106,7 +106,7 @@ class OneRod(Member):
         return self.each(lambda scene, own: scene.recalling(own), state)
 
     def with_memory(self, state: Any) -> Any:
-        """The state with the initial memory of the effects, if it holds none."""
+        """Copy of the state with initial memory of effects, if the state holds none."""
         if not self.remembers or state.memory is not None:
             return state
 
@@ -131,7 +131,7 @@ class OneRod(Member):
         return parts_of(self.model.rod)
 
     def held(self, state: Any) -> Vec3 | None:
-        """Flags per node and world axis: 1 if a support holds it, else 0.
+        """Flags per node and world axis: 1 where a support holds the node, else 0.
 
         `None` for a rod without effects.
         """

@@ -108,7 +108,7 @@ class RodStepper(MemberStepper):
     """Constants of the rod; of equal rods, concatenated."""
 
     def each(self, function: Callable[..., Any], *given: Any) -> Any:
-        """Value of a function of the stepper and `given`; `RodsStepper` maps over rods."""
+        """Value of a function of the stepper and `given`; `RodsStepper` maps it."""
         return function(self.verlet, *given)
 
     def enter(self, state: Any) -> Motion:
@@ -152,7 +152,11 @@ class RodStepper(MemberStepper):
         return replace(self, verlet=replace(self.verlet, scene=scene))
 
     def at(self, model: Any, memory: Any, clock: Clock) -> RodStepper:
-        """Copy with the schedules and memories of the scene evaluated at a time."""
+        """Copy with the schedules of a scene evaluated at a time.
+
+        The scene `model` has the schedules, `memory` is that of its effects, and
+        `clock` is the time.
+        """
         if not model.evolves:
             return self
 
@@ -234,6 +238,10 @@ class BodiesStepper(MemberStepper):
         return self.rigid.pushed(motion, impulses)
 
     def at(self, model: Any, memory: Any, clock: Clock) -> BodiesStepper:
-        """Copy with schedules of the bodies' effects evaluated at a time."""
+        """Copy with the schedules of effects evaluated at a time.
+
+        The bodies `model` have the schedules, and `clock` is the time. Bodies have no
+        memory.
+        """
         bodies = replace(self.rigid.bodies, effects=at_clock(model.effects, clock))
         return replace(self, rigid=replace(self.rigid, bodies=bodies))

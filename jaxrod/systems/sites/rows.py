@@ -112,7 +112,8 @@ def _same(index: Indices, size: int) -> np.ndarray:
 def _table(index: Indices, size: int) -> np.ndarray:
     """Table `(most, size)`: in column j the positions of the values added to entry j.
 
-    It is padded with the count of values, which is the position of an appended zero.
+    `most` is the largest number of values for one entry. Columns are padded with the
+    number of all values, which is the position of an appended zero.
     """
     counts = np.bincount(index.values, minlength=size)
     table = np.full((max(int(np.max(counts)), 1), size), len(index), np.int32)
