@@ -210,7 +210,7 @@ class Contact(Effect):
     def _energy_at(
         self, rod: Rod, position: Vec3, points: Points, bodies: list[Body]
     ) -> Array:
-        """Energy of the springs at one group of contact points [J]."""
+        """Energy of the springs of `bodies` at one group of contact points [J]."""
         radii = points.of_elements(rod.radii)
         place = points.of_nodes(position)
 
@@ -237,7 +237,7 @@ class Contact(Effect):
         points: Points,
         bodies: list[Body],
     ) -> Loads:
-        """Adds the loads on one group of contact points, couples in the world frame."""
+        """Adds loads of `bodies` on one group of points, couples in the world frame."""
         position = points.of_nodes(motion.position)
         velocity = points.of_nodes(motion.velocity)
         radii = points.of_elements(rod.radii)

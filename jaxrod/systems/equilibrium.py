@@ -123,7 +123,7 @@ class _SystemAtRest:
         )
 
     def moved(self, place: _SystemPlace, step: Float[Array, " m"]) -> Motions:
-        """Configuration after a step, to first order; strains change linearly."""
+        """Configuration after a step from `place`; strains change linearly."""
         return self.problem.moved_along_edges(place.linear, step, place.loose)
 
 

@@ -182,8 +182,8 @@ class StaticProblem:
         `given` is the pair of a configuration and this vector.
 
         Returns:
-            Loads out of balance, the allowed part of the rates, its momenta, and the
-            loads that it causes; all scaled.
+            Loads out of balance, the allowed part of the rates, the momenta of this
+            part, and the loads that it causes; all scaled.
         """
         motions, _ = given
         rates = self.rates(given)
@@ -243,7 +243,10 @@ class StaticProblem:
         return self.stepper.leave(self.placed((given[0], self.rates(given))))
 
     def accelerations_scaled(self, given: tuple[Motions, Array]) -> Array:
-        """Scaled accelerations after a second; `given`: configuration, scaled rates."""
+        """Accelerations, as scaled rates, after moving a second at given scaled rates.
+
+        `given` is the pair of a configuration and the scaled rates.
+        """
         moved = self.moved_after(given)
         return self.scaled(moved, self.accelerations(moved))
 
@@ -346,7 +349,7 @@ class StaticProblem:
         return ravel_pytree(found)[0]
 
     def scaled_momenta(self, motions: Motions, momenta: Any) -> Float[Array, " m"]:
-        """Converts a gradient by rates to the gradient by scaled rates."""
+        """Gradient by scaled rates, from `momenta`, the gradient by rates."""
         length = self.scales.length
         found = {
             name: (vectors.scale(length, moving), self._spins(motions, name, turning))
@@ -560,7 +563,7 @@ def _of_part(part: int, count: int, field: Vec3) -> Vec3:
 
 
 def _along(axis: int, like: Array) -> Vec3:
-    """Constant field of unit vectors along a world axis."""
+    """Constant field of unit vectors along a world axis, components shaped as `like`."""
     x, y, z = (jnp.full_like(like, k == axis) for k in range(3))
     return x, y, z
 

@@ -103,7 +103,7 @@ class System(Assembly, Model):
         return {**state, **changed}
 
     def check_run(self, state: Any, dt: ArrayLike, first: Array | None) -> Array:
-        """Checks the arguments of a run; returns `dt` [s] in the system's dtype."""
+        """Checks the state and the step of a run; returns `dt` [s] in its dtype."""
         check_system_state(self, state)
         return as_array("dt", dt, "s", positive=True, dtype=self.dtype)
 

@@ -181,7 +181,10 @@ def collision_bodies(
 
 
 def _standing(body: Body, balls: int, points_per_edge: int) -> CollisionBodies:
-    """Group of one fixed body, of infinite mass, in the frame of its principal axes."""
+    """Group of one fixed body, of infinite mass, in the frame of its principal axes.
+
+    `balls` is the number of balls along its axis.
+    """
     shape, centre = body, jnp.zeros(3)
     frame = directors(split_quaternion(jnp.asarray((1.0, 0.0, 0.0, 0.0))))
     if not body.is_half_space:

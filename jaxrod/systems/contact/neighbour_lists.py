@@ -48,10 +48,12 @@ class NeighbourLists:
     `None` to count them in the state given to `make_system`."""
     candidates: int | tuple[int, ...] | None = static(default=None)
     """Largest number of pairs near enough to compute their exact distance: one number
-    for all lists, or one for each; `None` to count them too."""
+    for all lists, or one for each; `None` to count them in the state given to
+    `make_system`."""
     cell_slots: int | None = static(default=None)
     """Largest number of elements in three neighbouring cells of the search grid; 0 for
-    no grid, so that all pairs are tested; `None` to count them too."""
+    no grid, so that all pairs are tested; `None` to count them in the state given to
+    `make_system`."""
 
     @property
     def is_sized(self) -> bool:

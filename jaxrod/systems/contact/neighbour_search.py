@@ -233,11 +233,12 @@ class CandidateList:
     running: Int[Array, "rows own"]
     """Cumulative number of candidates of each first element, over the rows."""
     until: Int[Array, " own"]
-    """Cumulative number of candidates in all rows, over the first elements."""
+    """Cumulative sum, over the first elements, of their candidates in all rows."""
     size: int = static()
     """Largest number of candidates that can be listed."""
     once: bool = static()
-    """Whether the lower of the two element indices comes first in a pair."""
+    """Whether both elements are of one member and each pair is listed once, the lower
+    index first."""
 
     @property
     def count(self) -> Array:

@@ -222,6 +222,7 @@ class RodContact(TouchingRods):
         A spring's change of length is the sum of the contributions of two rods. Its
         square is at most twice the sum of their squares. Slip has four contributions,
         from the velocities and spins of both rods, shared in proportion to inertia.
+        `own` and `every` are the constants of the rod's member and of all members.
         """
         assert own.linear_density is not None
         # Length that a node stands for, from its mass.
@@ -317,7 +318,11 @@ def rod_contact(
 
 
 def points_on(own: Elements, per_element: int) -> ContactPoints:
-    """Contact points of listed elements `(1, pairs)`, in arrays `(points, pairs)`."""
+    """Contact points of elements `own` `(1, pairs)`, in arrays `(points, pairs)`.
+
+    There are `per_element + 1` points on each element, both nodes included. The second
+    node counts only at the end of a rod.
+    """
     assert own.first_radii is not None and own.first_lengths is not None
     assert own.starts is not None and own.rest_lengths is not None
     assert own.last is not None and own.rods is not None

@@ -119,7 +119,7 @@ class Tie(Coupling):
         ]
 
     def _shared(self, seen: AllSeen, field: str, axis: int) -> Any:
-        """Common value of one component of a field, for each tied node by member.
+        """Common value of component `axis` of a field, for each tied node by member.
 
         It is the mean over the group, weighted by mass. If a support holds some of its
         nodes, it is the plain mean of these.

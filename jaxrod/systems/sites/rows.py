@@ -49,7 +49,7 @@ def gather(row: Array, index: Indices) -> Array:
 
 
 def scatter_set(row: Array, index: Indices, values: Array) -> Array:
-    """A row with new entries at the given indices, which must be distinct."""
+    """Copy of a row with `values` at the indices `index`, which must be distinct."""
     size = row.shape[0]
     if _stretches(index) is None and len(index) <= FEW:
         numbers = np.arange(size)
@@ -62,7 +62,7 @@ def scatter_set(row: Array, index: Indices, values: Array) -> Array:
 
 
 def scatter_add(values: Array, index: Indices, size: int) -> Array:
-    """A row of the given size with values summed at their indices (scatter-add)."""
+    """Row of `size` entries: at each index, the sum of its `values` (scatter-add)."""
     stretches = _stretches(index)
     if stretches is not None:
         zero = jnp.zeros((), values.dtype)

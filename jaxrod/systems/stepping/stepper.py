@@ -98,7 +98,8 @@ class SystemStepper:
     def _exchanged(self, before: Mapping[str, Seen], kicked: Motions) -> Motions:
         """Motions after the impulses that a kick causes between members.
 
-        Nodes attached to a body pass their impulses on to it.
+        Nodes attached to a body pass their impulses on to it. `before` describes the
+        members before the kick, and `kicked` are their motions after it.
         """
         impulses: dict[str, Loads] = {}
         after: dict[str, Seen] | None = None
