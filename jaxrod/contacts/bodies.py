@@ -114,7 +114,7 @@ class Body(ABC):
         """Signed distance [m], negative inside, and outward normal at each point."""
 
     def of_ends(self) -> Body:
-        """The body at the first and last contact point; itself but for `OneForEach`."""
+        """Body at the first and last point; the same body unless it is `OneForEach`."""
         return self
 
     @property

@@ -168,12 +168,12 @@ class StaticProblem:
         return jax.tree.map(lambda a, b: (a - b) / dt, kicked, still)
 
     def moved(self, given: tuple[Motions, Any]) -> Motions:
-        """Configuration after moving a second; `given` is a configuration and rates."""
+        """Configuration after a second at rates r; `given` is (configuration, r)."""
         one = jnp.ones((), self.system.dtype)
         return at_rest(self.stepper.drift(with_rates(*given), one))
 
     def accelerations_after(self, given: tuple[Motions, Any]) -> Any:
-        """Accelerations after moving a second; `given` is a configuration and rates."""
+        """Accelerations after a second at rates r; `given` is (configuration, r)."""
         return self.accelerations(self.moved(given))
 
     def column(self, given: tuple[Motions, Array]) -> tuple[Array, ...]:
@@ -224,9 +224,9 @@ class StaticProblem:
         return moved, jnp.concatenate(gaps)
 
     def placed(self, given: tuple[Motions, Any]) -> Motions:
-        """Configuration after moving a second, with ties and attachments exact.
+        """Configuration after a second at rates r, with ties and attachments exact.
 
-        `given` is the pair of a configuration and rates.
+        `given` is (configuration, r).
         """
         return at_rest(self.stepper.supported(self.moved(given)))
 
@@ -235,17 +235,17 @@ class StaticProblem:
         return self.placed(_still(self.stepper.enter(state)))
 
     def moved_after(self, given: tuple[Motions, Array]) -> Motions:
-        """Configuration after a second; `given`: a configuration and scaled rates."""
+        """Configuration after a second at scaled rates r; `given` is (start, r)."""
         return self.moved((given[0], self.rates(given)))
 
     def left_after(self, given: tuple[Motions, Array]) -> dict[str, Any]:
-        """State after moving a second; `given` is a configuration and scaled rates."""
+        """State after a second at scaled rates r; `given` is (configuration, r)."""
         return self.stepper.leave(self.placed((given[0], self.rates(given))))
 
     def accelerations_scaled(self, given: tuple[Motions, Array]) -> Array:
-        """Accelerations, as scaled rates, after moving a second at given scaled rates.
+        """Accelerations, as scaled rates, after a second at scaled rates r.
 
-        `given` is the pair of a configuration and the scaled rates.
+        `given` is (configuration, r).
         """
         moved = self.moved_after(given)
         return self.scaled(moved, self.accelerations(moved))
@@ -563,7 +563,7 @@ def _of_part(part: int, count: int, field: Vec3) -> Vec3:
 
 
 def _along(axis: int, like: Array) -> Vec3:
-    """Constant field of unit vectors along a world axis, components shaped as `like`."""
+    """Constant field of unit vectors along a world axis, with the shape of `like`."""
     x, y, z = (jnp.full_like(like, k == axis) for k in range(3))
     return x, y, z
 

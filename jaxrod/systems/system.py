@@ -103,7 +103,7 @@ class System(Assembly, Model):
         return {**state, **changed}
 
     def check_run(self, state: Any, dt: ArrayLike, first: Array | None) -> Array:
-        """Checks the state and the step of a run; returns `dt` [s] in its dtype."""
+        """Checks state and step of a run; returns `dt` [s] in the system's dtype."""
         check_system_state(self, state)
         return as_array("dt", dt, "s", positive=True, dtype=self.dtype)
 

@@ -70,11 +70,11 @@ class Products:
     start to the first's [m^2]."""
 
     def on_own(self, fraction: Array | float) -> Array:
-        """Fraction along the first segment nearest to the second at `fraction` [1]."""
+        """Fraction along segment 1 nearest to the point `fraction` of segment 2 [1]."""
         return jnp.clip((self.mixed * fraction - self.own_way) / self.own, 0, 1)
 
     def on_other(self, fraction: Array | float) -> Array:
-        """Fraction along the second segment nearest to the first at `fraction` [1]."""
+        """Fraction along segment 2 nearest to the point `fraction` of segment 1 [1]."""
         return jnp.clip((self.mixed * fraction + self.other_way) / self.other, 0, 1)
 
 
@@ -125,10 +125,11 @@ def products(way: Vec3, own: Vec3, other: Vec3) -> Products:
 def between(
     way: Vec3, own: Vec3, other: Vec3, at: tuple[Array | float, Array | float]
 ) -> Vec3:
-    """Vector `way + s own - t other` from the second segment to the first [m].
+    """Vector `way + s own - t other` between points of two segments [m].
 
-    `way` is the vector between their starts, `own` and `other` are the edges, and `at`
-    is (s, t), the fractions along the first and the second segment.
+    It leads from the second segment to the first. `way` is the vector between their
+    starts, `own` and `other` are the edges, and `at` is (s, t), the fractions along the
+    first and the second segment.
     """
     x, y, z = (
         w + at[0] * e - at[1] * f for w, e, f in zip(way, own, other, strict=True)

@@ -151,7 +151,10 @@ class Tie(Coupling):
         return Indices(np.concatenate([groups.values for groups in self.groups]))
 
     def violation(self, seen: AllSeen) -> Array:
-        """Largest distance of tied nodes from their mean, divided by the radius [1]."""
+        """Largest distance of a tied node from its group's mean, in rod radii [1].
+
+        The radius is the smallest of the tied rods.
+        """
         places, radii = [], []
         for points in self.points:
             own = seen[points.member]

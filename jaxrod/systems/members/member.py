@@ -55,7 +55,7 @@ class Member(ABC):
     def array_shape(self) -> tuple[int, ...]:
         """Shape of an array with one number per element or body, of all rods.
 
-        More axes than a member of its kind has show a batch of systems.
+        A system stores it; more axes show later that it has become a batch of systems.
         """
 
     @property
@@ -113,11 +113,11 @@ class Member(ABC):
         return function(self, *given)
 
     def with_effect(self, effect: Effect) -> Any:
-        """Copy of its entry in the system with one more effect, such as a damping."""
+        """Copy of the member's entry in the system with one more effect."""
         raise NotImplementedError(f"{type(self).__name__} takes no effects")
 
     def in_own_type(self, name: str) -> Any:
-        """Copy of its entry in the system, with effects in the member's dtype.
+        """Copy of the member's entry in the system, with effects in its dtype.
 
         Args:
             name: Name of the member, for messages.
@@ -128,7 +128,7 @@ class Member(ABC):
         return self
 
     def with_free_ends(self, free: Array) -> Any:
-        """Copy of its entry in the system whose effects know which ends are free.
+        """Copy of the member's entry whose effects know which ends are free.
 
         Args:
             free: Flags of the ends of its rods `(rods, 2)`: 1 if free, 0 otherwise.
@@ -143,7 +143,7 @@ class Member(ABC):
         return False
 
     def recalling(self, state: Any) -> Any:
-        """Copy of its entry in the system whose effects have the memory of a state."""
+        """Copy of the member's entry whose effects have the memory of a state."""
         return self
 
     def with_memory(self, state: Any) -> Any:

@@ -115,7 +115,7 @@ class RigidStepper:
 
     @staticmethod
     def create(bodies: Any, carried: Carried | None, dt: Array) -> RigidStepper:
-        """Computes the constants for steps of `dt` [s]; `carried` may be `None`."""
+        """Computes constants for steps of `dt` [s] and `carried` masses (or `None`)."""
         parts = bodies.parts()
         mass, centre, inertia, inverse = bodies.masses, None, None, None
         if carried is not None:

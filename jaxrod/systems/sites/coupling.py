@@ -145,7 +145,7 @@ class Coupling:
         raise NotImplementedError(f"{type(self).__name__} has no search")
 
     def moved(self, seen: AllSeen) -> Array:
-        """Largest displacement of a node since the search, as a share of the limit [1].
+        """Largest displacement of a node since the search, divided by the limit [1].
 
         Above one, the results of the search may be out of date.
         """

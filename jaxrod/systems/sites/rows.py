@@ -62,7 +62,7 @@ def scatter_set(row: Array, index: Indices, values: Array) -> Array:
 
 
 def scatter_add(values: Array, index: Indices, size: int) -> Array:
-    """Row of `size` entries: at each index, the sum of its `values` (scatter-add)."""
+    """Row of `size` zeros plus `values`, each added at its `index` (scatter-add)."""
     stretches = _stretches(index)
     if stretches is not None:
         zero = jnp.zeros((), values.dtype)
