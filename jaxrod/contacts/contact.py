@@ -323,7 +323,7 @@ class Contact(Effect):
         return lambda distance: depth_from_onset(radii - distance, self.onset * radii)
 
     def _density(self, radii: Array, distance: Array) -> Array:
-        """Spring energy per length, at a distance of the axis from the body [J/m]."""
+        """Spring energy per length at a rod axis's `distance` from a body [J/m]."""
         return energy_density(radii - distance, self.onset * radii, self.stiffness)
 
     def _friction(

@@ -211,7 +211,7 @@ class BodyContact(PenaltyContact):
         return lambda distance: depth_from_onset(radii - distance, self.onset * radii)
 
     def _density(self, radii: Array, distance: Array) -> Array:
-        """Spring energy per length, at a distance of the axis from the body [J/m]."""
+        """Spring energy per length at a rod axis's `distance` from a body [J/m]."""
         return self.law.energy(radii - distance, self.onset * radii)
 
     def energy(self, seen: AllSeen) -> Array:

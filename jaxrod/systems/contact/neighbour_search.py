@@ -75,10 +75,11 @@ class Rows:
     """
 
     begin: Int[Array, "stretches own"]
-    """Start of each stretch (run of elements to test) in `order`, for each first
+    """Start of each stretch (consecutive elements to test) in `order`, for each first
     element."""
     held: Int[Array, "stretches own"]
-    """Number of second elements in each stretch of `order`, for each first element."""
+    """Number of second elements in each stretch (consecutive elements to test) of
+    `order`, for each first element."""
     order: Int[Array, " other"]
     """Indices of the second elements, sorted by cell if there are cells."""
     wide: Int[Array, ""]

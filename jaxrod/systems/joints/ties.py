@@ -41,9 +41,9 @@ class Tie(Coupling):
     """Groups of nodes; all nodes of a group move as one. See `tie`."""
 
     points: tuple[Points, ...]
-    """Tied nodes, one entry for each member."""
+    """Tied nodes; one entry for each member."""
     groups: tuple[Indices, ...] = static()
-    """Index of the group of each tied node, one entry for each member."""
+    """Index of the group of each tied node; one array for each member."""
     n_groups: int = static(default=1)
     """Number of groups of nodes that are tied together."""
 
