@@ -39,7 +39,10 @@ def equal_rods(n_elements: int, each: Mapping[str, Any], **rod: Any) -> Made:
 
 
 def rods_along(curves: Sequence[np.ndarray], **rod: Any) -> Made:
-    """Rods of `n` elements along curves `(3, n + 1)` [m], stacked on a leading axis."""
+    """Rods of `n` elements along curves `(3, n + 1)` [m], stacked on a leading axis.
+
+    Further arguments are those of `rod_along`.
+    """
     made = [rod_along(curve, **rod) for curve in curves]
     stacked: Made = jax.tree.map(lambda *leaves: jnp.stack(leaves), *made)
     return stacked

@@ -15,7 +15,8 @@ from jaxrod.systems.system import System, make_system
 from jaxrod.validation import Numbers, as_array, check_count, numeric
 
 TOUCHING = 1.05
-"""Distance of rods over the sum of their radii up to which they are glued [1]."""
+"""Distance of rods divided by the sum of their radii, up to which they are glued
+[1]."""
 
 
 def hexagonal_places(rings: int, spacing: float) -> np.ndarray:

@@ -125,7 +125,10 @@ def braid(
 
 
 def _pins(strands: int, n_elements: int, parts: int, state: dict[str, Any]) -> Any:
-    """Ties that pin the strands together where they cross between the discs."""
+    """Ties that pin the strands together where they cross between the discs.
+
+    Strands cross at nodes `n_elements // parts` elements apart.
+    """
     per = n_elements // parts
     first, second = [], []
     left, right = (np.asarray(state[name].positions) for name in ("left", "right"))

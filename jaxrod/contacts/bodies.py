@@ -61,8 +61,8 @@ class Solid:
     volume: Float[Array, ""] | None = None
     """Volume [m^3]; `None` if it is not known."""
     gyration: Float[Array, "3"] | None = None
-    """Moments of inertia about the principal axes over the mass, at uniform density
-    [m^2]; `None` if they are not known."""
+    """Moments of inertia about the principal axes divided by the mass, at uniform
+    density [m^2]; `None` if they are not known."""
 
 
 def ends_along_z(half: Array) -> tuple[Array, Array]:
@@ -89,7 +89,7 @@ def pose_of_axis(start: Array, end: Array) -> tuple[Array, Array, Array]:
 
 
 _ROUNDED = 1e-6
-"""Smoothing length d in sqrt(x^2 + d^2) for |x|, over a body's size [1]."""
+"""Smoothing length d in sqrt(x^2 + d^2) for |x|, divided by a body's size [1]."""
 
 
 class Body(ABC):
@@ -114,7 +114,7 @@ class Body(ABC):
         """Signed distance [m], negative inside, and outward normal at each point."""
 
     def of_ends(self) -> Body:
-        """Body for the first and last point; only `OneForEach` depends on points."""
+        """Body at the first and last point; the same body unless it is `OneForEach`."""
         return self
 
     @property
@@ -401,7 +401,7 @@ class Plane(Body):
         return jnp.full(self.normal.shape[:-1], jnp.inf, self.normal.dtype)
 
     def solid(self) -> Solid:
-        """Raises: a plane cannot be a moving body."""
+        """Raises a ValueError: a half space cannot be a moving body."""
         raise ValueError("a plane cannot be a moving rigid body: give it to `contact`")
 
 
@@ -550,7 +550,7 @@ def _corner(faces: tuple[Array, ...], size: Array) -> tuple[Array, tuple[Array, 
 
     Args:
         faces: Distance to each face, negative on its inner side [m].
-        size: Size of the body [m].
+        size: Size of the body, to which the margin for round-off is proportional [m].
     """
     beyond = [jnp.maximum(face, 0) for face in faces]
     squared = sum(b * b for b in beyond)

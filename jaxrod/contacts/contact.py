@@ -71,7 +71,7 @@ class Contact(Effect):
     stiffness: Float[Array, ""]
     """Force per length of rod and penetration [N/m^2]."""
     onset: Float[Array, ""]
-    """Width of the smooth onset of contact, over the rod's radius [1]."""
+    """Width of the smooth onset of contact, divided by the rod's radius [1]."""
     damping: Float[Array, ""] | None = None
     """Force per length of rod and normal speed [kg/(m s)]."""
     friction: Float[Array, ""] | Float[Array, "3"] | None = None
@@ -154,7 +154,7 @@ class Contact(Effect):
         return total
 
     def violation(self, rod: Rod, state: RodState) -> Array:
-        """Deepest penetration of a node over the radius [1].
+        """Deepest penetration of a node divided by the radius [1].
 
         It is one where the centreline reaches a surface. Contact of adequate stiffness
         never lets it get that deep.
@@ -210,7 +210,7 @@ class Contact(Effect):
     def _energy_at(
         self, rod: Rod, position: Vec3, points: Points, bodies: list[Body]
     ) -> Array:
-        """Energy of the springs at one group of contact points [J]."""
+        """Energy of the springs of `bodies` at one group of contact points [J]."""
         radii = points.of_elements(rod.radii)
         place = points.of_nodes(position)
 
@@ -237,7 +237,7 @@ class Contact(Effect):
         points: Points,
         bodies: list[Body],
     ) -> Loads:
-        """Adds the loads on one group of contact points, couples in the world frame."""
+        """Adds loads of `bodies` on one group of points, couples in the world frame."""
         position = points.of_nodes(motion.position)
         velocity = points.of_nodes(motion.velocity)
         radii = points.of_elements(rod.radii)
@@ -271,7 +271,10 @@ class Contact(Effect):
                 pressed = vectors.add(pressed, drag)
 
             def counted(lengths: Array, at: Callable[[Array], Array]) -> _Pushed:
-                """Forces and friction couples of the given lengths of rod."""
+                """Forces and friction couples on lengths of rod.
+
+                `at` takes the values at their points from a field on all points.
+                """
                 force = vectors.scale(lengths, _each(at, pressed))
                 if drag is None or arm is None:
                     return _Pushed(force, None)
@@ -311,17 +314,26 @@ class Contact(Effect):
         return Loads(forces, accumulate((x, y, z), loads.couples))
 
     def _depth(self, radii: Array) -> Callable[[Array], Array]:
-        """Function from distance to positive penetration [m], for `Ends.counted`."""
+        """Function from the distance d of the centreline to r - d + w/2 [m].
+
+        r is an entry of `radii`, and w the width of the onset. Without contact the
+        value is w, because `Ends.counted` needs positive ones. It is a function because
+        `Ends` differentiates lengths with respect to distances.
+        """
         return lambda distance: depth_from_onset(radii - distance, self.onset * radii)
 
     def _density(self, radii: Array, distance: Array) -> Array:
-        """Spring energy per length of rod at a distance from the surface [J/m]."""
+        """Spring energy per length at a rod axis's `distance` from a body [J/m]."""
         return energy_density(radii - distance, self.onset * radii, self.stiffness)
 
     def _friction(
         self, push: Array, slip: Vec3, normal: Vec3, axis: Vec3 | None
     ) -> Vec3:
-        """Friction force per length [N/m], at a slip velocity and a normal force."""
+        """Friction force per length [N/m], at a slip velocity and a normal force.
+
+        `push` is the normal force per length. `axis` is d3 for directional friction,
+        and `None` for isotropic friction.
+        """
         assert self.friction is not None and self.friction_drag is not None
         if axis is None:
             return friction_force(push, slip, self.friction, self.friction_drag)
@@ -360,7 +372,11 @@ def _each(change: Callable[[Array], Array], vector: Vec3) -> Vec3:
 
 
 def _lengths_in_bounds(points: list[Points]) -> tuple[Array, Array, Array]:
-    """Contact lengths in bounds: of nodes' stiffness and drag, elements' drag [m]."""
+    """Lengths that bound stiffness and drag of nodes, and drag of elements [m].
+
+    Each bound is a length times the stiffness or drag per length. `points` are the
+    groups of contact points.
+    """
     stiff, slow, turning = [], [], []
     for some in points:
         bound = longest = some.lengths
@@ -442,8 +458,8 @@ def contact(
             sliding friction with a ratio of 1.5, 2 or 2.8. With a ratio above 1,
             friction falls with speed once a rod slips faster than it creeps; this makes
             rods stick and slip [1].
-        onset: Width of the smooth onset of contact over the rod's radius [1]. The
-            force starts half a width before rod and body touch and is linear beyond
+        onset: Width of the smooth onset of contact, divided by the rod's radius [1].
+            The force starts half a width before rod and body touch and is linear beyond
             half a width of penetration.
         points_per_element: Contact points per element: 1 for the nodes alone, 2 for
             nodes and middles, and so on. Neighbouring points should be nearer to each
@@ -501,7 +517,10 @@ def contact(
 def _or_none(
     name: str, value: Numbers, unit: str, shapes: Sequence[tuple[int, ...]] = ((),)
 ) -> Array | None:
-    """One or several numbers as an array, or `None` if they are known to be zero."""
+    """One or several numbers as an array, or `None` if they are known to be zero.
+
+    `name` and `unit` are for error messages; `shapes` are the allowed shapes.
+    """
     dtype = jnp.result_type(float)
     checked = check_array(name, value, shapes, unit, non_negative=True, dtype=dtype)
     known_zero = not is_traced(checked) and not np.any(checked)

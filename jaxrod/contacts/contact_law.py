@@ -43,7 +43,8 @@ from jaxrod.geometry.vectors import Vec3
 from jaxrod.structure import pytree
 
 STRIBECK = 3.0
-"""Slip speed at which sticking friction fades, over the onset speed u_s [1]."""
+"""Slip speed at which sticking friction fades, divided by the onset speed u_s, at which
+the drag of friction would reach its limit [1]."""
 _ALONG_THE_NORMAL = 1e-6
 """Sine of the angle between axis and normal below which the projection of the axis on
 the surface fades to zero [1]."""
@@ -82,7 +83,11 @@ def normal_force(
 
 
 def energy_density(depth: Array, width: Array, stiffness: Array) -> Array:
-    """Energy per length of the spring of `normal_force` [J/m]."""
+    """Energy per length of the spring of `normal_force` [J/m].
+
+    It is k (p^2/2 + w^2/24) at penetrations p beyond w/2, with the stiffness k and the
+    width w of the onset.
+    """
     touches, depth = _started(depth, width)
     over = depth - 0.5 * width
     full = 0.5 * over * over + width * width / 24
@@ -141,7 +146,7 @@ class PenaltyLaw:
         return energy_density(depth, width, self.stiffness)
 
     def spring(self, depth: Array, width: Array) -> Array:
-        """Normal force of the spring alone, without dashpot [N/m] or [N]."""
+        """Spring force at the penetration `depth`, with onset `width`: [N/m] or [N]."""
         return normal_force(depth, jnp.zeros_like(depth), width, self.stiffness)
 
     def forces(

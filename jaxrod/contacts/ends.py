@@ -35,8 +35,9 @@ from jaxrod.geometry.vectors import Vec3
 from jaxrod.structure import pytree
 
 MOST_RATIO = 1e6
-"""Upper bound of the ratio 3hm/2p [1]. Its fourth power is finite in single precision.
-At much smaller ratios already the side of the rod hardly counts."""
+"""Upper bound of the ratio 3hm/2p, with the spacing h of contact points, the slope m of
+the distance along the rod and the penetration p [1]. Its fourth power is finite in
+single precision. At much smaller ratios already the side of the rod hardly counts."""
 
 
 @pytree
@@ -63,7 +64,7 @@ class Ends:
         return jnp.concatenate([rods[:, :1], rods[:, -1:]], axis=1).reshape(-1)
 
     def beside(self, field: Vec3) -> Vec3:
-        """Vector field at the point beside each end, from values at the points."""
+        """Vector field at the point beside each end, from values at contact points."""
 
         def one(component: Array) -> Array:
             rods = component.reshape(len(self.shares), 1, -1)
@@ -133,7 +134,10 @@ class Ends:
         return counted, -by_own, -by_beside
 
     def longest(self) -> Array:
-        """Largest lengths that ends can stand for, scattered to contact points [m]."""
+        """Largest lengths that ends can stand for, scattered to contact points [m].
+
+        It is half the spacing, plus the diameter for free ends.
+        """
         return self.to_points(self.half_spacings + 2 * self.free * self.radii)
 
     def bound(self) -> Array:
@@ -173,7 +177,7 @@ def ends_of(
     """
 
     def at_start(lengths: Array, radius: Array) -> tuple[Array, Array]:
-        """Rest length to the point beside the first end; weights of nodes there."""
+        """Rest length from the first end to the point beside it; its nodal weights."""
         reach = jnp.maximum(lengths[0], jnp.minimum(radius, 0.5 * jnp.sum(lengths)))
         before = jnp.cumsum(lengths) - lengths
         passed = jnp.clip((reach - before) / lengths, 0, 1)

@@ -115,7 +115,7 @@ def near_contact(contact: Contact, rod: Rod, state: RodState, count: int) -> Con
 def _smallest(
     values: Float[Array, "bodies points"], count: int
 ) -> Int[Array, "count points"]:
-    """Indices of the smallest values at each point, the smallest first.
+    """Indices of the `count` smallest values at each point, the smallest first.
 
     They are searched one after another: for a few out of a dozen that is faster than
     sorting.

@@ -34,7 +34,7 @@ def system_potential_energy(system: Assembly, state: SystemState) -> Float[Array
 
 @pytree
 class _CouplingEnergy:
-    """Potential energy of all couplings of a system, as a method for `by_kernel`."""
+    """Potential energy of all couplings, as a pytree with a method for `by_kernel`."""
 
     system: Assembly
     """The system whose couplings are summed."""

@@ -45,13 +45,13 @@ from jaxrod.systems.stepping.changing import with_shortage
 from jaxrod.systems.stepping.stepper import Motions
 
 _SPARE = 16
-"""Largest size of a negative eigenvalue of a stable equilibrium, over the error of the
-stiffness matrix [1]."""
+"""Tolerance of the test for stability: negative eigenvalues of the stiffness matrix
+count as zero up to this multiple of the matrix's estimated error [1]."""
 
 
 @pytree
 class _SystemPlace:
-    """A configuration of a system, with its loads and its stiffness matrix there."""
+    """A configuration of a system, with the loads and the stiffness matrix at it."""
 
     linear: Linear
     """The static problem, linearised about the configuration."""
@@ -59,7 +59,8 @@ class _SystemPlace:
     """Stiffness matrix, with springs along constrained rates and loose motions that
     make it regular [J]."""
     loose: Float[Array, "modes m"]
-    """Loose motions, in scaled rates, which nothing resists; zeros in unused rows."""
+    """Motions that no load resists, in scaled rates, one per row; zeros in unused
+    rows."""
     driven: Bool[Array, ""]
     """Whether loads drive a loose motion: then they cannot balance."""
 
@@ -98,7 +99,10 @@ class _SystemAtRest:
 
     @property
     def element_lengths(self) -> Float[Array, " m"]:
-        """Factors from a scaled step to element lengths (nodes) and radians."""
+        """Factors that convert a scaled step to element lengths and radians [1].
+
+        Displacements become element lengths, rotations stay in radians.
+        """
         scales = self.problem.scales
         return jnp.where(self.displaced, scales.length / scales.element, 1)
 
@@ -119,7 +123,7 @@ class _SystemAtRest:
         )
 
     def moved(self, place: _SystemPlace, step: Float[Array, " m"]) -> Motions:
-        """Configuration after a step, to first order; strains change linearly."""
+        """Configuration after a step from `place`; strains change linearly."""
         return self.problem.moved_along_edges(place.linear, step, place.loose)
 
 
@@ -170,10 +174,11 @@ def system_equilibrium(
 
 @jax.custom_jvp
 def _last_correction(problem: StaticProblem, found: Motions, step: Array) -> Array:
-    """Correction, in scaled rates, that ends the search.
+    """Returns `step`, the correction that ends the search, in scaled rates.
 
-    It is the next step of Newton's method, too small to matter. Its derivative is that
-    of the exact equilibrium by the implicit function theorem: one linear solve.
+    It is the next step of Newton's method at the configuration `found`, too small to
+    matter. Its derivative is that of the exact equilibrium by the implicit function
+    theorem: one linear solve.
     """
     return step
 
@@ -213,6 +218,7 @@ def _is_positive(here: _SystemPlace, rounding: Array) -> Array:
 
     Negative eigenvalues within the effect of round-off and of residual loads are
     tolerated: residual loads alone give a free rotation a stiffness of their size.
+    `rounding` is the relative round-off of positions [1].
     """
     matrix = 0.5 * (here.stiffness + here.stiffness.T)
     spare = rounding * jnp.max(jnp.abs(matrix)) + jnp.max(jnp.abs(here.loads))
@@ -223,24 +229,29 @@ def _is_positive(here: _SystemPlace, rounding: Array) -> Array:
 
 
 _ROUNDINGS = 64
-"""Multiple of the machine epsilon up to which a resistance counts as zero."""
+"""Largest relative resistance to a motion that counts as zero, in units of the relative
+round-off of positions, `StaticProblem.rounding` [1]."""
 
 _SLIGHT = 1e-9
-"""Largest tolerance for round-off that adds up like a random walk over all unknowns
-[1]. Slender rods resist bending by more. In single precision `_ROUNDINGS` alone gives a
-larger tolerance."""
+"""Limit on the tolerance for resistances where it is raised for round-off that adds up
+like a random walk over all unknowns [1]. Slender rods resist bending by more. In single
+precision `_ROUNDINGS` alone gives a larger tolerance."""
 
 _DRIVEN = 1024
-"""Multiple of the machine epsilon up to which loads along a loose motion count as zero.
-It is larger because these loads sum up the round-off of all elements."""
+"""Largest relative work of loads along a loose motion that counts as zero, in units of
+the relative round-off of positions [1]. It exceeds `_ROUNDINGS` because these loads sum
+up the round-off of all elements."""
 
 _LEAST = 0.01
-"""Largest relative singular value at which a combination of motions counts as zero [1].
-"""
+"""Largest singular value at which a combination of loose motions of length one counts
+as zero: the motions are then dependent [1]."""
 
 
 def loose_motions(problem: StaticProblem, here: Linear) -> Float[Array, "modes m"]:
-    """Independent loose motions in scaled rates, each of length one.
+    """Independent motions that no load resists, in scaled rates, each of length one.
+
+    They are combinations of the rigid motions of rods and bodies at the configuration
+    `here`.
 
     Returns:
         As many rows as there are candidates; rows that are not needed are zero.
@@ -266,7 +277,7 @@ def loose_motions(problem: StaticProblem, here: Linear) -> Float[Array, "modes m
 def are_driven(
     problem: StaticProblem, here: Linear, motions: Float[Array, "modes m"]
 ) -> Bool[Array, ""]:
-    """Whether loads act along loose motions by more than their round-off."""
+    """Whether loads act along loose `motions` by more than their round-off."""
     work = jnp.abs(motions @ here.loads)
     sizes = jnp.sum(jnp.abs(here.stiffness), axis=1)
     rounding = _DRIVEN * problem.rounding(here.motions)
@@ -276,7 +287,11 @@ def are_driven(
 def held(
     problem: StaticProblem, here: Linear, motions: Float[Array, "modes m"]
 ) -> Float[Array, "m m"]:
-    """Stiffness matrix plus springs against loose motions and barred rates [J]."""
+    """Stiffness matrix plus springs along loose motions and constrained rates [J].
+
+    `motions` are the loose motions. Constrained rates are those that supports, ties and
+    attachments do not allow. The springs make the matrix regular.
+    """
     momenta = motions @ here.mass
     inertia = jnp.sum(momenta * motions, axis=1)
     free = inertia > 0

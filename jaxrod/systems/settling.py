@@ -60,7 +60,7 @@ class Settled:
     state: Any
     """State at the end, with zero velocities."""
     converged: Bool[Array, ""]
-    """Whether loads balance in this state, to the tolerances."""
+    """Whether loads balance in `state`, to the tolerances."""
     steps: Int[Array, ""]
     """Number of steps taken."""
     force_residual: Float[Array, ""]
@@ -159,8 +159,8 @@ class Way:
     state: Any
     """Current state, in motion."""
     pushes: Any
-    """Velocities and spins of all members after a short kick from rest in this state.
-    """
+    """Velocities and spins of all members after a short kick from rest in this state,
+    in proportion to the accelerations."""
     rate: Array
     """Damping rate of velocities and spins in the next block [1/s]."""
     blocks: Array
@@ -249,14 +249,18 @@ def _still(scene: Model, state: Any) -> Any:
 
 
 def _pushes(scene: Model, state: Any, dt: Array) -> Any:
-    """Velocities and spins after a kick from rest: accelerations times its duration."""
+    """Velocities and spins after a kick from rest: accelerations times its duration.
+
+    The duration is `INSTANT` times the step `dt` [s].
+    """
     return _rates(scene, step(scene, _still(scene, state), INSTANT * dt))
 
 
 def _residuals(scene: Model, state: Any, pushes: Any, dt: Array) -> tuple[Array, Array]:
     """Largest force [N] and couple [N m] out of balance, over nodes and elements.
 
-    They are the momenta after the kick from rest (`pushes`) over its duration.
+    They are the momenta after the kick from rest (`pushes`), divided by its duration,
+    `INSTANT * dt`.
     """
     largest = [jnp.zeros((), dt.dtype)] * 2
     pushed = scene.states_by_name(_with_rates(scene, state, pushes))
@@ -269,7 +273,7 @@ def _residuals(scene: Model, state: Any, pushes: Any, dt: Array) -> tuple[Array,
 
 
 def _damped(scene: Model, rate: Array) -> Model:
-    """Copy of the model with velocities and spins of all members damped [1/s]."""
+    """Copy of the model with all velocities and spins damped at `rate` [1/s]."""
     return scene.with_effect(ExponentialDamping(rate, rate))
 
 

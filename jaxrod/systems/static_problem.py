@@ -43,7 +43,8 @@ from jaxrod.systems.stepping.changing import searched, with_found
 from jaxrod.systems.stepping.stepper import Motions, SystemStepper
 
 INSTANT = 1e-9
-"""Duration of the kick that measures loads, over the time in which a rod bends [1]."""
+"""Duration of the kick that measures loads, divided by `Scales.time`, the bending time
+of the fastest rod [1]."""
 ANCHOR, ROUNDINGS = 1e-8, 100
 """Weight of the regularisation that keeps free rods in place in `moved_along_edges`
 [1], and its smallest value in units of the machine epsilon."""
@@ -58,7 +59,7 @@ class Scales:
     element: Float[Array, ""]
     """Length of the shortest element [m]."""
     energy: Float[Array, ""]
-    """Bending stiffness over length, mean over all members made of rods [J]."""
+    """Bending stiffness divided by length, mean over all members made of rods [J]."""
     time: Float[Array, ""]
     """Bending time of the fastest rod, `L^2 sqrt(rho / B)` with the mass per length rho
     and the bending stiffness B [s]."""
@@ -93,12 +94,12 @@ def scales_of(system: Assembly) -> Scales:
 class Linear:
     """A static problem, linearised about a configuration.
 
-    Unknowns are displacements over the scale of length, and rotations. Their rates are
-    called scaled rates.
+    Unknowns are displacements divided by the scale of length, and rotations. Their
+    rates are called scaled rates.
     """
 
     motions: Any
-    """The configuration."""
+    """Configuration about which the problem is linearised."""
     loads: Float[Array, " m"]
     """Loads out of balance on the scaled unknowns, forces times length [J]."""
     stiffness: Float[Array, "m m"]
@@ -129,7 +130,7 @@ class StaticProblem:
     # Methods for kernels take one argument, often a pair: a configuration, and rates.
 
     def allowed(self, given: tuple[Motions, Any]) -> Any:
-        """Part of the rates that supports, ties and attachments allow."""
+        """Part P r of rates r that constraints allow; `given` is (configuration, r)."""
         motions, rates = given
 
         def held(own: Any) -> Any:
@@ -139,7 +140,10 @@ class StaticProblem:
         return jax.tree.map(jnp.subtract, held(rates), held(none))
 
     def momenta(self, given: tuple[Motions, Any]) -> Any:
-        """Gradient by rates of the kinetic energy of the allowed part of the rates."""
+        """Gradient, with respect to rates r, of the kinetic energy T(P r).
+
+        P r is the part of r that constraints allow; `given` is (configuration, r).
+        """
         motions, rates = given
 
         def energy(own: Any) -> Array:
@@ -153,7 +157,10 @@ class StaticProblem:
         return jax.grad(energy)(rates)
 
     def accelerations(self, motions: Motions) -> Any:
-        """Accelerations that all loads cause at rest, within the constraints."""
+        """Rates of change of velocities and angular momenta, from all loads at rest.
+
+        Supports, ties and attachments are taken into account.
+        """
         rest = at_rest(motions)
         still = rates_of(self.stepper.supported(rest))
         kicked = rates_of(self.stepper.kick(rest))
@@ -161,20 +168,22 @@ class StaticProblem:
         return jax.tree.map(lambda a, b: (a - b) / dt, kicked, still)
 
     def moved(self, given: tuple[Motions, Any]) -> Motions:
-        """Configuration after moving for one second at the given rates."""
+        """Configuration after a second at rates r; `given` is (configuration, r)."""
         one = jnp.ones((), self.system.dtype)
         return at_rest(self.stepper.drift(with_rates(*given), one))
 
     def accelerations_after(self, given: tuple[Motions, Any]) -> Any:
-        """Accelerations after moving for one second at the given rates."""
+        """Accelerations after a second at rates r; `given` is (configuration, r)."""
         return self.accelerations(self.moved(given))
 
     def column(self, given: tuple[Motions, Array]) -> tuple[Array, ...]:
         """Column of all matrices that belongs to a vector of scaled rates.
 
+        `given` is the pair of a configuration and this vector.
+
         Returns:
-            Loads out of balance, the allowed part of the rates, its momenta, and the
-            loads that it causes; all scaled.
+            Loads out of balance, the allowed part of the rates, the momenta of this
+            part, and the loads that it causes; all scaled.
         """
         motions, _ = given
         rates = self.rates(given)
@@ -192,10 +201,11 @@ class StaticProblem:
     def moved_with_gaps(self, given: tuple[Motions, Any]) -> tuple[Motions, Array]:
         """Configuration after one second at the given rates, and the gaps of its edges.
 
-        Strains should change linearly. But moving at rates stretches the edges of rods
-        in proportion to the square of the rotation of their elements, and stretching is
-        far stiffer than bending. The gaps are the relative displacements of the nodes
-        of each element that undo this, axis by axis [m].
+        `given` is the pair of the configuration and the rates. Strains should change
+        linearly. But moving at rates stretches the edges of rods in proportion to the
+        square of the rotation of their elements, and stretching is far stiffer than
+        bending. The gaps are the relative displacements of the nodes of each element
+        that undo this, axis by axis [m].
         """
         motions, rates = given
         moved = self.moved(given)
@@ -214,9 +224,9 @@ class StaticProblem:
         return moved, jnp.concatenate(gaps)
 
     def placed(self, given: tuple[Motions, Any]) -> Motions:
-        """Configuration after one second at the given rates, with constraints enforced.
+        """Configuration after a second at rates r, with ties and attachments exact.
 
-        Tied and attached nodes get their exact positions.
+        `given` is (configuration, r).
         """
         return at_rest(self.stepper.supported(self.moved(given)))
 
@@ -225,23 +235,27 @@ class StaticProblem:
         return self.placed(_still(self.stepper.enter(state)))
 
     def moved_after(self, given: tuple[Motions, Array]) -> Motions:
-        """Configuration after moving for one second at given scaled rates."""
+        """Configuration after a second at scaled rates r; `given` is (start, r)."""
         return self.moved((given[0], self.rates(given)))
 
     def left_after(self, given: tuple[Motions, Array]) -> dict[str, Any]:
-        """State after moving for one second at given scaled rates."""
+        """State after a second at scaled rates r; `given` is (configuration, r)."""
         return self.stepper.leave(self.placed((given[0], self.rates(given))))
 
     def accelerations_scaled(self, given: tuple[Motions, Array]) -> Array:
-        """Scaled accelerations after one second at given scaled rates."""
+        """Accelerations, as scaled rates, after a second at scaled rates r.
+
+        `given` is (configuration, r).
+        """
         moved = self.moved_after(given)
         return self.scaled(moved, self.accelerations(moved))
 
     def with_held(self, given: tuple[Motions, Motions]) -> Motions:
         """The configuration found, with held nodes and elements as in the initial one.
 
-        Members are held at their initial places or at the places in a support's
-        parameters. Both have derivatives, while the configuration found has none.
+        `given` is the pair of the configuration found and the initial one. Members are
+        held at their initial places or at the places in a support's parameters. Both
+        have derivatives, while the configuration found has none.
         """
         found, start = given
         together = {}
@@ -271,7 +285,7 @@ class StaticProblem:
         return self.placed(_still(together))
 
     def motions_of_the_whole(self, motions: Motions) -> Float[Array, "modes m"]:
-        """Rigid motions of each rod and body, in scaled rates, each of length one.
+        """Rigid motions of each rod and body, in scaled rates: rows of length one.
 
         The rotation of all elements of a rod about their own d3 is one of them.
         """
@@ -304,9 +318,10 @@ class StaticProblem:
         return replace(self, stepper=replace(self.stepper, couplings=couplings))
 
     def rates(self, given: tuple[Motions, Array]) -> Any:
-        """Converts a vector of scaled rates to velocities and spins of all members.
+        """Converts a vector of scaled rates to velocities and angular momenta.
 
-        Scaled rates are velocities over the scale of length, and angular velocities.
+        `given` is the pair of the configuration and this vector: velocities divided by
+        the scale of length, and angular velocities.
         """
         motions, scaled = given
         _, tree_of = ravel_pytree(rates_of(motions))
@@ -317,7 +332,10 @@ class StaticProblem:
         }
 
     def scaled(self, motions: Motions, rates: Any) -> Float[Array, " m"]:
-        """Converts velocities and spins of all members to a vector of scaled rates."""
+        """Converts velocities and angular momenta of all members to scaled rates.
+
+        `motions` is the configuration.
+        """
         moving = self.stepper.seen(motions)
         found = {}
         for name, (velocity, spin) in rates.items():
@@ -331,7 +349,7 @@ class StaticProblem:
         return ravel_pytree(found)[0]
 
     def scaled_momenta(self, motions: Motions, momenta: Any) -> Float[Array, " m"]:
-        """Converts a gradient by rates to the gradient by scaled rates."""
+        """Gradient by scaled rates, from `momenta`, the gradient by rates."""
         length = self.scales.length
         found = {
             name: (vectors.scale(length, moving), self._spins(motions, name, turning))
@@ -340,7 +358,11 @@ class StaticProblem:
         return ravel_pytree(found)[0]
 
     def _spins(self, motions: Motions, name: str, turning: Vec3) -> Vec3:
-        """Spins (angular momenta) of a member at given angular velocities."""
+        """Angular momenta of the member `name`, from its angular velocities.
+
+        `turning` are the angular velocities [rad/s], and `motions` is the
+        configuration.
+        """
         row = jax.tree.map(lambda a: a.reshape(-1), turning)
         return _shaped(spins(self.stepper.seen(motions)[name], row), turning)
 
@@ -442,12 +464,12 @@ def static_problem(
 
 
 def rates_of(motions: Motions) -> Any:
-    """Velocities and spins of all members, by name."""
+    """Velocities and angular momenta (`Motion.spin`) of all members, by name."""
     return {k: (motion.velocity, motion.spin) for k, motion in motions.items()}
 
 
 def with_rates(motions: Motions, rates: Any) -> Motions:
-    """Copy of the motions with the given velocities and spins."""
+    """Copy of the motions with the given velocities and angular momenta, by name."""
     return {
         k: replace(motion, velocity=rates[k][0], spin=rates[k][1])
         for k, motion in motions.items()
@@ -455,7 +477,7 @@ def with_rates(motions: Motions, rates: Any) -> Motions:
 
 
 def at_rest(motions: Motions) -> Motions:
-    """Copy of the motions with zero velocities and spins."""
+    """Copy of the motions with zero velocities and angular momenta."""
     return {k: motion.at_rest for k, motion in motions.items()}
 
 
@@ -501,14 +523,15 @@ def _edges(motion: Motion, parts: Parts) -> Vec3:
 
 
 def rigid_motions(own: Seen, length: Array) -> Iterator[tuple[Vec3, Vec3]]:
-    """Yields scaled velocities and angular velocities of the rigid motions of parts.
+    """Yields scaled velocities and angular velocities of rigid motions, one by one.
 
-    Each part is displaced along three axes and turned about three through its middle,
-    and all elements of a rod turn about their own axes.
+    Each rod or body of a member has three translations and three rotations about its
+    middle. A rod also has the rotation of all its elements about their own d3. In each
+    motion the other rods or bodies are at rest.
 
     Args:
         own: The member.
-        length: Scale of velocities [m].
+        length: Scale of length, by which velocities are divided [m].
     """
     count = own.parts.count
     centred = []
@@ -532,7 +555,7 @@ def rigid_motions(own: Seen, length: Array) -> Iterator[tuple[Vec3, Vec3]]:
 
 
 def _of_part(part: int, count: int, field: Vec3) -> Vec3:
-    """Copy of a field with zeros for all parts but one."""
+    """Copy of a field with zeros but in rod or body number `part` of `count`."""
     x, y, z = (
         jnp.where(jnp.arange(c.size) // (c.size // count) == part, c, 0) for c in field
     )
@@ -540,13 +563,16 @@ def _of_part(part: int, count: int, field: Vec3) -> Vec3:
 
 
 def _along(axis: int, like: Array) -> Vec3:
-    """Constant field of unit vectors along a world axis."""
+    """Constant field of unit vectors along a world axis, with the shape of `like`."""
     x, y, z = (jnp.full_like(like, k == axis) for k in range(3))
     return x, y, z
 
 
 def spins(own: Seen, turning: Vec3) -> Vec3:
-    """Spins (angular momenta) of elements at given angular velocities [rad/s]."""
+    """Angular momenta (`Motion.spin`) of elements or bodies [kg m^2/s].
+
+    `turning` are their angular velocities, world frame [rad/s].
+    """
     # Angular velocities are linear in spins: their matrix, column by column.
     columns = []
     for axis in range(3):

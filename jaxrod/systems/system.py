@@ -103,7 +103,7 @@ class System(Assembly, Model):
         return {**state, **changed}
 
     def check_run(self, state: Any, dt: ArrayLike, first: Array | None) -> Array:
-        """Checks the arguments of a run; returns `dt` [s] in the system's dtype."""
+        """Checks state and step of a run; returns `dt` [s] in the system's dtype."""
         check_system_state(self, state)
         return as_array("dt", dt, "s", positive=True, dtype=self.dtype)
 
@@ -333,7 +333,10 @@ def _free_ends(
 def _sized(
     system: System, couplings: tuple[Coupling, ...], state: SystemState | None
 ) -> tuple[Coupling, ...]:
-    """Couplings whose neighbour lists are sized by counting neighbours in a state."""
+    """Couplings whose neighbour lists are sized by counting neighbours in a state.
+
+    Without a state, all lists must have sizes already.
+    """
     if RECORD in system.members:
         raise ValueError(
             f"no member can be called {RECORD!r}: this is the name of the record of "
@@ -395,8 +398,8 @@ class SystemHealth:
     violation: Bool[Array, ""]
     """Flag: tied or attached nodes have come apart, or a contact is too deep."""
     largest_violation: Float[Array, ""]
-    """Largest violation of all couplings [1], such as the distance of tied nodes or the
-    depth of a contact, over the radius."""
+    """Largest violation of all couplings, such as the distance of tied nodes or the
+    depth of a contact, divided by the radius [1]."""
     overflow: Bool[Array, ""]
     """Flag: lists of neighbours had too few entries, now or in a run that led here."""
     stale: Bool[Array, ""]

@@ -61,7 +61,8 @@ class BodyContact(PenaltyContact):
     free_ends: Float[Array, "rods 2"] | None = None
     """Flags of the rods' ends: 1 if free, 0 if tied or attached."""
     segments: RodSegments | None = None
-    """Segments and points of the rods, set by `prepared`; zero length at ends."""
+    """Segments and contact points of the rods, set by `prepared`. Points at ends have
+    zero length here; `ends` gives their length."""
     ends: Ends | None = None
     """Ends of the rods, with their contact law, set by `prepared`."""
     rod: str = static(default="")
@@ -91,7 +92,7 @@ class BodyContact(PenaltyContact):
             )
 
     def fitted(self, parts: AllParts, tied: tuple[TiedPair, ...]) -> BodyContact:
-        """The coupling with the number of contact points, by default a radius apart."""
+        """Copy with `points_per_element` set, for points at most a radius apart."""
         if self.points_per_element is not None:
             return self
         # At most a radius apart.
@@ -99,7 +100,10 @@ class BodyContact(PenaltyContact):
         return replace(self, points_per_element=needed)
 
     def with_free_ends(self, free: Mapping[str, Array]) -> BodyContact:
-        """The coupling with flags of free ends; only free ends have an end face."""
+        """Copy with the flags of free ends of its rods; `free` has them by member.
+
+        Only free ends have an end face.
+        """
         return replace(self, free_ends=free[self.rod])
 
     def prepared(self, parts: AllParts) -> BodyContact:
@@ -142,7 +146,13 @@ class BodyContact(PenaltyContact):
         return {self.rod: on_rod, self.body: self._on_bodies(seen, reactions)}
 
     def _on_bodies(self, seen: AllSeen, reactions: list[tuple[Vec3, Vec3]]) -> Loads:
-        """Loads on bodies, from forces on rods and reaction couples, world frame."""
+        """Loads on the bodies, with couples rotated to their material frames.
+
+        Args:
+            seen: The members at one moment.
+            reactions: For each body, the total force on the rods [N], and the couple on
+                the body about its origin [N m], world frame.
+        """
 
         def row(which: int) -> Vec3:
             x, y, z = (
@@ -160,9 +170,9 @@ class BodyContact(PenaltyContact):
         """Contact forces and couples of one body on the rods, world frame.
 
         Returns:
-            Forces on the contact points, couples on the rod there, points on the
-            surface where the forces act, and forces at the points beside the ends (see
-            `Ends`).
+            Forces on the contact points, couples on the rod there (`None` without
+            friction), points on the surface where the forces act, and forces at the
+            points beside the ends (see `Ends`).
         """
         segments, ends = self._segments(), self._ends()
         distance, normal = body.surface(points.position)
@@ -192,11 +202,16 @@ class BodyContact(PenaltyContact):
         return vectors.add(force, rub), vectors.cross(arm, rub), place, pull
 
     def _depth(self, radii: Array) -> Callable[[Array], Array]:
-        """Function from distance to positive penetration [m], for `Ends.counted`."""
+        """Function from the distance d of the centreline to r - d + w/2 [m].
+
+        r is an entry of `radii`, and w the width of the onset. Without contact the
+        value is w, because `Ends.counted` needs positive ones. It is a function because
+        `Ends` differentiates lengths with respect to distances.
+        """
         return lambda distance: depth_from_onset(radii - distance, self.onset * radii)
 
     def _density(self, radii: Array, distance: Array) -> Array:
-        """Spring energy per length of rod at a distance from the surface [J/m]."""
+        """Spring energy per length at a rod axis's `distance` from a body [J/m]."""
         return self.law.energy(radii - distance, self.onset * radii)
 
     def energy(self, seen: AllSeen) -> Array:
@@ -215,7 +230,7 @@ class BodyContact(PenaltyContact):
         return total
 
     def violation(self, seen: AllSeen) -> Array:
-        """Deepest penetration of a contact point over the rod's radius [1]."""
+        """Deepest penetration of a contact point divided by the rod's radius [1]."""
         segments = self._segments()
         points = points_at(segments, seen[self.rod], spins=False)
         worst = jnp.zeros((), self.stiffness.dtype)
@@ -288,10 +303,11 @@ def _sum(field: Array) -> Array:
 def _bound(
     parts: Parts, rate: Array, slow: Array | None, drags: bool, turns: bool
 ) -> StabilityBound:
-    """Stability bound in proportion to masses and inertias.
+    """Stability bound in proportion to masses and moments of inertia.
 
-    Stiffness is `rate` [1/s^2] and drag `slow` [1/s] times the mass. Elements have
-    stiffness times inertia only if `turns`, and drag only if `drags`.
+    Nodes have the stiffness `rate` [1/s^2] and the drag `slow` [1/s] times their mass.
+    Elements have the same times their smallest moment of inertia: stiffness only if
+    `turns`, drag only if `drags`.
     """
     inertia = jnp.min(parts.inertias, axis=0)
     return StabilityBound(
@@ -344,9 +360,9 @@ def body_contact(
         friction: Coefficient of Coulomb friction [1].
         friction_drag: Largest friction per length and slip speed [kg/(m s)]; by default
             equal to `damping`.
-        onset: Width of the smooth onset of contact over the rod's radius [1].
-        points_per_element: Contact points per element; by default so many that they
-            are at most a radius apart.
+        onset: Width of the smooth onset of contact, divided by the rod's radius [1].
+        points_per_element: Contact points per element; by default so many that they are
+            at most a radius apart.
         touching: Length of rod that touches a body at a time, for `stable_dt`; by
             default all of it [m].
 

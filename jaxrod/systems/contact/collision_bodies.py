@@ -85,15 +85,18 @@ class CollisionBodies:
     """Balls of each body in its own frame; `None` if only the surface is known."""
     sizes: Array
     """Size of each body, to scale the onset of contact: sqrt(2.5 J/m) with its smallest
-    moment of inertia J, a sphere's radius; infinite for a fixed body [m]."""
+    moment of inertia J and mass m, which is a sphere's radius; infinite for a fixed
+    body [m]."""
     reach: Array
-    """Largest distance of a contact from the body's origin; zero if fixed [m]."""
+    """Largest distance of a contact from the body's origin, its lever arm in stability
+    bounds; zero if fixed [m]."""
     masses: Array
     """Mass of each body; infinite for a fixed body [kg]."""
     inertias: Array
     """Smallest moment of inertia of each body; infinite for a fixed body [kg m^2]."""
     pose: Posed | None = None
-    """Pose and velocity of a fixed body, or of moving bodies at one moment."""
+    """Pose and velocity of a fixed body, or of moving bodies at one moment; `None` for
+    moving bodies before `at`."""
     member: str = static(default="")
     """Name of the member; empty for a fixed body."""
 
@@ -178,7 +181,10 @@ def collision_bodies(
 
 
 def _standing(body: Body, balls: int, points_per_edge: int) -> CollisionBodies:
-    """Group of one fixed body, of infinite mass, in the frame of its principal axes."""
+    """Group of one fixed body, of infinite mass, in the frame of its principal axes.
+
+    `balls` is the number of balls along its axis.
+    """
     shape, centre = body, jnp.zeros(3)
     frame = directors(split_quaternion(jnp.asarray((1.0, 0.0, 0.0, 0.0))))
     if not body.is_half_space:
@@ -205,23 +211,25 @@ def _standing(body: Body, balls: int, points_per_edge: int) -> CollisionBodies:
 
 
 Way = tuple[bool, bool, float]
-"""Direction of a test: whether the balls of the first group are tested, whether those
-of the second are, and the weight of each ball [1]."""
+"""Test of balls against surfaces: `(True, False, w)` for the balls of the first group
+against the surfaces of the second, `(False, True, w)` for the reverse. Each ball has
+the weight w [1]."""
 
 
 @pytree
 class CollisionPair:
-    """Contacts of the balls of one group with the surfaces of another.
+    """Contacts of the balls of a first group with the surfaces of a second.
 
-    Arrays are `(bodies with surfaces, balls of all bodies with balls)`.
+    Arrays are `(bodies of the second group, balls of all bodies of the first)`.
     """
 
     depth: Array
-    """Penetration of each ball into each surface [m]."""
+    """Penetration of each ball of the first group into each surface of the second: the
+    ball's radius minus the distance of its centre, negative when apart [m]."""
     width: Array
-    """Width of the smooth onset of contact [m]."""
+    """Width of the smooth onset of contact of each ball with each surface [m]."""
     normal: Vec3
-    """Outward unit normal of the surface, world frame."""
+    """Outward unit normal of each surface at each ball, world frame."""
     rate: Vec3
     """Velocity of the ball's body relative to the surface's body at the contact point,
     world frame [m/s]."""
@@ -229,7 +237,7 @@ class CollisionPair:
     """Lever arms from the origins of the ball's body and of the surface's body to the
     contact point, world frame [m]."""
     share: Array
-    """Weight of each ball and surface; zero for balls and their own body [1]."""
+    """Weight of each ball at each surface; zero at the surface of its own body [1]."""
     balls: int = static()
     """Number of balls of each body."""
 
@@ -263,7 +271,10 @@ class CollisionPair:
 
     @staticmethod
     def contacts(a: CollisionBodies, b: CollisionBodies, *, same: bool) -> float:
-        """Upper bound of the weighted number of balls with which two bodies touch."""
+        """Largest weighted number of balls in contact between bodies of `a` and `b`.
+
+        With `same`, `a` and `b` are one group.
+        """
         total = 0.0
         for first, _, share in CollisionPair.between(a, b, same=same):
             looks, surface = (a, b) if first else (b, a)
@@ -289,7 +300,7 @@ class CollisionPair:
             a: Group with the balls, at one moment.
             b: Group with the surfaces, at one moment.
             share: Weight of each ball [1].
-            onset: Width of the onset over the size of the smaller body [1].
+            onset: Width of the onset divided by the size of the smaller body [1].
             same: Whether both groups are the same; no body is tested against itself.
         """
         cloud, pose, other = a.cloud, a.pose, b.pose
@@ -343,7 +354,14 @@ class CollisionPair:
         )
 
     def loads(self, force: Vec3) -> tuple[tuple[Vec3, Vec3], tuple[Vec3, Vec3]]:
-        """Total force and couple on each body of both groups, from forces on balls."""
+        """Total force and couple on each body of the first and of the second group.
+
+        Couples are about the origins of the bodies, world frame.
+
+        Args:
+            force: Force of each surface on each ball, as `depth` is shaped, world frame
+                [N].
+        """
         couples = vectors.cross(self.arms[0], force)
         back = vectors.cross(force, self.arms[1])
 
@@ -366,7 +384,12 @@ class CollisionPair:
 def _touch(
     cloud: SphereCloud, balls: Posed, body: Posed, width: Array
 ) -> tuple[Array, Array, Vec3, Vec3, tuple[Vec3, Vec3]]:
-    """Penetration, width, normal, velocity and lever arms of balls at a surface."""
+    """Penetration, width, normal, velocity and lever arms of balls at a surface.
+
+    They are fields of `CollisionPair` for all balls and one `body`. `cloud` contains
+    the balls of all bodies in a row, and `balls` the pose of the body of each. The
+    onset `width` [m] is returned unchanged.
+    """
 
     def world(own: Vec3) -> Vec3:
         return vectors.add(balls.position, to_world(balls.frame, own))

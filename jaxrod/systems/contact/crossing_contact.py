@@ -86,7 +86,7 @@ class CrossingContact(TouchingRods):
     smooth: ClassVar[bool] = True
 
     def fitted(self, parts: AllParts, tied: tuple[TiedPair, ...]) -> CrossingContact:
-        """The coupling with the tied nodes set; elements near them do not touch."""
+        """Copy with the `tied` nodes of its members, near which nothing touches."""
         fitted: Any = self.with_ties(parts, tied)
         return fitted
 
@@ -108,12 +108,15 @@ class CrossingContact(TouchingRods):
         return self.segments[a].radii
 
     def allowed(self, a: int, b: int, own: Bounds, other: Bounds) -> Any:
-        """Mask of pairs of elements with `weights` above zero; `None` for all."""
+        """Mask of pairs of members `a`, `b` with weights above zero; `None` for all."""
         share = self.share(a, b, own.elements, other.elements)
         return None if share is None else share > 0
 
     def scales(self, own: Elements, other: Elements) -> tuple[Array, Array]:
-        """Mean radius and mean rest length of both elements; they limit contact [m]."""
+        """Mean radius and mean rest length of each pair of elements [m].
+
+        They set the arc length along a rod at which it begins to touch itself.
+        """
         assert own.rest_lengths is not None and other.rest_lengths is not None
         return (
             0.5 * (own.radii + other.radii),
@@ -157,7 +160,7 @@ class CrossingContact(TouchingRods):
     def pair_loads(
         self, own: Elements, other: Elements, weights: Array
     ) -> tuple[SegmentLoads, SegmentLoads]:
-        """Loads of pairs of elements, on the first and on the second."""
+        """Loads on the first and the second element of each pair, times `weights`."""
         nearest, middle, *nodes = self.contact_pairs(own, other, weights)
         law = self.law
         pushes = [
@@ -193,9 +196,9 @@ class CrossingContact(TouchingRods):
         """Forces from changes of the weight c of closest points, and of the middles.
 
         The energy of two segments is c times that of contact at their closest points,
-        plus 1 - c times that of contact at the middles of their overlap. At the closest
-        points the distance is stationary, so the shift of these points along the
-        segments does not contribute.
+        `nearest`, plus 1 - c times that of contact at the middles of their overlap,
+        `middle`. At the closest points the distance is stationary, so the shift of
+        these points along the segments does not contribute.
 
         Returns:
             Forces conjugate to the vector between the first nodes and to both edges.
@@ -250,13 +253,17 @@ class CrossingContact(TouchingRods):
 
 
 Bulges = tuple[Vec3, Vec3]
-"""Forces conjugate to the bulges of elements at their first and second nodes [N]."""
+"""Forces conjugate to the bulges of elements at their first and second nodes [N]. A
+bulge is the tangent of a smooth axis at a node minus the edge."""
 
 
 def _conjugate(
     pair: ContactPair, force: Vec3
 ) -> tuple[tuple[Vec3, Vec3, Vec3], tuple[Bulges, Bulges]]:
     """Forces on edges and bulges of two elements, from the force at a pair of points.
+
+    `force` acts on the first element, its opposite on the second. A bulge is the
+    tangent of a smooth axis at a node minus the edge.
 
     Returns:
         Forces conjugate to the vector between the first nodes and to both edges, and
@@ -277,7 +284,11 @@ def _on_bulges(fraction: Array, force: Vec3) -> Bulges:
 def _turning_nodes(
     pair: ContactPair, turns: tuple[Vec3, Vec3]
 ) -> tuple[tuple[Vec3, Vec3], tuple[Vec3, Vec3]]:
-    """Divides the couples at a pair of points between both nodes of each element."""
+    """Couples at both nodes of each element, from the couples at a pair of points.
+
+    `turns` are the couples on the first and on the second element. Both nodes share
+    them with the weights 1 - s and s, at the fraction s along the element.
+    """
 
     def shared(place: Array, turn: Vec3) -> tuple[Vec3, Vec3]:
         later = vectors.scale(place, turn)
@@ -293,7 +304,9 @@ def _on_elements(
 ) -> SegmentLoads:
     """Loads on nodes and tangents of segments, from forces on edges and bulges.
 
-    A bulge is a tangent minus the edge, so a force on it also acts on the edge.
+    A bulge is a tangent minus the edge, so a force on it also acts on the edge. `force`
+    is the total force, `edge` the force conjugate to the edge, and `turning` are the
+    couples at both nodes.
     """
     nexts = vectors.subtract(edge, vectors.add(*bulges))
     return SegmentLoads(
@@ -331,7 +344,8 @@ def crossing_contact(
             `damping`.
         self_contact: Whether each rod also touches itself. Elements that are nearer to
             each other along the rod than pi times its radius do not touch.
-        onset: Width of the smooth onset of contact over the mean of the radii [1].
+        onset: Width of the smooth onset of contact, divided by the mean of the radii
+            [1].
         max_contacts: Rods that may cross one element at the same time, for `stable_dt`.
         lists: Lists of neighbours, from `neighbour_lists`; by default every step tests
             all pairs of elements.

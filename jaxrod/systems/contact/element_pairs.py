@@ -53,32 +53,38 @@ class Elements:
     first_velocity: Vec3 | None = None
     """Velocities of the first nodes [m/s]; `None` if they are not needed."""
     velocity_change: Vec3 | None = None
-    """Velocities at the second nodes minus those at the first [m/s]."""
+    """Velocities of the second nodes minus those of the first [m/s]; `None` if they are
+    not needed."""
     first_spin: Vec3 | None = None
     """Angular velocities at the first nodes, world frame [rad/s]; `None` without
     friction."""
     spin_change: Vec3 | None = None
-    """Angular velocities at the second nodes minus those at the first [rad/s]."""
+    """Angular velocities at the second nodes minus those at the first [rad/s]; `None`
+    without friction."""
     spin: Vec3 | None = None
     """Angular velocities of the elements, world frame [rad/s]; `None` without contact
     points or friction."""
     rods: Array | None = None
     """Index of the rod that each element belongs to; `None` if it is not needed."""
     starts: Array | None = None
-    """Rest arc length from the start of its rod to each element [m]."""
+    """Rest arc length from the start of its rod to each element [m]; `None` if it is
+    not needed."""
     rest_lengths: Array | None = None
-    """Rest lengths of the elements [m]."""
+    """Rest lengths of the elements [m]; `None` if they are not needed."""
     first_radii: Array | None = None
     """Radius at the first node of each element [m]; `None` without contact points."""
     first_lengths: Array | None = None
-    """Rest length that the contact point at the first node stands for [m]."""
+    """Rest length that the contact point at the first node stands for [m]; `None`
+    without contact points."""
     last: Array | None = None
-    """Flag: 1 where an element is the last of its rod, else 0 [1]."""
+    """Flag: 1 where an element is the last of its rod, else 0 [1]; `None` without
+    contact points."""
     bulges: tuple[Vec3, Vec3] | None = None
     """Tangents of a smooth axis minus the edge, at the first and at the second node
     [m]; `None` for straight elements."""
     velocity_bulges: tuple[Vec3, Vec3] | None = None
-    """Time derivatives of `bulges` [m/s]."""
+    """Time derivatives of `bulges` [m/s]; `None` for straight elements, or if
+    velocities are not needed."""
 
     @property
     def ends(self) -> Array:
@@ -129,7 +135,10 @@ def bulge_shares(fraction: Array) -> tuple[Array, Array]:
 
 
 def farthest_from_chord(bulges: tuple[Vec3, Vec3]) -> Array:
-    """Upper bound of the distance of smooth axes from their chords [m]."""
+    """Upper bound of the distance of smooth axes from their chords [m].
+
+    It is 4/27 (|b1| + |b2|), with the bulges b1 and b2 at both nodes.
+    """
     first, second = (jnp.sqrt(vectors.dot(bulge, bulge)) for bulge in bulges)
     return 4 / 27 * (first + second)
 
@@ -204,9 +213,10 @@ def elements_at(
 def _pieces(
     segments: RodSegments, nodes: Vec3, *, smooth: bool
 ) -> tuple[Vec3, Vec3, tuple[Vec3, Vec3] | None]:
-    """Nodal field at first nodes, its change to second nodes, tangents minus change.
+    """Nodal field at first nodes, its change to second nodes, and bulges.
 
-    With `smooth` these are those of smooth axes; tangents are `None` without it.
+    With `smooth` the field is smoothed first (`smooth_nodes`), and the bulges are the
+    tangents at both nodes minus the change. Without it they are `None`.
     """
     tangents: Vec3 | None = None
     if smooth:
@@ -261,9 +271,9 @@ class NeighbourList:
     """List of pairs of elements of two members that may touch."""
 
     own: Int[Array, " pairs"]
-    """Indices of the first elements in their member."""
+    """Index of the first element of each pair, in the first member."""
     other: Int[Array, " pairs"]
-    """Indices of the second elements in their member."""
+    """Index of the second element of each pair, in the second member."""
     there: Bool[Array, " pairs"]
     """Mask: true for entries in use."""
 
@@ -355,7 +365,7 @@ def sums_over_list(
 
 
 def _where(there: Array, tree: Any) -> Any:
-    """Sets the values of unused list entries to zero."""
+    """Copy of a tree with zeros where `there`, the mask of entries in use, is false."""
     return jax.tree.map(lambda field: jnp.where(there, field, 0), tree)
 
 

@@ -39,8 +39,8 @@ class NeighbourLists:
     """
 
     skin: Float[Array, ""]
-    """Gap between surfaces up to which elements are listed, over the largest radius
-    [1]."""
+    """Gap between surfaces up to which elements are listed, divided by the largest
+    radius of the rods [1]."""
     refresh_every: int = static(default=32)
     """Number of time steps between searches."""
     pairs: int | tuple[int, ...] | None = static(default=None)
@@ -48,10 +48,12 @@ class NeighbourLists:
     `None` to count them in the state given to `make_system`."""
     candidates: int | tuple[int, ...] | None = static(default=None)
     """Largest number of pairs near enough to compute their exact distance: one number
-    for all lists, or one for each; `None` to count them too."""
+    for all lists, or one for each; `None` to count them in the state given to
+    `make_system`."""
     cell_slots: int | None = static(default=None)
     """Largest number of elements in three neighbouring cells of the search grid; 0 for
-    no grid, so that all pairs are tested; `None` to count them too."""
+    no grid, so that all pairs are tested; `None` to count them in the state given to
+    `make_system`."""
 
     @property
     def is_sized(self) -> bool:
@@ -96,7 +98,8 @@ class NeighbourRecord:
     missed: Float[Array, ""]
     """Largest shortage of entries in a list; positive if pairs were missed [1]."""
     moved: Float[Array, ""]
-    """Largest displacement of a node between two searches, over half the skin [1]."""
+    """Largest displacement of a node between two searches, divided by half the skin
+    [1]."""
     used: Float[Array, ""]
     """Largest number of entries that a list needed [1]."""
 
@@ -143,10 +146,11 @@ def neighbour_lists(
     entries that a state needs.
 
     Args:
-        refresh_every: Steps between searches: somewhat less than
-            `skin * radius / (2 * dt * speed)` with the speed of the fastest node.
-        skin: Gap between surfaces up to which elements are listed, over the largest
-            radius [1]. A larger skin makes lists longer and valid for more steps.
+        refresh_every: Steps between searches: somewhat less than `skin * radius / (2 *
+            dt * speed)` with the speed of the fastest node.
+        skin: Gap between surfaces up to which elements are listed, divided by the
+            largest radius [1]. A larger skin makes lists longer and valid for more
+            steps.
         pairs: Largest number of pairs of elements of two members (or of one) that may
             touch; by default somewhat more than 1.5 times the number in the state given
             to `make_system`.

@@ -75,10 +75,11 @@ class Rows:
     """
 
     begin: Int[Array, "stretches own"]
-    """Start of each stretch (run of elements to test) in `order`, for each first
+    """Start of each stretch (consecutive elements to test) in `order`, for each first
     element."""
     held: Int[Array, "stretches own"]
-    """Number of second elements in each stretch of `order`, for each first element."""
+    """Number of second elements in each stretch (consecutive elements to test) of
+    `order`, for each first element."""
     order: Int[Array, " other"]
     """Indices of the second elements, sorted by cell if there are cells."""
     wide: Int[Array, ""]
@@ -99,7 +100,11 @@ class Rows:
         return self.begin.shape[0] * self.wide
 
     def places(self, row: Array, own: Array | slice) -> tuple[Array, Array]:
-        """Indices in `order` of a row's second elements; mask of existing ones."""
+        """Positions in `order` of the second elements that a row tests; their mask.
+
+        They are tested against the first elements `own`. The mask is false where the
+        stretch of a first element has no entry in this row.
+        """
         stretch, slot = row // self.wide, row % self.wide
         place = self.begin[stretch, own] + slot
         most = self.order.shape[0] - 1
@@ -107,7 +112,7 @@ class Rows:
 
 
 def near_each_other(own: Bounds, other: Bounds, allowed: Allowed) -> Array:
-    """Mask of pairs that may touch and are within the sum of their reaches."""
+    """Mask of `allowed` pairs whose distance is at most the sum of both reaches."""
     way = vectors.subtract(own.elements.first, other.elements.first)
     square = nearest_places(way, own.elements.edge, other.elements.edge)[2]
     reach = own.reach + other.reach
@@ -168,7 +173,7 @@ def found_by(
 
 
 def _room(given: int | tuple[int, ...] | None, number: int) -> int:
-    """Number of entries of list `number`; one number holds for all lists."""
+    """Entry `number` of `given`; one number in `given` holds for all lists."""
     assert given is not None
     return given[number] if isinstance(given, tuple) else given
 
@@ -229,11 +234,12 @@ class CandidateList:
     running: Int[Array, "rows own"]
     """Cumulative number of candidates of each first element, over the rows."""
     until: Int[Array, " own"]
-    """Cumulative number of candidates in all rows, over the first elements."""
+    """Cumulative sum, over the first elements, of their candidates in all rows."""
     size: int = static()
     """Largest number of candidates that can be listed."""
     once: bool = static()
-    """Whether the lower of the two element indices comes first in a pair."""
+    """Whether both elements are of one member and each pair is listed once, the lower
+    index first."""
 
     @property
     def count(self) -> Array:
@@ -395,7 +401,11 @@ def _cell_edge(own: Bounds, other: Bounds) -> Array:
 def _cells(
     bounds: Bounds, centre: tuple[Array, ...], edge: Array
 ) -> tuple[Array, Array, Array]:
-    """Indices along x, y and z of the cells that contain the midpoints of elements."""
+    """Indices along x, y and z of the cells that contain the midpoints of elements.
+
+    The grid has its middle at `centre` [m] and cells of the edge length `edge` [m].
+    Midpoints outside of it are in the outermost cells.
+    """
 
     def along(component: Array, middle: Array) -> Array:
         cell = jnp.floor((component - middle) / edge) + CELLS // 2

@@ -27,7 +27,8 @@ class PenaltyContact(Coupling):
     stiffness: Float[Array, ""]
     """Normal force per penetration: [N/m^2] if per length of contact, else [N/m]."""
     onset: Float[Array, ""]
-    """Width of the smooth onset of contact, over a radius or body size [1]."""
+    """Width of the smooth onset of contact, divided by a rod's radius or a body's size
+    [1]."""
     damping: Float[Array, ""] | None = None
     """Dashpot force per normal speed: [kg/(m s)] if per length, else [kg/s]."""
     friction: Float[Array, ""] | None = None
@@ -60,7 +61,7 @@ def law_numbers(
         friction: Coefficient of Coulomb friction [1].
         friction_drag: Largest friction per slip speed [kg/(m s)] or [kg/s]; by default
             the damping.
-        onset: Width of the smooth onset over a radius or a body size [1].
+        onset: Width of the smooth onset divided by a rod's radius or a body's size [1].
         per_length: Whether the law is per length of contact: the first of both units.
 
     Raises:
@@ -99,7 +100,8 @@ def check_members(members: tuple[str, ...]) -> None:
 
 
 ROUNDED = 1e-7
-"""Length e in the smoothed distance sqrt(d^2 + e^2), over the sum of the radii [1]."""
+"""Length e in the smoothed distance sqrt(d^2 + e^2), divided by the sum of both radii
+[1]."""
 
 
 @pytree
@@ -108,7 +110,7 @@ class ContactPair:
 
     places: tuple[Array | None, Array]
     """Fractions along the first and the second element at which the points lie [1]; the
-    first is `None` for a contact point."""
+    first is `None` if a contact point stands for the first element."""
     normal: Vec3
     """Unit vectors from the second point to the first."""
     weight: Array
@@ -155,7 +157,7 @@ def contact_pair(
         places: Fractions along the first and the second element [1].
         weight: Factor on the force and energy of the pair.
         radii: Radii of the first and of the second element [m].
-        onset: Width of the onset over the mean of the radii [1].
+        onset: Width of the onset divided by the mean of the radii [1].
     """
     together = radii[0] + radii[1]
     rounded = (ROUNDED * together) * (ROUNDED * together)

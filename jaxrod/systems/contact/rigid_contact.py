@@ -133,7 +133,10 @@ class RigidContact(PenaltyContact):
         )
 
     def _pairs(self, groups: Sequence[CollisionBodies]) -> Iterator[tuple[int, int]]:
-        """Pairs of indices of groups that may touch; the first group moves."""
+        """Yields index pairs (a, b), a <= b, of groups that may touch.
+
+        The bodies of group a move; those of group b move or are fixed.
+        """
         moving = len(self.members)
         for a in range(moving):
             for b in range(a, len(groups)):
@@ -192,7 +195,7 @@ class RigidContact(PenaltyContact):
         return total
 
     def violation(self, seen: AllSeen) -> Array:
-        """Deepest penetration over the size of the smaller body [1]."""
+        """Deepest penetration divided by the size of the smaller body [1]."""
         worst = jnp.zeros((), self.stiffness.dtype)
         for _, _, pair in self._collisions(seen):
             depth = jnp.where(pair.share > 0, pair.depth, 0)
@@ -264,8 +267,8 @@ def rigid_contact(
         friction: Coefficient of Coulomb friction [1].
         friction_drag: Largest friction per slip speed [kg/s]; by default equal to
             `damping`.
-        onset: Width of the smooth onset of contact over the size of the smaller body
-            (the radius of a sphere) [1].
+        onset: Width of the smooth onset of contact, divided by the size of the smaller
+            body (the radius of a sphere) [1].
         points: Contact points on the surfaces of members, by name, in the bodies'
             frames `(3, k)` [m]. Bodies from `jaxrod.shapes.signed_distance` need them.
         points_per_edge: Points on every edge of a box, corners included.
@@ -334,7 +337,11 @@ def _turns(group: CollisionBodies, rubs: bool) -> bool:
 
 
 def _ease(group: CollisionBodies, rubs: bool) -> Array:
-    """Largest mobility at a contact, 1/m + reach^2/J; 1/m without couples [1/kg]."""
+    """Mobility 1/m + reach^2/J of each body at a contact; 1/m without couples [1/kg].
+
+    Contact exerts couples if there is friction (`rubs`), or on bodies that are not a
+    ball.
+    """
     moving = 1 / group.masses
     if not _turns(group, rubs):
         return moving
@@ -342,7 +349,12 @@ def _ease(group: CollisionBodies, rubs: bool) -> Array:
 
 
 def _worst(columns: list[Array], max_contacts: int | None) -> Array:
-    """Sum of each row over all bodies, or a bound of it for `max_contacts` bodies."""
+    """Sum of each body's entries in `columns`, over all bodies that may touch it.
+
+    `columns` are matrices `(bodies of a group, bodies of another)`, joined along the
+    second axis. With `max_contacts` the sum is at most this number times the largest
+    entry.
+    """
     every = jnp.concatenate(columns, axis=1)
     total = jnp.sum(every, axis=1)
     if max_contacts is None:

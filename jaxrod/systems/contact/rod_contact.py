@@ -53,7 +53,7 @@ from jaxrod.systems.sites.coupling import AllParts, AllSeen, TiedPair
 from jaxrod.validation import Numbers, check_count
 
 SPACING = 1 / 3
-"""Largest distance between neighbouring contact points over the radius [1]."""
+"""Largest distance between neighbouring contact points divided by the radius [1]."""
 
 
 @pytree
@@ -91,11 +91,16 @@ class RodContact(TouchingRods):
     has_contact_points: ClassVar[bool] = True
 
     def bounding_radii(self, a: int) -> Array:
-        """Larger of each element's radius and that at its first node [m]."""
+        """Larger of each element's radius and its first node's, in member `a` [m]."""
         return jnp.maximum(self.segments[a].first_radii, self.segments[a].radii)
 
     def allowed(self, a: int, b: int, own: Bounds, other: Bounds) -> Any:
-        """Mask of pairs on two rods or over pi radii apart on one; `None` for all."""
+        """Mask of the pairs of elements that may touch; `None` for all.
+
+        Elements of members `a` and `b` that differ, or of two rods, may touch. Elements
+        of one rod may with self-contact, if they reach farther apart along it than pi
+        radii.
+        """
         if a != b:
             return None
         one, two = own.elements, other.elements
@@ -108,14 +113,18 @@ class RodContact(TouchingRods):
         return may
 
     def in_rows(self, a: int, own: Elements, seen: AllSeen) -> ContactPoints:
-        """All contact points of member `a`, to be tested against segments."""
+        """All contact points of member `a`, in place of its elements `own`."""
         rubs = self.friction is not None
         return points_at(self.segments[a], seen[self.members[a]], spins=rubs)
 
     def on_list(
         self, a: int, own: Elements, other: Elements, there: Array
     ) -> tuple[ContactPoints, Elements, Array]:
-        """Points of listed elements along a leading axis, second elements, and mask."""
+        """Contact points of listed elements `own`, listed elements `other`, and mask.
+
+        All have a leading axis: over the points of an element for the first, of length
+        one for the others. The mask `there` is true for entries in use.
+        """
         points = points_on(row_vector(own), self.segments[a].per_element)
         return points, row_vector(other), row_vector(there)
 
@@ -156,7 +165,7 @@ class RodContact(TouchingRods):
     def pair_loads(
         self, own: ContactPoints, other: Elements, weights: Array
     ) -> tuple[SegmentLoads, SegmentLoads]:
-        """Loads of point-segment pairs: on the points, and on the segments."""
+        """Loads on points and on segments, for each pair of both, times `weights`."""
         closest, node = self.contact_pairs(own, other, weights)
         force, turns = pair_forces(closest, own, other, self.law)
         subtracted, others = pair_forces(node, own, other, self.law)
@@ -183,7 +192,11 @@ class RodContact(TouchingRods):
     def collected(
         self, own: ContactPoints, on_own: SegmentLoads, on_other: SegmentLoads
     ) -> tuple[SegmentLoads, SegmentLoads]:
-        """Loads on listed elements, summed over the loads on their contact points."""
+        """Loads on first and second elements of a list, summed over contact points.
+
+        `on_own` are the loads on the points `own`, and `on_other` those on second
+        elements. Both have a leading axis over the points of an element.
+        """
         force, turns = on_own.on_points, on_own.turning_points
         assert force is not None and own.fractions is not None
         nexts = vectors.scale(own.fractions, force)
@@ -209,6 +222,7 @@ class RodContact(TouchingRods):
         A spring's change of length is the sum of the contributions of two rods. Its
         square is at most twice the sum of their squares. Slip has four contributions,
         from the velocities and spins of both rods, shared in proportion to inertia.
+        `own` and `every` are the constants of the rod's member and of all members.
         """
         assert own.linear_density is not None
         # Length that a node stands for, from its mass.
@@ -260,7 +274,8 @@ def rod_contact(
             equal to `damping`.
         self_contact: Whether each rod also touches itself. Parts of a rod that are
             nearer to each other along it than pi times its radius do not touch.
-        onset: Width of the smooth onset of contact over the mean of the radii [1].
+        onset: Width of the smooth onset of contact, divided by the mean of the radii
+            [1].
         points_per_element: Contact points per element; by default so many that they are
             at most a third of a radius apart. Then the energy of crossing rods is the
             same to 3 % wherever they cross.
@@ -303,7 +318,11 @@ def rod_contact(
 
 
 def points_on(own: Elements, per_element: int) -> ContactPoints:
-    """Contact points of listed elements `(1, pairs)`, in arrays `(points, pairs)`."""
+    """Contact points of elements `own` `(1, pairs)`, in arrays `(points, pairs)`.
+
+    There are `per_element + 1` points on each element, both nodes included. The second
+    node counts only at the end of a rod.
+    """
     assert own.first_radii is not None and own.first_lengths is not None
     assert own.starts is not None and own.rest_lengths is not None
     assert own.last is not None and own.rods is not None

@@ -117,7 +117,10 @@ class RodSegments:
         return place.reshape(-1), tangent.reshape(-1)
 
     def from_smooth(self, places: Array, tangents: Array) -> Array:
-        """Forces on nodes, from forces on smooth axes: the transpose of `smooth`."""
+        """Forces on nodes, from forces conjugate to smooth positions and tangents.
+
+        It is the transpose of `smooth`.
+        """
         return from_smooth_nodes(
             self._rods(places), self._rods(tangents), self.is_closed
         ).reshape(-1)
@@ -191,7 +194,7 @@ class RodSegments:
         return inner + self.from_nodes(nodes.reshape(-1))
 
     def _fractions(self, like: Array) -> Array:
-        """Fractions along a segment at which its contact points lie [1]."""
+        """Fractions of contact points along a segment [1], in the dtype of `like`."""
         fractions = np.arange(self.per_element) / self.per_element
         return jnp.asarray(fractions, like.dtype)[None, None, :]
 
@@ -400,7 +403,7 @@ def points_needed(coupling: str, name: str, own: Parts, spacing: float) -> int:
         coupling: Name of the coupling's factory, for the error message.
         name: Name of the member.
         own: Constants of the member.
-        spacing: Largest distance between neighbouring points over the radius [1].
+        spacing: Largest distance between neighbouring points divided by the radius [1].
 
     Raises:
         ValueError: If lengths or radii are traced.
@@ -417,7 +420,10 @@ def points_needed(coupling: str, name: str, own: Parts, spacing: float) -> int:
 def last_but_continued(
     member: str, parts: AllParts, tied: Sequence[TiedPair]
 ) -> tuple[int, ...]:
-    """Indices of last segments of rods that continue: their last nodes are subtracted.
+    """Indices of the last segments of rods whose last node has to be subtracted.
+
+    These nodes are tied to others. One node of each group of tied nodes is not
+    subtracted.
 
     Args:
         member: Name of the member.

@@ -47,8 +47,9 @@ STEPS = 8
 Among random pieces at angles from 4 mrad to 90 degrees, 99.9 % converge in eight steps
 and 86 % in three. Crossed pieces take two or three steps."""
 _CONVEX = 0.5
-"""Smallest ratio of the second derivative with curvature to that without, in a Newton
-step; below it the curvature is ignored [1]."""
+"""Smallest ratio, in a Newton step, of the second derivative of the squared distance
+along an axis to its value without the curvature of this axis. Below it the curvature is
+left out [1]."""
 
 
 @pytree
@@ -69,11 +70,11 @@ class Products:
     start to the first's [m^2]."""
 
     def on_own(self, fraction: Array | float) -> Array:
-        """Fraction along the first segment closest to `fraction` of the second [1]."""
+        """Fraction along segment 1 nearest to the point `fraction` of segment 2 [1]."""
         return jnp.clip((self.mixed * fraction - self.own_way) / self.own, 0, 1)
 
     def on_other(self, fraction: Array | float) -> Array:
-        """Fraction along the second segment closest to `fraction` of the first [1]."""
+        """Fraction along segment 2 nearest to the point `fraction` of segment 1 [1]."""
         return jnp.clip((self.mixed * fraction + self.other_way) / self.other, 0, 1)
 
 
@@ -124,7 +125,12 @@ def products(way: Vec3, own: Vec3, other: Vec3) -> Products:
 def between(
     way: Vec3, own: Vec3, other: Vec3, at: tuple[Array | float, Array | float]
 ) -> Vec3:
-    """Vector `way + s own - t other` between two segments; `at` is (s, t) [m]."""
+    """Vector `way + s own - t other` between points of two segments [m].
+
+    It leads from the second segment to the first. `way` is the vector between their
+    starts, `own` and `other` are the edges, and `at` is (s, t), the fractions along the
+    first and the second segment.
+    """
     x, y, z = (
         w + at[0] * e - at[1] * f for w, e, f in zip(way, own, other, strict=True)
     )
@@ -157,7 +163,10 @@ def nearest_places(way: Vec3, own: Vec3, other: Vec3) -> tuple[Array, Array, Arr
 
 
 def first_guess(have: Products) -> tuple[Array, Array]:
-    """Fractions along two segments at their closest points, up to round-off [1]."""
+    """Fractions along two segments at their closest points, up to round-off [1].
+
+    `have` are the products of the segments.
+    """
     largest = have.own * have.other
     determinant = jnp.maximum(largest - have.mixed * have.mixed, _FLOOR * largest)
     across = have.mixed * have.other_way - have.other * have.own_way
@@ -187,7 +196,10 @@ def lowest(form: Products, start: Array) -> tuple[Array, Array]:
 
 
 def crossedness(have: Products) -> Array:
-    """Weight of closest points: 0 for parallel segments, 1 for crossed ones [1]."""
+    """Weight of closest points: 0 for parallel segments, 1 for crossed ones [1].
+
+    It rises linearly in the squared sine of the angle, from `PARALLEL` to `CROSSED`.
+    """
     sine = 1 - have.mixed * have.mixed / (have.own * have.other)
     return jnp.clip((sine - PARALLEL) / (CROSSED - PARALLEL), 0, 1)
 

@@ -34,7 +34,8 @@ INWARDS, FLAT, TANGENT = 1 / 24, -0.041, -0.136
 """Coefficients of the second and fourth differences in positions, and of the third
 difference in tangents [1]."""
 FARTHEST = 1.165
-"""Largest displacement of a point on a smooth axis over that of any node [1]."""
+"""Largest displacement of a point on a smooth axis divided by the largest displacement
+of a node [1]."""
 _ALIKE = 12
 """Elements of the longest rod for which `stiffest` is computed. Longer rods repeat the
 value of its middle node."""

@@ -46,14 +46,16 @@ class SphereCloud:
     rim_radii: Float[Array, " balls"] | None = None
     """Radii of the rims, zero for balls that are on no rim [m]; `None` without rims."""
     axis: Float[Array, "3"] | None = None
-    """Axis of the rims, a unit vector in the body's own frame."""
+    """Unit vector along the axis of a cylinder, whose rims have points, in the body's
+    own frame; `None` for bodies without rims."""
     angles: tuple[float, ...] = static(default=())
-    """Angle of each point along its rim, measured from the lowest point [rad]."""
+    """Angle of each ball along its rim, measured from the lowest point; zero for balls
+    on no rim [rad]. Empty without rims."""
     is_round: bool = static(default=False)
     """Whether the balls together represent the whole body, which has no corner or
     edge."""
     at_once: int | None = static(default=None)
-    """Largest number of balls that touch a convex body at a time; `None` for all."""
+    """Largest number of balls that can touch a convex body at once; `None` for all."""
 
     @property
     def count(self) -> int:
@@ -104,7 +106,7 @@ class SphereCloud:
 
 
 def _beside(axis: Vec3) -> Vec3:
-    """Unit vector perpendicular to a unit vector."""
+    """A unit vector perpendicular to the unit vector `axis`."""
     x, y, z = axis
     flat = jnp.abs(z) < 0.9
     p, q, r = jnp.where(flat, y, 0), jnp.where(flat, -x, z), jnp.where(flat, 0, -y)

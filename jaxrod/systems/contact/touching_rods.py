@@ -67,7 +67,8 @@ from jaxrod.systems.sites.coupling import (
 from jaxrod.validation import check_count, check_kind, is_traced
 
 FEW_PAIRS = 40_000
-"""Largest number of pairs of elements for which a search tests all by default."""
+"""Largest number of pairs of elements for which a search tests every pair by default,
+without a grid of cells."""
 
 
 @pytree
@@ -103,7 +104,7 @@ class TouchingRods(PenaltyContact):
     # that the last three hooks make of them.
 
     def allowed(self, a: int, b: int, own: Bounds, other: Bounds) -> Any:
-        """Mask of the pairs of elements that may touch; `None` for all."""
+        """Mask of pairs, of members `a` and `b`, that may touch; `None` for all."""
         raise _without(self, "allowed")
 
     def bounding_radii(self, a: int) -> Array:
@@ -131,27 +132,42 @@ class TouchingRods(PenaltyContact):
     def pair_loads(
         self, own: Any, other: Elements, weights: Array
     ) -> tuple[SegmentLoads, SegmentLoads]:
-        """Loads of pairs of elements, on the first and on the second."""
+        """Loads on the first and the second element of each pair, times `weights`."""
         raise _without(self, "pair_loads")
 
     def bound(self, own: Parts, every: list[Parts]) -> StabilityBound:
-        """Bounds of stiffness and drag of `own` if `max_contacts` rods touch it."""
+        """Bounds of stiffness and drag of `own` if `max_contacts` rods touch it.
+
+        `every` contains the constants of all members.
+        """
         raise _without(self, "bound")
 
     def in_rows(self, a: int, own: Elements, seen: AllSeen) -> Any:
-        """Elements or contact points of member `a`, to be tested against elements."""
+        """Elements `own` of member `a`, or contact points that represent them.
+
+        They are the first of each pair when all pairs are tested, without lists. By
+        default they are the elements; a law may take points on member `a` from `seen`.
+        """
         return own
 
     def on_list(
         self, a: int, own: Elements, other: Elements, there: Array
     ) -> tuple[Any, Elements, Array]:
-        """Listed elements (or their contact points), and the mask of entries in use."""
+        """First elements (or contact points) of a list, second elements, and mask.
+
+        By default they are the arguments: elements `own` of member `a`, elements
+        `other`, and the mask `there`, true for entries in use.
+        """
         return own, other, there
 
     def collected(
         self, own: Any, on_own: SegmentLoads, on_other: SegmentLoads
     ) -> tuple[SegmentLoads, SegmentLoads]:
-        """Loads on listed elements, from the loads on their contact points."""
+        """Loads on the first and second elements of a list, from `pair_loads`.
+
+        By default they are the arguments. A law with contact points `own` adds up the
+        loads `on_own` of the points of each element.
+        """
         return on_own, on_other
 
     # Methods that use these hooks.
@@ -221,7 +237,11 @@ class TouchingRods(PenaltyContact):
         ]
 
     def share(self, a: int, b: int, own: Any, other: Elements) -> Array | None:
-        """Weight 0..1 of each pair, less near ties and along a rod; `None` for 1."""
+        """Weight 0..1 of each pair, of members `a` and `b`; `None` if all are 1.
+
+        It is below one near tied nodes, and for elements that are near to each other
+        along one rod.
+        """
         share: Array | None = None
         if a == b:
             near: Array | float = 0.0
@@ -290,7 +310,10 @@ class TouchingRods(PenaltyContact):
     def _listed(
         self, a: int, b: int, own: Elements, other: Elements, there: Array
     ) -> tuple[Any, Elements, Array]:
-        """First elements (or contact points) and second elements of a list; weights."""
+        """First elements (or contact points) of a list, second elements, and weights.
+
+        Weights are zero where `there`, the mask of entries in use, is false.
+        """
         met, other, there = self.on_list(a, own, other, there)
         return met, other, jnp.where(there, self.weights(a, b, met, other), 0)
 
@@ -357,7 +380,7 @@ class TouchingRods(PenaltyContact):
         return jnp.where(self.found.missed > 0, jnp.nan, total)
 
     def violation(self, seen: AllSeen) -> Array:
-        """Deepest penetration over half the sum of the radii [1]."""
+        """Deepest penetration divided by half the sum of the radii [1]."""
         worst = jnp.zeros((), self.stiffness.dtype)
         for pair in self._all_contact_pairs(seen):
             half = 0.5 * (pair.radii[0] + pair.radii[1])
@@ -388,7 +411,7 @@ class TouchingRods(PenaltyContact):
         )
 
     def moved(self, seen: AllSeen) -> Array:
-        """Largest displacement of a node since the search, over half the skin [1].
+        """Largest displacement of a node since the search divided by half the skin [1].
 
         For smooth axes it is an upper bound of the displacement of their points.
         """
@@ -552,7 +575,7 @@ def rod_and_place(segments: RodSegments, node: int) -> tuple[int, Array]:
 
 
 def from_node(where: Along, place: Array) -> Array:
-    """Rest arc length between a node at `place` and elements; zero inside them [m]."""
+    """Rest arc length along a rod from a node at `place` to elements; 0 inside [m]."""
     return jnp.maximum(jnp.maximum(where.starts - place, place - where.ends), 0)
 
 

@@ -81,7 +81,11 @@ class ElasticJoint(Coupling):
         return replace(self, stiffness=own, mixed_stiffness=mixed)
 
     def _rotation(self, seen: AllSeen) -> tuple[Vec3, Array, Vec3]:
-        """Rotation vectors [rad], factors for `joint_couples`, and moments [N m]."""
+        """Rotation vectors phi [rad], factors for `joint_couples`, and moments [N m].
+
+        phi rotates the frame of `a`, turned by `rest_frames`, to that of `b`. The
+        moment is K (phi - phi_0).
+        """
         before = multiply_quaternions(
             orientation_at(seen[self.a.member], self.a),
             split_quaternion(self.rest_frames),

@@ -397,9 +397,10 @@ def glue(
 
 
 def _listed(elements: Any, count: int) -> list[Any]:
-    """Lists of the glued elements of `a` and of `b`, for each pair of rods.
+    """Lists of the glued elements of `a` and of `b`, for each of `count` pairs of rods.
 
-    `None` stands for all elements of both rods.
+    `elements` is the argument of `glue`. An entry `None` stands for all elements of
+    both rods.
     """
     if elements is None:
         return [None] * count
@@ -424,7 +425,10 @@ def _listed(elements: Any, count: int) -> list[Any]:
 
 
 def _rods(name: str, given: Any) -> list[tuple[Any, ...]]:
-    """List of rods as tuples: `(name,)`, or `(name, number)` for one of equal rods."""
+    """List of rods as tuples: `(name,)`, or `(name, number)` for one of equal rods.
+
+    `given` is the argument of `glue` called `name`.
+    """
     if isinstance(given, str):
         return [(given,)]
     if not isinstance(given, Sequence) or not given:
@@ -444,7 +448,8 @@ def _glued(
 ) -> tuple[list[tuple[Any, ...]], list[tuple[Any, ...]]]:
     """Places of the glued elements on the first rod, and on the second rod.
 
-    A place is `(name, element)`, or `(name, number, element)` for one of equal rods.
+    `elements` lists those of rod `one` and of rod `two`; `None` for all. A place is
+    `(name, element)`, or `(name, number, element)` for one of equal rods.
     """
     counts = []
     for side, name in zip("ab", (one, two), strict=True):
@@ -473,7 +478,7 @@ def _glued(
 
 
 def _middles(state: RodState, points: Points) -> tuple[np.ndarray, np.ndarray]:
-    """Middles of elements `(3, k)` [m], and their frames `(3, 3, k)`."""
+    """Middles `(3, k)` [m] and directors `(3, 3, k)` of the elements `points`."""
     first, listed = points.nodes.values, points.elements.values
     # The state is concrete even while other numbers are traced.
     with jax.ensure_compile_time_eval():

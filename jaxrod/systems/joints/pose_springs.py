@@ -103,7 +103,7 @@ class PoseSpring(Coupling):
         return rotation_log(multiply_quaternions(conjugate(q), here))
 
     def _pull(self, own: Seen) -> Vec3:
-        """Force on the point, k (x* - x) + c (v* - v) with the target x* [N]."""
+        """Force on the point, k (x* - x) + c (v* - v), with the target x*, v* [N]."""
         force = vectors.scale(self.stiffness, self._way(own))
         if self.damping is None:
             return force
@@ -114,7 +114,11 @@ class PoseSpring(Coupling):
         return vectors.add(force, vectors.scale(self.damping, rate))
 
     def _couple(self, own: Seen) -> Vec3 | None:
-        """Couple on the element, world frame [N m]; `None` if it turns freely."""
+        """Couple on the element, -k_t phi + c_t (w* - w), world frame [N m].
+
+        phi is the rotation vector from the target, and w* the target's angular
+        velocity. `None` if the element turns freely.
+        """
         couple = None
         if self.turning_stiffness is not None:
             frame = directors(orientation_at(own, self.anchor.points))
@@ -153,7 +157,10 @@ class PoseSpring(Coupling):
         return stored + 0.5 * self.turning_stiffness * square
 
     def reaction(self, seen: AllSeen) -> Reaction:
-        """Force F, couple C, and power F . v* + C . w* of the drive of the target."""
+        """Force F and couple C on the point, and power of the drive of the target [W].
+
+        The power is F . v* + C . w*, with the rates v* and w* of the target.
+        """
         own = seen[self.anchor.points.member]
         force = vectors.split(jnp.stack(self._pull(own))[:, 0])
         power = vectors.dot(force, vectors.split(self._placed.velocity))
@@ -202,7 +209,7 @@ class PoseSpring(Coupling):
 
 
 def _one(vector: Array) -> Vec3:
-    """Converts a vector `(3,)` to a vector field with one entry."""
+    """Converts a vector `(3,)` to components of shape `(1,)`, a field of one point."""
     return vector[0][None], vector[1][None], vector[2][None]
 
 

@@ -240,7 +240,10 @@ def _poses(places: Any, state: Mapping[str, Any]) -> list[Any]:
 
 
 def optional_number(name: str, value: Numbers | None, unit: str) -> Array | None:
-    """Checked number that must not be negative; `None` if none is given."""
+    """Checked number that must not be negative; `None` if none is given.
+
+    `name` and `unit` are for error messages.
+    """
     if value is None:
         return None
     return as_array(name, value, unit, non_negative=True)

@@ -32,7 +32,8 @@ from jaxrod.systems.sites.rows import gather, scatter_add, scatter_set
 from jaxrod.validation import is_traced
 
 _APART = 1e-3
-"""Largest initial distance of tied nodes, over the distance to the next node [1]."""
+"""Largest initial distance of tied nodes divided by the distance to the next node
+[1]."""
 
 
 @pytree
@@ -40,9 +41,9 @@ class Tie(Coupling):
     """Groups of nodes; all nodes of a group move as one. See `tie`."""
 
     points: tuple[Points, ...]
-    """Tied nodes, one entry for each member."""
+    """Tied nodes; one entry for each member."""
     groups: tuple[Indices, ...] = static()
-    """Index of the group of each tied node, one entry for each member."""
+    """Index of the group of each tied node; one array for each member."""
     n_groups: int = static(default=1)
     """Number of groups of nodes that are tied together."""
 
@@ -118,7 +119,7 @@ class Tie(Coupling):
         ]
 
     def _shared(self, seen: AllSeen, field: str, axis: int) -> Any:
-        """Common value of one component of a field, for each tied node by member.
+        """Common value of component `axis` of a field, for each tied node by member.
 
         It is the mean over the group, weighted by mass. If a support holds some of its
         nodes, it is the plain mean of these.
@@ -150,7 +151,10 @@ class Tie(Coupling):
         return Indices(np.concatenate([groups.values for groups in self.groups]))
 
     def violation(self, seen: AllSeen) -> Array:
-        """Largest distance of a tied node from its group's mean, over the radius."""
+        """Largest distance of a tied node from its group's mean, in rod radii [1].
+
+        The radius is the smallest of the tied rods.
+        """
         places, radii = [], []
         for points in self.points:
             own = seen[points.member]

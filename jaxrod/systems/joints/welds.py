@@ -284,7 +284,10 @@ class Attachment(Coupling):
         return sum_of_loads((self.bodies, Loads((x, y, z), couple)), seen=before)
 
     def violation(self, seen: AllSeen) -> Array:
-        """Largest distance of a node from its position on the body, over the radius."""
+        """Largest distance of a node from its point on the body, in rod radii [1].
+
+        The radius is the smallest of the rods.
+        """
         body, own = seen[self.bodies.member], seen[self.points.member]
         x, y, z = (gather(c, self.bodies.nodes) for c in body.motion.position)
         place = vectors.add((x, y, z), self._arms(body))

@@ -53,7 +53,10 @@ class Member(ABC):
     @property
     @abstractmethod
     def array_shape(self) -> tuple[int, ...]:
-        """Shape of one number per element or body; a longer one shows a batch."""
+        """Shape of an array with one number per element or body, of all rods.
+
+        A system stores it; more axes show later that it has become a batch of systems.
+        """
 
     @property
     def effects(self) -> tuple[Effect, ...]:
@@ -93,21 +96,28 @@ class Member(ABC):
 
     @abstractmethod
     def check_state(self, name: str, state: Any, dtype: Any) -> None:
-        """Raises a TypeError or a ValueError if a state is not of this member."""
+        """Raises a TypeError or a ValueError if a state is not of this member.
+
+        Args: name: Name of the member, for messages. state: The state to check. dtype:
+        Floating-point dtype of the system, which the state must have.
+        """
 
     # The entry of a member in `System.members` is a scene, rigid bodies, or the member
     # itself. "Copy" below means a copy of this entry.
 
     def each(self, function: Callable[..., Any], *given: Any) -> Any:
-        """Applies a function to the member's entry in a system and other arguments."""
+        """Value of a function of the member's entry in the system and of `given`.
+
+        For equal rods it is mapped over the rods, by `jax.vmap`.
+        """
         return function(self, *given)
 
     def with_effect(self, effect: Effect) -> Any:
-        """Copy with one more effect, such as the damping of `settled`."""
+        """Copy of the member's entry in the system with one more effect."""
         raise NotImplementedError(f"{type(self).__name__} takes no effects")
 
     def in_own_type(self, name: str) -> Any:
-        """Copy with the numbers of effects converted to the member's dtype.
+        """Copy of the member's entry in the system, with effects in its dtype.
 
         Args:
             name: Name of the member, for messages.
@@ -118,7 +128,7 @@ class Member(ABC):
         return self
 
     def with_free_ends(self, free: Array) -> Any:
-        """Copy whose effects know which ends of its rods are free.
+        """Copy of the member's entry whose effects know which ends are free.
 
         Args:
             free: Flags of the ends of its rods `(rods, 2)`: 1 if free, 0 otherwise.
@@ -133,11 +143,11 @@ class Member(ABC):
         return False
 
     def recalling(self, state: Any) -> Any:
-        """Copy whose effects have the memory that a state holds."""
+        """Copy of the member's entry whose effects have the memory of a state."""
         return self
 
     def with_memory(self, state: Any) -> Any:
-        """The state with the initial memory of its effects, if it holds none."""
+        """Copy of the state with initial memory of effects, if the state holds none."""
         return state
 
     def memory(self, state: Any) -> Any:
@@ -147,7 +157,7 @@ class Member(ABC):
     # The state in the form that couplings read, and steps.
 
     def held(self, state: Any) -> Vec3 | None:
-        """Flags per node and world axis: 1 if a support holds it, else 0.
+        """Flags per node and world axis: 1 where a support holds the node, else 0.
 
         `None` means that no node is held.
         """
@@ -190,7 +200,7 @@ class Member(ABC):
         """Flags of numerical faults in a state: a pytree with an entry `flagged`."""
 
     def contact_forces(self, state: Any) -> list[Vec3]:
-        """Contact forces of fixed bodies on the nodes [N], one entry per effect."""
+        """Contact forces of fixed bodies on the nodes, one entry per contact [N]."""
         return []
 
     # Energies and momenta.

@@ -206,7 +206,8 @@ class RigidBodies(Member):
     def stable_step(self, bound: StabilityBound, safety: ArrayLike) -> tuple[Any, Any]:
         """Largest stable step times the factor `safety` [s], and `None`.
 
-        Springs and dashpots of couplings (`bound`) and of effects limit it.
+        Springs and dashpots of couplings (`bound`) and of effects limit it. `None`
+        stands in place of the `StableStep` of rods.
         """
         bodies: Any = self
         for effect in self.effects:
@@ -302,7 +303,10 @@ def _inertia(
     inertia: Numbers | None,
     dtype: Any,
 ) -> tuple[Array, Array]:
-    """Checks and returns mass [kg] and principal moments of inertia `(3,)` [kg m^2]."""
+    """Mass [kg] and principal moments of inertia `(3,)` [kg m^2], checked.
+
+    They are as given, or those of the solid.
+    """
     if (density is None) == (mass is None):
         raise ValueError("a rigid body needs a density [kg/m^3] or a mass [kg]")
     filled = solid is not None and solid.volume is not None

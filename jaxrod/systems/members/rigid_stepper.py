@@ -83,9 +83,11 @@ class Carried:
     mass: Array
     """Sum of the masses [kg]."""
     moment: Vec3
-    """Sum of m p, with the position p of a node in the body's frame [kg m]."""
+    """Sum of m p, with the mass m of a node and its position p in the body's frame [kg
+    m]."""
     second: Matrix
-    """Sum of the matrices m p p^T, in the body's frame [kg m^2]."""
+    """Sum of the matrices m p p^T, with the mass m of a node and its position p in the
+    body's frame [kg m^2]."""
 
 
 @pytree
@@ -117,7 +119,7 @@ class RigidStepper:
 
     @staticmethod
     def create(bodies: Any, carried: Carried | None, dt: Array) -> RigidStepper:
-        """Computes the constants for steps of size `dt` [s]."""
+        """Computes constants for steps of `dt` [s] and `carried` masses (or `None`)."""
         parts = bodies.parts()
         mass, centre, inertia, inverse = bodies.masses, None, None, None
         if carried is not None:

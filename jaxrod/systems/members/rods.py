@@ -50,7 +50,7 @@ class OneRod(Member):
         return effects
 
     def check(self, name: str) -> None:
-        """Raises a ValueError for wrong axes, or a method without steps in systems."""
+        """Raises a ValueError for wrong axes, or a method without steps in a system."""
         shape, axes = self.array_shape, (("elements",), ("rods", "elements"))
         check_axes(name, "rest lengths", shape, *axes)
         if not self.model.method.steps_in_systems:
@@ -98,7 +98,7 @@ class OneRod(Member):
         return self.model.rod
 
     def each(self, function: Callable[..., Any], *given: Any) -> Any:
-        """Calls a function with the scene and its part of the arguments, rod by rod."""
+        """Value of a function of the scene and `given`; `EqualRods` maps over rods."""
         return function(self.model, *given)
 
     def recalling(self, state: Any) -> Any:
@@ -106,7 +106,7 @@ class OneRod(Member):
         return self.each(lambda scene, own: scene.recalling(own), state)
 
     def with_memory(self, state: Any) -> Any:
-        """The state with the initial memory of the effects, if it holds none."""
+        """Copy of the state with initial memory of effects, if the state holds none."""
         if not self.remembers or state.memory is not None:
             return state
 
@@ -131,7 +131,7 @@ class OneRod(Member):
         return parts_of(self.model.rod)
 
     def held(self, state: Any) -> Vec3 | None:
-        """Flags per node and world axis: 1 if a support holds it, else 0.
+        """Flags per node and world axis: 1 where a support holds the node, else 0.
 
         `None` for a rod without effects.
         """
@@ -146,7 +146,7 @@ class OneRod(Member):
         return motion
 
     def row(self, tree: Any) -> Any:
-        """Concatenates the nodes and elements of all rods; one rod is unchanged."""
+        """Returns `tree` unchanged; `EqualRods` concatenates the fields of its rods."""
         return tree
 
     def stepper(
@@ -189,7 +189,7 @@ class OneRod(Member):
         return self.total(lambda scene, own: scene.angular_momentum(own), state)
 
     def total(self, function: Callable[[Any, Any], Array], state: Any) -> Array:
-        """Sum over all rods of a function of the scene and the state of a rod."""
+        """Value of a function of scene and state; `EqualRods` adds up its rods."""
         return self.each(function, state)
 
     def health(self, state: Any, dt: ArrayLike, limits: HealthLimits) -> Any:
@@ -197,7 +197,11 @@ class OneRod(Member):
         return self.each(lambda s, own: scene_health(s, own, dt, limits=limits), state)
 
     def stable_step(self, bound: StabilityBound, safety: ArrayLike) -> tuple[Any, Any]:
-        """Largest stable step of all rods [s], and the `StableStep` of each."""
+        """Largest step that is stable for every rod, times the factor `safety` [s].
+
+        It is limited by the rods and their effects, and by couplings (`bound`). The
+        second result is the `StableStep` of each rod.
+        """
 
         def one(scene: LoadedRod, own: StabilityBound) -> Any:
             effects = (*scene.effects, CouplingBounds(own))
@@ -207,7 +211,7 @@ class OneRod(Member):
         return jnp.min(step.dt), step
 
     def rows(self, tree: Any) -> Any:
-        """Splits fields in one flat array by rod, the inverse of `row`."""
+        """Returns `tree` unchanged; `EqualRods` splits its fields by rod."""
         return tree
 
 

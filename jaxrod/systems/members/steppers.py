@@ -64,7 +64,7 @@ class MemberStepper(ABC):
         return motion
 
     def moved_as(self, motion: Any, seen: Motion) -> Any:
-        """Converts a motion that couplings have changed to the stepper's form."""
+        """Converts `seen`, a motion that couplings changed, to the stepper's form."""
         raise NotImplementedError(f"{type(self).__name__}: nodes cannot follow others")
 
     def pushed(self, motion: Any, impulses: Loads) -> Any:
@@ -108,7 +108,7 @@ class RodStepper(MemberStepper):
     """Constants of the rod; of equal rods, concatenated."""
 
     def each(self, function: Callable[..., Any], *given: Any) -> Any:
-        """Applies a function to each rod's stepper and its part of the arguments."""
+        """Value of a function of the stepper and `given`; `RodsStepper` maps it."""
         return function(self.verlet, *given)
 
     def enter(self, state: Any) -> Motion:
@@ -142,7 +142,7 @@ class RodStepper(MemberStepper):
         return Seen(self.parts, self.row(motion))
 
     def moved_as(self, motion: Motion, seen: Motion) -> Motion:
-        """Splits `seen`, a motion that couplings have changed, by rod."""
+        """Splits `seen`, a motion of all rods that couplings have changed, by rod."""
         changed: Motion = self.rows(seen)
         return changed
 
@@ -152,7 +152,11 @@ class RodStepper(MemberStepper):
         return replace(self, verlet=replace(self.verlet, scene=scene))
 
     def at(self, model: Any, memory: Any, clock: Clock) -> RodStepper:
-        """Copy with the schedules and memories of the scene evaluated at a time."""
+        """Copy with the schedules of a scene evaluated at a time.
+
+        The scene `model` has the schedules, `memory` is that of its effects, and
+        `clock` is the time.
+        """
         if not model.evolves:
             return self
 
@@ -174,11 +178,11 @@ class RodStepper(MemberStepper):
         return self.each(one, motion, memory)
 
     def row(self, tree: Any) -> Any:
-        """Concatenates the nodes and elements of all rods; one rod is unchanged."""
+        """Returns `tree` unchanged; `RodsStepper` concatenates fields of its rods."""
         return tree
 
     def rows(self, tree: Any) -> Any:
-        """Splits fields in one flat array by rod, the inverse of `row`."""
+        """Returns `tree` unchanged; `RodsStepper` splits its fields by rod."""
         return tree
 
 
@@ -234,6 +238,10 @@ class BodiesStepper(MemberStepper):
         return self.rigid.pushed(motion, impulses)
 
     def at(self, model: Any, memory: Any, clock: Clock) -> BodiesStepper:
-        """Copy with schedules of the bodies' effects evaluated at a time."""
+        """Copy with the schedules of effects evaluated at a time.
+
+        The bodies `model` have the schedules, and `clock` is the time. Bodies have no
+        memory.
+        """
         bodies = replace(self.rigid.bodies, effects=at_clock(model.effects, clock))
         return replace(self, rigid=replace(self.rigid, bodies=bodies))

@@ -145,7 +145,10 @@ class Coupling:
         raise NotImplementedError(f"{type(self).__name__} has no search")
 
     def moved(self, seen: AllSeen) -> Array:
-        """Largest displacement of a node since the search, over the allowed one [1]."""
+        """Largest displacement of a node since the search, divided by the limit [1].
+
+        Above one, the results of the search may be out of date.
+        """
         # Not abstract, for the same reason.
         raise NotImplementedError(f"{type(self).__name__} has no moved")
 

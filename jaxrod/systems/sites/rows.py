@@ -49,7 +49,7 @@ def gather(row: Array, index: Indices) -> Array:
 
 
 def scatter_set(row: Array, index: Indices, values: Array) -> Array:
-    """A row with new entries at the given indices, which must be distinct."""
+    """Copy of a row with `values` at the indices `index`, which must be distinct."""
     size = row.shape[0]
     if _stretches(index) is None and len(index) <= FEW:
         numbers = np.arange(size)
@@ -62,7 +62,7 @@ def scatter_set(row: Array, index: Indices, values: Array) -> Array:
 
 
 def scatter_add(values: Array, index: Indices, size: int) -> Array:
-    """A row of the given size with values summed at their indices (scatter-add)."""
+    """Row of `size` zeros plus `values`, each added at its `index` (scatter-add)."""
     stretches = _stretches(index)
     if stretches is not None:
         zero = jnp.zeros((), values.dtype)
@@ -104,7 +104,7 @@ def _stretches(index: Indices) -> tuple[tuple[int, int, int], ...] | None:
 
 @functools.lru_cache(maxsize=256)
 def _same(index: Indices, size: int) -> np.ndarray:
-    """Mask `(indices, size)`: whether index i is the number j of an entry."""
+    """Mask `(indices, size)`: true at (i, j) where the index number i equals j."""
     return index.values[:, None] == np.arange(size)[None, :]
 
 
@@ -112,7 +112,8 @@ def _same(index: Indices, size: int) -> np.ndarray:
 def _table(index: Indices, size: int) -> np.ndarray:
     """Table `(most, size)`: in column j the positions of the values added to entry j.
 
-    It is padded with the count of values, which is the position of an appended zero.
+    `most` is the largest number of values for one entry. Columns are padded with the
+    number of all values, which is the position of an appended zero.
     """
     counts = np.bincount(index.values, minlength=size)
     table = np.full((max(int(np.max(counts)), 1), size), len(index), np.int32)

@@ -50,7 +50,10 @@ class SystemStepper:
         return {k: m.leave(motions[k]) for k, m in self.members.items()}
 
     def drift(self, motions: Motions, dt: Array) -> Motions:
-        """Motions after a time `dt` [s] at unchanged velocities and spins."""
+        """Motions after a time `dt` [s] at unchanged velocities and spins.
+
+        Tied and attached nodes get their exact positions.
+        """
         moved = {k: m.drift(motions[k], dt) for k, m in self.members.items()}
         return self._placed(moved)
 
@@ -85,14 +88,18 @@ class SystemStepper:
         return self.leave(self.drift(self.kick(motions), 0.5 * self.dt))
 
     def supported(self, motions: Motions) -> Motions:
-        """Motions with the velocities that supports, ties and attachments impose."""
+        """Motions with the velocities that supports, ties and attachments impose.
+
+        Tied and attached nodes also get their exact positions.
+        """
         held = {k: m.supported(motions[k]) for k, m in self.members.items()}
         return self._rates_tied(self._placed(held))
 
     def _exchanged(self, before: Mapping[str, Seen], kicked: Motions) -> Motions:
         """Motions after the impulses that a kick causes between members.
 
-        Nodes attached to a body pass their impulses on to it.
+        Nodes attached to a body pass their impulses on to it. `before` describes the
+        members before the kick, and `kicked` are their motions after it.
         """
         impulses: dict[str, Loads] = {}
         after: dict[str, Seen] | None = None
