@@ -305,7 +305,7 @@ POSITIVE: Kind = (
 
 
 def whole(smallest: int, largest: int = 2**63 - 1) -> Kind:
-    """Kind for integers between two bounds, inclusive."""
+    """Kind for integers from `smallest` to `largest`, both included."""
     return (
         f"a whole number from {smallest} to {largest}",
         lambda value: type(value) is int and smallest <= value <= largest,

@@ -413,7 +413,7 @@ def _is_real(leaf: Any) -> bool:
 
 
 def _first(value: np.ndarray, is_bad: np.ndarray, unit: str) -> str:
-    """Text for the first entry at which `is_bad` is true, with its unit and index."""
+    """Text for the first entry of `value` that `is_bad` flags, with unit and index."""
     unit = f" {unit}" if unit else ""
     if value.ndim == 0:
         return f"{value[()]:g}{unit}"

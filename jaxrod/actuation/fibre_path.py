@@ -112,7 +112,12 @@ class FibrePath:
 
 
 def _half_steps(values: Array) -> Array:
-    """Change of offsets over half of each element next to every node `(k, m)` [m]."""
+    """Half the difference of the next and the previous offset at every node [m].
+
+    It is the change of offset over the halves of elements next to the node. `values`
+    are `(k, m)`; at an end the offset of the end node stands in for the missing
+    neighbour.
+    """
     padded = jnp.pad(values, ((0, 0), (1, 1)), mode="edge")
     return 0.5 * (padded[:, 2:] - padded[:, :-2])
 

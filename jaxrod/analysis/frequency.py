@@ -253,7 +253,8 @@ def _krylov(
 ) -> tuple[Float[Array, "size motions"], Float[Array, "size size"]]:
     """Orthonormal basis of `start, A start, A A start, ...`, and A within it.
 
-    Once the space is exhausted the remaining vectors are zero.
+    A is the linear map `apply`. Once the space is exhausted the remaining vectors are
+    zero.
     """
     # Below this fraction of a vector its remainder is round-off.
     negligible = 100 * jnp.finfo(start.dtype).eps

@@ -97,13 +97,13 @@ class Health:
     joint_angle: Bool[Array, ""]
     """Flag: neighbouring elements are bent too far from their rest shape."""
     speed: Bool[Array, ""]
-    """Flag: a node moves more than half a radius per step."""
+    """Flag: a node moves farther in a step than `largest_travel` allows (0.5 radii)."""
     spin: Bool[Array, ""]
-    """Flag: an element rotates more than a radian per step."""
+    """Flag: an element rotates more in a step than `largest_turn` allows (1 rad)."""
     norm: Bool[Array, ""]
     """Flag: an orientation is not a unit quaternion."""
     violation: Bool[Array, ""]
-    """Flag: a held end is off its position, or a node is deep inside a body."""
+    """Flag: a held end is away from its position, or a node is deep inside a body."""
     energy: Bool[Array, ""]
     """Flag: energy grew by more than work and round-off can explain."""
     smallest_stretch: Float[Array, ""]

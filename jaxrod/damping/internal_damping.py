@@ -303,7 +303,7 @@ def _scaled_columns(a: Matrix, factors: Vec3) -> Matrix:
 
 
 def _products(a: Matrix, b: Matrix) -> Matrix:
-    """Products of matrices `a` with transposed matrices `b`."""
+    """Products a b^T of matrix fields."""
     x, y, z = (to_material(b, row) for row in a)
     return x, y, z
 

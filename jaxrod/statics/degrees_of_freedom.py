@@ -56,7 +56,10 @@ def free_velocity_mask(scene: LoadedRod, motion: Motion) -> tuple[Vec3, Vec3]:
 
 
 def free_position_mask(scene: LoadedRod, motion: Motion) -> tuple[Vec3, Vec3] | None:
-    """Flags: 1 if `constrain` leaves a component free; `None` if it holds nothing."""
+    """Flags of positions and orientations: 1 if `constrain` leaves them free, else 0.
+
+    `None` if no effect constrains positions or orientations.
+    """
     here = constrain(scene, motion)
     if here is motion:
         return None

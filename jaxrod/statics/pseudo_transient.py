@@ -27,9 +27,10 @@ LARGEST_TURN = 1.0
 LARGEST_DISPLACEMENT = 1.0
 """Largest displacement in one correction, over the length of the longest rod [1]."""
 LEFT = 0.75
-"""Largest ratio of the next correction to a correction that is accepted [1]."""
+"""Largest ratio of the correction that would follow to a correction that is accepted
+[1]."""
 LITTLE = 0.1
-"""Ratio of the next correction to an accepted one below which inertia shrinks fast
+"""Ratio of the following correction to an accepted one below which inertia shrinks fast
 [1]."""
 STALLED = 10
 """Multiple of the tolerance below which a stalled search counts as converged [1]."""
@@ -69,7 +70,7 @@ class RestProblem(Protocol):
 
     @property
     def element_lengths(self) -> Array:
-        """Factors from a scaled step to shortest element lengths and radians."""
+        """Factors that turn a scaled step into shortest element lengths and radians."""
 
     @property
     def largest_step(self) -> Array:
