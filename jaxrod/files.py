@@ -199,7 +199,7 @@ def reading(path: Path) -> Iterator[None]:
 
 
 def _reason(error: Exception) -> str:
-    """Explanation of an error, as one short line of text."""
+    """Explanation of an error for a message, as one short line of text."""
     if isinstance(error, RecursionError):
         return "it is nested too deeply"
     if isinstance(error, KeyError):

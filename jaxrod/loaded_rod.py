@@ -260,7 +260,7 @@ def check_memory(scene: LoadedRod, state: RodState, name: str = "state") -> None
 
 
 def _described(memory: Any) -> Any:
-    """Tree structure and shapes of the memory of effects, for comparison."""
+    """Tree structure and shapes of the memory of effects, to compare two memories."""
     leaves, structure = jax.tree.flatten(memory)
     return structure, [jnp.shape(leaf) for leaf in leaves]
 

@@ -249,7 +249,7 @@ def _given(classes: Iterable[type]) -> dict[str, type]:
 
 
 def _check_field(field: dataclasses.Field[Any], value: Any, where: str) -> None:
-    """Raises ValueError if a static field's value is not hashable; it names `where`."""
+    """Raises ValueError if a static field's value is not hashable; `where` names it."""
     try:
         if field.metadata.get("static"):
             hash(value)

@@ -72,7 +72,7 @@ def warn(message: str, category: type[Warning] = UserWarning) -> None:
 
 
 def _is_ours(module: str) -> bool:
-    """Whether a module is part of jaxrod, or of JAX, through which calls pass."""
+    """Whether a module is part of jaxrod or of JAX, so that warnings skip its lines."""
     return module.partition(".")[0] in ("jaxrod", "jax")
 
 

@@ -34,7 +34,7 @@ from jaxrod.structure import pytree
 from jaxrod.validation import check_count, is_traced, knows_constants
 
 InertiaFactors = tuple[Array, Array]
-"""Factors of node masses and of rotary inertias that represent damping."""
+"""Factors of node masses, and of rotary inertias, for a bound that includes damping."""
 
 KRYLOV_SIZE = 32
 MOST_VECTORS = 10_000
@@ -319,6 +319,6 @@ def _stiffness(scene: LoadedRod, state: RodState) -> jax.Array:
 
 @jax.jit
 def _free(scene: LoadedRod, state: RodState) -> jax.Array:
-    """Whether each degree of freedom is free: node displacements, then rotations."""
+    """Flags of degrees of freedom: true if free; node displacements, then rotations."""
     nodes, elements = degrees_of_freedom(scene, motion_of(state))
     return jnp.concatenate([*nodes, *elements]) != 0

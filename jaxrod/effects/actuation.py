@@ -316,7 +316,7 @@ class SplineCouples(Schedule):
     """Schedule of couples from a spline with time-dependent controls or density."""
 
     averages: ElementAverages
-    """Averages of the basis of the spline over the elements."""
+    """Spline averaged over the elements, linear in its control values."""
     controls: Any
     """Control values about d1, d2, d3 `(3, n_controls)`, or a schedule of them [1]."""
     couple_density: Any

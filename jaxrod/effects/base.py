@@ -222,7 +222,7 @@ class Effect:
         return self.loads(rod, motion)
 
     def constrain(self, rod: Rod, motion: Motion) -> Motion:
-        """Motion with positions and orientations corrected to the constraint."""
+        """Motion with positions and orientations that satisfy the constraint."""
         return motion
 
     def constrain_rates(self, rod: Rod, motion: Motion) -> Motion:

@@ -72,7 +72,7 @@ def frame_along(direction: Vec3) -> Quaternion:
 
 
 def turned_to(orientation: Quaternion, direction: Vec3) -> Quaternion:
-    """Orientations after the smallest rotation that aligns d3 with unit vectors."""
+    """Orientations after the smallest rotation that turns d3 to `direction`."""
     d3 = directors(orientation)[2]
     turn = smallest_rotation(d3, direction)
     return normalise(multiply_quaternions(turn, orientation))

@@ -200,7 +200,7 @@ class StokesDrag(FluidDrag):
     reach: ClassVar[Reach] = "neighbours"
 
     def drag(self, rod: Rod, motion: Motion) -> Drag:
-        """Decay rates: drag coefficients over node masses and over rotary inertia."""
+        """Decay rates: drag coefficients divided by node masses or rotary inertia."""
         masses, turning = rod.node_masses, None
         if self.turning is not None:
             about = self.turning / rod.rotary_inertia[-1]
@@ -258,7 +258,7 @@ class QuadraticDrag(FluidDrag):
     reach: ClassVar[Reach] = "neighbours"
 
     def drag(self, rod: Rod, motion: Motion) -> Drag:
-        """Decay rates per speed: drag per squared speed over the node masses."""
+        """Decay rates per speed: drag per squared speed, divided by node masses."""
         area = on_nodes(rod, self.density * rod.radii) / rod.node_masses
         still = jnp.zeros_like(self.density)
         return Drag(

@@ -170,7 +170,8 @@ def _is_method(value: Any) -> bool:
 def trial_motion(rod: Rod) -> Motion:
     """Unstretched rod with irregular directions of elements and irregular rates.
 
-    The angular momentum of each element is perpendicular to the element.
+    It is for tests of effects. The angular momentum of each element is perpendicular to
+    the element.
     """
     k = jnp.arange(rod.n_elements, dtype=rod.rest_lengths.dtype)
     x, y, z = jnp.cos(1.1 * k + 0.3), jnp.sin(1.7 * k + 0.7), jnp.cos(0.6 * k - 0.5)

@@ -129,7 +129,7 @@ def implicit(
 
 @pytree
 class Base:
-    """Start of a stage: a configuration with the rates that inertia would maintain."""
+    """Start of an implicit stage: a configuration, and rates that inertia maintains."""
 
     motion: Motion
     rates: tuple[Vec3, Vec3]

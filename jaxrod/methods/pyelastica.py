@@ -259,7 +259,7 @@ def pyelastica() -> PyElastica:
 
 @pytree
 class LinearDamper(Effect):
-    """PyElastica's linear damper with one constant or two; see the module."""
+    """PyElastica's linear damper with one constant or two; see `linear_damper`."""
 
     translational: Float[Array, ""]
     r"""Decay rate $g$ of velocities [1/s] if `rotational` is `None`; otherwise the drag

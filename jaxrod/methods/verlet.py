@@ -39,7 +39,10 @@ class Kick:
 
     @staticmethod
     def create(inverse_inertia: Array | None, damping: Array | None, dt: Array) -> Kick:
-        """Computes `gain` and `loss` for a step of `dt` [s]; `None` is no damping."""
+        """Computes `gain` and `loss` for a step of size `dt` [s].
+
+        Without an inverse inertia it is 1; without damping `loss` is `None`.
+        """
         duration = dt
         loss = None
         if damping is not None:

@@ -117,7 +117,7 @@ def _gap_of_tangent(effect: Effect, rod: Rod) -> Array:
     shape = trial_motion(rod)
 
     def gap(size: Array, moved: Array) -> Array:
-        """Difference for a rod scaled by `size`.
+        """Relative error of the declared change of loads, for a rod scaled by `size`.
 
         Configurations change if `moved` is 1, rates if it is 0.
         """

@@ -208,16 +208,16 @@ class _RodPlace:
         return replace(self, configuration=configuration)
 
     def momentum(self, step: Float[Array, "n+1 6"]) -> Float[Array, "n+1 6"]:
-        """Product M s of the mass matrix and a scaled step, scaled [kg m^2]."""
+        """Product M s of the mass matrix and a scaled step s, scaled [kg m^2]."""
         moving = (self.units * step)[:, None, :]
         return self.units * jnp.sum(self.mass * moving, axis=2)
 
     def factors(self, inertia: Array) -> Any:
-        """Factors of the matrix K + `inertia` M, for `solve`."""
+        """Factors of the matrix K + `inertia` M of stiffness and mass, for `solve`."""
         return self.tangent.with_blocks(inertia * self.mass).factored()
 
     def solve(self, factors: Any, right: Float[Array, "n+1 6"]) -> Array:
-        """Scaled step s of (K + inertia M) s = `right`, from factors of the matrix."""
+        """Scaled step s with (K + inertia M) s = `right`, from factors of the matrix."""
         return factors.solve(right / self.units) / self.units
 
 
@@ -235,7 +235,7 @@ class _RodAtRest:
 
     @property
     def element_lengths(self) -> Float[Array, "1 6"]:
-        """Factors from rod lengths to shortest element lengths, and 1 for rotations."""
+        """Rod length over shortest element length, and 1 for the three rotations."""
         lengths = self.balance.scene.rod.rest_lengths
         return _six(jnp.sum(lengths) / jnp.min(lengths), 1)
 

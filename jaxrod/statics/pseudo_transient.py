@@ -56,13 +56,13 @@ class Place(Protocol):
         """Copy with another configuration; loads and tangent are not updated."""
 
     def momentum(self, step: Array) -> Array:
-        """Product M s of the mass matrix and a scaled step, scaled [kg m^2]."""
+        """Product M s of the mass matrix and a scaled step s, scaled [kg m^2]."""
 
     def factors(self, inertia: Array) -> Any:
-        """Factors of the matrix K + `inertia` M, for `solve`."""
+        """Factors of the matrix K + `inertia` M of stiffness and mass, for `solve`."""
 
     def solve(self, factors: Any, right: Array) -> Array:
-        """Scaled step s of (K + inertia M) s = `right`, from factors of the matrix."""
+        """Scaled step s with (K + inertia M) s = `right`, from factors of the matrix."""
 
 
 class RestProblem(Protocol):
@@ -90,13 +90,14 @@ class Search:
     here: Any
     """Last accepted configuration, with its loads and tangent."""
     factors: Any
-    """Factors of the matrix K + sigma M at `here`."""
+    """Factors of the matrix K + sigma M of stiffness and mass at `here`; sigma is
+    `inertia`."""
     step: Array
     """Full correction from `here`, a scaled step."""
     share: Float[Array, ""]
     """Fraction of the full correction that is tried [1]."""
     inertia: Float[Array, ""]
-    """Factor sigma of the mass in the matrix K + sigma M [1/s^2]."""
+    """Factor sigma of the mass matrix M in K + sigma M, K the stiffness [1/s^2]."""
     shrinking: Float[Array, ""]
     """Factor by which inertia shrinks after a good correction [1]."""
     trials: Int[Array, ""]

@@ -173,11 +173,11 @@ class LoadBalance:
     # Methods for kernels: each takes one argument.
 
     def about(self, increment: Increment) -> tuple[Array, Tangent, Array]:
-        """Residual, tangent and blocks of the mass matrix at an increment."""
+        """Residual, tangent and mass blocks at an increment, for one program."""
         return self.residual(increment), self.tangent(increment), self.mass()
 
     def ended(self, increment: Increment) -> tuple[Array, Motion]:
-        """Residual and motion at an increment."""
+        """Residual and motion at an increment, for a program that computes both."""
         return self.residual(increment), self.motion(increment)
 
     def moved_along_edges(self, given: tuple[Increment, Array]) -> Motion:
