@@ -203,7 +203,7 @@ class Tendon(Effect):
         return (levers[0], levers[1], levers[2]), (points[0], points[1], points[2])
 
     def _tension(self, lengths: Array) -> Array:
-        """Tension at the base of each cable `(k,)` [N]."""
+        """Tension at the base of each cable, given or from elongation `(k,)` [N]."""
         if self.length is None:
             return jnp.broadcast_to(self.tension, lengths.shape)
         taut, share = self._taut(lengths)

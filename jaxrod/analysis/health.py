@@ -433,7 +433,7 @@ def energy_balance(
 def _rounding_of_positions(
     rod: Rod, state: RodState, dt: Array
 ) -> tuple[Float[Array, ""], Float[Array, ""]]:
-    """Elastic energy that round-off adds in a step, and kinetic energy lost [J]."""
+    """Elastic energy that round-off of positions adds, and kinetic energy lost [J]."""
     spacings = jnp.sum(jnp.spacing(state.positions) ** 2, axis=0)
     stiffness = jnp.max(rod.shear_stretch_stiffness, axis=0) / rod.rest_lengths
     shaken = jnp.sum(stiffness * (spacings[1:] + spacings[:-1])) / 12

@@ -340,8 +340,8 @@ def _not_zero(a: Array) -> Array:
 
 
 _Search = tuple[Array, Array, Bracket, Any]
-"""Number of the round, step without damping h0, bracket of log(h / h0) for the step h,
-and details of the last measurement."""
+"""Number of evaluations, step h0 without damping, bracket of log(h / h0) for the step
+h, and details of the last measurement."""
 
 
 class _Found(NamedTuple):

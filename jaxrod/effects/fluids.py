@@ -467,7 +467,7 @@ class SlenderBodyDrag(Effect):
         )
 
     def _per_length(self, length: Array, radii: Array) -> Array:
-        """Drag per length and speed across it, 4 pi viscosity / ln(length / radii)."""
+        """Drag coefficient across, 4 pi viscosity / ln(length / radii) [kg/(m s)]."""
         return 4 * jnp.pi * self.viscosity / jnp.log(length / radii)
 
 

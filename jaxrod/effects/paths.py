@@ -138,7 +138,7 @@ def schedule_of(name: str, value: Any, unit: str, shape: tuple[int, ...]) -> Sch
 
 
 def _rate(schedule: Any, clock: Clock) -> tuple[Any, Any]:
-    """Value of a schedule at the time of a clock, and its time derivative there."""
+    """Value of a schedule at the time of a clock, and its time derivative."""
 
     def at(fraction: Array) -> Any:
         return schedule(replace(clock, fraction=fraction))

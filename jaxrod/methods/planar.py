@@ -168,7 +168,7 @@ def check_planar(scene: LoadedRod, method: Planar, state: RodState) -> None:
 def _shares_outside(
     scene: LoadedRod, method: Planar, state: RodState
 ) -> Float[Array, " parts"]:
-    """Largest out-of-plane component of each of `_PARTS`, relative to its size [1]."""
+    """Largest out-of-plane fractions of state, rest shape and loads: `_PARTS` [1]."""
     out = PLANES[method.plane][2]
     rod = scene.rod
     frame = state.directors

@@ -322,13 +322,16 @@ class PlanarVerlet(Verlet):
         )
 
     def _remainder(self, motion: PlanarMotion) -> Vec3 | None:
-        """Accumulated round-off in three dimensions; its normal component is kept."""
+        """Round-off of positions: two parts in the plane, the normal one of the start."""
         if motion.remainder is None or self.start.remainders is None:
             return None
         return self._in_space(motion.remainder, self.start.remainders)
 
     def _in_space(self, inside: Vec2, outside: Array) -> Vec3:
-        """World components of a vector: two `inside` the plane, one `outside` it."""
+        """World components of a vector, two of them `inside` the plane.
+
+        The normal one is taken from `outside`, three world components `(3, n)`.
+        """
         a, b, _ = PLANES[self.plane]
         components = [outside[0], outside[1], outside[2]]
         components[a], components[b] = inside

@@ -177,7 +177,7 @@ def _swapped(blocks: Array) -> Array:
 
 
 def _times(blocks: Array, vector: Array) -> Array:
-    """Each block times its vector, as a sum of columns, without matrix units."""
+    """Each block times its vector, without matrix units, which would round to TF32."""
     return jnp.sum(blocks * vector[:, None, :], axis=2)
 
 

@@ -159,7 +159,7 @@ def scene_equilibrium(
 
 
 def _is_loose(scene: LoadedRod) -> bool:
-    """Whether no effect of a scene could hold the rod."""
+    """Whether no effect could hold the rod, by a constraint or by loads that vary."""
     return all(
         type(effect).constrain_rates is Effect.constrain_rates
         and type(effect).constrain is Effect.constrain
@@ -217,7 +217,7 @@ class _RodPlace:
         return self.tangent.with_blocks(inertia * self.mass).factored()
 
     def solve(self, factors: Any, right: Float[Array, "n+1 6"]) -> Array:
-        """Scaled step s with (K + inertia M) s = `right`, from factors of the matrix."""
+        """Solution s, a scaled step, of (K + inertia M) s = `right`, from factors."""
         return factors.solve(right / self.units) / self.units
 
 

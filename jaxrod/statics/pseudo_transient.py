@@ -62,7 +62,7 @@ class Place(Protocol):
         """Factors of the matrix K + `inertia` M of stiffness and mass, for `solve`."""
 
     def solve(self, factors: Any, right: Array) -> Array:
-        """Scaled step s with (K + inertia M) s = `right`, from factors of the matrix."""
+        """Solution s, a scaled step, of (K + inertia M) s = `right`, from factors."""
 
 
 class RestProblem(Protocol):
