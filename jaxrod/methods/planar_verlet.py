@@ -322,7 +322,7 @@ class PlanarVerlet(Verlet):
         )
 
     def _remainder(self, motion: PlanarMotion) -> Vec3 | None:
-        """Round-off of positions: two parts in the plane, the normal one of the start."""
+        """Round-off of positions: two parts in the plane; the normal one of `start`."""
         if motion.remainder is None or self.start.remainders is None:
             return None
         return self._in_space(motion.remainder, self.start.remainders)
