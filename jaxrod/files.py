@@ -199,7 +199,7 @@ def reading(path: Path) -> Iterator[None]:
 
 
 def _reason(error: Exception) -> str:
-    """Explanation of an error, as one short line of text."""
+    """Explanation of an error for a message, as one short line of text."""
     if isinstance(error, RecursionError):
         return "it is nested too deeply"
     if isinstance(error, KeyError):
@@ -305,7 +305,7 @@ POSITIVE: Kind = (
 
 
 def whole(smallest: int, largest: int = 2**63 - 1) -> Kind:
-    """Kind for integers between two bounds, inclusive."""
+    """Kind for integers from `smallest` to `largest`, both included."""
     return (
         f"a whole number from {smallest} to {largest}",
         lambda value: type(value) is int and smallest <= value <= largest,

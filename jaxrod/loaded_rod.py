@@ -260,7 +260,7 @@ def check_memory(scene: LoadedRod, state: RodState, name: str = "state") -> None
 
 
 def _described(memory: Any) -> Any:
-    """Tree structure and shapes of the memory of effects, for comparison."""
+    """Tree structure and shapes of the memory of effects, to compare two memories."""
     leaves, structure = jax.tree.flatten(memory)
     return structure, [jnp.shape(leaf) for leaf in leaves]
 
@@ -363,7 +363,7 @@ def memory_in(scene: LoadedRod, state: RodState) -> Memory:
 
 
 def remembering(scene: LoadedRod, motion: Motion, dt: Array, now: Now) -> Now:
-    """Step number plus one, and the memory after `Effect.after_step` of all effects."""
+    """`now` with the next step number and the memory after `Effect.after_step`."""
     effects = tuple(e.after_step(scene.rod, motion, dt) for e in scene.effects)
     for before, after in zip(scene.effects, effects, strict=True):
         if type(after) is not type(before):

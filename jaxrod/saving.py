@@ -151,7 +151,7 @@ def load(path: str | os.PathLike[str], classes: Iterable[type] = ()) -> Any:
 
 
 def _check_place(target: Path, overwrite: bool) -> None:
-    """Raises if there is something at a path that must not be replaced."""
+    """Raises if `target` exists, unless `save` wrote it and `overwrite` is true."""
     if not os.path.lexists(target):
         return
     try:
@@ -249,7 +249,7 @@ def _given(classes: Iterable[type]) -> dict[str, type]:
 
 
 def _check_field(field: dataclasses.Field[Any], value: Any, where: str) -> None:
-    """Raises ValueError if the value of a static field is not hashable."""
+    """Raises ValueError if a static field's value is not hashable; `where` names it."""
     try:
         if field.metadata.get("static"):
             hash(value)
@@ -324,7 +324,7 @@ class _Writer:
         return self._stored("array", value, place, **weak)
 
     def _stored(self, kind: str, value: Any, place: str, **more: Any) -> dict[str, Any]:
-        """Adds an array to `arrays` under a unique name; returns JSON with the name."""
+        """Adds an array to `arrays` under a new name; returns {kind: name, **more}."""
         array = np.asarray(value, order="C")
         if array.dtype.kind not in "biufc":
             raise ValueError(

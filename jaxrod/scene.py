@@ -137,7 +137,10 @@ class Scene(LoadedRod, Model):
         return constants.evolving(self, first)
 
     def step_warning(self, dt: Array, state: Any) -> tuple[str | None, bool]:
-        """Warning about a concrete step that is not stable; `None` if it is stable."""
+        """Warning about a concrete step that is not stable; `None` if it is stable.
+
+        Also whether the step may become unstable if the rod is compressed further.
+        """
         return scene_step_warning(self, dt, state)
 
     def stable_step(self, safety: ArrayLike, *, state: Any = None) -> StableStep:
@@ -268,7 +271,7 @@ def make_scene(rod: Rod, *effects: Effect, method: Method | None = None) -> Scen
 
 
 def _check_evolution(scene: Scene) -> None:
-    """Raises ValueError if an effect has a schedule or memory that is not allowed."""
+    """Raises ValueError for schedules or memory where numbers must be constant."""
     for effect in scene.evolving_effects:
         name = type(effect).__name__
         memories = [getattr(effect, field) for field in memory_fields(effect)]

@@ -45,11 +45,11 @@ class Leaf:
 
     # Type checkers read from these the type of a field and of its argument.
     def __get__(self, owner: Any, kind: Any = None) -> jax.Array:
-        """Declares that the field is read as an array."""
+        """Declares to type checkers that the field is read as an array."""
         raise NotImplementedError
 
     def __set__(self, owner: Any, value: Given) -> None:
-        """Declares that the field accepts a number, an array or a schedule."""
+        """Declares to type checkers that a number, array or schedule may be given."""
         raise NotImplementedError
 
 

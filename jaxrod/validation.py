@@ -72,7 +72,7 @@ def warn(message: str, category: type[Warning] = UserWarning) -> None:
 
 
 def _is_ours(module: str) -> bool:
-    """Whether a module is part of jaxrod, or of JAX, through which calls pass."""
+    """Whether a module is part of jaxrod or of JAX, so that warnings skip its lines."""
     return module.partition(".")[0] in ("jaxrod", "jax")
 
 
@@ -413,7 +413,7 @@ def _is_real(leaf: Any) -> bool:
 
 
 def _first(value: np.ndarray, is_bad: np.ndarray, unit: str) -> str:
-    """Text for the first entry at which `is_bad` is true, with its unit and index."""
+    """Text for the first entry of `value` that `is_bad` flags, with unit and index."""
     unit = f" {unit}" if unit else ""
     if value.ndim == 0:
         return f"{value[()]:g}{unit}"

@@ -83,7 +83,7 @@ class ActiveShape(SectionLoad):
         return SectionStress(force, moment)
 
     def stability_bound(self, rod: Rod) -> StabilityBound:
-        """Bound of the stiffness of force and moment, which turn with the elements."""
+        """Bound on the stiffness that the stress adds because it turns with the rod."""
         force = moment = None
         if self.curvature is not None:
             bent = self._stiffness(rod) * _wide(self.curvature)

@@ -68,7 +68,7 @@ class Chamber(SectionLoad):
         return -jnp.sum(self._push[:, None] * (length - rest))
 
     def stability_bound(self, rod: Rod) -> StabilityBound:
-        """Bound of the stiffness of the axial forces, which turn with the chambers."""
+        """Bound on the stiffness of axial forces, which turn with the chambers."""
         shape = (self.path.count, rod.n_elements + 1)
         push = jnp.broadcast_to(jnp.abs(self._push)[:, None], shape)
         return self.path.bound(rod, push, jnp.zeros_like(push), pulls=False)
@@ -79,7 +79,7 @@ class Chamber(SectionLoad):
 
     @property
     def _push(self) -> Array:
-        """Axial force of each chamber, positive if it pushes [N]."""
+        """Axial force of each chamber: pressure times area, positive if it pushes."""
         return self.pressure * self.area
 
 
@@ -120,7 +120,7 @@ class WoundChamber(SectionLoad):
         return -jnp.sum(self._pressure[:, None] * volume)
 
     def stability_bound(self, rod: Rod) -> StabilityBound:
-        """Bound of the stiffness of the axial force and the moment near rest."""
+        """Bound on the stiffness of the axial force and the moment, near rest."""
         rest = vectors.safe_norm(self.path.rest_segments(rod))
         cot = jnp.abs(1 / jnp.tan(self.angle))[:, None]
         r = self.radius[:, None]

@@ -49,7 +49,7 @@ class FibrePath:
         return self.offsets.shape[0]
 
     def segments(self, strains: SectionStrains) -> Vec3:
-        """Segment of each fibre around each node, material frame, `(k, n + 1)` [m]."""
+        """Vector along the part of each fibre around each node, material frame [m]."""
         x, y = self.offsets[:, 0], self.offsets[:, 1]
         a, b, c = (part[None, :] for part in strains.rotations)
         e1, e2, e3 = (at_nodes(part)[None, :] for part in strains.edges)
@@ -57,7 +57,7 @@ class FibrePath:
         return e1 - c * y + dx, e2 + c * x + dy, e3 + (a * y - b * x)
 
     def rest_segments(self, rod: Rod) -> Vec3:
-        """Segment of each fibre around each node in the unstressed rod [m]."""
+        """Vector along the part of each fibre around each node, at rest [m]."""
         edges = vectors.scale(
             rod.rest_lengths, _along_axis(vectors.split(rod.rest_strains))
         )
@@ -112,7 +112,11 @@ class FibrePath:
 
 
 def _half_steps(values: Array) -> Array:
-    """Change of offsets over half of each element next to every node `(k, m)` [m]."""
+    """Change of each fibre's offset over the halves of elements next to every node [m].
+
+    It is half the difference of the next and the previous entry of `values` `(k, m)`;
+    at an end the end entry itself stands in for the missing one.
+    """
     padded = jnp.pad(values, ((0, 0), (1, 1)), mode="edge")
     return 0.5 * (padded[:, 2:] - padded[:, :-2])
 

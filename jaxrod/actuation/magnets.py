@@ -143,7 +143,7 @@ class Magnetisation(Effect):
         return -jnp.sum(vectors.dot(moment, flux))
 
     def stability_bound(self, rod: Rod) -> StabilityBound:
-        """Bound of the stiffness of turning couples and of forces varying in space."""
+        """Bound on the stiffness that turning couples and a varying field add."""
         moment = vectors.safe_norm(self._moments(rod))
         if not isinstance(self.field, MagneticField):
             size = jnp.sqrt(jnp.sum(self.field**2))

@@ -124,7 +124,7 @@ _RUN_OUT = 0.05
 
 
 def _outlets() -> tuple[float, float]:
-    """Stretches where the cubic ends and parabolas take it to zero."""
+    """Smallest and largest stretch of the cubic; beyond, parabolas fall to zero."""
     slope = _CUBIC.deriv()
     before = (2 * _CUBIC - _RUN_OUT * slope).roots()
     after = (2 * _CUBIC + _RUN_OUT * slope).roots()
@@ -282,7 +282,11 @@ class Muscle(SectionLoad):
         return -jax.jvp(stretch, here, (motion.velocity, turning))[1]
 
     def stored(self, rod: Rod, strains: SectionStrains) -> Array:
-        """Energy of the fibres, summed over fibres and nodes; see the module [J]."""
+        """Energy of the fibres [J].
+
+        It is the sum of force times rest length times `curve.energy(stretch)`. For
+        muscles across the rod it is twice that sum, at `stretch^(-1/2)`.
+        """
         rest = vectors.safe_norm(self.path.rest_segments(rod))
         stretch = vectors.safe_norm(self.path.segments(strains)) / rest
         pull = self._pull(rod)
@@ -291,7 +295,7 @@ class Muscle(SectionLoad):
         return jnp.sum(pull * rest * self.curve.energy(stretch))
 
     def stability_bound(self, rod: Rod) -> StabilityBound:
-        """Bound of stiffness and drag of the fibres near the unstressed shape."""
+        """Bound on the stiffness and drag of the fibres, near the unstressed shape."""
         largest, steepest = self.curve.largest, self.curve.steepest
         if self.across:
             steepest = 0.5 * steepest + 1.5 * largest

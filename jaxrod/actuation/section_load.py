@@ -145,7 +145,7 @@ class SectionLoad(Effect):
         return self
 
     def loads(self, rod: Rod, motion: Motion) -> Loads:
-        """Forces on nodes and couples on elements from the stress; see the module."""
+        """Forces on nodes and couples on elements by which force and moment act."""
         strains, couplings = self._strains(motion)
         stress = self.at_speed(rod, motion).stress(rod, strains)
         forces, couples = None, None
@@ -169,11 +169,15 @@ class SectionLoad(Effect):
 
     @property
     def twists(self) -> str | None:
-        """Name, for error messages, of the stress, which turns with the sections."""
+        """Name of the stress, for the error message of methods that cannot twist."""
         return "stress in the material frame"
 
     def _strains(self, motion: Motion) -> tuple[SectionStrains, Array]:
-        """Strains, and coupling coefficients of the joints (see `joint_couples`)."""
+        """Strains, and the coupling coefficient of the joint at each node.
+
+        Joints with `walls` are included. For the coefficient see
+        `elasticity.joint_couples`.
+        """
         edges = to_material(directors(motion.orientation), motion.edges)
         rotation, coupling = joint_rotations(motion.orientation)
         x, y, z = (vectors.pad(part, 1, 1) for part in rotation)
@@ -207,7 +211,7 @@ def _without_free_ends(moment: Vec3, held: Sequence[str]) -> Vec3:
 
 
 def _inner_sum(a: Vec3) -> Vec3:
-    """Sums of neighbouring entries, one fewer than entries of `a`."""
+    """Sums a[k] + a[k+1] of neighbouring entries: one fewer than entries of `a`."""
     return a[0][1:] + a[0][:-1], a[1][1:] + a[1][:-1], a[2][1:] + a[2][:-1]
 
 
@@ -239,7 +243,7 @@ def at_nodes(of_elements: Array) -> Array:
 
 
 _LEAST_WEIGHT = 1e-6
-"""Smallest weight of one part of a fibre's elongation, over the sum of all parts
+"""Smallest weight that `_share` gives to one term of a sum, as a fraction of the sum
 [1]."""
 
 
@@ -358,9 +362,10 @@ def _beside_nodes(values: Array) -> tuple[Array, Array]:
 
 
 def _moves(rod: Rod) -> Array:
-    """Squared frequency of the two nodes of each element, per stiffness [1/kg].
+    """Squared frequency, per stiffness, of the two nodes of each element [1/kg].
 
-    It is `2 (1 / m + 1 / m')` for their masses.
+    It is `2 (1 / m + 1 / m')` for node masses `m` and `m'`: half of each node's mass
+    belongs to the element, which acts as a spring between them.
     """
     inverse = 1 / rod.node_masses
     return 2 * (inverse[1:] + inverse[:-1])
@@ -380,7 +385,10 @@ def _of_elements(at_nodes: Array) -> Array:
 
 
 def _share(whole: Array, part: Array) -> Array:
-    """Factor `whole / part` of one term's square, in a bound of the square of a sum."""
+    """Factor `whole / part` of the square of one term in a bound of a squared sum.
+
+    With the terms' sizes `p` and `q`, `(a + b)^2 <= (p + q) (a^2 / p + b^2 / q)`.
+    """
     # Proportional to the part plus a small constant, so that the round-off of a part
     # that is zero adds nothing.
     weight = part + _LEAST_WEIGHT * whole

@@ -61,17 +61,20 @@ class Tendon(Effect):
     stiffness: Float[Array, ""] | None
     """Stiffness of a cable that is wound up to a length [N/m]; otherwise `None`."""
     onset: Float[Array, ""] | None
-    """Elongation over which a cable wound up to a length becomes taut [m]."""
+    """Elongation over which a cable wound up to a length becomes taut [m]; otherwise
+    `None`."""
     anchors: Float[Array, "3 k"] | None = None
     """Points in space from which the cables come, world frame [m]; `None`: cables begin
     at their first eyelets."""
     friction: Float[Array, ""] | None = None
     """Coefficient of friction at the eyelets [1]; `None` without friction."""
     slip_speed: Float[Array, ""] | None = None
-    """Speed of slip at which friction is 0.76 (tanh 1) of its full size [m/s]."""
+    """Speed of slip at which friction is 0.76 (tanh 1) of its full size [m/s]; `None`
+    without friction."""
     friction_at_rest: Float[Array, "..."] | None = None
     """Share $s$ of friction that remains at rest, one number or one per cable `(k,)`
-    [1]. It is positive after the cable was pulled in, negative after it was let out."""
+    [1]. It is positive after the cable was pulled in, negative after it was let out;
+    `None` is zero."""
     first: int = static(default=0)
     """Index of the element with the first eyelet."""
 
@@ -128,7 +131,7 @@ class Tendon(Effect):
         return self._tension(self.cable_lengths(motion))
 
     def stability_bound(self, rod: Rod) -> StabilityBound:
-        """Bound of the stiffness of turning and stretched cables, and of friction.
+        """Bound on the stiffness of turning and stretched cables, and on friction.
 
         It holds for turns of the cable of up to a quarter of a radian at an eyelet, and
         for the pull of a cable that is as long as the rod.
@@ -169,7 +172,7 @@ class Tendon(Effect):
 
     @property
     def twists(self) -> str:
-        """Name, for error messages, of the eyelets, which turn with the elements."""
+        """Name of the eyelets, for the error message of methods that cannot twist."""
         return "eyelets off the centreline"
 
     def resampled(self, rod: Rod, new_rod: Rod) -> Tendon:
@@ -200,7 +203,7 @@ class Tendon(Effect):
         return (levers[0], levers[1], levers[2]), (points[0], points[1], points[2])
 
     def _tension(self, lengths: Array) -> Array:
-        """Tension at the base of each cable `(k,)` [N]."""
+        """Tension at the base of each cable, given or from elongation `(k,)` [N]."""
         if self.length is None:
             return jnp.broadcast_to(self.tension, lengths.shape)
         taut, share = self._taut(lengths)
@@ -226,7 +229,13 @@ class Tendon(Effect):
         return jnp.sum(self.stiffness * (longest + 0.5 * self.onset))
 
     def _held_back(self, rod: Rod, motion: Motion, levers: Vec3, along: Vec3) -> Array:
-        """Tension of each piece of cable over that at the base `(k, pieces)` [1]."""
+        """Tension of each piece of cable, divided by that at the base `(k, pieces)`.
+
+        A piece is the straight cable between two neighbouring eyelets. Friction at each
+        eyelet multiplies the tension by `exp(-friction * turn * share)`, see
+        `_slip_share`. `levers` lead from elements to their eyelets [m], `along` are
+        unit vectors of pieces.
+        """
         assert self.friction is not None and self.slip_speed is not None
         held = slice(self.first, self.first + self.eyelets.shape[2])
         x, y, z = (part[None, held] for part in motion.angular_velocities(rod))
@@ -249,9 +258,9 @@ class Tendon(Effect):
         return jnp.exp(-jnp.pad(jnp.cumsum(lost, axis=1), ((0, 0), (1, 0))))
 
     def _slip_share(self, slip: Array) -> Array:
-        r"""Friction over its full size at the eyelets between pieces [1].
+        """Fraction of full friction at each eyelet, (s + tanh x) / (1 + s tanh x) [1].
 
-        It is $\phi$ in the formulas of the module; `slip` is over the slip speed.
+        `slip` is x, the speed of slip divided by `slip_speed`; s is `friction_at_rest`.
         """
         moving = jnp.tanh(slip)
         if self.friction_at_rest is None:
@@ -264,7 +273,7 @@ class Tendon(Effect):
 
 
 def _pieces(points: Vec3) -> tuple[Vec3, Array]:
-    """Vectors along the straight pieces of each cable, and their lengths [m]."""
+    """Vectors between neighbouring points of each cable, and their lengths [m]."""
     x, y, z = (part[:, 1:] - part[:, :-1] for part in points)
     return (x, y, z), vectors.safe_norm((x, y, z))
 
@@ -275,7 +284,11 @@ def _net(pull: Array) -> Array:
 
 
 def _placed(of_eyelets: Vec3, first: int, n: int) -> Vec3:
-    """Sums of eyelet vectors over all cables, zero on elements without eyelets."""
+    """Sums over all cables of vectors at eyelets, as a field over `n` elements.
+
+    The eyelets are on elements `first`, `first + 1` and so on; other elements have
+    zero.
+    """
 
     def one(part: Array) -> Array:
         total = jnp.sum(part, axis=0)

@@ -157,13 +157,13 @@ class TravellingWave(SectionLoad):
         return -jnp.sum(self.moments * angle)
 
     def stress(self, rod: Rod, strains: SectionStrains) -> SectionStress:
-        """Joint moments: the negative moments of the wave about its axis."""
+        """Stress of the wave: joint moments about its axis, with opposite sign."""
         a, b, c = vectors.split(self.axis)
         size = -self.moments
         return SectionStress(moment=(size * a, size * b, size * c))
 
     def stability_bound(self, rod: Rod) -> StabilityBound:
-        """Bound of the stiffness of the moments, which turn with the elements."""
+        """Bound on the stiffness that moments add because they turn with elements."""
         return transport_bound(rod, moment=self.moments)
 
     def resampled(self, rod: Rod, new_rod: Rod) -> TravellingWave:
@@ -332,7 +332,10 @@ def muscle_torques(
 
 
 def _amplitudes(amplitude: Numbers, shares: Any, kind: Any) -> Array:
-    """Amplitudes of a wave at fractions `shares` of the length of a rod [N m]."""
+    """Amplitude [N m] at fractions `shares` of a rod's length, in the dtype `kind`.
+
+    It is one number for all, or a cubic B-spline with the given coefficients.
+    """
     given = numeric("amplitude", amplitude, "N m")
     given = check_array("amplitude", given, [given.shape], "N m", dtype=kind)
     if given.ndim == 0:

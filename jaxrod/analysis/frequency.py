@@ -34,7 +34,7 @@ from jaxrod.structure import pytree
 from jaxrod.validation import check_count, is_traced, knows_constants
 
 InertiaFactors = tuple[Array, Array]
-"""Factors of node masses and of rotary inertias that represent damping."""
+"""Factors of node masses, and of rotary inertias, for a bound that includes damping."""
 
 KRYLOV_SIZE = 32
 MOST_VECTORS = 10_000
@@ -250,7 +250,8 @@ def _krylov(
 ) -> tuple[Float[Array, "size motions"], Float[Array, "size size"]]:
     """Orthonormal basis of `start, A start, A A start, ...`, and A within it.
 
-    Once the space is exhausted the remaining vectors are zero.
+    A is the linear map `apply`. Once the space is exhausted the remaining vectors are
+    zero.
     """
     # Below this fraction of a vector its remainder is round-off.
     negligible = 100 * jnp.finfo(start.dtype).eps
@@ -315,7 +316,7 @@ def _stiffness(scene: LoadedRod, state: RodState) -> jax.Array:
 
 @jax.jit
 def free_motions(scene: LoadedRod, state: RodState) -> jax.Array:
-    """Whether each degree of freedom is free: node displacements, then rotations."""
+    """Flags of degrees of freedom: true if free; node displacements, then rotations."""
     return _flags(scene, motion_of(state)) != 0
 
 

@@ -97,13 +97,13 @@ class Health:
     joint_angle: Bool[Array, ""]
     """Flag: neighbouring elements are bent too far from their rest shape."""
     speed: Bool[Array, ""]
-    """Flag: a node moves more than half a radius per step."""
+    """Flag: a node moves farther in a step than `largest_travel` allows (0.5 radii)."""
     spin: Bool[Array, ""]
-    """Flag: an element rotates more than a radian per step."""
+    """Flag: an element rotates more in a step than `largest_turn` allows (1 rad)."""
     norm: Bool[Array, ""]
     """Flag: an orientation is not a unit quaternion."""
     violation: Bool[Array, ""]
-    """Flag: a held end is off its position, or a node is deep inside a body."""
+    """Flag: a held end is away from its position, or a node is deep inside a body."""
     energy: Bool[Array, ""]
     """Flag: energy grew by more than work and round-off can explain."""
     smallest_stretch: Float[Array, ""]
@@ -440,7 +440,7 @@ def energy_balance(
 def _rounding_of_positions(
     rod: Rod, state: RodState, dt: Array
 ) -> tuple[Float[Array, ""], Float[Array, ""]]:
-    """Elastic energy that round-off adds in a step, and kinetic energy lost [J]."""
+    """Elastic energy that round-off of positions adds, and kinetic energy lost [J]."""
     spacings = jnp.sum(jnp.spacing(state.positions) ** 2, axis=0)
     stiffness = jnp.max(rod.shear_stretch_stiffness, axis=0) / rod.rest_lengths
     shaken = jnp.sum(stiffness * (spacings[1:] + spacings[:-1])) / 12

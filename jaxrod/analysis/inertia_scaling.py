@@ -99,7 +99,8 @@ def scale_inertia(scene: LoadedRod, dt: Numbers | None = None) -> InertiaScaling
 def _enlarged(scene: LoadedRod, step: Array | None) -> tuple[Rod, Array, Array, Array]:
     """Rod with enlarged inertia, the factors, and the limits before and after.
 
-    It is one program, because each of its operations by itself would be compiled.
+    `step` is the step size to be made stable; `None` chooses it automatically. It is
+    one program, because each of its operations by itself would be compiled.
     """
     if step is None:
         others = SHARE_OF_OTHER_LIMITS * _other_limit(scene)

@@ -79,15 +79,15 @@ COMPRESSED = 0.9
 ROUNDING = 1e-4
 """Largest fraction of the bound that the round-off of positions alone may cost [1]."""
 _MOST_ROUNDS = 100
-"""Largest number of rounds, far more than needed: bisection alone takes sixty."""
+"""Largest number of evaluations in the search for a step; bisection alone takes 60."""
 _DECAY_SLOPE = 0.5
-"""Bound on ((x/2) coth(x/2) - 1) / x: inertia added by exactly solved damping of
-exponent x, over x."""
+"""Upper bound of ((x/2) coth(x/2) - 1) / x: the inertia added by damping that is solved
+exactly, divided by the exponent x (rate times step)."""
 _FACTOR_TURN = 1.2784645427610738
-"""Root of 1 + exp x = x exp x."""
+"""Exponent x at which (1 + exp x) / 2x is smallest: root of 1 + exp x = x exp x."""
 _FACTOR_SLOPE = 1.7955607383343108
-"""Value of (1 + exp x) / 2x at this root: the slope in x that replaces (1 + exp x) / 2
-beyond it, for damping applied after a kick."""
+"""Smallest value of (1 + exp x) / 2x. Above that x, x times this value replaces (1 +
+exp x) / 2 for damping that is applied after a kick."""
 
 
 @pytree
@@ -290,11 +290,12 @@ class Bracket:
     other: tuple[Array, Array]
     """Other end of the interval, and the value there, of opposite sign."""
     former: tuple[Array, Array]
-    """Former end of the interval, and the value there."""
+    """Argument that was an end until the last narrowing, and the value there; third
+    point of the interpolation."""
 
     @staticmethod
     def between(lower: Array, upper: Array) -> Bracket:
-        """Bracket from two arguments at which the function is not yet evaluated."""
+        """Bracket from the ends of an interval; the function is not yet evaluated."""
         # Guessed values of a function that decreases like a hyperbolic tangent: only
         # their signs must be right.
         guess = jnp.tanh(0.5 * (upper - lower))
@@ -343,8 +344,8 @@ def _not_zero(a: Array) -> Array:
 
 
 _Search = tuple[Array, Array, Bracket, Any]
-"""Number of the round, step without damping h0, bracket of log(h / h0) for the step h,
-and details of the last measurement."""
+"""Number of evaluations, step h0 without damping, bracket of log(h / h0) for the step
+h, and details of the last measurement."""
 
 
 class _Found(NamedTuple):
@@ -364,13 +365,19 @@ _Measure = Callable[[_Model, InertiaFactors], tuple[Array, Any]]
 
 
 def _bounds(model: _Model, factors: InertiaFactors) -> tuple[Array, Array]:
-    """Bound on the highest frequency [rad/s], and all bounds by motion and element."""
+    """Bound on the highest frequency [rad/s], and all bounds by motion and element.
+
+    `model` is the scene and the state; `factors` multiply the inertias.
+    """
     frequencies = frequency_bounds(model[0], factors)
     return jnp.max(frequencies), frequencies
 
 
 def _vibration(model: _Model, factors: InertiaFactors) -> tuple[Array, Vibration]:
-    """Highest frequency at a state [rad/s], and the vibration that has it."""
+    """Highest frequency at a state [rad/s], and the vibration that has it.
+
+    `model` is the scene and the state; `factors` multiply the inertias.
+    """
     scene, state = model
     assert state is not None
     vibration = fastest_vibration(scene, state, factors)
@@ -557,7 +564,7 @@ def _drag_rates(
 
 
 def _added(scene: LoadedRod) -> Callable[[Array], Array]:
-    """Function of rate times step: inertia that damping adds, relative to the true."""
+    """Function of rate times step: inertia that damping adds, over the true one [1]."""
     return _added_by_decay if scene.method.solves_damping else _added_by_factor
 
 
@@ -579,7 +586,7 @@ def _inertia_factors(scene: LoadedRod, dt: Array) -> InertiaFactors:
 
 
 def _added_by_decay(exponent: Array) -> Array:
-    """Value of (x/2) coth(x/2) - 1, for damping solved in the kick."""
+    """Added inertia (x/2) coth(x/2) - 1 [1], for damping solved in the kick."""
     half = 0.5 * exponent
     small = half < 1e-2
     safe = jnp.where(small, 1, half)
@@ -587,7 +594,7 @@ def _added_by_decay(exponent: Array) -> Array:
 
 
 def _added_by_factor(exponent: Array) -> Array:
-    """Value of (1 + exp x) / 2 - 1, for rates multiplied by exp(-x) after the kick.
+    """Added inertia (1 + exp x) / 2 - 1, for rates times exp(-x) after the kick.
 
     Beyond the minimum of (1 + exp x) / 2x it is replaced by a multiple of x. Then step
     times frequency grows with the step, with or without drag, and equals 2 at only one
@@ -669,9 +676,10 @@ def _larger_root(first: Array, second: Array, coupling: Array) -> Array:
 def _joint_bounds(rod: Rod, transverse: Array, polar: Array) -> tuple[Array, Array]:
     r"""Contributions of joints to each element's bound, bending and twist [rad^2/s^2].
 
-    Each is half of a joint's squared frequency, computed with half the inertia of
-    either element. In a joint bent by $\theta$ at rest, bending is stiffer by the
-    square of $\frac\theta2/\sin\frac\theta2$ and mixes with twist.
+    Each is half of a joint's squared frequency, computed with half the `transverse` or
+    `polar` rotary inertia of either element. In a joint bent by $\theta$ at rest,
+    bending is stiffer by the square of $\frac\theta2/\sin\frac\theta2$ and mixes with
+    twist.
     """
     stiffness = rod.joint_stiffness / rod.joint_lengths[None, :]
     bending = jnp.maximum(stiffness[0], stiffness[1])

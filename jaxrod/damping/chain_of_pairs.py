@@ -102,18 +102,18 @@ class ChainOfPairs:
     def _own(self, between: Matrix) -> _Triangle:
         """Coupling of each pair of a joint and an adjacent element with itself.
 
-        `between` is the coupling of that element with that joint.
+        It is the lower triangle of a 6 x 6 matrix, the joint first. `between` is the
+        coupling of that element with that joint.
         """
         joints = [list(self.joints[i][: i + 1]) for i in range(3)]
         return joints + [[*between[i], *self.elements[i][: i + 1]] for i in range(3)]
 
     @property
     def _onwards(self) -> tuple[Matrix, Matrix, Matrix]:
-        """Couplings with the next joint and element, from base to tip.
+        """Blocks of S between each joint and element and the next, from base to tip.
 
-        The first is that of the next joint with the present one, the second that of the
-        next joint with the element between, the third that of the next element with
-        that element.
+        As (row, column) they are (next joint, joint), (next joint, element) and (next
+        element, element).
         """
         return (
             transpose(self.across_elements),
@@ -123,19 +123,20 @@ class ChainOfPairs:
 
     @property
     def _backwards(self) -> tuple[Matrix, Matrix, Matrix]:
-        """The couplings of `_onwards` for the opposite order, from tip to base."""
+        """The blocks of `_onwards` for the opposite order, from tip to base."""
         return self.across_elements, transpose(self.before), self.across_nodes
 
     def _middle(
         self, at: int, joints: Vec3, elements: Vec3, rest: Any
     ) -> tuple[list[Array], list[Array], list[Array]]:
-        """Unknowns of the joints before and after the middle element, and its own.
+        """Unknowns of the joint before, the joint after, and the middle element.
 
         Args:
             at: Index of the middle element.
             joints: Right-hand sides of all joints.
             elements: Right-hand sides of all elements.
-            rest: Couplings and right-hand sides that elimination adds from both sides.
+            rest: Couplings and right-hand sides added by elimination on the base side
+                and on the tip side.
         """
         (one, one_right), (other, other_right) = (
             jax.tree.map(lambda c, k=k: c[k], rest) for k in range(2)
@@ -214,7 +215,10 @@ def _eliminate_round(rest: Any, given: Any) -> tuple[Any, Any]:
 
 
 def _solve_round(following: list[Array], kept: Any) -> tuple[list[Array], list[Array]]:
-    """Unknowns of the joint and element of a round, from those of the next round."""
+    """Unknowns of a round's joint and element, from those `following` in the next.
+
+    `kept` has the eliminated unknowns of both, as a number and factors.
+    """
     joint, element = kept
     elements = _solve(element, following)
     joints = _solve(joint, [*elements, *following[:3]])
@@ -224,7 +228,12 @@ def _solve_round(following: list[Array], kept: Any) -> tuple[list[Array], list[A
 def _eliminate(
     matrix: _Triangle, right: list[Any], weights: list[Array]
 ) -> tuple[_Kept, _Triangle, list[Any]]:
-    """Eliminates the first unknowns of a system, one for each weight.
+    """Eliminates the first unknowns of (1 / W + S) p = b, one for each weight.
+
+    Args:
+        matrix: Couplings S.
+        right: Right-hand sides b.
+        weights: Weights W of the unknowns to eliminate.
 
     Returns:
         The eliminated unknowns, and couplings and right-hand sides of the others.
@@ -247,7 +256,11 @@ def _eliminate(
 
 
 def _solve(kept: _Kept, following: list[Array]) -> list[Array]:
-    """Values of eliminated unknowns, from those of the unknowns after them."""
+    """Values of eliminated unknowns, from those of the unknowns `following` them.
+
+    `kept` has a number and factors for each: the unknown is the number minus the
+    factors times the later unknowns.
+    """
     known = list(following)
     for own, parts in reversed(kept):
         for part, unknown in zip(parts, known, strict=True):

@@ -43,7 +43,11 @@ class ShortWaveDamping(Effect):
     $k^{2p}$."""
 
     def dissipate(self, scene: LoadedRod, motion: Motion, dt: Array) -> Motion:
-        """Motion whose short waves have decayed for one step; see the module."""
+        """Motion whose rates r have been filtered, r -= (1 - exp(-rate dt)) B^order r.
+
+        B takes scaled second differences along the rod. Rigid-body motion does not
+        change.
+        """
         body = _Body(scene.rod, motion)
         turning = motion.angular_velocities(scene.rod)
         velocity, spin = body.deforming(motion.velocity, turning)
@@ -79,7 +83,10 @@ class _Body:
         self.total = total
 
     def deforming(self, velocity: Vec3, turning: Vec3) -> tuple[Vec3, Vec3]:
-        """Rates minus those of the rigid-body motion with the same momenta."""
+        """Velocities and angular velocities minus those of the mean rigid motion.
+
+        That motion has the same momentum and angular momentum.
+        """
         m, r = self.masses, self.places
         a, b, c = (speed - jnp.sum(m * speed) / self.total for speed in velocity)
         orbital = vectors.scale(m, vectors.cross(r, (a, b, c)))
@@ -96,7 +103,7 @@ class _Body:
         return to_world(self.frame, vectors.multiply(self.inertia, local))
 
     def _turning_of(self, momentum: Vec3) -> Vec3:
-        """Angular velocity of the rod as a rigid body with a given angular momentum."""
+        """Angular velocity of a rigid rod with the given angular momentum [rad/s]."""
         m, r = self.masses, self.places
         squared = vectors.dot(r, r)
         rows = []
@@ -121,7 +128,11 @@ class _Body:
         return vectors.scale(1 / determinant, turned)
 
     def roughness(self, velocity: Vec3, turning: Vec3) -> tuple[Vec3, Vec3]:
-        """Applies `B` of the module to velocities and angular velocities (world)."""
+        """Product B r = M^-1 D^T w D r, with the velocities and angular velocities r.
+
+        M is the inertia (world frame), D takes differences of neighbours, w are weights
+        along the rod.
+        """
         flux = vectors.scale(
             0.25 * self.element_masses, vectors.inner_difference(velocity)
         )

@@ -252,7 +252,11 @@ def _joint_axes(
 def _mobility(
     scene: LoadedRod, motion: Motion, inverse_masses: Array, inverse_inertias: Vec3
 ) -> tuple[Array, Vec3, Vec3]:
-    """Inverse masses and inertias of free components, as `_Pairs.chain` takes them."""
+    """Inverse masses and inertias as `_Pairs.chain` takes them; 0 where held.
+
+    They are the masses of free nodes, those of partly held nodes along each axis, and
+    the inertias of elements.
+    """
     nodes, elements = free_velocity_mask(scene, motion)
     x, y, z = (c != 0 for c in nodes)
     everywhere = x & y & z
@@ -303,7 +307,7 @@ def _scaled_columns(a: Matrix, factors: Vec3) -> Matrix:
 
 
 def _products(a: Matrix, b: Matrix) -> Matrix:
-    """Products of matrices `a` with transposed matrices `b`."""
+    """Products a b^T of matrix fields."""
     x, y, z = (to_material(b, row) for row in a)
     return x, y, z
 

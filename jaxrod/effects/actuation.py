@@ -69,8 +69,8 @@ class ControlSpline:
     origins: Float[Array, " pieces"]
     """Arc length where the local coordinate of each cubic piece is zero [m]."""
     coefficients: Float[Array, "pieces 4 n_controls"]
-    """Coefficient of each power of the local coordinate in each piece, per unit of each
-    control value."""
+    """Coefficients of the cubic in each piece, for powers 0 to 3 of the local
+    coordinate, per unit of each control value."""
 
     @property
     def n_controls(self) -> int:
@@ -84,7 +84,11 @@ class ControlSpline:
         return _combined(self.basis(points), controls)
 
     def basis(self, points: Float[Array, " m"]) -> Float[Array, "m n_controls"]:
-        """Spline values at the given arc lengths [m] per unit of each control value."""
+        """Spline at each point for a unit value of one control, the others being zero.
+
+        Entry `[i, j]` belongs to point i, at arc length `points[i]` [m], and to control
+        j.
+        """
         piece = jnp.sum(points[:, None] >= self.breaks[None, :], axis=1)
         local = points - self.origins[piece]
         powers = jnp.stack([jnp.ones_like(local), local, local**2, local**3])
@@ -117,7 +121,8 @@ class ElementAverages:
     """
 
     basis: Float[Array, "n n_controls"]
-    """Average over each element of the spline per unit of each control value [1]."""
+    """Average of the spline over element i for a unit value of control j alone, `[i,
+    j]` [1]."""
 
     @property
     def n_controls(self) -> int:
@@ -196,7 +201,10 @@ def control_spline(
 
 
 def _shares(controls: Numbers, end: Any, kind: Any) -> Any:
-    """Checks arc lengths of control points; returns them over the rod length [1]."""
+    """Arc lengths of control points divided by the rod length `end` [1], after checks.
+
+    They must increase strictly between 0 and `end`, and fit into the dtype `kind`.
+    """
     points = numeric("controls", controls, "m")
     if points.ndim != 1 or points.size < 2:
         raise ValueError(f"controls must be at least 2 positions, got {controls}")
@@ -289,7 +297,7 @@ class ElementCouples(Effect):
 
     @property
     def twists(self) -> str:
-        """Name, for error messages, of the couples, which turn with the elements."""
+        """Name of the couples, for the error message of methods that cannot twist."""
         return "couples in the material frame"
 
     def resampled(self, rod: Rod, new_rod: Rod) -> ElementCouples:
@@ -308,7 +316,7 @@ class SplineCouples(Schedule):
     """Schedule of couples from a spline with time-dependent controls or density."""
 
     averages: ElementAverages
-    """Averages of the basis of the spline over the elements."""
+    """Spline averaged over the elements, linear in its control values."""
     controls: Any
     """Control values about d1, d2, d3 `(3, n_controls)`, or a schedule of them [1]."""
     couple_density: Any

@@ -26,7 +26,8 @@ from jaxrod.rods.rod import Rod, RodState
 from jaxrod.structure import pytree
 
 Reach = Literal["neighbours", "second neighbours", "any"]
-"""Range along the rod over which the loads of an effect depend on the state."""
+"""Range along the rod over which the loads of an effect depend on the state; see
+`Effect.reach`."""
 
 
 @pytree
@@ -54,9 +55,9 @@ class StabilityBound:
     """Drag couple on each element per angular velocity, if `loads` contains it
     [N m s]."""
     slip_drag: Array | None = None
-    """Friction force at each node per speed of slip of the rod's surface [kg/s]. Both
-    translation and rotation slip: `drags` divides this drag between them by inertia,
-    damping included. It is perpendicular to `node_drag`."""
+    """Friction force at each node per speed of slip of the rod's surface [kg/s]. The
+    surface slips when the rod translates and when it rotates, so `drags` weighs both.
+    Friction is perpendicular to the drag of `node_drag`."""
     slip_couple: Array | None = None
     """Friction couple on each element per angular velocity, drag times squared lever
     [N m s]."""
@@ -64,9 +65,11 @@ class StabilityBound:
     def drags(self, moving: Array, turning: Array) -> tuple[Array | None, Array | None]:
         """Bounds of the drag on nodes [kg/s] and on elements [N m s], with friction.
 
-        The speed of slip is a velocity `v` plus a lever times an angular velocity,
-        `l w`. By Young's inequality `(v + l w)^2` is at most `(1 + moving) v^2 +
-        (1 + turning) (l w)^2`, if the product of `moving` and `turning` is one.
+        The speed of slip is a velocity `v` plus a lever times an angular velocity, `l
+        w`. By Young's inequality `(v + l w)^2` is at most `(1 + moving) v^2 + (1 +
+        turning) (l w)^2`, if the product of `moving` and `turning` is one. So nodes
+        have the larger of `node_drag` and `(1 + moving) slip_drag`, and elements
+        `element_drag + (1 + turning) slip_couple`.
         """
         nodes, elements = self.node_drag, self.element_drag
         if self.slip_drag is not None:
@@ -122,7 +125,7 @@ class Reaction:
 
     @staticmethod
     def of(force: Vec3, couple: Vec3 | None = None, power: Any = None) -> Reaction:
-        """Makes a reaction from components; a couple or power of `None` is zero."""
+        """Reaction from `force` [N], couple [N m] and power [W]; `None` means zero."""
         none = jnp.zeros_like(force[0])
         turn = (none, none, none) if couple is None else couple
         return Reaction(
@@ -175,7 +178,11 @@ class Effect:
         return self.reach
 
     def __init_subclass__(cls, **kwargs: Any) -> None:
-        """Resets inherited descriptions of hooks that a subclass overrides."""
+        """Resets inherited hooks that no longer describe what a subclass overrides.
+
+        `reach`, `turning_tangent`, `twists` and `wall` describe `loads`; `held`
+        describes `constrain` and `constrain_rates`.
+        """
         super().__init_subclass__(**kwargs)
         if cls.reach not in get_args(Reach):
             raise ValueError(
@@ -215,11 +222,14 @@ class Effect:
         return self.loads(rod, motion)
 
     def constrain(self, rod: Rod, motion: Motion) -> Motion:
-        """Motion with positions and orientations corrected to the constraint."""
+        """Motion with positions and orientations that satisfy the constraint."""
         return motion
 
     def constrain_rates(self, rod: Rod, motion: Motion) -> Motion:
-        """Motion with velocities and spins that the constraint of the effect allows."""
+        """Motion with velocities and spins that the constraint of the effect allows.
+
+        Spins are angular momenta or angular velocities, see `Motion.spin`.
+        """
         return motion
 
     def constrain_accelerations(
@@ -398,7 +408,7 @@ class Effect:
 
 
 def _says_of_others(kind: type, name: str, hooks: tuple[str, ...]) -> bool:
-    """Whether a class overrides one of `hooks` without also declaring `name`.
+    """Whether the class `kind` overrides one of `hooks` without declaring `name`.
 
     `name` is an attribute that describes the hooks. Its inherited value then describes
     those of a base class.

@@ -71,10 +71,11 @@ class Clamp(Effect):
         check_made_for("clamp", self.made_for, rod)
 
     def _joint(self, rod: Rod, orientation: Quaternion) -> tuple[Vec3, Array, Vec3]:
-        """Rotation vector of the joint [rad], coupling coefficient and moment [N m].
+        """Rotation vector [rad], coupling coefficient, moment [N m] of the wall joint.
 
-        The rotation is that from the wall to the end element. For the coefficient see
-        `rotations.rotation_log_and_coupling`.
+        The rotation takes the wall's frame to `orientation`, that of the end element.
+        The moment is stiffness times rotation, in the material frame. For the
+        coefficient see `rotations.rotation_log_and_coupling`.
         """
         wall = conjugate(split_quaternion(self.orientation))
         rotation, coupling = rotation_log_and_coupling(
@@ -238,7 +239,11 @@ class FixedEnd(Effect):
 
 
 def _reaction_at(end: End, motion: Motion, needed: Loads, couples: Vec3) -> Reaction:
-    """Reaction of the force needed at an end node and of a couple on its element."""
+    """Reaction on an end: the force needed there and the support's couple, world frame.
+
+    `needed` balances all other loads; `couples` are those of the support on all
+    elements, in the material frame.
+    """
     assert needed.forces is not None
     index = 0 if end == "base" else -1
     fx, fy, fz = (component[index] for component in needed.forces)
@@ -248,16 +253,17 @@ def _reaction_at(end: End, motion: Motion, needed: Loads, couples: Vec3) -> Reac
 
 
 def _offset(place: Array, end: End, rod: Rod, state: RodState) -> Array:
-    """Distance of an end node from a point, over the radius of its element [1]."""
+    """Distance of an end node from the point `place`, divided by the radius [1]."""
     index = 0 if end == "base" else -1
     apart = vectors.split(state.positions[:, index] - place)
     return vectors.safe_norm(apart) / rod.radii[index]
 
 
 def _frame_at_new_middle(orientation: Array, rod: Rod, new_rod: Rod, end: End) -> Array:
-    """Frame of the middle of an end element, for the same element of `new_rod`.
+    """Orientation of the end element of `new_rod`, from that of `rod`'s end element.
 
-    It is carried along the rest curvature from the old middle to the new one.
+    Both elements begin at the same end but differ in length. The frame is carried along
+    the rest curvature from the middle of the old element to that of the new one.
     """
     index, sign = (0, 1) if end == "base" else (-1, -1)
     way = sign * 0.5 * (new_rod.rest_lengths[index] - rod.rest_lengths[index])

@@ -34,7 +34,8 @@ def angle_over_sine(a: Vec3, b: Vec3) -> Array:
     r"""Ratio $\theta/\sin\theta$, with $\theta$ the angle between two unit vectors.
 
     With $q = \cos(\theta/4)$ and $u = \tan^2(\theta/8) = (1 - q)/(1 + q)$ it is
-    $2\,\arctan(\sqrt u)/\sqrt u$ over $q\,(1 + q) \cos(\theta/2)$.
+    $2\,\arctan(\sqrt u)/\sqrt u$ divided by
+    $q\,(1 + q) \cos(\theta/2)$.
     """
     half = half_angle_cosine(a, b)
     quarter = jnp.sqrt(0.5 * (1 + half))
@@ -71,7 +72,7 @@ def frame_along(direction: Vec3) -> Quaternion:
 
 
 def turned_to(orientation: Quaternion, direction: Vec3) -> Quaternion:
-    """Orientations after the smallest rotation that aligns d3 with unit vectors."""
+    """Orientations after the smallest rotation that turns d3 to `direction`."""
     d3 = directors(orientation)[2]
     turn = smallest_rotation(d3, direction)
     return normalise(multiply_quaternions(turn, orientation))
@@ -99,7 +100,7 @@ def transported(root: Quaternion, direction: Vec3, end: End) -> Quaternion:
 
 
 def _products(q: Quaternion) -> Quaternion:
-    """Cumulative products of quaternions: each product is a factor times the last."""
+    """Running products of quaternions along the rod, `p[k] = q[k] p[k-1]`."""
 
     def further(
         product: Quaternion, factor: Quaternion

@@ -103,7 +103,7 @@ class Driven(Effect):
 
     @property
     def twists(self) -> str | None:
-        """Name, for error messages, of the wall, which may turn about the rod axis."""
+        """Name of the wall, for the error message of methods that cannot twist."""
         return None if self.turn is None else "a wall that is driven"
 
     def constrain(self, rod: Rod, motion: Motion) -> Motion:

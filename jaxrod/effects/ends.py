@@ -102,7 +102,7 @@ def check_made_for(name: str, count: int | None, rod: Rod) -> None:
 
 
 def made_again_for(count: int | None, rod: Rod) -> int | None:
-    """New `made_for` of a support of `rod`: its number of elements, or `None`."""
+    """`made_for` for a support moved to `rod`; `None` if the old `count` is `None`."""
     return None if count is None else rod.n_elements
 
 
@@ -173,7 +173,10 @@ def check_held_once(held: Iterable[tuple[str, Held]], n_elements: int) -> None:
 
 
 def _same(one: int | None, other: int | None, size: int) -> int | None:
-    """Common position of two indices in `size` entries; `None` if they differ."""
+    """Index from 0 that both indices stand for, negative ones counted from the end.
+
+    `None` if they stand for different entries of `size`, or one of them is `None`.
+    """
     if one is None or other is None or one % size != other % size:
         return None
     return one % size

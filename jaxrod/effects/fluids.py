@@ -165,7 +165,7 @@ class FluidDrag(Effect):
 
     @abstractmethod
     def drag(self, rod: Rod, motion: Motion) -> Drag:
-        """Decay rates along and across the rod."""
+        """Decay rates of velocity along and across the rod, relative to the fluid."""
 
     def loads(self, rod: Rod, motion: Motion) -> Loads:
         """Drag as forces and couples, for methods that treat it as an explicit load."""
@@ -200,7 +200,7 @@ class StokesDrag(FluidDrag):
     reach: ClassVar[Reach] = "neighbours"
 
     def drag(self, rod: Rod, motion: Motion) -> Drag:
-        """Decay rates: drag coefficients over node masses and over rotary inertia."""
+        """Decay rates: drag coefficients divided by node masses or rotary inertia."""
         masses, turning = rod.node_masses, None
         if self.turning is not None:
             about = self.turning / rod.rotary_inertia[-1]
@@ -258,7 +258,7 @@ class QuadraticDrag(FluidDrag):
     reach: ClassVar[Reach] = "neighbours"
 
     def drag(self, rod: Rod, motion: Motion) -> Drag:
-        """Decay rates per speed: drag per squared speed over the node masses."""
+        """Decay rates per speed: drag per squared speed, divided by node masses."""
         area = on_nodes(rod, self.density * rod.radii) / rod.node_masses
         still = jnp.zeros_like(self.density)
         return Drag(
@@ -271,7 +271,7 @@ class QuadraticDrag(FluidDrag):
 
 
 def on_nodes(rod: Rod, per_length: Array) -> Array:
-    """Integral of a quantity per length over elements, half at each of their nodes."""
+    """Integrals of a quantity per length over elements, half on each of their nodes."""
     half = 0.5 * per_length * rod.rest_lengths
     return vectors.pad(half, 0, 1) + vectors.pad(half, 1, 0)
 
@@ -467,7 +467,7 @@ class SlenderBodyDrag(Effect):
         )
 
     def _per_length(self, length: Array, radii: Array) -> Array:
-        """Drag per length and speed across the rod [kg/(m s)]."""
+        """Drag coefficient across, 4 pi viscosity / ln(length / radii) [kg/(m s)]."""
         return 4 * jnp.pi * self.viscosity / jnp.log(length / radii)
 
 

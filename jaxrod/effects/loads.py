@@ -123,7 +123,7 @@ class FollowerEndLoad(EndLoad):
         return self._at_end(rod, force, vectors.split(self.couple))
 
     def stability_bound(self, rod: Rod) -> StabilityBound:
-        """Bound of the stiffness of the turning force, for the end node and element."""
+        """Bound on the stiffness that the force adds because it turns with the end."""
         index = 0 if self.end == "base" else -1
         size = jnp.sqrt(jnp.sum(self.force**2))
         # The coupling is force times rotation times displacement. By Young's inequality
@@ -142,7 +142,7 @@ class FollowerEndLoad(EndLoad):
 
     @property
     def twists(self) -> str | None:
-        """Name, for error messages, of the option that makes loads follow the rod."""
+        """Name of the option `follower`, for the error of methods without twist."""
         return "follower=True"
 
 
@@ -202,7 +202,7 @@ class FollowerLoad(UniformLoad):
         return Loads(forces=vectors.pair_sum(turned), couples=couples)
 
     def stability_bound(self, rod: Rod) -> StabilityBound:
-        """Bound of the stiffness of the turning forces, for nodes and elements."""
+        """Bound on the stiffness that forces add because they turn with elements."""
         size = jnp.sqrt(jnp.sum(self.force_per_length**2)) * rod.rest_lengths
         # The coupling is force times rotation times displacement. By Young's inequality
         # it is at most half of the sum of both squares, with lengths as weights that
@@ -220,7 +220,7 @@ class FollowerLoad(UniformLoad):
 
     @property
     def twists(self) -> str | None:
-        """Name, for error messages, of the option that makes loads follow the rod."""
+        """Name of the option `follower`, for the error of methods without twist."""
         return "follower=True"
 
 
@@ -239,7 +239,8 @@ class ExponentialDamping(Effect):
     translational_rate: Float[Array, ""]
     """Decay rate $g_t$ of velocities [1/s]."""
     rotational_rate: Float[Array, ""]
-    """Decay rate $g_r$ of spins [1/s]."""
+    """Decay rate $g_r$ of spins: angular momenta, in PyElastica mode angular velocities
+    [1/s]."""
 
     def damping_rates(self, rod: Rod) -> tuple[Array, Array]:
         """Decay rates of velocities and of spins [1/s]."""

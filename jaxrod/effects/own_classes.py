@@ -78,7 +78,10 @@ def check_own_loads(effect: Effect, rod: Rod) -> None:
 
 
 def _check_loads(kind: type, found: Any, n_elements: int) -> None:
-    """Raises unless `found`, which a hook returned, is `Loads` of the right shapes."""
+    """Raises unless `found`, the result of a load hook, is `Loads` that fits the rod.
+
+    `kind` is the class of the effect, for the message; the rod has `n_elements`.
+    """
     # `kind` is a subclass of `Effect`, which its annotation does not show.
     name = "loads" if kind.loads is not Effect.loads else "loads_after"  # type: ignore[attr-defined]
     if not isinstance(found, Loads):
@@ -124,7 +127,11 @@ def _is_of_jaxrod(kind: type) -> bool:
 
 @functools.cache
 def _slip(kind: type, base: type, noun: str) -> str | None:
-    """Error message for a misspelled or missing hook in a class; otherwise `None`."""
+    """Error message if a class misspells a hook, or defines none; otherwise `None`.
+
+    Hooks are the public methods of `base`. The message calls the class `noun`, such as
+    "an effect".
+    """
     bases = [each for each in kind.__mro__ if issubclass(each, base)]
     hooks = {n for each in bases if _is_of_jaxrod(each) for n in _public(each)}
     own = {n for each in bases if not _is_of_jaxrod(each) for n in _public(each)}
@@ -163,7 +170,8 @@ def _is_method(value: Any) -> bool:
 def trial_motion(rod: Rod) -> Motion:
     """Unstretched rod with irregular directions of elements and irregular rates.
 
-    The angular momentum of each element is perpendicular to the element.
+    It is for tests of effects. The angular momentum of each element is perpendicular to
+    the element.
     """
     k = jnp.arange(rod.n_elements, dtype=rod.rest_lengths.dtype)
     x, y, z = jnp.cos(1.1 * k + 0.3), jnp.sin(1.7 * k + 0.7), jnp.cos(0.6 * k - 0.5)

@@ -132,13 +132,13 @@ class _Constant(Schedule):
 
 
 def schedule_of(name: str, value: Any, unit: str, shape: tuple[int, ...]) -> Schedule:
-    """Checks an argument as `as_timed` does, and makes a schedule of a constant."""
+    """Schedule from an argument that `as_timed` checks; a constant becomes one too."""
     checked = as_timed(name, value, unit, shape)
     return checked if is_schedule(checked) else _Constant(checked)
 
 
 def _rate(schedule: Any, clock: Clock) -> tuple[Any, Any]:
-    """Value of a schedule and its time derivative."""
+    """Value of a schedule at the time of a clock, and its time derivative."""
 
     def at(fraction: Array) -> Any:
         return schedule(replace(clock, fraction=fraction))

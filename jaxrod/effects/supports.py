@@ -59,7 +59,10 @@ def at_node(field: Vec3, value: Array, node: int, axes: Axes) -> Vec3:
 def distance_from(
     place: Array, node: int, axes: Axes, rod: Rod, state: RodState
 ) -> Array:
-    """Distance of a node from a point along the flagged axes, over its radius [1]."""
+    """Distance of a node from the point `place`, divided by the radius there [1].
+
+    Only components along the flagged axes count.
+    """
     apart = (state.positions[:, node] - place) * jnp.asarray(axes, place.dtype)
     return (
         vectors.safe_norm(vectors.split(apart))

@@ -9,8 +9,8 @@ from jaxrod.rods.rod import Rod
 from jaxrod.validation import is_traced, warn
 
 MOST_STRETCH = 9.0
-"""Weight over axial stiffness above which a rod is unlikely: at a strain of 9 it is ten
-times as long [1]."""
+"""Weight divided by axial stiffness above which a rod is unlikely: at a strain of 9 it
+is ten times as long [1]."""
 
 
 class UnlikelyWarning(UserWarning):

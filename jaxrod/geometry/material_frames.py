@@ -114,6 +114,7 @@ def _across(xp: ModuleType, axis: Any, guess: Any) -> Any:
     """Unit vector across an axis near a guess, and the length of the guess across it.
 
     Without a guess it is the world axis least aligned, so that the choice is stable.
+    `xp` is NumPy or `jax.numpy`.
     """
     if guess is None:
         guess = xp.eye(3)[xp.argmin(xp.abs(axis))]
@@ -123,7 +124,10 @@ def _across(xp: ModuleType, axis: Any, guess: Any) -> Any:
 
 
 def _carried(xp: ModuleType, vector: Any, start: Any, end: Any) -> Any:
-    """Normal vector after the smallest rotation that takes tangent `start` to `end`."""
+    """Normal vector after the smallest rotation that takes tangent `start` to `end`.
+
+    `xp` is NumPy or `jax.numpy`.
+    """
     axis = xp.cross(start, end)
     turned = (
         vector * xp.sum(start * end)
@@ -179,7 +183,10 @@ def check_frames(directors: Numbers, tangents: Any) -> Any:
 
 @_compiled_if_traced
 def quaternions(xp: ModuleType, frames: Any) -> Any:
-    """Unit quaternions (w, x, y, z), material to world, of directors `(3, 3, n)`."""
+    """Unit quaternions (w, x, y, z), material to world, of directors `(3, 3, n)`.
+
+    Called without `xp`, see `_compiled_if_traced`.
+    """
     m = xp.swapaxes(frames, 0, 1)
     # The largest of these four is at least 1, so division by its root is safe.
     squares = 1 + xp.stack(

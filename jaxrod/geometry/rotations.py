@@ -210,12 +210,12 @@ def directors(q: Quaternion) -> tuple[Vec3, Vec3, Vec3]:
 
 
 def to_material(frame: tuple[Vec3, Vec3, Vec3], world: Vec3) -> Vec3:
-    """Material components of a world vector, given the directors."""
+    """Material components of a world vector; `frame` has the directors d1, d2, d3."""
     return dot(frame[0], world), dot(frame[1], world), dot(frame[2], world)
 
 
 def to_world(frame: tuple[Vec3, Vec3, Vec3], material: Vec3) -> Vec3:
-    """World components of a material vector, given the directors."""
+    """World components of a material vector; `frame` has the directors d1, d2, d3."""
     d1, d2, d3 = frame
     a, b, c = material
     return (
@@ -272,7 +272,11 @@ def _turned(
     part: tuple[Array | float, Vec3],
     dt: Array,
 ) -> Quaternion:
-    """Orientation after rotation about c at the rate s (c . P), P in body axes."""
+    """Orientation after rotation for `dt` about c at the rate s (c . P).
+
+    `part` is (s, c); c and the angular momentum P are in body axes, `momentum` in the
+    world frame.
+    """
     factor, axis = part
     own = to_material(directors(orientation), momentum)
     rate = factor * vectors.dot(axis, own)

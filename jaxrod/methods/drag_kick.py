@@ -113,9 +113,9 @@ Rates = tuple[Array, Array | None]
 def _change(
     rate: Vec3, drive: Vec3, axis: Vec3, along: Rates, across: Rates, dt: Array
 ) -> Vec3:
-    """Change of vectors v over a step by v' = drive - (g + q |v|) v, drive constant.
+    """Change over a step of v = `rate` by v' = drive - (g + q |v|) v, drive constant.
 
-    Components along and across the axis have different rates g and q.
+    Components along and across the axis have different decay rates (g, q).
     """
     on_rate, on_drive = vectors.dot(axis, rate), vectors.dot(axis, drive)
     rate = vectors.subtract(rate, vectors.scale(on_rate, axis))
@@ -139,7 +139,7 @@ def _change(
 
 
 def _decay(rate: Array, dt: Array) -> tuple[Array, Array]:
-    """Factors as from `_riccati`, for a decay rate that is independent of speed."""
+    """Gain (1 - exp(-g dt)) / g [s], loss 1 - exp(-g dt) [1], for the decay rate g."""
     kick = Kick.create(None, rate, dt)
     assert kick.loss is not None
     return kick.gain, kick.loss
@@ -150,7 +150,7 @@ def _riccati(
 ) -> tuple[Array, Array]:
     """Factors gain [s] and loss [1] in w(h) - w = gain a - loss w, with drive a.
 
-    They solve w' = a - g w - q |w| w over a step; see the module docstring.
+    They solve w' = a - g w - q |w| w over a step with constant a.
 
     Args:
         rates: Decay rate g, and its increase per speed q.

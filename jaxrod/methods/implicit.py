@@ -74,7 +74,7 @@ class Implicit(Method):
     """Largest number of corrections per stage. A step that needs more gives NaN."""
 
     def check(self, scene: LoadedRod) -> None:
-        """Raises ValueError if an effect does not have a property that it declares."""
+        """Raises ValueError if an effect's declared `reach` or tangent proves wrong."""
         check_declared_properties(scene)
 
     def stepper(self, scene: LoadedRod, state: RodState, dt: Array) -> ImplicitStepper:
@@ -129,7 +129,7 @@ def implicit(
 
 @pytree
 class Base:
-    """Start of a stage: a configuration with the rates that inertia would maintain."""
+    """Start of an implicit stage: a configuration, and rates that inertia maintains."""
 
     motion: Motion
     rates: tuple[Vec3, Vec3]
@@ -198,11 +198,14 @@ class ImplicitStepper:
         return self.after(motion, added)
 
     def evolving(self, scene: LoadedRod, first: Array) -> EvolvingImplicit:
-        """Stepper for a scene that depends on time or has memory."""
+        """Stepper for a scene with schedules or memory, from step number `first` on."""
         return EvolvingImplicit(self, scene, first)
 
     def after(self, motion: Motion, added: Increments) -> Motion:
-        """Motion at the end of a step, from the increments of its two stages."""
+        """Motion at the end of a step, from the increments of its two stages.
+
+        `added` has the increments of both stages along its leading axis.
+        """
         share = 0.5 / self.coefficient
         one, two = (jax.tree.map(lambda a, i=i: share * a[i], added) for i in (0, 1))
         after = _add(_add(motion, one), two)
@@ -218,9 +221,10 @@ class ImplicitStepper:
         return motion.velocity, spin
 
     def second_base(self, motion: Motion, added: Increments, factor: Array) -> Base:
-        """Base of the second stage: `motion` plus `factor` times the first increments.
+        """Base of the second stage: `motion` plus `factor` times increments `added`.
 
-        Its guessed rates are those at the end of the first stage.
+        These are the increments of the first stage. The guessed rates are those at its
+        end.
         """
         base = _add(motion, jax.tree.map(lambda a: factor * a, added))
         moved = _add(motion, added)
@@ -285,7 +289,7 @@ class EvolvingImplicit:
         return self._at(now, 0.0).begin(state), now
 
     def cycle(self, carry: tuple[Motion, Now]) -> tuple[Motion, Now]:
-        """Motion, step number and memory after one step of two stages."""
+        """Motion, step number and memory (`carry`) after one step of two stages."""
         motion, now = carry
         coefficient = self.implicit.coefficient
         second = 1 / coefficient - 2

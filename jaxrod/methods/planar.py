@@ -168,7 +168,7 @@ def check_planar(scene: LoadedRod, method: Planar, state: RodState) -> None:
 def _shares_outside(
     scene: LoadedRod, method: Planar, state: RodState
 ) -> Float[Array, " parts"]:
-    """Largest out-of-plane component of each of `_PARTS`, over its typical size [1]."""
+    """Largest out-of-plane fractions of state, rest shape and loads: `_PARTS` [1]."""
     out = PLANES[method.plane][2]
     rod = scene.rod
     frame = state.directors
@@ -200,7 +200,10 @@ def _shares_outside(
 
 
 def _oblique_inertia(rod: Rod, oblique: Array) -> Array:
-    """Coupling of rotation about the normal to others, n1 n2 (J1 - J2) / J [1]."""
+    """Largest coupling of rotation about the normal to others, n1 n2 (J1 - J2) / J [1].
+
+    `oblique` is n1 n2, of the normal's components along d1 and d2.
+    """
     if rod.is_round:
         return jnp.zeros_like(oblique[0])
     inertia = rod.principal_inertias
@@ -240,7 +243,8 @@ def _shares_of_effects(
     """Largest out-of-plane fractions of forces, couples and force directions [1].
 
     The directions are those in which effects may push later. Loads are computed for the
-    rod as it is and for a bent one.
+    rod as it is and for a bent one. `n1` and `n2` are the components of the plane's
+    normal along d1 and d2 of the elements.
     """
     rod = scene.rod
     out = PLANES[method.plane][2]
@@ -278,8 +282,9 @@ def _shares_of_effects(
 def _tilt(effect: Effect, scene: LoadedRod, motion: Motion, out: int) -> Array:
     """Largest out-of-plane component of an effect's possible force directions [1].
 
-    Directions are computed for the rod displaced to many places in the plane, because
-    they may lie in the plane at one place only, as on an oblique cylinder.
+    Directions are computed for the rod displaced to 25 positions in the plane, because
+    they may lie in the plane at one position only, as on an oblique cylinder. `out` is
+    the index of the normal's axis.
     """
     rod = scene.rod
     length = jnp.sum(rod.rest_lengths)

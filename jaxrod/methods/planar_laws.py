@@ -44,7 +44,8 @@ class PlanarPyElasticaStepper(PlanarVerlet):
     """Constants of PyElastica's step for one scene, one step size and one plane."""
 
     decay: tuple[Array, Array] | None
-    """Fractions of velocities and spins left by damping after one step [1]."""
+    """Fractions of velocities and spins left by damping after one step [1]; `None`
+    without damping."""
     inverse_masses: Array
     """Inverse masses of the nodes [1/kg]."""
     inertia: Array
@@ -87,7 +88,7 @@ class PlanarPyElasticaStepper(PlanarVerlet):
         return self.inertia * spin
 
     def spin_in_space(self, spin: Array) -> tuple[Vec3, bool]:
-        """Angular velocity in the material frame [rad/s], and True."""
+        """Angular velocity in the material frame [rad/s]; True: it is a velocity."""
         n1, n2 = self.constants.normal
         return (n1 * spin, n2 * spin, jnp.zeros_like(spin)), True
 
@@ -180,7 +181,7 @@ class PlanarConsistentStepper(PlanarVerlet):
         return spin
 
     def spin_in_space(self, spin: Array) -> tuple[Vec3, bool]:
-        """Angular momentum in the world frame [kg m^2/s], and False."""
+        """Angular momentum in the world frame [kg m^2/s]; False: it is no velocity."""
         zero = jnp.zeros_like(spin)
         components = [zero, zero, zero]
         components[PLANES[self.plane][2]] = spin

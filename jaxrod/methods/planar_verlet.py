@@ -141,7 +141,8 @@ class PlanarRod:
     def moments(self, turn: Array) -> Array:
         """Bending moments of the joints about the normal [N m].
 
-        They are B/D times the change of the joint angle from rest.
+        They are B/D times the change of the joint angle from rest; `turn` is the
+        rotation of each element since the start of the run [rad].
         """
         return self.joint * (turn[1:] - turn[:-1] + self.joint_offsets)
 
@@ -242,7 +243,7 @@ class PlanarVerlet(Verlet):
     def add_loads(
         self, motion: PlanarMotion, forces: Vec2, couple: Array
     ) -> tuple[Vec2, Array]:
-        """Adds the in-plane forces and normal couples of all effects."""
+        """Adds in-plane forces and normal couples of all effects to the given ones."""
         a, b, _ = PLANES[self.plane]
         n1, n2 = self.constants.normal
         in_space = self.view(motion)
@@ -321,13 +322,16 @@ class PlanarVerlet(Verlet):
         )
 
     def _remainder(self, motion: PlanarMotion) -> Vec3 | None:
-        """Accumulated round-off in three dimensions; its normal component is kept."""
+        """Round-off of positions: two parts in the plane; the normal one of `start`."""
         if motion.remainder is None or self.start.remainders is None:
             return None
         return self._in_space(motion.remainder, self.start.remainders)
 
     def _in_space(self, inside: Vec2, outside: Array) -> Vec3:
-        """Three world components from two in the plane and one along the normal."""
+        """World components of a vector, two of them `inside` the plane.
+
+        The normal one is taken from `outside`, three world components `(3, n)`.
+        """
         a, b, _ = PLANES[self.plane]
         components = [outside[0], outside[1], outside[2]]
         components[a], components[b] = inside
@@ -357,7 +361,7 @@ def _in_plane(orientation: Quaternion, normal: Vec2, out: int) -> Quaternion:
     Quaternions q that rotate the material vector m into the plane's normal e satisfy
     e q = q m; (q - e q m)/2 is the nearest. All elements share one m, because they are
     not twisted. Without this, round-off would tilt and twist them a little more in
-    every call.
+    every call. `normal` has m's components along d1 and d2; `out` is the axis of e.
     """
     n1, n2 = _but_for_rounding(normal[0]), _but_for_rounding(normal[1])
     length = jnp.sqrt(n1 * n1 + n2 * n2)
@@ -380,9 +384,9 @@ def _in_plane(orientation: Quaternion, normal: Vec2, out: int) -> Quaternion:
 
 
 def _but_for_rounding(component: Array) -> Array:
-    """Mean of a component of the normals, or exactly zero if it is only round-off.
+    """Mean over the elements of a component of the plane's normal along d1 or d2.
 
-    Most normals are along d1 or d2.
+    It is exactly zero if it is only round-off: most normals are along d1 or d2.
     """
     mean = jnp.mean(component)
     return jnp.where(jnp.abs(mean) < 64 * jnp.finfo(mean.dtype).eps, 0, mean)

@@ -69,7 +69,8 @@ class PyElasticaStepper(Verlet):
     """Constants of the PyElastica step for one scene and one step size."""
 
     decay: tuple[Array, Array] | None
-    """Fractions of velocities and spins left by damping after one step [1]."""
+    """Fractions of velocities and spins left by damping after one step [1]; `None`
+    without damping."""
     lengths: Array
     """Rest lengths of the elements [m]."""
     inverse_lengths: Array
@@ -258,7 +259,7 @@ def pyelastica() -> PyElastica:
 
 @pytree
 class LinearDamper(Effect):
-    """PyElastica's linear damper with one constant or two; see the module."""
+    """PyElastica's linear damper with one constant or two; see `linear_damper`."""
 
     translational: Float[Array, ""]
     r"""Decay rate $g$ of velocities [1/s] if `rotational` is `None`; otherwise the drag
@@ -268,7 +269,11 @@ class LinearDamper(Effect):
     single constant."""
 
     def dissipate(self, scene: LoadedRod, motion: Motion, dt: Array) -> Motion:
-        """Motion with velocities and spins multiplied by the factors of the module."""
+        """Motion with velocities and spins multiplied by the decay factors of one step.
+
+        They are exp(-g dt) for velocities and, with the inertia J and the stretch e,
+        exp(-g dt M / J)^e for spins, or those of two separate constants.
+        """
         if not motion.spin_is_velocity:
             raise ValueError(
                 "linear_damper is PyElastica's, for method=pyelastica(): "

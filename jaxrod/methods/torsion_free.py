@@ -240,7 +240,7 @@ def _gap(one: Vec3, other: Vec3) -> Array:
 
 
 def _share(part: Array, whole: Vec3) -> Array:
-    """Largest entry of `part` over the largest component of `whole`; zero for zero."""
+    """Largest entry of `part` divided by the largest component of `whole` [1]."""
     size = jnp.max(jnp.abs(vectors.join(whole)))
     return jnp.max(part) / jnp.where(size > 0, size, 1)
 
@@ -430,7 +430,11 @@ class TorsionFreeStepper(Verlet):
         start, finish = (int(wall is not None) for wall in self.walls)
 
         def ends(c: Array, k: int) -> tuple[Array, Array]:
-            """Component `k` of the directions before and after every joint."""
+            """Component `k` of the directions before and after every joint.
+
+            `c` is that component of the elements' directions; directions of walls are
+            added.
+            """
             for wall, where in zip(self.walls, ((1, 0, 0), (0, 1, 0)), strict=True):
                 if wall is not None:
                     c = lax.pad(c, wall[k], [where])

@@ -39,7 +39,10 @@ class Kick:
 
     @staticmethod
     def create(inverse_inertia: Array | None, damping: Array | None, dt: Array) -> Kick:
-        """Computes `gain` and `loss` for a step of size `dt` [s]."""
+        """Computes `gain` and `loss` for a step of size `dt` [s].
+
+        Without an inverse inertia it is 1; without damping `loss` is `None`.
+        """
         duration = dt
         loss = None
         if damping is not None:
@@ -108,7 +111,7 @@ class Verlet(ABC):
         return constrain_rates(self.scene, motion)
 
     def begin(self, state: RodState) -> Any:
-        """Carry in the middle of the first step, from the initial state."""
+        """Motion after half a drift, in the middle of the first step."""
         return self.drift(self.enter(state), 0.5 * self.dt)
 
     def cycle(self, motion: Any) -> Any:
@@ -116,11 +119,11 @@ class Verlet(ABC):
         return self.drift(self.kick(motion), self.dt)
 
     def end(self, motion: Any) -> RodState:
-        """Final state, from the carry in the middle of the last step."""
+        """Final state: the last kick, then half a drift, from the middle of a step."""
         return self.leave(self.drift(self.kick(motion), 0.5 * self.dt))
 
     def evolving(self, scene: LoadedRod, first: Array) -> EvolvingVerlet:
-        """Stepper for a scene that depends on time or has memory."""
+        """Stepper for a scene with schedules or memory, from step number `first` on."""
         return EvolvingVerlet(self, scene, first)
 
 
@@ -142,17 +145,17 @@ class EvolvingVerlet:
     """Number of the first step, counted from time zero."""
 
     def begin(self, state: RodState) -> tuple[Any, Now]:
-        """Carry in the middle of the first step, from the initial state."""
+        """Motion in the middle of the first step, with step number and memory."""
         now = Now(self.first, memory_in(self.scene, state))
         return self._at(now, 0.5).begin(state), now
 
     def cycle(self, carry: tuple[Any, Now]) -> tuple[Any, Now]:
-        """Advances from the middle of a step to the middle of the next."""
+        """Advances motion, step number and memory to the middle of the next step."""
         kicked, now = self._kick(carry)
         return self._at(now, 0.5).drift(kicked, self.verlet.dt), now
 
     def end(self, carry: tuple[Any, Now]) -> RodState:
-        """Final state, from the carry in the middle of the last step."""
+        """Final state, with the memory, from the middle of the last step."""
         kicked, now = self._kick(carry)
         last = self._at(now, 0.0)
         moved = last.drift(kicked, 0.5 * self.verlet.dt)

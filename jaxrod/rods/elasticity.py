@@ -94,7 +94,10 @@ def elastic_law(rod: Rod) -> ElasticLaw:
 
 
 def shear_stretch(edges: Vec3, orientation: Quaternion, inverse_lengths: Array) -> Vec3:
-    """Shear-stretch strain of each element, `R^T e / l - e3`, material frame [1]."""
+    """Shear-stretch strain of each element, `R^T e / l - e3`, material frame [1].
+
+    `e` is the edge, `1 / l` the inverse rest length, `R` the orientation.
+    """
     a, b, c = to_material(directors(orientation), edges)
     return a * inverse_lengths, b * inverse_lengths, c * inverse_lengths - 1
 
@@ -207,7 +210,7 @@ def stored_energy(rod: Rod, state: RodState) -> Float[Array, ""]:
 
 @pytree
 class ElementTangent:
-    """Tangent stiffness of each element of a rod, world frame; see the module."""
+    """Derivatives of each element's force N and couple N x e, world frame."""
 
     stretching: Matrix
     """Derivative $D$ of the force $N$ in the element by its edge [N/m]."""
@@ -219,7 +222,7 @@ class ElementTangent:
 
 @pytree
 class JointTangent:
-    """Tangent stiffness of each joint of a rod, world frame; see the module."""
+    """Couple of each joint of a rod and its derivative, world frame."""
 
     stiffness: Matrix
     r"""Derivative $H$ of the couple $\mu$ by the relative rotation [N m]."""
@@ -228,7 +231,7 @@ class JointTangent:
 
 
 def element_tangent(law: ElasticLaw, motion: Motion) -> ElementTangent:
-    """Tangent stiffness of shear and stretch of each element."""
+    """Derivatives of each element's force and couple by its edge and rotation."""
     frame = directors(motion.orientation)
     edges, inverse = motion.edges, law.inverse_lengths
     local = to_material(frame, edges)
@@ -243,7 +246,7 @@ def element_tangent(law: ElasticLaw, motion: Motion) -> ElementTangent:
 
 
 def joint_tangent(law: ElasticLaw, motion: Motion) -> JointTangent:
-    """Tangent stiffness of bending and twist of each joint."""
+    """Couple of each joint, and its derivative by the joint's relative rotation."""
     rotation, coupling = joint_rotations(motion.orientation)
     w, x, y, z = motion.orientation
     after = (w[1:], x[1:], y[1:], z[1:])

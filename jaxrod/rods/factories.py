@@ -278,7 +278,10 @@ def _middles(elements: Any) -> Any:
 def _check_resolved(
     name: str, positions: np.ndarray, rest_lengths: np.ndarray, dtype: Any
 ) -> None:
-    """Raises if elements are not much longer than the round-off of node positions."""
+    """Raises if elements are not much longer than the round-off of node positions.
+
+    The message calls the argument with the positions `name`.
+    """
     farthest = np.max(np.abs(positions)).astype(dtype)
     shortest, apart = np.min(rest_lengths), np.spacing(farthest)
     if apart > ROUNDED * shortest:

@@ -155,11 +155,11 @@ class Loads:
             forces: tuple[Array, ...] | None = None,
             couples: tuple[Array, ...] | None = None,
         ) -> None:
-            """Makes loads of three components each."""
+            """Makes loads of forces (x, y, z) and couples (x, y, z); `None` is zero."""
 
 
 def accumulate(total: Vec3, part: Vec3 | None) -> Vec3:
-    """Sum of two vector fields; a `part` of `None` counts as zero."""
+    """Sum `total` + `part` of two vector fields; a `part` of `None` counts as zero."""
     if part is None:
         return total
     return total[0] + part[0], total[1] + part[1], total[2] + part[2]

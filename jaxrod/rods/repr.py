@@ -62,7 +62,7 @@ def scene_repr(scene: Any) -> str:
 
 
 def repr_or_class_name(words: Any, thing: Any) -> str:
-    """Description of an object, or only its class name if the description fails."""
+    """Description `words(thing)`, or only the class name of `thing` if that fails."""
     try:
         return words(thing)
     except Exception:
@@ -96,7 +96,10 @@ def _elements(leaf: Any) -> str:
 
 
 def _kind(leaf: Any, axes: int) -> list[str]:
-    """Shape of the batch, if any, dtype of a leaf, and "traced" if it is."""
+    """Batch shape, dtype and "traced" of a leaf, as far as they apply, as text.
+
+    Its last `axes` axes are those of a single rod; axes before them are the batch's.
+    """
     import jax
 
     words = []
@@ -111,7 +114,10 @@ def _kind(leaf: Any, axes: int) -> list[str]:
 
 
 def _range(values: np.ndarray, unit: str, prefixed: bool = True) -> str:
-    """Smallest and largest value with their unit; one number if both look alike."""
+    """Smallest and largest value as text, e.g. "1 to 2 MPa"; one if both look alike.
+
+    If `prefixed`, units other than m get the prefix k, M or G.
+    """
     low, high = float(np.min(values)), float(np.max(values))
     if not (math.isfinite(low) and math.isfinite(high)):
         return f"not finite {unit}"

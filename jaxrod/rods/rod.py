@@ -247,7 +247,7 @@ class RodState:
         return self.velocities, self.angular_momenta
 
     def with_rates(self, velocities: Array, spins: Array) -> RodState:
-        """Copy of the state with other velocities and angular momenta."""
+        """Copy of the state with other velocities and angular momenta (`spins`)."""
         return replace(self, velocities=velocities, angular_momenta=spins)
 
     @property

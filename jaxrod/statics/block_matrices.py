@@ -123,7 +123,7 @@ def eliminate(
 def _descend(
     matrix: BlockTridiagonal, right: Float[Array, "n m"]
 ) -> tuple[Float[Array, "n m m+1"], Float[Array, "n m"]]:
-    """Reduces the diagonal blocks to identities, one after another.
+    """Forward pass of block elimination: reduces the diagonal blocks to identities.
 
     Returns:
         The remaining upper blocks and right-hand side, side by side, and the pivots.
@@ -149,7 +149,7 @@ def _descend(
 
 
 def _reduce(diagonal: Array, beside: Array) -> tuple[Array, Array]:
-    """Inverse of a block times the columns next to it (Gauss-Jordan), and pivots."""
+    """Inverse of a block times the columns `beside` it (Gauss-Jordan), and pivots."""
     size = diagonal.shape[0]
     rows = jnp.concatenate([diagonal, beside], axis=1)
     pivots = []
@@ -177,7 +177,7 @@ def _swapped(blocks: Array) -> Array:
 
 
 def _times(blocks: Array, vector: Array) -> Array:
-    """Each block times its vector, as a sum of columns, without matrix units."""
+    """Each block times its vector, without matrix units, which would round to TF32."""
     return jnp.sum(blocks * vector[:, None, :], axis=2)
 
 

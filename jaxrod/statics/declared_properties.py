@@ -117,7 +117,7 @@ def _gap_of_tangent(effect: Effect, rod: Rod) -> Array:
     shape = trial_motion(rod)
 
     def gap(size: Array, moved: Array) -> Array:
-        """Difference for a rod scaled by `size`.
+        """Relative error of the declared change of loads, for a rod scaled by `size`.
 
         Configurations change if `moved` is 1, rates if it is 0.
         """
@@ -168,7 +168,10 @@ def _gap_of_tangent(effect: Effect, rod: Rod) -> Array:
 
 
 def _times_coloured(push: Callable[[Array], Array], step: Array, reach: Reach) -> Array:
-    """Product of a step and the banded matrix that colouring with a reach finds."""
+    """Product of a step and the matrix of `push` that colouring with a reach finds.
+
+    It equals `push(step)` if the loads have that reach.
+    """
     if reach == "neighbours":
         return BlockTridiagonal(*bands_by_colouring(push, step, 1)).multiply(step)
     bands = bands_by_colouring(push, step, 2)
@@ -216,7 +219,10 @@ def _expected(
     given: Sequence[Array],
     found: Sequence[Array],
 ) -> list[tuple[Array, Array]]:
-    """Pairs of components as found and as expected: given if free, else held."""
+    """Pairs of components as a constraint leaves them and as the flags predict.
+
+    The prediction is `given` where a component is free (1), and `held` elsewhere.
+    """
     parts = zip(free, held, given, found, strict=True)
     return [(d, jnp.where(a == 1, c, b)) for a, b, c, d in parts]
 

@@ -56,7 +56,10 @@ def free_velocity_mask(scene: LoadedRod, motion: Motion) -> tuple[Vec3, Vec3]:
 
 
 def free_position_mask(scene: LoadedRod, motion: Motion) -> tuple[Vec3, Vec3] | None:
-    """Flags: 1 if `constrain` leaves a component free; `None` if it holds nothing."""
+    """Flags of positions and orientations: 1 if `constrain` leaves them free, else 0.
+
+    `None` if no effect constrains positions or orientations.
+    """
     here = constrain(scene, motion)
     if here is motion:
         return None
@@ -70,7 +73,10 @@ def free_position_mask(scene: LoadedRod, motion: Motion) -> tuple[Vec3, Vec3] | 
 
 
 def _elsewhere(scene: LoadedRod, motion: Motion) -> Motion:
-    """Motion with every node displaced along all axes and every element rotated."""
+    """Motion with every node displaced along all axes and every element rotated.
+
+    Components that `constrain` then gives the same value as before are held.
+    """
     length = scene.rod.length
     moved = vectors.add(motion.position, (length, length, length))
     turn = tuple(jnp.full_like(motion.orientation[0], part) for part in _TURN)

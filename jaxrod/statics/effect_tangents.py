@@ -144,7 +144,7 @@ def change_of_loads(
 def total_loads(
     scene: LoadedRod, motion: Motion, others: Loads
 ) -> Float[Array, "n+1 6"]:
-    """Given loads plus those of all effects; rows of force and couple, world frame."""
+    """Loads `others` plus those of all effects; rows of force and couple (world)."""
     assert others.forces is not None and others.couples is not None
     loads = external_loads(scene, motion, others.forces, others.couples)
     # Without barriers XLA's CPU compiler takes minutes over the derivative. There is

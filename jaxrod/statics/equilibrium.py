@@ -44,7 +44,7 @@ class Equilibrium:
     state: Any
     """Last state of the search, with all rates zero."""
     converged: Bool[Array, ""]
-    """Whether all loads balance there, to the tolerance."""
+    """Whether all loads balance at `state`, to the tolerance."""
     stable: Bool[Array, ""]
     """Whether it has converged at a minimum of the stored energy: the tangent is
     positive definite, except for `loose` modes.
@@ -124,7 +124,10 @@ def equilibrium(
 def search_limits(
     tolerance: ArrayLike | None, max_iterations: int, dtype: Any
 ) -> tuple[Array, Array]:
-    """Checks the limits of a search; without a tolerance, uses that of the dtype."""
+    """Tolerance and largest number of iterations of a search, after checks.
+
+    A tolerance of `None` is replaced by the default of the dtype.
+    """
     most = check_count("max_iterations", max_iterations, 1)
     if tolerance is None:
         tolerance = default_tolerance(dtype)
@@ -156,7 +159,7 @@ def scene_equilibrium(
 
 
 def _is_loose(scene: LoadedRod) -> bool:
-    """Whether no effect of a scene could hold the rod."""
+    """Whether no effect could hold the rod, by a constraint or by loads that vary."""
     return all(
         type(effect).constrain_rates is Effect.constrain_rates
         and type(effect).constrain is Effect.constrain
@@ -166,7 +169,7 @@ def _is_loose(scene: LoadedRod) -> bool:
 
 
 def _at_rest(scene: LoadedRod, base: Motion) -> LoadBalance:
-    """Static balance of loads of a scene about a configuration, without inertia."""
+    """Static balance of the loads of a scene, for increments from the motion `base`."""
     still = jnp.zeros((), scene.rod.rest_lengths.dtype)
     return LoadBalance(scene, elastic_law(scene.rod), base, still, None, at_rest=True)
 
@@ -185,7 +188,8 @@ class _RodPlace:
     loads: Float[Array, "n+1 6"]
     """Unbalanced loads on free components, times `units` [J]."""
     tangent: Tangent
-    """Tangent stiffness, with springs against loose modes [N/m, N, N m]."""
+    """Tangent stiffness, with springs against loose modes (motions of the whole rod
+    that nothing resists) [N/m, N, N m]."""
     mass: Float[Array, "n+1 6 6"]
     """Diagonal blocks of the mass matrix, world frame; zero where held [kg, kg m^2]."""
     loose: Bool[Array, ""]
@@ -193,7 +197,10 @@ class _RodPlace:
 
     @property
     def driven(self) -> Bool[Array, ""]:
-        """False: if loads drive a loose mode, no step is below the tolerance."""
+        """Always False: for one rod it is not tested whether loads drive a loose mode.
+
+        If they do, no step is below the tolerance, and the search does not converge.
+        """
         return jnp.zeros((), bool)
 
     def at(self, configuration: Motion) -> _RodPlace:
@@ -201,16 +208,16 @@ class _RodPlace:
         return replace(self, configuration=configuration)
 
     def momentum(self, step: Float[Array, "n+1 6"]) -> Float[Array, "n+1 6"]:
-        """Product M s of the mass matrix and a scaled step, scaled [kg m^2]."""
+        """Product M s of the mass matrix and a scaled step s, scaled [kg m^2]."""
         moving = (self.units * step)[:, None, :]
         return self.units * jnp.sum(self.mass * moving, axis=2)
 
     def factors(self, inertia: Array) -> Any:
-        """Factors of the matrix K + `inertia` M, for `solve`."""
+        """Factors of the matrix K + `inertia` M of stiffness and mass, for `solve`."""
         return self.tangent.with_blocks(inertia * self.mass).factored()
 
     def solve(self, factors: Any, right: Float[Array, "n+1 6"]) -> Array:
-        """Scaled step s of (K + inertia M) s = `right`, from factors of the matrix."""
+        """Solution s, a scaled step, of (K + inertia M) s = `right`, from factors."""
         return factors.solve(right / self.units) / self.units
 
 
@@ -228,7 +235,7 @@ class _RodAtRest:
 
     @property
     def element_lengths(self) -> Float[Array, "1 6"]:
-        """Factors from a scaled step to shortest element lengths and radians."""
+        """Rod length over shortest element length, and 1 for the three rotations."""
         lengths = self.balance.scene.rod.rest_lengths
         return _six(jnp.sum(lengths) / jnp.min(lengths), 1)
 
@@ -248,7 +255,10 @@ class _RodAtRest:
         return _RodPlace(configuration, self.units, loads, tangent, mass, loose)
 
     def moved(self, place: _RodPlace, step: Float[Array, "n+1 6"]) -> Motion:
-        """Configuration after a scaled step to first order; strains change linearly."""
+        """Configuration after a scaled step from `place`, to first order.
+
+        Edges turn with their elements, so that strains change linearly.
+        """
         here = replace(self.balance, base=place.configuration)
         none = _no_increment(place.configuration)
         moved: Motion = by_kernel(here, "moved_along_edges", (none, self.units * step))
@@ -256,7 +266,7 @@ class _RodAtRest:
 
 
 def _six(length: Array, radian: float) -> Float[Array, "1 6"]:
-    """Row of six numbers: one for three displacements, one for three rotations."""
+    """Row of `length` for each of three displacements, `radian` for three rotations."""
     turn = jnp.full_like(length, radian)
     return jnp.stack([length, length, length, turn, turn, turn])[None]
 

@@ -115,7 +115,7 @@ def _modes_of_the_whole(rod: Rod, motion: Motion) -> Float[Array, "7 n+1 6"]:
 
 
 def _along(axis: int, like: Array) -> Vec3:
-    """Vectors (0 or 1) of a world axis, one for each entry of `like`."""
+    """Unit vectors along a world axis, one for each entry of `like`."""
     x, y, z = (jnp.full_like(like, k == axis) for k in range(3))
     return x, y, z
 

@@ -27,9 +27,10 @@ LARGEST_TURN = 1.0
 LARGEST_DISPLACEMENT = 1.0
 """Largest displacement in one correction, over the length of the longest rod [1]."""
 LEFT = 0.75
-"""Largest ratio of the next correction to a correction that is accepted [1]."""
+"""Largest ratio of the correction that would follow to a correction that is accepted
+[1]."""
 LITTLE = 0.1
-"""Ratio of the next correction to an accepted one below which inertia shrinks fast
+"""Ratio of the following correction to an accepted one below which inertia shrinks fast
 [1]."""
 STALLED = 10
 """Multiple of the tolerance below which a stalled search counts as converged [1]."""
@@ -55,13 +56,13 @@ class Place(Protocol):
         """Copy with another configuration; loads and tangent are not updated."""
 
     def momentum(self, step: Array) -> Array:
-        """Product M s of the mass matrix and a scaled step, scaled [kg m^2]."""
+        """Product M s of the mass matrix and a scaled step s, scaled [kg m^2]."""
 
     def factors(self, inertia: Array) -> Any:
-        """Factors of the matrix K + `inertia` M, for `solve`."""
+        """Factors of the matrix K + `inertia` M of stiffness and mass, for `solve`."""
 
     def solve(self, factors: Any, right: Array) -> Array:
-        """Scaled step s of (K + inertia M) s = `right`, from factors of the matrix."""
+        """Solution s, a scaled step, of (K + inertia M) s = `right`, from factors."""
 
 
 class RestProblem(Protocol):
@@ -69,7 +70,7 @@ class RestProblem(Protocol):
 
     @property
     def element_lengths(self) -> Array:
-        """Factors from a scaled step to shortest element lengths and radians."""
+        """Factors that turn a scaled step into shortest element lengths and radians."""
 
     @property
     def largest_step(self) -> Array:
@@ -89,13 +90,14 @@ class Search:
     here: Any
     """Last accepted configuration, with its loads and tangent."""
     factors: Any
-    """Factors of the matrix K + sigma M at `here`."""
+    """Factors of the matrix K + sigma M of stiffness and mass at `here`; sigma is
+    `inertia`."""
     step: Array
     """Full correction from `here`, a scaled step."""
     share: Float[Array, ""]
     """Fraction of the full correction that is tried [1]."""
     inertia: Float[Array, ""]
-    """Factor sigma of the mass in the matrix K + sigma M [1/s^2]."""
+    """Factor sigma of the mass matrix M in K + sigma M, K the stiffness [1/s^2]."""
     shrinking: Float[Array, ""]
     """Factor by which inertia shrinks after a good correction [1]."""
     trials: Int[Array, ""]

@@ -78,7 +78,13 @@ class Increment:
 
 @pytree
 class LoadBalance:
-    """Balance of loads and inertia of a scene, as a function of the increment."""
+    r"""Residual of an implicit step or equilibrium, as a function of the increment.
+
+    The increment moves nodes and rotates elements from the configuration `base`. The
+    residual of a node is $m\,((w + g_t)\,v - w\,v_b) - f$: inertia and damping, minus
+    all loads $f$, at the velocity $v$; $w$ is `pace`. That of an element has the same
+    form.
+    """
 
     scene: LoadedRod
     """Scene whose loads are to balance."""
@@ -90,7 +96,7 @@ class LoadBalance:
     pace: Float[Array, ""]
     """Inverse duration w: rates are w times increments [1/s]; zero in statics."""
     damping: tuple[Array, Array] | None
-    """Decay rates of velocities and spins [1/s]."""
+    """Decay rates of velocities and of spins [1/s]; `None` without damping."""
     at_rest: bool = static(default=False)
     """Whether the problem is static, without inertia."""
 
@@ -167,19 +173,24 @@ class LoadBalance:
     # Methods for kernels: each takes one argument.
 
     def about(self, increment: Increment) -> tuple[Array, Tangent, Array]:
-        """Residual, tangent and mass at an increment."""
+        """Residual, tangent and mass blocks at an increment, for one program."""
         return self.residual(increment), self.tangent(increment), self.mass()
 
     def ended(self, increment: Increment) -> tuple[Array, Motion]:
-        """Residual and motion at an increment."""
+        """Residual and motion at an increment, for a program that computes both."""
         return self.residual(increment), self.motion(increment)
 
     def moved_along_edges(self, given: tuple[Increment, Array]) -> Motion:
-        """Motion after an increment and a step; see `retract_along_edges`."""
+        """Motion after an increment and a step from it, the two entries of `given`.
+
+        The step is taken as by `retract_along_edges`.
+        """
         return self.motion(self.retract_along_edges(*given))
 
     def held_tangent(self, increment: Increment) -> tuple[Tangent, Bool[Array, ""]]:
-        """Tangent for solving; in statics, springs resist loose modes.
+        """Tangent at an increment; in statics with springs that resist loose modes.
+
+        Loose modes are motions of the whole rod that nothing resists.
 
         Returns:
             The tangent, and whether there are loose modes.
@@ -189,7 +200,11 @@ class LoadBalance:
     def held(
         self, tangent: Tangent, increment: Increment
     ) -> tuple[Tangent, Bool[Array, ""]]:
-        """The tangent, in statics with springs on loose modes; whether any exist."""
+        """Adds springs that resist loose modes to a tangent, in statics.
+
+        Returns:
+            The tangent, and whether there are loose modes.
+        """
         if not self.at_rest:
             return tangent, jnp.zeros((), bool)
         rod = self.scene.rod
@@ -284,7 +299,7 @@ def _coupling(increment: Increment) -> Array:
 def _restricted(
     matrix: BlockTridiagonal, free: Float[Array, "n+1 6"]
 ) -> BlockTridiagonal:
-    """Matrix in which rows and columns of held components are those of the identity."""
+    """Matrix with rows and columns of the identity for held components (`free` 0)."""
     before = jnp.pad(free[:-1], ((1, 0), (0, 0)))
     after = jnp.pad(free[1:], ((0, 1), (0, 0)))
     held = jnp.eye(6, dtype=free.dtype)[None] * (1 - free)[:, :, None]
@@ -296,7 +311,7 @@ def _restricted(
 
 
 def _closed(gaps: Array, free: Array) -> Array:
-    """Displacements whose differences are the gaps, zero at nodes that are held.
+    """One component of displacements whose differences are `gaps`, zero at held nodes.
 
     If both ends are held the remainder is distributed along the rod; if none is, the
     mean is zero.

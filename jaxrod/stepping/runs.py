@@ -59,7 +59,7 @@ def check_counter(n_steps: Array, name: str = "n_steps") -> None:
 
 
 def check_first(scene: Model, first: int | Array, n_steps: int | Array) -> Array | None:
-    """Number of a run's first step if the scene evolves in time; `None` otherwise."""
+    """Checks the number of a run's first step; `None` if the scene does not evolve."""
     check_model(scene)
     if isinstance(first, jax.Array):
         check_counter(first, "first")
@@ -72,7 +72,7 @@ def check_first(scene: Model, first: int | Array, n_steps: int | Array) -> Array
 
 
 def check_records(n_steps: int, every: int) -> int:
-    """Checks how a run is recorded; returns the number of records except the first."""
+    """Checks the arguments; returns the number of records after the initial one."""
     n_steps = check_count("n_steps", n_steps, 0)
     every = check_count("every", every, 1)
     if n_steps % every:
@@ -290,7 +290,7 @@ def _run_traced(
     first: Array | None,
     lanes: str,
 ) -> Any:
-    """State after a traced number of steps.
+    """State after a traced number of steps, from step number `first` on.
 
     The argument `lanes` is not read here: it keeps programs that were compiled in
     different modes of `use_lanes` apart.
@@ -319,7 +319,7 @@ def _run_static(
 def _run(
     scene: Model, state: Any, dt: Array, n_steps: int | Array, first: Array | None
 ) -> Any:
-    """State after one step or more."""
+    """State after `n_steps` steps, at least one, from step number `first` on."""
     integrator = scene.run_stepper(state, dt, first)
     return integrated(integrator, state, n_steps - integrator.steps_of_end)
 

@@ -102,13 +102,13 @@ def normals_of(curve: Curve, normals: Numbers | None) -> Float[Array, "3 n"]:
 
 
 def check_ends(ends: Ends, allowed: tuple[Ends, ...] = get_args(Ends)) -> None:
-    """Raises a `ValueError` if there is no such treatment of ends."""
+    """Raises a `ValueError` unless `ends` is one of the `allowed` treatments."""
     if not isinstance(ends, str) or ends not in allowed:
         raise ValueError(f"ends must be one of {', '.join(allowed)}, got {ends!r}")
 
 
 def seamless(nodes: Float[Array, "3 nodes"]) -> Float[Array, "3 nodes"]:
-    """Nodes of a ring, whose last equals its first if they differed by round-off."""
+    """Nodes of a ring; a last node that differs by round-off is set to the first."""
     gap = nodes[:, 0] - nodes[:, -1]
     edges = nodes[:, 1:] - nodes[:, :-1]
     typical = jnp.sum(edges * edges) / edges.shape[1]
@@ -142,7 +142,11 @@ def completed(
     directions: tuple[Array, Array] | None = None,
     extension: Array | None = None,
 ) -> Float[Array, "3 all"]:
-    """Nodes of a curve, including those of the pieces that are added at its ends."""
+    """Nodes of a curve, including those of the pieces that are added at its ends.
+
+    Straight pieces have outward `directions` and a length `extension` [m]; "open" and
+    "joined" need neither.
+    """
     if ends == "open":
         return nodes
     if ends == "joined":

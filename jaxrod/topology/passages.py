@@ -120,7 +120,10 @@ def crossed(
 def _moving(
     name: str, before: Curve, name_after: str, after: Curve
 ) -> tuple[Array, Array]:
-    """Nodes of one curve at the first and at the second moment [m]."""
+    """Nodes of one curve at the first and at the second moment [m].
+
+    Raises ValueError if their numbers differ; both names are for its message.
+    """
     first, last = nodes_of(name, before), nodes_of(name_after, after)
     if first.shape != last.shape:
         raise ValueError(

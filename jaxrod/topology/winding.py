@@ -262,7 +262,11 @@ def gauss_integral(
 def _directions(
     start: Vec3, finish: Vec3, starts: Vec3, finishes: Vec3
 ) -> tuple[Vec3, Vec3, Vec3, Vec3]:
-    """Corners of the spherical parallelograms of one segment with many others."""
+    """Corners of the spherical parallelograms of one segment with many others.
+
+    They are unit vectors from `start` or `finish`, the ends of the segment, to `starts`
+    or `finishes`, those of the others.
+    """
     return (
         unit(subtract(starts, start)),
         unit(subtract(starts, finish)),
@@ -278,7 +282,7 @@ def _ring_or_line(nodes: Array, ends: Ends) -> Array:
 def _added(
     nodes: Array, ends: Ends, extension: Numbers | None
 ) -> tuple[tuple[Array, Array] | None, Array | None]:
-    """Outward directions and lengths of the added pieces; `None` if there are none."""
+    """Outward directions and length [m] of pieces added at the ends, or two `None`s."""
     if ends in ("open", "joined"):
         if extension is not None:
             raise ValueError(f"ends={ends!r} adds nothing: leave out extension")
