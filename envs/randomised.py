@@ -23,7 +23,6 @@ Robotic Control with Dynamics Randomization, ICRA 2018.
 from __future__ import annotations
 
 import dataclasses
-import difflib
 import re
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
@@ -34,6 +33,7 @@ import numpy as np
 from jaxtyping import Array, Float, Key
 
 from jaxrod.envs.checking import action_of_size
+from jaxrod.envs.paths import by_path, dotted, nearest
 from jaxrod.envs.protocol import Channel, Environment, Snapshot, Step
 from jaxrod.envs.randomisation import Randomisation, kind_of
 from jaxrod.envs.wrappers import EnvironmentWrapper
@@ -126,7 +126,7 @@ class Randomised(EnvironmentWrapper):
         """Checks names and shapes against the task."""
         if hasattr(getattr(self.env, "unwrapped", self.env), "randomisation"):
             raise ValueError(f"{self.env.name} is randomised already")
-        leaves = _by_path(self.env.default_params())
+        leaves = by_path(self.env.default_params())
         drawn = set()
         for key, rule in self.randomisation.parameters.items():
             for path in key.split(", "):
@@ -174,7 +174,7 @@ class Randomised(EnvironmentWrapper):
     def default_params(self) -> RandomisedParams:
         """Default parameters of the task, and the numbers of the randomisation."""
         given, task = self.randomisation, self.env.default_params()
-        leaves = _by_path(task)
+        leaves = by_path(task)
         ranges = {}
         for key, rule in given.parameters.items():
             dtype = jnp.result_type(leaves[key.split(", ")[0]])
@@ -339,7 +339,7 @@ class Randomised(EnvironmentWrapper):
         }
 
         def chosen(path: Any, leaf: Any) -> Any:
-            scaled, value = rules.get(_name(path), (None, None))
+            scaled, value = rules.get(dotted(path), (None, None))
             if value is None:
                 return leaf
             wide = jnp.broadcast_to(value, jnp.shape(leaf))
@@ -429,15 +429,6 @@ class Randomised(EnvironmentWrapper):
         return np.stack(masks), list(given.values())
 
 
-def _name(path: Any) -> str:
-    return jax.tree_util.keystr(path, simple=True, separator=".")
-
-
-def _by_path(tree: Any) -> dict[str, Any]:
-    """Leaves of a pytree by their dotted paths."""
-    return {_name(path): leaf for path, leaf in jax.tree.leaves_with_path(tree)}
-
-
 def _root(matrix: np.ndarray) -> np.ndarray:
     """Symmetric square root of a correlation matrix."""
     values, vectors = np.linalg.eigh(matrix)
@@ -450,10 +441,8 @@ def _check_parameter(
 ) -> None:
     """Raises unless a task has a parameter of floats that fits a distribution."""
     if path not in leaves:
-        below = [name for name in leaves if name.startswith(f"{path}.")]
-        near = below or difflib.get_close_matches(path, leaves, 5, cutoff=0.0)
         raise ValueError(
-            f"there is no parameter {path!r}; the nearest are {', '.join(near[:5])}"
+            f"there is no parameter {path!r}; the nearest are {nearest(path, leaves)}"
         )
     leaf = leaves[path]
     if not jnp.issubdtype(jnp.result_type(leaf), jnp.floating):
@@ -491,11 +480,10 @@ def _entries(
     found = [k for k, name in enumerate(names) if name == key]
     found = found or [k for k, name in enumerate(names) if name.startswith(key)]
     if len(found) != 1:
-        near = difflib.get_close_matches(key, names, 5, cutoff=0.0)
         raise ValueError(
             f"{option} names the channel {key!r}, which "
             f"{'begins several' if found else 'there is not'}: there are "
-            f"{', '.join(map(repr, near)) or 'none'}"
+            f"{nearest(key, names) or 'none'}"
         )
     mask[ends[found[0]] : ends[found[0] + 1]] = True
     return mask
