@@ -10,8 +10,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from jaxrod import cli
+from jaxrod import cli, envs, training
 from jaxrod.cli import runs, train
+from jaxrod.envs.registry import origin_of
 from jaxrod.training import RunFolder
 
 TINY = ["--steps", "256", "--num-envs", "2", "--set", "rollout_steps=8"]
@@ -40,6 +41,24 @@ def written(folder, text=FILE):
     return file
 
 
+def test_the_task_that_is_trained_is_the_one_of_the_file(run, tmp_path, monkeypatch):
+    trained = []
+
+    def train(env, *_, **__):
+        trained.append(env)
+        raise FloatingPointError("enough")
+
+    monkeypatch.setattr(training, "train", train)
+    words = ("train", "trivial", "--randomise", written(tmp_path))
+    assert run(*words, "--out", tmp_path / "run")[0] == 1
+    assert origin_of(trained[0]).options == {"randomise": RECORD}
+    assert trained[0] == envs.make("trivial", randomise=RECORD)
+    config = {"task": "trivial", "algorithm": "ppo", "seed": 0}
+    config |= {"env_options": {"randomise": RECORD}}
+    assert runs.describe(config) == "trivial (randomised), ppo, seed 0"
+
+
+@pytest.mark.slow
 @pytest.mark.default_precision
 def test_a_run_is_evaluated_exported_and_resumed_without_the_file(
     run, run_json, tmp_path

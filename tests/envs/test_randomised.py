@@ -491,3 +491,19 @@ def test_a_posterior_draws_with_the_mean_and_covariance_of_the_fit():
     vague = control.fit(line, line(truth), truth, noise=50.0)
     with pytest.raises(ValueError, match=r"do not determine 'stride'.* % of its value"):
         envs.posterior(vague, {"stride": "stride"})
+
+
+@pytest.mark.default_precision
+def test_gymnasium_takes_a_randomisation():
+    gym = pytest.importorskip("jaxrod.envs.gym")
+    adapted = gym.GymnasiumEnv("trivial", randomise=EVERYTHING)
+    env = envs.make("trivial", randomise=EVERYTHING)
+    batch, params = envs.VectorEnvironment(env), env.default_params()
+    state = jax.jit(batch.reset, static_argnums=1)(jax.random.key(3), 1, params)
+    np.testing.assert_allclose(adapted.reset(seed=3)[0], state.observation[0])
+    step = jax.jit(batch.step)
+    for _ in range(4):
+        state, outcome = step(state, jnp.full((1, 1), 0.7), params)
+        observation, reward, *_ = adapted.step(np.full(1, 0.7, np.float32))
+        np.testing.assert_allclose(observation, outcome.observation[0], rtol=1e-6)
+        np.testing.assert_allclose(reward, outcome.reward[0], rtol=1e-6)
