@@ -18,8 +18,12 @@ from jaxrod.envs.protocol import (
     Plannable,
     Snapshot,
 )
-from jaxrod.envs.randomisation import Randomisation, posterior
-from jaxrod.envs.randomised import Randomised, RandomisedParams, RandomisedState
+from jaxrod.envs.randomisation.options import Randomisation, posterior
+from jaxrod.envs.randomisation.wrapper import (
+    Randomised,
+    RandomisedParams,
+    RandomisedState,
+)
 from jaxrod.envs.registry import make, names
 from jaxrod.envs.rollout import Rollout, rollout
 from jaxrod.envs.wrappers import (

@@ -15,8 +15,12 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int, Key, UInt
 
-from jaxrod.envs.checking import check_action_shape
-from jaxrod.envs.paths import by_path, is_below, nearest
+from jaxrod.envs.checking import (
+    by_path,
+    check_action_shape,
+    is_below,
+    nearest,
+)
 from jaxrod.envs.protocol import Environment, Step
 from jaxrod.structure import pytree
 

@@ -1,7 +1,7 @@
 """Distributions of parameters, and faults of actuators and sensors, as plain values.
 
 The values have the form of a TOML file and of `config.json`, so that a run can record
-them. `jaxrod.envs.randomised` applies them to an environment.
+them. `jaxrod.envs.Randomised` applies them to an environment.
 """
 
 from __future__ import annotations
