@@ -180,9 +180,10 @@ LAWS = {
 }
 
 
-@pytest.mark.parametrize("scaled", [False, True])
+@pytest.mark.fast_sets(5)
 @pytest.mark.parametrize("kind", LAWS)
-def test_draws_have_the_stated_distribution(kind, scaled):
+@pytest.mark.parametrize("scaled", [False, True])
+def test_draws_have_the_stated_distribution(scaled, kind):
     numbers, law = LAWS[kind]
     env, params = randomised(parameters={"stride": {kind: numbers, "scaled": scaled}})
 
@@ -453,6 +454,7 @@ def test_correlated_draws_have_the_stated_correlation():
     assert stats.kstest(edge, stats.norm(math.log(2), 0.1).cdf).pvalue > 1e-3
 
 
+@pytest.mark.slow
 def test_a_posterior_draws_with_the_mean_and_covariance_of_the_fit():
     times = jnp.linspace(0.0, 1.0, 20)
 

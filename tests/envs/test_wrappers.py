@@ -276,6 +276,7 @@ def test_parameters_of_a_batch_equal_separate_batches():
             np.testing.assert_allclose(a[:, i : i + 1], b, rtol=1e-6, atol=1e-7)
 
 
+@pytest.mark.slow
 def test_a_path_batches_everything_below_it():
     task = make("tracking")
     params = task.default_params()
