@@ -479,10 +479,10 @@ def _entries(
     found = [k for k, name in enumerate(names) if name == key]
     found = found or [k for k, name in enumerate(names) if name.startswith(key)]
     if len(found) != 1:
+        fault = "begins the names of several" if found else "is not one"
         raise ValueError(
-            f"{option} names the channel {key!r}, which "
-            f"{'begins several' if found else 'there is not'}: there are "
-            f"{nearest(key, names) or 'none'}"
+            f"{option} names the channel {key!r}, which {fault}: there are "
+            f"{', '.join(map(repr, names)) or 'none'}"
         )
     mask[ends[found[0]] : ends[found[0] + 1]] = True
     return mask
