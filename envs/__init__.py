@@ -18,6 +18,12 @@ from jaxrod.envs.protocol import (
     Plannable,
     Snapshot,
 )
+from jaxrod.envs.randomisation.options import Randomisation, posterior
+from jaxrod.envs.randomisation.wrapper import (
+    Randomised,
+    RandomisedParams,
+    RandomisedState,
+)
 from jaxrod.envs.registry import make, names
 from jaxrod.envs.rollout import Rollout, rollout
 from jaxrod.envs.wrappers import (
@@ -37,6 +43,10 @@ __all__ = [
     "MemoryPolicy",
     "OneEpisode",
     "Plannable",
+    "Randomisation",
+    "Randomised",
+    "RandomisedParams",
+    "RandomisedState",
     "Rollout",
     "Snapshot",
     "VectorEnvironment",
@@ -47,6 +57,7 @@ __all__ = [
     "held_for",
     "make",
     "names",
+    "posterior",
     "remembering",
     "rollout",
 ]

@@ -11,6 +11,8 @@ from typing import Any
 from jaxrod.envs.checking import check_facts
 from jaxrod.envs.importing import canonical_path, import_callable
 from jaxrod.envs.protocol import Environment
+from jaxrod.envs.randomisation.options import Randomisation
+from jaxrod.envs.randomisation.wrapper import Randomised
 
 _FACTORIES = {
     "following": "jaxrod.envs.tasks.following:following",
@@ -45,7 +47,13 @@ def names() -> tuple[str, ...]:
     return tuple(sorted(_FACTORIES))
 
 
-def make(task: str, /, **options: Any) -> Environment:
+def make(
+    task: str,
+    /,
+    *,
+    randomise: Randomisation | Mapping[str, Any] | None = None,
+    **options: Any,
+) -> Environment:
     """Makes the environment of a task.
 
     Args:
@@ -53,12 +61,15 @@ def make(task: str, /, **options: Any) -> Environment:
             returns an `Environment`: `"mypackage.mymodule:make_task"`, or
             `"folder/file.py:make_task"` for a file that imports nothing from its own
             folder.
+        randomise: Distributions of parameters, and faults of actuators and sensors; or
+            the same as a mapping, such as the content of a TOML file. The environment
+            is then a `jaxrod.envs.Randomised`.
         **options: Passed to the task's callable, for example `variant="paper"` for
             `"tracking"`.
 
     Raises:
         ValueError: There is no such task, it has no such option, it raises, or its
-            result is not an environment.
+            result is not an environment; or `randomise` does not fit the task.
 
     Example:
         >>> env = envs.make("tracking", n_elements=10)
@@ -73,6 +84,11 @@ def make(task: str, /, **options: Any) -> Environment:
     build = import_callable(_FACTORIES.get(task, task))
     chosen = _chosen(task, build, options)
     env = build(**options) if task in _FACTORIES else _made_by(task, build, options)
+    if randomise is not None:
+        given: Any = randomise
+        record = given.record() if hasattr(given, "record") else given
+        varied = Randomisation.from_record(record)
+        env, chosen = Randomised(env, varied), chosen | {"randomise": varied.record()}
     _remember(env, Origin(task if task in _FACTORIES else canonical_path(task), chosen))
     return env
 

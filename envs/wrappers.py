@@ -8,13 +8,19 @@ nor on the number of devices that share the batch.
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Callable
 from typing import Any
 
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int, Key, UInt
 
-from jaxrod.envs.checking import check_action_shape
+from jaxrod.envs.checking import (
+    by_path,
+    check_action_shape,
+    is_below,
+    nearest,
+)
 from jaxrod.envs.protocol import Environment, Step
 from jaxrod.structure import pytree
 
@@ -127,10 +133,17 @@ class VectorEnvironment:
         >>> after, step = batch.step(start, jnp.zeros((4, 1)), params)
         >>> step.observation.shape, step.reward.shape
         ((4, 1), (4,))
+        >>> each = replace(params, stride=jnp.array([0.1, 0.2, 0.3, 0.4]))
+        >>> varied = envs.VectorEnvironment(env, batched=("stride",))
+        >>> after, step = varied.step(start, jnp.ones((4, 1)), each)
     """
 
     env: Environment
     """Environment of which the batch holds copies."""
+    batched: tuple[str, ...] = ()
+    """Dotted paths of the parameters that differ between environments, such as
+    "arm.rod.radii"; a path includes everything below it. These leaves have a first axis
+    of length `num_envs`. All others are shared by the batch."""
 
     def reset(
         self,
@@ -146,7 +159,8 @@ class VectorEnvironment:
         Args:
             key: Typed random key.
             num_envs: Number of environments, at least 1.
-            params: Traced parameters of the environment, shared by the batch.
+            params: Traced parameters of the environment, shared by the batch except for
+                those in `batched`.
             spread_phases: Whether the elapsed step count of every environment starts
                 uniformly in [phase, episode_length), so that the episodes of the
                 batch end at different times.
@@ -154,14 +168,14 @@ class VectorEnvironment:
                 `spread_phases`.
 
         Raises:
-            ValueError: `num_envs` is below 1.
+            ValueError: `num_envs` is below 1, or the parameters do not fit `batched`.
         """
         if num_envs < 1:
             raise ValueError(f"num_envs must be at least 1, got {num_envs}")
         keys = jax.random.split(key, num_envs)
         ticks = jnp.zeros(num_envs, jnp.uint32)
-        observation, states = jax.vmap(self.env.reset, in_axes=(0, None))(
-            _randomness(keys, 2 * ticks), params
+        observation, states = self._together(
+            self.env.reset, params, _randomness(keys, 2 * ticks)
         )
         elapsed = jnp.full(num_envs, phase, jnp.int32)
         if spread_phases:
@@ -204,14 +218,16 @@ class VectorEnvironment:
                 count.
 
         Raises:
-            ValueError: The actions have another shape.
+            ValueError: The actions have another shape, or the parameters do not fit
+                `batched`.
         """
         shape = (state.ticks.shape[0], self.env.action_size)
         check_action_shape("actions", action, shape)
         ticks = state.ticks + 1
-        observation, states, reward, terminated, truncated, info = jax.vmap(
-            self.env.step, in_axes=(0, 0, 0, None)
-        )(_randomness(state.keys, 2 * ticks), state.states, action, params)
+        keys = _randomness(state.keys, 2 * ticks)
+        observation, states, reward, terminated, truncated, info = self._together(
+            self.env.step, params, keys, state.states, action
+        )
 
         sound = jnp.isfinite(reward) & jnp.all(jnp.isfinite(observation), axis=-1)
         observation = jnp.where(sound[:, None], observation, state.observation)
@@ -232,9 +248,8 @@ class VectorEnvironment:
         )
 
         def restart(running: tuple[Array, Any]) -> tuple[Array, Any]:
-            fresh = jax.vmap(self.env.reset, in_axes=(0, None))(
-                _randomness(state.keys, 2 * ticks + 1), params
-            )
+            keys = _randomness(state.keys, 2 * ticks + 1)
+            fresh = self._together(self.env.reset, params, keys)
             return jax.tree.map(lambda a, b: _select(done, a, b), fresh, running)
 
         shown, states = jax.lax.cond(
@@ -259,6 +274,72 @@ class VectorEnvironment:
             episodes=episodes,
         )
         return following, step
+
+    def _together(
+        self, function: Callable[..., Any], params: Any, keys: Array, *given: Any
+    ) -> Any:
+        """Calls `reset` or `step` for all environments, each with its parameters.
+
+        Raises:
+            ValueError: The parameters do not fit `batched`.
+        """
+        leaves, structure = jax.tree.flatten(params)
+        axes = self._axes(params, len(keys))
+
+        def call(leaves: Any, *given: Any) -> Any:
+            return function(*given, jax.tree.unflatten(structure, leaves))
+
+        mapped = jax.vmap(call, in_axes=(axes, *(0 for _ in (keys, *given))))
+        try:
+            results = mapped(leaves, keys, *given)
+        except (TypeError, ValueError) as error:
+            self._check_shared(params, len(keys), error)
+            raise
+        if results[0].shape != (len(keys), self.env.observation_size):
+            self._check_shared(params, len(keys), None)
+        return results
+
+    def _axes(self, params: Any, num_envs: int) -> list[int | None]:
+        """Batch axis of each leaf of the parameters, None for a shared one."""
+        leaves, axes = by_path(params), []
+        for above in self.batched:
+            if not any(is_below(path, above) for path in leaves):
+                raise ValueError(
+                    f"batched names {above!r}; the nearest parameters are "
+                    f"{nearest(above, leaves)}"
+                )
+        for path, leaf in leaves.items():
+            own = any(is_below(path, above) for above in self.batched)
+            if own and jnp.shape(leaf)[:1] != (num_envs,):
+                raise ValueError(
+                    f"batched names {path!r}, which must have a first axis of "
+                    f"{num_envs} environments, got shape {jnp.shape(leaf)}"
+                )
+            axes.append(0 if own else None)
+        return axes
+
+    def _check_shared(
+        self, params: Any, num_envs: int, error: Exception | None
+    ) -> None:
+        """Raises if shared parameters have a batch axis, the likely cause of an error.
+
+        Raises:
+            ValueError: Some have, and `batched` does not name them.
+        """
+        usual = by_path(self.env.default_params())
+        wide = [
+            path
+            for path, leaf in by_path(params).items()
+            if path in usual
+            and jnp.shape(leaf) == (num_envs, *jnp.shape(usual[path]))
+            and not any(is_below(path, above) for above in self.batched)
+        ]
+        if wide:
+            raise ValueError(
+                f"{', '.join(wide[:5])}: these parameters have a first axis of "
+                f"{num_envs}, the number of environments. If they differ between "
+                f"environments, say VectorEnvironment(env, batched=({wide[0]!r},))"
+            ) from error
 
 
 def _randomness(

@@ -219,8 +219,10 @@ def describe(config: Mapping[str, Any]) -> str:
     """Short description of a run, such as "tracking (paper), ppo, seed 0"."""
     options = config.get("env_options") or {}
     what = [config["variant"]] if config.get("variant") else []
-    chosen = {k: v for k, v in options.items() if k != "variant" and v is not None}
+    named = ("variant", "randomise")
+    chosen = {k: v for k, v in options.items() if k not in named and v is not None}
     what += [f"{name} = {value}" for name, value in chosen.items()]
+    what += ["randomised"] if options.get("randomise") else []
     task = config["task"] + (f" ({', '.join(what)})" if what else "")
     return printable(f"{task}, {config['algorithm']}, seed {config['seed']}")
 

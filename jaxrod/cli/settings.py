@@ -8,6 +8,7 @@ import dataclasses
 import inspect
 import itertools
 import textwrap
+import tomllib
 from collections.abc import Collection, Mapping, Sequence
 from decimal import Decimal
 from pathlib import Path
@@ -105,6 +106,22 @@ def options(words: Sequence[str]) -> dict[str, Any]:
         except (ValueError, SyntaxError, MemoryError, RecursionError):
             found[name] = constants.get(text.lower(), text)
     return found
+
+
+def randomisation(file: Path) -> dict[str, Any]:
+    """Content of a TOML file with a randomisation, checked.
+
+    Raises:
+        ValueError: The file is not TOML, or an option or a number is invalid.
+        OSError: The file cannot be read.
+    """
+    from jaxrod.envs import Randomisation
+
+    try:
+        content = tomllib.loads(file.read_text(encoding="utf-8"))
+        return Randomisation.from_record(content).record()
+    except ValueError as error:
+        raise ValueError(f"{file}: {error}") from error
 
 
 def listing(defaults: Any) -> str:

@@ -47,6 +47,7 @@ examples:
   jaxrod train tracking --algorithm sac --steps 2M --set gradient_steps=128
   jaxrod train structured --algorithm trpo --steps 500k --option controls=4
   jaxrod train unstructured --option nest=7 --steps 1M
+  jaxrod train tracking --randomise reality.toml           docs/randomisation.md
   jaxrod train mypackage.mymodule:make_task --option height=0.6 --steps 100k
   jaxrod train tracking --algorithm my_module:MY_ALGORITHM        your own learner
   jaxrod train tracking --set network=my_module:my_network        your own network
@@ -70,6 +71,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         default=[],
         metavar="NAME=VALUE",
         help="an option of the task, such as n_elements=20; may be given several times",
+    )
+    parser.add_argument(
+        "--randomise",
+        type=settings.path,
+        metavar="FILE",
+        help="distributions of parameters, noise, delays and faults: a TOML file "
+        "(docs/randomisation.md), whose content config.json keeps",
     )
     parser.add_argument("--variant", help="paper or clean (default: the first it has)")
     parser.add_argument(
@@ -244,6 +252,8 @@ def run(args: argparse.Namespace) -> int:
     options = dict(stored["env_options"]) if stored else {}
     if args.variant is not None:
         options["variant"] = args.variant
+    if args.randomise is not None:
+        options["randomise"] = settings.randomisation(args.randomise)
     env = runs.make_task(args.task, options | settings.options(args.option))
     seed = check_seed(_chosen(args.seed, stored, "seed", 0))
     out = _folder(args, getattr(env, "variant", None))
@@ -416,6 +426,8 @@ def _folder(args: argparse.Namespace, variant: str | None) -> Path:
     if args.task in envs.names():
         chosen = settings.options(args.option).items()
         words[2:2] = [f"{k}-{v}" for k, v in chosen if isinstance(v, int | float)]
+    if args.randomise is not None:
+        words[-2:-2] = ["randomised"]
     return Path("runs") / "-".join(word for word in words if word)
 
 

@@ -83,6 +83,14 @@ def test_batch_is_the_functional_one_to_the_last_bit_over_many_episodes():
     assert min(check_same(TRIVIAL, 3, 60)) > 0
 
 
+def test_a_randomised_batch_is_the_functional_one():
+    varied = {"parameters": {"stride": {"uniform": (0.1, 0.3)}}, "delay": (0, 2)}
+    env = adapter.BraxEnv(
+        "trivial", episode_length=5, randomise=varied | {"noise": 0.1}
+    )
+    assert min(check_same(env, 2, 12, rounding=1e-6)) >= 0
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ids())
 def test_batch_of_every_task_is_the_functional_one(name):

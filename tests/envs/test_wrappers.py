@@ -256,3 +256,60 @@ def test_first_episodes_are_spread_over_what_is_left_of_them():
     )
     assert set(np.asarray(state.elapsed).tolist()) == {7, 8, 9}
     assert np.asarray(state.partial).all()
+
+
+STRIDES = jnp.array([0.1, 0.2, 0.3])
+
+
+def test_parameters_of_a_batch_equal_separate_batches():
+    env = Trivial(episode_length=4)
+    params = dataclasses.replace(env.default_params(), stride=STRIDES)
+    batch = VectorEnvironment(env, batched=("stride",))
+    actions = actions_for(9, 3)
+    start = batch.reset(jax.random.key(0), 3, params)
+    _, together = run(batch, start, actions, params)
+    for i in range(3):
+        one = jax.tree.map(lambda leaf, i=i: leaf[i : i + 1], start)
+        own = dataclasses.replace(params, stride=STRIDES[i])
+        _, alone = run(VectorEnvironment(env), one, actions[:, i : i + 1], own)
+        for a, b in zip(jax.tree.leaves(together), jax.tree.leaves(alone), strict=True):
+            np.testing.assert_allclose(a[:, i : i + 1], b, rtol=1e-6, atol=1e-7)
+
+
+@pytest.mark.slow
+def test_a_path_batches_everything_below_it():
+    task = make("tracking")
+    params = task.default_params()
+    target = jax.tree.map(lambda leaf: jnp.stack([leaf, 2 * leaf]), params.target)
+    batch = VectorEnvironment(task, batched=("target", "bonus.near"))
+    near = dataclasses.replace(params.bonus, near=jnp.array([0.1, 0.2]))
+    params = dataclasses.replace(params, target=target, bonus=near)
+    state = batch.reset(jax.random.key(0), 2, params)
+    speeds = jnp.linalg.norm(state.states.target.velocity, axis=-1)
+    np.testing.assert_allclose(speeds, [0.5, 1.0], rtol=1e-6)
+
+
+def test_a_batch_axis_that_was_not_named_is_refused_by_name():
+    env = Trivial()
+    params = dataclasses.replace(env.default_params(), stride=STRIDES)
+    batch = VectorEnvironment(env)
+    state = batch.reset(jax.random.key(0), 3, params)  # It does not use the stride.
+    words = r"stride: .* first axis of 3, .*VectorEnvironment\(env, batched=\('stride',"
+    with pytest.raises(ValueError, match=words):
+        batch.step(state, jnp.zeros((3, 1)), params)
+    tracking = make("tracking")
+    params = tracking.default_params()
+    wide = jax.tree.map(lambda leaf: jnp.stack([leaf] * 3), params.target)
+    with pytest.raises(ValueError, match=r"target.lower, target.upper, .* axis of 3"):
+        VectorEnvironment(tracking).reset(
+            jax.random.key(0), 3, dataclasses.replace(params, target=wide)
+        )
+
+
+def test_batched_parameters_that_do_not_fit_are_refused():
+    env = Trivial()
+    params = dataclasses.replace(env.default_params(), stride=STRIDES)
+    with pytest.raises(ValueError, match=r"'stride', .* axis of 4 .*, got shape .3,"):
+        VectorEnvironment(env, ("stride",)).reset(jax.random.key(0), 4, params)
+    with pytest.raises(ValueError, match=r"names 'strid'; the nearest .* are stride"):
+        VectorEnvironment(env, ("strid",)).reset(jax.random.key(0), 3, params)

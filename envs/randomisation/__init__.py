@@ -1,0 +1,1 @@
+"""Randomised environments: options as plain values, and the wrapper."""
