@@ -210,7 +210,7 @@ class RigidContact(PenaltyContact):
             contacts = CollisionPair.contacts(one, two, same=a == b)
             for columns, turning in ((springs, False), (dashpots, rubs)):
                 ease = contacts * (
-                    _ease(one, turning)[:, None] + _ease(two, turning)[None, :]
+                    one.mobilities[turning][:, None] + two.mobilities[turning][None, :]
                 )
                 if a == b:
                     ease = jnp.where(jnp.eye(one.count, dtype=bool), 0, ease)
@@ -331,14 +331,6 @@ def rigid_contact(
 def _turns(group: CollisionBodies, rubs: bool) -> bool:
     """Whether contact exerts couples: on a ball only friction does (`rubs`)."""
     return rubs or not group.is_ball
-
-
-def _ease(group: CollisionBodies, rubs: bool) -> Array:
-    """Largest mobility at a contact, 1/m + reach^2/J; 1/m without couples [1/kg]."""
-    moving = 1 / group.masses
-    if not _turns(group, rubs):
-        return moving
-    return moving + group.reach * group.reach / group.inertias
 
 
 def _worst(columns: list[Array], max_contacts: int | None) -> Array:
