@@ -272,14 +272,14 @@ def cone(point, size):
 
 
 def tip_of_a_cone():
-    """A slender cone whose tip is touched by a heavy ball."""
-    height, radius, heavy = 1.0, 0.05, 0.3
+    """A cone that a heavy ball touches near its tip."""
+    height, radius, heavy = 1.0, 0.5, 0.3
     across = 3 / 20 * radius**2 + 3 / 80 * height**2
     shape = jaxrod.shapes.signed_distance(cone, jnp.asarray([height, radius]))
     inertia = (across, across, 0.3 * radius**2)
-    place = 0.99 * 0.75 * height
-    away = radius * (1 - (place + 0.25 * height) / height) + heavy
-    beside = jaxrod.shapes.sphere((away - 1e-6, 0.0, place), heavy)
+    normal = np.array([height, 0, radius]) / np.hypot(height, radius)
+    touched = np.array([0.01 * radius, 0, 0.75 * height - 0.01 * height])
+    beside = jaxrod.shapes.sphere(touched + (heavy - 1e-6) * normal, heavy)
     members, state = bodies(
         {"shape": shape, "mass": 1.0, "inertia": inertia},
         {"shape": beside, "mass": 1e3},
