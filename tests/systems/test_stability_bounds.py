@@ -3,6 +3,8 @@
 Couplings are much stiffer than what they couple, so that they alone limit the step.
 """
 
+from dataclasses import replace
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -259,6 +261,38 @@ def bar_on_its_end():
         ("body 0",), ("body 1",), state, stiffness=1.0, at=(0.0, 0.0, 1.0)
     )
     return jaxrod.make_system(members, joint), state
+
+
+def test_the_couple_of_a_motor_that_turns_with_its_hinge_counts():
+    """Its stiffness, from changes of the rates of both bodies in a short step."""
+    body = {"mass": 1.0, "inertia": (0.5,) * 3}
+    members, state = bodies(body, body | {"position": (1.0, 0.0, 0.0)})
+    hinge = jaxrod.systems.hinge_joint(
+        ("body 0",),
+        ("body 1",),
+        state,
+        axis=(0, 0, 1),
+        stiffness=1e-6,
+        axis_stiffness=1.0,
+        motor=3.0,
+    )
+    system, short = jaxrod.make_system(members, hinge), 1e-6
+
+    def gained(turns):
+        turned = {}
+        for (name, one), half in zip(state.items(), 0.5 * turns, strict=True):
+            quaternion = jnp.asarray([1.0, *half])[:, None]
+            turned[name] = replace(one, orientations=quaternion)
+        after = jaxrod.advance(system, turned, short, 1)
+        rates = [np.ravel(one.angular_velocities) for one in after.values()]
+        return np.concatenate(rates) / short
+
+    tiny = 1e-5 * np.eye(6).reshape(6, 2, 3)
+    columns = [(gained(-move) - gained(move)) / 2e-5 for move in tiny]
+    stiffness = np.stack(columns, axis=1)
+    fastest = np.linalg.eigvalsh(0.5 * (stiffness + stiffness.T))[-1]
+    dt = float(jaxrod.stable_dt(system, 1.0).dt)
+    assert 4 * 0.99 < dt**2 * fastest < 4 * (1 + 1e-4)
 
 
 def cone(point, size):
