@@ -127,6 +127,16 @@ class Body(ABC):
         """Radius of the largest ball inside the body [m]; `None` if it is not known."""
         return None
 
+    @property
+    def bounding_radius(self) -> Array | None:
+        """Largest distance of the surface from the origin [m], for `stable_dt`.
+
+        By default it is not known: `None`. Then a moving body is assumed to be convex
+        and of uniform density, which limits this distance by its moments of inertia.
+        The bodies of this module do not need it.
+        """
+        return None
+
     def solid(self) -> Solid:
         """Centre of mass, principal axes, volume and inertia.
 
@@ -150,11 +160,6 @@ class Body(ABC):
     def is_half_space(self) -> bool:
         """Whether the body is a half space, which cannot be a moving body."""
         return False
-
-    @property
-    def centre_of_normals(self) -> Array | None:
-        """Point through which all surface normals pass [m]; `None` if there is none."""
-        return None
 
     @property
     def row_of_balls(self) -> tuple[Array, Array, Array] | None:
@@ -214,11 +219,6 @@ class Sphere(Body):
         """Triangles of the surface of the ball, for drawing."""
         corners, faces = surfaces.ball(float(self.radius))
         return np.asarray(self.centre) + corners, faces
-
-    @property
-    def centre_of_normals(self) -> Array:
-        """Centre of the ball, through which all normals pass [m]."""
-        return self.centre
 
 
 @pytree
@@ -694,6 +694,10 @@ def signed_distance(
     function: Callable[[Any, Any], ArrayLike], parameters: Any = ()
 ) -> SignedDistance:
     """A fixed body of any shape.
+
+    If it is the shape of a rigid body, `stable_dt` assumes that it is convex and of
+    uniform density, with the given mass and inertia. For other bodies subclass `Body`
+    and define `bounding_radius`.
 
     Args:
         function: Pure function from one point `(3,)` [m] and `parameters` to the signed

@@ -461,9 +461,25 @@ class SlenderBodyDrag(Effect):
         return Loads(forces=vectors.pair_sum(half))
 
     def stability_bound(self, rod: Rod) -> StabilityBound:
-        """Drag coefficient of each node across the unstretched rod."""
+        """Bound of the drag on each node across the unstretched rod.
+
+        The force on a node of mass m1 by an element is half the drag times the mean
+        velocity, (m1 v1 + m2 v2) / (m1 + m2). By Young's inequality its power, with
+        that on the other node, is at most half the drag times the sum of
+        (m1 / (m1 + m2) + w / 2) v1^2 and (m2 / (m1 + m2) + 1 / 2w) v2^2. The weight w
+        shares it in proportion to the masses, and equally among elements at a node.
+        """
+        half = 0.5 * self._per_length(rod.length, rod.radii) * rod.rest_lengths
+        masses = rod.node_masses
+        both = masses[1:] + masses[:-1]
+        met = vectors.pad(jnp.ones_like(half), 0, 1)
+        met = met + vectors.pad(jnp.ones_like(half), 1, 0)
+        root = jnp.sqrt(masses) / met
+        weight = root[:-1] / root[1:]
+        first = half * (masses[:-1] / both + 0.5 * weight)
+        second = half * (masses[1:] / both + 0.5 / weight)
         return StabilityBound(
-            node_drag=on_nodes(rod, self._per_length(rod.length, rod.radii))
+            node_drag=vectors.pad(first, 0, 1) + vectors.pad(second, 1, 0)
         )
 
     def _per_length(self, length: Array, radii: Array) -> Array:

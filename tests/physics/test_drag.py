@@ -185,6 +185,23 @@ def test_drag_of_a_node_is_no_larger_than_its_bound():
     np.testing.assert_allclose(found.couples[2], -bound.element_drag * spins[2])
 
 
+@pytest.mark.parametrize("radius", [RADIUS, (RADIUS, 0.05 * RADIUS)])
+def test_drag_of_slender_bodies_takes_no_more_power_than_its_bound(radius):
+    """Its matrix is symmetric only for nodes of equal mass."""
+    rod, state = arm(5, radius=radius)
+    drag = jaxrod.fluids.slender_body_drag(1.0)
+
+    def across(speeds):
+        zero = jnp.zeros_like(speeds)
+        moving = replace(motion_of(state), velocity=(speeds, zero, zero))
+        return -drag.loads(rod, moving).forces[0]
+
+    matrix = np.asarray(jax.jacfwd(across)(jnp.zeros(6)))
+    root = np.sqrt(np.asarray(drag.stability_bound(rod).node_drag))
+    power = 0.5 * (matrix + matrix.T) / root[:, None] / root[None, :]
+    assert 0.9 < np.linalg.eigvalsh(power)[-1] < 1 + 1e-12
+
+
 @pytest.mark.slow
 def test_solved_drag_does_not_limit_the_step_and_explicit_drag_does():
     drag = jaxrod.fluids.stokes_drag(1e5, 1e5)

@@ -3,6 +3,8 @@
 Couplings are much stiffer than what they couple, so that they alone limit the step.
 """
 
+from dataclasses import replace
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -12,6 +14,7 @@ import jaxrod
 import jaxrod.extend
 from benchmarks.plectoneme.element_contact import element_contact
 from jaxrod.effects.base import StabilityBound, added_bounds
+from jaxrod.systems.contact.surface_mobility import surface_mobility
 from systems.members import SOFT, rod
 
 RADIUS, N = SOFT["radius"], 3
@@ -227,6 +230,195 @@ CASES = {
     "spring between rods": (lambda: joined(sprung), SHARP),
     "spring between a rod and a light body": (lambda: joined(sprung, 10.0), SHARP),
 }
+
+
+def bodies(*made):
+    """Members and states of rigid bodies, from arguments of `rigid_body`."""
+    pairs = [jaxrod.systems.rigid_body(dtype=jnp.float64, **one) for one in made]
+    names = [f"body {k}" for k in range(len(pairs))]
+    return (
+        {name: body for name, (body, _) in zip(names, pairs, strict=True)},
+        {name: state for name, (_, state) in zip(names, pairs, strict=True)},
+    )
+
+
+def far_apart(**numbers):
+    """A spring between two bodies of small inertia, a metre apart."""
+    body = {"mass": 1.0, "inertia": (1e-3,) * 3}
+    members, state = bodies(body, body | {"position": (1.0, 0.0, 0.0)})
+    spring = jaxrod.systems.spring(("body 0",), ("body 1",), state, **numbers)
+    return jaxrod.make_system(members, spring), state
+
+
+def bar_on_its_end():
+    """A ball joint at the end of a slender bar, which hardly resists turning about d3.
+
+    The other body is the same bar.
+    """
+    bar = {"mass": 1.0, "inertia": (1e-1, 1e-1, 1e-4)}
+    members, state = bodies(bar, bar | {"position": (0.0, 0.0, 2.0)})
+    joint = jaxrod.systems.ball_joint(
+        ("body 0",), ("body 1",), state, stiffness=1.0, at=(0.0, 0.0, 1.0)
+    )
+    return jaxrod.make_system(members, joint), state
+
+
+def test_the_couple_of_a_motor_that_turns_with_its_hinge_counts():
+    """Its stiffness, from changes of the rates of both bodies in a short step."""
+    body = {"mass": 1.0, "inertia": (0.5,) * 3}
+    members, state = bodies(body, body | {"position": (1.0, 0.0, 0.0)})
+    hinge = jaxrod.systems.hinge_joint(
+        ("body 0",),
+        ("body 1",),
+        state,
+        axis=(0, 0, 1),
+        stiffness=1e-6,
+        axis_stiffness=1.0,
+        motor=3.0,
+    )
+    system, short = jaxrod.make_system(members, hinge), 1e-6
+
+    def gained(turns):
+        turned = {}
+        for (name, one), half in zip(state.items(), 0.5 * turns, strict=True):
+            quaternion = jnp.asarray([1.0, *half])[:, None]
+            turned[name] = replace(one, orientations=quaternion)
+        after = jaxrod.advance(system, turned, short, 1)
+        rates = [np.ravel(one.angular_velocities) for one in after.values()]
+        return np.concatenate(rates) / short
+
+    tiny = 1e-5 * np.eye(6).reshape(6, 2, 3)
+    columns = [(gained(-move) - gained(move)) / 2e-5 for move in tiny]
+    stiffness = np.stack(columns, axis=1)
+    fastest = np.linalg.eigvalsh(0.5 * (stiffness + stiffness.T))[-1]
+    dt = float(jaxrod.stable_dt(system, 1.0).dt)
+    assert 4 * 0.99 < dt**2 * fastest < 4 * (1 + 1e-4)
+
+
+def cone(point, size):
+    """Distance from a cone with its centre of mass at the origin, not exact outside."""
+    height, radius = size
+    from_axis = jnp.sqrt(point[0] ** 2 + point[1] ** 2 + 1e-24)
+    below = point[2] - 0.75 * height
+    slope = jnp.sqrt(height**2 + radius**2)
+    side = (from_axis * height + below * radius) / slope
+    return jnp.maximum(side, -point[2] - 0.25 * height)
+
+
+def tip_of_a_cone():
+    """A cone that a heavy ball touches near its tip."""
+    height, radius, heavy = 1.0, 0.5, 0.3
+    across = 3 / 20 * radius**2 + 3 / 80 * height**2
+    shape = jaxrod.shapes.signed_distance(cone, jnp.asarray([height, radius]))
+    inertia = (across, across, 0.3 * radius**2)
+    normal = np.array([height, 0, radius]) / np.hypot(height, radius)
+    touched = np.array([0.01 * radius, 0, 0.75 * height - 0.01 * height])
+    beside = jaxrod.shapes.sphere(touched + (heavy - 1e-6) * normal, heavy)
+    members, state = bodies(
+        {"shape": shape, "mass": 1.0, "inertia": inertia},
+        {"shape": beside, "mass": 1e3},
+    )
+    contact = jaxrod.systems.rigid_contact(
+        "body 0", "body 1", stiffness=1e3, onset=1e-9
+    )
+    return jaxrod.make_system(members, contact), state
+
+
+LEVERS = {
+    "spring with a dashpot halfway between two bodies far apart": (
+        lambda: far_apart(stiffness=1e-3, damping=1.0),
+        SHARP,
+    ),
+    "ball_joint of two slender bars, end to end": (bar_on_its_end, SHARP),
+    "rigid_contact of a ball with the tip of a signed_distance cone": (
+        tip_of_a_cone,
+        SAFE,
+    ),
+}
+
+
+@pytest.mark.parametrize("name", LEVERS)
+def test_bounds_of_long_levers_are_safe_and_not_far_off(name, record):
+    build, far = LEVERS[name]
+    record(
+        f"{name}: limit of the linearised step over the bound",
+        "safe, and not far off",
+        limit_over_bound(*build()),
+        between=(0.99, far),
+    )
+
+
+SHAPES = {
+    "sphere": jaxrod.shapes.sphere((0, 0, 0), 0.2),
+    "capsule": jaxrod.shapes.capsule((0, 0, -1), (0, 0, 1), 0.1),
+    "cylinder": jaxrod.shapes.cylinder((0, 0, -1), (0, 0, 1), 0.1),
+    "disc": jaxrod.shapes.cylinder((0, 0, -0.01), (0, 0, 0.01), 0.3),
+    "box": jaxrod.shapes.box((0, 0, 0), (0.1, 0.5, 0.02)),
+}
+
+
+@pytest.mark.parametrize("name", SHAPES)
+@pytest.mark.parametrize("density", [{"density": 1e3}, {"mass": 2.0}])
+def test_no_point_of_a_surface_moves_more_easily_than_the_bound(name, density):
+    """Points of the mesh, pushed in any direction or along the normal."""
+    own = {"inertia": (0.3, 0.2, 0.4)} if "mass" in density else {}
+    body, _ = jaxrod.systems.rigid_body(
+        SHAPES[name], dtype=jnp.float64, **density, **own
+    )
+    points = np.asarray(body.shape.mesh()[0])
+    turns = np.zeros((len(points), 3, 3))
+    for k, (i, j) in enumerate(((1, 2), (2, 0), (0, 1))):
+        # The lever arm times a force, as a matrix on the force.
+        turns[:, k, j], turns[:, k, i] = points[:, i], -points[:, j]
+    easy = 1 / np.asarray(body.principal_inertias[:, 0])
+    matrices = np.einsum("nki,k,nkj->nij", turns, easy, turns)
+    normals = np.stack(
+        body.shape.surface(tuple(jnp.asarray(1.0001 * points.T)))[1], axis=-1
+    )
+    mass = float(body.masses[0])
+    any_way = np.max(np.linalg.eigvalsh(matrices)) + 1 / mass
+    normal = np.max(np.einsum("ni,nij,nj->n", normals, matrices, normals)) + 1 / mass
+    rubbed, pushed = (
+        float(surface_mobility(body.parts(), rubs=rubs)[0]) for rubs in (True, False)
+    )
+    assert (1 - 1e-3) * any_way <= rubbed <= 2.5 * any_way
+    # At an edge the normals of the mesh are not the worst.
+    assert (1 - 1e-3) * normal <= pushed <= rubbed
+
+
+@jaxrod.extend.pytree
+class OwnBall(jaxrod.shapes.Body):
+    """A ball about the origin, as a shape of the user's own."""
+
+    radius: jax.Array
+
+    def surface(self, points):
+        """Distance from the origin minus the radius, and its gradient."""
+        length = jaxrod.extend.vectors.safe_norm(points)
+        normal = jaxrod.extend.vectors.scale(1 / length, points)
+        return length - self.radius, normal
+
+    @property
+    def bounding_radius(self):
+        """Radius of the ball [m]."""
+        return self.radius
+
+
+def test_the_bounding_radius_of_a_shape_of_ones_own_counts():
+    """The step is that of a sphere, however small the moments of inertia are."""
+
+    def step(shape):
+        members, _ = bodies(
+            {"shape": shape, "mass": 1.0, "inertia": (1e-4,) * 3},
+            {"shape": jaxrod.shapes.sphere((0.5, 0, 0), 0.2), "mass": 1.0},
+        )
+        contact = jaxrod.systems.rigid_contact(
+            *members, stiffness=1e-9, friction=0.5, friction_drag=1.0
+        )
+        return float(jaxrod.stable_dt(jaxrod.make_system(members, contact)).dt)
+
+    own, known = OwnBall(jnp.float64(0.3)), jaxrod.shapes.sphere((0, 0, 0), 0.3)
+    assert step(own) == pytest.approx(step(known), rel=1e-3)
 
 
 @pytest.mark.slow

@@ -35,6 +35,7 @@ from jaxrod.systems.contact.rod_segments import (
     points_needed,
     segments_and_ends,
 )
+from jaxrod.systems.contact.surface_mobility import surface_mobility
 from jaxrod.systems.members.parts import Parts, mapped
 from jaxrod.systems.sites.coupling import (
     AllParts,
@@ -246,8 +247,7 @@ class BodyContact(PenaltyContact):
         the sum of the contributions of node and body. By the Cauchy-Schwarz inequality
         its energy is at most that of all masses together at the squared frequency `k`
         times the sum of the mobilities. The mobility of a node is its length over its
-        mass. That of a body is the length touching it over its mass, plus this length
-        times the square of the lever arm over the body's inertia.
+        mass. That of a body is the length touching it times its `surface_mobility`.
         """
         rods, bodies = parts[self.rod], parts[self.body]
         assert rods.linear_density is not None and rods.radii is not None
@@ -258,25 +258,22 @@ class BodyContact(PenaltyContact):
             touching = jnp.minimum(touching, self.touching)
             lengths = jnp.minimum(lengths, self.touching)
         nodes = bodies.count * jnp.max(lengths / rods.node_masses)
-        least = jnp.min(bodies.inertias, axis=0)
-        moving = touching / bodies.node_masses
 
-        def turning(lever: Array) -> Array:
-            return touching * lever**2 / least
+        def moving(rubs: bool) -> Array:
+            return touching * jnp.max(surface_mobility(bodies, rubs=rubs))
 
-        lever = _lever(bodies)
-        rate = self.stiffness * (nodes + jnp.max(moving + turning(lever)))
+        rate = self.stiffness * (nodes + moving(False))
         drag, sections = self.law.largest_drag, jnp.zeros_like(rate)
         if self.friction_drag is not None:
             # Friction also turns the section, and a ball about its centre.
-            lever = _size(bodies)
             own = jnp.min(rods.inertias, axis=0)
             longest = segments.lengths + ends.longest()
             on_segments = segments.to_segments(longest * segments.point_radii**2)
             sections = bodies.count * jnp.max(on_segments / own)
         slow: Array | None = None
         if drag is not None:
-            slow = drag * (nodes + sections + jnp.max(moving + turning(lever)))
+            rubs = self.friction_drag is not None
+            slow = drag * (nodes + sections + moving(rubs))
         return {
             self.rod: _bound(rods, rate, slow, self.friction_drag is not None, False),
             self.body: _bound(bodies, rate, slow, True, True),
@@ -316,24 +313,6 @@ def _bound(
         node_drag=None if slow is None else slow * parts.node_masses,
         element_drag=None if slow is None or not drags else slow * inertia,
     )
-
-
-def _lever(bodies: Parts) -> Array:
-    """Largest lever arm of a normal force about the centre of mass [m]."""
-    assert bodies.shape is not None
-    centre = bodies.shape.centre_of_normals
-    if centre is not None:
-        return jnp.sqrt(jnp.sum(centre**2))
-    return _size(bodies)
-
-
-def _size(bodies: Parts) -> Array:
-    """Estimate sqrt(5 J/m) of the largest distance from centre to surface [m].
-
-    J is the largest moment of inertia, at uniform density.
-    """
-    largest = jnp.max(bodies.inertias, axis=0)
-    return jnp.sqrt(5 * largest / bodies.node_masses)
 
 
 def body_contact(

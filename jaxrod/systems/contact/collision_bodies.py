@@ -22,6 +22,7 @@ from jaxrod.geometry.vectors import Vec3
 from jaxrod.rods.motion import Loads
 from jaxrod.structure import pytree, static
 from jaxrod.systems.contact.sphere_cloud import SphereCloud, given_points, spheres_of
+from jaxrod.systems.contact.surface_mobility import surface_mobility
 from jaxrod.systems.members.parts import Parts, Seen, mapped
 from jaxrod.systems.sites.coupling import AllSeen
 
@@ -87,9 +88,9 @@ class CollisionBodies:
     """Size of each body, to scale the onset of contact: sqrt(2.5 J/m) with its smallest
     moment of inertia J and mass m, which is a sphere's radius; infinite for a fixed
     body [m]."""
-    reach: Array
-    """Largest distance of a contact from the body's origin, its lever arm in stability
-    bounds; zero if fixed [m]."""
+    mobilities: tuple[Array, Array]
+    """Largest mobilities at a contact of each body, for normal forces and for any; zero
+    if fixed [1/kg]."""
     masses: Array
     """Mass of each body; infinite for a fixed body [kg]."""
     inertias: Array
@@ -159,17 +160,18 @@ def collision_bodies(
         cloud = spheres_of(own.shape, along, points_per_edge)
         if name in points:
             cloud = given_points(points[name])
-        # At uniform density; exact for a sphere.
-        least, most = jnp.min(own.inertias, axis=0), jnp.max(own.inertias, axis=0)
-        reach = jnp.max(jnp.sqrt(5 * most / own.node_masses))
-        if cloud is not None:
-            reach = cloud.reach + jnp.max(cloud.radii)
+        normal, any_way = (
+            surface_mobility(own, rubs=rubs, points=points.get(name))
+            for rubs in (False, True)
+        )
+        least = jnp.min(own.inertias, axis=0)
         groups.append(
             CollisionBodies(
                 shape=own.shape,
                 cloud=cloud,
+                # At uniform density; exact for a sphere.
                 sizes=jnp.sqrt(2.5 * least / own.node_masses),
-                reach=reach,
+                mobilities=(normal, any_way),
                 masses=own.node_masses,
                 inertias=least,
                 member=name,
@@ -203,7 +205,7 @@ def _standing(body: Body, balls: int, points_per_edge: int) -> CollisionBodies:
         shape=shape,
         cloud=spheres_of(shape, balls, points_per_edge),
         sizes=endless,
-        reach=jnp.zeros((), dtype),
+        mobilities=(1 / endless, 1 / endless),
         masses=endless,
         inertias=endless,
         pose=Posed(shape, one(vectors.split(centre)), (d1, d2, d3), zero, zero),

@@ -213,7 +213,7 @@ class RigidContact(PenaltyContact):
             contacts = CollisionPair.contacts(one, two, same=a == b)
             for columns, turning in ((springs, False), (dashpots, rubs)):
                 ease = contacts * (
-                    _ease(one, turning)[:, None] + _ease(two, turning)[None, :]
+                    one.mobilities[turning][:, None] + two.mobilities[turning][None, :]
                 )
                 if a == b:
                     ease = jnp.where(jnp.eye(one.count, dtype=bool), 0, ease)
@@ -334,18 +334,6 @@ def rigid_contact(
 def _turns(group: CollisionBodies, rubs: bool) -> bool:
     """Whether contact exerts couples: on a ball only friction does (`rubs`)."""
     return rubs or not group.is_ball
-
-
-def _ease(group: CollisionBodies, rubs: bool) -> Array:
-    """Mobility 1/m + reach^2/J of each body at a contact; 1/m without couples [1/kg].
-
-    Contact exerts couples if there is friction (`rubs`), or on bodies that are not a
-    ball.
-    """
-    moving = 1 / group.masses
-    if not _turns(group, rubs):
-        return moving
-    return moving + group.reach * group.reach / group.inertias
 
 
 def _worst(columns: list[Array], max_contacts: int | None) -> Array:

@@ -62,14 +62,6 @@ class SphereCloud:
         """Number of balls."""
         return self.offsets.shape[1]
 
-    @property
-    def reach(self) -> Array:
-        """Largest distance of a ball's centre from the origin, as a lever arm [m]."""
-        arms = vectors.safe_norm(vectors.split(self.offsets))
-        if self.rim_radii is not None:
-            arms = jnp.sqrt(arms * arms + self.rim_radii * self.rim_radii)
-        return jnp.max(arms)
-
     def places(self, downwards: Vec3) -> Vec3:
         """Centres of the balls, in the body's own frame [m].
 

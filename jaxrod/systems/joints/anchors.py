@@ -26,6 +26,7 @@ from jaxrod.systems.joints.elastic_joints import (
     orientation_at,
     spin_at,
 )
+from jaxrod.systems.members.mobility import turning_mobility
 from jaxrod.systems.members.parts import Parts, Seen
 from jaxrod.systems.sites.coupling import AllParts
 from jaxrod.systems.sites.places import (
@@ -94,14 +95,19 @@ class Anchors:
         """Velocity of the anchors per impulse, an upper bound [1/kg].
 
         It is `1 / m + r^2 / I`, with the mass of the node, the distance `r` of the
-        point of action from the node and the smallest moment of inertia of the element.
+        point of action from the node and the smallest moment of inertia of the element;
+        for rigid bodies the largest about axes across the lever arm.
 
         Args:
             parts: Constants of the member.
             reach: Largest distance of a point of action from its anchor [m].
         """
         masses = parts.node_masses[self.points.nodes.values]
-        arm = vectors.safe_norm(vectors.split(self.offsets)) + reach
+        arms = vectors.split(self.offsets)
+        if parts.is_rigid:
+            inertias = parts.inertias[:, self.points.elements.values]
+            return 1 / masses + turning_mobility(inertias, arms, reach)
+        arm = vectors.safe_norm(arms) + reach
         return 1 / masses + arm * arm / least_inertia(parts, self.points)
 
 
@@ -148,11 +154,15 @@ def spring_bounds(
     parts: AllParts,
     stiffness: Array,
     drag: Array | None = None,
+    *,
+    reach: Array | float = 0.0,
 ) -> dict[str, StabilityBound]:
     """Stability bounds of springs and dashpots between anchors.
 
     The elongation of a spring of stiffness $k$ is divided among the nodes and elements
-    at its ends in proportion to their inertia.
+    at its ends in proportion to their inertia. A spring without stress pulls along the
+    line through both anchors, so their offsets are its lever arms. A dashpot pulls in
+    any direction.
 
     Args:
         a: Anchors on a member.
@@ -160,6 +170,8 @@ def spring_bounds(
         parts: Constants of the members.
         stiffness: Largest force per distance, of all springs or of each [N/m].
         drag: Largest force per relative speed, if there is any [kg/s].
+        reach: Largest distance from the anchors at which the drag acts [m]: half the
+            length of a spring whose dashpot acts in its middle.
 
     Returns:
         The bounds by member, as `Coupling.stability_bounds` returns them.
@@ -174,6 +186,7 @@ def spring_bounds(
     """
     sides = [(anchor, parts[anchor.points.member]) for anchor in (a, b)]
     ease = sum(anchor.mobility(own) for anchor, own in sides)
+    slow = sum(anchor.mobility(own, reach) for anchor, own in sides)
     total: dict[str, StabilityBound] = {}
     for anchor, own in sides:
         points = anchor.points
@@ -186,9 +199,9 @@ def spring_bounds(
         if drag is not None:
             bound = replace(
                 bound,
-                node_drag=scatter_add(ease * masses * drag, points.nodes, sizes[0]),
+                node_drag=scatter_add(slow * masses * drag, points.nodes, sizes[0]),
                 element_drag=scatter_add(
-                    ease * inertia * drag, points.elements, sizes[1]
+                    slow * inertia * drag, points.elements, sizes[1]
                 ),
             )
         total[points.member] = added_bounds(total.get(points.member), bound)

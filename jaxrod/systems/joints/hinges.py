@@ -103,6 +103,11 @@ class AxisSprings(Coupling):
     def stability_bounds(self, parts: AllParts) -> dict[str, StabilityBound]:
         """Stability bounds on the elements of both members, by member."""
         stiffness = jnp.broadcast_to(self.stiffness, (len(self.a.nodes),))
+        if self.motor is not None:
+            # The couple M turns with the elements. The symmetric part of its derivative
+            # couples their turns across the axis, by M / 2 beside k of the spring.
+            root = jnp.sqrt(stiffness**2 + (0.5 * self.motor) ** 2)
+            stiffness = 0.5 * (stiffness + root)
         return turning_bounds(self.a, self.b, parts, stiffness, self.damping)
 
 

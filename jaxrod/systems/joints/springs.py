@@ -86,7 +86,11 @@ class Springs(Coupling):
 
     def stability_bounds(self, parts: AllParts) -> dict[str, StabilityBound]:
         """Stability bounds on nodes and elements at both ends, by member."""
-        return spring_bounds(self.a, self.b, parts, self.stiffness, self.damping)
+        # Dashpots act halfway between the anchors.
+        reach = 0.0 if self.rest_lengths is None else 0.5 * self.rest_lengths
+        return spring_bounds(
+            self.a, self.b, parts, self.stiffness, self.damping, reach=reach
+        )
 
 
 def spring(
