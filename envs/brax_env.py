@@ -214,7 +214,7 @@ class BraxEnv(Env):
 
     @functools.cached_property
     def _scalars(self) -> tuple[str, ...]:
-        """Names of the scalars in `info` of a step, with "flagged"; for `metrics`."""
+        """Names in brax's `State.metrics`: the scalars of a step's `info` and "flagged"."""
 
         def one_step(key: Key[Array, ""]) -> dict[str, Array]:
             _, state = self.env.reset(key, self.sys)

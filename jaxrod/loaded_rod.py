@@ -71,6 +71,11 @@ class Method:
         return True
 
     @property
+    def normal_axis(self) -> int | None:
+        """World axis along which rods do not move, 0 for x; `None` in space."""
+        return None
+
+    @property
     def solves_damping(self) -> bool:
         """Whether damping rates and loads are integrated together in each kick.
 

@@ -461,7 +461,11 @@ def _check_parameter(
 def _entries(
     option: str, key: str, size: int, channels: Sequence[Channel]
 ) -> np.ndarray:
-    """Mask of the entries of an observation that a key of an option names."""
+    """Mask `(size,)` of the observation's entries that `key` names.
+
+    A key is the name or the beginning of the name of channels, or indices such as
+    "0, 4-7". `option`, such as "noise", is where it was given, for messages.
+    """
     mask = np.zeros(size, bool)
     if re.fullmatch(r"\s*\d+(\s*-\s*\d+)?(\s*,\s*\d+(\s*-\s*\d+)?)*\s*", key):
         for part in key.split(","):

@@ -109,8 +109,9 @@ class Reaching(BenchmarkTask):
     crash_reward = -10_000.0
 
     observation_size = 3 * OBSERVED_NODES + 4 + 4 + 7 + 4
-    """52 numbers: eleven points of the arm, velocity and frame of its tip, then
-    position, velocity and frame of the goal."""
+    """52 numbers: eleven points of the arm (33), speed and direction (4) and quaternion
+    (4) of its tip; position (3), speed and direction (4) and quaternion (4) of the
+    goal."""
 
     def default_params(self) -> ReachingParams:
         """Default parameters of the task, in JAX's default precision."""

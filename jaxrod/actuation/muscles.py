@@ -284,8 +284,10 @@ class Muscle(SectionLoad):
     def stored(self, rod: Rod, strains: SectionStrains) -> Array:
         """Energy of the fibres [J].
 
-        It is the sum of force times rest length times `curve.energy(stretch)`. For
-        muscles across the rod it is twice that sum, at `stretch^(-1/2)`.
+        It is the sum over fibres and nodes of F L `curve.energy(s)`, with the active
+        force F at rest length, the rest length L and the stretch s of the fibre. For
+        muscles across the rod, in two directions at constant volume, it is twice that
+        sum at `s^(-1/2)`, with the stretch s of the rod.
         """
         rest = vectors.safe_norm(self.path.rest_segments(rod))
         stretch = vectors.safe_norm(self.path.segments(strains)) / rest

@@ -94,11 +94,11 @@ def natural_frequencies(
     """Angular frequencies of small undamped motions about a state at rest.
 
     They come from the dense eigenvalue problem of all degrees of freedom (`6 n + 3` for
-    a rod), without those that constraints hold, and without twist in a scene of
-    `torsion_free()`. Use it to examine a rod or a system, not inside a loop. A straight
-    rod of round section bends in the same way in two planes and has its bending
-    frequencies twice. The frequencies of a free rod start with the six zeros of rigid
-    motions.
+    a rod), without those that constraints hold, without twist in a scene of
+    `torsion_free()`, and without motions out of the plane of `planar()`. Use it to
+    examine a rod or a system, not inside a loop. A straight rod of round section bends
+    in the same way in two planes and has its bending frequencies twice. The frequencies
+    of a free rod start with the six zeros of rigid motions.
 
     Args:
         scene: The scene in consistent mode, or the system.
@@ -149,8 +149,30 @@ def squared_frequencies(scene: LoadedRod, state: RodState) -> np.ndarray:
     matrix = np.asarray(_stiffness(scene, state), np.float64)
     free = np.asarray(free_motions(scene, state))
     matrix = matrix[np.ix_(free, free)]
+    if scene.method.normal_axis is not None:
+        basis = _motions_in_plane(scene, state, scene.method.normal_axis)[free]
+        # Motions that are held have nothing left.
+        sizes = np.sqrt(np.sum(basis**2, axis=0))
+        basis = basis[:, sizes > 0] / sizes[sizes > 0]
+        matrix = basis.T @ matrix @ basis
     squares: np.ndarray = np.linalg.eigvalsh(0.5 * (matrix + matrix.T))
     return squares
+
+
+def _motions_in_plane(scene: LoadedRod, state: RodState, normal: int) -> np.ndarray:
+    """Motions in a plane, a column each: displacements, and rotations about the normal.
+
+    Coordinates are those of `linearised`, scaled by the square root of inertia.
+    """
+    n = scene.rod.n_elements
+    across = np.repeat(np.arange(3) == normal, n + 1)
+    nodes = np.eye(6 * n + 3)[:, : 3 * n + 3][:, ~across]
+    about = np.asarray(state.directors, np.float64)[:, normal]
+    about = about * np.sqrt(np.asarray(scene.rod.principal_inertias, np.float64))
+    turns = np.zeros((6 * n + 3, n))
+    for axis in range(3):
+        turns[3 * n + 3 + axis * n + np.arange(n), np.arange(n)] = about[axis]
+    return np.concatenate([nodes, turns], axis=1)
 
 
 @jax.jit(static_argnames="size")

@@ -88,11 +88,12 @@ class Ends:
         beside: Float[Array, " ends"],
         depth: Callable[[Array], Array],
     ) -> Float[Array, " ends"]:
-        """Length that each end stands for at a surface [m].
+        """Length of rod that multiplies the contact force per length at each end [m].
 
-        It is h/2 / (1 + (3hm/2p)^4)^(1/4) + 2 a m^2 with the spacing h, the penetration
-        p, the radius a, and the slope m of the distance along the rod. Where the rod
-        continues it is h/2.
+        It is (h/2) / (1 + (3 h m / (2 p))^4)^(1/4) + 2 a m^2 with the spacing h of the
+        contact points, the penetration p, the radius a, and the slope m of the
+        distance from the surface, from the end to the point beside it. At an end that
+        continues in another rod it is h/2.
 
         Args:
             own: Distances of the ends from the surface [m].

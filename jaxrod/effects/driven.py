@@ -82,7 +82,10 @@ class Driven(Effect):
         return Clamp(self.turn.orientation, self.end)
 
     def loads(self, rod: Rod, motion: Motion) -> Loads:
-        """Couple of the wall joint on the end element; no loads without a joint."""
+        """Couple on the end element, material frame, from the joint to the driven wall.
+
+        There are no loads if only the node is driven, without such a joint.
+        """
         joint = self._joint
         return Loads() if joint is None else joint.loads(rod, motion)
 

@@ -154,6 +154,9 @@ def _carried_along(tangents: jax.Array, first: jax.Array) -> jax.Array:
 def check_frames(directors: Numbers, tangents: Any) -> Any:
     """Checks given directors `(3, 3, n)`, and returns them as an array.
 
+    `[i, j, k]` is world component j of director i of element k. The unit vectors
+    `tangents` `(3, n)` point along the elements.
+
     Raises:
         ValueError: If they are not orthonormal and right-handed, or d3 is not along
             the elements.

@@ -164,9 +164,9 @@ def _adjoint(spec: RunSpec, steps: Any, *arrays: Any) -> list[Any]:
 
 
 def _batched_reference(one: Callable[..., list[Any]]) -> Callable[..., list[Any]]:
-    """Returns the reference of a primitive, mapped over the batch if there is one.
+    """Returns the reference implementation of a primitive for one rod or a batch.
 
-    `one` is the reference for a single rod.
+    `one` is that for a single rod; it is mapped over the batch axis that `spec` names.
     """
 
     def whole(steps: Any, *arrays: Any, spec: RunSpec) -> list[Any]:

@@ -54,6 +54,11 @@ class Planar(Method):
         return self.of.has_energy
 
     @property
+    def normal_axis(self) -> int:
+        """World axis along which rods do not move, 0 for x."""
+        return PLANES[self.plane][2]
+
+    @property
     def solves_damping(self) -> bool:
         """Whether the law's method integrates damping together with the loads."""
         return self.of.solves_damping

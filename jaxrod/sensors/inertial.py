@@ -102,7 +102,7 @@ class Accelerometer(InertialSensor):
 
 @pytree
 class Gyroscope(InertialSensor):
-    """Sensor of the angular velocity at stations, made by `gyroscope`.
+    """Sensor of the angular velocity at points along the rod, in its own frame.
 
     Example:
         >>> gyroscope = sensors.gyroscope([0.5, 1.0])

@@ -73,7 +73,8 @@ class Increment:
     displacement: Vec3
     """Displacements, world frame, `n + 1` nodes [m]."""
     turn: Vec3
-    """Rotation vectors in the base material frames, `n` elements [rad]."""
+    """Rotation vectors of the `n` elements, in their material frames at the start
+    [rad]."""
 
 
 @pytree

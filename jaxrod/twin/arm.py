@@ -330,8 +330,8 @@ class Arm:
     ) -> Float[Array, "markers 3"]:
         """Positions of the markers in the registered frame of the camera [m].
 
-        It differs from the arm's frame by the small rotation `turn` and displacement
-        `shift` in `values`.
+        They are R x + s with the positions x in the arm's frame, the rotation R by the
+        vector `turn` [rad] and the displacement s, `shift` [m], both in `values`.
         """
         places = [marker.at for marker in self.markers]
         sensor = markers(places, [marker.offset for marker in self.markers])

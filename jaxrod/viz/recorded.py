@@ -189,12 +189,13 @@ def _ground(
 
 
 def _single(body: Body, count: int | None, stacked: int) -> list[Body]:
-    """Splits an obstacle with leading axes into single bodies.
+    """Splits an obstacle with leading axes into a list of single bodies.
 
     Args:
         body: The obstacle; its leaves have the leading axes.
         count: Number of bodies on the last of these axes; None if it has no such axis.
-        stacked: Number of axes of equal rods.
+        stacked: Number of axes before it, over the equal rods that have the obstacle;
+            they are split, too.
     """
     axes = stacked + int(count is not None)
     bodies = [body]

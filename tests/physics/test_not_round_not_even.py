@@ -118,3 +118,26 @@ def test_a_dead_load_has_the_energy_of_the_weight_that_it_is_equal_to():
         jaxrod.uniform_load(weight, follower=True),
     ]
     assert [load.energy(rod, state) for load in ahead] == [0.0, 0.0]
+
+
+@pytest.mark.parametrize("held", [True, False])
+def test_frequencies_in_a_plane_are_those_in_space_that_stay_in_it(held):
+    """A strip that is bent in its plane, with frames turned about the axis."""
+    s = np.linspace(0, 1, 5)
+    places = np.stack([np.sin(s), 0 * s, 1 - np.cos(s)])
+    rod, state = jaxrod.rod_along(
+        places,
+        section=jaxrod.rectangle(width=0.02, height=0.07),
+        normal=(0.0, 1.0, 0.0),
+        **MATERIAL,
+    )
+    support = (jaxrod.clamp(state),) if held else ()
+    space = jaxrod.make_scene(rod, *support)
+    plane = jaxrod.make_scene(rod, *support, method=jaxrod.planar("zx"))
+    found = jaxrod.natural_frequencies(plane, state)
+    every = jaxrod.natural_frequencies(space, state)
+    assert found.size == (2 * 5 + 4) - (2 if held else 0) and every.size > found.size
+    apart = np.min(np.abs(found[:, None] - every[None]), axis=1)
+    assert np.max(apart) < 1e-7 * found[-1]
+    rigid = np.sum(found < 1e-6 * found[-1])
+    assert rigid == (0 if held else 3)

@@ -26,8 +26,8 @@ class RowWriter(Writer):
     attributes = "noinline nounwind alignstack(64)"
     """LLVM attributes of the function."""
     given = ""
-    """LLVM text of the first arguments in calls of fill functions; empty without
-    any."""
+    """LLVM text of the first arguments in each call of a fill function, which writes
+    one number to many entries; empty if there are no such arguments."""
 
     def __init__(self, graph: RowGraph, schedule: Schedule, vector_bytes: int) -> None:
         """Begins an LLVM function without lines.

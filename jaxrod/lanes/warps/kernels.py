@@ -147,11 +147,10 @@ class WarpPlan(RowPlan):
         pointers: Sequence[str],
         stored: Sequence[int] = (),
     ) -> None:
-        """Writes an LLVM function that computes nodes and stores them.
+        """Writes an LLVM function that computes nodes and stores their values.
 
-        Arguments as in `RowPlan.function`.
-
-        Its first arguments are those of `given`, the last ones `pointers`.
+        Arguments of this method are as in `RowPlan.function`. The LLVM function takes
+        the arguments that `given(name)` lists first and `pointers` last.
         """
         whole = [*REGIONS[1:], *self._buffers_of(name), *pointers]
         super().function(name, goals, whole, stored)

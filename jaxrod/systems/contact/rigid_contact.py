@@ -89,7 +89,9 @@ class RigidContact(PenaltyContact):
                 )
 
     def fitted(self, parts: AllParts, tied: tuple[TiedPair, ...]) -> RigidContact:
-        """The coupling with the number of balls along each axis set.
+        """Copy in which each body has its number of balls, to detect contact with.
+
+        It is `balls_per_axis`, or else follows from the body's shape.
 
         Raises:
             ValueError: If no bodies can meet, or contact of two bodies cannot be

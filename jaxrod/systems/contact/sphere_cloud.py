@@ -32,7 +32,7 @@ RIM_POINTS = 4
 """Number of points on a rim. Three would hold a cylinder up; four hold it equally in
 all directions."""
 MOST_BALLS = 100
-"""Largest number of balls along an axis."""
+"""Largest number of balls in a row that stand for a body; more are refused."""
 
 
 @pytree

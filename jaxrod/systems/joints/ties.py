@@ -119,10 +119,11 @@ class Tie(Coupling):
         ]
 
     def _shared(self, seen: AllSeen, field: str, axis: int) -> Any:
-        """Common value of component `axis` of a field, for each tied node by member.
+        """Value that tied nodes share, for component `axis` of a field of `Motion`.
 
-        It is the mean over the group, weighted by mass. If a support holds some of its
-        nodes, it is the plain mean of these.
+        Nodes tied to each other form a group. Their value is the mean over the group,
+        weighted by mass; if supports hold some of these nodes, it is the plain mean of
+        the held ones. Returns an array over the tied nodes for each entry of `points`.
         """
         masses, speeds, held = [], [], []
         for points in self.points:

@@ -157,7 +157,7 @@ class Listing:
     """Loop carry: motions of a system, its lists of neighbours and their age."""
 
     motions: Any
-    """Loop carry of the stepper without lists: motions of the members."""
+    """Motions of the members: the loop carry of the stepper that this one wraps."""
     found: tuple[Any, ...]
     """Results of the last search of each coupling that searches."""
     age: Int[Array, ""]
