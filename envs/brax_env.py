@@ -214,7 +214,7 @@ class BraxEnv(Env):
 
     @functools.cached_property
     def _scalars(self) -> tuple[str, ...]:
-        """Names in brax's `State.metrics`: the scalars of a step's `info` and "flagged"."""
+        """Names in brax's `State.metrics`: scalars of a step's `info`, "flagged"."""
 
         def one_step(key: Key[Array, ""]) -> dict[str, Array]:
             _, state = self.env.reset(key, self.sys)

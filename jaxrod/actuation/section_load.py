@@ -8,12 +8,12 @@ which act on nodes and elements as the elastic ones do,
 $$f = \Delta^h(R\,n), \qquad
   c = \Delta^h(a) + \mathcal A^h(b) + \epsilon\times n,$$
 
-where $\Delta^h$ and $\mathcal A^h$ are the difference and the average of neighbours, $c$ is
-in material frames, and $a$, $b$ are the parts of a moment that act on both elements of
-a joint with opposite and with equal signs (`rods.elasticity.joint_couples`). So momentum and angular
-momentum are exact for any stress. If there is a stored energy,
-$n = \partial E/\partial\epsilon$ and $m = \partial E/\partial\phi$, and the loads are
-its exact negative gradient.
+where $\Delta^h$ and $\mathcal A^h$ are the difference and the average of neighbours,
+$c$ is in material frames, and $a$, $b$ are the parts of a moment that act on both
+elements of a joint with opposite and with equal signs
+(`rods.elasticity.joint_couples`). So momentum and angular momentum are exact for any
+stress. If there is a stored energy, $n = \partial E/\partial\epsilon$ and
+$m = \partial E/\partial\phi$, and the loads are its exact negative gradient.
 
 Joints are at the nodes. An array over nodes, of length `n + 1`, has the joints of the
 inner nodes and, at an end with a wall, the joint between the wall and the end element.
@@ -21,11 +21,11 @@ At free ends the rotation is zero, and a moment is left out.
 
 The stability bound needs bounds of the stiffness of such actuators. In small motions
 about the straight rod, $s$ is the stretch of an element,
-$\gamma = e_\perp - \ell\theta$ its shear (the relative displacement $e_\perp$ of its nodes
-across the rod minus its length $\ell$ times its rotation $\theta$), and $\phi$ the
+$\gamma = e_\perp - \ell\theta$ its shear (the relative displacement $e_\perp$ of its
+nodes across the rod minus its length $\ell$ times its rotation $\theta$), and $\phi$ the
 rotation of a joint. An actuator adds at most
-$\sum k_s s^2 + k_\gamma \gamma^2 + k_\phi \phi^2$ to twice the energy, with bounds $k$ that
-it states. Each part is split between nodes and elements by Young's inequality,
+$\sum k_s s^2 + k_\gamma \gamma^2 + k_\phi \phi^2$ to twice the energy, with bounds $k$
+that it states. Each part is split between nodes and elements by Young's inequality,
 $(x + y)^2 \le (1 + w)\,x^2 + (1 + 1/w)\,y^2$, with the weight that makes the squared
 frequencies equal. The part with $k_\gamma$ is then exactly that of the shear stiffness
 in `jaxrod.analysis.stability`.
