@@ -18,8 +18,8 @@ from jaxrod.envs.protocol import (
     Plannable,
     Snapshot,
 )
-from jaxrod.envs.randomisation.options import Randomisation, posterior
-from jaxrod.envs.randomisation.wrapper import (
+from jaxrod.envs.randomisation import Randomisation, posterior
+from jaxrod.envs.randomised import (
     Randomised,
     RandomisedParams,
     RandomisedState,

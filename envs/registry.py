@@ -11,8 +11,8 @@ from typing import Any
 from jaxrod.envs.checking import check_facts
 from jaxrod.envs.importing import canonical_path, import_callable
 from jaxrod.envs.protocol import Environment
-from jaxrod.envs.randomisation.options import Randomisation
-from jaxrod.envs.randomisation.wrapper import Randomised
+from jaxrod.envs.randomisation import Randomisation
+from jaxrod.envs.randomised import Randomised
 
 _FACTORIES = {
     "following": "jaxrod.envs.tasks.following:following",

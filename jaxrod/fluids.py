@@ -1,18 +1,20 @@
 """Fluids around a rod: drag, flows, buoyancy and added mass."""
 
 from jaxrod.effects.fluids import (
+    Buoyancy,
     FlowField,
     QuadraticDrag,
     SlenderBodyDrag,
     StokesDrag,
     UniformFlow,
+    buoyancy,
     flow_field,
     quadratic_drag,
     slender_body_drag,
     slender_cylinder,
     stokes_drag,
+    with_added_mass,
 )
-from jaxrod.effects.immersion import Buoyancy, buoyancy, with_added_mass
 from jaxrod.rods.drag import Drag, drag_loads
 
 __all__ = [

@@ -17,13 +17,12 @@ try:
     )
     from jaxrod.training.algorithms.dagger import DAGGER, DAggerConfig
     from jaxrod.training.algorithms.off_policy import OffPolicyConfig
-    from jaxrod.training.algorithms.on_policy import OnPolicyConfig
+    from jaxrod.training.algorithms.on_policy import OnPolicyConfig, warm_start
     from jaxrod.training.algorithms.ppo import PPO, PPOConfig
     from jaxrod.training.algorithms.sac import SAC, SACConfig
     from jaxrod.training.algorithms.shac import SHAC, SHACConfig
     from jaxrod.training.algorithms.td3 import DDPG, TD3, DDPGConfig, TD3Config
     from jaxrod.training.algorithms.trpo import TRPO, TRPOConfig
-    from jaxrod.training.algorithms.warm_start import warm_start
     from jaxrod.training.evaluation import Evaluation, evaluate
     from jaxrod.training.exporting.exports import export_c, export_onnx
     from jaxrod.training.networks import NetworkPolicy

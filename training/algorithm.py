@@ -13,8 +13,8 @@ import numpy as np
 from jaxtyping import Array
 
 from jaxrod.envs import EpisodeRecord
+from jaxrod.envs.importing import find_object, import_path_in
 from jaxrod.structure import pytree
-from jaxrod.training.import_path import find_object, import_path_in
 from jaxrod.training.policy import Policy
 
 DEVICE_AXIS = "env"

@@ -126,7 +126,7 @@ def randomisation(file: Path) -> dict[str, Any]:
 
 def listing(defaults: Any) -> str:
     """Lines NAME=DEFAULT MEANING for every setting, as `--set help` prints them."""
-    from jaxrod.training.import_path import import_path
+    from jaxrod.envs.importing import import_path
     from jaxrod.training.runs.recorded_settings import is_function
 
     meanings = field_meanings(type(defaults))

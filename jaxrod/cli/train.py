@@ -359,7 +359,7 @@ def _modules(algorithm: str, config: Any) -> list[str]:
 
 def _functions(settings: Any) -> list[str]:
     """Import paths of those settings that are functions; `settings` may be None."""
-    from jaxrod.training.import_path import import_path
+    from jaxrod.envs.importing import import_path
 
     fields = () if settings is None else dataclasses.fields(settings)
     values = [getattr(settings, field.name) for field in fields]

@@ -10,8 +10,8 @@ from typing import Any
 import jax
 import numpy as np
 
+from jaxrod.envs.importing import find_object, import_path
 from jaxrod.files import UntrustedError
-from jaxrod.training.import_path import find_object, import_path
 
 KINDS: dict[type, str] = {
     bool: "true or false",

@@ -8,7 +8,7 @@ from dataclasses import replace
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array
+from jaxtyping import Array, Float
 
 from jaxrod.contacts.bodies import Body
 from jaxrod.geometry import vectors
@@ -22,8 +22,7 @@ from jaxrod.geometry.vectors import Vec3
 from jaxrod.rods.motion import Loads
 from jaxrod.structure import pytree, static
 from jaxrod.systems.contact.sphere_cloud import SphereCloud, given_points, spheres_of
-from jaxrod.systems.contact.surface_mobility import surface_mobility
-from jaxrod.systems.members.parts import Parts, Seen, mapped
+from jaxrod.systems.members.parts import Parts, Seen, mapped, turning_mobility
 from jaxrod.systems.sites.coupling import AllSeen
 
 
@@ -411,3 +410,58 @@ def _touch(
         vectors.subtract(place, body.position),
     )
     return depth, width, normal, rate, arms
+
+
+def surface_mobility(
+    bodies: Parts, *, rubs: bool, points: Array | None = None
+) -> Float[Array, " k"]:
+    """Largest velocity per impulse of a point on the surface of each body [1/kg].
+
+    Args:
+        bodies: Constants of the bodies, which have a shape.
+        rubs: Whether forces have any direction; else they are normal to the surface.
+        points: Contact points on the surface `(3, points)`, if there are any [m].
+    """
+    assert bodies.shape is not None
+    turning = _turning(bodies, rubs)
+    if points is not None:
+        turning = jnp.maximum(turning, _of_balls(bodies, points, 0 * points[0]))
+    return 1 / bodies.node_masses + turning
+
+
+def _turning(bodies: Parts, rubs: bool) -> Array:
+    assert bodies.shape is not None
+    # Only the ends of a row of balls count, and only the corners of a box.
+    cloud = spheres_of(bodies.shape, 2, 2)
+    if cloud is not None:
+        return _of_cloud(bodies, cloud, rubs)
+    radius, least = bodies.shape.bounding_radius, jnp.min(bodies.inertias, axis=0)
+    if radius is not None:
+        return radius * radius / least
+    spread = 0.5 * jnp.sum(bodies.inertias, axis=0)[None] - bodies.inertias
+    spread = 15 * jnp.maximum(spread, 0) / bodies.node_masses[None]
+    corner = vectors.split(jnp.sqrt(jnp.maximum(spread, jnp.finfo(spread.dtype).tiny)))
+    return jnp.minimum(
+        turning_mobility(bodies.inertias, corner), jnp.max(spread, axis=0) / least
+    )
+
+
+def _of_cloud(bodies: Parts, cloud: SphereCloud, rubs: bool) -> Array:
+    normal = cloud.is_round and not rubs
+    radii = jnp.zeros_like(cloud.radii) if normal else cloud.radii
+    if cloud.rim_radii is None:
+        return _of_balls(bodies, cloud.offsets, radii)
+    # A rim is in a ball around its centre, and a ring of points at equal distance.
+    rims = cloud.rim_radii
+    arms = jnp.max(jnp.sum(cloud.offsets**2, axis=0) + rims * rims)
+    return jnp.minimum(
+        _of_balls(bodies, cloud.offsets, radii + rims),
+        arms / jnp.min(bodies.inertias, axis=0),
+    )
+
+
+def _of_balls(bodies: Parts, centres: Array, radii: Array) -> Array:
+    """Largest mobility by turning among balls, for each body [1/kg]."""
+    x, y, z = (c[:, None] for c in centres)
+    each = turning_mobility(bodies.inertias[:, None, :], (x, y, z), radii[:, None])
+    return jnp.max(each, axis=0)

@@ -19,8 +19,7 @@ from jaxtyping import Array, Float
 
 from jaxrod.geometry import vectors
 from jaxrod.systems.contact.sphere_cloud import SphereCloud, spheres_of
-from jaxrod.systems.members.mobility import turning_mobility
-from jaxrod.systems.members.parts import Parts
+from jaxrod.systems.members.parts import Parts, turning_mobility
 
 
 def surface_mobility(

@@ -26,8 +26,7 @@ from jaxrod.systems.joints.elastic_joints import (
     orientation_at,
     spin_at,
 )
-from jaxrod.systems.members.mobility import turning_mobility
-from jaxrod.systems.members.parts import Parts, Seen
+from jaxrod.systems.members.parts import Parts, Seen, turning_mobility
 from jaxrod.systems.sites.coupling import AllParts
 from jaxrod.systems.sites.places import (
     Place,

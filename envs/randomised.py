@@ -34,7 +34,7 @@ from jaxtyping import Array, Float, Key
 
 from jaxrod.envs.checking import action_of_size, by_path, dotted, nearest
 from jaxrod.envs.protocol import Channel, Environment, Snapshot, Step
-from jaxrod.envs.randomisation.options import Randomisation, kind_of
+from jaxrod.envs.randomisation import Randomisation, kind_of
 from jaxrod.envs.wrappers import EnvironmentWrapper
 from jaxrod.structure import pytree
 

@@ -1,1 +1,0 @@
-"""Randomised environments: options as plain values, and the wrapper."""
