@@ -1,7 +1,7 @@
 r"""Fluids around a rod: drag, linear (Stokes) or quadratic, buoyancy and added mass.
 
-Drag per length of rod, with the velocity relative to the flow along the rod ($w_\parallel$)
-and across it ($w_\perp$), the force is
+Per length of rod, with the velocity relative to the flow along the rod
+($w_\parallel$) and across it ($w_\perp$), the force of drag is
 
 $$f = -\zeta_\parallel w_\parallel - \zeta_\perp w_\perp, \qquad
   f = -\tfrac12\rho\, 2r\,[c_\perp |w_\perp| w_\perp + \pi c_\parallel |w_\parallel|

@@ -14,7 +14,7 @@ import jaxrod
 import jaxrod.extend
 from benchmarks.plectoneme.element_contact import element_contact
 from jaxrod.effects.base import StabilityBound, added_bounds
-from jaxrod.systems.contact.surface_mobility import surface_mobility
+from jaxrod.systems.contact.collision_bodies import surface_mobility
 from systems.members import SOFT, rod
 
 RADIUS, N = SOFT["radius"], 3

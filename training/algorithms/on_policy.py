@@ -1,6 +1,11 @@
 """Common parts of PPO, TRPO and SHAC: train state, rollouts, advantages, value fit.
 
 The observations of a rollout are normalised by the moments that were used while acting.
+
+A run may start from an existing policy instead of a random one (`warm_start`). A policy
+that imitates a planner can be no better than the planner's cost and the observation
+allow; learning from rewards alone takes long to find the first rewards. Imitation
+followed by learning from rewards has neither problem.
 """
 
 from __future__ import annotations

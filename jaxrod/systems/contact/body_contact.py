@@ -24,7 +24,7 @@ from jaxrod.geometry.rotations import directors, to_material
 from jaxrod.geometry.vectors import Vec3
 from jaxrod.rods.motion import Loads
 from jaxrod.structure import pytree, static
-from jaxrod.systems.contact.collision_bodies import Posed, posed
+from jaxrod.systems.contact.collision_bodies import Posed, posed, surface_mobility
 from jaxrod.systems.contact.penalty_contact import PenaltyContact, law_numbers
 from jaxrod.systems.contact.rod_segments import (
     ContactPoints,
@@ -35,7 +35,6 @@ from jaxrod.systems.contact.rod_segments import (
     points_needed,
     segments_and_ends,
 )
-from jaxrod.systems.contact.surface_mobility import surface_mobility
 from jaxrod.systems.members.parts import Parts, mapped
 from jaxrod.systems.sites.coupling import (
     AllParts,

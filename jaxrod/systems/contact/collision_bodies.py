@@ -1,4 +1,17 @@
-"""Rigid bodies in contact: their surfaces, and balls tested against other surfaces."""
+r"""Rigid bodies in contact: surfaces, balls tested against others, and mobilities.
+
+Mobilities of surfaces bound the step that contact allows. The balls of a shape
+(`jaxrod.systems.contact.sphere_cloud`) have the shape in their convex hull. The
+mobility grows outwards, so its maximum is at a ball. Without friction forces are normal
+to the surface. On a round body they pass through the centre of a ball, which then is
+the end of the lever arm.
+
+Other shapes are within `Body.bounding_radius`. If that is not known, the body is
+assumed to be convex and of uniform density. Then it extends from its centre of mass by
+at most $\sqrt{15\,s/m}$ in the direction of each principal axis, with the second
+moment of mass $s$ along it (R. Kannan, L. Lovász and M. Simonovits, Discrete Comput.
+Geom. 13 (1995) 541). Of a cone, this is the height of its tip.
+"""
 
 from __future__ import annotations
 
