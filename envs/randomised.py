@@ -59,6 +59,12 @@ class RandomisedParams:
     """Parameters of a randomised environment: of its task, and of all distributions.
 
     Every number is a traced leaf, so a change of it recompiles nothing.
+
+    Example:
+        >>> varied = envs.Randomisation(parameters={"stride": {"uniform": (0.1, 0.3)}})
+        >>> params = envs.make("trivial", randomise=varied).default_params()
+        >>> params.ranges["stride"].shape, params.noise is None
+        ((2,), True)
     """
 
     task: Any
@@ -78,7 +84,14 @@ class RandomisedParams:
 
 @pytree
 class RandomisedState:
-    """State of a randomised environment."""
+    """State of a randomised environment.
+
+    Example:
+        >>> env = envs.make("trivial", randomise={"delay": [2, 2]})
+        >>> observation, start = env.reset(jax.random.key(0), env.default_params())
+        >>> start.pending.shape, start.drawn, float(start.actuator["delay"])
+        ((2, 1), {}, 2.0)
+    """
 
     task: Any
     """State of the task."""
