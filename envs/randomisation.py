@@ -87,6 +87,11 @@ class Randomisation:
 
         parameters = _mapping("parameters", self.parameters)
         rules = {_key(key): _distribution(key, parameters[key]) for key in parameters}
+        if len(rules) < len(parameters):
+            raise ValueError(
+                "parameters has two distributions of one path: "
+                f"{', '.join(map(repr, parameters))}"
+            )
         put("parameters", dict(sorted(rules.items())))
         put("noise", _levels("noise", self.noise, math.inf))
         put("dropout", _levels("dropout", self.dropout, 1.0))
@@ -174,6 +179,8 @@ def posterior(fit: Fit, paths: Mapping[str, str]) -> Randomisation:
                 f"deviation is {100 * sd:.3g} % of its value; give it a distribution "
                 "of your own"
             )
+        if path in parameters:
+            raise ValueError(f"paths leads to {path!r} twice")
         parameters[path] = (
             {"log_normal": (1.0, sd), "scaled": True}
             if fit.parameters.by_log[row]

@@ -153,6 +153,12 @@ class Randomised(EnvironmentWrapper):
                 f"{self.env.name} has no control_period [s]: give lag [control steps] "
                 "instead of lag_seconds"
             )
+        longest = self.randomisation.delay[1]
+        if longest > self.env.episode_length:
+            raise ValueError(
+                f"delay must be at most an episode of {self.env.episode_length} "
+                f"control steps, got {longest:g}"
+            )
         self._groups("noise")
         self._groups("dropout")
 
@@ -239,7 +245,9 @@ class Randomised(EnvironmentWrapper):
             task=task,
             drawn=drawn,
             actuator=actuator,
-            pending=jnp.stack([rest] * longest) if "delay" in actuator else None,
+            pending=jnp.zeros((longest, self.action_size))
+            if "delay" in actuator
+            else None,
             position=rest if {"lag", "rate"} & set(actuator) else None,
             seen=seen,
         )

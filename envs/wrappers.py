@@ -295,12 +295,17 @@ class VectorEnvironment:
         except (TypeError, ValueError) as error:
             self._check_shared(params, len(keys), error)
             raise
-        if results[0].shape != (len(keys), self.env.observation_size):
+        observation, _, *scalars = results
+        if observation.shape != (len(keys), self.env.observation_size) or any(
+            jnp.shape(leaf) != (len(keys),) for leaf in jax.tree.leaves(scalars)
+        ):
             self._check_shared(params, len(keys), None)
         return results
 
     def _axes(self, params: Any, num_envs: int) -> list[int | None]:
         """Batch axis of each leaf of the parameters, None for a shared one."""
+        if not self.batched:
+            return [None] * len(jax.tree.leaves(params))
         leaves, axes = by_path(params), []
         for above in self.batched:
             if not any(is_below(path, above) for path in leaves):

@@ -66,7 +66,7 @@ def warn(message: str, category: type[Warning] = UserWarning) -> None:
         category: Class of the warning.
     """
     frame, level = sys._getframe(1), 2
-    while frame.f_back is not None and _is_ours(frame.f_globals.get("__name__", "")):
+    while frame.f_back is not None and _is_ours(frame.f_globals.get("__name__") or ""):
         frame, level = frame.f_back, level + 1
     warnings.warn(message, category, stacklevel=level)
 

@@ -39,6 +39,7 @@ def run(args: argparse.Namespace) -> int:
     from jaxrod.training import algorithm_names
 
     words = {"task": names(), "algorithm": algorithm_names()}
+    words |= {f"{name}s": known for name, known in words.items()}
     parser = whole_parser()
     for action in _actions(parser):
         # Imports of a user's own tasks and learners are words too, but not known.

@@ -19,6 +19,7 @@ import json
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from jaxrod.cli import settings
 from jaxrod.cli.runs import add_out, check_folder
 
 if TYPE_CHECKING:
@@ -39,15 +40,23 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declares the arguments of `jaxrod identify`."""
     parser.epilog = EXAMPLES
     parser.add_argument(
-        "recordings", nargs="+", type=Path, metavar="LOG", help="recordings to fit: CSV"
+        "recordings",
+        nargs="+",
+        type=settings.path,
+        metavar="LOG",
+        help="recordings to fit: CSV",
     )
     parser.add_argument(
-        "--arm", type=Path, required=True, metavar="FILE", help="the arm as drawn: TOML"
+        "--arm",
+        type=settings.path,
+        required=True,
+        metavar="FILE",
+        help="the arm as drawn: TOML",
     )
     parser.add_argument(
         "--forecast",
         nargs="+",
-        type=Path,
+        type=settings.path,
         default=[],
         metavar="LOG",
         help="recordings to predict with the result",

@@ -91,14 +91,6 @@ class EndLoad(Effect):
         """None: couples in the world frame do not change when elements rotate."""
         return None
 
-    def energy(self, rod: Rod, state: RodState) -> Array | float:
-        """Potential energy of the force, minus F . x at the end node [J].
-
-        A couple that is constant in the world frame has no potential.
-        """
-        index = 0 if self.end == "base" else -1
-        return -jnp.sum(self.force * state.positions[:, index])
-
     def _at_end(self, rod: Rod, force: Vec3, couple: Vec3) -> Loads:
         """Loads of a world force [N] and a material couple [N m] on one end."""
         return Loads(
@@ -136,10 +128,6 @@ class FollowerEndLoad(EndLoad):
             elements=place(size * scale, rod.n_elements, self.end),
         )
 
-    def energy(self, rod: Rod, state: RodState) -> float:
-        """Zero: loads that turn with the rod have no potential [J]."""
-        return 0.0
-
     @property
     def twists(self) -> str | None:
         """Name of the option `follower`, for the error of methods without twist."""
@@ -166,14 +154,6 @@ class UniformLoad(Effect):
     def turning_tangent(self, rod: Rod, motion: Motion) -> Matrix | None:
         """None: couples in the world frame do not change when elements rotate."""
         return None
-
-    def energy(self, rod: Rod, state: RodState) -> Array | float:
-        """Potential energy of the force, minus the sum of f . x over the nodes [J].
-
-        A couple that is constant in the world frame has no potential.
-        """
-        forces = vectors.join(vectors.pair_sum(self._on_elements(rod)[0]))
-        return -jnp.sum(forces * state.positions)
 
     def _on_elements(self, rod: Rod) -> tuple[Vec3, Vec3]:
         """Half of the force [N], and the couple [N m], on each element.
@@ -213,10 +193,6 @@ class FollowerLoad(UniformLoad):
         turning = size * scale
         nodes = vectors.pad(across, 0, 1) + vectors.pad(across, 1, 0)
         return StabilityBound(nodes=nodes, elements=turning)
-
-    def energy(self, rod: Rod, state: RodState) -> float:
-        """Zero: loads that turn with the rod have no potential [J]."""
-        return 0.0
 
     @property
     def twists(self) -> str | None:

@@ -30,6 +30,7 @@ def script(tmp_path_factory):
         ("train tracking --algorithm s", ["sac", "shac"]),
         ("evaluate --epi", ["--episodes"]),
         ("completion z", ["zsh"]),
+        ("sweep trac", ["tracking"]),
     ],
 )
 def test_words_are_completed(script, typed, found):
@@ -41,6 +42,19 @@ def test_words_are_completed(script, typed, found):
         check=True,
     )
     assert sorted(done.stdout.split()) == sorted(found)
+
+
+def test_files_are_completed(script, tmp_path):
+    (tmp_path / "arm.toml").touch()
+    words = [script, "jaxrod", "identify", "--arm", "ar"]
+    done = subprocess.run(
+        ["bash", "-c", COMPLETE, "bash", *words],
+        capture_output=True,
+        text=True,
+        check=True,
+        cwd=tmp_path,
+    )
+    assert done.stdout.split() == ["arm.toml"]
 
 
 def test_a_file_that_is_there_is_kept(script, run):

@@ -509,3 +509,14 @@ def test_gymnasium_takes_a_randomisation():
         observation, reward, *_ = adapted.step(np.full(1, 0.7, np.float32))
         np.testing.assert_allclose(observation, outcome.observation[0], rtol=1e-6)
         np.testing.assert_allclose(reward, outcome.reward[0], rtol=1e-6)
+
+
+def test_a_delay_longer_than_an_episode_is_refused():
+    with pytest.raises(ValueError, match="delay must be at most an episode of 20"):
+        envs.make("trivial", randomise={"delay": [0, 1000]})
+
+
+def test_a_path_has_one_distribution_however_it_is_written():
+    one, two = {"normal": (0, 1)}, {"normal": (5, 1)}
+    with pytest.raises(ValueError, match="two distributions of one path"):
+        envs.Randomisation(parameters={"a,b": one, "a, b": two})

@@ -12,6 +12,7 @@ import pytest
 
 from jaxrod.envs import VectorEnvironment, make
 from jaxrod.envs.trivial import Trivial
+from jaxrod.envs.wrappers import EnvironmentWrapper
 
 
 def run(batch, state, actions, params):
@@ -313,3 +314,31 @@ def test_batched_parameters_that_do_not_fit_are_refused():
         VectorEnvironment(env, ("stride",)).reset(jax.random.key(0), 4, params)
     with pytest.raises(ValueError, match=r"names 'strid'; the nearest .* are stride"):
         VectorEnvironment(env, ("strid",)).reset(jax.random.key(0), 3, params)
+
+
+@pytest.mark.parametrize("of", ["reward", "truncated", "info"])
+def test_a_batch_axis_that_only_scalars_see_is_refused_by_name(of):
+    @dataclasses.dataclass(frozen=True)
+    class Scaled(EnvironmentWrapper):
+        """The task with a parameter that acts on one of its scalars alone."""
+
+        env: Trivial
+
+        def default_params(self):
+            return {"task": self.env.default_params(), "gain": jnp.ones(())}
+
+        def reset(self, key, params):
+            return self.env.reset(key, params["task"])
+
+        def step(self, key, state, action, params):
+            *made, info = self.env.step(key, state, action, params["task"])
+            gain = params["gain"]
+            made[2] = made[2] * (gain if of == "reward" else 1)
+            made[4] = made[4] | ((gain > 2) if of == "truncated" else False)
+            return (*made, info | ({"gain": gain} if of == "info" else {}))
+
+    batch = VectorEnvironment(Scaled(Trivial()))
+    params = batch.env.default_params() | {"gain": jnp.ones(3)}
+    with pytest.raises(ValueError, match=r"gain: these parameters have a first axis"):
+        state = batch.reset(jax.random.key(0), 3, params)
+        batch.step(state, jnp.zeros((3, 1)), params)

@@ -102,24 +102,6 @@ def test_the_travel_of_a_node_counts_in_its_own_radii():
     assert found.tolist() == [False, True, True]
 
 
-def test_a_dead_load_has_the_energy_of_the_weight_that_it_is_equal_to():
-    places = jnp.asarray([[0.0, 0.1, 0.3, 1.0], [0.2] * 4, [0.5] * 4])
-    rod, state = jaxrod.rod_along(places, radius=0.02, **MATERIAL)
-    fall = np.array([1.0, -2.0, -9.0])
-    weight = rod.linear_density[0] * fall
-    # The same by half on each end, for a rod that moves without turning.
-    halves = [jaxrod.end_load(0.5 * weight, end=end) for end in ("base", "tip")]
-    pulled = [*halves, jaxrod.uniform_load(weight), jaxrod.gravity(fall)]
-    found = [float(load.energy(rod, state)) for load in pulled]
-    assert found[0] + found[1] == pytest.approx(found[3], rel=1e-12)
-    assert found[2] == pytest.approx(found[3], rel=1e-12)
-    ahead = [
-        jaxrod.end_load(weight, follower=True),
-        jaxrod.uniform_load(weight, follower=True),
-    ]
-    assert [load.energy(rod, state) for load in ahead] == [0.0, 0.0]
-
-
 @pytest.mark.parametrize("held", [True, False])
 def test_frequencies_in_a_plane_are_those_in_space_that_stay_in_it(held):
     """A strip that is bent in its plane, with frames turned about the axis."""

@@ -540,7 +540,11 @@ def warm_start(algorithm: Algorithm, policy: MLPPolicy) -> Algorithm:
         if state.config.network is not None:
             raise ValueError("network must be None to begin with an MLPPolicy")
         own = algorithm.policy(state)
-        assert isinstance(own, MLPPolicy)
+        if not isinstance(own, MLPPolicy):
+            raise ValueError(
+                f"{algorithm.name} cannot begin with an MLPPolicy: its own policy is "
+                f"a {type(own).__name__}"
+            )
         if (policy.activation, policy.output) != (own.activation, own.output):
             raise ValueError(
                 f"policy must have activation {own.activation!r} and output "

@@ -15,6 +15,7 @@ Geom. 13 (1995) 541). Of a cone, this is the height of its tip.
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
@@ -425,6 +426,7 @@ def _touch(
     return depth, width, normal, rate, arms
 
 
+@functools.partial(jax.jit, static_argnames="rubs")
 def surface_mobility(
     bodies: Parts, *, rubs: bool, points: Array | None = None
 ) -> Float[Array, " k"]:
