@@ -111,7 +111,7 @@ def names_of(programs):
     ]
 
 
-@pytest.mark.fast_sets(5)
+@pytest.mark.fast_sets(4)
 @pytest.mark.default_precision
 @pytest.mark.parametrize("name", names_of(WITHOUT_JIT))
 def test_without_jit_it_is_the_same(name):
@@ -231,7 +231,7 @@ SOUND = {
 }
 
 
-@pytest.mark.fast_sets(5)
+@pytest.mark.fast_sets(4)
 @pytest.mark.default_precision
 @pytest.mark.parametrize("name", names_of(SOUND))
 def test_nothing_stops_being_finite_on_the_way(name):

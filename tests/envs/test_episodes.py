@@ -22,7 +22,12 @@ def smallest(name):
     return make(name, episode_length=2, **SMALLEST.get(name, {"n_elements": 10}))
 
 
-@pytest.mark.parametrize("name", names())
+# Parameters of systems take long to make.
+LONG = ("gripper", "octopus")
+CLOCKS = [pytest.param(n, marks=pytest.mark.slow) if n in LONG else n for n in names()]
+
+
+@pytest.mark.parametrize("name", CLOCKS)
 def test_the_clock_counts_control_steps(name):
     """Nothing else is compiled."""
     env = smallest(name)

@@ -217,6 +217,7 @@ def test_reward_is_minus_squared_distance_plus_two_tiers(name, distance, bonus):
     np.testing.assert_allclose(reward, bonus - distance**2, rtol=1e-9)
 
 
+@pytest.mark.fast_sets(1)
 @pytest.mark.parametrize(("name", "score"), SCORES)
 def test_doing_nothing_scores_what_was_published(name, score):
     env = make(name)

@@ -72,6 +72,7 @@ def test_it_converges_to_the_rod_of_many_elements():
         assert one < 1e-6 or 3.0 < one / other < 5.5
 
 
+@pytest.mark.slow
 def test_a_moving_rod_keeps_its_momentum_and_energy():
     rod, _ = arm(40)
     state = deformed(rod, 3, largest_angle=0.05, largest_strain=0.01)

@@ -81,6 +81,7 @@ def test_steps_divide_the_control_period():
         assert prepared.setting.dt <= 0.9 * limit * (1 + 1e-6)
 
 
+@pytest.mark.slow
 def test_a_run_that_blows_up_has_an_infinite_error(swinging):
     workload, exact = swinging
     assert measure(workload, Setting(10, 0.01), exact, seconds=0.01).error > 10

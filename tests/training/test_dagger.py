@@ -29,6 +29,7 @@ CONFIG = DAggerConfig(
 )
 
 
+@pytest.mark.slow
 @pytest.mark.default_precision
 def test_trivial_task_is_learned_to_its_known_optimum():
     env = Trivial()

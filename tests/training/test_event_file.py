@@ -122,6 +122,7 @@ def test_a_run_killed_between_row_and_checkpoint_has_no_step_twice(
     assert len({one[:2] for one in found}) == len(found)
 
 
+@pytest.mark.slow
 def test_a_run_that_began_without_gets_its_whole_history(tmp_path):
     trained(tmp_path, log=None)
     assert not (tmp_path / "tensorboard").exists()
