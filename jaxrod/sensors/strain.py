@@ -60,7 +60,7 @@ class StrainGauge(StationSensor):
     name: str = static(default="strain gauge")
 
     def measure(self, scene: LoadedRod, state: RodState) -> Float[Array, "*k"]:
-        """Strain |u| / |u_0| - 1 of the fibres relative to the unstressed rod [1]."""
+        """Strain `|u| / |u_0| - 1` of the fibres relative to the unstressed rod [1]."""
         stations = stations_of(scene.rod, self.arc_length)
         strain, curvature = _strains(scene, state)
         rest = (
@@ -72,7 +72,7 @@ class StrainGauge(StationSensor):
         return (ratio - 1).reshape(self.arc_length.shape)
 
     def _stretch(self, stations: Stations, strain: Vec3, curvature: Vec3) -> Array:
-        """Length |u| of the fibres per length of the unstressed centreline [1].
+        """Length `|u|` of the fibres per length of the unstressed centreline [1].
 
         u = e_3 + strain + curvature x offset, with `strain` of the elements and
         `curvature` of the joints interpolated to the stations.

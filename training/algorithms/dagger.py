@@ -106,7 +106,7 @@ class DAggerConfig(LearnerConfig):
     buffer_size: int = static(default=200_000)
     """Largest number of stored actions of the planner."""
     effort: Scalar = 1e-2
-    """Weight e of the term e |u|^2 of the action u in the planner's cost."""
+    """Weight e of the term `e |u|^2` of the action u in the planner's cost."""
     planner_steps: Scalar = 300_000.0
     """Control steps of the run over which the probability that the planner acts falls
     from 1 to 0, linearly."""

@@ -261,7 +261,7 @@ class Glue(Coupling):
         return total
 
     def energy(self, seen: AllSeen) -> Array:
-        """Elastic energy, 1/2 l (k |gap|^2 + k_t angle^2) for each pair [J]."""
+        """Elastic energy, `l (k |gap|^2 + k_t angle^2) / 2` for each pair [J]."""
         gap, _ = self._gap(seen)
         assert self.lengths is not None
         squares = self.lengths * vectors.dot(gap, gap)
