@@ -92,7 +92,7 @@ class LinearField(MagneticField):
 
     @property
     def largest(self) -> tuple[Array, Array, Array]:
-        """Bounds within the extent: `|B| + |gradient| extent`, `|gradient|`, and zero."""
+        """Bounds in the extent: `|B| + |gradient| extent`, `|gradient|`, and zero."""
         slope = jnp.sqrt(jnp.sum(self.gradient**2))
         size = jnp.sqrt(jnp.sum(self.flux_density**2)) + slope * self.extent
         return size, slope, jnp.zeros_like(slope)
