@@ -200,6 +200,7 @@ class Randomised(EnvironmentWrapper):
             ranges[key] = jnp.asarray(np.stack([low, high]), dtype)
         lag = given.lag
         if any(given.lag_seconds):
+            # Optional: `Environment` does not declare it. Checked when this was made.
             period = getattr(self.env, "control_period")  # noqa: B009
             lag = [seconds / period for seconds in given.lag_seconds]
         usual = Randomisation()

@@ -7,8 +7,11 @@ describes the installed version, so write it again after an update.
 from __future__ import annotations
 
 import argparse
+import errno
+import os
 
 from jaxrod.cli import settings
+from jaxrod.files import write_atomically
 
 EXAMPLES = """\
 examples:
@@ -38,21 +41,28 @@ def run(args: argparse.Namespace) -> int:
     from jaxrod.envs import names
     from jaxrod.training import algorithm_names
 
-    words = {"task": names(), "algorithm": algorithm_names()}
-    words |= {f"{name}s": known for name, known in words.items()}
+    if args.out is not None and args.out.exists():
+        raise FileExistsError(errno.EEXIST, os.strerror(errno.EEXIST), str(args.out))
+    tasks, algorithms = names(), algorithm_names()
+    choices = {
+        "task": tasks,
+        "tasks": tasks,
+        "algorithm": algorithms,
+        "algorithms": algorithms,
+    }
     parser = whole_parser()
     for action in _actions(parser):
-        # Imports of a user's own tasks and learners are words too, but not known.
-        if action.dest in words and action.choices is None:
-            action.choices = words[action.dest]
+        # Tasks and learners of the user's own are not known here.
+        if action.dest in choices and action.choices is None:
+            action.choices = choices[action.dest]
         if action.type is settings.path:
+            # An attribute that shtab reads and argparse does not declare.
             action.complete = shtab.FILE  # type: ignore[attr-defined]
     script = shtab.complete(parser, shell=args.shell)
     if args.out is None:
         print(script)
         return 0
-    with args.out.open("x") as file:
-        file.write(script)
+    write_atomically(args.out, script.encode())
     return 0
 
 

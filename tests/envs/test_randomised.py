@@ -12,6 +12,7 @@ from scipy import stats
 
 from jaxrod import control, envs
 from jaxrod.envs import Channel
+from jaxrod.envs.gym import GymnasiumEnv
 from jaxrod.envs.registry import origin_of
 from jaxrod.envs.trivial import Trivial
 
@@ -497,8 +498,7 @@ def test_a_posterior_draws_with_the_mean_and_covariance_of_the_fit():
 
 @pytest.mark.default_precision
 def test_gymnasium_takes_a_randomisation():
-    gym = pytest.importorskip("jaxrod.envs.gym")
-    adapted = gym.GymnasiumEnv("trivial", randomise=EVERYTHING)
+    adapted = GymnasiumEnv("trivial", randomise=EVERYTHING)
     env = envs.make("trivial", randomise=EVERYTHING)
     batch, params = envs.VectorEnvironment(env), env.default_params()
     state = jax.jit(batch.reset, static_argnums=1)(jax.random.key(3), 1, params)
