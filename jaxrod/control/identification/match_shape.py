@@ -8,7 +8,8 @@ $$\min_z \sum_k \Big(\frac{m_k(z) - \hat m_k}{\epsilon}\Big)^2 + |z|^2,$$
 with the largest accepted error $\epsilon$. The unknowns $z$ are changes of the rest
 curvatures in units of a curvature, or scaled logarithms of stiffness factors. Among the
 many designs with the same markers, the second term selects the one nearest to the given
-rod. Derivatives are those of `equilibrium`: one linear solve per marker coordinate.
+rod. Derivatives are those of `equilibrium`: one linear solve per marker coordinate, or
+per unknown if there are fewer unknowns.
 """
 
 from __future__ import annotations
@@ -82,7 +83,7 @@ def match_shape(
 
     Args:
         scene: The scene; the rod must be supported.
-        state: First state of the search for equilibria, as in `equilibrium`.
+        state: Initial guess for the equilibria, as for `equilibrium`.
         markers: Target positions of the nodes `(3, markers)` [m].
         nodes: Indices of the nodes that have targets, in increasing order.
         free: Quantities to find: `"rest_curvature"`, `"stiffness"` or both.
