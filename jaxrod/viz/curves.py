@@ -356,10 +356,10 @@ def _alt(runs: list[Curve], reference: ReferenceScore | None) -> str:
 
 
 def need_matplotlib() -> None:
-    """Checks that matplotlib is installed.
+    """Raises unless matplotlib is installed.
 
     Raises:
-        ModuleNotFoundError: It is not; the message has the command that installs it.
+        ModuleNotFoundError: It is not; the message gives the command that installs it.
     """
     try:
         # Imported only to check that it is installed.

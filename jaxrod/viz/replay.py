@@ -96,8 +96,8 @@ class Replay(Recording):
                 joints.
             rod_names: Names of the rods in the legend; empty, or R names.
             name: Common name of the rods.
-            colour: Colour of all rods, as "#rrggbb"; empty for a different one for
-                each.
+            colour: Colour of all rods, as "#rrggbb"; if empty, each rod gets a
+                different colour.
             **more: Title and other things to show, as `of` takes them.
 
         Raises:
@@ -131,7 +131,7 @@ class Replay(Recording):
         up: Axis = "z",
         floor: float | None = None,
     ) -> Replay:
-        """Makes a replay of rods that are already checked, and of other shapes.
+        """Makes a replay from existing groups of rods, and of other shapes.
 
         Args:
             times: Time of each frame [s], increasing, shape (T,).
