@@ -6,8 +6,8 @@ the energy
 $$E = a F_0 \Lambda_0\, F(\Lambda/\Lambda_0), \qquad
   E = 2 a F_0 \Lambda_0\, F\big((\Lambda/\Lambda_0)^{-1/2}\big) \text{ across,}$$
 
-where $\Lambda$ is its length there (`FibrePath.segments`), $\Lambda_0$ that at rest,
-and $F$ the integral of its force-length curve. So it pulls with
+where $\Lambda$ is its length there (`FibrePath.segments`), $\Lambda_0$ its length at
+rest, and $F$ the integral of its force-length curve. So it pulls with
 $a F_0 f(\Lambda/\Lambda_0)$. Muscles across the rod make it thinner in two directions,
 hence longer.
 
@@ -223,7 +223,8 @@ def constant_force() -> ConstantForce:
 HYPERBOLA = 0.25
 """Constant `h` of Hill's hyperbola: the smaller, the stronger its curvature [1]."""
 DRAWN_OUT = 1.5
-"""Constant `b`: largest force of a lengthening muscle over that at zero speed [1]."""
+"""Constant `b`: largest force of a lengthening muscle, relative to that at zero speed
+[1]."""
 
 
 @pytree
@@ -247,11 +248,11 @@ class Muscle(SectionLoad):
     curve: ForceLength
     """Force-length curve: fraction of the full force as a function of stretch."""
     fastest: Float[Array, ""] | None = None
-    """Largest speed of shortening, in rest lengths per time [1/s]; `None`: the force
+    """Largest speed of shortening, in rest lengths per time [1/s]. If `None`, the force
     does not depend on speed."""
     slowed: Float[Array, "k n+1"] | None = None
-    """Factor of the force for the speed of shortening, at nodes [1]; `None`: one.
-    `at_speed` sets it."""
+    """Factor by which the speed of shortening changes the force, at nodes [1]; one if
+    `None`. `at_speed` sets it."""
     walls: Walls = ()
     """Walls at ends of the rod into which the fibres continue."""
     across: bool = static(default=False)
@@ -348,10 +349,10 @@ class Muscle(SectionLoad):
 
 
 def force_at_speed(speed: Array) -> Array:
-    """Force of a muscle over that at zero speed, by Hill's hyperbola [1].
+    """Ratio of a muscle's force to that at zero speed, by Hill's hyperbola [1].
 
     Args:
-        speed: Speed of shortening over the largest one; negative for lengthening [1].
+        speed: Speed of shortening divided by the largest; negative for lengthening [1].
     """
     shorter = jnp.minimum(jnp.where(speed > 0, speed, 0), 1)
     longer = jnp.where(speed > 0, 0, -speed)
@@ -394,7 +395,7 @@ def muscle(
 
     Raises:
         ValueError: If an argument is out of range or of the wrong shape.
-        TypeError: If `rod`, `curve` or `into` is of another type.
+        TypeError: If `rod`, `curve` or `into` has the wrong type.
 
     Example:
         >>> muscle = actuation.muscle(rod, 2.0, activation=0.5, offsets=(0.01, 0.0))
