@@ -113,7 +113,7 @@ def reactions(scene: LoadedRod, state: RodState) -> tuple[Reaction | None, ...]:
 
     Raises:
         ValueError: If the scene has PyElastica's law or depends on time, or the state
-            is not of its rod.
+            does not match its rod.
         TypeError: If `scene` or `state` has the wrong type.
 
     Example:

@@ -76,7 +76,8 @@ def highest_frequency(
         The angular frequency [rad/s].
 
     Raises:
-        ValueError: If `size` is less than 2, or the state is not of the scene's rod.
+        ValueError: If `size` is less than 2, or the state does not match the scene's
+            rod.
 
     Example:
         >>> fastest = jaxrod.highest_frequency(scene, state)

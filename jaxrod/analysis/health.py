@@ -192,7 +192,7 @@ def health(
         The flags and the values behind them. Values that are not finite are flagged.
 
     Raises:
-        ValueError: If the state is not of the scene's rod, or `dt` or `n_steps` is
+        ValueError: If the state does not match the scene's rod, or `dt` or `n_steps` is
             known and not positive.
 
     Example:

@@ -151,8 +151,8 @@ def stable_dt(
         The step, and the element and motion that limit it.
 
     Raises:
-        ValueError: If `safety` is not in (0, 1], or the state is not of the scene's
-            rod.
+        ValueError: If `safety` is not in (0, 1], or the state does not match the
+            scene's rod.
         TypeError: If `scene` or `state` has the wrong type.
 
     Example:

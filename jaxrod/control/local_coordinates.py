@@ -428,7 +428,7 @@ def tangent_map(
     *,
     change: Any = None,
 ) -> tuple[Any, Float[Array, "components inputs"]]:
-    """Simulates a run, with derivatives by the initial state and the control.
+    """Simulates a run; differentiates it in the initial state and the control.
 
     Numbers of steps are traced, so that one compiled program serves every run.
 

@@ -110,7 +110,7 @@ class TendonLength(Sensor):
     name: str = static(default="tendon length")
 
     def measure(self, scene: LoadedRod, state: RodState) -> Float[Array, "k"]:
-        """Length of each cable, from its anchor or first eyelet to the last eyelet [m]."""
+        """Length of each cable, from anchor or first eyelet to last eyelet [m]."""
         return _tendon(scene, self.effect).cable_lengths(motion_of(state))
 
 

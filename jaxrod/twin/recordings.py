@@ -53,7 +53,7 @@ class Recording:
         """Validates shapes, times and inputs.
 
         Raises:
-            ValueError: If shapes do not fit, times do not rise, or an input is not
+            ValueError: If shapes do not match, times do not rise, or an input is not
                 finite.
         """
         frames = len(self.times)

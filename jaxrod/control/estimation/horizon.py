@@ -92,7 +92,7 @@ def moving_horizon(
         iterations: Largest number of iterations.
 
     Raises:
-        ValueError: If shapes do not fit.
+        ValueError: If shapes do not match.
         TypeError: If `process` or `arrival` has the wrong type.
 
     Example:

@@ -167,7 +167,7 @@ def make_process(
             `with_control`.
 
     Raises:
-        ValueError: If an argument is out of range or shapes do not fit.
+        ValueError: If an argument is out of range or shapes do not match.
         TypeError: If the model or the state has the wrong type.
 
     Example:

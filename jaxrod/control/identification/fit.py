@@ -102,7 +102,7 @@ def fit(
         one standard deviation.
 
     Raises:
-        ValueError: Names, shapes or numbers of windows do not fit, a number is out of
+        ValueError: Names, shapes or numbers of windows do not match, a number is out of
             range, nothing was observed, or several kinds are observed and `noise` is
             not given.
 

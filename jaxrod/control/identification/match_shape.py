@@ -96,8 +96,8 @@ def match_shape(
         iterations: Largest number of iterations.
 
     Raises:
-        ValueError: An argument is out of range or does not fit, or `equilibrium` raises
-            it.
+        ValueError: An argument is out of range or has the wrong shape, or `equilibrium`
+            raises it.
         TypeError: `scene` or `state` has the wrong type.
 
     Example:

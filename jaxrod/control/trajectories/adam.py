@@ -61,7 +61,7 @@ def adam(
         The best controls found, with their motion.
 
     Raises:
-        ValueError: An argument is out of range or does not fit.
+        ValueError: An argument is out of range or has the wrong shape.
         TypeError: `problem` is not a `Problem`.
 
     Example:

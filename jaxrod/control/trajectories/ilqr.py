@@ -99,7 +99,7 @@ def ilqr(
         The best controls found, with their motion and the feedback gains about it.
 
     Raises:
-        ValueError: An argument is out of range or does not fit.
+        ValueError: An argument is out of range or has the wrong shape.
         TypeError: `problem` is not a `Problem`.
 
     Example:

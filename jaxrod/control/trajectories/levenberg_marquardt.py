@@ -66,7 +66,7 @@ def levenberg_marquardt(
         The best controls found, with their motion.
 
     Raises:
-        ValueError: An argument is out of range or does not fit.
+        ValueError: An argument is out of range or has the wrong shape.
         TypeError: `problem` is not a `Problem`.
 
     Example:
@@ -135,7 +135,7 @@ def codesign(
         The best pair: `design` is the body's design, and `problem` has its data.
 
     Raises:
-        ValueError: An argument is out of range or does not fit.
+        ValueError: An argument is out of range or has the wrong shape.
         TypeError: `problem` is not a `Problem`.
 
     Example:

@@ -393,7 +393,7 @@ def within_bounds(
     `shape` is the required shape, `name` the name of the controls in error messages.
 
     Raises:
-        ValueError: They have another shape, are not finite or exceed the bounds.
+        ValueError: They have the wrong shape, are not finite or exceed the bounds.
     """
     values = np.asarray(check_array(name, given, [shape], ""))
     low, high = np.asarray(problem.lower), np.asarray(problem.upper)

@@ -176,7 +176,7 @@ def reach(
         upper: Upper bounds of the control values: one number, or one per value.
 
     Raises:
-        ValueError: An argument is out of range or does not fit.
+        ValueError: An argument is out of range or has the wrong shape.
 
     Warns:
         UnreachableTargetWarning: The target is farther from the base of the arm than

@@ -67,7 +67,7 @@ def mppi(
         The best sample of all, with its motion.
 
     Raises:
-        ValueError: An argument is out of range or does not fit.
+        ValueError: An argument is out of range or has the wrong shape.
         TypeError: `problem` is not a `Problem`.
 
     Example:
@@ -118,7 +118,7 @@ def cross_entropy(
         The best sample of all, with its motion.
 
     Raises:
-        ValueError: An argument is out of range or does not fit.
+        ValueError: An argument is out of range or has the wrong shape.
         TypeError: `problem` is not a `Problem`.
 
     Example:
