@@ -22,8 +22,8 @@ At free ends the rotation is zero, and a moment is left out.
 The stability bound needs bounds of the stiffness of such actuators. In small motions
 about the straight rod, $s$ is the stretch of an element,
 $\gamma = e_\perp - \ell\theta$ its shear (the relative displacement $e_\perp$ of its
-nodes across the rod minus its length $\ell$ times its rotation $\theta$), and $\phi$
-the rotation of a joint. An actuator adds at most
+nodes perpendicular to the rod, minus its length $\ell$ times its rotation $\theta$),
+and $\phi$ the rotation of a joint. An actuator adds at most
 $\sum k_s s^2 + k_\gamma \gamma^2 + k_\phi \phi^2$ to twice the energy, with bounds $k$
 that it states. Each part is split between nodes and elements by Young's inequality,
 $(x + y)^2 \le (1 + w)\,x^2 + (1 + 1/w)\,y^2$, with the weight that makes the squared
@@ -262,7 +262,7 @@ def section_bound(
     Args:
         rod: The rod.
         stretch: $k_s$ of each element `(n,)` [N/m]; it may also resist displacement
-            across the rod.
+            perpendicular to the rod.
         shear: $k_\gamma$ of each element `(n,)` [N/m].
         turning: $k_\phi$ of the joint at each node `(n + 1,)` [N m].
     """

@@ -170,7 +170,7 @@ def health(
     work_input: ArrayLike = 0.0,
     n_steps: ArrayLike = 1000,
 ) -> Any:
-    """Checks whether a state can be trusted. It is cheap and works inside jit and vmap.
+    """Tests whether a state can be trusted. It is cheap and works inside jit and vmap.
 
     If nothing ties the rod to a place (no held end, no contact), speeds and kinetic
     energy are relative to its mean motion.

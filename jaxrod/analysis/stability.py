@@ -186,7 +186,7 @@ def scene_stable_step(
 def scene_step_warning(
     scene: LoadedRod, dt: Array, state: RodState | None
 ) -> tuple[str | None, bool]:
-    """Warning about a concrete step of one rod; see `Model.step_warning`."""
+    """Tests whether a concrete step of one rod is stable; see `Model.step_warning`."""
     check_scene(scene)
     check_array("dt", dt, [()], "s", positive=True)
     if not scene.method.explicit:

@@ -1,4 +1,4 @@
-r"""Drag of the fluid around a rod: decay rates along and across it, and its loads.
+r"""Drag of the fluid around a rod: decay rates of velocities, and loads.
 
 Relative to the fluid, which flows at $u$, a node moves at $w = v - u$, with the
 component $w_\parallel$ along the rod and $w_\perp$ perpendicular to it. Drag alone

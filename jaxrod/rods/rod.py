@@ -227,8 +227,8 @@ class RodState:
     """Accumulated round-off of the positions (Kahan) [m]; `None` unless `compensated`
     has been applied."""
     memory: tuple[dict[str, Any], ...] | None = None
-    """Memory of the effects of a scene, see `jaxrod.extend.memory`. `None` without such
-    effects, or as long as it is the initial memory of the scene."""
+    """Memory of the effects of a scene, see `jaxrod.extend.memory`. `None` if no effect
+    has memory, or if it is the initial memory of the scene."""
 
     def __repr__(self) -> str:
         """One line with elements, tip position and largest speed."""

@@ -71,8 +71,8 @@ class Sensor(ABC):
 
         Raises:
             ValueError: If the scene depends on time, lacks what the sensor measures, or
-                ends before the sensor's arc length. If that is traced, the reading is
-                NaN instead.
+                its rod ends before the sensor's arc length. If the arc length is
+                traced, the reading is NaN instead.
             TypeError: If `scene` or `state` has the wrong type.
         """
         scene = scene_of(scene, state)

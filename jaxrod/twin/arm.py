@@ -498,8 +498,8 @@ class MarkerWeights(Effect):
     def energy(self, rod: Rod, state: RodState) -> Array:
         """Potential energy of the couples [J].
 
-        It is that of the weights at the markers, minus that of the same weights at the
-        middles of elements.
+        It is the energy of the weights at the markers, minus the energy of the same
+        weights at the middles of elements.
         """
         x, y, z = (jnp.sum(self.placed * row[:, None], 0) for row in self.levers.T)
         frame = rotations.directors(rotations.split_quaternion(state.orientations))

@@ -209,7 +209,7 @@ class _Known:
     ) -> list[tuple[np.ndarray, np.ndarray]]:
         """Rotations and shifts of the `CANDIDATES` orders that fit a recording best.
 
-        The orders are rows of `options`; `moments` are those of the recording.
+        The orders are rows of `options`; `moments` are the means of the recording.
         """
         if self.axes is None:
             products = moments.paired(options, self.origin)

@@ -195,7 +195,7 @@ def grid_curves(
 def read_curve(path: Path) -> Curve:
     """Reads a learning curve from progress.csv; rows without a return are skipped.
 
-    If no row has a return, the curve is that of the mean rewards.
+    If no row has a return, the curve shows the mean rewards.
 
     Raises:
         DamagedFileError: The file is not a table, or lacks the columns.

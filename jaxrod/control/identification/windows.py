@@ -39,8 +39,8 @@ class MultipleShooting:
     its initial state has unknowns. If an initial state has many unknowns, each observed
     only a few times, a search may end in a local minimum near the best one, where
     initial states compensate for wrong parameters. Neither the misfit nor the standard
-    deviations show this (docs/identification.md has such a rod). Use the result as a
-    start for joined windows, or test the fit on simulated recordings.
+    deviations show this (docs/identification.md has an example). Use the result as the
+    initial guess for joined windows, or test the fit on simulated recordings.
 
     Joined windows (with `states`) follow each other along trajectories, and only the
     first state of each trajectory has unknowns,
@@ -48,11 +48,12 @@ class MultipleShooting:
     $$x_1 = b(p, s), \qquad x_{w+1} = e_w(p, x_w).$$
 
     The minimum, and its standard deviations, are those of one long run of each
-    trajectory. During the search windows may leave gaps, so that they follow the data
-    across bifurcations, where a single long run would lose them. They need initial
-    parameters within a few tens of per cent of the true ones, and initial states close
-    to the observed ones. One evaluation costs about one run of all windows, one after
-    another, with a tangent for each parameter and for each unknown of a first state.
+    trajectory. During the search there may be gaps between windows, so that they follow
+    the data across bifurcations, where a single long run would lose them. Joined
+    windows need initial parameters within a few tens of per cent of the true ones, and
+    initial states close to the observed ones. One evaluation costs about one run of all
+    windows, one after another, with a tangent for each parameter and for each unknown
+    of a first state.
 
     Example:
         >>> places = jnp.zeros((4, 3))  # first guesses for four windows [m]

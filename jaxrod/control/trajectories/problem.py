@@ -26,7 +26,7 @@ from jaxrod.validation import check_array, check_count, check_kind, check_seed
 Move = Callable[[Any, Any, Array, Array], Any]
 """`(data, state, control, interval) -> state`: the state after one interval."""
 Running = Callable[[Any, Any, Array, Array], Any]
-"""`(data, state, control, interval) -> residuals`; `state` is that after the interval.
+"""`(data, state, control, interval) -> residuals`, with the state after the interval.
 """
 Final = Callable[[Any, Any], Any]
 """`(data, state) -> residuals`, for the last state."""
@@ -285,7 +285,7 @@ class RolledOut:
     states: Any
     """States at the start and after each interval, stacked on the leading axis."""
     controls: Float[Array, "intervals controls"]
-    """Control of each interval: that of the policy, clipped to the bounds."""
+    """Control of each interval: the policy's, clipped to the bounds."""
     cost: Float[Array, ""]
     """Cost of the motion: sum of the squares of all residuals."""
 

@@ -249,8 +249,8 @@ def on_the_way(
 ) -> tuple[Array, Array]:
     """Returns the residuals of an interval: tip minus target, and the control.
 
-    They are weighted by the roots in `data`, so that squares sum to the running terms
-    of the cost. `state` is that after the interval.
+    They are weighted by the square roots in `data`, so that their squares sum to the
+    running terms of the cost. `state` is the state after the interval.
     """
     del interval
     count = data.n_intervals

@@ -44,7 +44,7 @@ class Solution:
     """
 
     problem: Problem
-    """The problem that was solved; with a design, its data are those of the design."""
+    """The problem that was solved; with a `design`, its data describe that design."""
     solver: str
     """Name of the solver function, such as "ilqr"."""
     controls: Float[Array, "intervals controls"]
