@@ -76,7 +76,7 @@ def bundle(
         damping: Force of the glue per length and relative speed [kg/(m s)].
         turning_damping: Couple of the glue per length and relative angular velocity
             [N s].
-        clamped: Whether all rods are clamped at their start.
+        clamped: Whether all rods are clamped at their base.
         effects: Effects on every rod.
         **rod: Material, passed to `jaxrod.straight_rod`.
 

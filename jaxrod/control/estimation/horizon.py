@@ -154,8 +154,8 @@ def _solved(
     def motion(unknown: Any) -> tuple[Any, Any]:
         """Simulates the window with the unknowns xi, w and v of the module's formula.
 
-        Returns the states at the start and after each period, and the residuals
-        (y - h(x)) / r of the measurements, zero for missing values.
+        Returns the states at the beginning of the window and after each period, and the
+        residuals (y - h(x)) / r of the measurements, zero for missing values.
         """
 
         def one(state: Any, given: Any) -> tuple[Any, Any]:

@@ -89,7 +89,7 @@ def match_shape(
         free: Quantities to find: `"rest_curvature"`, `"stiffness"` or both.
         max_error: Largest accepted distance of a marker from its target [m].
         curvature: Change of a rest curvature that costs as much as a marker error of
-            `max_error` [1/m]; by default 30 radians over the length of the rod.
+            `max_error` [1/m]; by default 30 radians divided by the rod's length.
         stiffness: Logarithm of a stiffness factor that costs as much as a marker error
             of `max_error` [1].
         twist: Whether the rest twist is also sought with `"rest_curvature"`.
