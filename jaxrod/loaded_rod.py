@@ -30,14 +30,15 @@ AnyScene = TypeVar("AnyScene", bound="LoadedRod")
 
 @runtime_checkable
 class Evolvable(Protocol):
-    """A stepper that can be made for scenes that depend on time or have memory."""
+    """A stepper that also supports scenes that depend on time or have memory."""
 
     def evolving(self, scene: LoadedRod, first: Array) -> Stepper:
-        """Stepper that evaluates the scene's schedules and memory in every step.
+        """Stepper that evaluates the scene's schedules and memory at every step.
 
         Args:
-            scene: The scene with its schedules. The scene of this stepper has their
-                values at the first step instead.
+            scene: The scene with its schedules. This stepper itself was made from a
+                copy of the scene, in which schedules are replaced by their values at
+                the first step.
             first: Number of the first step, counted from time zero.
         """
 
@@ -103,7 +104,8 @@ class Method:
         """Sum of internal and external loads, for analyses such as `stable_dt`.
 
         Forces on nodes are in the world frame [N], couples on elements in the material
-        frame [N m]. A couple over the inertia at rest is an angular acceleration.
+        frame [N m]. Couples are scaled so that, divided by the rotary inertia of the
+        unstretched element, they are angular accelerations.
         """
         internal = internal_loads(elastic_law(scene.rod), motion)
         assert internal.forces is not None and internal.couples is not None
@@ -211,17 +213,17 @@ class LoadedRod:
             )
 
     def recalling(self, state: Any) -> Self:
-        """Scene whose effects have the memory that is stored in a state."""
+        """Copy of the scene whose effects have the memory that a state stores."""
         if state.memory is None or not self.remembers:
             return self
         return replace(self, effects=recalled(self.effects, state.memory))
 
 
 def check_scene(scene: Any) -> None:
-    """Checks that an argument is one scene, neither a system nor a batch.
+    """Raises unless an argument is a single scene, neither a system nor a batch.
 
     Raises:
-        TypeError: If it is of another type.
+        TypeError: If it is not a scene.
         ValueError: If it is a batch of scenes.
     """
     if not isinstance(scene, LoadedRod):
@@ -244,7 +246,7 @@ def scene_of(scene: AnyScene, state: RodState) -> AnyScene:
 
     Raises:
         TypeError: If the arguments are not a scene and a state.
-        ValueError: If the state is not of the scene's rod, or the scene depends on
+        ValueError: If the state does not match the scene's rod, or the scene depends on
             time.
     """
     check_scene_and_state(scene, state)
@@ -253,7 +255,10 @@ def scene_of(scene: AnyScene, state: RodState) -> AnyScene:
 
 
 def check_memory(scene: LoadedRod, state: RodState, name: str = "state") -> None:
-    """Raises a `ValueError` if a state's memory does not fit the scene's effects."""
+    """Raises a `ValueError` if a state's memory does not match the scene's effects.
+
+    `name` is the name of the state in the message.
+    """
     if state.memory is None:
         return
     given, own = map(_described, (state.memory, memory_of(scene.effects)))
@@ -271,11 +276,12 @@ def _described(memory: Any) -> Any:
 
 
 def check_scene_and_state(scene: LoadedRod, state: RodState) -> None:
-    """Checks that the arguments are a scene and a state of its rod.
+    """Raises unless the arguments are a single scene and a state that matches it.
 
     Raises:
-        TypeError: If they are of other types.
-        ValueError: If the state has other numbers of elements and nodes.
+        TypeError: If either has the wrong type.
+        ValueError: If the numbers of elements or nodes differ, the state's memory does
+            not match the effects, or either is a batch.
     """
     check_scene(scene)
     check_state(scene.rod, state)
@@ -285,7 +291,10 @@ def check_scene_and_state(scene: LoadedRod, state: RodState) -> None:
 def external_loads(
     scene: LoadedRod, motion: Motion, forces: Vec3, couples: Vec3
 ) -> Loads:
-    """Adds all effects' loads to forces [N] and to couples, material frame [N m]."""
+    """Adds all effects' loads to `forces` [N] and `couples` [N m].
+
+    Forces are in the world frame, couples in the material frame.
+    """
     for effect in scene.effects:
         loads = effect.loads_after(scene.rod, motion, Loads(forces, couples))
         forces = accumulate(forces, loads.forces)

@@ -49,7 +49,8 @@ class Stepper(Protocol):
 class Model(ABC):
     """Base of all models: a scene of one rod, or a system of several members.
 
-    The state of a scene is a `RodState`, that of a system a dict of states by member.
+    The state of a scene is a `RodState`; the state of a system is a dict of states by
+    member.
     """
 
     @property
@@ -77,11 +78,11 @@ class Model(ABC):
 
     @abstractmethod
     def recalling(self, state: Any) -> Self:
-        """The model whose effects have the memory that is stored in a state."""
+        """Copy of the model whose effects have the memory that a state stores."""
 
     @abstractmethod
     def with_memory(self, state: Any) -> Any:
-        """The state; if it has no memory, with the initial memory of all effects."""
+        """State, with the initial memory of all effects if it has none."""
 
     @abstractmethod
     def interfaces(self) -> dict[str, Any]:
@@ -100,7 +101,8 @@ class Model(ABC):
         """Contact forces on the nodes of members, world frame [N], for replays.
 
         Each entry is due to one effect or coupling: the name of a member, and the
-        forces on its nodes. The nodes of equal rods follow each other in flat arrays.
+        forces on its nodes. Arrays are flat: the nodes of equal rods follow one
+        another.
         """
 
     @abstractmethod
@@ -109,12 +111,13 @@ class Model(ABC):
 
     @abstractmethod
     def check_run(self, state: Any, dt: ArrayLike, first: Array | None) -> Array:
-        """Checks the arguments of a run; returns the step in the model's dtype.
+        """Validates the arguments of a run; returns the step in the model's dtype [s].
 
         Args:
             state: Initial state.
             dt: Step size [s].
-            first: Number of the first step, if the model evolves.
+            first: Number of the first step, counted from time zero; `None` for a model
+                without schedules and memory.
         """
 
     @abstractmethod
@@ -123,7 +126,7 @@ class Model(ABC):
 
     @abstractmethod
     def step_warning(self, dt: Array, state: Any) -> tuple[str | None, bool]:
-        """Warning about a concrete step that is not stable; `None` if it is stable.
+        """Tests whether a concrete step is stable.
 
         Args:
             dt: Step size [s].
@@ -132,8 +135,8 @@ class Model(ABC):
                 is near the bound.
 
         Returns:
-            The warning, and whether the step may become unstable if a rod is compressed
-            further.
+            The text of a warning, `None` if the step is stable; and whether the step
+            may become unstable if a rod is compressed further.
         """
 
     @abstractmethod
@@ -176,14 +179,14 @@ class Model(ABC):
         """Stored elastic energy, and potentials of effects and couplings [J].
 
         Raises:
-            ValueError: If the model depends on time: give `model.at(time)`.
+            ValueError: If the model depends on time: call this on `model.at(time)`.
         """
 
     def total_energy(self, state: Any) -> Float[Array, ""]:
         """Kinetic plus potential energy [J].
 
         Raises:
-            ValueError: If the model depends on time: give `model.at(time)`.
+            ValueError: If the model depends on time: call this on `model.at(time)`.
         """
         return self.kinetic_energy(state) + self.potential_energy(state)
 

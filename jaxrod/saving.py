@@ -1,7 +1,7 @@
 """Scenes, systems, states and other pytrees in one file: arrays and JSON, no code.
 
 The file is a zip archive without compression, with one `.npy` member for each array and
-`structure.json` for all else. docs/saving.md describes the format.
+`structure.json` for everything else. docs/saving.md describes the format.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ from jaxrod.files import (
 from jaxrod.structure import STORABLE
 
 VERSION = 1
-"""Version of the file format; a change of its meaning increases it."""
+"""Version of the file format, increased whenever the meaning of a file changes."""
 
 _TREE = "structure.json"
 _FLOATS = {"nan": math.nan, "inf": math.inf, "-inf": -math.inf}
@@ -50,21 +50,22 @@ _FAR = {"envs", "training", "viz"}
 def save(path: str | os.PathLike[str], thing: Any, *, overwrite: bool = False) -> None:
     """Writes a scene, a system, a state or another pytree into one file.
 
-    The file has arrays and JSON, and no code. A process that dies leaves no torn file.
+    The file has arrays and JSON, and no code. If the process dies while writing, no
+    partial file remains.
 
     Args:
         path: The file; its folder must exist.
-        thing: Classes of jaxrod and those decorated with `jaxrod.extend.pytree`, in
-            any nest of dicts with string keys, tuples and lists, with arrays,
-            numbers, strings and `None`.
+        thing: An instance of a class of jaxrod, or of one decorated with
+            `jaxrod.extend.pytree`; an array, a number, a string or `None`; or dicts
+            with string keys, tuples and lists of these, nested to any depth.
         overwrite: Whether to replace a file that `save` has written. Anything else at
-            that path, a link too, is never replaced.
+            that path, including a link, is never replaced.
 
     Raises:
         ValueError: If a part cannot be stored, such as a function; the message names
-            its place. Or if there is something else at the path.
-        FileExistsError: If there is a file that `save` has written, and `overwrite` is
-            false.
+            its place. Also if something that `save` has not written is at the path.
+        FileExistsError: If a file that `save` has written is at the path, and
+            `overwrite` is false.
 
     Example:
         >>> import os, tempfile, jaxrod
@@ -97,7 +98,7 @@ def save(path: str | os.PathLike[str], thing: Any, *, overwrite: bool = False) -
 
 
 def load(path: str | os.PathLike[str], classes: Iterable[type] = ()) -> Any:
-    """Reads what `save` has written, equal to the last bit.
+    """Reads an object that `save` has written, equal to the last bit.
 
     It never runs code from a file or imports a module that a file names: it makes
     instances of jaxrod's classes and of those given, and nothing else. It does not

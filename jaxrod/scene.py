@@ -69,7 +69,7 @@ class Scene(LoadedRod, Model):
         return LoadedRod.__repr__(self)
 
     def with_memory(self, state: Any) -> RodState:
-        """The state; if it has no memory, with the initial memory of all effects."""
+        """State, with the initial memory of all effects if it has none."""
         check_scene(self)
         check_kind("state", state, RodState)
         rod_state: RodState = state
@@ -102,7 +102,7 @@ class Scene(LoadedRod, Model):
         return replace(self, effects=(*self.effects, effect))
 
     def check_run(self, state: Any, dt: ArrayLike, first: Array | None) -> Array:
-        """Checks the arguments of a run; returns the step [s] in the rod's dtype."""
+        """Validates the arguments of a run; returns the step [s] in the rod's dtype."""
         check_scene_and_state(self, state)
         dtype = self.rod.rest_lengths.dtype
         step = as_array("dt", dt, "s", positive=True, dtype=dtype)
@@ -137,9 +137,10 @@ class Scene(LoadedRod, Model):
         return constants.evolving(self, first)
 
     def step_warning(self, dt: Array, state: Any) -> tuple[str | None, bool]:
-        """Warning about a concrete step that is not stable; `None` if it is stable.
+        """Tests whether a concrete step is stable.
 
-        Also whether the step may become unstable if the rod is compressed further.
+        Returns the text of a warning, `None` if the step is stable; and whether the
+        step may become unstable if the rod is compressed further.
         """
         return scene_step_warning(self, dt, state)
 
@@ -220,9 +221,9 @@ def make_scene(rod: Rod, *effects: Effect, method: Method | None = None) -> Scen
             `planar("xy", pyelastica())`.
 
     Raises:
-        ValueError: If the scene does not fit the method, two effects hold the same
-            node along the same axis, or the same element, or the loads of an effect
-            do not fit the rod.
+        ValueError: If the method cannot step the scene, two effects hold the same node
+            along the same axis, or the same element, or the loads of an effect have
+            the wrong shape.
         TypeError: If an effect is not an `Effect`, the rod is not a `Rod`, or the
             method is not a `Method`. Also if the class of an effect is not a pytree,
             defines no hook, or has a method whose name is nearly that of a hook.

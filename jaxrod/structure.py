@@ -73,7 +73,7 @@ def static(**options: Any) -> Any:
 
 
 def memory(**options: Any) -> Any:
-    """Declares a field of an effect that changes every step, by `Effect.after_step`.
+    """Declares a field of an effect that `Effect.after_step` changes at every step.
 
     Its value in a scene is the initial one; from then on it is in `RodState.memory`.
 

@@ -150,7 +150,7 @@ def active_shape(
 
     Raises:
         ValueError: If both are left out, or one is of the wrong shape.
-        TypeError: If `rod` or `into` is of another type.
+        TypeError: If `rod` or `into` has the wrong type.
 
     Example:
         >>> warm = actuation.active_shape(rod, strain=(0.0, 0.0, 0.01))  # 1 % longer

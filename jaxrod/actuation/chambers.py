@@ -176,7 +176,7 @@ def chamber(
 
     Raises:
         ValueError: If an argument is out of range or of the wrong shape.
-        TypeError: If `rod` or `into` is of another type.
+        TypeError: If `rod` or `into` has the wrong type.
 
     Example:
         >>> offsets = [[0.01, 0.0], [-0.01, 0.0]]  # along d1
@@ -227,7 +227,7 @@ def wound_chamber(
 
     Raises:
         ValueError: If an argument is out of range or of the wrong shape.
-        TypeError: If `rod` or `into` is of another type.
+        TypeError: If `rod` or `into` has the wrong type.
 
     Example:
         >>> steep = actuation.wound_chamber(rod, 1e5, radius=0.005, angle=1.2)

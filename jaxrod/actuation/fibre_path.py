@@ -73,7 +73,8 @@ class FibrePath:
         Args:
             rod: The rod.
             force: Bound on the force of each fibre around each node `(k, n + 1)` [N].
-            slope: Bound on the derivative of that force by length, same shape [N/m].
+            slope: Bound on the derivative of that force with respect to the fibre's
+                length, same shape [N/m].
             pulls: Whether all fibres pull; then they add no stiffness against shear.
         """
         span = self.rest_segments(rod)
@@ -135,7 +136,7 @@ def _size(*components: Array) -> Array:
 
 
 def fibre_path(rod: Rod, offsets: Numbers | None) -> FibrePath:
-    """Makes a `FibrePath` from offsets, after checking them.
+    """Validates offsets, and makes a `FibrePath` from them.
 
     Args:
         rod: The rod.
@@ -143,7 +144,7 @@ def fibre_path(rod: Rod, offsets: Numbers | None) -> FibrePath:
             node `(k, 2, n + 1)` [m]. `None` is the centreline.
 
     Raises:
-        ValueError: If they have another shape or are not finite.
+        ValueError: If they have the wrong shape or are not finite.
     """
     if offsets is None:
         return FibrePath(jnp.zeros((1, 2, 1), rod.rest_lengths.dtype))

@@ -92,7 +92,10 @@ class LinearField(MagneticField):
 
     @property
     def largest(self) -> tuple[Array, Array, Array]:
-        """Bounds in the extent: `|B| + |gradient| extent`, `|gradient|`, and zero."""
+        """Bounds within the extent: `|B| + |gradient| extent`, `|gradient|`, and zero.
+
+        B is the flux density at the origin.
+        """
         slope = jnp.sqrt(jnp.sum(self.gradient**2))
         size = jnp.sqrt(jnp.sum(self.flux_density**2)) + slope * self.extent
         return size, slope, jnp.zeros_like(slope)
@@ -158,7 +161,7 @@ class Magnetisation(Effect):
 
     @property
     def twists(self) -> str | None:
-        """None: not every magnetisation twists a rod.
+        """Always `None`: not every magnetisation twists a rod.
 
         `make_scene` tests the values of `loads` instead.
         """

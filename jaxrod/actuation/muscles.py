@@ -1,14 +1,14 @@
-r"""Muscles: fibres in a rod that contract, along themselves or across the rod.
+r"""Muscles: fibres in a rod that contract, along themselves or transverse to the rod.
 
 A fibre of full force $F_0 = \sigma_\max A_0$ and activation $a$ has around each node
 the energy
 
 $$E = a F_0 \Lambda_0\, F(\Lambda/\Lambda_0), \qquad
-  E = 2 a F_0 \Lambda_0\, F\big((\Lambda/\Lambda_0)^{-1/2}\big) \text{ across,}$$
+  E = 2 a F_0 \Lambda_0\, F\big((\Lambda/\Lambda_0)^{-1/2}\big) \text{ transverse,}$$
 
-where $\Lambda$ is its length there (`FibrePath.segments`), $\Lambda_0$ that at rest,
-and $F$ the integral of its force-length curve. So it pulls with
-$a F_0 f(\Lambda/\Lambda_0)$. Muscles across the rod make it thinner in two directions,
+where $\Lambda$ is its length there (`FibrePath.segments`), $\Lambda_0$ its length at
+rest, and $F$ the integral of its force-length curve. So it pulls with
+$a F_0 f(\Lambda/\Lambda_0)$. Transverse muscles make the rod thinner in two directions,
 hence longer.
 
 With a largest speed of shortening $v$, in rest lengths per time, the force is
@@ -223,7 +223,8 @@ def constant_force() -> ConstantForce:
 HYPERBOLA = 0.25
 """Constant `h` of Hill's hyperbola: the smaller, the stronger its curvature [1]."""
 DRAWN_OUT = 1.5
-"""Constant `b`: largest force of a lengthening muscle over that at zero speed [1]."""
+"""Constant `b`: largest force of a lengthening muscle, relative to that at zero speed
+[1]."""
 
 
 @pytree
@@ -247,15 +248,15 @@ class Muscle(SectionLoad):
     curve: ForceLength
     """Force-length curve: fraction of the full force as a function of stretch."""
     fastest: Float[Array, ""] | None = None
-    """Largest speed of shortening, in rest lengths per time [1/s]; `None`: the force
+    """Largest speed of shortening, in rest lengths per time [1/s]. If `None`, the force
     does not depend on speed."""
     slowed: Float[Array, "k n+1"] | None = None
-    """Factor of the force for the speed of shortening, at nodes [1]; `None`: one.
-    `at_speed` sets it."""
+    """Factor by which the speed of shortening changes the force, at nodes [1]; one if
+    `None`. `at_speed` sets it."""
     walls: Walls = ()
     """Walls at ends of the rod into which the fibres continue."""
     across: bool = static(default=False)
-    """Whether the fibres contract across the rod."""
+    """Whether the fibres contract transverse to the rod."""
 
     def at_speed(self, rod: Rod, motion: Motion) -> Muscle:
         """The muscle with `slowed` set for the present speed of shortening."""
@@ -286,8 +287,8 @@ class Muscle(SectionLoad):
 
         It is the sum over fibres and nodes of F L `curve.energy(s)`, with the active
         force F at rest length, the rest length L and the stretch s of the fibre. For
-        muscles across the rod, in two directions at constant volume, it is twice that
-        sum at `s^(-1/2)`, with the stretch s of the rod.
+        transverse muscles, in two directions at constant volume, it is twice that sum
+        at `s^(-1/2)`, with the stretch s of the rod.
         """
         rest = vectors.safe_norm(self.path.rest_segments(rod))
         stretch = vectors.safe_norm(self.path.segments(strains)) / rest
@@ -348,10 +349,10 @@ class Muscle(SectionLoad):
 
 
 def force_at_speed(speed: Array) -> Array:
-    """Force of a muscle over that at zero speed, by Hill's hyperbola [1].
+    """Ratio of a muscle's force to that at zero speed, by Hill's hyperbola [1].
 
     Args:
-        speed: Speed of shortening over the largest one; negative for lengthening [1].
+        speed: Speed of shortening divided by the largest; negative for lengthening [1].
     """
     shorter = jnp.minimum(jnp.where(speed > 0, speed, 0), 1)
     longer = jnp.where(speed > 0, 0, -speed)
@@ -371,7 +372,7 @@ def muscle(
     fastest: Numbers | None = None,
     into: Clamp | tuple[Clamp, ...] | None = None,
 ) -> Muscle:
-    """Muscle fibres in a rod: longitudinal, helical, or across it.
+    """Muscle fibres in a rod: longitudinal, helical or transverse.
 
     Args:
         rod: The rod.
@@ -384,8 +385,8 @@ def muscle(
             On the centreline by default.
         curve: Force fraction as a function of stretch: `cubic_force()` by default, or
             `gaussian_force()`, `constant_force()`.
-        across: Whether the fibres contract across the rod, which makes it thinner and
-            longer.
+        across: Whether the fibres contract transverse to the rod, which makes it
+            thinner and longer.
         fastest: Largest speed of shortening, in rest lengths per time [1/s]. Fibres
             pull less the faster they shorten, not at all at this speed, and up to 1.5
             times as much while they lengthen. By default the speed has no effect.
@@ -394,7 +395,7 @@ def muscle(
 
     Raises:
         ValueError: If an argument is out of range or of the wrong shape.
-        TypeError: If `rod`, `curve` or `into` is of another type.
+        TypeError: If `rod`, `curve` or `into` has the wrong type.
 
     Example:
         >>> muscle = actuation.muscle(rod, 2.0, activation=0.5, offsets=(0.01, 0.0))

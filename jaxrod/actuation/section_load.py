@@ -11,8 +11,8 @@ $$f = \Delta^h(R\,n), \qquad
 where $\Delta^h$ and $\mathcal A^h$ are the difference and the average of neighbours,
 $c$ is in material frames, and $a$, $b$ are the parts of a moment that act on both
 elements of a joint with opposite and with equal signs
-(`rods.elasticity.joint_couples`). So momentum and angular momentum are exact for any
-stress. If there is a stored energy, $n = \partial E/\partial\epsilon$ and
+(`rods.elasticity.joint_couples`). So any stress conserves momentum and angular momentum
+exactly. If there is a stored energy, $n = \partial E/\partial\epsilon$ and
 $m = \partial E/\partial\phi$, and the loads are its exact negative gradient.
 
 Joints are at the nodes. An array over nodes, of length `n + 1`, has the joints of the
@@ -22,8 +22,8 @@ At free ends the rotation is zero, and a moment is left out.
 The stability bound needs bounds of the stiffness of such actuators. In small motions
 about the straight rod, $s$ is the stretch of an element,
 $\gamma = e_\perp - \ell\theta$ its shear (the relative displacement $e_\perp$ of its
-nodes across the rod minus its length $\ell$ times its rotation $\theta$), and $\phi$
-the rotation of a joint. An actuator adds at most
+nodes perpendicular to the rod, minus its length $\ell$ times its rotation $\theta$),
+and $\phi$ the rotation of a joint. An actuator adds at most
 $\sum k_s s^2 + k_\gamma \gamma^2 + k_\phi \phi^2$ to twice the energy, with bounds $k$
 that it states. Each part is split between nodes and elements by Young's inequality,
 $(x + y)^2 \le (1 + w)\,x^2 + (1 + 1/w)\,y^2$, with the weight that makes the squared
@@ -87,7 +87,7 @@ class SectionStrains:
 
 @pytree
 class SectionStress:
-    """Force and moment of an actuator in a rod; `None` for the one that is zero.
+    """Force and moment of an actuator in a rod; either is `None` if it is zero.
 
     Example:
         >>> zero, turns = jnp.zeros(10), (jnp.zeros(11), jnp.zeros(11), jnp.zeros(11))
@@ -149,7 +149,7 @@ class SectionLoad(Effect):
         return self
 
     def loads(self, rod: Rod, motion: Motion) -> Loads:
-        """Forces on nodes and couples on elements by which force and moment act."""
+        """Forces on nodes and couples on elements, due to the stress."""
         strains, couplings = self._strains(motion)
         stress = self.at_speed(rod, motion).stress(rod, strains)
         forces, couples = None, None
@@ -173,7 +173,7 @@ class SectionLoad(Effect):
 
     @property
     def twists(self) -> str | None:
-        """Name of the stress, for the error message of methods that cannot twist."""
+        """Description of the stress, for errors of methods that cannot twist."""
         return "stress in the material frame"
 
     def _strains(self, motion: Motion) -> tuple[SectionStrains, Array]:
@@ -262,7 +262,7 @@ def section_bound(
     Args:
         rod: The rod.
         stretch: $k_s$ of each element `(n,)` [N/m]; it may also resist displacement
-            across the rod.
+            perpendicular to the rod.
         shear: $k_\gamma$ of each element `(n,)` [N/m].
         turning: $k_\phi$ of the joint at each node `(n + 1,)` [N m].
     """
@@ -311,8 +311,9 @@ def fibre_bound(
     Args:
         rod: The rod.
         stiffness: Stiffness of each fibre around each node `(k, n + 1)` [N/m].
-        along: Component of the fibre along the rod, same shape [1].
-        across: Component of the fibre across the rod, same shape [1].
+        along: Component of the fibre's direction along the rod, same shape [1].
+        across: Component of the fibre's direction perpendicular to the rod, same shape
+            [1].
         lever: Elongation of the fibre per rotation of the joint, same shape [m].
     """
     # Any weights give a bound; these do not change if the rod's ends are swapped.

@@ -2,9 +2,10 @@ r"""Tendons: cables through eyelets on a rod, pulled with a force or to a length
 
 An eyelet is fixed to the middle of an element, at $x = \bar x + R p$. A cable through
 eyelets has the length $\Lambda = \sum_j |x_{j+1} - x_j|$. Its energy is $T\Lambda$ if
-it is pulled with a force, and $\tfrac k2 \langle\Lambda - \Lambda_c\rangle^2$ if it is
-elastic and wound up to a length: $\langle\ \rangle$ is smooth, and zero where the cable
-is slack. Each straight piece pulls its two eyelets towards each other.
+it is pulled with a force $T$, and $\tfrac k2 \langle\Lambda - \Lambda_c\rangle^2$ if it
+is elastic and wound up to a length $\Lambda_c$. Here $\langle\ \rangle$ is a smooth
+positive part, zero while the cable is slack. Each straight piece pulls its two eyelets
+towards each other.
 
 With friction, tension falls at an eyelet where the cable turns by $\theta_j$ and slips
 (Euler-Eytelwein),
@@ -64,8 +65,8 @@ class Tendon(Effect):
     """Elongation over which a cable wound up to a length becomes taut [m]; otherwise
     `None`."""
     anchors: Float[Array, "3 k"] | None = None
-    """Points in space from which the cables come, world frame [m]; `None`: cables begin
-    at their first eyelets."""
+    """Points in space from which the cables come, world frame [m]. If `None`, cables
+    begin at their first eyelets."""
     friction: Float[Array, ""] | None = None
     """Coefficient of friction at the eyelets [1]; `None` without friction."""
     slip_speed: Float[Array, ""] | None = None
@@ -172,7 +173,7 @@ class Tendon(Effect):
 
     @property
     def twists(self) -> str:
-        """Name of the eyelets, for the error message of methods that cannot twist."""
+        """Description of the eyelets, for errors of methods that cannot twist."""
         return "eyelets off the centreline"
 
     def resampled(self, rod: Rod, new_rod: Rod) -> Tendon:
@@ -211,7 +212,10 @@ class Tendon(Effect):
         return self.stiffness * taut * share
 
     def _taut(self, lengths: Array) -> tuple[Array, Array]:
-        """Elongation of each cable, zero if slack [m]; its derivative by length [1]."""
+        """Elongation of each cable, zero if slack [m], and its derivative [1].
+
+        The derivative is with respect to the length of the cable.
+        """
         assert self.onset is not None
         width = self.onset
         past = jnp.maximum(lengths - self.length + 0.5 * width, 0)

@@ -4,9 +4,10 @@ At the joint at arc length $s$ acts the moment
 
 $$\tau = r(t)\,A(s) \sin 2\pi\left(\frac tT - \frac s\lambda + \varphi\right),$$
 
-with a plus sign on the element after the joint and a minus sign on the element before
-it. The wave bends an unloaded rod by the curvature $\tau/B$. $r$ rises from 0 to 1
-while the wave is ramped up.
+with the period $T$, the wavelength $\lambda$ and the phase $\varphi$, with a plus sign
+on the element after the joint and a minus sign on the element before it. The wave bends
+an unloaded rod of bending stiffness $B$ by the curvature $\tau/B$. $r$ rises from 0 to
+1 while the wave is ramped up.
 
 The amplitude $A(s)$ may be a clamped uniform cubic B-spline. With $K$ coefficients it
 has $K - 3$ equal pieces. The first and the last coefficient are the values at the ends.
@@ -101,7 +102,8 @@ class Wave(Schedule):
     period: Float[Array, ""]
     """Period [s]."""
     ramp_up: Float[Array, ""] | None = None
-    """Time in which the wave rises to its full size [s]; `None`: full size at once."""
+    """Time in which the wave rises to its full size [s]. If `None`, it has its full
+    size from the start."""
 
     def __call__(self, clock: Clock) -> Array:
         """Moments at the nodes at the time of a clock [N m].
@@ -201,7 +203,7 @@ class WorldWave(Effect):
         return Loads(couples=to_material(frame, (net * a, net * b, net * c)))
 
     def turning_tangent(self, rod: Rod, motion: Motion) -> None:
-        """None: couples in the world frame do not change when elements rotate."""
+        """Always `None`: world-frame couples do not change when elements rotate."""
 
     def resampled(self, rod: Rod, new_rod: Rod) -> WorldWave:
         """The same wave at the nodes of `new_rod`."""
@@ -243,15 +245,15 @@ def travelling_wave(
         axis: Axis in the material frame, of any length `(3,)`: d1 and d2 bend, d3
             twists.
         phase: Phase at time zero at the head, in periods: 0.25 makes it a cosine.
-        ramp_up: Time in which the wave rises from zero, above 0 [s]; at once by
-            default.
+        ramp_up: Time in which the wave rises from zero, above 0 [s]; by default it has
+            its full size from the start.
         head: The end at which waves begin, "base" or "tip".
         into: The `clamp` of an end, or a tuple of two, into whose wall the wave
             continues.
 
     Raises:
         ValueError: If an argument is out of range or of the wrong shape.
-        TypeError: If `rod` or `into` is of another type.
+        TypeError: If `rod` or `into` has the wrong type.
 
     Example:
         >>> swim = actuation.travelling_wave(rod, 0.1, period=2.0, wavelength=1.0)
@@ -289,9 +291,9 @@ def muscle_torques(
 
     The moment at the joint with `j` elements after it is `amplitude(s) sin(2 pi t /
     period - wave_number s + phase_shift)`, where `s` is the length of the first `j`
-    elements over that of the rod. With elements of equal length that is the distance
-    from the tip. It is for comparisons with PyElastica; `travelling_wave` turns with
-    the sections.
+    elements, divided by the length of the rod. With elements of equal length it is the
+    distance from the tip, divided by the length of the rod. It is for comparisons with
+    PyElastica; `travelling_wave` turns with the sections.
 
     Args:
         rod: The rod.
@@ -302,7 +304,8 @@ def muscle_torques(
         direction: Direction in the world frame `(3,)`; its length is a factor, as in
             PyElastica.
         phase_shift: Phase at time zero at the tip [rad].
-        ramp_up_time: Time in which the wave rises from zero, above 0 [s].
+        ramp_up_time: Time in which the wave rises from zero, above 0 [s]; by default it
+            has its full size from the start.
 
     Raises:
         ValueError: If an argument is out of range or of the wrong shape.

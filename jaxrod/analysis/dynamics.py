@@ -1,8 +1,9 @@
 r"""Dynamics of a state under the consistent law: loads, accelerations, reactions.
 
-Forces and couples are all loads, damping included, and $\dot v = f/m$, $\dot P = Rc$.
-Supports then give the components that they hold the acceleration of the support. Their
-reactions are the loads that this takes.
+All forces $f$ on nodes of mass $m$ and couples $c$ on elements with frames $R$, damping
+included, give $\dot v = f/m$ and $\dot P = Rc$ with the angular momentum $P$. Supports
+then set the accelerations of the components that they hold. Their reactions are the
+loads required for this.
 """
 
 from __future__ import annotations
@@ -62,7 +63,7 @@ def rates_of_change(scene: LoadedRod, motion: Motion) -> Motion:
     """Time derivative of a motion, in which spins are angular momenta.
 
     Damping by `Effect.dissipate` counts with its rate in an infinitesimal step. A
-    filter that removes the same fraction in every step, however short, has no such
+    filter that removes the same fraction at every step, however short, has no such
     rate.
     """
     # A barrier: without it XLA's CPU compiler fuses the loads with all that follows.
@@ -103,17 +104,17 @@ def reactions(scene: LoadedRod, state: RodState) -> tuple[Reaction | None, ...]:
     force.
 
     Args:
-        scene: The scene, under the consistent law; if it depends on time, the scene at
-            the time of the state, `scene.at(time)`.
+        scene: The scene, with the consistent law (any method but `pyelastica()`); if it
+            depends on time, the scene at the time of the state, `scene.at(time)`.
         state: The state.
 
     Returns:
         One reaction for each effect; `None` for effects that hold nothing.
 
     Raises:
-        ValueError: If the law is another one, the scene depends on time, or the state
-            is not of its rod.
-        TypeError: If `scene` or `state` is of another type.
+        ValueError: If the scene has PyElastica's law or depends on time, or the state
+            does not match its rod.
+        TypeError: If `scene` or `state` has the wrong type.
 
     Example:
         >>> wall = jaxrod.reactions(scene, state)[0]

@@ -3,10 +3,10 @@ r"""Natural frequencies of small motions about a configuration: the highest, and
 With $z$ a small displacement of nodes and rotation of elements, loads change by $-Kz$,
 and $\omega^2$ are the eigenvalues of $M^{-1}K$. The largest is found from the action of
 $K$ alone, a forward-mode derivative of the loads. A Krylov space is built from a random
-motion (Lanczos' method; Arnoldi's, because PyElastica's loads have no potential), and
-the largest eigenvalue in it is taken. The only dense matrix is the small one of that
-space. All loads on the rod are included: the scene's elastic law at this deformation,
-walls, user-defined effects.
+motion, and the largest eigenvalue in it is taken. (Arnoldi's method is used instead of
+Lanczos', because PyElastica's loads have no potential.) The only dense matrix is the
+small one of that space. All loads on the rod are included: the scene's elastic law at
+this deformation, walls, user-defined effects.
 
 All frequencies of a rod at rest come from the dense eigenvalue problem.
 """
@@ -34,7 +34,8 @@ from jaxrod.structure import pytree
 from jaxrod.validation import check_count, is_traced, knows_constants
 
 InertiaFactors = tuple[Array, Array]
-"""Factors of node masses, and of rotary inertias, for a bound that includes damping."""
+"""Factors that multiply node masses `(n + 1,)` and rotary inertias `(n,)`, for a bound
+that includes damping."""
 
 KRYLOV_SIZE = 32
 MOST_VECTORS = 10_000
@@ -49,11 +50,11 @@ class Vibration:
     angular_frequency: Float[Array, ""]
     """Angular frequency [rad/s]."""
     displacements: Float[Array, "3 n+1"]
-    """Displacements of the nodes times the roots of their masses, world frame. Their
-    squares are fractions of the kinetic energy [1]."""
-    turns: Float[Array, "3 n"]
-    """Rotations of the elements times the roots of their inertias, material frame.
+    """Displacements of the nodes times the square roots of their masses, world frame.
     Their squares are fractions of the kinetic energy [1]."""
+    turns: Float[Array, "3 n"]
+    """Rotations of the elements times the square roots of their inertias, material
+    frame. Their squares are fractions of the kinetic energy [1]."""
 
 
 def highest_frequency(
@@ -75,7 +76,8 @@ def highest_frequency(
         The angular frequency [rad/s].
 
     Raises:
-        ValueError: If `size` is less than 2, or the state is not of the scene's rod.
+        ValueError: If `size` is less than 2, or the state does not match the scene's
+            rod.
 
     Example:
         >>> fastest = jaxrod.highest_frequency(scene, state)
@@ -101,7 +103,8 @@ def natural_frequencies(
     of a free rod start with the six zeros of rigid motions.
 
     Args:
-        scene: The scene in consistent mode, or the system.
+        scene: The scene, with the consistent law (any method but `pyelastica()`), or
+            the system.
         state: The configuration, in equilibrium.
         n_modes: Number of modes, the lowest ones; by default all.
 
@@ -110,9 +113,9 @@ def natural_frequencies(
         (or with negative) stiffness.
 
     Raises:
-        ValueError: If the scene's loads have no potential, there are fewer modes, or
-            anything is traced.
-        TypeError: If `scene` or `state` is of another type.
+        ValueError: If the scene's loads have no potential, there are fewer than
+            `n_modes` modes, or anything is traced.
+        TypeError: If `scene` or `state` has the wrong type.
 
     Example:
         >>> first = jaxrod.natural_frequencies(scene, state, 3)  # [rad/s]
@@ -343,7 +346,10 @@ def free_motions(scene: LoadedRod, state: RodState) -> jax.Array:
 
 
 def _flags(scene: LoadedRod, motion: Motion) -> Array:
-    """Flags of all degrees of freedom: 1 if free, 0 if held or not in the method."""
+    """Flags of all degrees of freedom: 1 if free, 0 if held.
+
+    Twist counts as held if the method has none.
+    """
     # Constraints hold some degrees of freedom completely and leave the others.
     nodes, (x, y, z) = degrees_of_freedom(scene, motion)
     about_axis = z if scene.method.twist else jnp.zeros_like(z)

@@ -13,7 +13,7 @@ one does not affect the others.
 The answer does not depend on the rod's place and orientation, nor on the units, up to
 round-off of its coordinates. Far from the origin round-off dominates: a coordinate near
 1000 m is a multiple of 6e-5 m in float32 (1e-13 m in float64). That strains an element
-of 5 cm by a thousandth, shakes the rod a little in every step (by an amount given in
+of 5 cm by a thousandth, shakes the rod a little at every step (by an amount given in
 `energy_balance`), and loses motion of less than 6e-5 m per step.
 """
 
@@ -54,25 +54,25 @@ class HealthLimits:
     """
 
     smallest_stretch: Float[Array, ""] | float = 0.3
-    """Smallest extent of an element along its axis d3, over that at rest [1]. It is
-    negative if the element points against d3."""
+    """Smallest extent of an element along its axis d3, relative to that at rest [1]. It
+    is negative if the element points against d3."""
     largest_stretch: Float[Array, ""] | float = 2.5
-    """Largest length of an element, over that at rest [1]."""
+    """Largest length of an element, relative to that at rest [1]."""
     largest_joint_angle: Float[Array, ""] | float = 2.5
     """Largest change of the rotation vector between neighbouring elements from rest
-    [rad]; no measure of rotation exceeds pi."""
+    [rad]. A rotation vector is at most pi long."""
     largest_travel: Float[Array, ""] | float = 0.5
-    """Largest distance that a node moves in one step, over the radius [1]."""
+    """Largest distance that a node moves in one step, divided by the radius [1]."""
     largest_turn: Float[Array, ""] | float = 1.0
     """Largest angle that an element rotates in one step [rad]."""
     largest_norm_error: Float[Array, ""] | float = 1e-3
     """Largest deviation of the squared norm of a quaternion from one [1]."""
     largest_violation: Float[Array, ""] | float = 1.0
-    """Largest violation of an effect's constraint (`Effect.violation`) over the radius
-    [1]: distance of a held end from its prescribed position, or depth of a node in a
-    body."""
+    """Largest violation of an effect's constraint (`Effect.violation`) divided by the
+    radius [1]: distance of a held end from its prescribed position, or depth of a node
+    in a body."""
     largest_energy_growth: Float[Array, ""] | float = 0.1
-    """Largest unexplained growth of the total energy, over the rod's kinetic and
+    """Largest unexplained growth of the total energy, relative to the rod's kinetic and
     elastic energy [1]. Valid steps gain up to 0.003 in free motion, and up to 0.1 in
     hard impacts."""
 
@@ -107,9 +107,9 @@ class Health:
     energy: Bool[Array, ""]
     """Flag: energy grew by more than work and round-off can explain."""
     smallest_stretch: Float[Array, ""]
-    """Smallest extent of an element along its axis d3 over that at rest [1]."""
+    """Smallest extent of an element along its axis d3, relative to that at rest [1]."""
     largest_stretch: Float[Array, ""]
-    """Largest length of an element over that at rest [1]."""
+    """Largest length of an element, relative to that at rest [1]."""
     largest_joint_angle: Float[Array, ""]
     """Largest change of a joint's rotation vector from rest [rad]."""
     largest_speed: Float[Array, ""]
@@ -120,7 +120,7 @@ class Health:
     largest_norm_error: Float[Array, ""]
     """Largest error of the square of a quaternion's norm [1]."""
     largest_violation: Float[Array, ""]
-    """Largest violation of an effect's constraint [1]."""
+    """Largest violation of an effect's constraint, divided by the radius [1]."""
     energy_growth: Float[Array, ""]
     """Growth of the total energy; zero if it is not examined [J]."""
     energy_allowed: Float[Array, ""]
@@ -170,7 +170,7 @@ def health(
     work_input: ArrayLike = 0.0,
     n_steps: ArrayLike = 1000,
 ) -> Any:
-    """Checks whether a state can be trusted. It is cheap and works inside jit and vmap.
+    """Tests whether a state can be trusted. It is cheap and works inside jit and vmap.
 
     If nothing ties the rod to a place (no held end, no contact), speeds and kinetic
     energy are relative to its mean motion.
@@ -192,7 +192,7 @@ def health(
         The flags and the values behind them. Values that are not finite are flagged.
 
     Raises:
-        ValueError: If the state is not of the scene's rod, or `dt` or `n_steps` is
+        ValueError: If the state does not match the scene's rod, or `dt` or `n_steps` is
             known and not positive.
 
     Example:
@@ -284,8 +284,8 @@ def scene_health(
 def _stretches(rod: Rod, state: RodState) -> tuple[Array, Array]:
     """Smallest extent of an element along its axis d3, and largest length.
 
-    Both are over those at rest. The extent is negative if an element is inside out and
-    zero if it is sheared flat.
+    Both are relative to those at rest. The extent is negative if an element is inside
+    out and zero if it is sheared flat.
     """
     edges = vectors.inner_difference(vectors.split(state.positions))
     edges = vectors.scale(1 / rod.rest_lengths, edges)
@@ -305,7 +305,7 @@ def _largest_joint_angle(rod: Rod, state: RodState) -> Array:
 
 
 def _largest_travel(rod: Rod, state: RodState) -> Array:
-    """Largest speed of a node over its radius, that of its thinner element [1/s]."""
+    """Largest ratio of a node's speed to the radius of its thinner element [1/s]."""
     radii = jnp.pad(rod.radii, (1, 1), mode="edge")
     thin = jnp.minimum(radii[1:], radii[:-1])
     return _largest_norm(vectors.scale(1 / thin, vectors.split(state.velocities)))
@@ -338,7 +338,7 @@ def _largest_norm(vector: vectors.Vec3) -> Array:
 def freeze(flagged: Bool[Array, "*batch"], before: State, after: State) -> State:
     """The last sound state: `after`, or `before` where a flag is set.
 
-    A rod that is frozen in every step after its first flag keeps its state before that
+    A rod that is frozen at every step after its first flag keeps its state before that
     flag, bit for bit. Others are not changed.
 
     Args:
@@ -406,9 +406,10 @@ def energy_balance(
 
     and, for sums of energies $H$ and of weights that cancel, $\epsilon\,(8|H| + S L)$
     with the axial stiffness $S$ and the length $L$. The first term is twice what
-    independent errors add on average. In float32 it is 20 J in 1000 steps for a rod of
-    1 m, 5 cm and 10 MPa in 20 elements that is 1000 m high (4 J were measured), and 13
-    microjoules at the origin (5 were measured).
+    independent errors add on average. Take a rod of length 1 m, radius 5 cm and modulus
+    10 MPa, with 20 elements. In float32 and 1000 steps the round-off is 20 J at a
+    height of 1000 m (4 J were measured), and 13 microjoules at the origin (5 were
+    measured).
 
     Args:
         scene: The scene.

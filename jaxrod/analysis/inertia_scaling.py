@@ -1,9 +1,10 @@
 r"""Inertia scaling: larger steps for slender rods.
 
 If a rod is much thinner than its elements are long, its fastest motion is the rocking
-of elements against the axis, at $\sqrt{\alpha_c G A/\rho I}$. This physically
-irrelevant mode then limits the step. Increasing only the transverse rotary inertia
-slows it; mass and polar inertia, which carry axial and torsional waves, do not change.
+of elements against the axis, at $\sqrt{\alpha_c G A/\rho I}$ with the shear factor
+$\alpha_c$. This physically irrelevant mode then limits the step. Increasing only the
+transverse rotary inertia slows it; mass and polar inertia, which carry axial and
+torsional waves, do not change.
 The change of bending frequencies grows with the square of the radius of gyration. It
 stays within the discretisation error while the enlarged radius of gyration is below
 half the length of the element.
@@ -39,7 +40,7 @@ class InertiaScaling:
     scene: Any
     """The scene with enlarged transverse rotary inertia of its rod."""
     factors: Float[Array, " n"]
-    """Enlarged over true transverse rotary inertia, per element [1]."""
+    """Ratio of enlarged to true transverse rotary inertia, per element [1]."""
     dt_before: Float[Array, ""]
     """Stability limit of the original scene [s]."""
     dt: Float[Array, ""]
@@ -47,7 +48,7 @@ class InertiaScaling:
 
     @property
     def gain(self) -> Float[Array, ""]:
-        """Ratio of the new and the original stability limit [1]."""
+        """Ratio of the new to the original stability limit [1]."""
         return self.dt / self.dt_before
 
 
@@ -99,8 +100,9 @@ def scale_inertia(scene: LoadedRod, dt: Numbers | None = None) -> InertiaScaling
 def _enlarged(scene: LoadedRod, step: Array | None) -> tuple[Rod, Array, Array, Array]:
     """Rod with enlarged inertia, the factors, and the limits before and after.
 
-    `step` is the step size to be made stable; `None` chooses it automatically. It is
-    one program, because each of its operations by itself would be compiled.
+    `step` is the step size to be made stable; `None` chooses it automatically.
+    Everything is one program, because otherwise each operation would be compiled by
+    itself.
     """
     if step is None:
         others = SHARE_OF_OTHER_LIMITS * _other_limit(scene)
@@ -115,7 +117,7 @@ def _enlarged(scene: LoadedRod, step: Array | None) -> tuple[Rod, Array, Array, 
 def frequency_changes(
     scaling: InertiaScaling, state: RodState, n_modes: int = 8
 ) -> np.ndarray:
-    """Relative changes of the lowest natural frequencies by the enlarged inertia.
+    """Relative changes of the lowest natural frequencies due to the enlarged inertia.
 
     Args:
         scaling: Result of `scale_inertia`.
@@ -126,7 +128,7 @@ def frequency_changes(
         Relative change of each frequency [1], the lowest first.
 
     Raises:
-        TypeError: If `scaling` or `state` is of another type.
+        TypeError: If `scaling` or `state` has the wrong type.
 
     Example:
         >>> scaling = jaxrod.scale_inertia(scene)

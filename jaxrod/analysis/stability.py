@@ -34,9 +34,9 @@ it is 2 is bracketed and then found to round-off.
 
 Four things make the bound smaller than the limit. First, everything that may touch is
 assumed to touch. Second, stiffness and drag are added as if they acted on one motion.
-But friction acts along a surface, and contact stiffness across it. The step that each
-alone allows is up to 1.62 times as large (the golden ratio, if both allow the same
-step). Third, in PyElastica mode motions that decay by an exponent of more than 1.28
+But friction acts along a surface, and contact stiffness perpendicular to it. The step
+that each alone allows is up to 1.62 times as large (the golden ratio, if both allow the
+same step). Third, in PyElastica mode motions decaying by an exponent of more than 1.28
 within a step are assumed to decay less. There the bound grows in proportion to the
 rate, while the limit may be infinite. Friction between members is divided between
 translation and rotation by inertia without damping. So in this mode the bound of rods
@@ -151,9 +151,9 @@ def stable_dt(
         The step, and the element and motion that limit it.
 
     Raises:
-        ValueError: If `safety` is not in (0, 1], or the state is not of the scene's
-            rod.
-        TypeError: If `scene` or `state` is of another type.
+        ValueError: If `safety` is not in (0, 1], or the state does not match the
+            scene's rod.
+        TypeError: If `scene` or `state` has the wrong type.
 
     Example:
         >>> found = jaxrod.stable_dt(scene)
@@ -186,7 +186,7 @@ def scene_stable_step(
 def scene_step_warning(
     scene: LoadedRod, dt: Array, state: RodState | None
 ) -> tuple[str | None, bool]:
-    """Warning about a concrete step of one rod; see `Model.step_warning`."""
+    """Tests whether a concrete step of one rod is stable; see `Model.step_warning`."""
     check_scene(scene)
     check_array("dt", dt, [()], "s", positive=True)
     if not scene.method.explicit:
@@ -219,8 +219,9 @@ def compression(
     and without compression, at the largest values of schedules, as in `stable_dt`.
 
     Returns:
-        A factor of at most one, and the smallest extent of an element over its rest
-        length [1]: along d3 in consistent mode, between its nodes in PyElastica mode.
+        A factor of at most one, and the smallest ratio of an element's extent to its
+        rest length [1]: along d3 in consistent mode, between its nodes in PyElastica
+        mode.
     """
     scene = scene.at_largest
     rod = scene.rod
@@ -564,14 +565,15 @@ def _drag_rates(
 
 
 def _added(scene: LoadedRod) -> Callable[[Array], Array]:
-    """Function of rate times step: inertia that damping adds, over the true one [1]."""
+    """Function of rate times step: inertia added by damping, as a fraction [1]."""
     return _added_by_decay if scene.method.solves_damping else _added_by_factor
 
 
 def _inertia_factors(scene: LoadedRod, dt: Array) -> InertiaFactors:
-    """Effective over true inertia of nodes and elements, for a step `dt` with damping.
+    """Ratios of effective to true inertia, for a step `dt` with damping [1].
 
-    Factors that are not positive mean that this step is unstable for any stiffness.
+    They are for nodes, `(n + 1,)`, and for elements, `(n,)`. A ratio that is not
+    positive means that this step is unstable for any stiffness.
     """
     rates, drags = damping_rates(scene) or (None, None), _drag_rates(scene, dt)
     factors = []
@@ -615,8 +617,8 @@ def frequency_bounds(
     Args:
         scene: The scene.
         factors: Factors of node masses and rotary inertias that represent damping.
-        extents: Extents of the elements along d3 over their rest lengths, if they are
-            stretched or compressed; the result is an estimate then [1].
+        extents: Extents of the elements along d3 divided by their rest lengths [1], if
+            they are stretched or compressed; the result is then an estimate.
     """
     rod = scene.rod
     extent = 1 + rod.rest_strains[2] if extents is None else extents

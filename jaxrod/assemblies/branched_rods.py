@@ -1,4 +1,4 @@
-"""Branched assemblies: trees of welded rods, and octopuses, whose arms leave a head."""
+"""Branched assemblies: trees of welded rods, and octopuses of arms around a head."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ def tree(
     effects: Sequence[Effect] = (),
     **rod: Any,
 ) -> tuple[System, dict[str, Any]]:
-    """A trunk that is clamped at the ground, and levels of branches.
+    """A trunk clamped at the ground, with levels of branches.
 
     The members are "trunk", "level 1", "level 2" and so on. A level consists of equal
     rods; rod `k` grows from rod `k // branches` of the level below. All joints are
@@ -47,10 +47,10 @@ def tree(
         length: Length of the trunk [m].
         radius: Radius of the trunk [m].
         angle: Angle between a branch and its parent [rad].
-        length_ratio: Length of a branch over the length of its parent [1].
-        radius_ratio: Radius of a branch over the radius of its parent [1]. By default
-            the cross-sections of all branches at a fork add up to that of their parent
-            (Leonardo's rule).
+        length_ratio: Length of a branch divided by the length of its parent [1].
+        radius_ratio: Radius of a branch divided by the radius of its parent [1]. By
+            default the cross-sections of all branches at a fork add up to that of their
+            parent (Leonardo's rule).
         effects: Effects on every rod.
         **rod: Material, passed to `jaxrod.straight_rod`.
 
@@ -134,7 +134,7 @@ def octopus(
     head_effects: Sequence[Effect] = (),
     **rod: Any,
 ) -> tuple[System, dict[str, Any]]:
-    """Arms that leave a round head sideways, at equal angles in the plane z = 0.
+    """Arms that extend from a round head, at equal angles in the plane z = 0.
 
     The members are "arms", equal rods whose director d1 points upwards, and "head". The
     first nodes of the arms are attached to the head.

@@ -51,7 +51,7 @@ def rods_along(curves: Sequence[np.ndarray], **rod: Any) -> Made:
 def scenes(
     rods: Rod, states: RodState, effects: Sequence[Effect], *, clamped: bool = False
 ) -> Scene:
-    """Scenes of equal rods with the same effects; the rods may be clamped at the start.
+    """Scenes of equal rods with the same effects; the rods may be clamped at the base.
 
     All arrays of the scene have a leading axis, one entry for each rod.
     """

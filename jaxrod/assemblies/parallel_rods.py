@@ -27,7 +27,7 @@ def hexagonal_places(rings: int, spacing: float) -> np.ndarray:
         spacing: Distance between neighbours [m].
 
     Returns:
-        Coordinates across the bundle `(2, k)` [m].
+        Coordinates in the plane perpendicular to the bundle `(2, k)` [m].
 
     Raises:
         ValueError: If `rings` is negative, or `spacing` is not positive.
@@ -61,13 +61,13 @@ def bundle(
     effects: Sequence[Effect] = (),
     **rod: Any,
 ) -> tuple[System, dict[str, Any]]:
-    """Parallel rods along x, each glued to those that it touches.
+    """Parallel rods along x, each glued to the rods that it touches.
 
     The system has one member, "rods".
 
     Args:
-        places: Coordinates y and z of the rods across the bundle `(2, k)` [m], such as
-            those from `hexagonal_places`.
+        places: Coordinates y and z of the rods `(2, k)` [m], such as those from
+            `hexagonal_places`.
         n_elements: Elements of each rod.
         length: Length of the rods [m].
         radius: Radius of the rods [m].
@@ -76,7 +76,7 @@ def bundle(
         damping: Force of the glue per length and relative speed [kg/(m s)].
         turning_damping: Couple of the glue per length and relative angular velocity
             [N s].
-        clamped: Whether all rods are clamped at their start.
+        clamped: Whether all rods are clamped at their base.
         effects: Effects on every rod.
         **rod: Material, passed to `jaxrod.straight_rod`.
 

@@ -1,4 +1,4 @@
-r"""Woven rods: braids around a tube, and plane nets of crossing rods.
+r"""Woven rods: braids around a tube, and planar nets of crossing rods.
 
 A strand of length $b$ that winds $N$ times around a tube of radius $R$ and length $L$
 has $b^2 = L^2 + (2\pi N R)^2$: a braid that becomes wider becomes shorter, like the

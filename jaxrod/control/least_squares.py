@@ -7,15 +7,15 @@ $$(J^T J + \rho I + \mu D)\, d = -\big(J^T r + \rho (z - z_0)\big), \qquad
 D = \mathrm{diag}(J^T J) + \rho I$$
 
 over the unknowns that are not held at a bound, and is clipped to the bounds. It is
-accepted if the sum of squares falls; then $\mu$ is divided by 3, and otherwise it is
+accepted if the minimised sum falls; then $\mu$ is divided by 3, and otherwise it is
 multiplied by 4. Alternatively six steps, with dampings around the last one (`LADDER`),
-are tried as one batch. The best is accepted if the sum of squares falls; otherwise the
+are tried as one batch. The best is accepted if the minimised sum falls; otherwise the
 next six have more damping.
 
 Jacobians are computed by columns in forward mode if there are no more unknowns than
 residuals, and by rows in reverse mode otherwise. The ridge adds no rows, so that six
-residuals of 132 unknowns take six rows. Everything is one program: `jax.vmap` solves
-many problems at once, and nothing is compiled again for other numbers.
+residuals of 132 unknowns take six reverse passes. Everything is one program: `jax.vmap`
+solves many problems together, and nothing is compiled again for other numbers.
 
 Source: K. Madsen, H. B. Nielsen, O. Tingleff, Methods for non-linear least squares
 problems, 2nd edition, 2004, section 3.2; bounds by projection.
@@ -40,7 +40,7 @@ from jaxrod.structure import pytree
 FASTER, SLOWER = 3.0, 4.0
 """Divisor of the damping after an accepted step, factor after a rejected one [1]."""
 LADDER = (64.0, 16.0, 4.0, 1.0, 1 / 4, 1 / 16)
-"""Dampings tried at once, relative to the last damping [1]; the largest first."""
+"""Dampings tried as one batch, relative to the last damping [1]; the largest first."""
 MOST_DAMPING = 1e12
 """Damping at which the search gives up: larger damping gives negligible steps."""
 
@@ -56,20 +56,22 @@ class LeastSquares:
     """
 
     solution: Any
-    """Unknowns at the best point, a tree like the start."""
+    """Unknowns at the best point, a tree like the initial guess."""
     residuals: Float[Array, " residuals"]
     """Residuals at the solution."""
     jacobian: Float[Array, "residuals unknowns"]
-    """Jacobian of the residuals at the solution, by the flattened unknowns."""
+    """Jacobian of the residuals with respect to the flattened unknowns, at the
+    solution."""
     cost: Float[Array, ""]
     """Sum of squared residuals at the solution, plus the ridge term."""
     converged: Bool[Array, ""]
     """Whether the last step changed the cost, or the unknowns, by less than the
     tolerance."""
     iterations: Int[Array, ""]
-    """Number of points tried after the start."""
+    """Number of points tried after the initial guess."""
     costs: Float[Array, " iterations"]
-    """Cost of the best point at the start and after each iteration, then NaN."""
+    """Cost of the initial guess, then of the best point after each iteration; NaN for
+    iterations that were not made."""
 
 
 @pytree
@@ -77,23 +79,23 @@ class Search:
     """State of a search: its best point so far, and the point to try next."""
 
     point: Any
-    """Best point; the start until a cost is finite."""
+    """Best point so far; the initial guess until a cost is finite."""
     found: Any
     """Residuals and derivatives at the best point, as `evaluate` returns them."""
     cost: Array
     """Cost of the best point."""
     damping: Array
-    """Damping of the step to the candidate, as a fraction of the diagonal [1]."""
+    """Damping of the step to the candidate, relative to the diagonal of J^T J [1]."""
     share: Array
     """Fraction of the damped step that leads to the candidate [1]."""
     candidate: Any
     """Point to try next."""
     tried: Array
-    """Number of points tried, the start included."""
+    """Number of points tried, including the initial guess."""
     converged: Array
     """Whether the last step changed too little to continue."""
     costs: Array
-    """Cost of the best point after each trial, then NaN."""
+    """Cost of the best point after each trial; NaN for trials that were not made."""
 
 
 def levenberg_marquardt_loop(
@@ -110,19 +112,19 @@ def levenberg_marquardt_loop(
     A point is accepted if its cost and its derivatives are finite and the cost falls.
 
     Args:
-        evaluate: Takes a point; returns the point (corrected where necessary), the
-            residuals and derivatives there, any pytree, and the cost.
+        evaluate: Takes a point; returns the point (corrected where necessary), a pytree
+            of residuals and derivatives there, and the cost.
         propose: Takes the search with its new best point, whether a step was tried, and
             whether it was accepted; returns a dict of the new `damping`, `candidate`
             and, if it changes, `share`, as in `Search`.
         is_still: Takes the search before the trial, the cost that was tried, and
             whether it was accepted; returns whether the step changed too little to
             continue.
-        start: First point.
+        start: Initial guess.
         nothing: Placeholder for residuals and derivatives before the first evaluation,
             with their shapes.
         initial_damping: Damping of the first step.
-        iterations: Largest number of points tried after the start.
+        iterations: Largest number of points tried after the initial guess.
     """
     dtype = jax.tree.leaves(start)[0].dtype
 
@@ -206,7 +208,7 @@ def least_squares(
 
     Args:
         residuals: Takes unknowns and returns residuals, any pytree of floats.
-        start: First values of the unknowns, any pytree of floats.
+        start: Initial guess of the unknowns, any pytree of floats.
         lower: Lower bounds of the unknowns, a number or a tree like `start`; no bounds
             if `None`.
         upper: Upper bounds of the unknowns, given the same way.
@@ -214,7 +216,8 @@ def least_squares(
             a tree like `start`.
         centre: Centre of the ridge, a number or a tree like `start`; `start` by
             default.
-        initial_damping: Damping of the first step, as a fraction of the diagonal [1].
+        initial_damping: Damping of the first step, relative to the diagonal of J^T J,
+            where J is the Jacobian [1].
         iterations: Largest number of iterations.
         tolerance: Relative change of the cost, or of every unknown, at which the search
             ends; by default machine epsilon to the power of 3/4.
@@ -326,7 +329,7 @@ def least_squares(
 
 
 def broadcast_like(bound: Any, start: Any, sign: int) -> Any:
-    """Broadcasts a number or a tree `bound` to the shapes of `start`.
+    """Broadcasts `bound`, a number or a tree, to the shapes of the leaves of `start`.
 
     `None` becomes `sign` times infinity.
     """

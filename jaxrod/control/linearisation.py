@@ -45,17 +45,18 @@ class Linearisation:
     """
 
     state_matrix: Float[Array, "size size"]
-    """Matrix A: derivative of the coordinates after the period by those before it."""
+    """Matrix A: derivative of the coordinates after the period with respect to those
+    before it."""
     input_matrix: Float[Array, "size controls"] | None
-    """Matrix B: derivative of the coordinates after the period by the control;
-    `None` without a control."""
+    """Matrix B: derivative of the coordinates after the period with respect to the
+    control; `None` without a control."""
     output_matrix: Float[Array, "measured size"] | None
-    """Matrix C: derivative of the measurement at the beginning by the local coordinates
-    there; `None` without a measurement."""
+    """Matrix C: derivative of the measurement at the beginning with respect to the
+    local coordinates there; `None` without a measurement."""
     state: Any
-    """State after the period, without changes."""
+    """State at the end of the unperturbed period."""
     measured: Array | None
-    """Measurement at the beginning of the period; `None` if none is given."""
+    """Measurement at the beginning of the period; `None` without `measure`."""
     coordinates: LocalCoordinates
     """Local coordinates of the matrices: names, and conversion to and from states."""
 
@@ -74,9 +75,9 @@ def linearise(
 ) -> Linearisation:
     """Makes the linear model of one control period about a state and a control.
 
-    It is exact for the steps that are taken, with damping, contact and drag. Where
-    contact begins or ends, derivatives are one-sided. Each function is compiled once
-    if it is defined at module level.
+    The derivatives are those of the discrete time steps, with damping, contact and
+    drag. Where contact begins or ends, they are one-sided. Define `with_control` and
+    `measure` at module level, so that each is compiled only once.
 
     Args:
         model: The scene or the system.
@@ -95,7 +96,7 @@ def linearise(
     Raises:
         ValueError: If an argument is out of range, one of `control` and `with_control`
             is missing, or anything is traced and `coordinates` are not given.
-        TypeError: If the model or the state is of another type.
+        TypeError: If the model or the state has the wrong type.
 
     Example:
         >>> arm = control.linearise(scene, state, 1e-4, n_steps=10)
@@ -135,10 +136,10 @@ def linearise(
 def checked_control(
     control: Any, with_control: WithControl | None, dtype: Any, name: str = "control"
 ) -> Array | None:
-    """Converts a control to an array of `dtype`; `None` without control.
+    """Validates a control and returns it as an array of `dtype`; `None` for `None`.
 
-    `with_control` must be given exactly if `control` is. `name` is the control's name
-    in error messages.
+    `with_control` must be given if and only if `control` is. `name` is the control's
+    name in error messages.
 
     Raises:
         ValueError: If only one of `control` and `with_control` is given, or the control
@@ -194,10 +195,11 @@ def measured(
     ways: Array,
     measure: Measure,
 ) -> tuple[Array, Array]:
-    """Returns a measurement of a state, and its derivatives C by local coordinates.
+    """Returns a measurement of a state, and its derivatives C.
 
-    `ways` is the matrix from `LocalCoordinates.directions`: changes of all components
-    of the state per coordinate.
+    C is with respect to local coordinates. `ways` is the matrix from
+    `LocalCoordinates.directions`: changes of all components of the state per
+    coordinate.
     """
     now = model.recalling(state)
 

@@ -237,7 +237,7 @@ def local_coordinates(model: Any, state: Any, dt: ArrayLike) -> LocalCoordinates
 
     Raises:
         ValueError: If no component is free, or an argument is traced.
-        TypeError: If the model or the state is of another type.
+        TypeError: If the model or the state has the wrong type.
 
     Example:
         >>> near = control.local_coordinates(scene, state, 1e-4)
@@ -256,8 +256,8 @@ def coordinates_under(
 ) -> LocalCoordinates:
     """Finds the local coordinates of states near `state`, with a control or `None`.
 
-    The coordinates do not depend on the control. If it is that of later runs, the same
-    compiled program (`tangent_map`) serves both.
+    The coordinates do not depend on the control. With the control of later runs, the
+    program compiled here (`tangent_map`) is reused by those runs.
     """
     begin = check_first(model, 0, 1)
     if is_traced(model, state, dt):
@@ -388,7 +388,12 @@ def differences(here: dict[str, Fields], there: dict[str, Fields]) -> Any:
 
 
 def moved_by(model: Any, state: Any, changes: Float[Array, " components"]) -> Any:
-    """State after changes of all components, in the order of `differences`."""
+    """State after changes of all components.
+
+    `changes` concatenates, for each member in alphabetical order, the displacements
+    `(3, nodes)` and rotation vectors `(3, elements)`. Their rates follow in the same
+    order.
+    """
     here = fields(model, state)
     places, rates = ravel_pytree(differences(here, here))[1](changes)
     members, states, moved = model.interfaces(), model.states_by_name(state), {}
@@ -423,7 +428,7 @@ def tangent_map(
     *,
     change: Any = None,
 ) -> tuple[Any, Float[Array, "components inputs"]]:
-    """Simulates a run, and differentiates its end state by start and control.
+    """Simulates a run; differentiates it in the initial state and the control.
 
     Numbers of steps are traced, so that one compiled program serves every run.
 
@@ -439,8 +444,8 @@ def tangent_map(
             default.
 
     Returns:
-        The end state, and the derivatives of all its components by all components of
-        the initial state (columns), followed by those by the control.
+        The end state, and the derivatives of all its components: a column for each
+        component of the initial state, followed by a column for each control value.
     """
     steps, begin = (jnp.asarray(number, jnp.int32) for number in (n_steps, first))
     state = with_memory(model, state)

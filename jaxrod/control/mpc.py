@@ -95,7 +95,8 @@ class PlanningPolicy:
     samples: int = static()
     """Number of noisy plans per iteration of `"mppi"`."""
     starts: int = static()
-    """Number of noisy plans from which an episode's first plan is made; 0 for zeros."""
+    """Number of noisy plans from which an episode's first plan is made; with 0 it
+    begins with zero actions."""
     method: str = static()
     """Method that improves plans, one of `METHODS`."""
 
@@ -228,10 +229,11 @@ def mpc(
         params: Parameters of the model; by default those of the environment.
         horizon: Number of control steps ahead, a multiple of `knots * hold`.
         knots: Number of values planned for each action component.
-        iterations: Steps of the method in each plan; by default 1, or 4 of Adam.
+        iterations: Iterations of the method per plan; by default 1, or 4 for Adam.
         method: `"gauss-newton"`, `"gradient"` or `"mppi"`.
         shape: `"lines"` from knot to knot, or `"steps"`: a knot's value is held from
-            the time of the previous knot to its own. One step is the cheapest plan.
+            the time of the previous knot to its own. A single step is the cheapest
+            plan.
         hold: Number of control steps for which an action is held.
         replan: Number of control steps from one plan to the next, a multiple of `hold`,
             at most the horizon; by default the spacing of the knots.
@@ -249,8 +251,8 @@ def mpc(
         seed: Seed of the samples.
 
     Raises:
-        ValueError: An argument is out of range, or the environment cannot be planned
-            with.
+        ValueError: An argument is out of range, or the environment lacks a method that
+            planning needs.
 
     Example:
         >>> policy = control.mpc(envs.make("tracking"), horizon=96, knots=6, hold=4)

@@ -45,8 +45,8 @@ class PlanCost:
     """Cost of a plan, defined in `jaxrod.control.mpc`.
 
     A plan has an action at the time of planning and one at each of K later times, the
-    knots. Methods take the first, `now` `(action,)`, the others, `knots` `(K, action)`,
-    and the environment's `state` at the time of planning.
+    knots. Methods take the former as `now` `(action,)`, the latter as `knots`
+    `(K, action)`, and the environment's `state` at the time of planning.
     """
 
     params: Any
@@ -99,8 +99,8 @@ class PlanCost:
         """Returns the environment's residuals at the times of all K knots of a plan.
 
         `now` is the action at the time of planning, `knots` are the actions at the
-        knots. Divided by sqrt(K), the residuals have squares that sum to the mean over
-        the knots.
+        knots. The residuals are divided by sqrt(K), so that their squares sum to the
+        mean over the knots.
         """
         found = self.along(
             now,
@@ -124,7 +124,8 @@ class PlanCost:
     def total(self, now: Array, knots: Array, state: Any) -> Float[Array, ""]:
         """Returns the mean of `env.cost` at the times of the knots, plus `regular`.
 
-        `now` and `knots` are the actions of the plan, as in the class.
+        `now` is the action at the time of planning, `knots` are the actions at the
+        knots.
         """
         found = self.along(
             now,
@@ -137,8 +138,8 @@ class PlanCost:
     def least_squares(self, now: Array, knots: Array, state: Any) -> Float[Array, ""]:
         """Returns the cost of a plan: sum of squared `residuals`, plus `regular`.
 
-        It is infinite if the sum is not finite. `now` and `knots` are the actions of
-        the plan, as in the class.
+        It is infinite if the sum is not finite. `now` is the action at the time of
+        planning, `knots` are the actions at the knots.
         """
         found = jnp.sum(self.residuals(now, knots, state) ** 2)
         return _or_infinite(found + self.regular(now, knots))
@@ -179,12 +180,12 @@ def quadratic_step(
 ) -> Float[Array, "knots action"]:
     """Minimises the cost with linearised residuals, within the bounds of actions.
 
-    `now` and `knots` are the actions of the plan, as in `PlanCost`. `values` are the
-    residuals, and `rows` their Jacobian by `knots`. The Hessian is
-    J^T J plus a small matrix that is the same for each action component, so only a
-    matrix of the number of residuals is inverted (Woodbury). Bounds are imposed by the
-    alternating direction method of multipliers (ADMM). Returns the new actions at the
-    knots.
+    `now` is the action at the time of planning, `knots` are the actions at the knots,
+    `values` the residuals, and `rows` their Jacobian J with respect to `knots`. The
+    Hessian is J^T J plus a small matrix `(K, K)` that is the same for each action
+    component. So only matrices of the number of knots and of the number of residuals
+    are inverted (Woodbury). Bounds are imposed by the alternating direction method of
+    multipliers (ADMM). Returns the new actions at the knots.
     """
     count, dtype = cost.knots, knots.dtype
     changes = jnp.eye(count, dtype=dtype) - jnp.eye(count, k=-1, dtype=dtype)

@@ -44,7 +44,7 @@ def _compiled_if_traced(function: Callable[..., Any]) -> Callable[..., Any]:
 
 
 def unit_vector(name: str, value: Numbers, size: int = 3) -> Any:
-    """A given direction or quaternion, of any length but zero, scaled to unit length.
+    """Validates a vector of any length but zero, and returns it scaled to unit length.
 
     Raises:
         ValueError: If it is not a vector of this size, or the zero vector.
@@ -67,7 +67,8 @@ def transported_frames(tangents: Any, normal: Numbers | None) -> Any:
 
     Args:
         tangents: Unit vectors along the elements `(3, n)`.
-        normal: Direction of d1 of the first element; by default a world axis.
+        normal: Direction of d1 of the first element; by default the world axis that is
+            most nearly perpendicular to it.
 
     Returns:
         Directors `(3, 3, n)`; `[i, j]` is world component j of director i.
@@ -111,10 +112,10 @@ def _first_normal(axis: Any, normal: Numbers | None) -> Any:
 
 @_compiled_if_traced
 def _across(xp: ModuleType, axis: Any, guess: Any) -> Any:
-    """Unit vector across an axis near a guess, and the length of the guess across it.
+    """Unit vector along the part of a guess perpendicular to an axis, and its length.
 
-    Without a guess it is the world axis least aligned, so that the choice is stable.
-    `xp` is NumPy or `jax.numpy`.
+    Without a guess the world axis least aligned with `axis` is used, so that the choice
+    is stable. `xp` is NumPy or `jax.numpy`.
     """
     if guess is None:
         guess = xp.eye(3)[xp.argmin(xp.abs(axis))]
@@ -152,7 +153,7 @@ def _carried_along(tangents: jax.Array, first: jax.Array) -> jax.Array:
 
 
 def check_frames(directors: Numbers, tangents: Any) -> Any:
-    """Checks given directors `(3, 3, n)`, and returns them as an array.
+    """Validates directors `(3, 3, n)`, and returns them as an array.
 
     `[i, j, k]` is world component j of director i of element k. The unit vectors
     `tangents` `(3, n)` point along the elements.

@@ -8,7 +8,8 @@ Exponential and logarithm are evaluated by polynomials in squares. There is no s
 root of zero, no division by an angle and no branch, so automatic differentiation has no
 singularity at the straight rod at rest.
 
-A rigid body rotates freely by a sequence of exact rotations: symplectic, second order.
+Free rotation of a rigid body is a sequence of exact rotations: symplectic, second
+order.
 
 The kinetic energy of an angular momentum $P$ (world) is
 $\frac12 P_b\cdot A P_b$ with $P_b = R^T P$ and $A$ the inverse inertia. With the
@@ -250,7 +251,7 @@ def freely_turned(
     Args:
         orientation: Orientation, material to world.
         momentum: Angular momentum, world frame [kg m^2/s].
-        isotropic: Isotropic part $a$ of the inverse inertia [1/(kg m^2)], if any.
+        isotropic: Isotropic part $a$ of the inverse inertia [1/(kg m^2)], or `None`.
         parts: Factors $s_k$ and material vectors $c_k$ of the other parts.
         dt: Time [s].
     """
@@ -272,7 +273,7 @@ def _turned(
     part: tuple[Array | float, Vec3],
     dt: Array,
 ) -> Quaternion:
-    """Orientation after rotation for `dt` about c at the rate s (c . P).
+    """Orientation after rotation for `dt` at the angular velocity s (c . P) c.
 
     `part` is (s, c); c and the angular momentum P are in body axes, `momentum` in the
     world frame.

@@ -14,13 +14,13 @@ Triangles = tuple[np.ndarray, np.ndarray]
 
 
 def ball(radius: float) -> Triangles:
-    """Triangulated surface of a ball around the origin."""
+    """Triangulated surface of a ball centred at the origin."""
     polar = np.linspace(0, np.pi, _AROUND // 2 + 1)
     return turned(radius * np.sin(polar), -radius * np.cos(polar))
 
 
 def capsule(half: float, radius: float) -> Triangles:
-    """Triangulated capsule around the origin, with its axis from z = -half to half."""
+    """Triangulated capsule, with its axis from z = -half to half."""
     polar = np.linspace(0, np.pi / 2, _AROUND // 4 + 1)
     across = radius * np.sin(polar)
     up = half + radius * np.cos(polar)
@@ -51,7 +51,7 @@ def along(triangles: Triangles, start: np.ndarray, end: np.ndarray) -> Triangles
 
 
 def box(half_lengths: np.ndarray) -> Triangles:
-    """Triangulated block around the origin, with edges along the axes."""
+    """Triangulated block centred at the origin, with edges along the axes."""
     signs = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)])
     quads = [(0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4)]
     quads.append((1, 5, 7, 3))

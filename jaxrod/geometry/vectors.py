@@ -96,8 +96,8 @@ def safe_norm(a: Vec3) -> Array:
 def pad(a: Array, before: int, after: int) -> Array:
     """Field with zeros added along its last axis, `before` in front and `after` behind.
 
-    `lax.pad` fuses with neighbouring operations and leaves the batch axis in place
-    under `vmap`, other than `jnp.concatenate`.
+    Unlike `jnp.concatenate`, `lax.pad` fuses with neighbouring operations and leaves
+    the batch axis in place under `vmap`.
     """
     ends = [*[(0, 0, 0)] * (a.ndim - 1), (before, after, 0)]
     return lax.pad(a, jnp.zeros((), a.dtype), ends)

@@ -1,13 +1,14 @@
-r"""Drag of the fluid around a rod: decay rates along and across it, and its loads.
+r"""Drag of the fluid around a rod: decay rates of velocities, and loads.
 
 Relative to the fluid, which flows at $u$, a node moves at $w = v - u$, with the
-component $w_\parallel$ along the rod and $w_\perp$ across it. Drag alone gives
+component $w_\parallel$ along the rod and $w_\perp$ perpendicular to it. Drag alone
+gives
 
 $$\dot w_\parallel = -(g_\parallel + q_\parallel |w_\parallel|)\, w_\parallel, \qquad
   \dot w_\perp = -(g_\perp + q_\perp |w_\perp|)\, w_\perp.$$
 
-Angular momenta decay in the same way, with their own rates, about the axis of an
-element and across it.
+Angular momenta decay at constant rates of their own, one about the axis of an element
+and one perpendicular to it.
 """
 
 from __future__ import annotations
@@ -27,7 +28,7 @@ from jaxrod.structure import pytree
 class Drag:
     """Decay rates by which the surrounding fluid slows a rod down, at one moment.
 
-    Each is one number or one per node; for `turning`, one number or one per element.
+    Each rate is a single number, or one per node; for `turning`, one per element.
 
     Example:
         >>> drag = fluids.stokes_drag(along=0.1, across=0.2).drag(rod, motion)
@@ -38,11 +39,11 @@ class Drag:
     along: Array
     r"""Decay rate $g_\parallel$ of velocities along the rod [1/s]."""
     across: Array
-    r"""Decay rate $g_\perp$ of velocities across the rod [1/s]."""
+    r"""Decay rate $g_\perp$ of velocities perpendicular to the rod [1/s]."""
     along_per_speed: Array | None = None
     r"""Increase $q_\parallel$ of `along` per speed along the rod [1/m]."""
     across_per_speed: Array | None = None
-    r"""Increase $q_\perp$ of `across` per speed across the rod [1/m]."""
+    r"""Increase $q_\perp$ of `across` per speed perpendicular to the rod [1/m]."""
     turning: tuple[Array, Array] | None = None
     """Decay rates of angular momenta about d3, and about d1 and d2 [1/s]."""
     flow: Vec3 | None = None
@@ -51,7 +52,7 @@ class Drag:
 
     @property
     def grows_with_speed(self) -> bool:
-        """Whether the drag has rates per speed, whatever their values are."""
+        """Whether the drag has rates per speed, even if their values are zero."""
         return (self.along_per_speed, self.across_per_speed) != (None, None)
 
 

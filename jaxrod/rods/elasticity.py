@@ -74,7 +74,7 @@ class ElasticLaw:
     shear_stretch: Vec3
     """Shear stiffness along d1, d2 and axial stiffness along d3, per element [N]."""
     joint: Vec3
-    """Bend-twist stiffness over joint length, per joint [N m]."""
+    """Bend-twist stiffness divided by joint length, per joint [N m]."""
     rest_strains: Vec3
     """Shear-stretch strain at rest, per element [1]."""
     rest_rotations: Vec3
@@ -116,6 +116,8 @@ def joint_rotations(orientation: Quaternion) -> tuple[Vec3, Array]:
 def joint_couples(rotation: Vec3, coupling: Array, moment: Vec3) -> tuple[Vec3, Vec3]:
     r"""Couples of a joint's moment on the two elements it joins.
 
+    `rotation` is $\phi$, `moment` is $\tau$ and `coupling` is $c$
+    (`rotations.rotation_log_and_coupling`).
     For the energy $E(\phi)$ with $\tau = \partial E/\partial\phi$ the couple on the
     element before is $a + b$, on the element after $-a + b$, each in its own
     material frame, with $a = \tau + c\,\phi\times(\phi\times\tau)$ and
@@ -162,8 +164,8 @@ def strains(
         unstretched), and curvature and twist per joint, material frame [1/m].
 
     Raises:
-        ValueError: If the state is not of that rod.
-        TypeError: If `rod` or `state` is of another type.
+        ValueError: If the state does not match that rod.
+        TypeError: If `rod` or `state` has the wrong type.
 
     Example:
         >>> longer = replace(state, positions=1.01 * state.positions)
@@ -185,8 +187,8 @@ def stored_energy(rod: Rod, state: RodState) -> Float[Array, ""]:
     """Elastic energy of a rod: shear and stretch of elements, bending and twist [J].
 
     Raises:
-        ValueError: If the state is not of that rod.
-        TypeError: If `rod` or `state` is of another type.
+        ValueError: If the state does not match that rod.
+        TypeError: If `rod` or `state` has the wrong type.
 
     Example:
         >>> float(jaxrod.stored_energy(rod, state)) < 1e-9
@@ -213,11 +215,12 @@ class ElementTangent:
     """Derivatives of each element's force N and couple N x e, world frame."""
 
     stretching: Matrix
-    """Derivative $D$ of the force $N$ in the element by its edge [N/m]."""
+    """Derivative $D$ of the force $N$ in the element with respect to its edge [N/m]."""
     coupling: Matrix
-    """Derivative $K$ of the force $N$ in the element by its rotation [N]."""
+    """Derivative $K$ of the force $N$ with respect to the element's rotation [N]."""
     turning: Matrix
-    r"""Derivative $-[e]_\times K$ of the couple $N\times e$ by the rotation [N m]."""
+    r"""Derivative $-[e]_\times K$ of the couple $N\times e$ with respect to the
+    rotation [N m]."""
 
 
 @pytree
@@ -225,13 +228,14 @@ class JointTangent:
     """Couple of each joint of a rod and its derivative, world frame."""
 
     stiffness: Matrix
-    r"""Derivative $H$ of the couple $\mu$ by the relative rotation [N m]."""
+    r"""Derivative $H$ of the couple $\mu$ with respect to the relative rotation
+    [N m]."""
     couple: Vec3
     r"""Couple $\mu$ of the joint, which turns with the element after it [N m]."""
 
 
 def element_tangent(law: ElasticLaw, motion: Motion) -> ElementTangent:
-    """Derivatives of each element's force and couple by its edge and rotation."""
+    """Derivatives of each element's force and couple, for its edge and rotation."""
     frame = directors(motion.orientation)
     edges, inverse = motion.edges, law.inverse_lengths
     local = to_material(frame, edges)
@@ -246,7 +250,7 @@ def element_tangent(law: ElasticLaw, motion: Motion) -> ElementTangent:
 
 
 def joint_tangent(law: ElasticLaw, motion: Motion) -> JointTangent:
-    """Couple of each joint, and its derivative by the joint's relative rotation."""
+    """Couple of each joint, and its derivative for the joint's relative rotation."""
     rotation, coupling = joint_rotations(motion.orientation)
     w, x, y, z = motion.orientation
     after = (w[1:], x[1:], y[1:], z[1:])
@@ -264,8 +268,9 @@ def turned_joint(
             material frame of that element.
         rotation: Rotation vector of the joint [rad].
         coupling: Coupling coefficient, see `rotations.rotation_log_and_coupling`.
-        stiffness: Bend-twist stiffness over joint length [N m].
-        moment: Derivative of the joint's energy by its rotation vector [N m].
+        stiffness: Bend-twist stiffness divided by joint length [N m].
+        moment: Derivative of the joint's energy with respect to its rotation vector
+            [N m].
     """
     frame = directors(after)
     phi, tau = to_world(frame, rotation), to_world(frame, moment)
@@ -303,7 +308,7 @@ def times_inverse(matrix: Matrix, rotation: Vec3, coupling: Array) -> Matrix:
 
 
 def _coupling_slope(squared_angle: Array, coupling: Array) -> Array:
-    r"""Derivative of the coupling coefficient by the square of the angle.
+    r"""Derivative of the coupling coefficient with respect to the squared angle.
 
     The closed form loses digits as $\epsilon/\theta^2$, but is multiplied by
     $\theta^3$. The series is used where even that error would matter.

@@ -34,7 +34,8 @@ from jaxrod.validation import (
 MOST_ELEMENTS = 1_000_000
 """Largest number of elements; a larger number must be a mistake."""
 ROUNDED = 0.01
-"""Largest allowed spacing of floating-point node positions over element length [1]."""
+"""Largest allowed spacing of floating-point node positions, divided by the element
+length [1]."""
 
 
 def straight_rod(
@@ -61,7 +62,7 @@ def straight_rod(
         length: Rest length [m].
         radius: Radius [m]: one number, one per element `(n,)`, or the pair `(2,)` of
             base and tip radius, between which it varies linearly along the rod. With
-            2 elements a pair could mean either, so one number only.
+            2 elements a pair would be ambiguous, so only one number is allowed.
         section: Shape of the sections instead of a radius: `circle`, `tube`,
             `rectangle` or `ellipse`.
         density: Mass density [kg/m^3], one number or one per element.
@@ -77,15 +78,16 @@ def straight_rod(
         start: Position of the first node [m].
         direction: Direction from first to last node; any length but zero.
         normal: Direction of d1; its component along `direction` is removed. By default
-            a world axis perpendicular to it or nearly so.
+            the world axis that is most nearly perpendicular to `direction`.
         dtype: float32 or float64; by default JAX's default.
 
     Returns:
         The rod and its state.
 
     Raises:
-        ValueError: If an argument is out of range or does not fit, or if the dtype
-            cannot hold it or derived numbers (masses and stiffnesses of elements).
+        ValueError: If an argument is out of range or has the wrong shape, or if the
+            dtype cannot represent it or derived numbers (masses and stiffnesses of
+            elements).
 
     Example:
         >>> arm, start = jaxrod.straight_rod(
@@ -156,15 +158,16 @@ def rod_along(
         normal: Direction of d1 of the first element; see `straight_rod`.
         directors: Material frames `(3, 3, n)`, instead of `normal`. Entry `[i, j]` is
             world component j of director i. They are orthonormal and right-handed, with
-            d3 along the rod to 10 degrees.
+            d3 within 10 degrees of the rod's direction.
         dtype: float32 or float64; by default JAX's default.
 
     Returns:
         The rod and its state.
 
     Raises:
-        ValueError: If an argument is out of range or does not fit, or if the dtype
-            cannot hold it or derived numbers (masses and stiffnesses of elements).
+        ValueError: If an argument is out of range or has the wrong shape, or if the
+            dtype cannot represent it or derived numbers (masses and stiffnesses of
+            elements).
 
     Example:
         >>> angle = jnp.linspace(0.0, jnp.pi, 11)
@@ -263,7 +266,7 @@ def _build(
 
 
 def _middles(elements: Any) -> Any:
-    """Arc lengths of the middles of elements, over that of the rod `(n,)` [1].
+    """Arc lengths of the middles of elements, divided by the rod's length `(n,)` [1].
 
     Args:
         elements: Number of elements of equal length, or lengths of elements [m].
@@ -280,7 +283,7 @@ def _check_resolved(
 ) -> None:
     """Raises if elements are not much longer than the round-off of node positions.
 
-    The message calls the argument with the positions `name`.
+    `name` is the name of the argument in the message.
     """
     farthest = np.max(np.abs(positions)).astype(dtype)
     shortest, apart = np.min(rest_lengths), np.spacing(farthest)
@@ -299,7 +302,7 @@ def unstressed(rod: Rod, state: RodState) -> Rod:
 
     Raises:
         TypeError: If the arguments are not a rod and a state.
-        ValueError: If the state is not of that rod.
+        ValueError: If the state does not match that rod.
 
     Example:
         >>> longer = replace(state, positions=1.01 * state.positions)

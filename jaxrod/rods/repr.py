@@ -114,7 +114,7 @@ def _kind(leaf: Any, axes: int) -> list[str]:
 
 
 def _range(values: np.ndarray, unit: str, prefixed: bool = True) -> str:
-    """Smallest and largest value as text, e.g. "1 to 2 MPa"; one if both look alike.
+    """Smallest and largest value as text, "1 to 2 MPa"; one value if both look alike.
 
     If `prefixed`, units other than m get the prefix k, M or G.
     """

@@ -33,8 +33,8 @@ class Rod:
     Per-length quantities (density, inertia, stiffness) do not change when the
     discretisation does.
 
-    Quantities derived from stacked rods, as `vmap` over a factory makes them, have the
-    same leading axes as these.
+    For stacked rods, such as those that `vmap` over a factory makes, derived quantities
+    have the same leading axes.
 
     Example:
         >>> rod.n_elements, rod.node_masses.shape
@@ -112,8 +112,8 @@ class Rod:
     def inertias(self) -> Float[Array, "*batch 2 n"]:
         """Rotary inertia of each element, transverse and polar [kg m^2].
 
-        If it differs between d1 and d2, the transverse one is the smaller of both, for
-        bounds.
+        If it differs between d1 and d2, the transverse inertia is the smaller of the
+        two, for use in bounds.
         """
         inertias = self.rotary_inertia * self.rest_lengths[..., None, :]
         if self.is_round:
@@ -203,7 +203,7 @@ class Layout:
 
 @pytree
 class RodState:
-    """State of a rod: all that changes in time, without derived quantities.
+    """State of a rod: everything that changes in time, without derived quantities.
 
     Example:
         >>> state.positions.shape, state.orientations.shape
@@ -227,8 +227,8 @@ class RodState:
     """Accumulated round-off of the positions (Kahan) [m]; `None` unless `compensated`
     has been applied."""
     memory: tuple[dict[str, Any], ...] | None = None
-    """Memory of the effects of a scene, see `jaxrod.extend.memory`. `None` without such
-    effects, or as long as it is the initial memory of the scene."""
+    """Memory of the effects of a scene, see `jaxrod.extend.memory`. `None` if no effect
+    has memory, or if it is the initial memory of the scene."""
 
     def __repr__(self) -> str:
         """One line with elements, tip position and largest speed."""
@@ -265,8 +265,8 @@ def angular_velocities(rod: Rod, state: RodState) -> Float[Array, "3 n"]:
     """Angular velocity of each element in its material frame `(3, n)` [rad/s].
 
     Raises:
-        ValueError: If the state is not of that rod.
-        TypeError: If `rod` or `state` is of another type.
+        ValueError: If the state does not match that rod.
+        TypeError: If `rod` or `state` has the wrong type.
 
     Example:
         >>> turning = jaxrod.with_angular_velocities(rod, state, jnp.full((3, 10), 2.0))
@@ -291,8 +291,8 @@ def with_angular_velocities(
             [rad/s].
 
     Raises:
-        ValueError: If their shape does not fit the rod.
-        TypeError: If `rod` or `state` is of another type.
+        ValueError: If their shape does not match the rod.
+        TypeError: If `rod` or `state` has the wrong type.
 
     Example:
         >>> spin = jnp.zeros((3, 10)).at[2].set(4.0)  # about the rod's own axis [rad/s]
@@ -314,7 +314,7 @@ def with_angular_velocities(
 
 
 def compensated(state: RodState) -> RodState:
-    """Copy of a state whose positions later steps sum with Kahan's compensation.
+    """Copy of a state for which later steps sum positions with Kahan's compensation.
 
     Every step adds small displacements to large positions. In float32 the round-off of
     these sums dominates the errors of axial forces. Kahan's summation removes it: the
@@ -339,11 +339,11 @@ def compensated(state: RodState) -> RodState:
 
 
 def check_state(rod: Rod, state: RodState) -> None:
-    """Checks that the arguments are a rod and a state of it.
+    """Raises unless the arguments are a single rod and a single state that matches it.
 
     Raises:
-        TypeError: If they are of other types.
-        ValueError: If the state has other numbers of elements and nodes.
+        TypeError: If either has the wrong type.
+        ValueError: If their numbers of elements or nodes differ, or either is a batch.
     """
     check_kind("rod", rod, Rod)
     check_kind("state", state, RodState)
@@ -361,10 +361,10 @@ def check_one(state: RodState) -> None:
 
 
 def check_size(rod: Rod, state: RodState) -> None:
-    """Checks that a state has the nodes and elements of a scene's rod, traced or not.
+    """Raises unless a state has the nodes and elements of a scene's rod, traced or not.
 
     Raises:
-        ValueError: If its numbers of elements and nodes differ.
+        ValueError: If their numbers of elements or nodes differ, or either is a batch.
     """
     check_one(state)
     if rod.batch_shape:

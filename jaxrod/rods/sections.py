@@ -56,14 +56,14 @@ class Section:
     second_moments: tuple[Any, Any]
     """Second moments of area about d1 and d2 [m^4]."""
     torsion_constant: Any
-    """Torsion constant: twisting stiffness over shear modulus [m^4]."""
+    """Torsion constant: twisting stiffness divided by shear modulus [m^4]."""
     shear_factors: tuple[Any, Any]
     """Shear correction factors along d1 and d2 [1]."""
     radius: Any
     """Radius of a circle with the area inside the outline [m]. It becomes `Rod.radii`,
     which elasticity and inertia do not use."""
     is_round: bool = static(default=False)
-    """Whether moments about d1 and d2 are the same, whatever the dimensions are."""
+    """Whether moments about d1 and d2 are the same for all dimensions."""
 
 
 def _dimension(name: str, value: Numbers) -> Any:
@@ -233,8 +233,8 @@ def rod_of_section(
 
     Args:
         n: Number of elements.
-        rest_lengths: Rest lengths of the elements `(n,)`, checked [m].
-        middles: Arc lengths of the middles of the elements over that of the rod
+        rest_lengths: Rest lengths of the elements `(n,)`, already validated [m].
+        middles: Arc lengths of the middles of the elements, divided by the rod's length
             `(n,)` [1].
         radius: Radius of round sections [m]: one number, one per element, or the pair
             of base and tip radius.
@@ -249,9 +249,9 @@ def rod_of_section(
         dtype: float32 or float64.
 
     Raises:
-        ValueError: If an argument is out of range, or the dtype cannot hold it or
+        ValueError: If an argument is out of range, or the dtype cannot represent it or
             numbers derived from it.
-        TypeError: If the section is of another type.
+        TypeError: If the section has the wrong type.
     """
 
     def per_element(name: str, value: Numbers, unit: str) -> Any:
@@ -371,7 +371,11 @@ def _check_shapes(section: Section, n: int) -> None:
 
 
 def _radii(radius: Numbers, middles: Any, dtype: Any) -> Any:
-    """Checks a radius; a pair becomes one radius per element, with a linear taper."""
+    """Validates and returns a radius; a pair becomes a linear taper, one per element.
+
+    `middles` are the arc lengths of the middles of the elements, divided by the rod's
+    length.
+    """
     n = len(middles)
     shapes = [(), (2,), (n,)]
     radii = check_array("radius", radius, shapes, "m", positive=True, dtype=dtype)

@@ -204,7 +204,7 @@ class DepthImage(Sensor):
     camera: Camera
     """Camera that takes the image."""
     max_range: Float[Array, ""] | None = None
-    """Largest depth, also the reading at pixels without rod; `None`: infinite [m]."""
+    """Largest depth, also the reading at pixels without rod [m]; infinite if `None`."""
     rows: int = static(default=48)
     """Height of the image [pixels]."""
     columns: int = static(default=64)
@@ -228,7 +228,7 @@ def _nearest(rays: Vec3, nodes: Vec3, axes: Vec3, radii: Array) -> Array:
     Args:
         rays: Vectors of the rays from the origin, each component `(h, w)`.
         nodes: Ends of the axes of the capsules `(n + 1,)`.
-        axes: Vectors from one end of each axis to the next `(n,)`.
+        axes: Vectors from one end of each axis to the other `(n,)`.
         radii: Radii of the capsules `(n,)`.
     """
     a, b, c = (part[:, :, None] for part in rays)
@@ -354,13 +354,14 @@ def markers(arc_length: Numbers, offsets: Numbers = (0.0, 0.0)) -> Markers:
 def image_markers(
     camera: Camera, arc_length: Numbers, offsets: Numbers = (0.0, 0.0)
 ) -> ImageMarkers:
-    """Makes markers, points fixed to sections of a rod, that are seen by a camera.
+    """Makes a sensor of the images of markers: points fixed to a rod, seen by a camera.
 
     Markers are never hidden, even behind the rod.
 
     Args:
         camera: The camera.
-        arc_length: Arc length of the station, one number or `(k,)` [m].
+        arc_length: Arc length of the station in the unstressed rod, one number or
+            `(k,)` [m].
         offsets: Offsets from the centreline, as for `markers` [m].
 
     Returns:
@@ -391,9 +392,9 @@ def depth_image(
 ) -> DepthImage:
     """Makes a depth image of a rod: distances along the optical axis, by ray casting.
 
-    It is differentiable by the state and the camera except at the rod's outline, where
-    depth jumps. The camera must be outside the rod. Obstacles and other rods do not
-    appear.
+    It is differentiable with respect to the state and the camera, except at the rod's
+    outline, where depth jumps. The camera must be outside the rod. Obstacles and other
+    rods do not appear.
 
     Args:
         camera: The camera.

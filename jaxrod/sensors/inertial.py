@@ -77,7 +77,7 @@ class Accelerometer(InertialSensor):
     name: str = static(default="accelerometer")
 
     def measure(self, scene: LoadedRod, state: RodState) -> Float[Array, "3 *k"]:
-        """Acceleration minus gravity at each station, in the sensor's frame."""
+        """Acceleration minus gravity at each station, sensor's frame [m/s^2]."""
         rod, motion = scene.rod, motion_of(state)
         stations = stations_of(rod, self.arc_length)
         change = rates_of_change(scene, motion)
@@ -102,7 +102,7 @@ class Accelerometer(InertialSensor):
 
 @pytree
 class Gyroscope(InertialSensor):
-    """Sensor of the angular velocity at points along the rod, in its own frame.
+    """Sensor of the angular velocity at stations, made by `gyroscope`.
 
     Example:
         >>> gyroscope = sensors.gyroscope([0.5, 1.0])
@@ -116,7 +116,7 @@ class Gyroscope(InertialSensor):
     name: str = static(default="gyroscope")
 
     def measure(self, scene: LoadedRod, state: RodState) -> Float[Array, "3 *k"]:
-        """Angular velocity of the section, in the sensor's frame."""
+        """Angular velocity of the section, sensor's frame [rad/s]."""
         motion = motion_of(state)
         stations = stations_of(scene.rod, self.arc_length)
         spin = stations.elements.of_vectors(motion.angular_velocities(scene.rod))
@@ -158,7 +158,7 @@ def accelerometer(
 
     Returns:
         A sensor that reads three components per station, sensor's frame [m/s^2]. It
-        needs the consistent law, with twist.
+        needs a method with the consistent law and twist.
 
     Raises:
         ValueError: If a number is out of range or of the wrong shape.
@@ -184,7 +184,7 @@ def gyroscope(arc_length: Numbers, *, orientation: Numbers = IDENTITY) -> Gyrosc
 
     Returns:
         A sensor that reads three components per station, sensor's frame [rad/s]. It
-        needs the consistent law, with twist.
+        needs a method with the consistent law and twist.
 
     Raises:
         ValueError: If a number is out of range or of the wrong shape.

@@ -110,7 +110,7 @@ class TendonLength(Sensor):
     name: str = static(default="tendon length")
 
     def measure(self, scene: LoadedRod, state: RodState) -> Float[Array, "k"]:
-        """Length of each cable, from its anchor or first eyelet to its last one [m]."""
+        """Length of each cable, from anchor or first eyelet to last eyelet [m]."""
         return _tendon(scene, self.effect).cable_lengths(motion_of(state))
 
 
@@ -213,15 +213,15 @@ class ContactForce(Sensor):
 def support_force(end: End = "base") -> SupportForce:
     """Makes a sensor of the force with which supports hold an end of the rod.
 
-    It is the force on the end node in `jaxrod.reactions`, of a clamp, a fixed end, a
-    pin, a hinge or a driven end.
+    It is the force that `jaxrod.reactions` gives for the end node, from a clamp, a
+    fixed end, a pin, a hinge or a driven end.
 
     Args:
         end: End that is held, "base" or "tip".
 
     Returns:
-        A sensor that reads three components, world frame [N]. It needs the consistent
-        law and a support that holds only that end.
+        A sensor that reads three components, world frame [N]. It needs a method with
+        the consistent law, and a support that holds only that end.
 
     Raises:
         ValueError: If `end` is neither "base" nor "tip".
@@ -242,8 +242,8 @@ def support_couple(end: End = "base") -> SupportCouple:
         end: End that is held, "base" or "tip".
 
     Returns:
-        A sensor that reads three components, world frame [N m]. It needs the consistent
-        law and a support that holds only that end.
+        A sensor that reads three components, world frame [N m]. It needs a method with
+        the consistent law, and a support that holds only that end.
 
     Raises:
         ValueError: If `end` is neither "base" nor "tip".

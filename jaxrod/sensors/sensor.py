@@ -71,9 +71,9 @@ class Sensor(ABC):
 
         Raises:
             ValueError: If the scene depends on time, lacks what the sensor measures, or
-                ends before the sensor's arc length. If that is traced, the reading is
-                NaN instead.
-            TypeError: If `scene` or `state` is of another type.
+                its rod ends before the sensor's arc length. If the arc length is
+                traced, the reading is NaN instead.
+            TypeError: If `scene` or `state` has the wrong type.
         """
         scene = scene_of(scene, state)
         self.check(scene)
@@ -206,7 +206,7 @@ def stations_of(rod: Rod, arc_length: Array) -> Stations:
 
 
 def as_stations(arc_length: Numbers) -> Array:
-    """Checks arc lengths of stations, one number or `(k,)` [m]; returns an array."""
+    """Validates arc lengths of stations and returns them, `()` or `(k,)` [m]."""
     given = numeric("arc_length", arc_length, "m")
     shapes = [(), (given.size,)]
     return as_array("arc_length", given, "m", shapes, non_negative=True)
@@ -215,15 +215,15 @@ def as_stations(arc_length: Numbers) -> Array:
 def as_offsets(
     offsets: Numbers, arc_length: Array, components: tuple[int, ...] = (2,)
 ) -> Array:
-    """Checks offsets along d1, d2 (and d3), `(2,)` or one per station `(k, 2)` [m].
+    """Validates offsets along d1, d2 and possibly d3 [m], and returns them.
 
     Args:
-        offsets: The offsets.
+        offsets: Offsets `(2,)` or `(3,)`, or one per station `(k, 2)` or `(k, 3)` [m].
         arc_length: Arc lengths of the stations.
         components: Allowed numbers of components.
 
     Returns:
-        The offsets, components first: `(2, 1)` or `(2, k)`.
+        The offsets, components first: `(2, 1)` or `(2, k)`, or three rows.
     """
     given = numeric("offsets", offsets, "m")
     shapes: list[tuple[int, ...]] = [(count,) for count in components]

@@ -228,7 +228,10 @@ def section_force(arc_length: Numbers) -> SectionForce:
 
 
 def section_moment(arc_length: Numbers) -> SectionMoment:
-    """Makes a sensor of the elastic moment through a section, as in `section_force`.
+    """Makes a sensor of the elastic moment that a rod transmits through a section.
+
+    It is the moment of the part beyond the section on the part before it. It does not
+    include actuators inside the rod (muscles, chambers) or internal damping.
 
     Args:
         arc_length: Arc length of the section, one number or `(k,)` [m].

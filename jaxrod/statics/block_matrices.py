@@ -11,10 +11,10 @@ pivoting. That is safe for the matrices of rods: they are positive definite up t
 non-symmetric parts, whatever the units of the unknowns. LAPACK is not used: a call per
 block would cost more than the elimination, and would not batch.
 
-Where effects couple second neighbours, two blocks are taken for one. Effects that
-couple distant parts of a rod need the dense form. A rod of `n` elements
-has `6 n + 3` unknowns, and work grows with their cube. With tens of elements it is
-about as much as the elimination along the chain, with hundreds far more.
+Where effects couple second neighbours, every two blocks are merged into one. Effects
+that couple distant parts of a rod need the dense form. A rod of `n` elements has
+`6 n + 3` unknowns, and the work of a dense solve grows with their cube. With tens of
+elements it is about as much as the elimination along the chain, with hundreds far more.
 """
 
 from __future__ import annotations
@@ -186,7 +186,7 @@ class PairedBlocks:
     """A square matrix of `n` by `n` blocks that couples second neighbours.
 
     Every two blocks make one block of a block-tridiagonal matrix. If their number is
-    odd, a block is added, with ones on its diagonal.
+    odd, an extra block makes it even.
     """
 
     pairs: BlockTridiagonal
@@ -240,8 +240,10 @@ def of_five_bands(bands: Sequence[Float[Array, "n m m"]], spare: float) -> Paire
     """Matrix whose rows of blocks couple two blocks on either side.
 
     Args:
-        bands: Blocks of each row, from the second neighbour before to that after.
-        spare: Diagonal of the block that makes the number of blocks even.
+        bands: Blocks of each row, from the second neighbour before it to the second
+            neighbour after it.
+        spare: Number on the diagonal of the extra block that makes the number of blocks
+            even.
     """
     before_last, before, diagonal, after, after_next = bands
     n, m, _ = diagonal.shape

@@ -1,8 +1,8 @@
 """Checks of effects' declared properties, on which implicit steps and equilibria rely.
 
-These methods take the derivative of an effect's loads from its declarations, and find
-the components that it holds by a few trials. A false declaration would silently give a
-wrong derivative, or hold a rod where it is free.
+Implicit steps and equilibria take the derivative of an effect's loads from its
+declarations, and find the components that it holds by a few trials. A false declaration
+would silently give a wrong derivative, or hold a rod where it is free.
 """
 
 from __future__ import annotations
@@ -39,10 +39,11 @@ from jaxrod.validation import is_traced
 
 
 def check_declared_properties(scene: LoadedRod) -> None:
-    """Checks the declared properties of effects, unless the scene is traced.
+    """Raises unless custom effects behave as they declare.
 
     Effects are tested on a generic rod, and on the same rod shrunk to almost a point.
-    Deviations that occur only elsewhere are not detected.
+    Deviations that occur only elsewhere are not detected. A scene that is traced or
+    batched is not tested, nor are jaxrod's own effects.
 
     Raises:
         ValueError: If loads do not change as an effect's `turning_tangent` or `reach`
@@ -95,9 +96,9 @@ def _holds(effect: Effect) -> bool:
 def _tried(rod: Rod, effects: tuple[Effect, ...]) -> list[tuple[Array, Array]]:
     """Relative errors of the declared loads and of the supports, for each effect.
 
-    The first is that of the declared tangent or reach, against the derivative of the
-    loads. The second is the part of the motion that supports hold only partly. Both are
-    zero where nothing is declared or held.
+    The first is the error of the declared tangent or reach, relative to the derivative
+    of the loads. The second is the part of the motion that supports hold only partly.
+    Each is zero if nothing is declared or held.
     """
     zero = jnp.zeros((), rod.rest_lengths.dtype)
     return [
@@ -219,7 +220,7 @@ def _expected(
     given: Sequence[Array],
     found: Sequence[Array],
 ) -> list[tuple[Array, Array]]:
-    """Pairs of components as a constraint leaves them and as the flags predict.
+    """Pairs of components: after a constraint is applied, and as its flags predict.
 
     The prediction is `given` where a component is free (1), and `held` elsewhere.
     """

@@ -1,8 +1,8 @@
 """Degrees of freedom: free components of positions and rates in a scene.
 
 Fields of a rod are stacked as blocks of a chain: a node and the element that follows
-it. A component is held if `Effect.constrain_rates` gives it the same rate for any rate
-before, or if `Effect.constrain` gives it the same value for any value before.
+it. A component is held if `Effect.constrain_rates` gives it the same rate whatever its
+rate before, or if `Effect.constrain` gives it the same value whatever its value before.
 """
 
 from __future__ import annotations
@@ -31,7 +31,8 @@ def degrees_of_freedom(scene: LoadedRod, motion: Motion) -> tuple[Vec3, Vec3]:
         motion: Configuration of the rod.
 
     Returns:
-        Flags of the nodes and of the elements, in the components of velocity and spin.
+        Flags of the nodes, for the components of velocity, and of the elements, for the
+        components of spin (world frame).
     """
     nodes, elements = free_velocity_mask(scene, motion)
     placed = free_position_mask(scene, motion)
@@ -41,7 +42,7 @@ def degrees_of_freedom(scene: LoadedRod, motion: Motion) -> tuple[Vec3, Vec3]:
 
 
 def free_velocity_mask(scene: LoadedRod, motion: Motion) -> tuple[Vec3, Vec3]:
-    """Flags of velocities and spins: 1 if `constrain_rates` leaves them free."""
+    """Flags of velocities and spins: 1 if free under `constrain_rates`, 0 if held."""
     rates = (motion.velocity, motion.spin)
 
     def held(rate: float) -> Motion:
@@ -56,9 +57,9 @@ def free_velocity_mask(scene: LoadedRod, motion: Motion) -> tuple[Vec3, Vec3]:
 
 
 def free_position_mask(scene: LoadedRod, motion: Motion) -> tuple[Vec3, Vec3] | None:
-    """Flags of positions and orientations: 1 if `constrain` leaves them free, else 0.
+    """Flags of positions and orientations: 1 if free under `constrain`, 0 if held.
 
-    `None` if no effect constrains positions or orientations.
+    Returns `None` if no effect constrains positions or orientations.
     """
     here = constrain(scene, motion)
     if here is motion:
@@ -75,7 +76,7 @@ def free_position_mask(scene: LoadedRod, motion: Motion) -> tuple[Vec3, Vec3] | 
 def _elsewhere(scene: LoadedRod, motion: Motion) -> Motion:
     """Motion with every node displaced along all axes and every element rotated.
 
-    Components that `constrain` then gives the same value as before are held.
+    Components to which `constrain` gives the same value in both motions are held.
     """
     length = scene.rod.length
     moved = vectors.add(motion.position, (length, length, length))
@@ -94,7 +95,10 @@ def _differ(one: Quaternion, other: Quaternion) -> Array:
 
 
 def stack_dofs(nodes: Vec3, elements: Vec3) -> Float[Array, "n+1 6"]:
-    """Rows of a node's and an element's components; the last element is zeros."""
+    """Stacks the components of each node and of the element after it into a row.
+
+    The last node has no element after it: zeros take its place.
+    """
     padded = [vectors.pad(entry, 0, 1) for entry in elements]
     return jnp.stack([*nodes, *padded], axis=-1)
 

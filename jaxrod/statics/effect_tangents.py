@@ -1,9 +1,9 @@
-"""Tangent stiffness of effects: derivatives of their loads by the configuration.
+"""Tangent stiffness of effects: derivatives of loads with respect to configuration.
 
 An effect may have it in closed form (`Effect.turning_tangent`). Any other effect is
-differentiated. If it depends on neighbours only (`Effect.reach`), every third node and
-element is perturbed at once (colouring), for second neighbours every fifth. Otherwise
-each is perturbed by itself.
+differentiated. If its loads depend on neighbours only (`Effect.reach`), every third
+node and element is perturbed together (colouring), for second neighbours every fifth.
+Otherwise each is perturbed by itself.
 """
 
 from __future__ import annotations
@@ -35,24 +35,25 @@ from jaxrod.statics.block_matrices import (
 from jaxrod.statics.degrees_of_freedom import stack_dofs, unstack_dofs
 
 Tangent = BlockTridiagonal | PairedBlocks | Dense
-"""Tangent stiffness of a rod. It is block-tridiagonal; in pairs of blocks if effects
-couple second neighbours; dense if they couple distant parts."""
+"""Tangent stiffness of a rod: block-tridiagonal; in pairs of blocks if effects couple
+second neighbours; dense if they couple distant parts."""
 
 
 Matrices = TypeVar("Matrices", BlockTridiagonal, PairedBlocks, Dense)
 
 
 def has_closed_form(effect: Effect) -> bool:
-    """Whether an effect has no loads, or their derivative as `turning_tangent`."""
+    """Whether an effect has no loads, or has their derivative as `turning_tangent`."""
     kind = type(effect)
     knows = kind.turning_tangent is not Effect.turning_tangent
     return knows or kind.loads is Effect.loads
 
 
 def with_turning_tangents(turning: Matrix, scene: LoadedRod, motion: Motion) -> Matrix:
-    """Adds the `turning_tangent` of all effects to a derivative by rotations [N m].
+    """Adds the `turning_tangent` of all effects to `turning` [N m].
 
-    It is the derivative of the residual couple on each element by its rotation.
+    Both are derivatives of the residual couple on each element with respect to its
+    rotation.
     """
     for effect in scene.effects:
         if type(effect).turning_tangent is not Effect.turning_tangent:
@@ -76,7 +77,8 @@ def with_differentiated(
         scene: The scene.
         motion: Configuration of the rod.
         pace: Velocities per displacement [1/s].
-        momentum: Derivative of the angular momenta by the rotations [kg m^2/s].
+        momentum: Derivative of the angular momenta with respect to the rotations
+            [kg m^2/s].
         free: Flags of the components: 1 if free, 0 if held by the scene.
     """
     others = tuple(effect for effect in scene.effects if not has_closed_form(effect))
@@ -164,7 +166,7 @@ def bands_by_colouring(
 ) -> tuple[Float[Array, "n m m"], ...]:
     """Bands of the matrix of a linear function with a short reach, by colouring.
 
-    Every third block is perturbed at once, or every fifth for two neighbours on either
+    Every third block is perturbed together, or every fifth for two neighbours on either
     side, so `(2 reach + 1) m` evaluations are enough.
 
     Args:
@@ -173,7 +175,7 @@ def bands_by_colouring(
         reach: Number of neighbours on either side on which a block depends.
 
     Returns:
-        Blocks of each row, from the farthest neighbour before to that after.
+        Blocks of each row, from the farthest neighbour before it to the farthest after.
     """
     n, m = like.shape
     colours = 2 * reach + 1

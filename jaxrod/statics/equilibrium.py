@@ -105,9 +105,9 @@ def equilibrium(
         The state at rest, and how well the loads balance there.
 
     Raises:
-        ValueError: If the law is not "consistent", if nothing holds the rod of a scene,
-            if a number is a schedule, or if an argument is out of range.
-        TypeError: If `scene` or `state` is of another type.
+        ValueError: If the method has PyElastica's law, if nothing holds the rod of a
+            scene, if a number is a schedule, or if an argument is out of range.
+        TypeError: If `scene` or `state` has the wrong type.
 
     Example:
         >>> found = jaxrod.equilibrium(scene, state)
@@ -124,7 +124,7 @@ def equilibrium(
 def search_limits(
     tolerance: ArrayLike | None, max_iterations: int, dtype: Any
 ) -> tuple[Array, Array]:
-    """Tolerance and largest number of iterations of a search, after checks.
+    """Validates and returns the tolerance and the largest number of iterations.
 
     A tolerance of `None` is replaced by the default of the dtype.
     """
@@ -178,7 +178,7 @@ def _at_rest(scene: LoadedRod, base: Motion) -> LoadBalance:
 class _RodPlace:
     """A configuration of a rod with its loads, stiffness and mass (a `Place`).
 
-    Steps are scaled: displacements over the rod's length, and rotations [rad].
+    Steps are scaled: displacements divided by the rod's length, and rotations [rad].
     """
 
     configuration: Motion
@@ -300,8 +300,8 @@ def _no_increment(motion: Motion) -> Increment:
     """Increment of zero, computed from the motion instead of plain zeros.
 
     Under `vmap` it is then batched like the motion. Plain zeros would be unbatched, and
-    JAX takes the derivatives of a compiled function with a derivative rule of its own
-    to be unbatched, too.
+    JAX would then treat the derivatives of a compiled function with a custom derivative
+    rule as unbatched, too.
     """
 
     def nothing(component: Array) -> Array:

@@ -98,8 +98,8 @@ def held_in_the_middle(
 def _modes_of_the_whole(rod: Rod, motion: Motion) -> Float[Array, "7 n+1 6"]:
     """Seven candidates: displacement along and rotation about each axis, and twist.
 
-    Rotations are about the middle node; displacements are over the rod's length. The
-    last candidate rotates all elements about their d3.
+    Rotations are about the middle node; displacements are divided by the rod's length.
+    The last candidate rotates all elements about their d3.
     """
     middle = _middle(rod)
     length = jnp.sum(rod.rest_lengths)

@@ -55,8 +55,8 @@ def newton(
 
     Args:
         balance: The balance of loads and inertia.
-        guess: First step from the base. It is taken in full, or left out if it needs a
-            correction more than twice as large as itself.
+        guess: Initial guess, a step from the base. It is taken in full, or discarded if
+            it needs a correction more than twice as large as itself.
         tolerance: The search ends at a correction of less than this many element
             lengths and radians; it is still added.
         max_iterations: Largest number of trials.

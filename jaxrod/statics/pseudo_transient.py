@@ -25,13 +25,14 @@ from jaxrod.structure import pytree
 LARGEST_TURN = 1.0
 """Largest rotation in one correction [rad]."""
 LARGEST_DISPLACEMENT = 1.0
-"""Largest displacement in one correction, over the length of the longest rod [1]."""
+"""Largest displacement in one correction, divided by the length of the longest rod
+[1]."""
 LEFT = 0.75
-"""Largest ratio of the correction that would follow to a correction that is accepted
-[1]."""
+"""A correction is accepted if the one that would follow it is at most this fraction of
+it [1]."""
 LITTLE = 0.1
-"""Ratio of the following correction to an accepted one below which inertia shrinks fast
-[1]."""
+"""Inertia shrinks fast if the correction that would follow is at most this fraction of
+the accepted one [1]."""
 STALLED = 10
 """Multiple of the tolerance below which a stalled search counts as converged [1]."""
 FASTEST, SLOWEST = 0.1, 0.75
@@ -41,7 +42,8 @@ FASTEST, SLOWEST = 0.1, 0.75
 class Place(Protocol):
     """A configuration, with its loads and their derivative there (a pytree).
 
-    Steps and loads are scaled: a step has displacements over a length, and rotations.
+    Steps and loads are scaled: a step has displacements divided by a length, and
+    rotations [rad].
     """
 
     @property

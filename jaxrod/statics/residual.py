@@ -2,9 +2,10 @@ r"""The balance of loads that an implicit method solves for, and its derivative.
 
 From a base configuration nodes are displaced by $d$ and elements rotated by rotation
 vectors $\theta$ in their material frames. At the pace $w$ (an inverse duration, zero in
-statics) they move with velocities $v = w d$ and angular momenta $P = R J\,w\theta$. All
-loads $f, c$, at the displaced configuration and at these rates, balance damping and the
-change from the base rates $v_b, P_b$:
+statics) nodes of mass $m$ have velocities $v = w d$. Elements with frames $R$ and
+rotary inertia $J$ have angular momenta $P = R J\,w\theta$. All loads $f, c$, at the
+displaced configuration and at these rates, balance damping with decay rates $g_t, g_r$
+and the change from the base rates $v_b, P_b$:
 
 $$m\,((w + g_t)\,v - w\,v_b) = f, \qquad (w + g_r)\,P - w\,P_b = c.$$
 """
@@ -73,8 +74,8 @@ class Increment:
     displacement: Vec3
     """Displacements, world frame, `n + 1` nodes [m]."""
     turn: Vec3
-    """Rotation vectors of the `n` elements, in their material frames at the start
-    [rad]."""
+    """Rotation vectors of the `n` elements, in their material frames at the base
+    configuration [rad]."""
 
 
 @pytree
@@ -82,9 +83,10 @@ class LoadBalance:
     r"""Residual of an implicit step or equilibrium, as a function of the increment.
 
     The increment moves nodes and rotates elements from the configuration `base`. The
-    residual of a node is $m\,((w + g_t)\,v - w\,v_b) - f$: inertia and damping, minus
-    all loads $f$, at the velocity $v$; $w$ is `pace`. That of an element has the same
-    form.
+    residual of a node of mass $m$ is $m\,((w + g_t)\,v - w\,v_b) - f$: inertia and
+    damping, minus all loads $f$, at the velocity $v$. Here $w$ is `pace`, $g_t$ the
+    decay rate of velocities, and $v_b$ the velocity in `base`. The residual of an
+    element has the same form.
     """
 
     scene: LoadedRod
@@ -139,7 +141,7 @@ class LoadBalance:
         return self.free * (stack_dofs(push, twist) - loads)
 
     def tangent(self, increment: Increment) -> Tangent:
-        """Derivative of the residual by a small step, as `retract` defines it.
+        """Derivative of the residual with respect to a small step (see `retract`).
 
         Rows and columns of held components are those of the identity.
         """
@@ -161,7 +163,10 @@ class LoadBalance:
         )
 
     def mass(self) -> Float[Array, "n+1 6 6"]:
-        """Blocks of masses and rotary inertias, world frame; zero where held."""
+        """Blocks of masses [kg] and rotary inertias [kg m^2], world frame.
+
+        Rows and columns of held components are zero.
+        """
         rod = self.scene.rod
         frame = directors(self.base.orientation)
         turning = stacked(turned_diagonal(frame, vectors.split(rod.principal_inertias)))
@@ -174,7 +179,7 @@ class LoadBalance:
     # Methods for kernels: each takes one argument.
 
     def about(self, increment: Increment) -> tuple[Array, Tangent, Array]:
-        """Residual, tangent and mass blocks at an increment, for one program."""
+        """Residual, tangent and mass blocks at an increment, for a single program."""
         return self.residual(increment), self.tangent(increment), self.mass()
 
     def ended(self, increment: Increment) -> tuple[Array, Motion]:
@@ -284,7 +289,10 @@ class LoadBalance:
         return self.pace + self.damping[0], self.pace + self.damping[1]
 
     def _momentum_tangent(self, increment: Increment, motion: Motion) -> Matrix:
-        """Derivative of angular momenta by rotations, world frame [kg m^2/s]."""
+        """Derivative of angular momenta with respect to rotations [kg m^2/s].
+
+        Both are in the world frame.
+        """
         frame = directors(motion.orientation)
         inertia = turned_diagonal(frame, vectors.scale(self.pace, self._inertia))
         turn = to_world(frame, increment.turn)
@@ -326,7 +334,7 @@ def _closed(gaps: Array, free: Array) -> Array:
 
 
 def displaced(motion: Motion, displacement: Vec3) -> Motion:
-    """Motion with nodes displaced [m]; with a remainder, by Kahan's compensated sum."""
+    """Motion with nodes displaced [m], by Kahan summation if it has a `remainder`."""
     if motion.remainder is None:
         return replace(motion, position=vectors.add(motion.position, displacement))
     step = vectors.subtract(displacement, motion.remainder)
@@ -337,7 +345,7 @@ def displaced(motion: Motion, displacement: Vec3) -> Motion:
 
 @jax.custom_jvp
 def implicit_solution(balance: LoadBalance, increment: Increment) -> Increment:
-    """Increment that solves the balance of loads, differentiable by its parameters.
+    """Increment that solves the balance of loads, differentiable in its parameters.
 
     The value is `increment` itself. Its derivative is that of the exact solution, by
     the implicit function theorem: one linear solve for any number of iterations.

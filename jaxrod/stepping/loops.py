@@ -1,10 +1,10 @@
 """Loops that apply a function many times, with a traced count or in reverse mode.
 
-On CPUs, batches of some systems run one system after the other. Contact with neighbour
-lists skips empty lists by branches. Under `jax.vmap` a branch on each system's own
-number is no branch any more: both sides are computed for all. One such system already
-fills a core and its cache, so a batch takes longer together than one by one, and much
-longer to compile.
+On CPUs, batches of some systems run one system after another. Contact with neighbour
+lists skips empty lists by branches. Under `jax.vmap`, a branch whose condition differs
+between systems becomes a selection: both sides are computed for all systems. A single
+system of this kind already fills a core and its cache, so a batch takes longer together
+than one by one, and much longer to compile.
 """
 
 from __future__ import annotations
@@ -46,8 +46,8 @@ def one_by_one(function: Callable[..., Any], *arguments: Any) -> Any:
     before it is batched, it is treated like any other function.
 
     Args:
-        function: A function of pytrees of arrays whose result is such a pytree. Arrays
-            in its closure are batched and differentiated as well.
+        function: A function of pytrees of arrays that returns a pytree of arrays.
+            Arrays in its closure are batched and differentiated as well.
         *arguments: Arguments of the function.
     """
     if unknown_rules() is not None:
@@ -128,8 +128,8 @@ def integrated(integrator: Any, state: Any, n_cycles: int | Array) -> Any:
 
     Args:
         integrator: A pytree with methods `begin`, `cycle` and `end`. If its attribute
-            `one_by_one` is true, it also has a method `renewed`, which is called before
-            each block of `every` cycles, and batches on a CPU run one by one.
+            `one_by_one` is true, batches on a CPU run one by one. It then also has a
+            method `renewed`, which is called before each block of `every` cycles.
         state: Initial state.
         n_cycles: Number of cycles; an `int` for reverse-mode differentiation.
     """

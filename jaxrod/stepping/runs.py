@@ -51,7 +51,7 @@ def check_step(scene: Model, dt: Array, state: Any = None) -> bool:
 
 
 def check_counter(n_steps: Array, name: str = "n_steps") -> None:
-    """Raises ValueError unless a number of steps, maybe traced, is one integer."""
+    """Raises a ValueError unless a number of steps, traced or not, is one integer."""
     if n_steps.shape != () or not jnp.issubdtype(n_steps.dtype, jnp.integer):
         raise ValueError(
             f"{name} must be one integer, got {n_steps.dtype}{list(n_steps.shape)}"
@@ -59,7 +59,11 @@ def check_counter(n_steps: Array, name: str = "n_steps") -> None:
 
 
 def check_first(scene: Model, first: int | Array, n_steps: int | Array) -> Array | None:
-    """Checks the number of a run's first step; `None` if the scene does not evolve."""
+    """Validates the number of a run's first step, and returns it as an int32 array.
+
+    Returns `None` for a scene without schedules and memory. `n_steps` is the number of
+    steps of the run.
+    """
     check_model(scene)
     if isinstance(first, jax.Array):
         check_counter(first, "first")
@@ -72,7 +76,7 @@ def check_first(scene: Model, first: int | Array, n_steps: int | Array) -> Array
 
 
 def check_records(n_steps: int, every: int) -> int:
-    """Checks the arguments; returns the number of records after the initial one."""
+    """Validates both counts; returns the number of records after the initial one."""
     n_steps = check_count("n_steps", n_steps, 0)
     every = check_count("every", every, 1)
     if n_steps % every:
@@ -93,7 +97,7 @@ def with_memory(scene: Model, state: State) -> State:
         state: A state of its rod.
 
     Raises:
-        TypeError: If `scene` or `state` is of another type.
+        TypeError: If `scene` or `state` has the wrong type.
 
     Example:
         >>> ready = jaxrod.with_memory(scene, state)
@@ -122,8 +126,8 @@ def step(
         The state after `dt`.
 
     Raises:
-        ValueError: If `dt` is not positive or the state is not of the scene's rod.
-        TypeError: If `scene` or `state` is of another type.
+        ValueError: If `dt` is not positive or the state does not match the scene's rod.
+        TypeError: If `scene` or `state` has the wrong type.
 
     Example:
         >>> after = jaxrod.step(scene, state, 1e-4)
@@ -168,15 +172,15 @@ def advance(
         dt: Step size [s].
         n_steps: Number of steps, from 0 to 2147483647; an array below 0 counts as 0.
         first: Number of steps between time zero and the start, if the scene depends on
-            time: with schedules, call after call, `first += n_steps`.
+            time. For consecutive calls, add `n_steps` to it after each.
 
     Returns:
         The final state.
 
     Raises:
-        ValueError: If `dt` is not positive, `n_steps` is not a count, or the state is
-            not of the scene's rod.
-        TypeError: If `scene` or `state` is of another type.
+        ValueError: If `dt` is not positive, `n_steps` is not a count, or the state does
+            not match the scene's rod.
+        TypeError: If `scene` or `state` has the wrong type.
 
     Warns:
         UnstableStepWarning: If `dt` is above the stability bound.
@@ -233,7 +237,7 @@ def rollout(
 
     Raises:
         ValueError: If an argument is out of range.
-        TypeError: If `scene` or `state` is of another type.
+        TypeError: If `scene` or `state` has the wrong type.
 
     Warns:
         UnstableStepWarning: If `dt` is above the stability bound.

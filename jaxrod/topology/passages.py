@@ -4,8 +4,8 @@ Nodes are assumed to move in straight lines between the moments. The vector from
 of one segment to a point of another is then a map of a cube, whose coordinates are the
 positions along both segments and time. Segments pass through each other where the
 vector is zero. The signed number of passages is the solid angle of the image of the
-cube's surface over that of a sphere. It is an integer for motions of any size. The sum
-over all pairs is the jump of the Gauss integral.
+cube's surface, divided by that of a sphere. It is an integer for motions of any size.
+The sum over all pairs is the jump of the Gauss integral.
 """
 
 from __future__ import annotations
@@ -122,7 +122,8 @@ def _moving(
 ) -> tuple[Array, Array]:
     """Nodes of one curve at the first and at the second moment [m].
 
-    Raises ValueError if their numbers differ; both names are for its message.
+    Raises a ValueError if their numbers differ; `name` and `name_after` are for its
+    message.
     """
     first, last = nodes_of(name, before), nodes_of(name_after, after)
     if first.shape != last.shape:
@@ -134,7 +135,7 @@ def _moving(
 
 
 def _winding(d: dict[tuple[int, int, int], Vec3]) -> Array:
-    """Solid angle of a cube's surface seen from the origin, over that of a sphere [1].
+    """Solid angle of a cube's surface seen from the origin, divided by 4 pi [1].
 
     The arguments are unit vectors to its corners, with indices 0 or 1 along each edge.
     Opposite faces are cut along the same diagonal, so that a point on a face belongs to

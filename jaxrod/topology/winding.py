@@ -67,8 +67,8 @@ def twist(
     Args:
         curve: A state, or nodes `(3, n + 1)` [m].
         normals: Normals `(3, n)` of the elements; by default d1 of the state. Only
-            their components across the elements count: a sheared rod's d1 leaves the
-            section.
+            their components perpendicular to the elements count, because d1 of a
+            sheared rod is not perpendicular.
         ends: "open" or "joined".
 
     Raises:
@@ -131,9 +131,9 @@ def writhe(
 
     Args:
         curve: A state, or nodes `(3, n + 1)` [m].
-        ends: "open"; "joined" for a closed curve, whether its last node is at the
-            first one's place or one element before it; "next_tangent", "end_to_end" or
-            "net_tangent" to lengthen an open one at both ends, as PyElastica does.
+        ends: "open"; "joined" for a closed curve, whether its last node repeats the
+            first or is one element before it; "next_tangent", "end_to_end" or
+            "net_tangent" to lengthen an open curve at both ends, as PyElastica does.
         extension: Length added at each end [m]; by default the length of the curve.
 
     Raises:
@@ -195,14 +195,14 @@ def link(
 ) -> Float[Array, ""]:
     """Link of a ribbon: linking number of its centreline and a line offset along d1.
 
-    It is an integer for closed ribbons. For other ends than "joined" it is the Gauss
+    It is an integer for closed ribbons. For ends other than "joined" it is the Gauss
     integral of the two open or lengthened lines, which is close to twist plus writhe
     for a long `extension`.
 
     Args:
         curve: A state, or nodes `(3, n + 1)` [m].
         normals: Normals `(3, n)` of the elements, of any length; by default d1 of the
-            state. Only their components across the elements count.
+            state. Only their components perpendicular to the elements count.
         offset: Distance of the second line [m]; by default a hundredth of the shortest
             element. PyElastica takes the radius.
         ends: Treatment of the ends, as in `writhe`.

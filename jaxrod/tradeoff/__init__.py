@@ -2,7 +2,7 @@
 
 `tune` finds the cheapest setting of a scene within an allowed error. `measure` gives
 the cost and the error of one setting. In a checkout, `jaxrod tradeoff` shows the
-trade-off for one of `SCENES`, beside that of PyElastica.
+trade-off for one of `SCENES`, next to that of PyElastica.
 """
 
 from jaxrod.tradeoff.measure import (

@@ -274,7 +274,7 @@ def measure(
         exact: Reference of the workload, from `reference`.
         batches: Batch sizes (numbers of rods) to time the setting with.
         seconds: Time spent on timing each batch [s]. The result is the median of five
-            repetitions, or a single run if it takes longer than that.
+            repetitions, or a single run if one run takes longer than this time.
 
     Raises:
         ValueError: If the setting does not fit the workload, as in `prepare`.
@@ -360,8 +360,8 @@ def _run(
 ) -> Float[Array, "periods *batch 3"]:
     """Positions of the tip after each control period [m]; if `batched`, of many rods.
 
-    Leaves of `state` then have a leading batch axis. `controls` are those of each
-    period, `substeps` is the number of time steps of length `dt` in a period.
+    Leaves of `state` then have a leading batch axis. `controls` has the controls of
+    each period, `substeps` is the number of time steps of length `dt` in a period.
     """
     act = workload.act(scene)
 

@@ -46,7 +46,7 @@ def resample(scene: Scene, state: RodState, n_elements: int) -> tuple[Scene, Rod
     Raises:
         ValueError: If `n_elements` is out of range, an argument is traced, or an effect
             has memory or belongs to certain elements (a tendon).
-        TypeError: If `scene` or `state` is of another type.
+        TypeError: If `scene` or `state` has the wrong type.
 
     Example:
         >>> finer, its_state = jaxrod.resample(scene, state, 40)

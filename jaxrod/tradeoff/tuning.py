@@ -111,8 +111,8 @@ def tune(
     minute or two and does not work inside jit.
 
     Args:
-        scene: The scene, of the consistent law; or a `Workload`, possibly with
-            controls.
+        scene: The scene, with the consistent law (any method but `pyelastica()`); or a
+            `Workload`, possibly with controls.
         state: Initial state of the scene; not used with a `Workload`.
         max_error: Largest allowed error [1]: root mean square over time of the tip's
             distance from the reference, divided by the rod's length.
@@ -127,9 +127,9 @@ def tune(
 
     Raises:
         ValueError: If `max_error`, `batch` or `seconds` is not positive, `elements` do
-            not increase, `state` is missing or does not fit, or the reference is not
-            converged well enough. Then the motion depends on details that no resolution
-            captures, or `max_error` must be larger.
+            not increase, `state` is missing or does not match the scene, or the
+            reference is not converged well enough. Then the motion depends on details
+            that no resolution captures, or `max_error` must be larger.
 
     Example:
         >>> few = dict(duration=0.05, elements=(4, 6), seconds=0.01)

@@ -91,8 +91,8 @@ def workload_of(
         name: Name of the workload.
 
     Raises:
-        ValueError: If `duration` is not positive, `scene` is not of the consistent law,
-            `state` is not of its rod or not finite, or a part leaves the plane of a
+        ValueError: If `duration` is not positive, `scene` has PyElastica's law, `state`
+            does not match its rod or is not finite, or a part leaves the plane of a
             planar scene.
         TypeError: If `scene` is not a scene or `state` not a state.
 
@@ -167,8 +167,9 @@ def rope() -> Workload:
 def slam() -> Workload:
     """Arm of `swing` released above a post, which it hits and bends over: 0.6 s.
 
-    The post is a cylinder of 15 cm radius across the plane of motion, below a point at
-    two thirds of the arm's length. Contact is soft, so that few elements resolve it.
+    The post is a cylinder of 15 cm radius, perpendicular to the plane of motion, below
+    a point at two thirds of the arm's length. Contact is soft, so that few elements
+    resolve it.
 
     Example:
         >>> ready = tradeoff.prepare(tradeoff.slam(), tradeoff.Setting(8))
@@ -268,8 +269,9 @@ def _released(
 ) -> Workload:
     """Makes a workload of `_arm` released from a horizontal position, clamped, damped.
 
-    Its control periods are 10 ms. `radius` is that of the rod [m], `damping_rate` is in
-    1/s, and `others` are functions that make further effects.
+    Its control periods are 10 ms. `radius` is the radius of the rod [m], `damping_rate`
+    the decay rate of velocities [1/s], and `others` are functions that make further
+    effects.
     """
 
     def build(n_elements: int, law: Law) -> tuple[Scene, RodState]:

@@ -36,7 +36,8 @@ LOGARITHMIC = (
     "tension",
     "youngs_modulus",
 )
-"""Unknowns that are found by their logarithms, to which standard deviations refer."""
+"""Unknowns that are found by their logarithms; their standard deviations are those of
+the logarithms."""
 
 UNKNOWNS = {
     "damping": "decay rate of velocities, of motions alone [1/s]",
@@ -124,7 +125,7 @@ class Frame:
     """Length of a recorded unit [m]."""
 
     def __post_init__(self) -> None:
-        """Checks the ranges of all fields."""
+        """Validates the ranges of all fields."""
         check_array("scale of the frame", self.scale, [()], "m", positive=True)
         if self.axes is not None:
             axes = np.asarray(
@@ -204,7 +205,7 @@ class Arm:
     frame: Frame = field(default_factory=Frame)
 
     def __post_init__(self) -> None:
-        """Checks the ranges of all fields, and names of unknowns and markers.
+        """Validates the ranges of all fields, and names of unknowns and markers.
 
         Raises:
             ValueError: If a number is out of range, or a name is not known.
@@ -391,8 +392,8 @@ class Arm:
     ) -> Effect:
         """Makes the effect of tendons that end at element `last`.
 
-        `numbers` are the indices of the tendons, `values` those of the unknowns, and
-        `tensions` is a function as in `scene`.
+        `numbers` are the indices of the tendons, `values` the values of the unknowns,
+        and `tensions` is a function as in `scene`.
         """
         drawn = [self.tendons[k] for k in numbers]
         distances = [self._along("distance of a tendon", t.distance) for t in drawn]
@@ -414,7 +415,8 @@ class Arm:
     def _weights(self, masses: Array, pull: Array) -> MarkerWeights:
         """Makes the couples of the markers' weights about the middles of elements.
 
-        `masses` are those of the markers [kg], `pull` is the gravity [m/s^2].
+        `masses` are the masses of the markers [kg], `pull` is the acceleration of
+        gravity [m/s^2].
         """
         offsets = np.array([marker.offset for marker in self.markers], float)
         ahead = (np.array(self._places[1]) - 0.5) * self.length / self.elements
@@ -440,10 +442,10 @@ class Arm:
         return np.eye(self.elements)[self._places[0]]
 
     def _along(self, name: str, given: Any) -> np.ndarray:
-        """Interpolates a quantity at the middles of the elements, and checks it.
+        """Validates a quantity, and returns its values at the middles of elements.
 
-        `given` is a positive number, or pairs of arc length [m] and number; `name` is
-        the quantity's name in error messages.
+        `given` is a positive number, or pairs of arc length [m] and number, between
+        which it interpolates linearly. `name` is the quantity's name in error messages.
         """
         table = np.asarray(given, float)
         if table.ndim == 0:
@@ -496,8 +498,8 @@ class MarkerWeights(Effect):
     def energy(self, rod: Rod, state: RodState) -> Array:
         """Potential energy of the couples [J].
 
-        It is that of the weights at the markers, minus that of the same weights at the
-        middles of elements.
+        It is the energy of the weights at the markers, minus the energy of the same
+        weights at the middles of elements.
         """
         x, y, z = (jnp.sum(self.placed * row[:, None], 0) for row in self.levers.T)
         frame = rotations.directors(rotations.split_quaternion(state.orientations))
@@ -587,7 +589,7 @@ def _taken(
     needed: tuple[str, ...],
     allowed: tuple[str, ...],
 ) -> dict[str, Any]:
-    """Entries of the TOML table `content`, checked against needed and allowed names.
+    """Validates the names in the TOML table `content`, and returns its entries.
 
     `where` is the name of the table in error messages.
     """

@@ -57,8 +57,8 @@ FITS = 6
 REGISTRATIONS = 4
 """Largest number of times that marker labels are found, each followed by a fit."""
 CERTAIN = 1.5
-"""Ratio of the distance with the second best labels to that with the best above which
-labels count as certain [1]."""
+"""Labels count as certain if the distance with the second best labels is at least this
+many times the distance with the best [1]."""
 FINEST = 1e-6
 """Smallest estimate of the noise, as a fraction of the arm's length [1]."""
 MOST_LENGTHS = 3.0
@@ -166,7 +166,8 @@ class Twin:
     def undetermined(self) -> tuple[str, ...]:
         """Combinations of unknowns that the drawing determines better than recordings.
 
-        Each is text with the largest components, in the drawing's standard deviations.
+        Each is described by its largest components, in standard deviations of the
+        drawing.
         """
         drawn = _drawn(self.arm, self.fit.parameters)
         ways = np.asarray(self.fit.directions) * drawn
@@ -186,7 +187,7 @@ class Twin:
     def registered(self, recording: Recording) -> Recording:
         """Converts a recording that was not fitted to the arm's marker order and frame.
 
-        The order is the one in which it is closest to the prediction of the twin.
+        The order chosen is the one closest to the twin's prediction.
         """
         return _registered(self.arm, self.values, [recording], self.registration)[0][0]
 
@@ -486,7 +487,7 @@ def _problem(arm: Arm, data: Sequence[tuple[_Layout, _Group]]) -> FitProblem:
 def _evaluated(
     arm: Arm, point: Any, prepared: tuple[_Layout, _Group]
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Predicted markers of a recording, and derivatives by each search variable [m].
+    """Predicted markers of a recording [m], and derivatives for each search variable.
 
     `point` has the search variables, `prepared` the recording as `_prepared` returns
     it.
@@ -511,9 +512,9 @@ def _markers(
 
 
 def _noise(found: Fit, drawn: np.ndarray, count: int, squares: float) -> float:
-    """Estimates the noise from the residuals, as a factor of that in the fit [1].
+    """Estimates the noise from the residuals, relative to the noise of the fit [1].
 
-    It is the root of `squares`, the sum of squares, divided by the degrees of freedom.
+    It is the square root of `squares`, the sum of squares, over the degrees of freedom.
     These are `count`, the number of coordinates, minus the number of unknowns that the
     recordings determine. `drawn` has the standard deviations of the unknowns in the
     drawing.
@@ -562,7 +563,7 @@ def _combination(names: Sequence[str], way: np.ndarray) -> str:
 
 
 def _robust(away: np.ndarray, limit: float | None) -> tuple[np.ndarray, float]:
-    """Returns roots of the robust weights of residuals, and their robust cost.
+    """Returns square roots of the robust weights of residuals, and their robust cost.
 
     `away` holds residuals in units of the noise. `limit` is c in the module's formula,
     or `None` for equal weights. The gradient of the cost is that of the weighted
@@ -672,8 +673,8 @@ def _prepared(arm: Arm, recording: Recording) -> tuple[_Layout, _Group]:
 def _made(arm: Arm, layout: _Layout, values: Mapping[str, Any], data: _Group) -> Array:
     """Predicts the markers of a recording `(frames, markers, 3)` [m].
 
-    `data` and `layout` are the recording as `_prepared` returns it, `values` those of
-    the unknowns.
+    `data` and `layout` are the recording as `_prepared` returns it, `values` are the
+    values of the unknowns.
     """
     rest, points = _pose(arm, values, data.inputs[0])
     if layout.records == 0:
@@ -692,7 +693,7 @@ def _made(arm: Arm, layout: _Layout, values: Mapping[str, Any], data: _Group) ->
 def _pose(arm: Arm, values: Mapping[str, Any], inputs: Array) -> tuple[Any, Array]:
     """Equilibrium under constant inputs, and its markers [m]; NaN if not found.
 
-    `values` are those of the unknowns.
+    `values` are the values of the unknowns.
     """
     pulls = arm.tensions(values, inputs)
     scene, state = arm.scene(values, lambda numbers: pulls[numbers])

@@ -14,8 +14,8 @@ from jaxrod.files import DamagedFileError, read_csv
 from jaxrod.twin.arm import Arm
 
 STILL = 2e-3
-"""Largest standard deviation over time of a marker's coordinate, after subtraction of
-its noise, of an arm that counts as at rest; divided by the arm's length [1]."""
+"""An arm counts as at rest if no coordinate of a marker has a larger standard deviation
+over time, after its noise is subtracted; divided by the arm's length [1]."""
 FEW = 30
 """Number of frames below which noise cannot be separated from movement."""
 DOUBT = 3.0
@@ -23,7 +23,8 @@ DOUBT = 3.0
 before a variance counts as movement [1]."""
 LOUDEST = 2e-2
 """Largest distance between the quartiles of a coordinate at rest, including noise,
-divided by the arm's length [1]. More is a movement faster than the frame rate."""
+divided by the arm's length [1]. A larger one is a movement faster than the frame
+rate."""
 
 
 @dataclass(frozen=True)
@@ -49,10 +50,10 @@ class Recording:
     not known."""
 
     def __post_init__(self) -> None:
-        """Checks shapes, times and inputs.
+        """Validates shapes, times and inputs.
 
         Raises:
-            ValueError: If shapes do not fit, times do not rise, or an input is not
+            ValueError: If shapes do not match, times do not rise, or an input is not
                 finite.
         """
         frames = len(self.times)
@@ -74,9 +75,10 @@ class Recording:
     def is_at_rest(self, length: float) -> bool:
         """Whether the markers do not move, apart from noise between frames.
 
-        The variance over time of every coordinate, less that of its noise, must be
-        small, and so must the distance of its quartiles. The noise variance is half the
-        mean squared difference of successive frames (if there are enough).
+        The variance over time of every coordinate, minus that of its noise, must be
+        small, and so must the distance between its quartiles. The noise variance is
+        half the mean squared difference of successive frames. With fewer than `FEW`
+        frames, no noise is subtracted.
 
         Args:
             length: Length of the arm [m].
@@ -110,9 +112,9 @@ def read_recording(path: str | Path, arm: Arm) -> Recording:
 
     Columns are `time` [s], one for each of `Arm.inputs`, and `NAME_x`, `NAME_y`,
     `NAME_z` for each marker, in recorded units (`Frame.scale`). If the names are those
-    of the arm's markers, they identify the markers. Otherwise there must be as many,
-    and `register` identifies them. Other columns are ignored. An empty cell, or `nan`,
-    is a marker that was not seen.
+    of the arm's markers, they identify the markers. Otherwise there must be as many
+    markers as the arm has, and `register` identifies them. Other columns are ignored.
+    An empty cell, or `nan`, is a marker that was not seen.
 
     Args:
         path: Path of the file.

@@ -33,8 +33,8 @@ CANDIDATES = 6
 """Number of best orders of each recording whose rotations and shifts are tried on all
 recordings."""
 ON_A_LINE = 1e-4
-"""Ratio of the second to the first singular value of the points' products (squared
-extents) below which the points count as on a line [1]."""
+"""Points count as on a line if the second singular value of their products (squared
+extents) is at most this fraction of the first [1]."""
 ROUNDS = 10
 """Largest number of alternations between finding orders and finding the frame."""
 
@@ -209,7 +209,7 @@ class _Known:
     ) -> list[tuple[np.ndarray, np.ndarray]]:
         """Rotations and shifts of the `CANDIDATES` orders that fit a recording best.
 
-        The orders are rows of `options`; `moments` are those of the recording.
+        The orders are rows of `options`; `moments` are the means of the recording.
         """
         if self.axes is None:
             products = moments.paired(options, self.origin)
@@ -288,7 +288,7 @@ def _improved(
     turn: np.ndarray,
     shift: np.ndarray,
 ) -> Registration:
-    """Improves orders and frame in turn, from a first rotation `turn` and `shift`.
+    """Improves orders and frame in turn, from an initial rotation `turn` and `shift`.
 
     It ends when the orders do not change. `options` are the orders to choose from, for
     each recording.

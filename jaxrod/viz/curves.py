@@ -195,7 +195,7 @@ def grid_curves(
 def read_curve(path: Path) -> Curve:
     """Reads a learning curve from progress.csv; rows without a return are skipped.
 
-    If no row has a return, the curve is that of the mean rewards.
+    If no row has a return, the curve shows the mean rewards.
 
     Raises:
         DamagedFileError: The file is not a table, or lacks the columns.
@@ -356,10 +356,10 @@ def _alt(runs: list[Curve], reference: ReferenceScore | None) -> str:
 
 
 def need_matplotlib() -> None:
-    """Checks that matplotlib is installed.
+    """Raises unless matplotlib is installed.
 
     Raises:
-        ModuleNotFoundError: It is not; the message has the command that installs it.
+        ModuleNotFoundError: It is not; the message gives the command that installs it.
     """
     try:
         # Imported only to check that it is installed.

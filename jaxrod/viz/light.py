@@ -330,7 +330,7 @@ def _lit(
 def _crevices(near: np.ndarray) -> np.ndarray:
     """Factor on the light of each pixel: below 1 where its surroundings are nearer.
 
-    So crevices are darker, by at most 40 %.
+    This darkens crevices, by at most 40 %.
 
     Args:
         near: Depth of each pixel, smaller in front; NaN where there is no surface.
@@ -359,7 +359,7 @@ def _blurred(values: np.ndarray, reach: int) -> np.ndarray:
 
 
 _AT_ONCE = 3_000_000
-"""Largest number of pairs of triangle and pixel that are tested at once."""
+"""Largest number of pairs of triangle and pixel that are tested as one batch."""
 
 
 def nearest(

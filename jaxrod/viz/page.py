@@ -92,8 +92,8 @@ def save_html(
     Args:
         replay: The replay to show.
         path: File to write; its folder must exist.
-        frames_per_second: As in `html` [Hz].
-        autoplay: As in `html`.
+        frames_per_second: Largest frame rate [Hz]; see `html`.
+        autoplay: Whether to start playing on opening; see `html`.
 
     Example:
         >>> replay = viz.Replay.from_rollout(state.positions[None], 0.02, times=[0.0])

@@ -24,7 +24,7 @@ class Recording:
     times: Float[np.ndarray, "num_frames"]
     """Time of each frame [s], increasing, shape (T,)."""
     rods: tuple[Rods, ...] = ()
-    """Groups of rods; those of a group have the same number of elements."""
+    """Groups of rods; all rods of a group have the same number of elements."""
     spheres: tuple[Sphere, ...] = ()
     """Spheres shown with the rods, with positions of shape (T, 3)."""
     cylinders: tuple[Cylinder, ...] = ()

@@ -96,8 +96,8 @@ class Replay(Recording):
                 joints.
             rod_names: Names of the rods in the legend; empty, or R names.
             name: Common name of the rods.
-            colour: Colour of all rods, as "#rrggbb"; empty for a different one for
-                each.
+            colour: Colour of all rods, as "#rrggbb"; if empty, each rod gets a
+                different colour.
             **more: Title and other things to show, as `of` takes them.
 
         Raises:
@@ -131,11 +131,11 @@ class Replay(Recording):
         up: Axis = "z",
         floor: float | None = None,
     ) -> Replay:
-        """Makes a replay of rods that are already checked, and of other shapes.
+        """Makes a replay from existing groups of rods, and of other shapes.
 
         Args:
             times: Time of each frame [s], increasing, shape (T,).
-            rods: Groups of rods; those of a group have the same number of elements.
+            rods: Groups of rods; all rods of a group have the same number of elements.
             spheres: Spheres to show, such as targets; positions (3,) or (T, 3).
             cylinders: Cylinders to show.
             meshes: Rigid bodies to show.
@@ -208,8 +208,8 @@ class Replay(Recording):
                 node.
             colours: Colour of some members as "#rrggbb", by name of the member.
             up: World axis that is drawn upwards.
-            floor: Height of the ground along this axis [m]; by default that of a level
-                plane that a rod may touch.
+            floor: Height of the ground along this axis [m]; by default the height of a
+                level plane that a rod may touch.
             meshes: Other bodies to show.
             arrows: Other arrows to show.
             **more: Title and other things to show, as `of` takes them.

@@ -1,4 +1,4 @@
-"""Groups of rods in a replay; the rods of a group have equally many elements."""
+"""Groups of rods in a replay; the rods of a group have the same number of elements."""
 
 from __future__ import annotations
 
@@ -68,7 +68,7 @@ def checked_rods(
     colour: str = "",
     fields: Mapping[str, Any] | None = None,
 ) -> Rods:
-    """Makes a group of rods from a user's arrays; raises a ValueError if invalid.
+    """Validates a user's arrays, and returns them as a group of rods.
 
     Arguments are those of `Replay.from_nodes`; `names` are its `rod_names`.
     """
@@ -122,7 +122,7 @@ def checked_radii(radii: Any, num_rods: int, num_elements: int) -> np.ndarray:
 
 
 def checked_field(label: str, values: Any, shape: tuple[int, int, int]) -> np.ndarray:
-    """Interpolates a field to the nodes, shape (T, R, n+1); a ValueError if invalid.
+    """Validates a field, and returns it interpolated to the nodes, (T, R, n+1).
 
     Args:
         label: Name of the field, for the error message.
@@ -157,7 +157,8 @@ def checked_field(label: str, values: Any, shape: tuple[int, int, int]) -> np.nd
 def at_nodes(of_elements: np.ndarray) -> np.ndarray:
     """Averages n element values to n+1 node values along the last axis.
 
-    An inner node gets the mean of its two elements, an end node the value of its one.
+    An inner node gets the mean of its two elements, an end node the value of its only
+    element.
     """
     padded = np.concatenate(
         [of_elements[..., :1], of_elements, of_elements[..., -1:]], -1

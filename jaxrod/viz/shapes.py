@@ -14,7 +14,7 @@ from jaxtyping import Float, Int
 from numpy.typing import ArrayLike
 
 MOST = 400
-"""Largest number of drawn arrows of one group; of more, the longest are drawn."""
+"""Largest number of arrows drawn in one group; if there are more, the longest are."""
 _SHORTEST = 0.02
 """Smallest length of a drawn arrow, relative to the longest [1]."""
 
@@ -150,10 +150,10 @@ def checked_cylinder(index: int, cylinder: Cylinder) -> Cylinder:
 
 
 def checked_arrows(index: int, arrows: Arrows, times: np.ndarray) -> Arrows:
-    """Copy of a group of arrows; raises a ValueError if invalid.
+    """Validates a group of arrows, and returns a copy of those to be drawn.
 
-    Arrows that are too short to be drawn in all frames are left out, and so are all but
-    the `MOST` longest. `index` is that of the group, for the error message.
+    Arrows that are too short to be drawn in any frame are left out, and so are all but
+    the `MOST` longest. `index` is the index of the group, for the error message.
     """
     name = f"arrows[{index}]"
     vectors = numbers(f"{name}.vectors", arrows.vectors, "-")
@@ -199,9 +199,12 @@ def checked_colour(colour: str) -> str:
 
 
 def numbers(name: str, values: ArrayLike, unit: str) -> np.ndarray:
-    """Copies values into a new float64 array; a ValueError if they are not numbers.
+    """Copies values into a new float64 array; raises if they are not numbers.
 
-    `name` and `unit` are those of the values in the error message.
+    `name` and `unit` describe the values in the error message.
+
+    Raises:
+        ValueError: The values are not numbers.
     """
     try:
         return np.array(values, dtype=np.float64)
@@ -216,8 +219,8 @@ def require_finite(
 ) -> None:
     """Raises a ValueError for NaN or infinity, with index and time of the first one.
 
-    `name` and `unit` are for the message. `times` are those of the first axis; `None`
-    if the values do not depend on time.
+    `name` and `unit` are for the message. `times` are the times along the first axis;
+    `None` if the values do not depend on time.
     """
     finite = np.isfinite(values)
     if finite.all():
@@ -232,7 +235,7 @@ def require_finite(
 def checked_times(times: ArrayLike, shape: tuple[int, ...]) -> np.ndarray:
     """Times of the frames as a new array of `shape` [s].
 
-    Raises a ValueError if their shape is another one or they do not increase.
+    Raises a ValueError if they have another shape or do not increase.
     """
     clock = numbers("times", times, "s")
     if clock.shape != shape:
@@ -382,9 +385,9 @@ def rotation(quaternion: np.ndarray) -> np.ndarray:
 def shaded(mesh: Mesh) -> tuple[np.ndarray, np.ndarray]:
     """Corners of every triangle, and normals there for smooth shading, (f, 3, 3) each.
 
-    A normal is the mean of those of the faces around the corner, weighted by their
-    angles at the corner. Only faces at less than 35 degrees to the triangle count, so
-    creases stay sharp.
+    A normal is the mean of the normals of the faces around the corner, weighted by
+    their angles at the corner. Only faces at less than 35 degrees to the triangle
+    count, so creases stay sharp.
     """
     corners = mesh.vertices[mesh.faces]
     along = np.roll(corners, -1, axis=1) - corners

@@ -8,9 +8,12 @@ $$\min_{\xi, w, v}\ |\xi|^2 + \sum_k |w_k|^2 + |v_k|^2 + \Big|\frac{y_k - h(x_k)
 \Big|^2, \quad x_0 = \bar x \oplus L \xi, \quad x_{k+1} = f(x_k, u_k + s\,w_k) \oplus
 R\,v_k,$$
 
-in units of their standard deviations, so that covariances may be singular. The first
-term is the arrival cost: the estimate $(\bar x, L L^T)$ from all measurements before
-the window. For a linear model the result is that of the Kalman filter.
+where $f$ simulates a period, $h$ is the measurement and $\oplus$ adds local
+coordinates. All unknowns are in units of their standard deviations: $s$ for the
+control, $R$ with $R R^T = Q$ for the state, and $r$ for the measurement. Covariances
+may therefore be singular. The first term is the arrival cost: the estimate
+$(\bar x, L L^T)$ from all measurements before the window. For a linear model the result
+is that of the Kalman filter.
 
 Source: C. V. Rao, J. B. Rawlings, D. Q. Mayne, Constrained state estimation for
 nonlinear discrete-time systems, IEEE Trans. Automatic Control 48, 2003.
@@ -54,7 +57,8 @@ class Horizon:
     estimate: Estimate
     """Estimate at the end of the window."""
     states: Any
-    """States at the beginning and after each period, stacked on the leading axis."""
+    """States at the beginning of the window and after each period, stacked on the
+    leading axis."""
     disturbances: Float[Array, "periods ..."] | None
     """Estimated disturbance of the control in each period, in the control's unit; it
     adds to the known control. `None` for a process without control."""
@@ -88,8 +92,8 @@ def moving_horizon(
         iterations: Largest number of iterations.
 
     Raises:
-        ValueError: If shapes do not fit.
-        TypeError: If `process` or `arrival` is of another type.
+        ValueError: If shapes do not match.
+        TypeError: If `process` or `arrival` has the wrong type.
 
     Example:
         >>> process = estimation.make_process(
@@ -150,8 +154,8 @@ def _solved(
     def motion(unknown: Any) -> tuple[Any, Any]:
         """Simulates the window with the unknowns xi, w and v of the module's formula.
 
-        Returns the states at the start and after each period, and the residuals
-        (y - h(x)) / r of the measurements, zero for missing values.
+        Returns the states at the beginning of the window and after each period, and the
+        residuals (y - h(x)) / r of the measurements, zero for missing values.
         """
 
         def one(state: Any, given: Any) -> tuple[Any, Any]:

@@ -8,7 +8,9 @@ $$P^- = A P A^T + B\,\mathrm{diag}(s^2) B^T + Q, \qquad S = C P^- C^T +
 
 $$x = x^- \oplus K (y - h(x^-)), \qquad P = (1 - K C) P^-.$$
 
-Both are computed by orthogonal transformations of the root $L$ of the covariance
+where $A$, $B$ and $C$ are the matrices of `linearise`, $s$, $Q$ and $r$ describe the
+noise of a `Process`, and $\oplus$ adds local coordinates. Prediction and correction are
+computed by orthogonal transformations of the square root $L$ of the covariance
 $P = L L^T$, which therefore stays positive semidefinite, also in float32.
 
 Source: G. J. Bierman, Factorization methods for discrete sequential estimation, 1977;
@@ -51,8 +53,8 @@ class Update:
     innovations: Float[Array, "..."]
     """Measured minus predicted values, in the measurement's shape; zero if missing."""
     whitened: Float[Array, " numbers"]
-    """Innovations multiplied by the inverse root of their covariance [1]: independent,
-    with variance one, if the model and its noise are right."""
+    """Innovations multiplied by the inverse square root of their covariance [1]:
+    independent, with variance one, if the model and its noise are right."""
     square: Float[Array, ""]
     """Sum of the squares of `whitened`; if the model and its noise are right, its
     expected value is `count`."""
@@ -69,8 +71,8 @@ def predict(process: Process, estimate: Estimate, control: Any = None) -> Estima
         control: Known control during the period; zeros by default.
 
     Raises:
-        ValueError: If the control or the estimate has another shape.
-        TypeError: If `process` or `estimate` is of another type.
+        ValueError: If the control or the estimate has the wrong shape.
+        TypeError: If `process` or `estimate` has the wrong type.
 
     Example:
         >>> process = estimation.make_process(
@@ -118,8 +120,8 @@ def update(process: Process, estimate: Estimate, observed: Any) -> Update:
         The corrected estimate, and the innovations.
 
     Raises:
-        ValueError: If the measurement or the estimate has another shape.
-        TypeError: If `process` or `estimate` is of another type.
+        ValueError: If the measurement or the estimate has the wrong shape.
+        TypeError: If `process` or `estimate` has the wrong type.
 
     Example:
         >>> process = estimation.make_process(
@@ -159,9 +161,9 @@ def lower_root(*blocks: Array) -> Array:
 
 @jax.jit
 def _spread(process: Process, root: Array, by_state: Array, by_control: Array) -> Array:
-    """Root of the covariance after a period, A P A^T + B diag(s^2) B^T + Q.
+    """Square root of the covariance after a period, A P A^T + B diag(s^2) B^T + Q.
 
-    `root` is that of P, `by_state` is A and `by_control` is B.
+    `root` is the square root of P, `by_state` is A and `by_control` is B.
     """
     blocks = [by_state @ root]
     if process.control_noise is not None:

@@ -7,8 +7,8 @@ $$x_{k+1} = f(x_k, u_k + w_k) \oplus v_k, \qquad y_k = h(x_k) + e_k,$$
 
 $w \sim N(0, \mathrm{diag}(s^2))$, $v \sim N(0, Q)$, $e \sim N(0, \mathrm{diag}(r^2))$,
 with $v$ in local coordinates. An estimate is a state and a covariance $P$ of local
-coordinates about it. It stores the root $L$ of $P = L L^T$, so that rounding cannot
-make $P$ indefinite.
+coordinates about it. It stores the square root $L$ of $P = L L^T$, so that rounding
+cannot make $P$ indefinite.
 """
 
 from __future__ import annotations
@@ -64,10 +64,11 @@ class Process:
     noise: Float[Array, "..."]
     """Standard deviations of the measurement noise, in the measurement's shape."""
     state_root: Float[Array, "size size"] | None
-    """Root L of the covariance Q = L L^T that each period adds to the state in local
-    coordinates; `None` for no state disturbance."""
+    """Square root L of the covariance Q = L L^T that each period adds to the state in
+    local coordinates; `None` for no state disturbance."""
     control_noise: Float[Array, "..."] | None
-    """Standard deviations of the control's disturbance, in the control's shape."""
+    """Standard deviations of the control's disturbance, in the control's shape; `None`
+    for a process without control."""
     n_steps: int = static()
     """Number of time steps in a period."""
     measure: Measure = static()
@@ -82,9 +83,9 @@ class Process:
         return self.model.at(jnp.asarray(steps) * self.dt)
 
     def control(self, control: Any) -> Array | None:
-        """Checks a control and converts it to an array.
+        """Validates a control and returns it as an array.
 
-        `None` gives zeros, or `None` for a process without control.
+        For `None` it returns zeros, or `None` for a process without control.
 
         Raises:
             ValueError: If its shape is wrong, or the process takes no control.
@@ -116,7 +117,7 @@ class Estimate:
     state: Any
     """The estimated state."""
     root: Float[Array, "size size"]
-    """Root L of the covariance L L^T."""
+    """Square root L of the covariance L L^T."""
     steps: Int[Array, ""]
     """Number of time steps since time zero."""
 
@@ -127,7 +128,7 @@ class Estimate:
 
     @property
     def deviations(self) -> Float[Array, " size"]:
-        """Standard deviation of each local coordinate: roots of the variances."""
+        """Standard deviation of each local coordinate."""
         return jnp.sqrt(jnp.sum(self.root**2, axis=-1))
 
 
@@ -144,7 +145,7 @@ def make_process(
     with_control: WithControl | None = None,
     control_noise: Any = None,
 ) -> Process:
-    """Makes a process from checked arguments.
+    """Makes a process, with validated arguments.
 
     To estimate an unknown force, treat it as a control whose known value is zero:
     `with_control` applies it to the model, `control_noise` is its standard deviation.
@@ -166,8 +167,8 @@ def make_process(
             `with_control`.
 
     Raises:
-        ValueError: If an argument is out of range or shapes do not fit.
-        TypeError: If the model or the state is of another type.
+        ValueError: If an argument is out of range or shapes do not match.
+        TypeError: If the model or the state has the wrong type.
 
     Example:
         >>> process = estimation.make_process(
@@ -221,7 +222,7 @@ def first_estimate(
         steps: Number of steps since time zero.
 
     Raises:
-        ValueError: If the covariance has another shape, or is not symmetric and
+        ValueError: If the covariance has the wrong shape, or is not symmetric and
             positive semidefinite.
         TypeError: If `process` is not a `Process`.
 
@@ -246,7 +247,7 @@ def first_estimate(
 def root_of(
     name: str, covariance: Any, coordinates: LocalCoordinates
 ) -> Float[Array, "size size"]:
-    """Root L of a covariance P = L L^T of local coordinates.
+    """Square root L of a covariance P = L L^T of local coordinates.
 
     `covariance` holds variances `(size,)` or is a matrix `(size, size)`; `name` is its
     name in error messages.

@@ -55,8 +55,9 @@ def fit(
     """Finds the parameters that fit observations best, and their uncertainty.
 
     Pure: under `jax.jit` it is one program for all numbers, and `jax.vmap` makes many
-    fits at once, of many recordings or of many draws of the noise. A point whose
-    simulation blows up is rejected; the simulation at the start must not blow up.
+    fits together, of many recordings or of many draws of the noise. A point whose
+    simulation blows up is rejected; the simulation at the initial guess must not blow
+    up.
 
     Args:
         simulate: Takes parameters by name and returns observations. With
@@ -68,23 +69,26 @@ def fit(
             they are stacked on the leading axis by window, or by trajectory and window
             for joined windows. Each observation must belong to one window only, or it
             counts twice.
-        start: First values: numbers or arrays by name.
+        start: Initial guess of the parameters: numbers or arrays by name.
         multiple_shooting: Windows whose initial states are unknown too.
         noise: Standard deviation of the noise, a number or a tree prefix of `observed`
-            (one for each kind). If `None`, it is estimated from the residuals.
+            (one number per kind of observation). If `None`, it is estimated from the
+            residuals.
         logarithmic: Positive parameters that are found by their logarithm: all
             (`True`), none (`False`), or names.
         scales: Scales of changes of parameters that are not found by their logarithm.
             A parameter with a larger standard deviation counts as not determined. By
-            default the absolute values of the start, and 1 where that is 0.
-        lower: Lower bounds, of all or some parameters. Parameters found by their
-            logarithm are bounded by a thousandth of the start by default.
-        upper: Upper bounds; by default a thousand times the start for parameters found
-            by their logarithm. An explicit time step must be stable up to these bounds.
-        iterations: Largest number of points tried after the first.
-        initial_damping: Damping of the first step, as a fraction of the diagonal [1];
-            by default 1e-3, and 1e-2 for joined windows. More damping makes shorter
-            first steps.
+            default the absolute values of `start`, and 1 where that is 0.
+        lower: Lower bounds of some or all parameters, by name. The default is a
+            thousandth of `start` for parameters found by their logarithm, and none for
+            others.
+        upper: Upper bounds, given the same way; by default a thousand times `start` for
+            parameters found by their logarithm. An explicit time step must be stable up
+            to these bounds.
+        iterations: Largest number of points tried after the initial guess.
+        initial_damping: Damping of the first step, relative to the diagonal of J^T J,
+            where J is the Jacobian of the residuals [1]; by default 1e-3, and 1e-2 for
+            joined windows. More damping makes the first steps shorter.
         tolerance: Relative change of the sum of squares at which the search ends, as in
             `least_squares`.
         mode: `"forward"` or `"reverse"`, as in `least_squares`. Windows are always
@@ -98,7 +102,7 @@ def fit(
         one standard deviation.
 
     Raises:
-        ValueError: Names, shapes or numbers of windows do not fit, a number is out of
+        ValueError: Names, shapes or numbers of windows do not match, a number is out of
             range, nothing was observed, or several kinds are observed and `noise` is
             not given.
 
@@ -247,7 +251,7 @@ def make_fit_problem(
     upper: Mapping[str, Any] | None,
     scales: Mapping[str, Any] | None = None,
 ) -> FitProblem:
-    """Checks the arguments of `fit` of the same names, and makes a `FitProblem`.
+    """Validates arguments of `fit` and returns them as a `FitProblem`.
 
     Raises:
         ValueError: An argument is invalid, as in `fit`.
@@ -351,10 +355,10 @@ def _spreads(flat: Array, seen: Any, noise: Any) -> Any:
 
 
 def _checked(simulate: Simulate, parameters: Parameters, observed: Any) -> Any:
-    """Checks that `observed` has the structure and shapes that `simulate` returns.
+    """Validates observations, and returns masks that are True where they are finite.
 
-    Returns masks of the observations, True where they are finite. `simulate` is traced
-    at the start of `parameters`.
+    `observed` must have the structure and shapes that `simulate` returns at the initial
+    guess of `parameters`, where it is traced.
     """
     made = jax.eval_shape(simulate, parameters.start)
     wanted: Any = jax.tree.structure(made)

@@ -8,7 +8,8 @@ $$\min_z \sum_k \Big(\frac{m_k(z) - \hat m_k}{\epsilon}\Big)^2 + |z|^2,$$
 with the largest accepted error $\epsilon$. The unknowns $z$ are changes of the rest
 curvatures in units of a curvature, or scaled logarithms of stiffness factors. Among the
 many designs with the same markers, the second term selects the one nearest to the given
-rod. Derivatives are those of `equilibrium`: one linear solve per marker coordinate.
+rod. Derivatives are those of `equilibrium`: one linear solve per marker coordinate, or
+per unknown if there are fewer unknowns.
 """
 
 from __future__ import annotations
@@ -82,21 +83,21 @@ def match_shape(
 
     Args:
         scene: The scene; the rod must be supported.
-        state: First state of the search for equilibria, as in `equilibrium`.
+        state: Initial guess for the equilibria, as for `equilibrium`.
         markers: Target positions of the nodes `(3, markers)` [m].
         nodes: Indices of the nodes that have targets, in increasing order.
         free: Quantities to find: `"rest_curvature"`, `"stiffness"` or both.
         max_error: Largest accepted distance of a marker from its target [m].
         curvature: Change of a rest curvature that costs as much as a marker error of
-            `max_error` [1/m]; by default 30 radians over the length of the rod.
+            `max_error` [1/m]; by default 30 radians divided by the rod's length.
         stiffness: Logarithm of a stiffness factor that costs as much as a marker error
             of `max_error` [1].
         twist: Whether the rest twist is also sought with `"rest_curvature"`.
         iterations: Largest number of iterations.
 
     Raises:
-        ValueError: An argument is out of range or does not fit, or `equilibrium` raises
-            it.
+        ValueError: An argument is out of range or has the wrong shape, or `equilibrium`
+            raises it.
         TypeError: `scene` or `state` has the wrong type.
 
     Example:

@@ -12,7 +12,7 @@ $$\delta x_{w+1} = \frac{\partial e_w}{\partial x} \delta x_w
 = A_{w+1} \begin{pmatrix} \delta p \\ \delta s \end{pmatrix} + c_{w+1},$$
 
 which is propagated in forward mode, with a column for each unknown and one for the
-gaps. The cost is that of one run with as many tangents, for states of any size.
+gaps. The cost is that of one run with that many tangents, for states of any size.
 
 A step minimises $\sum_w \| r_w + J_w (\delta p, \delta s) + J_w^x c_w \|^2$ and updates
 all initial states to first order. The own unknowns $s$ of a trajectory are eliminated
@@ -67,8 +67,8 @@ from jaxrod.control.least_squares import (
 from jaxrod.structure import pytree
 
 LEAST_DAMPING = 1e-6
-"""Smallest damping, as a fraction of the diagonal [1]. Less gains nothing, and raising
-it again costs rejected steps."""
+"""Smallest damping, relative to the diagonal of J^T J [1]. Less gains nothing, and
+raising it again costs rejected steps."""
 
 
 @pytree
@@ -99,7 +99,8 @@ class Slopes:
     jump: Array
     """Change of a window's residuals if only the gap at its start closes."""
     ways: Array
-    """Derivatives of each window's initial state by the shared and the own unknowns."""
+    """Derivatives of each window's initial state with respect to the shared unknowns,
+    followed by the own unknowns."""
     shift: Array
     """Change of each window's initial state if all gaps up to it close."""
 
@@ -122,12 +123,12 @@ class ShootingResult:
     residuals: Float[Array, " residuals"]
     """Residuals at the solution with gaps closed to first order, flattened by leaf."""
     jacobian: Float[Array, "residuals shared"]
-    """Jacobian of the residuals by the shared unknowns, projected orthogonally to the
-    columns of the own unknowns."""
+    """Jacobian of the residuals with respect to the shared unknowns, projected
+    orthogonally to the columns of the own unknowns."""
     gap: Float[Array, ""]
     """Norm of the change of all residuals when the gaps between windows close."""
     iterations: Int[Array, ""]
-    """Number of points tried after the first."""
+    """Number of points tried after the initial guess."""
 
 
 def windowed_least_squares(
@@ -155,17 +156,18 @@ def windowed_least_squares(
             end.
         initial_state: Takes shared unknowns, a trajectory's own unknowns and the known
             data of its first window; returns the initial state of that window.
-        start: First values of the shared unknowns.
-        own: First values of the own unknowns, floats stacked by trajectory on the
+        start: Initial guess of the shared unknowns.
+        own: Initial guess of the own unknowns, floats stacked by trajectory on the
             leading axis.
-        states: First values of the initial states of windows, floats stacked by
+        states: Initial guess of the initial states of windows, floats stacked by
             trajectory and window on the leading axes; those of first windows are
             ignored.
         known: Known data of each window, stacked the same way.
         lower: Lower bounds of the shared unknowns.
         upper: Upper bounds of the shared unknowns.
-        initial_damping: Damping of the first step, as a fraction of the diagonal [1].
-        iterations: Largest number of points tried after the first.
+        initial_damping: Damping of the first step, relative to the diagonal of J^T J,
+            where J is the Jacobian [1].
+        iterations: Largest number of points tried after the initial guess.
         tolerance: Relative change of the cost at which the search ends; by default
             machine epsilon to the power of 3/4.
 
@@ -275,8 +277,8 @@ def _stepped(
 ) -> Point:
     """Point after a fraction `share` of the damped step and of closing the gaps.
 
-    `mu` is the damping, as a fraction of the diagonal; `low` and `high` are the bounds
-    of the shared unknowns.
+    `mu` is the damping, relative to the diagonal of J^T J; `low` and `high` are the
+    bounds of the shared unknowns.
     """
     step, own_steps = schur_step(
         _rows(slopes.jacobian), _rows(slopes.closed), mu, point.shared, low, high
@@ -370,9 +372,10 @@ def _followed(
 def eliminate(slopes: Array, mu: Any, shares: int) -> tuple[Array, Array, Array]:
     """Eliminates the own unknowns of one trajectory from its Jacobian by projection.
 
-    `slopes` has the columns P of the `shares` shared unknowns, then S of the own ones.
-    Below S the damping adds the rows sqrt(mu D), and Q R is the decomposition of both.
-    With Q_S the rows of Q beside S, it returns P - Q_S Q_S^T P, Q and R.
+    `slopes` holds the columns P of the `shares` shared unknowns, followed by the
+    columns S of the own unknowns. Q R is the QR decomposition of S stacked on
+    sqrt(mu D), where D is the diagonal of S^T S. Returns P - Q_S Q_S^T P, Q and R,
+    where Q_S are the rows of Q that belong to S.
     """
     shared_columns, own_columns = slopes[:, :shares], slopes[:, shares:]
     squares = jnp.sum(own_columns**2, axis=0)
@@ -393,7 +396,7 @@ def schur_step(
     Args:
         jacobian: Jacobians of the trajectories `(trajectory, residuals, shared + own)`.
         residuals: Residuals of all trajectories, `(trajectory, residuals)`.
-        mu: Damping, as a fraction of the diagonal [1].
+        mu: Damping, relative to the diagonal of J^T J [1].
         point: Shared unknowns.
         low: Lower bounds of the shared unknowns.
         high: Upper bounds of the shared unknowns.

@@ -15,16 +15,16 @@ from jaxrod.structure import pytree, static
 from jaxrod.validation import as_array, is_traced
 
 FARTHEST = 1e3
-"""Factor between a parameter's start and its default bounds, if it is found by its
-logarithm: bounds are start / FARTHEST and start * FARTHEST [1]."""
+"""Factor between a parameter's initial value and its default bounds, if it is found by
+its logarithm: bounds are start / FARTHEST and start * FARTHEST [1]."""
 
 
 @pytree
 class Parameters:
-    r"""Names, start values and scales of parameters to be found by a search.
+    r"""Names, initial values and scales of parameters to be found by a search.
 
-    Search variables are logarithms relative to the start, $z = \log(p / p_0)$, or
-    scaled deviations from the start, $z = (p - p_0) / s$.
+    Search variables are logarithms relative to the initial value,
+    $z = \log(p / p_0)$, or scaled deviations from it, $z = (p - p_0) / s$.
 
     Example:
         >>> sought = control.make_parameters({"modulus": 1e6, "angles": jnp.ones(2)})
@@ -90,7 +90,7 @@ class Parameters:
         return self.named(jnp.where(log, first * factor, first + scale * point))
 
     def slopes(self, point: Float[Array, " p"]) -> Float[Array, " p"]:
-        """Derivative dp/dz of each parameter by its search variable: p or s."""
+        """Derivative dp/dz of each parameter, for its search variable z: p or s."""
         first, scale, log = self._forms
         return jnp.where(log, first * jnp.exp(jnp.where(log, point, 0)), scale)
 
@@ -98,8 +98,9 @@ class Parameters:
         """Converts bounds of parameters to search variables, with defaults.
 
         Parameters found by their logarithm have the default bounds start / FARTHEST and
-        start * FARTHEST, which keep them away from zero, where derivatives by the
-        logarithm vanish. Others have none. `sign` is -1 for lower, 1 for upper bounds.
+        start * FARTHEST, which keep them away from zero, where derivatives with respect
+        to the logarithm vanish. Others have none. `sign` is -1 for lower, 1 for upper
+        bounds.
         """
         far = dict(given or {})
         for name, shape in self.shapes:
@@ -114,7 +115,7 @@ def make_parameters(
     logarithmic: bool | Iterable[str] = True,
     scales: Mapping[str, Any] | None = None,
 ) -> Parameters:
-    """Makes named parameters from checked arguments.
+    """Makes named parameters, with validated arguments.
 
     Args:
         start: Values at which a search begins; numbers or arrays by name.

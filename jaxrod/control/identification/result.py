@@ -1,15 +1,15 @@
 r"""A fit: parameters found from data, their uncertainty, and undetermined directions.
 
-With residuals $r$ in units of their noise and their Jacobian $J$ by the search
-variables ($\log(p / p_0)$, or $(p - p_0) / s$ with scales $s$),
+With residuals $r$ in units of their noise and their Jacobian $J$ with respect to the
+search variables ($\log(p / p_0)$, or $(p - p_0) / s$ with scales $s$),
 
-$$\mathrm{cov} = \sigma^2 (J^T J)^{-1} = \sigma^2 V \mathrm{diag}(s^{-2}) V^T,
-\qquad J = U\, \mathrm{diag}(s)\, V^T,$$
+$$\mathrm{cov} = \sigma^2 (J^T J)^{-1} = \sigma^2 V \mathrm{diag}(d^{-2}) V^T,
+\qquad J = U\, \mathrm{diag}(d)\, V^T,$$
 
 which is the Cramér-Rao bound if the noise is Gaussian. $\sigma$ is one if the noise is
 given; otherwise it is estimated from the residuals. The data do not determine a
-direction $v_k$ if $\sigma / s_k$ exceeds one (100 % of a value), or if $s_k$ is
-round-off compared with the largest.
+direction $v_k$, a column of $V$, if $\sigma / d_k$ exceeds one (100 % of a value), or
+if $d_k$ is round-off compared with the largest singular value.
 
 Source: G. A. F. Seber, C. J. Wild, Nonlinear Regression, 1989, sections 2.1 and 3.4.
 """
@@ -76,12 +76,12 @@ class Fit:
     """
 
     parameters: Parameters
-    """Names, start values and scales of the parameters."""
+    """Names, initial values and scales of the parameters."""
     values: dict[str, Any]
     """Parameters at the minimum of the sum of squares."""
     standard_deviations: dict[str, Any]
-    """Standard deviations of the parameters, in their units; infinite where they are
-    lost in round-off."""
+    """Standard deviations of the parameters, in their units; infinite if round-off
+    hides them."""
     covariance: Float[Array, "p p"]
     """Covariance of the search variables, log(p / p_0) or (p - p_0) / scale."""
     singular_values: Float[Array, " p"]
@@ -103,7 +103,7 @@ class Fit:
     """Whether `remaining` is less than 0.1 and, with joined windows, their gaps are
     closed."""
     iterations: Int[Array, ""]
-    """Number of points tried after the start."""
+    """Number of points tried after the initial guess."""
     at_bound: Bool[Array, " p"]
     """Whether each parameter is at a bound, where its standard deviation is not
     reliable."""
@@ -173,7 +173,7 @@ class Fit:
         """Predicts the result of another simulation, with its standard deviation.
 
         Args:
-            simulate: Takes parameters and returns any pytree, for example of a longer
+            simulate: Takes parameters and returns any pytree, for example for a longer
                 time or under other loads.
         """
         if self.covariance.ndim > 2:

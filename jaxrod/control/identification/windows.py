@@ -39,8 +39,8 @@ class MultipleShooting:
     its initial state has unknowns. If an initial state has many unknowns, each observed
     only a few times, a search may end in a local minimum near the best one, where
     initial states compensate for wrong parameters. Neither the misfit nor the standard
-    deviations show this (docs/identification.md has such a rod). Use the result as a
-    start for joined windows, or test the fit on simulated recordings.
+    deviations show this (docs/identification.md has an example). Use the result as the
+    initial guess for joined windows, or test the fit on simulated recordings.
 
     Joined windows (with `states`) follow each other along trajectories, and only the
     first state of each trajectory has unknowns,
@@ -48,11 +48,12 @@ class MultipleShooting:
     $$x_1 = b(p, s), \qquad x_{w+1} = e_w(p, x_w).$$
 
     The minimum, and its standard deviations, are those of one long run of each
-    trajectory. During the search windows may leave gaps, so that they follow the data
-    across bifurcations, where a single long run would lose them. They need first
-    parameters within a few tens of per cent of the true ones, and initial states close
-    to the observed ones. One evaluation costs about one run of all windows, one after
-    another, with a tangent for each parameter and for each unknown of a first state.
+    trajectory. During the search there may be gaps between windows, so that they follow
+    the data across bifurcations, where a single long run would lose them. Joined
+    windows need initial parameters within a few tens of per cent of the true ones, and
+    initial states close to the observed ones. One evaluation costs about one run of all
+    windows, one after another, with a tangent for each parameter and for each unknown
+    of a first state.
 
     Example:
         >>> places = jnp.zeros((4, 3))  # first guesses for four windows [m]
@@ -62,11 +63,11 @@ class MultipleShooting:
     """
 
     unknowns: Any
-    """First values of the unknowns of initial states: a pytree of floats, stacked on
+    """Initial guess of the unknowns of initial states: a pytree of floats, stacked on
     the leading axis by window, or by trajectory for joined windows;
     `jnp.zeros((trajectories, 0))` if there are none."""
     states: Any = None
-    """First values of the initial states of joined windows: a pytree of finite floats,
+    """Initial guess of the initial states of joined windows: a pytree of finite floats,
     stacked by trajectory and window on the leading axes. Those of first windows are
     ignored."""
     known: Any = ()
@@ -83,9 +84,10 @@ class MultipleShooting:
         return self.states is not None
 
     def state(self, parameters: dict[str, Any], unknowns: Any, known: Any) -> Any:
-        """Returns the initial state of a window, by `initial_state` if it is given.
+        """Returns the initial state of a window, computed by `initial_state`.
 
-        Without it the state is `unknowns`. Arguments are those of `initial_state`.
+        Without `initial_state` it returns `unknowns`. Arguments are those of
+        `initial_state`.
         """
         if self.initial_state is None:
             return unknowns
@@ -94,7 +96,7 @@ class MultipleShooting:
     def simulation(
         self, run: Callable[[dict[str, Any], Any, Any], Any]
     ) -> Callable[[dict[str, Any]], Any]:
-        """Makes a simulation of all windows, from the first values of initial states.
+        """Makes a simulation of all windows, from the guesses of initial states.
 
         Args:
             run: Takes parameters, initial state and known data of a window; returns its
@@ -112,14 +114,15 @@ class MultipleShooting:
         )
 
     def check(self, run: Any, observed: Any, start: Mapping[str, Any]) -> None:
-        """Checks that all arrays are stacked equally, and that first values are floats.
+        """Raises unless arrays are stacked alike and initial guesses are finite floats.
 
-        Arguments are as in `fit`: the simulation of a window, observations, and first
-        values of the parameters.
+        Arguments are as in `fit`: the simulation of a window, observations, and the
+        initial guess of the parameters.
 
         Raises:
-            ValueError: Numbers of trajectories or windows differ; first values are not
-                finite floats; or `run` ends in another kind of state than it began in.
+            ValueError: Numbers of trajectories or windows differ; initial guesses are
+                not finite floats; or the end state of `run` has a different structure
+                or shape than its initial state.
         """
         count = count_windows("unknowns", self.unknowns)
         check_finite_floats("unknowns", self.unknowns)
@@ -215,7 +218,7 @@ def count_windows(name: str, stacked: Any) -> int:
 
 
 def check_finite_floats(name: str, tree: Any) -> None:
-    """Checks that all leaves of `tree` are finite floats.
+    """Raises a `ValueError` unless all leaves of `tree` are finite floats.
 
     `name` is the name of the tree in the error message.
 

@@ -38,7 +38,7 @@ def adam(
 ) -> Solution:
     """Finds controls, linear in time between knots, by following the cost's gradient.
 
-    Meant for problems with many residuals, or whose cost is not a smooth valley.
+    Meant for problems with many residuals, or with a cost that is not a smooth valley.
     `levenberg_marquardt` needs far fewer iterations if there are few residuals.
     Knots are scaled by the half widths of their bounds, and projected onto the bounds.
     Ctrl-C stops the search and returns the best point so far. Needs optax.
@@ -48,11 +48,11 @@ def adam(
         n_knots: Number of knots, equally spaced in time.
         iterations: Largest number of gradient evaluations.
         learning_rate: Step size of Adam; it decays along a cosine to a tenth [1].
-        max_gradient_norm: Largest norm of the gradient by the scaled knots; longer
-            gradients are scaled down to it.
+        max_gradient_norm: Largest norm of the gradient with respect to the scaled
+            knots; longer gradients are scaled down to it.
         optimiser: An `optax.GradientTransformation` to use instead of clipped Adam.
         enough: Cost at or below which the search ends.
-        initial_knots: First knots `(n_knots, n_controls)`; small random ones by
+        initial_knots: Initial knots `(n_knots, n_controls)`; small random ones by
             default.
         seed: Seed of the small random knots.
         log: Function called with the iteration and the cost after each evaluation.
@@ -61,7 +61,7 @@ def adam(
         The best controls found, with their motion.
 
     Raises:
-        ValueError: An argument is out of range or does not fit.
+        ValueError: An argument is out of range or has the wrong shape.
         TypeError: `problem` is not a `Problem`.
 
     Example:
@@ -153,7 +153,7 @@ def adam(
 
 
 def _valued(problem: Problem, scaled: Array) -> tuple[Array, Array]:
-    """Returns the cost and its gradient by `scaled`.
+    """Returns the cost and its gradient with respect to `scaled`.
 
     `scaled` are the knots divided by half the range between their bounds.
     """
@@ -166,7 +166,7 @@ def _valued(problem: Problem, scaled: Array) -> tuple[Array, Array]:
 
 
 def _recorded(problem: Problem, scaled: Array) -> tuple[Array, Array, Any, Array]:
-    """Returns the knots without scaling, and their controls, states and cost.
+    """Returns the unscaled knots, and their controls, states and cost.
 
     `scaled` are the knots divided by half the range between their bounds.
     """

@@ -3,7 +3,7 @@ r"""Trajectories with feedback gains: iterative linear-quadratic regulation (iLQ
 Each iteration linearises dynamics and residuals along the trajectory (Gauss-Newton).
 A backward pass solves the linear-quadratic problem within the bounds of the controls.
 The new controls, feedback included, are then tried on the nonlinear dynamics with
-several step sizes at once (line search). The derivatives of all intervals
+several step sizes as one batch (line search). The derivatives of all intervals
 in all directions are one batch of rods.
 
 The backward pass is in square-root form. Along a trajectory states change by
@@ -60,7 +60,7 @@ from jaxrod.structure import pytree
 from jaxrod.validation import check_array, check_count
 
 SHARES = 10
-"""Number of step sizes tried at once in the line search: 1, 1/2, 1/4, ..."""
+"""Number of step sizes that the line search tries as one batch: 1, 1/2, 1/4, ..."""
 FASTER, SLOWER = 4.0, 8.0
 """Factors of the damping [1]. A full step divides it by FASTER, a step of 1/8 or less
 multiplies it by FASTER. If no step lowers the cost it is multiplied by SLOWER."""
@@ -86,10 +86,10 @@ def ilqr(
         problem: The problem.
         iterations: Largest number of steps tried.
         initial_damping: Damping of the first step: cost of changing a control by half
-            the range between its bounds in all intervals, as a fraction of the first
+            the range between its bounds in all intervals, as a fraction of the initial
             cost [1].
         tolerance: Relative decrease of the cost at which the search ends.
-        initial_controls: First controls `(n_intervals, n_controls)`; random ones by
+        initial_controls: Initial controls `(n_intervals, n_controls)`; random ones by
             default. Controls of a motion like the desired one are often much better.
         spread: Standard deviation of the random controls, as a fraction of half the
             range between the bounds [1].
@@ -99,7 +99,7 @@ def ilqr(
         The best controls found, with their motion and the feedback gains about it.
 
     Raises:
-        ValueError: An argument is out of range or does not fit.
+        ValueError: An argument is out of range or has the wrong shape.
         TypeError: `problem` is not a `Problem`.
 
     Example:
@@ -337,19 +337,20 @@ class Linear:
     """Linearised dynamics and residuals of all intervals of a trajectory."""
 
     states: Float[Array, "intervals n n"]
-    """Derivatives $A_k$ of the next state by the state."""
+    """Derivatives $A_k$ of the next state with respect to the state."""
     controls: Float[Array, "intervals n m"]
-    """Derivatives $B_k$ of the next state by the control."""
+    """Derivatives $B_k$ of the next state with respect to the control."""
     residuals: Float[Array, "intervals r"]
     """Residuals $r_k$ of every interval."""
     by_states: Float[Array, "intervals r n"]
-    """Derivatives $C_k$ of the residuals by the state after the interval."""
+    """Derivatives $C_k$ of the residuals with respect to the state after the
+    interval."""
     by_controls: Float[Array, "intervals r m"]
-    """Derivatives $D_k$ of the residuals by the control."""
+    """Derivatives $D_k$ of the residuals with respect to the control."""
     final: Float[Array, " f"]
     """Residuals of the last state."""
     final_by_state: Float[Array, "f n"]
-    """Derivatives of the final residuals by the last state."""
+    """Derivatives of the final residuals with respect to the last state."""
 
 
 def backward(
@@ -361,7 +362,7 @@ def backward(
 ) -> tuple[Float[Array, "intervals m"], Float[Array, "intervals m n"]]:
     """Returns the optimal changes of the controls, and their feedback gains.
 
-    The gains are derivatives of the controls by the states.
+    The gains are derivatives of the controls with respect to the states.
 
     Args:
         linear: Linearisation along the trajectory.

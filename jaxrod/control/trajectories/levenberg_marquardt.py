@@ -1,4 +1,4 @@
-"""Optimises controls, also with the design of a body, by damped Gauss-Newton steps."""
+"""Optimises controls, alone or with a body's design, by damped Gauss-Newton steps."""
 
 from __future__ import annotations
 
@@ -52,10 +52,11 @@ def levenberg_marquardt(
         iterations: Largest number of iterations.
         ridge: Weight of the mean squared knot value; it selects one of the many
             controls with the same result.
-        initial_damping: Damping of the first step, as a fraction of the diagonal [1].
+        initial_damping: Damping of the first step, relative to the diagonal of J^T J,
+            where J is the Jacobian of the residuals [1].
         tolerance: Relative change at which the search ends; by default machine epsilon
             to the power of 3/4.
-        initial_knots: First knots `(n_knots, n_controls)`; small random ones by
+        initial_knots: Initial knots `(n_knots, n_controls)`; small random ones by
             default.
         seed: Seed of the small random knots.
         mode: Mode of differentiation for Jacobians, `"forward"` or `"reverse"`; chosen
@@ -65,7 +66,7 @@ def levenberg_marquardt(
         The best controls found, with their motion.
 
     Raises:
-        ValueError: An argument is out of range or does not fit.
+        ValueError: An argument is out of range or has the wrong shape.
         TypeError: `problem` is not a `Problem`.
 
     Example:
@@ -118,14 +119,15 @@ def codesign(
         problem: The problem; all bodies start from its initial state.
         body: `(data, design) -> data`, defined at module level; pure and
             differentiable.
-        design: First design, any pytree of floats.
+        design: Initial design, any pytree of floats.
         n_knots: Number of knots, equally spaced in time.
         iterations: Largest number of iterations.
         ridge: Weight of the mean squared knot value: the effort.
         lower: Lower bounds of the design, a number or a tree like `design`.
         upper: Upper bounds of the design, a number or a tree like `design`.
-        initial_damping: Damping of the first step, as a fraction of the diagonal [1].
-        initial_knots: First knots `(n_knots, n_controls)`; small random ones by
+        initial_damping: Damping of the first step, relative to the diagonal of J^T J,
+            where J is the Jacobian of the residuals [1].
+        initial_knots: Initial knots `(n_knots, n_controls)`; small random ones by
             default.
         seed: Seed of the small random knots.
 
@@ -133,7 +135,7 @@ def codesign(
         The best pair: `design` is the body's design, and `problem` has its data.
 
     Raises:
-        ValueError: An argument is out of range or does not fit.
+        ValueError: An argument is out of range or has the wrong shape.
         TypeError: `problem` is not a `Problem`.
 
     Example:
@@ -185,8 +187,8 @@ def _found(
 ) -> Solution:
     """Optimises knots and, if there is one, a design, and makes the `Solution`.
 
-    `numbers` holds ridge and initial damping, `bounds` those of the design, and
-    `structure` further static arguments of `_solved`.
+    `numbers` holds the ridge and the initial damping, `bounds` the bounds of the
+    design, and `structure` further static arguments of `_solved`.
     """
     check_array("initial_damping", numbers["initial_damping"], [()], "", positive=True)
     (found, controls, states, least, data), compile_s, run_s = timed(
@@ -232,9 +234,9 @@ def _solved(
     """Minimises the cost of a problem; returns the result and values at the best point.
 
     The values are controls, states, cost without the ridge, and data of the problem.
-    `start` has the first `"knots"` and `"design"`, `bounds` are those of the design,
-    `numbers` are `"ridge"` and `"initial_damping"`. Other arguments are those of
-    `least_squares` and `codesign`.
+    `start` has the initial `"knots"` and `"design"`, `bounds` are the bounds of the
+    design, and `numbers` are `"ridge"` and `"initial_damping"`. The other arguments
+    are those of `least_squares` and `codesign`.
     """
     knots = start["knots"]
     low, high = (

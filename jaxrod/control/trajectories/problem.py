@@ -26,7 +26,7 @@ from jaxrod.validation import check_array, check_count, check_kind, check_seed
 Move = Callable[[Any, Any, Array, Array], Any]
 """`(data, state, control, interval) -> state`: the state after one interval."""
 Running = Callable[[Any, Any, Array, Array], Any]
-"""`(data, state, control, interval) -> residuals`; `state` is that after the interval.
+"""`(data, state, control, interval) -> residuals`, with the state after the interval.
 """
 Final = Callable[[Any, Any], Any]
 """`(data, state) -> residuals`, for the last state."""
@@ -40,8 +40,8 @@ Disturbance = Callable[[Any, Array], Any]
 class Problem:
     """An optimal control problem: start, dynamics, residuals, bounds (`make_problem`).
 
-    Arrays are traced: the same compiled program solves problems with another start,
-    target or bounds, and `jax.vmap` solves a batch of problems.
+    Arrays are traced: the same compiled program solves problems with another initial
+    state, target or bounds, and `jax.vmap` solves a batch of problems.
 
     Example:
         >>> problem = control.make_problem(
@@ -85,16 +85,17 @@ class Problem:
         return after, self.on_the_way(after, control, interval)
 
     def on_the_way(self, after: Any, control: Array, interval: Array) -> Any:
-        """Residuals of an interval: the function `running` of this problem.
+        """Returns the residuals of an interval, computed by `running`.
 
-        `after` is the state after the interval. `None` if the problem has no `running`.
+        `after` is the state after the interval. Returns `None` if the problem has no
+        `running`.
         """
         if self.running is None:
             return None
         return self.running(self.data, after, control, interval)
 
     def at_the_end(self, last: Any) -> Any:
-        """Residuals of the last state; `None` if the problem has no `final`."""
+        """Returns the residuals of the last state; `None` without `final`."""
         return None if self.final is None else self.final(self.data, last)
 
 
@@ -111,7 +112,7 @@ def make_problem(
     lower: Any = -1.0,
     upper: Any = 1.0,
 ) -> Problem:
-    """Makes an optimal control problem from checked arguments.
+    """Makes an optimal control problem, with validated arguments.
 
     Functions are static: a program is compiled for each. Define them at module level
     and pass numbers in `data`, rather than making new functions for new numbers.
@@ -126,8 +127,8 @@ def make_problem(
             `k` and the control in it; any pytree of floats.
         final: `(data, state) -> residuals` of the last state.
         data: Data that the functions read, any pytree.
-        lower: Lower bounds of the controls, a number or one for each.
-        upper: Upper bounds of the controls, a number or one for each.
+        lower: Lower bounds of the controls: one number, or one per control.
+        upper: Upper bounds of the controls: one number, or one per control.
 
     Raises:
         ValueError: An argument is out of range, `move` does not return a state like
@@ -284,7 +285,7 @@ class RolledOut:
     states: Any
     """States at the start and after each interval, stacked on the leading axis."""
     controls: Float[Array, "intervals controls"]
-    """Control of each interval: that of the policy, clipped to the bounds."""
+    """Control of each interval: the policy's, clipped to the bounds."""
     cost: Float[Array, ""]
     """Cost of the motion: sum of the squares of all residuals."""
 
@@ -337,8 +338,9 @@ def rolled_out(
 
 
 SPREAD = 1e-3
-"""Standard deviation of the random first knots, as a fraction of half the range between
-the bounds [1]. It breaks the symmetry of a straight rod, whose gradient may vanish."""
+"""Standard deviation of the random initial knots, as a fraction of half the range
+between the bounds [1]. It breaks the symmetry of a straight rod, whose gradient may
+vanish."""
 MOST_KNOTS = 100_000
 
 
@@ -356,7 +358,7 @@ def half_widths(problem: Problem) -> Float[Array, " controls"]:
 def first_knots(
     problem: Problem, n_knots: int, given: Any, seed: int, spread: float = SPREAD
 ) -> Float[Array, "knots controls"]:
-    """Returns the first knots: the given ones, or small random ones about zero.
+    """Returns the initial knots: the given ones, or small random ones about zero.
 
     Args:
         problem: The problem.
@@ -367,7 +369,7 @@ def first_knots(
             between the bounds [1].
 
     Raises:
-        ValueError: The given knots have the wrong shape or lie beyond the bounds.
+        ValueError: The given knots have the wrong shape or exceed the bounds.
     """
     n_knots = check_count("n_knots", n_knots, 1, MOST_KNOTS)
     shape = (n_knots, problem.n_controls)
@@ -386,12 +388,12 @@ def first_knots(
 def within_bounds(
     problem: Problem, name: str, given: Any, shape: tuple[int, ...]
 ) -> Array:
-    """Checks given controls, and converts them to the dtype of the problem.
+    """Validates controls and returns them in the dtype of the problem.
 
     `shape` is the required shape, `name` the name of the controls in error messages.
 
     Raises:
-        ValueError: They have another shape, are not finite or exceed the bounds.
+        ValueError: They have the wrong shape, are not finite or exceed the bounds.
     """
     values = np.asarray(check_array(name, given, [shape], ""))
     low, high = np.asarray(problem.lower), np.asarray(problem.upper)

@@ -70,7 +70,7 @@ class ActuatedArm:
 
     @property
     def control_shape(self) -> tuple[int, int]:
-        """Shape (2, n_controls) of controls about d1 and d2, at points of the arm."""
+        """Shape (2, n_controls): controls about d1 and d2, at points along the arm."""
         return 2, self.spline.n_controls
 
     @property
@@ -112,11 +112,11 @@ class Reach:
     dt: Float[Array, ""]
     """Time step of the simulation [s]."""
     speed_root: Float[Array, ""]
-    """Root of the weight of the squared speed of the tip at the end [s]."""
+    """Square root of the weight on the squared speed of the tip at the end [s]."""
     running_root: Float[Array, ""]
-    """Root of the weight of the mean squared distance over time [1]."""
+    """Square root of the weight on the mean squared distance over time [1]."""
     effort_root: Float[Array, ""]
-    """Root of the weight of the mean squared control value [m]."""
+    """Square root of the weight on the mean squared control value [m]."""
     steps_per_interval: int = static()
     """Number of time steps of the simulation in an interval."""
     n_intervals: int = static()
@@ -164,19 +164,19 @@ def reach(
             `ActuatedArm`, or a custom one.
         target: Target position of the tip at the end `(3,)` [m].
         duration: Time from start to end [s].
-        speed_weight: Weight of the squared speed of the tip at the end [s^2].
-        running_weight: Weight of the mean squared distance over time [1].
-        effort_weight: Weight of the mean squared control value [m^2].
+        speed_weight: Weight on the squared speed of the tip at the end [s^2].
+        running_weight: Weight on the mean squared distance over time [1].
+        effort_weight: Weight on the mean squared control value [m^2].
         control_interval: Longest time for which a control is held [s].
-        dt: Largest time step of the simulation [s]; 0.8 of the stable one if `None`.
-            Interval and step are shortened so that whole numbers of them fit.
+        dt: Largest time step of the simulation [s]; 0.8 of the stability bound if
+            `None`. Interval and step are shortened so that whole numbers of them fit.
         control_shape: Shape of the controls that `arm.with_controls` takes; by default
             `arm.control_shape`, the two directions of bending of an `ActuatedArm`.
-        lower: Lower bounds of the control values, a number or one for each.
-        upper: Upper bounds of the control values, a number or one for each.
+        lower: Lower bounds of the control values: one number, or one per value.
+        upper: Upper bounds of the control values: one number, or one per value.
 
     Raises:
-        ValueError: An argument is out of range or does not fit.
+        ValueError: An argument is out of range or has the wrong shape.
 
     Warns:
         UnreachableTargetWarning: The target is farther from the base of the arm than
@@ -249,8 +249,8 @@ def on_the_way(
 ) -> tuple[Array, Array]:
     """Returns the residuals of an interval: tip minus target, and the control.
 
-    They are weighted by the roots in `data`, so that squares sum to the running terms
-    of the cost. `state` is that after the interval.
+    They are weighted by the square roots in `data`, so that their squares sum to the
+    running terms of the cost. `state` is the state after the interval.
     """
     del interval
     count = data.n_intervals
@@ -279,7 +279,8 @@ def time_steps(
         arm: The arm, whose largest stable step is used.
         duration: Time from start to end [s].
         control_interval: Longest time for which control values are held [s].
-        dt: Largest time step of the simulation [s]; 0.8 of the stable one if `None`.
+        dt: Largest time step of the simulation [s]; 0.8 of the stability bound if
+            `None`.
 
     Returns:
         Number of control intervals, number of steps in each, and the time step [s].
@@ -301,9 +302,9 @@ def time_steps(
 
 
 def _checked(arm: Any, target: Numbers) -> np.ndarray:
-    """Checks the arm and the target, and warns if the target is out of reach.
+    """Validates the arm and the target, and returns the target as floats `(3,)`.
 
-    Returns the target as an array of floats.
+    Warns if the target is out of reach.
     """
     lacking = [
         name for name in ("scene", "state", "with_controls") if not hasattr(arm, name)

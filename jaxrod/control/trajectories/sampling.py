@@ -47,6 +47,9 @@ def mppi(
 ) -> Solution:
     """Finds knots by model predictive path integrals: weighted means of samples.
 
+    A sample of cost L has the weight exp(-(L - min L) / lambda), where lambda is
+    `temperature` times the standard deviation of the costs.
+
     Args:
         problem: The problem.
         n_knots: Number of knots, equally spaced in time.
@@ -54,16 +57,17 @@ def mppi(
         iterations: Number of iterations.
         spread: Standard deviation of the samples, as a fraction of half the range
             between the bounds; it falls to a tenth at the end [1].
-        temperature: Temperature, as a fraction of the costs' standard deviation [1].
-        initial_knots: First mean of the knots `(n_knots, n_controls)`; zeros, within
-            the bounds, by default.
+        temperature: Temperature of the weights, as a fraction of the costs' standard
+            deviation [1].
+        initial_knots: Initial mean of the knots `(n_knots, n_controls)`; by default
+            zeros, clipped to the bounds.
         seed: Seed of the samples.
 
     Returns:
         The best sample of all, with its motion.
 
     Raises:
-        ValueError: An argument is out of range or does not fit.
+        ValueError: An argument is out of range or has the wrong shape.
         TypeError: `problem` is not a `Problem`.
 
     Example:
@@ -104,17 +108,17 @@ def cross_entropy(
         samples: Samples drawn in each iteration; they are one batch.
         elites: Number of samples that count as the best, at least 2.
         iterations: Number of iterations.
-        spread: First standard deviation, as a fraction of half the range between the
+        spread: Initial standard deviation, as a fraction of half the range between the
             bounds [1].
-        initial_knots: First mean of the knots `(n_knots, n_controls)`; zeros, within
-            the bounds, by default.
+        initial_knots: Initial mean of the knots `(n_knots, n_controls)`; by default
+            zeros, clipped to the bounds.
         seed: Seed of the samples.
 
     Returns:
         The best sample of all, with its motion.
 
     Raises:
-        ValueError: An argument is out of range or does not fit.
+        ValueError: An argument is out of range or has the wrong shape.
         TypeError: `problem` is not a `Problem`.
 
     Example:
@@ -193,8 +197,8 @@ def _solved(
     """Returns the best knots, their controls, states and cost, and the cost history.
 
     The history has the best cost so far, after each iteration. `start` and `spread` are
-    the first mean and standard deviation of the knots. With `elites` it is the
-    cross-entropy method; without, it is MPPI at the `temperature`.
+    the initial mean and standard deviation of the knots. With `elites` the method is
+    cross-entropy; without, it is MPPI at the `temperature`.
     """
     half = half_widths(problem)[None]
     low, high = problem.lower[None], problem.upper[None]

@@ -44,7 +44,7 @@ class Solution:
     """
 
     problem: Problem
-    """The problem that was solved; with a design, its data are those of the design."""
+    """The problem that was solved; with a `design`, its data describe that design."""
     solver: str
     """Name of the solver function, such as "ilqr"."""
     controls: Float[Array, "intervals controls"]
@@ -55,7 +55,8 @@ class Solution:
     """Cost of the motion: the problem's sum of squares, without a solver's ridge."""
     history: dict[str, np.ndarray]
     """Values per iteration by name. "cost" is the cost with the solver's ridge, and
-    begins with that of the start for `ilqr`, `levenberg_marquardt` and `codesign`."""
+    begins with that of the initial guess for `ilqr`, `levenberg_marquardt` and
+    `codesign`."""
     converged: bool
     """Whether the search met its criterion: a small last change, or for `adam` the cost
     `enough`. Always false for `mppi` and `cross_entropy`."""
@@ -73,8 +74,8 @@ class Solution:
     """Controls at equally spaced times, with linear interpolation; `None` for solvers
     without knots."""
     gains: Float[Array, "intervals controls numbers"] | None = None
-    """Feedback gains of `ilqr`: derivatives of each interval's control by the state at
-    its beginning, flattened leaf by leaf; `None` for other solvers."""
+    """Feedback gains of `ilqr`: derivatives of each interval's control with respect to
+    the state at its beginning, flattened leaf by leaf; `None` for other solvers."""
     design: Any = None
     """Design of the body found by `codesign`; `None` for other solvers."""
 
