@@ -51,7 +51,7 @@ def make_folder(path: Path) -> None:
     """Makes a folder and any missing parent folders, unless it exists already.
 
     Raises:
-        LinkedFileError: If it is a link, whatever its target.
+        LinkedFileError: If it is a link, regardless of its target.
         OSError: If it cannot be made; the message names it.
     """
     refuse_link(path)

@@ -129,7 +129,7 @@ class ChainOfPairs:
     def _middle(
         self, at: int, joints: Vec3, elements: Vec3, rest: Any
     ) -> tuple[list[Array], list[Array], list[Array]]:
-        """Unknowns of the joints before and after the middle element, and of it.
+        """Unknowns of the middle element, after those of the joints on its two sides.
 
         Args:
             at: Index of the middle element.

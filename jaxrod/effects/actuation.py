@@ -201,9 +201,10 @@ def control_spline(
 
 
 def _shares(controls: Numbers, end: Any, kind: Any) -> Any:
-    """Arc lengths of control points divided by the rod length `end` [1], after checks.
+    """Validates control points; returns their arc lengths over the rod length [1].
 
-    They must increase strictly between 0 and `end`, and fit into the dtype `kind`.
+    They must increase strictly between 0 and the length `end`, and fit into the dtype
+    `kind`.
     """
     points = numeric("controls", controls, "m")
     if points.ndim != 1 or points.size < 2:

@@ -340,7 +340,7 @@ class Effect:
         return None
 
     def held(self, rod: Rod) -> tuple[Held, ...]:
-        """Degrees of freedom that the effect holds, whatever its traced numbers are.
+        """Degrees of freedom that the effect holds, regardless of its traced numbers.
 
         `make_scene` refuses two effects that hold the same degree of freedom. It cannot
         check effects without this hook.
@@ -394,8 +394,8 @@ class Effect:
     def twists(self) -> str | None:
         """Name, for error messages, of loads that twist a rod or turn with its frame.
 
-        A method without twist refuses an effect with such a name, whatever its numbers
-        are. `None` by default; twisting couples in the values of `loads` need no
+        A method without twist refuses an effect that returns a name, regardless of its
+        numbers. `None` by default; twisting couples in the values of `loads` need no
         declaration.
         """
         return None
