@@ -38,7 +38,7 @@ __all__ = ["BraxEnv", "patched_jax"]
 
 @pytree
 class Running:
-    """Content of brax's `pipeline_state`, which brax restores at a restart."""
+    """Contents of brax's `pipeline_state`, which brax restores at a restart."""
 
     state: Any
     """State of the environment."""
@@ -54,9 +54,9 @@ class BraxEnv(Env):
     `jaxrod.envs.VectorEnvironment`, restarts included: environment i uses the i-th
     random key given to `reset`. Three things follow brax's conventions:
 
-    - brax's `AutoResetWrapper` restores the start of an episode from `info`. Unchanged,
-      it would replay the first episode for ever, so every step writes a new random
-      start there.
+    - brax's `AutoResetWrapper` restores the start of an episode from `info`. If that
+      did not change, it would replay the first episode forever, so every step writes a
+      new random start there.
     - brax's `EpisodeWrapper` knows one kind of truncation: its own clock running out.
       It treats every other end as a termination by the task. So a step truncated before
       the time limit advances that clock instead of being `done`, and at the time limit
@@ -116,7 +116,7 @@ class BraxEnv(Env):
 
         Returns:
             The state. `metrics` holds the environment's scalars; brax reports their
-            sums over episodes. `info` holds the data that a restart leaves alone.
+            sums over episodes. `info` holds the data that a restart does not change.
         """
         ticks = jnp.zeros((), jnp.uint32)
         observation, running = self._start(_key(rng, 2 * ticks))

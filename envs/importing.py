@@ -219,7 +219,7 @@ def find_object(path: str, trust: Collection[str] | None = None) -> Any:
             `jaxrod.envs.importing.check_trusted`; None if the user typed the path.
 
     Raises:
-        ValueError: `path` is no import path.
+        ValueError: `path` is not an import path.
         UntrustedError: The path was read from a file and its module is not trusted.
         ImportError: There is no such module or object, or importing it failed.
     """

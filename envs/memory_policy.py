@@ -25,7 +25,7 @@ from jaxrod.structure import pytree
 
 @runtime_checkable
 class MemoryPolicy(Protocol):
-    """A policy with memory; see the module docstring. Like every policy, a pytree.
+    """A policy with memory, which is a pytree; see the module docstring.
 
     Example:
         >>> @extend.pytree

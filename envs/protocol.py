@@ -27,7 +27,7 @@ State = Any
 """State of one environment: any pytree of arrays."""
 
 Info = dict[str, Array]
-"""Diagnostics of one step: scalars by name, under the same names in every step."""
+"""Diagnostics of one step: scalars by name, with the same names at every step."""
 
 Step = tuple[
     Float[Array, " observation"],
@@ -194,7 +194,7 @@ class Plannable(Environment, Protocol):
     def residuals(
         self, state: State, action: Float[Array, " action"], params: Params
     ) -> Float[Array, " residuals"]:
-        """Residuals whose squares sum to the cost; arguments as in `cost`."""
+        """Residuals whose squares sum to the cost; takes the arguments of `cost`."""
 
 
 class Channel(NamedTuple):

@@ -56,10 +56,11 @@ class Randomisation:
     noise: float | Mapping[str, float] = dataclasses.field(default=0.0, hash=False)
     """Standard deviation of the observation's noise, in the unit of each entry: one
     number, or numbers by channel. A key is the name of a channel of
-    `observation_channels` or its beginning, or has indices of entries, "0, 4-7"."""
+    `observation_channels`, or the beginning of the name, or indices of entries such as
+    "0, 4-7"."""
     dropout: float | Mapping[str, float] = dataclasses.field(default=0.0, hash=False)
     """Probability per control step that entries are not seen; their last seen values
-    are then held. One number holds for every entry independently. With keys as in
+    are then held. One number applies to every entry independently. With keys as in
     `noise`, all entries of a key drop out together."""
     flags: bool = False
     """Whether an entry per key of `dropout` is appended to the observation: 1 if it was
@@ -69,12 +70,12 @@ class Randomisation:
     lag: Any = dataclasses.field(default=0.0, hash=False)
     """Time constant of the actuators' first-order lag [control steps]; a range."""
     lag_seconds: Any = dataclasses.field(default=0.0, hash=False)
-    """The same [s], for tasks with a `control_period`."""
+    """Time constant of the lag [s], for tasks with a `control_period`; a range."""
     saturation: Any = dataclasses.field(default=1.0, hash=False)
     """Largest absolute action [1]; a range."""
     rate: Any = dataclasses.field(default=2.0, hash=False)
-    """Largest change of an action per control step [1]; a range. The default 2 is no
-    limit."""
+    """Largest change of an action per control step [1]; a range. The default of 2 means
+    no limit."""
     correlation: Mapping[str, Any] = dataclasses.field(default_factory=dict, hash=False)
     """Correlation of `normal` and `log_normal` draws: `names`, a list of keys of
     `parameters`, and `matrix`."""
@@ -111,7 +112,7 @@ class Randomisation:
 
     @classmethod
     def from_record(cls, record: Mapping[str, Any]) -> Randomisation:
-        """Makes it from the content of a TOML file, or from `record()`.
+        """Builds a `Randomisation` from a TOML file's contents, or from `record()`.
 
         Raises:
             ValueError: An entry is unknown, or a value is invalid.
@@ -213,7 +214,7 @@ def _mapping(name: str, value: Any) -> Mapping[str, Any]:
 
 
 def _distribution(key: str, given: Any) -> dict[str, Any]:
-    """Checked distribution, with numbers as floats or lists."""
+    """Validates a distribution and returns it, with numbers as floats or lists."""
     rule = dict(_mapping(f"the distribution of {key!r}", given))
     scaled = rule.pop("scaled", False)
     kind = next(iter(rule), "")
@@ -254,7 +255,7 @@ def _distribution(key: str, given: Any) -> dict[str, Any]:
 
 
 def _levels(name: str, given: Any, most: float) -> Any:
-    """Checked noise or drop-out: a number, or numbers by key."""
+    """Validates noise or drop-out and returns it: a number, or numbers by key."""
     unit = "(in the unit of the entry)" if name == "noise" else "(a probability)"
 
     def checked(what: str, value: Any) -> float:
@@ -271,7 +272,7 @@ def _levels(name: str, given: Any, most: float) -> Any:
 def _range(
     name: str, given: Any, unit: str, *, at_most: float = math.inf, whole: bool = False
 ) -> list[Any]:
-    """Checked range: lowest and highest number."""
+    """Validates a range and returns its lowest and highest number."""
     numbers = check_array(
         name, given, [(), (2,)], unit, non_negative=True, at_most=at_most
     )
@@ -288,7 +289,7 @@ def _range(
 
 
 def _correlation(given: Any, rules: Mapping[str, Any]) -> dict[str, Any]:
-    """Checked correlation: names of scalar normal draws, and their matrix."""
+    """Validates a correlation and returns it: names of scalar draws, and the matrix."""
     if not _mapping("correlation", given):
         return {}
     if set(given) != {"names", "matrix"} or not isinstance(given["names"], Sequence):

@@ -62,7 +62,7 @@ def make(
             `"folder/file.py:make_task"` for a file that imports nothing from its own
             folder.
         randomise: Distributions of parameters, and faults of actuators and sensors; or
-            the same as a mapping, such as the content of a TOML file. The environment
+            the same as a mapping, such as the contents of a TOML file. The environment
             is then a `jaxrod.envs.Randomised`.
         **options: Passed to the task's callable, for example `variant="paper"` for
             `"tracking"`.

@@ -62,9 +62,9 @@ def rollout(
 ) -> Rollout:
     """Simulates one environment for many steps; pure, differentiable, for `jax.vmap`.
 
-    The gradient equals that of a plain loop. Its memory grows as about twice the square
-    root of the number of steps, which may be any number. Once the episode has ended, by
-    the task or by the time limit, the state no longer changes and rewards are zero.
+    The gradient equals that of a plain loop. It needs the memory of about 2 sqrt(steps)
+    states, for any number of steps. Once the episode has ended, by the task or by the
+    time limit, the state does not change any more and rewards are zero.
 
     Args:
         env: The environment.
@@ -149,7 +149,7 @@ def rollout(
 
 
 def _scanned(step: Any, carry: Any, along: Any, length: int) -> tuple[Any, Any]:
-    """`lax.scan` as two nested, checkpointed loops of about sqrt(length) steps each.
+    """Runs `lax.scan` as two nested, checkpointed loops of about sqrt(length) steps.
 
     `step`, `carry` and `along` are the function, first carry and inputs of the scan. A
     third loop runs the remaining steps. Gradients need the memory of about

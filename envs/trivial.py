@@ -42,9 +42,9 @@ class TrivialState:
 class Trivial:
     """Moves a point to zero: x' = x + stride a, reward 1 - x'^2, |x_0| <= 1 m.
 
-    The best action is `clip(-x / stride, -1, 1)`. With the default parameters it gets
-    `optimal_return` on average. Standing still gets 2/3 per step. A point farther than
-    `edge` from zero is lost: the episode is terminated.
+    The best action is `clip(-x / stride, -1, 1)`. With the default parameters its mean
+    return is `optimal_return`. Without motion the mean reward is 2/3 per step. A point
+    farther than `edge` from zero is lost: the episode is terminated.
     """
 
     episode_length: int = 20

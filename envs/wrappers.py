@@ -204,10 +204,10 @@ class VectorEnvironment:
     ) -> tuple[VectorState, VectorStep]:
         """Advances every environment by one control step.
 
-        It is `info["control_steps"]` steps if there is such an entry
-        (`jaxrod.envs.ActionRepeat`). The restart runs in a branch that is taken only
-        when some episode ends, so it costs nothing in other steps (under an outer
-        `vmap` both branches run).
+        If the environment's `info` has an entry "control_steps"
+        (`jaxrod.envs.ActionRepeat`), it advances by that number of control steps. The
+        restart runs in a branch that is taken only when some episode ends, so it costs
+        nothing in other steps (under an outer `vmap` both branches run).
 
         Args:
             state: State of the batch.

@@ -19,7 +19,7 @@ TEMPORARY = ".partial"
 
 
 class DamagedFileError(ValueError):
-    """A file does not have the content it should have."""
+    """The contents of a file are damaged, or not of the expected kind."""
 
 
 class LinkedFileError(ValueError):
@@ -34,7 +34,7 @@ def refuse_link(path: Path) -> None:
     """Raises if a file or folder is a link; call it before writing there.
 
     A folder that was unpacked from an archive may contain links to anywhere. The folder
-    that the user names may itself be a link; its content must not be.
+    that the user names may itself be a link; files and folders in it must not be.
 
     Raises:
         LinkedFileError: If it is a link.
@@ -48,10 +48,10 @@ def refuse_link(path: Path) -> None:
 
 
 def make_folder(path: Path) -> None:
-    """Makes a folder and the folders above it that are missing, if it does not exist.
+    """Makes a folder and any missing parent folders, unless it exists already.
 
     Raises:
-        LinkedFileError: If it is a link, whatever its target.
+        LinkedFileError: If it is a link, regardless of its target.
         OSError: If it cannot be made; the message names it.
     """
     refuse_link(path)
@@ -65,7 +65,7 @@ def open_to_write(path: Path, flags: int) -> int:
     one.
 
     Args:
-        path: A plain file with no other hard link; created if `flags` ask for it.
+        path: A plain file with no other hard link; created if `flags` has `os.O_CREAT`.
         flags: Flags of `os.open`.
 
     Returns:
@@ -109,15 +109,15 @@ def write_atomically(
     *,
     private: bool = False,
 ) -> None:
-    """Replaces a file by new content in one step, even if the process dies.
+    """Replaces the contents of a file in one step, even if the process dies.
 
-    When this returns, the new content is on the disk. A link is itself replaced; its
+    When this returns, the new contents are on the disk. A link is itself replaced; its
     target does not change.
 
     Args:
         path: File to write; its folder must exist.
         content: Bytes to write, or a function that writes them into an open file.
-        private: Whether nobody but this user may read it.
+        private: Whether only this user may read it.
 
     Raises:
         OSError: If it cannot be written; the message names it.
@@ -178,7 +178,7 @@ def reading(path: Path) -> Iterator[None]:
     """Context in which any failure to read a file becomes an error that names it.
 
     Raises:
-        DamagedFileError: If anything but the following is raised.
+        DamagedFileError: If any other error than the following is raised inside.
         UntrustedError: If one is raised inside; the path is added to its message.
         ImportError: If one is raised inside; it is passed on unchanged.
         OSError: If the file cannot be opened.
@@ -259,13 +259,13 @@ def read_plain(path: Path) -> bytes:
 
 
 def read_csv(path: Path) -> tuple[list[str], list[list[str]]]:
-    """Reads the columns and the rows of a CSV file.
+    """Returns the names of the columns and the rows of a CSV file, as text.
 
-    A last line that lacks both values and a newline is still being written; it is
-    skipped, and so are blank lines at the end and a byte order mark.
+    A last line with too few values and no newline is still being written, so it is
+    skipped. Blank lines at the end and a byte order mark are skipped too.
 
     Raises:
-        DamagedFileError: If it is not CSV, or not all rows have as many values as there
+        DamagedFileError: If it is not CSV, or a row has more or fewer values than there
             are columns.
         OSError: If the file cannot be opened.
     """
@@ -331,7 +331,7 @@ def check_entries(
     kinds: Mapping[str, Kind],
     may_lack: Mapping[str, Kind] | None = None,
 ) -> None:
-    """Checks the kinds of the entries of a JSON object; it may have other entries, too.
+    """Checks the kinds of the named entries of a JSON object; others are ignored.
 
     Args:
         content: The JSON object.
@@ -358,7 +358,7 @@ def _check_entry(
 
 
 def _shown(value: Any) -> str:
-    """Short text for a value, to be part of a message."""
+    """Short text for a value, for use in a message."""
     try:
         said = repr(value)
     except (ValueError, RecursionError):  # An integer of thousands of digits.

@@ -1,4 +1,4 @@
-"""Folders whose content is executed, and so must belong to this user alone.
+"""Folders of executable code, which must belong to this user alone.
 
 Compiled programs and machine code on the disk are executed: whoever can change them
 controls the process. The rules are those of `ssh` for its keys.
@@ -14,7 +14,7 @@ _OTHERS_WRITE = stat.S_IWGRP | stat.S_IWOTH
 
 
 def shared_with(folder: Path) -> str | None:
-    """Reason why others may change the content of a folder; None if they cannot.
+    """Returns the reason why others may change a folder's files; None if they cannot.
 
     The folder must belong to this user, must not be a link, and must be writable by
     nobody else. The folders above it must belong to this user or to the system, and may
@@ -48,7 +48,7 @@ def shared_with(folder: Path) -> str | None:
 
 
 def make_private_folder(folder: Path) -> None:
-    """Makes a folder, and those above it that are missing, for this user alone.
+    """Makes a folder and any missing parent folders, for this user alone.
 
     Raises:
         OSError: If it cannot be made; the message names it.
@@ -59,10 +59,10 @@ def make_private_folder(folder: Path) -> None:
 
 
 def read_own(path: Path) -> bytes | None:
-    """Content of a file that only this user can have written.
+    """Returns the contents of a file that only this user can have written.
 
     Returns:
-        The content; None if there is no such file, or others could have written it.
+        The contents; None if there is no such file, or others could have written it.
     """
     flags = os.O_RDONLY | getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_NONBLOCK", 0)
     try:

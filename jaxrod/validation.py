@@ -2,8 +2,8 @@
 
 Values are checked in float64 and stored in a dtype that may be narrower. `check_array`
 does the first, `as_array` both; values that the dtype cannot hold are refused. The
-values of JAX tracers cannot be read: only their shape and kind are checked, wherever
-they stand in nested lists and tuples.
+values of JAX tracers cannot be read: only their shape and kind are checked, also
+inside nested lists and tuples.
 """
 
 from __future__ import annotations
@@ -42,8 +42,8 @@ def knows_constants(function: Callable[Given, Made]) -> Callable[Given, Made]:
 
     There JAX traces every operation, even one on arrays that were made outside:
     `float(jnp.min(radii))` fails although `is_traced(radii)` is false. The decorator
-    makes JAX evaluate operations on known values at once. It is for functions that read
-    values: checks, and numbers that become structure.
+    makes JAX evaluate operations on known values immediately. It is for functions that
+    read values: checks, and numbers that determine the structure of a program.
     """
 
     @functools.wraps(function)
@@ -59,7 +59,7 @@ def knows_constants(function: Callable[Given, Made]) -> Callable[Given, Made]:
 
 
 def warn(message: str, category: type[Warning] = UserWarning) -> None:
-    """Warns about the innermost calling line outside jaxrod and JAX.
+    """Gives a warning that points to the calling line outside jaxrod and JAX.
 
     Args:
         message: Text of the warning.
@@ -128,7 +128,9 @@ def check_seed(seed: Any, name: str = "seed") -> int:
 
 
 def check_dtype(dtype: Any) -> np.dtype:
-    """Floating-point dtype of a rod: JAX's default for `None`.
+    """Validates the floating-point dtype of a rod and returns it.
+
+    For `None` it returns JAX's default dtype.
 
     Raises:
         ValueError: If it is neither float32 nor float64, or float64 while JAX has
@@ -162,7 +164,7 @@ def check_array(
     at_most: float = math.inf,
     dtype: Any = None,
 ) -> Any:
-    """Checks kind, shape, finiteness, sign and size of a number or array of numbers.
+    """Validates kind, shape, finiteness, sign and size of numbers, and returns them.
 
     If JAX is tracing the values, only kind and shape are checked.
 
@@ -297,7 +299,7 @@ def check_held(
 
 
 def in_type(dtype: Any, name: str, tree: Any) -> Any:
-    """A pytree with its floating-point numbers converted to a dtype.
+    """Returns a pytree with its floating-point numbers converted to a dtype.
 
     Args:
         dtype: The floating-point dtype.
@@ -305,7 +307,8 @@ def in_type(dtype: Any, name: str, tree: Any) -> Any:
         tree: The pytree; leaves of other kinds stay as they are.
 
     Raises:
-        ValueError: If the dtype cannot hold a number; the message names its place.
+        ValueError: If the dtype cannot hold a number; the message names its place in
+            the pytree.
     """
 
     def cast(path: Any, leaf: Any) -> Array:
@@ -321,19 +324,19 @@ def in_type(dtype: Any, name: str, tree: Any) -> Any:
 
 
 def astype(tree: Any, dtype: Any) -> Any:
-    """A scene, a system, a state or another pytree in another precision.
+    """Returns a scene, a system, a state or another pytree in another precision.
 
     All arrays of floating-point numbers are converted; integers, Python's own numbers
-    and structure stay. Numbers that were rounded to float32 remain so in float64: make
-    a scene in float64 from the start where its parameters have to be exact.
+    and the structure are kept. Numbers that were rounded to float32 remain rounded in
+    float64: build a scene in float64 from the start if its parameters have to be exact.
 
     Args:
         tree: Any pytree.
         dtype: float32 or float64; `None` for JAX's default.
 
     Raises:
-        ValueError: If the dtype is another one, or cannot hold a number; the message
-            names its place.
+        ValueError: If the dtype is any other, or cannot hold a number; the message
+            names its place in the pytree.
 
     Example:
         >>> import jax, jax.numpy as jnp, jaxrod
@@ -359,7 +362,7 @@ def astype(tree: Any, dtype: Any) -> Any:
 
 
 def numeric(name: str, value: Any, unit: str = "") -> Any:
-    """Converts numbers and arrays, also in lists and tuples, to one array.
+    """Converts numbers and arrays, including those in lists and tuples, to one array.
 
     Args:
         name: The argument's name, for the message.

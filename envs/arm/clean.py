@@ -1,10 +1,11 @@
 """The arm of the `clean` variants: the library's own physics.
 
-It has the consistent elastic law, a clamp with a second-order error (`jaxrod.clamp`),
-damping integrated exactly, and couples per metre instead of per element, with the same
-sum as the published couples. When a numerical health flag rises the arm is frozen at
-its last sound state. Its energy is not checked: the check costs more than another half
-control step, and it raises no flag on sound arms (`tests/envs/test_energy.py`).
+It has elastic loads from a stored energy (`jaxrod.consistent`), a clamp with a
+second-order error (`jaxrod.clamp`), damping integrated exactly, and couples per metre
+instead of per element, with the same sum as the published couples. When a numerical
+health flag rises the arm is frozen at its last sound state. Its energy is not checked:
+the check costs more than half a control step, and it raises no flag on sound arms
+(`tests/envs/test_energy.py`).
 """
 
 from __future__ import annotations
@@ -75,7 +76,7 @@ class CleanArm:
     `None` for all."""
 
     def relaxed(self) -> Array | None:
-        """Control values at the start, all zero; None without a rate limit."""
+        """Control values as an episode begins, all zero; None without a rate limit."""
         if self.largest_change is None:
             return None
         return jnp.zeros((3, self.spline.n_controls), self.rod.radii.dtype)

@@ -15,15 +15,15 @@ OBSERVED_POINTS = 5
 
 @pytree
 class Cylinders:
-    """A number m of fixed round cylinders."""
+    """Fixed round cylinders, whose number is m."""
 
     starts: Float[Array, "3 m"]
     """Centre of one end of each cylinder [m]."""
     directions: Float[Array, "3 m"]
     """Unit vectors from `starts` to the other end."""
     normals: Float[Array, "3 m"]
-    """Unit vectors across the cylinders, from which the published broad phase computes
-    their bounding boxes; the published maze has wrong ones."""
+    """Unit vectors perpendicular to the cylinders, from which the published broad phase
+    computes their bounding boxes; the published maze has wrong ones."""
     lengths: Float[Array, " m"]
     """Lengths of the cylinders [m]."""
     radii: Float[Array, " m"]

@@ -106,7 +106,7 @@ class PublishedArm:
 
 @pytree
 class _DrivenArm:
-    """Stepper of an arm whose muscles change in every step (position Verlet).
+    """Stepper of an arm whose muscles change at every step (position Verlet).
 
     A step is half a drift, a kick and half a drift. A cycle joins the two half drifts:
     it is a kick and a full drift to the next kick.
@@ -121,7 +121,7 @@ class _DrivenArm:
         """Drifts half a time step from the given states to the first kick.
 
         Returns:
-            Motion, muscles, and True, which says that the commanded values are new.
+            Motion, muscles, and True, which marks the commanded values as new.
         """
         state, muscles = given
         return self.stepper.begin(state), muscles, jnp.ones((), bool)
@@ -129,7 +129,8 @@ class _DrivenArm:
     def cycle(self, carry: tuple[Any, Muscles, Array]) -> tuple[Any, Muscles, Array]:
         """Updates the muscles, kicks, and drifts one time step to the next kick.
 
-        `carry` is the result of `begin` or of the cycle before, and so is the new one.
+        `carry` is the result of `begin` or of the previous cycle; the result has the
+        same form.
         """
         kicked, muscles = self._kicked(carry)
         moved = self.stepper.drift(kicked, self.stepper.dt)
@@ -204,9 +205,10 @@ def published_arm(
 class ViscousDrag(Effect):
     r"""Viscous drag of the first release of Elastica, which the benchmark used.
 
-    Each element of current length $\ell$ gets the force $f = -\nu\, \bar v\, \ell$ and
-    the couple $c = -\nu\, \omega\, \ell$, explicit in time; PyElastica mode only.
-    PyElastica 1.0 has no such drag.
+    Each element of current length $\ell$, mean nodal velocity $\bar v$ and angular
+    velocity $\omega$ gets the force $f = -\nu\, \bar v\, \ell$ and the couple
+    $c = -\nu\, \omega\, \ell$, with `viscosity` $\nu$. They are explicit in time, and
+    only for `pyelastica()`. PyElastica 1.0 has no such drag.
     """
 
     viscosity: Float[Array, ""]
@@ -249,7 +251,7 @@ class Muscles:
     """State of the muscles: rate-limited control values, and the resulting couples.
 
     Each direction (bending about d1, about d2, twist) is a separate muscle. While its
-    control values differ from the commanded ones, they move towards them in every
+    control values differ from the commanded ones, they move towards them at every
     simulation step, by `largest_change` at most. The couples are then read from the
     spline through the control values, at the far end of each element, in current arc
     length. Once the commanded values are reached the couples stay constant, for any

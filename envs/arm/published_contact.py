@@ -7,10 +7,12 @@ element are pushed by $-F \hat n$ in full (the base by half of it), where
 $$F = \max(0,\ (f - f_c)\cdot\hat n)
       + \tfrac12 [\gamma > 0]\,(k \gamma + \nu\, \bar v \cdot \hat n).$$
 
-$f$ is the mean over the two nodes of all forces computed so far. $f_c$ is the sum of
-the forces that this cylinder has taken up so far in this step, from all elements. The
-first term cancels the force that presses the element against the cylinder. Elements and
-cylinders are treated one after another, so every force depends on those before it.
+$f$ is the mean over the two nodes of all forces computed so far, and $\bar v$ the mean
+of their velocities. $f_c$ is the sum of the forces that this cylinder has taken up so
+far in this step, from all elements. $k$ is the stiffness and $\nu$ the damping of the
+contact. The first term cancels the force that presses the element against the cylinder.
+Elements and cylinders are treated one after another, so every force depends on the
+forces before it.
 
 The broad phase skips a cylinder unless its bounding box and the arm's overlap. The box
 is wrong for a cylinder whose `normal` is parallel to its direction: it then has no
@@ -48,7 +50,7 @@ PARALLEL = 1e-6
 
 @pytree
 class PublishedContact(Effect):
-    """Published contact law of an arm with cylinders; PyElastica mode only.
+    """Published contact law of an arm with cylinders, only for `pyelastica()`.
 
     It must be listed after all other effects that exert forces.
     """

@@ -95,10 +95,11 @@ def actuated_arm(
     viscosity: float = VISCOSITY,
     dtype: Any = None,
 ) -> ActuatedArm:
-    """Makes the benchmark's soft arm with the consistent law, straight and at rest.
+    """Makes the benchmark's soft arm in a scene, straight and at rest.
 
-    It is 1 m long, 5 cm in radius, with 1000 kg/m^3, 10 MPa, and incompressible. It is
-    clamped at the origin, points along +y, and is in a viscous medium.
+    It is 1 m long and 5 cm in radius, of an incompressible material with a density of
+    1000 kg/m^3 and a Young's modulus of 10 MPa. It is clamped at the origin, points
+    along +y, and is in a viscous medium.
 
     Args:
         n_elements: Number of elements, at least 2.

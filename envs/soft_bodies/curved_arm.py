@@ -7,9 +7,10 @@ angles set the rest curvature (`jaxrod.actuation.ActiveShape`). Within a control
 changes linearly in time from its old to its commanded value.
 
 Damping is exponential, at 4/s. The lowest mode, at 8.8 rad/s without the weight, has a
-damping ratio of 0.23. This is about the ratio of backward Euler steps of 50 ms at this
-frequency (0.21). Transverse rotary inertia is scaled up (`jaxrod.scale_inertia`), at
-most twice, which changes the position of the tip by less than 1 mm.
+damping ratio of 0.23. The numerical damping of backward Euler steps of 50 ms is about
+as large at this frequency (a ratio of 0.21). Transverse rotary inertia is scaled up
+(`jaxrod.scale_inertia`), at most by a factor of two, which changes the position of the
+tip by less than 1 mm.
 """
 
 from __future__ import annotations
@@ -88,8 +89,9 @@ class CurvedArm:
 
         Args:
             state: State of the arm.
-            before: Angles of the segments about d1 and d2 at its beginning [rad].
-            after: Angles at its end; linear in time in between [rad].
+            before: Angles of the segments about d1 and d2 as the control step begins
+                [rad].
+            after: Angles as it ends; linear in time in between [rad].
             dt: Time step [s].
             n_steps: Number of steps, at least 1.
 

@@ -96,8 +96,8 @@ class GripperBody:
         Args:
             state: State of fingers and ball.
             before: Displacement of the wrist from its place in `rest` [m], and control
-                values of the chambers [1], at the beginning.
-            after: The same at the end; linear in time in between.
+                values of the chambers [1], as the control step begins.
+            after: The same as it ends; linear in time in between.
             dt: Time step [s].
             n_steps: Number of steps, at least 1.
 

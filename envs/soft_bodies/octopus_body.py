@@ -83,9 +83,9 @@ class OctopusBody:
 
         Args:
             state: State of the octopus.
-            before: Control values of every arm at its beginning, sideways (to the left
-                as seen from the head) and upwards [1].
-            after: Control values at its end; linear in time in between [1].
+            before: Control values of every arm as the control step begins, sideways (to
+                the left as seen from the head) and upwards [1].
+            after: Control values as it ends; linear in time in between [1].
             dt: Time step [s].
             n_steps: Number of steps, at least 1.
 

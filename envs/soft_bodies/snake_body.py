@@ -113,8 +113,8 @@ class SnakeBody:
 
         Args:
             state: State of the snake.
-            before: Control values at its beginning [1].
-            after: Control values at its end; linear in time in between [1].
+            before: Control values as the control step begins [1].
+            after: Control values as it ends; linear in time in between [1].
             dt: Time step [s].
             n_steps: Number of steps, at least 1.
 
@@ -297,7 +297,7 @@ def bending_viscosity(rod: Rod, relaxation_time: Array, dt: Array) -> BendingVis
     """Makes the bending viscosity of a round, level rod in the plane "xy".
 
     Args:
-        rod: The rod, in a scene of the consistent law.
+        rod: The rod, in a scene whose method is `planar("xy")`.
         relaxation_time: Ratio of viscous to elastic stiffness [s].
         dt: Time step h of the simulation in which the effect is used [s].
     """

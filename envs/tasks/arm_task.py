@@ -513,10 +513,11 @@ def checked_sizes(
     substeps: int | None,
     episode_length: int,
 ) -> tuple[int, int]:
-    """Checks a task's sizes; returns the numbers of elements and of substeps.
+    """Validates a task's sizes; returns the numbers of elements and of substeps.
 
-    `usual` has the defaults of each variant. Arms with more elements take more substeps
-    by default, since the largest stable step is proportional to the element length.
+    `usual` contains the defaults of both for each variant. Arms with more elements take
+    more substeps by default, since the largest stable step is proportional to the
+    element length.
 
     Raises:
         ValueError: If an argument does not fit.

@@ -1,10 +1,10 @@
-r"""A soft arm's tip follows a target, ten times a second, by curvatures of the arm.
+r"""A soft arm's tip follows a moving target by commanded curvatures of the arm.
 
 Each of the five segments of the arm has an angle about both transverse axes: the angle
 by which the segment would bend if it were free. An action changes these ten angles by
 0.05 rad at most, within 2 rad either way, linearly in time during the control step of
 0.1 s. The target flies at 0.5 m/s through a box and takes a new heading with
-probability 0.025 in every control step. Reward per control step, at distance $d$ of the
+probability 0.025 at every control step. Reward per control step, at distance $d$ of the
 tip from the target: $-d^2$, plus 0.5 within 10 cm, plus 1.5 more within 5 cm. An
 episode lasts 500 control steps (50 s).
 
@@ -91,7 +91,7 @@ class FollowingState:
 
 @dataclasses.dataclass(frozen=True)
 class Following(ArmTask):
-    """Task in which the tip follows a target by curvatures; made by `following`."""
+    """Task in which a curved arm's tip follows a target; made by `following`."""
 
     n_elements: int
     substeps: int

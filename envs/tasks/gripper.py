@@ -19,7 +19,7 @@ the mean score:
 | 15 | nearness of the ball to the line between the fingers |
 | 20 | with the ball between the fingers, nearness of their tips to its lowest point |
 | 20 | with the ball between the fingers, the share of its weight off the table |
-| 45 | height of the ball above its start, up to 0.07 m |
+| 45 | height of the ball above its starting height, up to 0.07 m |
 
 The line between the fingers is the middle of the gripper, from 0.045 m to 0.085 m below
 the wrist. The ball is on it when the wrist is at its lowest, and when it is gripped.
@@ -31,7 +31,7 @@ divided by the unit in brackets:
 |---:|---|
 | 3 | offset of the ball's centre from the middle of the line between fingers [0.03 m] |
 | 3 | the ball's velocity [0.1 m/s] |
-| 1 | the ball's height above its start [0.07 m] |
+| 1 | the ball's height above its starting height [0.07 m] |
 | 4 | current control values [1] |
 | 9 | finger by finger, position of the tip from the ball's centre [0.03 m] |
 | 9 | finger by finger, position of the middle from the ball's centre [0.03 m] |
@@ -114,8 +114,8 @@ class GripperParams:
     spread: Float[Array, ""]
     """Largest offset of the ball from the middle at the start, along x and y [m]."""
     lowered: Float[Array, ""]
-    """Largest share of the wrist's path down to the ball already done at the start: 0
-    starts at the top, 1 anywhere on the path [1]."""
+    """Largest share of the wrist's path down to the ball that is already covered at the
+    start: with 0 it starts at the top, with 1 anywhere on the path [1]."""
 
 
 @pytree
@@ -319,7 +319,7 @@ def _between(state: GripperState) -> Float[Array, "3"]:
 
 
 def _height(state: GripperState) -> Float[Array, ""]:
-    """Height of the ball above its start [m]."""
+    """Height of the ball above its starting height [m]."""
     return state.body["ball"].positions[2, 0] - BALL
 
 
@@ -369,8 +369,9 @@ def gripper(
         episode_length: Control steps per episode.
         spread: Largest distance of the ball from the middle at the start, along x and
             along y, up to 0.02 m [m].
-        lowered: Largest share of the wrist's path down to the ball that is already done
-            at the start, at most 1. The share is drawn uniformly from 0 to this.
+        lowered: Largest share of the wrist's path down to the ball that is already
+            covered at the start, at most 1. The share is drawn uniformly from 0 to
+            this.
 
     Raises:
         ValueError: If an argument does not fit.

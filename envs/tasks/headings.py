@@ -12,7 +12,7 @@ from jaxrod.validation import check_array
 
 
 def check_turn(turn: float) -> float:
-    """Checks and returns the largest angle of a heading from x, either way [rad].
+    """Validates the largest angle of a heading from x and returns it [rad].
 
     Raises:
         ValueError: If it is below 0 or beyond pi.

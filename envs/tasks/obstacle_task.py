@@ -65,8 +65,8 @@ SMALLEST_STRETCH = 0.15
 LARGEST_STRETCH = 3.0
 """Largest element stretch in the variant "clean" before the arm is flagged [1].
 Saturated actions stretch elements to 2.5, and impacts on a cylinder compress them below
-0.3. From 0.15 to 3 the time step is far below the stability bound of a free arm, and
-below the bound with contact at every obstacle that a point considers."""
+0.3. For stretches from 0.15 to 3 the time step is far below the stability bound of a
+free arm, and below the bound with contact at every obstacle that a point considers."""
 DAMPING = 4e3
 """Damping of contact in the variant "clean": a twentieth of critical damping [kg/(m
 s)]."""

@@ -1,7 +1,7 @@
 r"""Case 2 of the benchmark: a soft arm's tip reaches a point with an orientation.
 
 Eighteen control values shape the couples along the arm, six about each material axis
-(two of bending, one of twist), and are renewed every 1.4 ms. The goal stands still
+(two of bending, one of twist), and are renewed every 1.4 ms. The goal does not move
 during an episode of 1428 control steps (2 s). It is a point in a box around the arm,
 and a frame whose d3 is vertical, turned about the vertical by up to 90 degrees from the
 arm's frame at rest. Let $d$ be the distance of the tip from the goal and $\delta =
@@ -16,11 +16,12 @@ up to 1.5 within 10 cm, plus up to 4.5 more within 5 cm:
 
 Variants:
 
-- `"paper"`: the published environment in every detail, so that scores compare. An arm
-  that breaks costs 10,000 and ends the episode.
-- `"clean"`: the same arm with the library's own physics, see `jaxrod.envs.arm.clean`;
-    elements and steps keep the tip within 1 % of the length (docs/clean_settings.md).
-  When a numerical health flag rises the arm is frozen and the episode truncated.
+- `"paper"`: the published environment in every detail, so that scores can be compared.
+  An arm that breaks costs 10,000 and ends the episode.
+- `"clean"`: the same arm with the library's own physics (`jaxrod.envs.arm.clean`). Its
+  numbers of elements and steps keep the error of the tip within 1 % of the length
+  (docs/clean_settings.md). When a numerical health flag rises the arm is frozen and the
+  episode truncated.
 
 Orientations are observed as quaternions (w, x, y, z) with non-negative w, of the
 rotation from the world to the material frame.

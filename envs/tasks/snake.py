@@ -1,15 +1,15 @@
 r"""A snake crawls as fast as it can in a given direction by muscles along its body.
 
 The snake lies on ground with anisotropic friction: it slides most easily forward, less
-easily backward, and least easily sideways. The friction coefficients have the ratio 1 :
-1.5 : 2, which its scales cause. Six control values, at equidistant points along the
-body, set the moments of its muscles about the vertical, up to 4 mN m. They are renewed
-every 50 ms. Between two control steps they change by 0.2 at most, linearly in time. The
-reward of a control step is the displacement of the centre of mass along the heading, in
-percent of the body's length, so the return of an episode is the distance covered. An
-episode lasts 200 control steps (10 s). This is five periods of the gait that Gazzola et
-al. (R. Soc. Open Sci. 5 (2018) 171628) found by optimising travelling waves of moments;
-it is `scripted_action` here.
+easily backward, and least easily sideways. Because of its scales the friction
+coefficients have the ratio 1 : 1.5 : 2. Six control values, at equidistant points along
+the body, set the moments of its muscles about the vertical, up to 4 mN m. They are
+renewed every 50 ms. Between two control steps they change by 0.2 at most, linearly in
+time. The reward of a control step is the displacement of the centre of mass along the
+heading, in percent of the body's length, so the return of an episode is the distance
+covered. An episode lasts 200 control steps (10 s). This is five periods of the gait
+that Gazzola et al. (R. Soc. Open Sci. 5 (2018) 171628) found by optimising travelling
+waves of moments; it is `scripted_action` here.
 
 The snake begins straight and at rest, along x. The heading is along x too, or with
 `turn` up to that angle to either side. Observed, in this order, with x along the

@@ -6,10 +6,11 @@ and before the target. The arm, 0.1 m thick, bends in the plane y = 0.5 m only. 
 
 Variants:
 
-- `"paper"`: the published environment in every detail, so that scores compare. Contact
-  follows the published law, broad phase included (`jaxrod.envs.arm.published_contact`):
-  an obstacle is ignored until the arm's bounding box, padded by 7 cm, reaches its axis.
-  A number that is not finite costs 100 and ends the episode.
+- `"paper"`: the published environment in every detail, so that scores can be compared.
+  Contact follows the published law, broad phase included
+  (`jaxrod.envs.arm.published_contact`): an obstacle is ignored until the arm's bounding
+  box, padded by 7 cm, reaches its axis. A number that is not finite costs 100 and ends
+  the episode.
 - `"clean"`: the same task with the library's own physics, in the plane only, see
   `jaxrod.envs.arm.clean`; the arm is in contact where it overlaps a cylinder. When a
   numerical health flag rises the arm is frozen and the episode truncated.

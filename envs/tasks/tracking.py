@@ -8,13 +8,13 @@ step, at distance $d$ of the tip from the target: $-d^2$, plus 0.5 within 10 cm,
 
 Variants:
 
-- `"paper"`: the published environment in every detail, so that scores compare.
-- `"clean"`: the same arm with the library's own physics: consistent elastic law, a
-  clamp with a second-order error, damping integrated exactly, actuation per metre
-  instead of per element, and as few elements and steps as keep the tip within 1 % of
-  the length under the actions of a trained policy (docs/clean_settings.md), see
-  `jaxrod.envs.arm.clean`. When a numerical health flag rises the arm is frozen at its
-  last sound state and the episode truncated.
+- `"paper"`: the published environment in every detail, so that scores can be compared.
+- `"clean"`: the same arm with the library's own physics (`jaxrod.envs.arm.clean`):
+  elastic loads from a stored energy, a clamp with a second-order error, damping
+  integrated exactly, and actuation per metre instead of per element. It has as few
+  elements and steps as keep the error of the tip within 1 % of the length under the
+  actions of a trained policy (docs/clean_settings.md). When a numerical health flag
+  rises the arm is frozen at its last sound state and the episode truncated.
 """
 
 from __future__ import annotations

@@ -7,10 +7,10 @@ It is the same in all episodes.
 
 Variants:
 
-- `"paper"`: the published environment in every detail, so that scores compare. Contact
-  follows the published law (`jaxrod.envs.arm.published_contact`). The observed points
-  of an obstacle start at the arm's base instead of at the obstacle, as published. So
-  its position is not observed. A number that is not finite costs 100 and ends the
+- `"paper"`: the published environment in every detail, so that scores can be compared.
+  Contact follows the published law (`jaxrod.envs.arm.published_contact`). As published,
+  the observed points of an obstacle start at the arm's base instead of at the obstacle,
+  so its position is not observed. A number that is not finite costs 100 and ends the
   episode.
 - `"clean"`: the same task with the library's own physics, see `jaxrod.envs.arm.clean`.
   Obstacles are observed at their true positions. When a numerical health flag rises the

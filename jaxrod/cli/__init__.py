@@ -98,7 +98,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     """Runs one command; turns errors into messages on stderr and exit codes.
 
     Args:
-        argv: Words after `jaxrod`; those of the process if None.
+        argv: Words after `jaxrod`; None for those of this process.
 
     Returns:
         The exit code.
@@ -137,8 +137,8 @@ def main(argv: Sequence[str] | None = None) -> int:
                 file=sys.stderr,
             )
             return 2
-        # The content of a run's files is checked when it is read. So this is a fault of
-        # jaxrod, and only the traceback explains it.
+        # The contents of a run's files are checked when they are read. So this is a
+        # fault of jaxrod, and only the traceback explains it.
         traceback.print_exc()
         words = printable(shlex.join(["jaxrod", *arguments]))
         print(
@@ -151,7 +151,7 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 @contextmanager
 def _warnings_as_sentences(command: str) -> Iterator[None]:
-    """Shows warnings as one line on stderr, without the source line, in the context."""
+    """Context in which a warning is one line on stderr, without its source line."""
 
     def show(
         message: Warning | str,

@@ -134,7 +134,7 @@ def _names(paths: list[Path]) -> list[str]:
 def _content(
     found: Twin, fitted: list[Comparison], forecasts: list[Comparison]
 ) -> dict[str, Any]:
-    """Content of twin.json: fitted parameters, and errors of fits and forecasts."""
+    """Contents of twin.json: fitted parameters, and errors of fits and forecasts."""
     import numpy as np
 
     from jaxrod.twin.identification import root_mean_square

@@ -1,9 +1,9 @@
 """Draw the learning curve and a replay of a run.
 
-Writes RUN/learning_curve.png, with the paper's result if the run compares with it, and
-RUN/replay.html: one episode of the deterministic policy, if the task can be drawn, as a
-page that plays in any browser without a network. Also works while the run is still
-training, from its last checkpoint.
+Writes RUN/learning_curve.png, with the paper's result if the run can be compared with
+it, and RUN/replay.html: one episode of the deterministic policy, if the task can be
+drawn, as a page that plays in any browser without a network. Also works while the run
+is still training, from its last checkpoint.
 """
 
 from __future__ import annotations

@@ -23,9 +23,10 @@ _SCORE_WINDOW = 50
 
 
 def score_window(task: str) -> int:
-    """Number of last training episodes whose mean return is the final score of a run.
+    """Number of final training episodes whose mean return is the score of a run.
 
-    As in the paper, it is 10 in Cases 3 and 4 and 50 in the others.
+    As in the paper, it is 10 for `structured` and `unstructured` (Cases 3 and 4). It is
+    50 for all other tasks.
     """
     return _SCORE_WINDOWS.get(task, _SCORE_WINDOW)
 
@@ -36,7 +37,7 @@ class StoredRun:
 
     Attributes:
         path: Folder of the run.
-        config: Content of `config.json`: task, algorithm, settings, seed.
+        config: Contents of `config.json`: task, algorithm, settings, seed.
         env: The environment of the run.
         trust: Modules that may be imported because the run names them.
     """

@@ -26,9 +26,9 @@ def configure(
     words: Sequence[str],
     trust: Collection[str] = (),
 ) -> Any:
-    """Configuration from defaults, stored settings and NAME=VALUE words.
+    """Returns the configuration from defaults, stored settings and NAME=VALUE words.
 
-    A word takes precedence over a stored setting, and that over a default.
+    A word takes precedence over a stored setting, and a stored setting over a default.
 
     Args:
         defaults: Default settings of the learner.
@@ -87,7 +87,7 @@ def word_of(value: Any) -> str:
 
 
 def options(words: Sequence[str]) -> dict[str, Any]:
-    """Options of a task from NAME=VALUE words.
+    """Returns the options of a task from NAME=VALUE words.
 
     A value is read as JSON or Python: a number, true, none or a list. Anything else is
     text.
@@ -109,7 +109,7 @@ def options(words: Sequence[str]) -> dict[str, Any]:
 
 
 def randomisation(file: Path) -> dict[str, Any]:
-    """Content of a TOML file with a randomisation, checked.
+    """Reads a randomisation from a TOML file; returns its validated record.
 
     Raises:
         ValueError: The file is not TOML, or an option or a number is invalid.
@@ -181,8 +181,8 @@ def path(text: str) -> Path:
     """Reads the path of a file or folder.
 
     Raises:
-        argparse.ArgumentTypeError: The text is empty. An empty path is mostly an unset
-            variable of the shell, and would mean the current folder.
+        argparse.ArgumentTypeError: The text is empty. An empty path usually comes from
+            an unset variable of the shell, and would mean the current folder.
     """
     if not text.strip():
         raise argparse.ArgumentTypeError(f"must name a file or folder, got {text!r}")
@@ -218,7 +218,7 @@ def _own_meanings(kind: type) -> dict[str, str]:
 
 
 def _text(statement: ast.stmt) -> str:
-    """Content of a statement that is only a string; empty for other statements."""
+    """Text of a statement that is only a string; empty for other statements."""
     if not isinstance(statement, ast.Expr):
         return ""
     value: Any = statement.value

@@ -198,7 +198,7 @@ def run(args: argparse.Namespace) -> int:
 
 @contextmanager
 def _place(args: argparse.Namespace, number: int) -> Iterator[Place]:
-    """Yields the machine or Ray cluster, as the arguments request, that trains runs.
+    """Yields the machine or Ray cluster that trains the runs, chosen by the arguments.
 
     `number` is the number of runs.
     """

@@ -2,11 +2,11 @@
 
 TASK is `tracking` (a soft arm follows a moving target), `reaching` (it reaches a point
 with an orientation), `structured` (a planar arm in a maze), `unstructured` (an arm in a
-nest), `following` (a moving target, by curvatures, ten times a second), `snake` or
+nest), `following` (an arm follows a moving target by commanded curvatures), `snake` or
 `octopus` (they crawl along a heading), `gripper` (it lifts a ball) or `trivial` (solved
 in seconds, to try things out). The first four have the variants `paper`, whose scores
-compare with the published ones, and `clean`; `trivial` has no variants, the others have
-`clean` only. TASK may also be your own: `mypackage.mymodule:make_task` or
+can be compared with the published ones, and `clean`; `trivial` has no variants, the
+others have `clean` only. TASK may also be your own: `mypackage.mymodule:make_task` or
 `folder/file.py:make_task` names the callable that makes it. Modules are also searched
 in the current folder (docs/extending.md).
 
@@ -367,7 +367,7 @@ def _functions(settings: Any) -> list[str]:
 
 
 def _logs(args: argparse.Namespace, out: Path) -> bool:
-    """Whether to write an event file: as --log says, or else as the resumed run did."""
+    """Whether to write an event file, according to --log or else the resumed run."""
     from jaxrod.training import RunFolder
 
     if args.log is None and args.resume:
@@ -444,7 +444,7 @@ def _default_variant(task: str) -> str | None:
 def _chosen(
     given: Any, stored: Mapping[str, Any] | None, name: str, default: Any
 ) -> Any:
-    """The first of: the value typed now, that of the stored run, the default."""
+    """The value given on the command line, else the stored run's, else the default."""
     if given is not None:
         return given
     return stored.get(name, default) if stored else default

@@ -153,7 +153,7 @@ class Body(ABC):
 
     @property
     def is_convex(self) -> bool:
-        """Whether the body is known to be convex."""
+        """Whether the body is known to be convex; true by default."""
         return True
 
     @property
@@ -329,7 +329,7 @@ class Cylinder(Body):
 
     @property
     def inradius(self) -> Array:
-        """Radius of the cylinder, or half its length if that is less [m]."""
+        """Smaller of the radius and half the length of the cylinder [m]."""
         x, y, z = jnp.moveaxis(self.end - self.start, -1, 0)
         return jnp.minimum(self.radius, 0.5 * vectors.safe_norm((x, y, z)))
 
@@ -392,7 +392,7 @@ class Plane(Body):
 
     @property
     def is_half_space(self) -> bool:
-        """True: a plane bounds a half space."""
+        """Always true: a plane bounds a half space."""
         return True
 
     @property
@@ -507,7 +507,7 @@ class SignedDistance(Body):
 
     @property
     def is_convex(self) -> bool:
-        """False: it is not known whether the body is convex."""
+        """Always false: it is not known whether the body is convex."""
         return False
 
 
@@ -530,7 +530,7 @@ def _unit(vector: Float[Array, "3"]) -> tuple[Vec3, Array]:
 
 
 def _round(relative: Vec3, radius: Array) -> tuple[Array, Vec3]:
-    """Signed distance and normal of a ball around the origin of `relative`."""
+    """Signed distance and normal of a ball centred at the origin of `relative`."""
     rounded = (_ROUNDED * radius) * (_ROUNDED * radius)
     length = jnp.sqrt(vectors.dot(relative, relative) + rounded)
     return length - radius, vectors.scale(1 / length, relative)
@@ -748,7 +748,7 @@ def _ends(start: Numbers, end: Numbers) -> tuple[Array, Array]:
 
 
 def _with_length(name: str, value: Numbers, shapes: list[tuple[int, ...]]) -> Array:
-    """Checks that a vector can be normalised, and converts it to an array."""
+    """Validates that a vector can be normalised and returns it as an array."""
     checked = check_array(name, value, shapes, "")
     dtype = jnp.result_type(float)
     if not is_traced(checked):

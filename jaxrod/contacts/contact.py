@@ -450,14 +450,15 @@ def contact(
             the last), backward and sideways [1].
         friction_drag: Largest friction per length of rod and slip speed [kg/(m s)]; by
             default equal to `damping`. A sticking contact creeps at (tangential load
-            per length) / friction_drag, divided by the root of 1 - (load / limit)^2
-            with limit = friction * normal force: the closer to slipping, the faster.
+            per length) / friction_drag, divided by the square root of
+            1 - (load / limit)^2 with limit = friction * normal force: the closer to
+            slipping, the faster.
         stick_ratio: Factor by which friction grows as slip vanishes, at least 1;
             `friction` is that of sliding. Because friction sets in smoothly, a rod
-            holds on a little less than by this factor: up to 1.18, 1.49 or 2 times
-            sliding friction with a ratio of 1.5, 2 or 2.8. With a ratio above 1,
-            friction falls with speed once a rod slips faster than it creeps; this makes
-            rods stick and slip [1].
+            withstands less than this factor times sliding friction: at most 1.18, 1.49
+            or 2 times with a ratio of 1.5, 2 or 2.8. With a ratio above 1, friction
+            falls with speed once a rod slips faster than it creeps; this makes rods
+            stick and slip [1].
         onset: Width of the smooth onset of contact, divided by the rod's radius [1].
             The force starts half a width before rod and body touch and is linear beyond
             half a width of penetration.

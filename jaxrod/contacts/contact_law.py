@@ -119,11 +119,13 @@ class PenaltyLaw:
     stiffness: Array
     """Normal force per penetration: [N/m^2] if per length, else [N/m]."""
     damping: Array | None
-    """Dashpot force per normal speed: [kg/(m s)] if per length, else [kg/s]."""
+    """Dashpot force per normal speed: [kg/(m s)] if per length, else [kg/s]; `None`
+    without damping."""
     friction: Array | None
-    """Coefficient of Coulomb friction [1]."""
+    """Coefficient of Coulomb friction [1]; `None` without friction."""
     friction_drag: Array | None
-    """Largest friction per slip speed: [kg/(m s)] if per length, else [kg/s]."""
+    """Largest friction per slip speed: [kg/(m s)] if per length, else [kg/s]; `None`
+    without friction."""
 
     @property
     def has_rates(self) -> bool:
@@ -218,7 +220,7 @@ def directional_friction_force(
 def along_surface(axis: Vec3, normal: Vec3) -> Vec3:
     """Unit vectors along a surface: normalised projections of given unit vectors.
 
-    They go smoothly to zero where the given vectors are along the normal.
+    They go smoothly to zero where the given vectors are parallel to the normal.
     """
     upright = vectors.dot(axis, normal)
     flat = vectors.subtract(axis, vectors.scale(upright, normal))

@@ -37,7 +37,7 @@ from jaxrod.structure import pytree
 MOST_RATIO = 1e6
 """Upper bound of the ratio 3hm/2p, with the spacing h of contact points, the slope m of
 the distance along the rod and the penetration p [1]. Its fourth power is finite in
-single precision. At much smaller ratios already the side of the rod hardly counts."""
+single precision. Even at much smaller ratios the side of the rod hardly counts."""
 
 
 @pytree
@@ -116,7 +116,7 @@ class Ends:
         depth: Callable[[Array], Array],
         density: Float[Array, " ends"],
     ) -> tuple[Array, Array, Array]:
-        """Lengths of the ends [m], and forces from their derivatives by distance.
+        """Lengths of the ends [m], and the forces that changes of the lengths cause.
 
         Args:
             own: Distances of the ends from the surface [m].
@@ -126,7 +126,8 @@ class Ends:
 
         Returns:
             The lengths, and forces along the normals at the ends and beside them:
-            -density times the derivative of the length by the distance there [N].
+            -density times the derivative of the length with respect to the distance
+            there [N].
         """
         counted, pulled = jax.vjp(
             lambda own, beside: self.counted(own, beside, depth), own, beside

@@ -11,8 +11,8 @@ The second form is solved by elimination without pivoting ($L D L^T$), which nee
 the inverses of the pivots. They are $w/(1 + w\sigma)$, where $\sigma$ is the diagonal
 entry of $S$ after the earlier eliminations: weights may be zero, and may be huge.
 
-Elimination proceeds from both ends of the rod to the middle element at once. Every
-operation is therefore on two numbers, one for each side.
+Elimination proceeds from both ends of the rod to the middle element simultaneously.
+Every operation is therefore on two numbers, one for each side.
 """
 
 from __future__ import annotations
@@ -41,8 +41,8 @@ class ChainOfPairs:
     """Weights $W$ and couplings $S$ of the joints and elements of a rod; `N` is odd.
 
     Couplings are 3 x 3 matrices. A coupling of "a with b" has the components of a as
-    rows and those of b as columns. Only entries up to the diagonal are read of the
-    coupling of a joint or element with itself.
+    rows and those of b as columns. Of the coupling of a joint or element with itself,
+    only the entries up to the diagonal are read.
     """
 
     joint_weights: Vec3
@@ -129,7 +129,7 @@ class ChainOfPairs:
     def _middle(
         self, at: int, joints: Vec3, elements: Vec3, rest: Any
     ) -> tuple[list[Array], list[Array], list[Array]]:
-        """Unknowns of the joint before, the joint after, and the middle element.
+        """Unknowns of the middle element, after those of the joints on its two sides.
 
         Args:
             at: Index of the middle element.

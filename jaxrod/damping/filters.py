@@ -1,9 +1,9 @@
 r"""Damping of short waves: filters of velocities and spins along the rod.
 
-With $D$ the differences of neighbours, $M$ the inertia, $r$ the rates, $g$ the decay
-rate, $h$ the step and $p$ the order,
+With $D$ the differences of neighbours, $M$ the inertia, $r$ the velocities of nodes or
+the angular velocities of elements, $g$ the decay rate, $h$ the step and $p$ the order,
 
-$$B = M^{-1} D^T w D, \qquad r \mathrel{-}= (1 - e^{-gh})\,B^p\,r,$$
+$$B = M^{-1} D^T w D, \qquad r \mathrel{-}= (1 - e^{-gh})\,B^p\,r.$$
 
 $w$ is a quarter of the mass between two nodes, or of the smaller inertia of two
 elements, so that no eigenvalue of $B$ is above one. A wave of wave number $k$ on a
@@ -43,10 +43,11 @@ class ShortWaveDamping(Effect):
     $k^{2p}$."""
 
     def dissipate(self, scene: LoadedRod, motion: Motion, dt: Array) -> Motion:
-        """Motion whose rates r have been filtered, r -= (1 - exp(-rate dt)) B^order r.
+        """Motion with filtered velocities and spins.
 
-        B takes scaled second differences along the rod. Rigid-body motion does not
-        change.
+        Velocities and angular velocities r become r - (1 - exp(-rate dt)) B^order r,
+        with the matrix B of scaled second differences along the rod. Rigid-body motion
+        does not change.
         """
         body = _Body(scene.rod, motion)
         turning = motion.angular_velocities(scene.rod)
@@ -185,8 +186,8 @@ def short_wave_damping(rate: Numbers, *, order: int = 2) -> ShortWaveDamping:
 
     Args:
         rate: Rate at which motion that alternates from node to node decays [1/s].
-        order: A wave of number k decays at `rate sin(k l / 2)^(2 order)` on elements of
-            length l.
+        order: A wave of wave number k decays at `rate sin(k l / 2)^(2 order)` on
+            elements of length l.
 
     Raises:
         ValueError: If an argument is out of range.
@@ -209,10 +210,11 @@ def short_wave_damping(rate: Numbers, *, order: int = 2) -> ShortWaveDamping:
 def laplacian_filter(order: int) -> LaplacianFilter:
     """PyElastica's `LaplaceDissipationFilter`, for `method=pyelastica()`.
 
-    Every step subtracts from velocities and angular velocities, component by component,
-    their Laplacian over -4, applied `order` times with zeros at both ends. Its strength
-    is per step, and momentum is lost near the ends. Other methods refuse this filter
-    when they step; `short_wave_damping`, which has a rate, is for them.
+    The second difference along the rod, divided by -4 and set to zero at both ends, is
+    applied `order` times to each component of velocities and angular velocities. Every
+    step subtracts the result. The strength per step does not depend on the step size,
+    and momentum is lost near the ends. Other methods refuse this filter when they step;
+    `short_wave_damping`, which has a rate, is for them.
 
     Args:
         order: Number of times that the Laplacian is applied; 3 to 7 are usual in

@@ -5,9 +5,10 @@ with one relaxation time $\tau$. Rigid-body motion is not damped, and a mode of 
 frequency $\omega$ decays at the rate $\tau\omega^2/2$.
 
 Each kick by the loads is followed by a backward Euler step of the damping alone, at
-fixed configuration. With the step $h$, the inertia $M$, the derivatives $G$ of the
-strain rates by the rates $r$, and their drag $D$, it solves for the impulses $p$ of the
-forces in elements and the couples in joints:
+fixed configuration. $h$ is the step, $M$ the inertia, $G$ the matrix that maps the
+velocities and spins $r$ to strain rates, and $D$ the drag coefficients of the strain
+rates. The step solves for the impulses $p$ of the forces in elements and the couples in
+joints:
 
 $$(1 + h D\,G M^{-1} G^T)\,p = -h D\,G\,r, \qquad M\,\Delta r = G^T p.$$
 

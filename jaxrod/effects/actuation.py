@@ -201,9 +201,10 @@ def control_spline(
 
 
 def _shares(controls: Numbers, end: Any, kind: Any) -> Any:
-    """Arc lengths of control points divided by the rod length `end` [1], after checks.
+    """Validates control points; returns their arc lengths over the rod length [1].
 
-    They must increase strictly between 0 and `end`, and fit into the dtype `kind`.
+    They must increase strictly between 0 and the length `end`, and fit into the dtype
+    `kind`.
     """
     points = numeric("controls", controls, "m")
     if points.ndim != 1 or points.size < 2:
@@ -287,10 +288,10 @@ class ElementCouples(Effect):
         return Loads(couples=(self.couples[0], self.couples[1], self.couples[2]))
 
     def turning_tangent(self, rod: Rod, motion: Motion) -> Matrix:
-        """Negative derivative of the couples by the elements' rotations, world frame.
+        """Negative derivative of couples with respect to rotations, world frame [N m].
 
-        It is the matrix of the cross product with each couple, which turns with its
-        element.
+        It is the matrix of the cross product with each couple, because the couple turns
+        with its element.
         """
         couples = vectors.split(self.couples)
         return skew(to_world(directors(motion.orientation), couples))
@@ -359,8 +360,8 @@ def spline_couples(
 ) -> ElementCouples:
     """Couples distributed along the rod in proportion to a spline, per rest length.
 
-    The form does not depend on the resolution: the couple on an element is the integral
-    of the density over it, so refining the rod does not change the load.
+    The couple on an element is the integral over it of the spline times
+    `couple_density`, so refining the rod does not change the load.
 
     Args:
         rod: The rod.

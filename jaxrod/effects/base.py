@@ -1,9 +1,9 @@
 """Base class of all effects on a rod, the hooks they may override, and their memory.
 
 An effect is a frozen pytree whose numbers are traced leaves. Hooks that it does not
-override cost nothing in the compiled step. Memory is the values of fields declared with
-`memory()`, from step to step. They are part of the state, `RodState.memory`; the scene
-has their initial values.
+override cost nothing in the compiled step. An effect remembers the values of fields
+declared with `memory()` from step to step. They are part of the state,
+`RodState.memory`; the scene holds their initial values.
 """
 
 from __future__ import annotations
@@ -49,27 +49,27 @@ class StabilityBound:
     elements: Array | None = None
     """Stiffness against rotation of each element [N m]."""
     node_drag: Array | None = None
-    """Drag force on each node per speed, if `loads` contains it (explicit drag)
+    """Drag force per speed on each node, if `loads` contains it (explicit drag)
     [kg/s]."""
     element_drag: Array | None = None
-    """Drag couple on each element per angular velocity, if `loads` contains it
+    """Drag couple per angular velocity on each element, if `loads` contains it
     [N m s]."""
     slip_drag: Array | None = None
-    """Friction force at each node per speed of slip of the rod's surface [kg/s]. The
-    surface slips when the rod translates and when it rotates, so `drags` weighs both.
+    """Friction force at each node per slip speed of the rod's surface [kg/s]. The
+    surface slips when the rod translates and when it rotates, so `drags` weights both.
     Friction is perpendicular to the drag of `node_drag`."""
     slip_couple: Array | None = None
-    """Friction couple on each element per angular velocity, drag times squared lever
-    [N m s]."""
+    """Friction couple per angular velocity on each element, slip drag times squared
+    lever arm [N m s]."""
 
     def drags(self, moving: Array, turning: Array) -> tuple[Array | None, Array | None]:
         """Bounds of the drag on nodes [kg/s] and on elements [N m s], with friction.
 
-        The speed of slip is a velocity `v` plus a lever times an angular velocity, `l
+        The slip speed is a velocity `v` plus a lever arm times an angular velocity, `l
         w`. By Young's inequality `(v + l w)^2` is at most `(1 + moving) v^2 + (1 +
-        turning) (l w)^2`, if the product of `moving` and `turning` is one. So nodes
-        have the larger of `node_drag` and `(1 + moving) slip_drag`, and elements
-        `element_drag + (1 + turning) slip_couple`.
+        turning) (l w)^2`, if the product of `moving` and `turning` is one. So the bound
+        of nodes is the larger of `node_drag` and `(1 + moving) slip_drag`, and that of
+        elements is `element_drag + (1 + turning) slip_couple`.
         """
         nodes, elements = self.node_drag, self.element_drag
         if self.slip_drag is not None:
@@ -138,7 +138,8 @@ class Effect:
 
     Hooks are pure functions. `loads` is called at the configuration in the middle of a
     step, `constrain_rates` and `dissipate` after all loads have changed the rates, and
-    `constrain` after every change of configuration. A support has both constraints.
+    `constrain` after every change of configuration. A support overrides
+    `constrain_rates`. A support that moves overrides `constrain` too.
 
     `reach`, `turning_tangent`, `twists` and `wall` describe `loads` to methods that
     need to know more than its values. Without them every method gives correct results
@@ -201,8 +202,8 @@ class Effect:
     def obstacle(self) -> tuple[Any, int | None] | None:
         """Fixed `Body` that the rod may touch, drawn in replays; `None` without one.
 
-        It is returned with the number of bodies stacked along a leading axis of its
-        numbers, or `None` for a single body.
+        The second entry is the number of bodies that are stacked along a leading axis
+        of the body's numbers, or `None` for a single body.
         """
         return None
 
@@ -298,18 +299,19 @@ class Effect:
     def drag(self, rod: Rod, motion: Motion) -> Drag | None:
         """Decay rates along and across the rod, relative to the surrounding fluid.
 
-        `None` without drag. Explicit steps of the consistent law solve drag together
-        with the loads, so that it never limits the step. Other methods take the drag
-        from `loads`, which must be `jaxrod.fluids.drag_loads` of these rates, with
-        their `stability_bound`. An effect with drag has no other loads.
+        `None` without drag. `consistent()`, `planar()` and `torsion_free()` solve drag
+        together with the loads, so that it never limits the step. `implicit()` and
+        `pyelastica()` take the drag from `loads`, which must be
+        `jaxrod.fluids.drag_loads` of these rates. An effect with drag then needs a
+        `stability_bound`, and it has no other loads.
         """
         return None
 
     def stability_bound(self, rod: Rod) -> StabilityBound | None:
         """Upper bounds of the stiffness and drag in `loads`, for `stable_dt`.
 
-        An effect whose loads depend on the rod's configuration or rates must have this
-        hook, or `stable_dt` does not account for it. Constant loads need nothing.
+        An effect whose loads depend on the rod's configuration or rates must override
+        this hook, or `stable_dt` does not account for it. Constant loads need no bound.
         """
         return None
 
@@ -338,7 +340,7 @@ class Effect:
         return None
 
     def held(self, rod: Rod) -> tuple[Held, ...]:
-        """Degrees of freedom that the effect holds, whatever its traced numbers are.
+        """Degrees of freedom that the effect holds, regardless of its traced numbers.
 
         `make_scene` refuses two effects that hold the same degree of freedom. It cannot
         check effects without this hook.
@@ -378,12 +380,12 @@ class Effect:
         return self
 
     def turning_tangent(self, rod: Rod, motion: Motion) -> Matrix | None:
-        """Negative derivative of couples by element rotations, world frame [N m].
+        """Negative derivative of couples with respect to rotations, world frame [N m].
 
-        This hook is for effects with constant forces, whose couple on an element
-        depends on the rotation of that element alone. `None` states that the couples in
-        the world frame are constant, too. An effect without this hook is differentiated
-        automatically.
+        The rotations are those of the elements. This hook is for effects with constant
+        forces, whose couple on an element depends on the rotation of that element
+        alone. `None` states that the couples in the world frame are constant, too. An
+        effect without this hook is differentiated automatically.
         """
         # Not `return None`, which means that the couples are constant.
         raise NotImplementedError
@@ -392,8 +394,8 @@ class Effect:
     def twists(self) -> str | None:
         """Name, for error messages, of loads that twist a rod or turn with its frame.
 
-        A method without twist refuses an effect with such a name, whatever its numbers
-        are. `None` by default; twisting couples in the values of `loads` need no
+        A method without twist refuses an effect that returns a name, regardless of its
+        numbers. `None` by default; twisting couples in the values of `loads` need no
         declaration.
         """
         return None
@@ -411,7 +413,7 @@ def _says_of_others(kind: type, name: str, hooks: tuple[str, ...]) -> bool:
     """Whether the class `kind` overrides one of `hooks` without declaring `name`.
 
     `name` is an attribute that describes the hooks. Its inherited value then describes
-    those of a base class.
+    the hooks of a base class.
     """
     for base in kind.__mro__:
         if name in vars(base):

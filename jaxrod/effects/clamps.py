@@ -50,10 +50,11 @@ _LARGEST_ANGLE = 2.5
 class Clamp(Effect):
     """Clamped end: end node held in place, end element joined to the frame of a wall.
 
-    Between wall and end element lies half an element. The wall therefore acts through
-    an elastic joint of that length, with the bending and twisting stiffness of the end
-    element. The static error is then second order in the number of elements: +0.5/n^2
-    for a cantilever, compared with -1.5/n if the end element itself is held.
+    The wall is half an element away from the middle of the end element. It therefore
+    acts through an elastic joint of that length, with the bending and twisting
+    stiffness of the end element. The relative static error of a cantilever of n
+    elements is then second order, +0.5/n^2, compared with -1.5/n if the end element
+    itself is held.
     """
 
     orientation: Float[Array, "4"]
@@ -61,10 +62,10 @@ class Clamp(Effect):
     end: End = static(default="base")
     """End of the rod that is clamped, "base" or "tip"."""
     position: Float[Array, "3"] | None = None
-    """Position of the wall [m], which only `health` uses. `None`: distance of the end
-    node from the wall is not checked."""
+    """Position of the wall, world frame [m], which only `health` uses. If `None`, the
+    distance of the end node from the wall is not checked."""
     made_for: int | None = static(default=None)
-    """Number of elements that the rod must have, see `check`; `None`: any number."""
+    """Number of elements that the rod must have, see `check`; `None` for any number."""
 
     def check(self, rod: Rod) -> None:
         """Raises ValueError if the rod does not have `made_for` elements."""
@@ -100,7 +101,10 @@ class Clamp(Effect):
         )
 
     def turning_tangent(self, rod: Rod, motion: Motion) -> Matrix:
-        """Negative derivative of the joint's couple by the end element's rotation."""
+        """Negative derivative of the joint's couple, world frame [N m].
+
+        The derivative is with respect to the rotation of the end element.
+        """
         orientation = at_end(motion.orientation, self.end)
         rotation, coupling, moment = self._joint(rod, orientation)
         stiffness = vectors.split(self._stiffness(rod))
@@ -176,7 +180,7 @@ class FixedEnd(Effect):
     end: End = static(default="base")
     """End of the rod that is held, "base" or "tip"."""
     made_for: int | None = static(default=None)
-    """Number of elements that the rod must have, see `check`; `None`: any number."""
+    """Number of elements that the rod must have, see `check`; `None` for any number."""
 
     def check(self, rod: Rod) -> None:
         """Raises ValueError if the rod does not have `made_for` elements."""
@@ -273,9 +277,10 @@ def _frame_at_new_middle(orientation: Array, rod: Rod, new_rod: Rod, end: End) -
 
 
 def clamp(state: RodState, end: End = "base") -> Clamp:
-    """Clamps one end: its position and orientation stay as they are in `state`.
+    """Clamps one end to a wall at its position and orientation in `state`.
 
-    The wall's frame is the end element's orientation in `state`.
+    The end node does not move. The end element is held through an elastic joint, which
+    is at rest in `state`; see `Clamp`.
 
     Args:
         state: The state of the rod.

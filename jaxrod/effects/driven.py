@@ -72,7 +72,7 @@ class Driven(Effect):
     holds_element: bool = static(default=False)
     """Whether the wall holds the end element rigidly instead of through a joint."""
     made_for: int | None = static(default=None)
-    """Number of elements that the rod must have, see `check`; `None`: any number."""
+    """Number of elements that the rod must have, see `check`; `None` for any number."""
 
     @property
     def _joint(self) -> Clamp | None:
@@ -90,7 +90,10 @@ class Driven(Effect):
         return Loads() if joint is None else joint.loads(rod, motion)
 
     def turning_tangent(self, rod: Rod, motion: Motion) -> Matrix | None:
-        """Negative derivative of the joint's couple by the end element's rotation."""
+        """Negative derivative of the joint's couple, world frame [N m].
+
+        The derivative is with respect to the rotation of the end element.
+        """
         joint = self._joint
         return None if joint is None else joint.turning_tangent(rod, motion)
 
@@ -263,12 +266,13 @@ def driven(
     `jaxrod.reactions` gives the force, couple and power that this takes.
 
     Args:
-        state: The state of the rod, from which displacement and angle are counted.
+        state: The state of the rod, from which displacement and angle are measured.
         end: The end that is driven.
         displacement: Displacement of the end node, world frame: `(3,)`, or a schedule
             of it [m].
         axes: World axes along which it is driven; along the others it is free.
-        axis: Axis about which the wall turns, world frame, of any length `(3,)`.
+        axis: Axis about which the wall turns, world frame, of any length `(3,)`; needed
+            if `angle` is given.
         angle: Angle by which the wall turns, or a schedule of it [rad].
         free_to_turn: Whether the end element turns freely, as on a ball joint.
         holds_element: Whether the wall holds the end element itself, as `fixed_end`

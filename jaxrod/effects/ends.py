@@ -1,6 +1,6 @@
 """Ends of a rod, "base" and "tip", and degrees of freedom that supports hold.
 
-An entry of a field at an end is read and written here, and a check finds degrees of
+Functions here read and write the entry of a field at an end. A check finds degrees of
 freedom that are held twice.
 """
 
@@ -91,7 +91,8 @@ def check_made_for(name: str, count: int | None, rod: Rod) -> None:
 
     Args:
         name: Name of the support's factory.
-        count: Number of elements of the state it is from; `None` if not known.
+        count: Number of elements of the state that it was made from; `None` if not
+            known.
         rod: The rod that the support holds.
     """
     if count is not None and count != rod.n_elements:
@@ -141,15 +142,15 @@ def held_end(end: End, axes: Axes = ALL_AXES) -> Held:
 
 
 def check_held_once(held: Iterable[tuple[str, Held]], n_elements: int) -> None:
-    """Checks that no two supports hold the same degree of freedom.
+    """Raises ValueError if two supports hold the same degree of freedom.
 
     Args:
         held: Held degrees of freedom, each with the name of its effect.
         n_elements: Number of elements of the rod.
 
     Raises:
-        ValueError: If two supports do. They would undo each other, and neither reaction
-            would be the load that its support bears.
+        ValueError: If they do. They would undo each other, and neither reaction would
+            be the load that its support bears.
     """
     for (name, one), (other_name, other) in combinations(held, 2):
         both = f"{name} and {other_name} both hold"
@@ -173,9 +174,10 @@ def check_held_once(held: Iterable[tuple[str, Held]], n_elements: int) -> None:
 
 
 def _same(one: int | None, other: int | None, size: int) -> int | None:
-    """Index from 0 that both indices stand for, negative ones counted from the end.
+    """Non-negative form of two indices that denote the same one of `size` entries.
 
-    `None` if they stand for different entries of `size`, or one of them is `None`.
+    Negative indices count from the end. `None` if the indices denote different entries,
+    or one of them is `None`.
     """
     if one is None or other is None or one % size != other % size:
         return None

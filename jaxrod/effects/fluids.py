@@ -1,16 +1,16 @@
 r"""Fluids around a rod: drag, linear (Stokes) or quadratic, buoyancy and added mass.
 
-Per length of rod, with the velocity relative to the flow along the rod
-($w_\parallel$) and across it ($w_\perp$), the force of drag is
+The velocity relative to the flow has the components $w_\parallel$ along the rod and
+$w_\perp$ across it. Linear and quadratic drag per length of rod are
 
 $$f = -\zeta_\parallel w_\parallel - \zeta_\perp w_\perp, \qquad
   f = -\tfrac12\rho\, 2r\,[c_\perp |w_\perp| w_\perp + \pi c_\parallel |w_\parallel|
   w_\parallel],$$
 
-and the couple about the rod's axis is $-\zeta_\omega\omega_3$. This is resistive-force
-theory: the rod does not change the flow, and its parts do not interact through it.
-Explicit steps of the consistent law solve drag together with the loads
-(`jaxrod.methods.drag_kick`), so it never limits the step.
+and the couple of linear drag about the rod's axis is $-\zeta_\omega\omega_3$ per
+length. This is resistive-force theory: the rod does not change the flow, and its parts
+do not interact through it. `consistent()`, `planar()` and `torsion_free()` solve drag
+together with the loads (`jaxrod.methods.drag_kick`), so it never limits the step.
 
 PyElastica's slender-body drag is here for comparisons. On an element of current length
 $\ell$ and radius $r$ of a rod of current length $L$,
@@ -144,10 +144,10 @@ def flow_field(
 
 
 def as_flow(flow: Flow | Timed | None) -> Flow | None:
-    """Checks an argument that may be a flow, a velocity or `None`.
+    """Returns a flow or `None` unchanged, and a velocity [m/s] as a `UniformFlow`.
 
     Raises:
-        ValueError: If it is none of these.
+        ValueError: If the argument is none of these.
     """
     if flow is None or isinstance(flow, UniformFlow | FlowField):
         return flow
@@ -200,7 +200,7 @@ class StokesDrag(FluidDrag):
     reach: ClassVar[Reach] = "neighbours"
 
     def drag(self, rod: Rod, motion: Motion) -> Drag:
-        """Decay rates: drag coefficients divided by node masses or rotary inertia."""
+        """Decay rates: drag coefficients over mass or inertia per length [1/s]."""
         masses, turning = rod.node_masses, None
         if self.turning is not None:
             about = self.turning / rod.rotary_inertia[-1]
@@ -258,7 +258,7 @@ class QuadraticDrag(FluidDrag):
     reach: ClassVar[Reach] = "neighbours"
 
     def drag(self, rod: Rod, motion: Motion) -> Drag:
-        """Decay rates per speed: drag per squared speed, divided by node masses."""
+        """Decay rates per speed: drag per squared speed over node masses [1/m]."""
         area = on_nodes(rod, self.density * rod.radii) / rod.node_masses
         still = jnp.zeros_like(self.density)
         return Drag(
@@ -396,7 +396,8 @@ def quadratic_drag(
         along: Friction coefficient along the rod, referred to its surface [1]. A
             fiftieth of `across` fits the arm of an octopus (Yekutieli et al.,
             J. Neurophysiol. 94 (2005) 1443).
-        flow: Velocity of the fluid, as in `stokes_drag`.
+        flow: Velocity of the fluid, world frame `(3,)`, a schedule of it, or a
+            `jaxrod.fluids.flow_field` [m/s]; at rest by default.
 
     Returns:
         An effect to list in a scene; a scene may have one effect with drag.
@@ -421,7 +422,7 @@ def quadratic_drag(
 
 
 def _coefficient(name: str, value: Numbers, unit: str) -> Array:
-    """Checks a drag coefficient, at least 0: one number, or one per element."""
+    """Validates a drag coefficient and returns it: one number, or one per element."""
     given = numeric(name, value, unit)
     if given.ndim > 1:
         raise ValueError(
@@ -463,11 +464,12 @@ class SlenderBodyDrag(Effect):
     def stability_bound(self, rod: Rod) -> StabilityBound:
         """Bound of the drag on each node across the unstretched rod.
 
-        The force on a node of mass m1 by an element is half the drag times the mean
-        velocity, (m1 v1 + m2 v2) / (m1 + m2). By Young's inequality its power, with
-        that on the other node, is at most half the drag times the sum of
-        (m1 / (m1 + m2) + w / 2) v1^2 and (m2 / (m1 + m2) + 1 / 2w) v2^2. The weight w
-        shares it in proportion to the masses, and equally among elements at a node.
+        The force of an element on a node of mass m1 is half the drag coefficient times
+        the mean velocity, (m1 v1 + m2 v2) / (m1 + m2). By Young's inequality the power
+        of the forces on both nodes is at most half the drag coefficient times the sum
+        of (m1 / (m1 + m2) + w / 2) v1^2 and (m2 / (m1 + m2) + 1 / (2 w)) v2^2. The
+        weight w distributes the mixed term in proportion to the masses, and equally
+        among the elements at a node.
         """
         half = 0.5 * self._per_length(rod.length, rod.radii) * rod.rest_lengths
         masses = rod.node_masses
@@ -540,7 +542,7 @@ class Buoyancy(Effect):
         return Loads(forces=(-masses * g[0], -masses * g[1], -masses * g[2]))
 
     def turning_tangent(self, rod: Rod, motion: Motion) -> None:
-        """None: there are no couples that could change when elements rotate."""
+        """Returns `None`: there are no couples that change when elements rotate."""
 
     def energy(self, rod: Rod, state: RodState) -> Array:
         """Potential energy: balanced mass times gravity times position [J]."""
@@ -559,7 +561,7 @@ def buoyancy(
     Args:
         density: Density of the fluid [kg/m^3].
         acceleration: Acceleration as for `gravity`, world frame `(3,)`, or a schedule
-            [m/s^2].
+            of it [m/s^2].
         added_mass: Coefficient given to `with_added_mass`, if the rod has added mass
             [1]. That mass has inertia but no weight, and `gravity` does not know which
             part of the rod's mass it is.

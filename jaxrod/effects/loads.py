@@ -56,7 +56,7 @@ class Gravity(Effect):
         warn_of_weight(rod, self.acceleration)
 
     def turning_tangent(self, rod: Rod, motion: Motion) -> None:
-        """None: there are no couples that could change when elements rotate."""
+        """Returns `None`: there are no couples that change when elements rotate."""
 
     def energy(self, rod: Rod, state: RodState) -> Array:
         """Potential energy, minus the sum of m g . x over the nodes [J]."""
@@ -88,7 +88,7 @@ class EndLoad(Effect):
         return self._at_end(rod, vectors.split(self.force), couple)
 
     def turning_tangent(self, rod: Rod, motion: Motion) -> Matrix | None:
-        """None: couples in the world frame do not change when elements rotate."""
+        """Returns `None`: world-frame couples do not change when elements rotate."""
         return None
 
     def _at_end(self, rod: Rod, force: Vec3, couple: Vec3) -> Loads:
@@ -152,7 +152,7 @@ class UniformLoad(Effect):
         )
 
     def turning_tangent(self, rod: Rod, motion: Motion) -> Matrix | None:
-        """None: couples in the world frame do not change when elements rotate."""
+        """Returns `None`: world-frame couples do not change when elements rotate."""
         return None
 
     def _on_elements(self, rod: Rod) -> tuple[Vec3, Vec3]:
@@ -205,18 +205,19 @@ class ExponentialDamping(Effect):
     r"""Linear damping: without loads, velocities and spins decay exponentially.
 
     $\dot v = f/m - g_t v$ and $\dot P = c - g_r P$, for velocities $v$ under forces $f$
-    and angular momenta $P$ under couples $c$. The consistent law solves these exactly
-    in each step, with loads held constant. That is second order, stable, and gives the
-    right terminal velocity however large the rates are. In PyElastica mode rates are
-    multiplied by $e^{-g h}$ after the loads have changed them, as by its
-    `AnalyticalLinearDamper`.
+    and angular momenta $P$ under couples $c$. `consistent()`, `planar()` and
+    `torsion_free()` solve these equations exactly in each step, with loads held
+    constant. That is second order, stable, and gives the right terminal velocity
+    however large the decay rates are. `pyelastica()` multiplies velocities and angular
+    velocities by $e^{-g h}$ after the loads have changed them, with $g$ the decay rate
+    and $h$ the step size, as PyElastica's `AnalyticalLinearDamper` does.
     """
 
     translational_rate: Float[Array, ""]
     """Decay rate $g_t$ of velocities [1/s]."""
     rotational_rate: Float[Array, ""]
-    """Decay rate $g_r$ of spins: angular momenta, in PyElastica mode angular velocities
-    [1/s]."""
+    """Decay rate $g_r$ of spins: angular momenta, or angular velocities with
+    `pyelastica()` [1/s]."""
 
     def damping_rates(self, rod: Rod) -> tuple[Array, Array]:
         """Decay rates of velocities and of spins [1/s]."""
@@ -256,7 +257,8 @@ def end_load(
     Args:
         force: Force on the end node `(3,)`, or a schedule of it [N]; in the world
             frame, or in the material frame of the end element if `follower`.
-        couple: Couple on the end element, in the same frame [N m].
+        couple: Couple on the end element `(3,)`, or a schedule of it, in the same frame
+            [N m].
         end: "base" or "tip".
         follower: Whether force and couple turn with the end element. Then a force
             along d3 stays along the rod, and one along d1 or d2 stays across it. If
@@ -290,7 +292,8 @@ def uniform_load(
     Args:
         force_per_length: Force per rest length `(3,)`, or a schedule of it [N/m]; in
             the world frame, or in the material frame if `follower`.
-        couple_per_length: Couple per rest length, in the same frame [N m/m].
+        couple_per_length: Couple per rest length `(3,)`, or a schedule of it, in the
+            same frame [N m/m].
         follower: Whether force and couple turn with the elements.
 
     Raises:

@@ -37,7 +37,7 @@ class Placed:
 
 @pytree
 class Path(Schedule):
-    """Schedule of a position: a start plus a scheduled displacement."""
+    """Schedule of a position: a fixed point plus a scheduled displacement."""
 
     start: Float[Array, "3"]
     """Position at zero displacement, world frame [m]."""
@@ -98,10 +98,11 @@ class Turning(Schedule):
 
     @property
     def largest(self) -> Turned:
-        """Orientation for checks of planes; rates are zero.
+        """Orientation for checks that motion stays in a plane; the rates are zero.
 
-        The angle is zero if it always is, and otherwise arbitrary: its largest value
-        could be a whole turn, which looks like no rotation.
+        The angle is zero if it is zero at all times, and otherwise arbitrary. The
+        largest angle is not used, because it could be a whole turn, which looks like no
+        rotation.
         """
         largest = self.angle.largest
         angle = jnp.where(largest == 0, 0, jnp.asarray(0.739, largest.dtype))
@@ -132,7 +133,7 @@ class _Constant(Schedule):
 
 
 def schedule_of(name: str, value: Any, unit: str, shape: tuple[int, ...]) -> Schedule:
-    """Schedule from an argument that `as_timed` checks; a constant becomes one too."""
+    """Validates an argument and returns it as a schedule, even if it is constant."""
     checked = as_timed(name, value, unit, shape)
     return checked if is_schedule(checked) else _Constant(checked)
 

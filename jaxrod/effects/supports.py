@@ -117,7 +117,7 @@ class Pin(Effect):
     axes: Axes = static(default=(True, True, True))
     """Flags of the world axes x, y, z along which the node is held."""
     made_for: int | None = static(default=None)
-    """Number of elements that the rod must have, see `check`; `None`: any number."""
+    """Number of elements that the rod must have, see `check`; `None` for any number."""
 
     def constrain_rates(self, rod: Rod, motion: Motion) -> Motion:
         """Sets the velocity of the node to zero along the held axes."""
@@ -161,9 +161,10 @@ class Pin(Effect):
 class Hinge(Effect):
     r"""An end node held in place, whose element turns about one axis only.
 
-    Between hinge and end element lies half an element, as in a `Clamp`. A material axis
-    $e$ of the element is pulled towards the hinge's axis $a$ by the couple
-    $k\, e \times a$, with $k$ the bending stiffness over that half length.
+    The hinge is half an element away from the middle of the end element, as the wall of
+    a `Clamp` is. The couple $k\, e \times a$ pulls a material axis $e$ of the element
+    towards the hinge's axis $a$. $k$ is the bending stiffness of the element divided by
+    that half length.
     """
 
     position: Float[Array, "3"]
@@ -175,14 +176,14 @@ class Hinge(Effect):
     end: End = static(default="base")
     """End of the rod that is held, "base" or "tip"."""
     made_for: int | None = static(default=None)
-    """Number of elements that the rod must have, see `check`; `None`: any number."""
+    """Number of elements that the rod must have, see `check`; `None` for any number."""
 
     def check(self, rod: Rod) -> None:
         """Raises ValueError if the rod does not have `made_for` elements."""
         check_made_for("hinge", self.made_for, rod)
 
     def _stiffness(self, rod: Rod) -> Array:
-        """Stiffness $k$: larger bending stiffness over half an element length [N m]."""
+        """Larger of both bending stiffnesses over half the element length [N m]."""
         index = 0 if self.end == "base" else -1
         return jnp.max(rod.bend_twist_stiffness[:2, index]) / (
             0.5 * rod.rest_lengths[index]
@@ -249,7 +250,7 @@ def pin_support(state: RodState, node: End | int = "base", *, axes: str = "xyz")
 
     Args:
         state: The state of the rod.
-        node: "base", "tip", or the number of a node.
+        node: "base", "tip", or the index of a node, from 0.
         axes: World axes along which it is held: "xyz" for a pin, "z" for a smooth
             floor, "yz" for a rail along x.
 

@@ -1,8 +1,8 @@
 r"""Effect parameters that depend on time, and a clock that stays exact.
 
-A `Schedule` may stand in any field of an effect where a number or an array would. At
-every step it is replaced by its value, so that hooks see plain numbers. Scenes without
-a schedule have no clock, and their programs do not change.
+Any number or array in a field of an effect may be replaced by a `Schedule`. At every
+step the schedule is replaced by its value, so that hooks see plain numbers. Scenes
+without a schedule have no clock, so schedules cost them nothing.
 """
 
 from __future__ import annotations
@@ -46,7 +46,7 @@ class Clock:
     step: Int[Array, ""]
     """Number of whole steps since time zero."""
     fraction: Float[Array, ""]
-    """Time since that whole step, in steps; may be above 1 [1]."""
+    """Time since the end of the last whole step, in steps; may be above 1 [1]."""
     dt: Float[Array, ""]
     """Step size [s]."""
 
@@ -59,7 +59,8 @@ class Clock:
         """Fraction of the current period that has passed at this time, from 0 to 1 [1].
 
         The error is a few round-offs, however many periods have passed. The step count
-        is taken digit by digit, and the periods per step to twice the precision.
+        is processed digit by digit, and the number of periods per step is computed to
+        twice the precision.
 
         Args:
             period: The period [s].
@@ -116,8 +117,9 @@ def _product(a: Array, b: Array) -> tuple[Array, Array]:
 class Schedule(ABC):
     """Base of numbers that depend on time; a subclass is a pytree.
 
-    Stability bounds and checks of planes and axes use `largest`. Every component of it
-    must be at least as large as the absolute value of that component at any time.
+    Stability bounds, and checks that motion stays in a plane, use `largest`. Every
+    component of it must be at least as large as the absolute value of that component at
+    any time.
 
     Example:
         >>> @extend.pytree
@@ -173,11 +175,12 @@ class Schedule(ABC):
 
 @pytree
 class VectorInSpace(Schedule):
-    """A schedule of vectors of which bounds need only the norm, e.g. a field in space.
+    """A schedule of vectors of which bounds need only the norm, e.g. a magnetic field.
 
     `largest` is scaled so that its norm is the largest norm of the values. Bounds are
-    therefore the same if everything is rotated. A component of `largest` is zero only
-    if that component of the values is always zero, as checks of planes require.
+    therefore unchanged if everything is rotated. A component of `largest` is zero only
+    if that component of the values is zero at all times. Checks that motion stays in a
+    plane rely on this.
     """
 
     schedule: Any
@@ -251,9 +254,10 @@ def _replaced(tree: Tree, value: Callable[[Schedule], Any]) -> Tree:
 def as_timed_vector(
     name: str, value: Timed, unit: str, *shapes: tuple[int, ...], **limits: Any
 ) -> Any:
-    """Checks a vector that may depend on time and of which bounds need only the norm.
+    """Validates a vector that may be a schedule and returns an array or a schedule.
 
-    See `as_timed` for the arguments.
+    It is for vectors of which stability bounds need only the norm: a schedule becomes a
+    `VectorInSpace`. The arguments are those of `as_timed`.
     """
     checked = as_timed(name, value, unit, *shapes, **limits)
     return VectorInSpace(checked) if is_schedule(checked) else checked
@@ -262,7 +266,7 @@ def as_timed_vector(
 def as_timed(
     name: str, value: Timed, unit: str, *shapes: tuple[int, ...], **limits: Any
 ) -> Any:
-    """Checks an argument that may be a schedule; returns an array or the schedule.
+    """Validates an argument that may be a schedule; returns an array or the schedule.
 
     Args:
         name: The argument's name, for the message.
@@ -300,9 +304,9 @@ class Ramp(Schedule):
     """
 
     first: Float[Array, "..."]
-    """Value up to the start."""
+    """Value before the change."""
     last: Float[Array, "..."]
-    """Value from the end on."""
+    """Value after the change."""
     start: Float[Array, ""]
     """Time at which the change begins [s]."""
     duration: Float[Array, ""]
@@ -410,7 +414,7 @@ class Time(Schedule):
 
     @property
     def largest(self) -> Array:
-        """An arbitrary time other than zero, for checks of planes [s].
+        """An arbitrary time other than zero, for checks of planar motion [s].
 
         It is not a bound: time has none.
         """
@@ -423,8 +427,8 @@ def ramp(
     """Linear change from one value to another, constant before and after.
 
     Args:
-        first: Value up to the start, in the unit of the scheduled number.
-        last: Value from the end on, of the same shape.
+        first: Value before the change, in the unit of the scheduled number.
+        last: Value after the change, of the same shape.
         duration: Duration of the change, above 0 [s].
         start: Time at which the change begins [s].
 
@@ -535,7 +539,7 @@ def time() -> Time:
 
 
 def _value(name: str, value: Numbers) -> Array:
-    """Converts a number or an array of any shape to an array, and checks it."""
+    """Validates a number or an array of any shape and returns it as an array."""
     return as_array(name, value, "", [numeric(name, value).shape])
 
 

@@ -1,4 +1,4 @@
-"""Warnings about unlikely numbers, detected by ratios without units."""
+"""Warnings about unlikely numbers, detected by dimensionless ratios."""
 
 from __future__ import annotations
 

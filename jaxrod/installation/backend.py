@@ -31,10 +31,10 @@ _BACKEND_OPTIONS = {
 }
 _LIBRARY_FUSIONS = "--xla_cpu_experimental_ynn_fusion_type"
 """Option that chooses which operations XLA leaves to the library YNNPACK; set to none.
-Since JAX 0.12 it gets all reductions and the operations that lead to them. The smallest
-distances between rods in a batch of 256 nests then take ten times as long as in XLA's
-own code. XLA ends the process at an unknown option, so it is set only for releases that
-are known to have it."""
+Since JAX 0.12 YNNPACK gets all reductions and the operations that lead to them. The
+smallest distances between rods in a batch of 256 nests then take ten times as long as
+in XLA's own code. XLA ends the process at an unknown option, so it is set only for
+releases that are known to have it."""
 _LAST_WITH_LIBRARY_FUSIONS = (0, 12)
 
 
@@ -98,7 +98,7 @@ def compile_for_rods() -> None:
 
 
 def first_of_each(devices: Sequence[jax.Device], asked: int | None) -> list[jax.Device]:
-    """The first devices of each process, in their order.
+    """Returns the first devices of each process, in the order of `devices`.
 
     Args:
         devices: Devices of all processes.
@@ -121,13 +121,13 @@ def first_of_each(devices: Sequence[jax.Device], asked: int | None) -> list[jax.
 
 
 def devices_that_fit(num_envs: int, asked: int | None, available: int | None) -> int:
-    """Number of devices: `asked`, or the largest available one that divides the batch.
+    """Returns `asked`, else the largest number of devices that divides the batch.
 
     Args:
         num_envs: Number of environments in the batch.
         asked: Requested number (`--devices`); None if there is none.
-        available: Number of existing devices. None before JAX has started: the number
-            of cores then limits both.
+        available: Number of existing devices. None before JAX has started; the result
+            is then at most the number of cores.
     """
     if available is None:
         available = available_cores()
@@ -139,7 +139,7 @@ def devices_that_fit(num_envs: int, asked: int | None, available: int | None) ->
 
 
 def given_options() -> str:
-    """Options in `XLA_FLAGS`: its value, or the content of the file that it names.
+    """Returns the options in `XLA_FLAGS`, or in the file that it names, as one line.
 
     XLA ends the process at the first mistake. Only XLA knows its options, so words that
     look like options are not checked further.
@@ -169,7 +169,7 @@ def given_options() -> str:
 
 
 def with_backend_options(flags: str) -> str:
-    """Value of `XLA_FLAGS` with jaxrod's options added where the user gave none."""
+    """Returns `flags` with jaxrod's options added, unless the user has set them."""
     prefix = "--xla_backend_extra_options="
     words = flags.split()
     given = [w.removeprefix(prefix) for w in words if w.startswith(prefix)]

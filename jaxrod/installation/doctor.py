@@ -88,7 +88,7 @@ def check_device(device: jax.Device) -> Iterator[Check]:
 
 
 def check_versions() -> Check:
-    """Checks that the releases of jax are sound and of one series, such as 0.12."""
+    """Checks that all packages of JAX are sound and of one series, such as 0.12."""
     versions = {name: metadata.version(name) for name in ("jax", "jaxlib")}
     for plugin in ("jax-cuda12-plugin", "jax-cuda13-plugin", "jax-rocm7-plugin"):
         try:
@@ -257,8 +257,8 @@ def check_repeatability(device: jax.Device) -> Check:
     """Calls one program several times and compares the bits of its results.
 
     It adds many numbers to few places, multiplies matrices and sums, as gradients of
-    networks do. On GPUs additions to one place happen in any order by default. A run
-    that is repeated or resumed then agrees up to round-off, but not bit by bit.
+    networks do. On GPUs additions to one place happen in arbitrary order by default. A
+    run that is repeated or resumed then agrees up to round-off, but not bit by bit.
     """
     import jax
     import jax.numpy as jnp
@@ -286,11 +286,11 @@ def check_repeatability(device: jax.Device) -> Check:
 
 
 def calls_that_differ(call: Callable[[], list[np.ndarray]], calls: int = CALLS) -> int:
-    """Number of calls whose results differ in any bit from those of the first.
+    """Returns the number of calls whose results differ from the first in any bit.
 
     Args:
         call: Function that returns arrays, of the same shapes each time.
-        calls: Number of calls, without the first.
+        calls: Number of calls, not counting the first.
     """
     first = [array.tobytes() for array in call()]
     return sum([array.tobytes() for array in call()] != first for _ in range(calls))
@@ -299,8 +299,8 @@ def calls_that_differ(call: Callable[[], list[np.ndarray]], calls: int = CALLS) 
 def check_lanes() -> Check:
     """Compares a batch of steps in lanes with NumPy, or reports why lanes are off.
 
-    Lanes are compiled code in which each entry of a vector register, or each thread of
-    a GPU, advances one rod of the batch.
+    Lanes are compiled code in which each entry of a vector register advances one rod of
+    the batch. On a GPU, each warp of 32 threads advances one scene of the batch.
     """
     import jax
     import jax.numpy as jnp
@@ -357,7 +357,7 @@ def check_lanes() -> Check:
 
 
 def check_program_cache() -> Check:
-    """Reports in which folder compiled programs are kept, their number and size."""
+    """Reports the folder of kept compiled programs, their number and total size."""
     import jax
 
     settings: Any = jax.config

@@ -68,11 +68,11 @@ def remedy() -> str:
 
 
 def require_sound_jax() -> None:
-    """Checks the installed jax and jaxlib.
+    """Raises if the installed jax or jaxlib is a refused release.
 
     Raises:
-        UnsoundJaxError: If either is a refused release; the message explains the fault
-            and how to install another release.
+        UnsoundJaxError: If it is; the message explains the fault and how to install
+            another release.
     """
     for package in ("jax", "jaxlib"):
         sentence = fault(package, metadata.version(package))

@@ -43,7 +43,7 @@ VARIABLE = "JAXROD_CACHE"
 folder."""
 
 SHORTEST_COMPILATION = 0.01
-"""Shortest compile time of a program that is kept, unless the user set one [s]."""
+"""Shortest compile time of a kept program, unless the user has set another [s]."""
 
 MOST_BYTES = 10**9
 """Largest size of all kept programs together [bytes]."""
@@ -78,13 +78,13 @@ def without_checksum() -> bool:
 
 
 def asked_for() -> bool | str | None:
-    """Value of `JAXROD_CACHE`: False for 0, True for 1, a folder, None if not set."""
+    """Value of `JAXROD_CACHE`: False for 0, True for 1, a folder; None if not set."""
     value = os.environ.get(VARIABLE, "").strip()
     return {"": None, "0": False, "1": True}.get(value, value)
 
 
 def obstacle() -> str | None:
-    """Whether kept programs would lack a checksum: JAX would use zstandard."""
+    """Returns the reason why compiled programs are not kept; None if they can be."""
     if asked_for() is False:
         return f"{VARIABLE} is 0"
     if without_checksum():
@@ -123,8 +123,8 @@ def keep_programs(
     """Makes JAX keep the programs that it compiles from now on, and load kept ones.
 
     Args:
-        folder: Folder of the programs; by default `default_folder()`, or the one that
-            JAX uses already. If it does not exist it is made, for this user alone.
+        folder: Folder of the programs; by default the one that JAX uses already, else
+            `default_folder()`. If it does not exist it is made, for this user alone.
         asked: Whether the user asked for it. If not, there is neither an error nor a
             warning when programs cannot be kept.
 
@@ -230,9 +230,10 @@ def _give_back(own: Path, process: int) -> None:
 
 
 def default_folder() -> Path:
-    """Default folder: `$XDG_CACHE_HOME/jaxrod/HASH`, HASH of `processor_features`.
+    """Returns the default folder, `$XDG_CACHE_HOME/jaxrod/HASH`.
 
-    `~/.cache` replaces an `XDG_CACHE_HOME` that is not set.
+    HASH is a hash of `processor_features`. If `XDG_CACHE_HOME` is not set, `~/.cache`
+    is used instead.
     """
     home = os.environ.get("XDG_CACHE_HOME", "").strip()
     caches = Path(home) if home else Path.home() / ".cache"

@@ -126,7 +126,7 @@ class Parts(NamedTuple):
 def program_of(jaxpr: Any) -> Parts:
     """Returns the jaxpr and the constants of a closed jaxpr.
 
-    An open jaxpr is taken too; it has no constants.
+    An open jaxpr is accepted too; it has no constants.
     """
     return Parts(getattr(jaxpr, "jaxpr", jaxpr), tuple(getattr(jaxpr, "consts", ())))
 

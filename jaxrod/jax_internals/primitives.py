@@ -81,10 +81,11 @@ def define(
         static: Name of the one parameter that is not an array. JAX searches parameters
             for jaxprs and transforms those that it finds, so this parameter must hide
             its jaxprs inside an object.
-        shapes: Rule that takes the types of the operands to those of the results.
+        shapes: Rule that maps the types of the operands to those of the results.
         batched: Rule for `jax.vmap`.
         jvp: Rule for forward mode.
-        transpose: Rule for the cotangents of the operands, if the operation is linear.
+        transpose: Rule for the cotangents of the operands; None if the operation is not
+            linear.
     """
     from jax.interpreters import ad, batching, mlir
 

@@ -18,7 +18,7 @@ def scan(
     length: int | None = None,
     reverse: bool = False,
 ) -> tuple[Any, Any]:
-    """Runs `lax.scan`; zero steps are allowed also under `jax.disable_jit()`.
+    """Runs `lax.scan`, and allows zero steps under `jax.disable_jit()` too.
 
     Args:
         function: Step that takes a carry and a row, and returns the next carry and a

@@ -155,7 +155,7 @@ KINDS = {dtype: kind for kind, dtype in DTYPES.items()}
 
 UNIFORM, FIXED, VARYING = 1, 2, 3
 """Rates at which values change. A uniform value is the same for all rods and steps. A
-fixed value differs between rods but not between steps. A varying value changes in every
+fixed value differs between rods but not between steps. A varying value changes at every
 step. Constants of the graph have rate 0."""
 
 
@@ -368,8 +368,8 @@ def _chosen(arguments: tuple[int, ...], known: list[Any]) -> int | None:
     """Returns the argument that a `select` always returns, or `None`.
 
     The arguments are the nodes of the condition, of the result if it is true, and of
-    the result if it is false. `known` has their values, `None` if they are not
-    constants.
+    the result if it is false. `known` contains the value of each, or `None` if it is
+    not a constant.
     """
     if known[0] is not None:
         return arguments[1] if known[0] else arguments[2]
@@ -386,7 +386,7 @@ class Entries:
     """Number of entries."""
     rate: int
     """Rate at which the numbers change: `UNIFORM` (the same for all rods and steps),
-    `FIXED` (for each rod) or `VARYING` (in every step)."""
+    `FIXED` (for each rod) or `VARYING` (at every step)."""
 
 
 @dataclass(frozen=True)

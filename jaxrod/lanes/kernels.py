@@ -99,7 +99,8 @@ def lowered_by_warps(
 ) -> Callable[..., Any] | None:
     """Returns the GPU program of a primitive: a kernel's call, or `None` for XLA.
 
-    The choice is recorded with its reason. Arguments as in `lowered_by_lanes`.
+    The choice is recorded with its reason. The arguments are those of
+    `lowered_by_lanes`.
     """
     rods = spec.batch.size if spec.batch is not None else 1
     mode = lane_mode()
@@ -247,7 +248,7 @@ def _back_kernel(
 
 
 def _width(body: LoopBody) -> int:
-    """Number of rods per vector register (at least 2), by the carry's widest float."""
+    """Number of the carry's widest floats per vector register, at least 2."""
     sizes = [aval.dtype.itemsize for aval in chosen(body.avals, body.floating)] or [4]
     return max(vector_bytes() // max(sizes), 2)
 
@@ -266,7 +267,7 @@ def _unrolled_step(
         The step as a graph, its unroller, and the nodes of its operands.
 
     Raises:
-        NotUnrolled: The step cannot be unrolled, or has more nodes.
+        NotUnrolled: The step cannot be unrolled, or has more than `most` nodes.
     """
     graph = Graph()
     unroller = Unroller(graph)
@@ -297,7 +298,7 @@ def _unrolled_run(
         most: Largest number of nodes in the graph.
 
     Raises:
-        NotUnrolled: The run cannot be unrolled, or has more nodes.
+        NotUnrolled: The run cannot be unrolled, or has more than `most` nodes.
     """
     step, unroller, inputs = _unrolled_step(body, shared, most)
     graph, n = step.graph, body.n_constants
@@ -319,7 +320,7 @@ def _unrolled_run(
 
 
 def _entries_of(aval: Any) -> Entries:
-    """Returns number type and size of an array, marked as changing in every step."""
+    """Returns number type and size of an array, marked as changing at every step."""
     return Entries(kind_of(aval), math.prod(aval.shape), VARYING)
 
 

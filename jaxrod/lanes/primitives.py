@@ -6,7 +6,8 @@ primitive are the number of steps and the constants.
 - `jaxrod_run`: a whole run, from its arguments to its results: beginning, steps, end.
 - `jaxrod_cycles`: the carry after all steps; on request the checkpoints too.
 - `jaxrod_cycles_tangent`: the tangent of that carry; linear in the given tangents.
-- `jaxrod_cycles_adjoint`: the transpose of the tangent, computed back from checkpoints.
+- `jaxrod_cycles_adjoint`: the transpose of the tangent, computed backwards from
+  checkpoints.
 
 The rules are those of batching, derivatives and lowering. Under `vmap` an operation
 remains one operation over a batch. Its reference is written once, with JAX's own loops.
@@ -166,7 +167,8 @@ def _adjoint(spec: RunSpec, steps: Any, *arrays: Any) -> list[Any]:
 def _batched_reference(one: Callable[..., list[Any]]) -> Callable[..., list[Any]]:
     """Returns the reference implementation of a primitive for one rod or a batch.
 
-    `one` is that for a single rod; it is mapped over the batch axis that `spec` names.
+    `one` is the implementation for a single rod. It is mapped over the leading axis of
+    the operands that `spec.batch.rows` marks.
     """
 
     def whole(steps: Any, *arrays: Any, spec: RunSpec) -> list[Any]:

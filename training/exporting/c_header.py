@@ -170,7 +170,7 @@ class _Body:
         self.lines.append(f"  for (k = 0; k < {count}; k++) {statement}")
 
     def _read(self, value: Value) -> str:
-        """C expression of entry k of a value in flat order, k the C loop variable."""
+        """C expression of entry k of a value in flat order; k is the loop variable."""
         if value.uniform:
             return _literal(value.numbers.ravel()[0], value.buffer.kind)
         if value.known:

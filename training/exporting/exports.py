@@ -41,8 +41,8 @@ def export_c(
 
     The header is C99 and needs `math.h` alone. All memory is static: weights are
     constants, and each function has static scratch arrays, so two threads must not call
-    it at once. It includes the normalisation of observations and the clipping of
-    actions. `policy.h` declares
+    it simultaneously. The functions normalise observations and clip actions. `policy.h`
+    declares
 
         void policy_act(const float observation[], float action[]);
 
@@ -52,8 +52,8 @@ def export_c(
 
     Args:
         policy: A `Policy`, or a policy with memory (`jaxrod.envs.MemoryPolicy`) that
-            does not look at the state of the environment.
-        env: Environment of the policy: gives entries, units and rate of the contract.
+            does not use the state of the environment.
+        env: Environment of the policy, for the entries, units and rate in the contract.
         file: Header to write. Its name without the ending is the prefix of all C names.
         about: Facts about the run for the contract, such as the task.
         overwrite: Whether to replace a file that was exported before.
@@ -103,7 +103,7 @@ def export_onnx(
     Args:
         policy: A policy, as for `export_c`. Its initial memory must not depend on the
             first observation.
-        env: Environment of the policy: gives entries, units and rate of the contract.
+        env: Environment of the policy, for the entries, units and rate in the contract.
         file: Model to write.
         about: Facts about the run for the contract, such as the task.
         overwrite: Whether to replace a file that was exported before.
@@ -208,7 +208,7 @@ def _export(
         about: Facts about the run for the contract.
         overwrite: Whether to replace a file that was exported before.
         write: Function of the traced policy and the contract's entries so far, to which
-            it adds; returns the content of the file.
+            it adds; returns the contents of the file.
     """
     contract = path.with_name(f"{path.name}.json")
     _check_replaceable(path, contract, overwrite)

@@ -29,7 +29,7 @@ def model(
     comment: str,
     facts: dict[str, str],
 ) -> bytes:
-    """Bytes of an ONNX model: one observation, without a batch axis, to one action.
+    """Bytes of an ONNX model that maps one observation to one action, unbatched.
 
     Args:
         act: Program from the arrays of the memory and the observation to the action and

@@ -1,6 +1,6 @@
 """Exported programs: lists of elementwise operations, matrix products and copies.
 
-All data lie in flat arrays (`Buffer`). A `Value` is an array of any shape whose entries
+All data are in flat arrays (`Buffer`). A `Value` is an array of any shape whose entries
 are entries of one buffer. The elementwise operations are in one table for all writers.
 Each entry has a C expression in the operands `a`, `b`, `c`, and an ONNX operator or a
 function that combines several ONNX operators.
@@ -25,7 +25,7 @@ class Buffer:
     size: int
     dtype: Any
     data: np.ndarray | None = None
-    """Content of a constant; `None` for an input or the result of a step."""
+    """Entries of a constant; `None` for an input or the result of a step."""
 
     @property
     def kind(self) -> str:

@@ -2,8 +2,8 @@
 
 Values that depend on no input are computed here and become constants. Primitives that
 only move numbers, such as `transpose`, add no step: they change the indices at which an
-array's numbers lie in their buffer. Elementwise operations and matrix products become
-steps. Any other primitive is refused by name.
+array's numbers are read from their buffer. Elementwise operations and matrix products
+become steps. Any other primitive is refused by name.
 """
 
 from __future__ import annotations
@@ -128,7 +128,7 @@ class _Walk:
         return self._made(Each, shape, dtype, operands, operation)
 
     def together(self, values: Sequence[Value]) -> list[Value]:
-        """Copies values into one buffer if they lie in several; returns them there."""
+        """Returns values that share one buffer, after copying them if necessary."""
         if len({value.buffer for value in values}) == 1:
             return list(values)
         sizes = [value.places.size for value in values]
@@ -193,8 +193,8 @@ def _refusal(reason: str) -> ValueError:
 
 Rule = Callable[..., Value | list[Value]]
 RULES: dict[str, Rule] = {}
-"""Rules by name of the primitive they translate: `(walk, equation, *values)` to the
-results."""
+"""Rules by name of the primitive that they translate. A rule takes `(walk, equation,
+*values)` and returns the results."""
 
 
 def _rule(*names: str) -> Callable[[Rule], Rule]:

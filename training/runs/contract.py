@@ -71,7 +71,7 @@ def updates_of(algorithm: Algorithm, config: Any) -> int:
     """Number of control steps of one update, from `Algorithm.steps_per_update`.
 
     Raises:
-        ValueError: The number is no integer of at least 1.
+        ValueError: The number is not an integer of at least 1.
     """
     steps = algorithm.steps_per_update(config)
     return check_count(f"steps_per_update of {algorithm.name}", steps, 1)

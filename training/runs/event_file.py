@@ -75,7 +75,7 @@ class EventFile:
                 file for file in folder.iterdir() if re.fullmatch(NAMES, file.name)
             ]
         # TensorBoard reads files in the order of their names, and a restart at step 0
-        # makes it forget the content of the others.
+        # makes it forget the contents of the others.
         self.path = folder / f"events.out.tfevents.{time.time_ns()}.jaxrod"
         start = SessionLog(status=SessionLog.START)
         self._append(

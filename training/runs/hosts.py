@@ -2,7 +2,7 @@
 
 JAX runs the same program in every process (`jax.distributed.initialize`). The first
 process is the writer: it alone reads and writes the folder of the run. Facts that only
-the writer knows, such as the content of the folder, are broadcast to the other
+the writer knows, such as the contents of the folder, are broadcast to the other
 processes here, so that all of them continue or stop together. With one process nothing
 is exchanged.
 
@@ -218,7 +218,7 @@ def place(tree: Any, specs: Any, mesh: Mesh) -> Any:
 
 
 def _put_share(leaf: Any, sharding: NamedSharding) -> Any:
-    """Copies to this process's devices their part of a leaf.
+    """Copies to each device of this process its part of a leaf.
 
     The whole leaf is equal in all processes.
     """
@@ -256,7 +256,7 @@ def compile_updates(
 def lower_updates(
     algorithm: Algorithm, state: Any, capacity: int, mesh: Mesh
 ) -> jax.stages.Lowered:
-    """The lowered program of `compile_updates`, before compilation; same arguments.
+    """Lowers the program of `compile_updates`, and takes the same arguments.
 
     Every device computes its part of the environments and of every minibatch. Only
     gradients and a few averages are exchanged. The number of updates is an argument of

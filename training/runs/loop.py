@@ -51,15 +51,15 @@ def train(
     """Trains a policy.
 
     Ctrl-C (or a SIGTERM) lets the current chunk of updates finish, saves, and returns
-    the result so far; a second one stops at once. A stopped or killed run in a folder
-    continues with `resume=True` from its last checkpoint, no matter when it was
-    stopped. On CPUs it ends bit by bit as if it had never been interrupted, on GPUs up
-    to round-off (see `jaxrod doctor`).
+    the result so far; a second one stops immediately. A stopped or killed run in a
+    folder continues with `resume=True` from its last checkpoint, no matter when it was
+    stopped. On CPUs its results are then equal to the last bit to those of an
+    uninterrupted run, on GPUs up to round-off (see `jaxrod doctor`).
 
     Args:
-        env: The environment. If `jaxrod.envs.make` made it, the run records the recipe,
-            so that `jaxrod evaluate` and `jaxrod render` can make it again. For any
-            other environment these commands report that they cannot.
+        env: The environment. If `jaxrod.envs.make` made it, the run records the task
+            and its options, so that `jaxrod evaluate` and `jaxrod render` can make it
+            again. For any other environment these commands report that they cannot.
         algorithm: A name, an import path `module:NAME`, or an `Algorithm`.
         steps: Number of control steps, rounded up to whole updates.
         seed: Seed of all random numbers.
@@ -68,17 +68,17 @@ def train(
         config: Settings of the algorithm, None for its defaults.
         env_params: Parameters of the environment, None for its defaults.
         resume: Whether to continue the run in `out`.
-        overwrite: Whether to replace the run in `out`; other files there stay.
-        score_window: Number of last complete training episodes whose mean return is
-            `final_score`.
+        overwrite: Whether to replace the run in `out`; other files there are kept.
+        score_window: Number of complete training episodes at the end of the run whose
+            mean return is `final_score`.
         evaluation_episodes: Number of episodes of the evaluation at the end, 0 for
             none.
         checkpoint_seconds: Time between checkpoints [s]; there is always one at the
             end.
         chunk_steps: Number of control steps of a chunk, rounded up to whole updates.
             A chunk is one call of the compiled program and one row of progress.
-        devices: Devices to spread the environments over, None for all; one for an
-            algorithm without a `partition`.
+        devices: Devices to spread the environments over. None for all, or for one if
+            the algorithm has no `partition`.
         progress: Whether to show a progress bar on stderr.
         log: Function called with every row of the progress table; or "tensorboard",
             which writes them to an event file in `out` (`docs/learning.md`).
@@ -196,7 +196,7 @@ def request(
     seed: int,
     score_window: int,
 ) -> dict[str, Any]:
-    """Content of `config.json`: task, options, algorithm, steps, seed, settings."""
+    """Contents of `config.json`: task, options, algorithm, steps, seed, settings."""
     return {
         **_origin(env),
         "algorithm": algorithm,
@@ -208,10 +208,10 @@ def request(
 
 
 def _origin(env: Environment) -> dict[str, Any]:
-    """Entries of `config.json` by which `jaxrod.envs.make` makes an environment again.
+    """Entries of `config.json` from which `envs.make` can make an environment again.
 
     They are the task and its options. An environment that `make` did not make cannot be
-    made again. Then its description is stored as text, to tell it from others.
+    made again. Its description is then stored as text, to distinguish it from others.
     """
     how = origin_of(env)
     if how is None:

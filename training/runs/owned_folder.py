@@ -37,7 +37,7 @@ from jaxrod.files import (
 )
 
 LOCK = ".jaxrod.lock"
-"""Name of the locked file; its content names the process that holds the lock."""
+"""Name of the locked file, which contains the id of the process that holds the lock."""
 
 _TAKEN = (errno.EACCES, errno.EAGAIN, errno.EDEADLK)
 
@@ -128,7 +128,7 @@ if sys.platform == "win32":
     import msvcrt
 
     def _lock(handle: int) -> None:
-        """Locks a byte far behind the content: locks on Windows also block readers."""
+        """Locks a byte far beyond the contents: Windows locks also block readers."""
         os.lseek(handle, 2**30, os.SEEK_SET)
         msvcrt.locking(handle, msvcrt.LK_NBLCK, 1)
         os.lseek(handle, 0, os.SEEK_SET)
@@ -162,7 +162,7 @@ class OwnedFolder:
 
         Args:
             path: The folder.
-            kind: Kind of its content, such as "training run".
+            kind: Kind of its contents, such as "training run".
             files: Names of the files in it, in addition to `config.json`.
             folders: Names of the folders in it, each with a regular expression for the
                 names of its files.
@@ -190,7 +190,7 @@ class OwnedFolder:
         return only_process(self.path)
 
     def stored(self) -> dict[str, Any]:
-        """Content of `config.json` without its mark.
+        """Contents of `config.json` without its mark.
 
         Raises:
             ValueError: `config.json` is missing, is damaged, or has another mark.

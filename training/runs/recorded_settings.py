@@ -46,7 +46,7 @@ def restored(
     Args:
         defaults: Default settings of the learner, used for settings that are not
             stored.
-        stored: Stored settings; entries that are no settings of the learner are
+        stored: Stored settings; entries that are not settings of the learner are
             ignored.
         trust: Modules that may be imported because the file names them, see
             `jaxrod.envs.importing.check_trusted`; default values need none.
@@ -68,7 +68,7 @@ def restored(
 
 
 def plain(value: Any) -> Any:
-    """Converts arrays to numbers or lists, and tuples to lists, also inside a value."""
+    """Converts arrays to numbers or lists, and tuples to lists, at any depth."""
     if isinstance(value, tuple | list):
         return [plain(one) for one in value]
     if isinstance(value, dict):
@@ -92,7 +92,7 @@ def find_function(name: str, path: Any, trust: Collection[str] | None = None) ->
             the user typed the path.
 
     Raises:
-        ValueError: `path` is no import path, or its object is not a function.
+        ValueError: `path` is not an import path, or its object is not a function.
         UntrustedError: The path was read from a file and its module is not trusted.
         ImportError: The function is not found.
     """

@@ -72,7 +72,7 @@ def facts_of(
 
     Args:
         folder: Folder of the run.
-        requested: Content of `config.json`.
+        requested: Contents of `config.json`.
         updates: Number of updates so far.
         wall_s: Time of the run so far [s].
     """
@@ -86,7 +86,7 @@ def facts_of(
 
 
 def stored(state: Any, env_params: Any) -> Stored:
-    """Content of a checkpoint, from a train state and parameters of the environment."""
+    """Contents of a checkpoint: a train state and parameters of the environment."""
     return Stored(state, jax.tree.map(jnp.asarray, env_params))
 
 
@@ -101,11 +101,11 @@ def restore(
     Args:
         folder: Folder of the run.
         checkpoints: Checkpoints of the run.
-        requested: Content of `config.json`.
-        template: Content of a checkpoint, of the same structure and shapes.
+        requested: Contents of `config.json`.
+        template: Contents of a checkpoint, of the same structure and shapes.
 
     Returns:
-        The content and the facts; None if there is no checkpoint, because a run that
+        The contents and the facts; None if there is no checkpoint, because a run that
         was killed before its first checkpoint starts over.
 
     Raises:
@@ -154,7 +154,7 @@ def _check_facts(
     Args:
         file: File of the checkpoint, for messages.
         step: Number of the checkpoint.
-        requested: Content of `config.json`.
+        requested: Contents of `config.json`.
         facts: Facts that the checkpoint holds.
     """
     with reading(file):

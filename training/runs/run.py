@@ -1,7 +1,7 @@
 """The host side of a training run: it calls chunks of compiled updates.
 
 After every chunk the run writes a row of progress and, from time to time, a checkpoint.
-It uses of an algorithm only the functions of `jaxrod.training.Algorithm`.
+It calls only the functions of an algorithm that `jaxrod.training.Algorithm` declares.
 """
 
 from __future__ import annotations
@@ -65,7 +65,7 @@ class Result:
     """
 
     summary: dict[str, Any]
-    """Content of `summary.json`: scores, steps, times and the device."""
+    """Contents of `summary.json`: scores, steps, times and the device."""
     policy: Policy
     """The deterministic policy."""
     progress: list[dict[str, Any]]
@@ -100,7 +100,7 @@ class Run:
         show: bool,
         log: Log | None,
     ) -> None:
-        """Makes the first train state or restores the last; arguments of `train`."""
+        """Makes or restores the train state; the arguments are those of `train`."""
         self.began = time.monotonic()
         env_params = env.default_params() if env_params is None else env_params
         self.env, self.learner, self.env_params = env, learner, env_params
@@ -263,7 +263,7 @@ class Run:
         self._stop_if(name for name, value in row.items() if value != value)
 
     def _stop_if(self, broken: Iterable[str]) -> None:
-        """Raises FloatingPointError if `broken` has names of numbers that are NaN."""
+        """Raises FloatingPointError if `broken`, the names of NaNs, is not empty."""
         names = ", ".join(broken)
         if names:
             raise FloatingPointError(
@@ -355,7 +355,7 @@ class Run:
 
 
 _Found = tuple[Stored, dict[str, Any], list[dict[str, str]]]
-"""Data to resume from: content and facts of a checkpoint, and rows of episodes.csv."""
+"""Data to resume from: contents and facts of a checkpoint, and rows of episodes.csv."""
 
 
 def _begin(folder: RunFolder, requested: dict[str, Any]) -> bytes:
@@ -442,7 +442,7 @@ class EpisodeLog:
         """Mean return of the last `window` episodes, None before the first.
 
         At the end of a run with the paper's window (10 episodes in Cases 3 and 4, else
-        50) this is the final score that compares with the published one.
+        50) this is the final score, which can be compared with the published one.
         """
         return float(np.mean(self.returns[-window:])) if self.returns else None
 

@@ -104,10 +104,10 @@ class Table:
         }
 
     def check(self, mark: Mark | None) -> None:
-        """Raises an error unless the file begins with its content at an earlier mark.
+        """Raises an error unless the file begins with its contents at an earlier mark.
 
         Args:
-            mark: Result of an earlier `mark`; None checks only that the file is no
+            mark: Result of an earlier `mark`; None checks only that the file is not a
                 link.
 
         Raises:
@@ -138,7 +138,7 @@ class Table:
             )
 
     def cut(self, mark: Mark | None = None) -> None:
-        """Cuts the table back to its content at an earlier mark; None removes the file.
+        """Cuts the table back to its length at an earlier mark; None removes the file.
 
         Raises:
             ValueError: See `check`.

@@ -67,7 +67,7 @@ class RayCluster:
             words: The command, after `jaxrod`.
             folder: Folder of the run.
             stop: Event after which the run is asked to save and stop.
-            kill: Event after which the task is cancelled at once.
+            kill: Event after which the task is cancelled immediately.
         """
         import ray
 

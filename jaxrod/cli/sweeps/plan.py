@@ -44,7 +44,7 @@ class Planned(Protocol):
 
     @property
     def config(self) -> dict[str, Any]:
-        """Content of `config.json` that the run will have."""
+        """Contents that `config.json` of the run will have."""
 
     @property
     def beside(self) -> str:
@@ -86,7 +86,7 @@ class SweepRun:
     chosen: Mapping[str, str]
     """Values of the settings that the sweep sets, as text, by name."""
     config: dict[str, Any]
-    """Content of `config.json` that the run will have."""
+    """Contents that `config.json` of the run will have."""
     options: tuple[str, ...] = ()
     """Words of the command that all runs of the sweep share, such as the variant."""
     devices: int | None = None
@@ -227,7 +227,7 @@ def _configurations(
 
 
 def _meant(name: str, sets: Sequence[str], algorithms: Sequence[str]) -> list[str]:
-    """Words of `--set` that hold for one algorithm, without the prefix ALGORITHM."""
+    """Words of `--set` that apply to an algorithm, without the prefix "ALGORITHM."."""
     found = []
     for word in sets:
         owner, dot, _ = word.partition("=")[0].rpartition(".")
@@ -239,9 +239,10 @@ def _meant(name: str, sets: Sequence[str], algorithms: Sequence[str]) -> list[st
 
 
 def _alternatives(defaults: Any, sets: Sequence[str]) -> dict[str, dict[str, None]]:
-    """Distinct values as text, as ordered keys of a dict, by name of the setting.
+    """Returns the distinct values of each setting as text, by name of the setting.
 
-    `sets` has words NAME=VALUE,VALUE,... of the command line.
+    They are the keys of a dict, in order. `sets` contains words NAME=VALUE,VALUE,... of
+    the command line.
     """
     values: dict[str, dict[str, None]] = {}
     for word in sets:
@@ -266,5 +267,5 @@ def _check_names(found: Sequence[SweepRun]) -> None:
 
 
 def _for_files(*words: str) -> str:
-    """Words joined by "-" to a name that is valid on every file system."""
+    """Words joined by "-" into a name that is valid on every file system."""
     return re.sub(r"[^\w.=,+-]", "-", "-".join(words))

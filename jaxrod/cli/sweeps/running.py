@@ -331,7 +331,7 @@ class RunsView:
 
 
 def score_in_words(score: float | None) -> str:
-    """Score as text: an integer from 100 on, otherwise three digits; "-" for None."""
+    """Score as text: an integer if at least 100, else three digits; "-" for None."""
     if score is None:
         return "-"
     return f"{score:,.0f}" if abs(score) >= 100 else f"{score:.3g}"

@@ -111,7 +111,7 @@ def rounded(unroller: Unroller, equation: Any, array: Any) -> Any:
 
 @rule("is_finite")
 def is_finite(unroller: Unroller, equation: Any, array: Any) -> Any:
-    """Translates a test whether numbers are neither infinite nor NaN."""
+    """Translates `is_finite`: true for numbers that are neither infinite nor NaN."""
     kind = kind_of(equation.invars[0].aval)
     size = unroller.each("abs", kind, array)
     return unroller.each("lt", "b1", size, unroller.full(np.inf, array.shape, kind))

@@ -240,7 +240,7 @@ def reshaped(unroller: Unroller, equation: Any, array: Any) -> Any:
 
 @rule("broadcast_in_dim")
 def broadcast(unroller: Unroller, equation: Any, array: Any, *_: Any) -> Any:
-    """Translates `broadcast_in_dim`: entries repeat along axes of length one or new."""
+    """Translates `broadcast_in_dim`: repeats entries along new or length-1 axes."""
     shape = equation.params["shape"]
     kept = [1] * len(shape)
     for axis, to in enumerate(equation.params["broadcast_dimensions"]):

@@ -128,7 +128,7 @@ def kind_of(aval: Any) -> str:
     """Returns the name of the number type of an array, such as `"f32"`.
 
     Raises:
-        NotUnrolled: Kernels have no such numbers.
+        NotUnrolled: Kernels do not support this type.
     """
     kind = KINDS.get(np.dtype(aval.dtype)) if _plain(aval.dtype) else None
     if kind is None:
@@ -140,7 +140,7 @@ def kind_dtype(aval: Any) -> np.dtype:
     """Returns the dtype of an array.
 
     Raises:
-        NotUnrolled: Kernels have no such numbers.
+        NotUnrolled: Kernels do not support this type.
     """
     kind_of(aval)
     return np.dtype(aval.dtype)

@@ -23,10 +23,12 @@ _LARGEST_ANGLE = {"f32": 1e9, "f64": 1e5}
 def elementary_texts(needs: set[tuple[str, str, int]]) -> tuple[list[str], set[str]]:
     """Returns LLVM IR of the elementary functions that a kernel calls.
 
-    They come as a list of functions, and a set of declarations.
-
     Args:
-        needs: Operation, number type and lanes of each function; 1 for single numbers.
+        needs: Operation, number type and number of lanes of each function; the number
+            of lanes is 1 for single numbers.
+
+    Returns:
+        The definitions of the functions, and the declarations that they need.
     """
     whole = set(needs)
     for operation, kind, width in needs:
@@ -262,7 +264,7 @@ def _exponential(kind: str, width: int) -> tuple[str, set[str]]:
 
 
 def _hyperbolic_tangent(width: int) -> tuple[str, set[str]]:
-    """Returns LLVM IR of tanh in float32, by the exponential in float64.
+    """Returns LLVM IR of tanh in float32, computed from the exponential in float64.
 
     tanh |x| = (1 - exp(-2 |x|)) / (1 + exp(-2 |x|)). For |x| < 1e-5 the result is x.
     """

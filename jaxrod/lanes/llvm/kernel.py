@@ -131,8 +131,8 @@ br label %block_done
 def forward_loops(entry: str, given: str, marks: str = "") -> str:
     """Returns LLVM IR that calls `@step` for all steps and stores checkpoints.
 
-    Pointers `%now0` and `%then0` are those of the first carry and of a second buffer.
-    After the loops, `%now1` points to the last carry.
+    `%now0` points to the first carry, and `%then0` to a second buffer. After the loops,
+    `%now1` points to the last carry.
 
     Args:
         entry: Label of the block before the loops.

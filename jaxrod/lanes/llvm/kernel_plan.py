@@ -1,6 +1,6 @@
 """Memory and LLVM functions of a kernel with a rod in each vector lane.
 
-A function runs once, once for each block of rods, or in every step.
+A function runs once, once for each block of rods, or at every step.
 
 A kernel's memory has one region that all rods share (single numbers), one for the
 loop-invariant values of a block of rods (a vector for every number), and buffers of
@@ -75,9 +75,10 @@ class Memory:
         return offset
 
     def keep(self, used: Sequence[int]) -> tuple[list[int], list[int]]:
-        """Allocates loop-invariant values that values which change more often need.
+        """Allocates memory for loop-invariant values that later code reads.
 
-        Such a value is the same for all rods, or fixed for each rod.
+        They are the operands of nodes that change more often. Each is the same for all
+        rods, or fixed for each rod.
 
         Args:
             used: All nodes that the kernel computes, each after its arguments.
@@ -330,7 +331,7 @@ class KernelPlan:
     ) -> None:
         """Writes an LLVM function that computes varying values in vectors.
 
-        It runs once for each block of rods, or in every step. Each goal is a node, with
+        It runs once for each block of rods, or at every step. Each goal is a node, with
         the region and the offset where it is stored [bytes].
         """
         names = ["%shared", "%own", *[region.pointer for region in regions]]
@@ -341,7 +342,7 @@ class KernelPlan:
         self.writers.append(writer)
 
     def regions(self) -> int:
-        """Size of the loop-invariant values that the workspace begins with [bytes]."""
+        """Size of the loop-invariant values at the start of the workspace [bytes]."""
         return self.memory.shared.room() + self.memory.own.room()
 
     def fetch_shared(self) -> str:

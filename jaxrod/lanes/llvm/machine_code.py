@@ -2,8 +2,9 @@
 
 If JAX has a folder for compiled programs (`jax_compilation_cache_dir`), a kernel's
 object code is kept in it too. Its file name is a digest of the kernel's text, of the
-processor's features and of LLVM's version. A file begins with a digest of its content:
-a damaged file is ignored and the kernel compiled again. Files are written atomically.
+processor's features and of LLVM's version. A file begins with a digest of its object
+code: a damaged file is ignored and the kernel compiled again. Files are written
+atomically.
 
 The digest has no key, so anyone who can write to the folder could make this process run
 any code. So kernels are neither read from nor written to a folder that others can write
@@ -104,7 +105,7 @@ def compiled_kernels() -> int:
 
 
 def registered(kernel: Kernel) -> str:
-    """Compiles a kernel and registers it with XLA, unless that is done already.
+    """Compiles a kernel and registers it with XLA, unless that has been done already.
 
     Returns:
         The kernel's name in XLA.
@@ -196,7 +197,8 @@ def keeps_objects(engine: Any, key: str) -> None:
 
     Args:
         engine: An engine of LLVM with a single module.
-        key: Everything on which the object code depends.
+        key: Text that determines the object code: the processor, the optimisation level
+            and the LLVM IR.
     """
     path = _path(key)
     if path is None or _is_refused(path.parent):

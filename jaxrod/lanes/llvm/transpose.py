@@ -23,8 +23,9 @@ def is_tiled(kind: str, count: int, width: int) -> bool:
 def room_for(kind: str, count: int, width: int) -> int:
     """Returns the number of vectors in a block for rows of `count` numbers.
 
-    There is one vector per number, which holds that number, of type `kind`, of `width`
-    rods. For rows that are moved by tiles it is rounded up to a multiple of `width`.
+    There is one vector for each number of a row. A vector holds that number, of type
+    `kind`, for each of `width` rods. For rows that are moved by tiles, the number of
+    vectors is rounded up to a multiple of `width`.
     """
     return -(-count // width) * width if is_tiled(kind, count, width) else count
 

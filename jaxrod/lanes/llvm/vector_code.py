@@ -256,7 +256,7 @@ class Writer:
     ) -> str:
         """Appends the minimum or maximum of two numbers; NaN if one of them is NaN.
 
-        `sources` are the nodes of the numbers, which tell whether they are constants.
+        `sources` are the nodes of the numbers, which show whether they are constants.
         `names` are their LLVM names, `kind` is their type.
         """
         many, (a, b) = self.type(kind), names

@@ -15,7 +15,7 @@ import numpy as np
 from jaxrod.lanes.rows.row_graph import Dims, Move, Piece, RowGraph, row_major
 
 SHORTEST_LOOP = 5
-"""Length from which an axis is a loop; shorter axes are unrolled."""
+"""Smallest length of an axis that is a loop; shorter axes are unrolled."""
 
 
 @dataclass(frozen=True)
@@ -136,7 +136,7 @@ class Layout:
         return Rows(shape, loops, nodes, array.kind)
 
     def looped(self, array: Rows, loops: Dims) -> Rows:
-        """Returns an array with the axes `loops` as loops, also those unrolled before.
+        """Returns an array whose loops are the axes `loops`, including unrolled ones.
 
         Raises:
             AssertionError: The array has a loop that is not among `loops`.

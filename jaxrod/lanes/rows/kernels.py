@@ -91,7 +91,8 @@ class RowPlan:
 
         Args:
             body: The step.
-            batched: Whether each constant differs between scenes (a leading axis).
+            batched: Whether each constant differs between scenes, and so has a leading
+                axis.
         """
         self.body = body
         self.graph = RowGraph()

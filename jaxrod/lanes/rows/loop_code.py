@@ -596,7 +596,7 @@ class RowWriter(Writer):
         self.width, self.indices = width, indices
 
     def _without_repeats(self, value: str, mark: str, operation: str, kind: str) -> str:
-        """Replaces lanes that the previous vector contains too by the identity element.
+        """Replaces repeated lanes of a row's last vector by the identity element.
 
         The last vector of a row overlaps with the one before if the width does not
         divide the length of the row. `value` is the name of the vector, `mark` the

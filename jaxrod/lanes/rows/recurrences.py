@@ -27,8 +27,8 @@ Lines = list[str]
 class Recurrence:
     """A `scan` that is compiled as a loop along rows, with its carry in registers.
 
-    The graph node of a recurrence has an argument for each operand of the scan
-    (constants, carry, rows) and for each entry of its vectors.
+    The arguments of its graph node are the operands of the scan (constants, carry,
+    rows). A vector operand has one argument for each of its entries.
     """
 
     graph: RowGraph

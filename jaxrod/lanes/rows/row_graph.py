@@ -97,8 +97,8 @@ class RowGraph(Graph):
         """Returns the node of an operation that moves numbers, which may exist already.
 
         `dims` is the shape of its result, `kind` the type of the numbers, and `extra`
-        has the parameters of the operation. The rate of change is by default the
-        highest of the arguments.
+        has the parameters of the operation. The default rate of change is the highest
+        rate among the arguments.
         """
         key = (operation, arguments, kind, dims, extra)
         node = self._known.get(key)

@@ -81,7 +81,10 @@ class RowUnroller(Unroller):
         return self.layout.each(operation, kind, *arrays)
 
     def mapped(self, function: Callable[..., int], kind: str, *arrays: Any) -> Any:
-        """Returns the nodes of type `kind` that a function makes of nodes of arrays."""
+        """Returns the nodes that a function returns for the nodes of arrays.
+
+        The arrays are broadcast; `kind` is the type of the results, such as `"f32"`.
+        """
         return self.layout.mapped(function, kind, *arrays)
 
     def full(self, value: Any, shape: tuple[int, ...], kind: str) -> Any:
@@ -145,7 +148,7 @@ def reshaped(unroller: RowUnroller, equation: Any, array: Rows) -> Rows:
 
 @row_rule("broadcast_in_dim")
 def broadcast(unroller: RowUnroller, equation: Any, array: Rows, *_: Any) -> Rows:
-    """Translates `broadcast_in_dim`: numbers repeat along axes of length one or new."""
+    """Translates `broadcast_in_dim`: repeats numbers along new or length-1 axes."""
     shape = result_shape(equation)
     moves = [Move(None)] * len(shape)
     for axis, to in enumerate(equation.params["broadcast_dimensions"]):

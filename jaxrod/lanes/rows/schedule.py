@@ -88,7 +88,7 @@ class Loop:
 class Schedule:
     """Order of the loops that compute the required nodes (goals) of a graph of rows.
 
-    It also has the memory locations of the nodes that the loops store.
+    It also holds the memory locations of the nodes that the loops store.
     """
 
     def __init__(
@@ -110,7 +110,7 @@ class Schedule:
                 `ready` too.
             lasting: Function that returns a location for a node that is assembled from
                 pieces, with a constant in the gaps. The constant is written there once,
-                not in every step.
+                not at every step.
             alignment: Alignment of the nodes that the loops store [bytes].
         """
         self.alignment = alignment
@@ -151,7 +151,7 @@ class Schedule:
     def is_ready(self, node: int) -> bool:
         """Whether a node is available before the first loop.
 
-        It is if it is stored already, or is a constant or an index.
+        True for a node that is stored already, and for a constant or an index.
         """
         if node in self.fresh:
             return False
@@ -429,9 +429,9 @@ class Schedule:
 
 
 def hoisted(graph: RowGraph, goals: Iterable[int], given: Iterable[int]) -> list[int]:
-    """Returns the nodes to compute once before all steps, for use in every step.
+    """Returns the nodes to compute once before all steps, for use at every step.
 
-    They do not vary, but nodes that vary read them.
+    They do not vary between steps. Each is a goal, or is read by a node that varies.
 
     Args:
         graph: The graph of rows.

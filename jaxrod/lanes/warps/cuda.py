@@ -71,7 +71,7 @@ _lock = threading.Lock()
 
 @dataclass(frozen=True)
 class Device:
-    """Properties of a GPU; of several GPUs, the smallest value of each property."""
+    """Properties of a GPU; for several GPUs, the smallest value of each property."""
 
     architecture: int
     """Compute capability without its dot, such as 90."""
@@ -152,7 +152,7 @@ def _check(status: int, action: str) -> None:
 
 @cache
 def device() -> Device:
-    """Returns the properties that all GPUs of JAX in this process have at least.
+    """Returns the properties of JAX's GPUs in this process, or their smallest values.
 
     Raises:
         OSError: There is no driver, or JAX uses no GPU.
@@ -212,9 +212,10 @@ def slower_than_xla(
 ) -> str | None:
     """Returns the reason why XLA is likely to be faster, or `None`.
 
-    Warps take rounds of loops times the time of a round, for each wave of scenes that
-    fits on the GPU. XLA takes operations divided by its rate, and at least the time of
-    a small step. A scene that does not fit into shared memory is left to XLA.
+    The estimated time of warps is the number of loop rounds times the time of a round,
+    for each wave of scenes that fits on the GPU. The estimated time of XLA is the
+    number of operations divided by its rate, but at least the time of a small step. A
+    scene that does not fit into shared memory is left to XLA.
 
     Args:
         kernel: The kernel.

@@ -53,8 +53,8 @@ class WarpKernel:
     text: str
     """LLVM IR without the functions of the GPU, `@wait` and `@exchange`."""
     needs: frozenset[tuple[str, str, int]]
-    """Elementary functions that the kernel calls: operation, number type and lanes of
-    each; 1 for single numbers."""
+    """Elementary functions that the kernel calls: operation, number type and number of
+    lanes of each. The number of lanes is 1 for single numbers."""
     n_operands: int
     """Number of operands, including the first one, the array of counts."""
     n_results: int
@@ -85,7 +85,7 @@ class WarpPlan(RowPlan):
     threads load single numbers, and less memory is lost."""
 
     def __init__(self, body: LoopBody, batched: Sequence[bool]) -> None:
-        """Translates a step; arguments as in `RowPlan`."""
+        """Translates a step; the arguments are those of `RowPlan`."""
         self.uniform = self.storage("%uniform")
         self.rounds = self.work = 0
         super().__init__(body, batched)
@@ -149,8 +149,8 @@ class WarpPlan(RowPlan):
     ) -> None:
         """Writes an LLVM function that computes nodes and stores their values.
 
-        Arguments of this method are as in `RowPlan.function`. The LLVM function takes
-        the arguments that `given(name)` lists first and `pointers` last.
+        The arguments of this method are those of `RowPlan.function`. The LLVM function
+        takes the arguments that `given(name)` lists, followed by `pointers`.
         """
         whole = [*REGIONS[1:], *self._buffers_of(name), *pointers]
         super().function(name, goals, whole, stored)
@@ -174,7 +174,7 @@ class WarpPlan(RowPlan):
     def call(self, name: str, *pointers: str) -> str:
         """Returns LLVM IR that calls a function of the kernel.
 
-        The first arguments are those of `given`, the last ones `pointers`.
+        Its arguments are those that `given` lists, followed by `pointers`.
         """
         given = [self.given(name), *(f"ptr {pointer}" for pointer in pointers)]
         return f"call void @{name}({', '.join(given)})\n"

@@ -37,7 +37,7 @@ class WarpWriter(RowWriter):
     another."""
 
     def function(self, name: str, pointers: Sequence[str], lines: Lines) -> str:
-        """Returns an LLVM function whose first argument is the thread.
+        """Returns an LLVM function whose first argument is the index of the thread.
 
         Pointers to memory that threads write are not `noalias`: each thread reads what
         others wrote before a barrier, and LLVM would move such loads across the
@@ -79,7 +79,8 @@ class WarpWriter(RowWriter):
     ) -> Lines:
         """Returns the lines of a loop over every 32nd number of a row.
 
-        It begins at the index of the thread. Arguments as in `RowWriter.innermost`.
+        It begins at the index of the thread. The arguments are those of
+        `RowWriter.innermost`.
         """
         body_label = f"{mark}_body"
         return [
@@ -170,7 +171,7 @@ class WarpWriter(RowWriter):
     def copy(self, to: str, source: str, count: int, kind: str) -> None:
         """Appends a copy of numbers from memory to memory, shared among the threads.
 
-        Arguments as in `RowWriter.copy`.
+        The arguments are those of `RowWriter.copy`.
         """
         size = BYTES[kind]
         self.lines.append(copy_call(to, source, count * size, size))
@@ -179,7 +180,7 @@ class WarpWriter(RowWriter):
 def _claims(pointer: str) -> str:
     """Returns the LLVM attributes of a pointer argument.
 
-    Pointers to operands are `noalias readonly`; others have none of these.
+    Pointers to operands are `noalias readonly`; others have neither attribute.
     """
     return "noalias readonly " if pointer.startswith(READ_ONLY) else ""
 
