@@ -11,6 +11,7 @@ import math
 from collections.abc import Mapping, Sequence
 from typing import Any
 
+import jax
 import numpy as np
 
 from jaxrod.control.identification.result import VAGUE, Fit
@@ -88,6 +89,9 @@ class Randomisation:
 
         parameters = _mapping("parameters", self.parameters)
         rules = {_key(key): _distribution(key, parameters[key]) for key in parameters}
+        for key in rules:
+            if not all(key.split(", ")):
+                raise ValueError(f"parameters has an empty path in {key!r}")
         if len(rules) < len(parameters):
             raise ValueError(
                 "parameters has two distributions of one path: "
@@ -224,7 +228,8 @@ def _distribution(key: str, given: Any) -> dict[str, Any]:
             f"with two numbers, and scaled true or false, got {given!r:.80}"
         )
     name, numbers = f"{kind} of {key!r}", rule[kind]
-    if not isinstance(numbers, Sequence | np.ndarray) or len(numbers) != 2:
+    pair = isinstance(numbers, Sequence | np.ndarray | jax.Array)
+    if not pair or isinstance(numbers, str) or len(numbers) != 2:
         raise ValueError(f"{name} must have two numbers, got {numbers!r:.60}")
     unit = "times the nominal value" if scaled else "(in the parameter's unit)"
     first, second = (

@@ -145,6 +145,19 @@ class VectorEnvironment:
     "arm.rod.radii"; a path includes everything below it. These leaves have a first axis
     of length `num_envs`. All others are shared by the batch."""
 
+    def __post_init__(self) -> None:
+        """Keeps `batched` as a tuple.
+
+        Raises:
+            ValueError: `batched` is a string instead of a sequence of strings.
+        """
+        if isinstance(self.batched, str):
+            raise ValueError(
+                f"batched must be a sequence of paths, such as ({self.batched!r},), "
+                f"got {self.batched!r}"
+            )
+        object.__setattr__(self, "batched", tuple(self.batched))
+
     def reset(
         self,
         key: Key[Array, ""],

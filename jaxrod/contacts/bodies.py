@@ -153,8 +153,12 @@ class Body(ABC):
 
     @property
     def is_convex(self) -> bool:
-        """Whether the body is known to be convex; true by default."""
-        return True
+        """Whether the body is known to be convex; not by default.
+
+        A body that touches a convex one does so near few of its surface points, which
+        allows longer steps.
+        """
+        return False
 
     @property
     def is_half_space(self) -> bool:
@@ -188,6 +192,8 @@ class Sphere(Body):
     """Centre [m]."""
     radius: Float[Array, ""]
     """Radius [m]."""
+
+    is_convex = True
 
     def surface(self, points: Vec3) -> tuple[Array, Vec3]:
         """Distance from the centre minus the radius, and the normal."""
@@ -239,6 +245,8 @@ class Capsule(Body):
     """Centre of the half sphere at the other end [m]."""
     radius: Float[Array, ""]
     """Radius [m]."""
+
+    is_convex = True
 
     def surface(self, points: Vec3) -> tuple[Array, Vec3]:
         """Distance from the segment between centres minus the radius; the normal."""
@@ -306,6 +314,8 @@ class Cylinder(Body):
     """Centre of the other end [m]."""
     radius: Float[Array, ""]
     """Radius [m]."""
+
+    is_convex = True
 
     def surface(self, points: Vec3) -> tuple[Array, Vec3]:
         """Distance and normal, from the distances to curved side and nearer end."""
@@ -378,6 +388,8 @@ class Plane(Body):
     normal: Float[Array, "3"]
     """Normal that points out of the body, of any length."""
 
+    is_convex = True
+
     def surface(self, points: Vec3) -> tuple[Array, Vec3]:
         """Height above the plane, along its normal, and the unit normal."""
         normal, _ = _unit(self.normal)
@@ -421,6 +433,8 @@ class Box(Body):
     """Distances from the centre to the faces, along the box's own axes [m]."""
     orientation: Float[Array, "4"]
     """Quaternion (w, x, y, z) from the box's axes to the world, of any length."""
+
+    is_convex = True
 
     def surface(self, points: Vec3) -> tuple[Array, Vec3]:
         """Signed distance and normal, from the distances to each pair of faces."""
@@ -504,11 +518,6 @@ class SignedDistance(Body):
                 f"got {sorted(leading)}"
             )
         return _count(leading.pop()) if leading else None
-
-    @property
-    def is_convex(self) -> bool:
-        """Always false: it is not known whether the body is convex."""
-        return False
 
 
 def _count(leading: tuple[int, ...]) -> int | None:

@@ -71,6 +71,8 @@ class ControlSpline:
     coefficients: Float[Array, "pieces 4 n_controls"]
     """Coefficients of the cubic in each piece, for powers 0 to 3 of the local
     coordinate, per unit of each control value."""
+    length: Any = math.nan
+    """The rod's rest length [m]; NaN if it is not known."""
 
     @property
     def n_controls(self) -> int:
@@ -99,12 +101,28 @@ class ControlSpline:
 
         Their sum, weighted by element lengths, is the integral of the spline, however
         few elements there are. They use the two-point Gauss rule, exact for a cubic.
+
+        Raises:
+            ValueError: The spline was made for a rod of another length.
         """
+        self._check_length(rod)
         middles = rod.arc_length_midpoints
         offset = rod.rest_lengths / (2 * math.sqrt(3))
         return ElementAverages(
             0.5 * (self.basis(middles - offset) + self.basis(middles + offset))
         )
+
+    def _check_length(self, rod: Rod) -> None:
+        """Raises if the lengths of spline and rod are known and differ."""
+        if is_traced(self.length, rod.rest_lengths):
+            return
+        length = float(np.sum(np.asarray(rod.rest_lengths, float)))
+        # A comparison with an unknown length, NaN, is false.
+        if abs(length - float(self.length)) > 1e-3 * length:
+            raise ValueError(
+                f"the rod is {length:g} m long, and the spline was made for "
+                f"{float(self.length):g} m: give control_spline length={length:g}"
+            )
 
 
 @pytree
@@ -130,7 +148,16 @@ class ElementAverages:
         return self.basis.shape[-1]
 
     def averaged(self, rod: Rod) -> ElementAverages:
-        """Returns this object, which is already averaged over elements."""
+        """Returns this object, which is already averaged over the rod's elements.
+
+        Raises:
+            ValueError: The averages are for another number of elements.
+        """
+        if self.basis.shape[0] != rod.n_elements:
+            raise ValueError(
+                f"the averages are for a rod of {self.basis.shape[0]} elements, and "
+                f"this one has {rod.n_elements}"
+            )
         return self
 
     def __call__(
@@ -197,6 +224,7 @@ def control_spline(
         breaks=jnp.asarray(breaks * end, kind),
         origins=jnp.asarray(origins * end, kind),
         coefficients=jnp.asarray(coefficients, kind),
+        length=jnp.asarray(end, kind),
     )
 
 

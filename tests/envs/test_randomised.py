@@ -402,6 +402,8 @@ MESSAGES = [
     ({"parameters": {"stride": 3}}, "'stride' must be a table"),
     ({"parameters": {"stride": {"even": (1, 2)}}}, "one of uniform, log_uniform"),
     ({"parameters": {"stride": {"uniform": 2}}}, "must have two numbers, got 2"),
+    ({"parameters": {"stride": {"uniform": {1: 1, 2: 2}}}}, "must have two numbers"),
+    ({"parameters": {"stride, ": {"uniform": (1, 2)}}}, "an empty path in 'stride, '"),
     ({"parameters": {"stride": {"uniform": (2, 1)}}}, "from low to high, got 2 to 1"),
     ({"parameters": {"stride": {"normal": (2, -1)}}}, "not be negative, got -1"),
     ({"parameters": {"stride": {"log_uniform": (0, 1)}}}, "must be positive, got 0"),

@@ -307,6 +307,13 @@ def test_a_batch_axis_that_was_not_named_is_refused_by_name():
         )
 
 
+def test_batched_paths_are_a_sequence_of_strings():
+    env = make("trivial")
+    assert VectorEnvironment(env, batched=["stride"]).batched == ("stride",)
+    with pytest.raises(ValueError, match=r"such as \('stride',\), got 'stride'"):
+        VectorEnvironment(env, batched="stride")
+
+
 def test_batched_parameters_that_do_not_fit_are_refused():
     env = Trivial()
     params = dataclasses.replace(env.default_params(), stride=STRIDES)

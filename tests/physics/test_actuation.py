@@ -10,6 +10,8 @@ import jaxrod
 from jaxrod.methods.laws import IN_SPACE
 from physics.rods import arm
 
+ROUND = {"radius": 0.05, "density": 1e3, "youngs_modulus": 1e6}
+
 
 @pytest.mark.parametrize(
     "controls", [2, 3, 6, [0.1, 0.2, 0.7], [0.05, 0.3, 0.35, 0.8, 1.1]]
@@ -72,6 +74,25 @@ def test_the_load_does_not_depend_on_the_number_of_elements(record):
         coarse / fine,
         between=(14.0, 18.0),
     )
+
+
+@pytest.mark.parametrize("dtype", [jnp.float32, jnp.float64])
+@pytest.mark.parametrize("controls", [2, 6, [0.1, 0.2, 0.9]])
+def test_a_spline_for_another_length_is_refused(controls, dtype):
+    rod, _ = jaxrod.straight_rod(n_elements=7, length=1.3, **ROUND, dtype=dtype)
+    fits = jaxrod.actuation.control_spline(controls, 1.3, dtype=dtype)
+    assert fits.averaged(rod).basis.shape == (7, fits.n_controls)
+    for other in (1.0, 1.2, 1.5, 1300.0):
+        spline = jaxrod.actuation.control_spline(controls, other, dtype=dtype)
+        with pytest.raises(ValueError, match=r"1.3 m long.*give control_spline len"):
+            spline.averaged(rod)
+
+
+def test_averages_for_another_number_of_elements_are_refused():
+    rods = [jaxrod.straight_rod(n_elements=n, length=1.0, **ROUND)[0] for n in (7, 8)]
+    averages = jaxrod.actuation.control_spline(3).averaged(rods[0])
+    with pytest.raises(ValueError, match="for a rod of 7 elements, and this one has 8"):
+        jaxrod.actuation.spline_couples(rods[1], averages, jnp.ones((3, 3)), 1.0)
 
 
 def test_averages_worked_out_once_give_the_same_couples():
