@@ -9,7 +9,7 @@ from jaxtyping import Array, Float
 
 from jaxrod.lanes.steps import by_kernel
 from jaxrod.structure import pytree
-from jaxrod.systems.members.parts import Seen
+from jaxrod.systems.coupling import Seen
 from jaxrod.systems.stepping.assembly import Assembly, SystemState, held_parts
 from jaxrod.systems.stepping.changing import searched, with_found
 

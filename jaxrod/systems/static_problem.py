@@ -37,7 +37,7 @@ from jaxrod.geometry.vectors import Vec3
 from jaxrod.lanes.steps import by_kernel
 from jaxrod.rods.motion import Motion
 from jaxrod.structure import pytree
-from jaxrod.systems.members.parts import Parts, Seen
+from jaxrod.systems.coupling import Parts, Seen
 from jaxrod.systems.stepping.assembly import Assembly, SystemState
 from jaxrod.systems.stepping.changing import searched, with_found
 from jaxrod.systems.stepping.stepper import Motions, SystemStepper

@@ -21,6 +21,7 @@ from jaxrod.statics.equilibrium import Equilibrium, search_limits
 from jaxrod.structure import pytree
 from jaxrod.systems.contact.neighbour_lists import RECORD, NeighbourRecord, no_record
 from jaxrod.systems.contact.rod_segments import free_ends
+from jaxrod.systems.coupling import AllParts, Coupling
 from jaxrod.systems.energies import (
     seen_at_rest,
     system_angular_momentum,
@@ -30,7 +31,6 @@ from jaxrod.systems.energies import (
 )
 from jaxrod.systems.equilibrium import system_equilibrium
 from jaxrod.systems.members.member import Member
-from jaxrod.systems.sites.coupling import AllParts, Coupling
 from jaxrod.systems.static_problem import squared_frequencies
 from jaxrod.systems.stepping.assembly import (
     Assembly,

@@ -65,8 +65,7 @@ from jaxrod.systems.contact.segment_distance import (
 )
 from jaxrod.systems.contact.smooth_axes import stiffest
 from jaxrod.systems.contact.touching_rods import TouchingRods, rod_law
-from jaxrod.systems.members.parts import Parts
-from jaxrod.systems.sites.coupling import AllParts, TiedPair
+from jaxrod.systems.coupling import AllParts, Parts, TiedPair
 from jaxrod.validation import Numbers
 
 Tree = TypeVar("Tree")

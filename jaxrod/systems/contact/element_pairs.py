@@ -33,7 +33,7 @@ from jaxrod.geometry.vectors import Vec3
 from jaxrod.lanes.choice import lanes_wanted
 from jaxrod.structure import pytree
 from jaxrod.systems.contact.rod_segments import RodSegments
-from jaxrod.systems.members.parts import Seen, mapped
+from jaxrod.systems.coupling import Seen
 
 Tree = TypeVar("Tree")
 
@@ -186,7 +186,7 @@ def elements_at(
         )
     first_spin = spin_change = None
     if spins:
-        nodes = mapped(segments.at_nodes, seen.angular_velocities)
+        nodes = vectors.mapped(segments.at_nodes, seen.angular_velocities)
         first_spin, spin_change, _ = _pieces(segments, nodes, smooth=False)
     dtype, placed = segments.radii.dtype, placed or has_contact_points
     return Elements(
@@ -222,13 +222,13 @@ def _pieces(
     if smooth:
         (x, p), (y, q), (z, r) = (segments.smooth(component) for component in nodes)
         nodes, tangents = (x, y, z), (p, q, r)
-    first = mapped(segments.firsts, nodes)
-    edge = vectors.subtract(mapped(segments.nexts, nodes), first)
+    first = vectors.mapped(segments.firsts, nodes)
+    edge = vectors.subtract(vectors.mapped(segments.nexts, nodes), first)
     if tangents is None:
         return first, edge, None
     bulges = (
-        vectors.subtract(mapped(segments.firsts, tangents), edge),
-        vectors.subtract(mapped(segments.nexts, tangents), edge),
+        vectors.subtract(vectors.mapped(segments.firsts, tangents), edge),
+        vectors.subtract(vectors.mapped(segments.nexts, tangents), edge),
     )
     return first, edge, bulges
 

@@ -48,8 +48,7 @@ from jaxrod.systems.contact.rod_segments import (
     rod_segments,
 )
 from jaxrod.systems.contact.touching_rods import TouchingRods, rod_law, same_rod
-from jaxrod.systems.members.parts import Parts
-from jaxrod.systems.sites.coupling import AllParts, AllSeen, TiedPair
+from jaxrod.systems.coupling import AllParts, AllSeen, Parts, TiedPair
 from jaxrod.validation import Numbers, check_count
 
 SPACING = 1 / 3

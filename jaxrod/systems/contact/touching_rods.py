@@ -57,10 +57,10 @@ from jaxrod.systems.contact.rod_segments import (
     loads_on_member,
 )
 from jaxrod.systems.contact.smooth_axes import FARTHEST
-from jaxrod.systems.members.parts import Parts
-from jaxrod.systems.sites.coupling import (
+from jaxrod.systems.coupling import (
     AllParts,
     AllSeen,
+    Parts,
     TiedPair,
     check_named,
 )

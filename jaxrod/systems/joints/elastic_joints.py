@@ -37,9 +37,8 @@ from jaxrod.geometry.vectors import Vec3
 from jaxrod.rods.elasticity import joint_couples
 from jaxrod.rods.motion import Loads
 from jaxrod.structure import pytree
-from jaxrod.systems.members.parts import Parts, Seen
-from jaxrod.systems.sites.coupling import AllParts, AllSeen, Coupling
-from jaxrod.systems.sites.places import Points
+from jaxrod.systems.coupling import AllParts, AllSeen, Coupling, Parts, Seen
+from jaxrod.systems.joints.places import Points
 from jaxrod.systems.sites.rows import gather, scatter_add, sum_of_loads
 
 

@@ -19,10 +19,10 @@ from jaxrod.effects.base import StabilityBound
 from jaxrod.geometry import vectors
 from jaxrod.rods.motion import Loads
 from jaxrod.structure import pytree
+from jaxrod.systems.coupling import AllParts, AllSeen, Coupling
 from jaxrod.systems.joints.anchors import Anchors, anchors, spring_bounds
+from jaxrod.systems.joints.places import Place, position_of
 from jaxrod.systems.joints.ties import pairs
-from jaxrod.systems.sites.coupling import AllParts, AllSeen, Coupling
-from jaxrod.systems.sites.places import Place, position_of
 from jaxrod.systems.sites.rows import sum_of_loads
 from jaxrod.validation import Numbers, as_array, is_traced
 

@@ -19,8 +19,8 @@ from jaxtyping import Array
 
 from jaxrod.rods.motion import Motion
 from jaxrod.structure import pytree, static
-from jaxrod.systems.sites.coupling import AllParts, AllSeen, Coupling, TiedPair
-from jaxrod.systems.sites.places import (
+from jaxrod.systems.coupling import AllParts, AllSeen, Coupling, TiedPair
+from jaxrod.systems.joints.places import (
     Indices,
     Place,
     Points,

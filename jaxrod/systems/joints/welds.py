@@ -29,12 +29,9 @@ from jaxrod.geometry.rotations import (
 from jaxrod.geometry.vectors import Vec3
 from jaxrod.rods.motion import Loads, Motion
 from jaxrod.structure import pytree
+from jaxrod.systems.coupling import AllParts, AllSeen, Carried, Coupling, Seen
 from jaxrod.systems.joints.elastic_joints import ElasticJoint, orientation_at, spin_at
-from jaxrod.systems.joints.ties import pairs, tie
-from jaxrod.systems.members.parts import Seen
-from jaxrod.systems.members.rigid_stepper import Carried
-from jaxrod.systems.sites.coupling import AllParts, AllSeen, Coupling
-from jaxrod.systems.sites.places import (
+from jaxrod.systems.joints.places import (
     Indices,
     Place,
     Points,
@@ -43,6 +40,7 @@ from jaxrod.systems.sites.places import (
     position_of,
     resolved,
 )
+from jaxrod.systems.joints.ties import pairs, tie
 from jaxrod.systems.sites.rows import gather, scatter_add, scatter_set, sum_of_loads
 from jaxrod.validation import is_traced
 

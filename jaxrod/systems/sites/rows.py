@@ -20,8 +20,8 @@ from jaxtyping import Array
 
 from jaxrod.geometry.vectors import Vec3
 from jaxrod.rods.motion import Loads
-from jaxrod.systems.sites.coupling import AllSeen
-from jaxrod.systems.sites.places import Indices, Points
+from jaxrod.systems.coupling import AllSeen
+from jaxrod.systems.joints.places import Indices, Points
 
 FEW = 8
 """Largest number of indices that are compared one by one."""

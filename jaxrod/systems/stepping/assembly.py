@@ -19,10 +19,8 @@ from jaxrod.effects.time import (
     depends_on_time,
 )
 from jaxrod.structure import pytree, static
+from jaxrod.systems.coupling import Carried, Coupling, Parts
 from jaxrod.systems.members.member import Member
-from jaxrod.systems.members.parts import Parts
-from jaxrod.systems.members.rigid_stepper import Carried
-from jaxrod.systems.sites.coupling import Coupling
 from jaxrod.systems.stepping.stepper import SystemStepper
 
 SystemState = Mapping[str, Any]

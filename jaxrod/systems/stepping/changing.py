@@ -20,8 +20,7 @@ from jaxrod.effects.time import Clock, at_clock
 from jaxrod.lanes.steps import by_kernel
 from jaxrod.structure import pytree, static
 from jaxrod.systems.contact.neighbour_lists import RECORD, NeighbourRecord
-from jaxrod.systems.members.parts import Seen
-from jaxrod.systems.sites.coupling import Coupling
+from jaxrod.systems.coupling import Coupling, Seen
 from jaxrod.systems.stepping.assembly import Assembly
 from jaxrod.systems.stepping.stepper import Motions, SystemStepper
 

@@ -16,9 +16,8 @@ from jaxtyping import Array
 from jaxrod.geometry import vectors
 from jaxrod.rods.motion import Loads, Motion
 from jaxrod.structure import pytree
-from jaxrod.systems.members.parts import Seen
+from jaxrod.systems.coupling import Coupling, Seen
 from jaxrod.systems.members.steppers import MemberStepper
-from jaxrod.systems.sites.coupling import Coupling
 
 Motions = dict[str, Motion]
 """Motions of the members, by name."""

@@ -11,7 +11,7 @@ import numpy as np
 from jaxrod.geometry.rotations import Quaternion, split_quaternion
 from jaxrod.rods.rod import Layout
 from jaxrod.structure import pytree, static, storable
-from jaxrod.systems.sites.coupling import AllParts, check_named
+from jaxrod.systems.coupling import AllParts, check_named
 from jaxrod.validation import check_count, is_traced
 
 Place = Sequence[Any]
@@ -199,7 +199,7 @@ def position_of(name: str, place: Place, state: Mapping[str, Any]) -> Pose:
 
     Args:
         name: Name of the argument, for messages.
-        place: See `jaxrod.systems.sites.places.Place`.
+        place: See `jaxrod.systems.joints.places.Place`.
         state: State of a system.
     """
     layouts = layouts_of(state)
