@@ -22,20 +22,19 @@ from jaxrod.geometry.vectors import Vec3
 from jaxrod.rods.motion import Loads
 from jaxrod.structure import pytree
 from jaxrod.systems.coupling import AllParts, Parts, Seen, turning_mobility
-from jaxrod.systems.joints.elastic_joints import (
-    least_inertia,
-    orientation_at,
-    spin_at,
-)
 from jaxrod.systems.joints.places import (
     Place,
     Points,
+    gather,
     layouts_of,
+    least_inertia,
+    orientation_at,
     points_of,
     position_of,
     resolved,
+    scatter_add,
+    spin_at,
 )
-from jaxrod.systems.sites.rows import gather, scatter_add
 
 
 @pytree

@@ -1,17 +1,37 @@
-"""Places on members of a system: nodes of rods and points of bodies, by name."""
+"""Places on members of a system: names, indices, and reading and loading there.
+
+A place is named, such as `("arm", "tip")`, and resolved to the indices of a node and an
+element in the rows of its member, its flat arrays. `gather` reads entries of a row, and
+`scatter_add` and `sum_of_loads` add to them.
+
+There are no scatter operations: each entry of a row collects the values that go to it.
+So sums are the same in every run, on every device. Stretches of consecutive indices are
+sliced and inserted as a whole, at a cost in proportion to their length. A few other
+indices are compared one by one. More of them are compared with all entries at once,
+which fuses with the surrounding program and has the same form when it is transposed.
+For a very large number of indices a table is used.
+"""
 
 from __future__ import annotations
 
+import functools
+import itertools
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
+import jax
+import jax.numpy as jnp
 import numpy as np
+from jaxtyping import Array
 
+from jaxrod.geometry import vectors
 from jaxrod.geometry.rotations import Quaternion, split_quaternion
+from jaxrod.geometry.vectors import Vec3
+from jaxrod.rods.motion import Loads, added
 from jaxrod.rods.rod import Layout
 from jaxrod.structure import pytree, static, storable
-from jaxrod.systems.coupling import AllParts, check_named
+from jaxrod.systems.coupling import AllParts, AllSeen, Parts, Seen, check_named
 from jaxrod.validation import check_count, is_traced
 
 Place = Sequence[Any]
@@ -19,6 +39,15 @@ Place = Sequence[Any]
 on one of equal rods, `("ball",)` or `("balls", 3)` on bodies and points. A place on a
 rod has the orientation of the element after the node; at the tip, of the last element.
 """
+FEW = 8
+"""Largest number of indices that are compared one by one."""
+MOST_STRETCHES = 16
+"""Largest number of stretches of consecutive indices that are sliced one by one."""
+MOST_COMPARED = 2**22
+"""Largest number of pairs of an index and an entry that are compared at once.
+
+It is this large because in reverse mode XLA's CPU compiler (0.10.1, with the fusion
+that `configure_cpu` asks for) gives up on some programs that gather entries."""
 
 
 @storable
@@ -163,6 +192,28 @@ def _node(name: str, member: str, node: Any, layout: Layout) -> int:
     return check_count(f"{name}: node of {member!r}", counted, 0, last)
 
 
+def pairs(
+    a: Place | Sequence[Place], b: Place | Sequence[Place]
+) -> tuple[list[Place], list[Place]]:
+    """Two lists of places of equal length, from arguments of one place or several."""
+    first, second = _listed("a", a), _listed("b", b)
+    if len(first) != len(second):
+        raise ValueError(
+            f"a and b must be equally many places, got {len(first)} and {len(second)}"
+        )
+    return first, second
+
+
+def _listed(name: str, places: Any) -> list[Place]:
+    if isinstance(places, Sequence) and places and not isinstance(places, str):
+        if isinstance(places[0], str):
+            return [places]
+        return list(places)
+    raise TypeError(
+        f'{name} must be a place such as ("arm", "tip"), or several, got {places!r}'
+    )
+
+
 def points_of(name: str, places: Sequence[tuple[str, int, int]]) -> Points:
     """Points from places of one member, as `resolved` returns them.
 
@@ -199,7 +250,7 @@ def position_of(name: str, place: Place, state: Mapping[str, Any]) -> Pose:
 
     Args:
         name: Name of the argument, for messages.
-        place: See `jaxrod.systems.joints.places.Place`.
+        place: The place; see `Place`.
         state: State of a system.
     """
     layouts = layouts_of(state)
@@ -218,3 +269,147 @@ def position_of(name: str, place: Place, state: Mapping[str, Any]) -> Pose:
     start = element + element // layout.n_elements
     edge = positions[:, start + 1] - positions[:, start]
     return Pose(x, w, (edge[0] ** 2 + edge[1] ** 2 + edge[2] ** 2) ** 0.5)
+
+
+def orientation_at(seen: Seen, points: Points) -> Quaternion:
+    """Orientation of the element of each point, a quaternion, material to world."""
+    w, x, y, z = (gather(c, points.elements) for c in seen.motion.orientation)
+    return w, x, y, z
+
+
+def spin_at(seen: Seen, points: Points) -> Vec3:
+    """Angular velocity of the element of each point, world frame [rad/s]."""
+    x, y, z = (gather(c, points.elements) for c in seen.angular_velocities)
+    return x, y, z
+
+
+def least_inertia(parts: Parts, points: Points) -> Array:
+    """Smallest moment of inertia of the element of each point [kg m^2]."""
+    return jnp.min(parts.inertias, axis=0)[points.elements.values]
+
+
+def gather(row: Array, index: Indices) -> Array:
+    """Entries of a row at the given indices (gather)."""
+    size = row.shape[0]
+    stretches = _stretches(index)
+    if stretches is not None:
+        cut = [row[k : k + last - first] for k, first, last in stretches]
+        return cut[0] if len(cut) == 1 else jnp.concatenate(cut)
+    if len(index) <= FEW:
+        return jnp.stack([row[int(k)] for k in index.values])
+    if len(index) * size <= MOST_COMPARED:
+        return jnp.sum(jnp.where(_same(index, size), row[None, :], 0), axis=1)
+    return row[index.values]
+
+
+def scatter_set(row: Array, index: Indices, values: Array) -> Array:
+    """Copy of a row with `values` at the indices `index`, which must be distinct."""
+    size = row.shape[0]
+    if _stretches(index) is None and len(index) <= FEW:
+        numbers = np.arange(size)
+        for k, place in enumerate(index.values):
+            row = jnp.where(numbers == place, values[k], row)
+        return row
+    there = np.zeros(size, bool)
+    there[index.values] = True
+    return jnp.where(there, scatter_add(values, index, size), row)
+
+
+def scatter_add(values: Array, index: Indices, size: int) -> Array:
+    """Row of `size` zeros plus `values`, each added at its `index` (scatter-add)."""
+    stretches = _stretches(index)
+    if stretches is not None:
+        zero = jnp.zeros((), values.dtype)
+        widened = [
+            jax.lax.pad(values[first:last], zero, [(k, size - k - last + first, 0)])
+            for k, first, last in stretches
+        ]
+        return functools.reduce(jnp.add, widened)
+    if len(index) <= FEW:
+        numbers = np.arange(size)
+        total = jnp.zeros(size, values.dtype)
+        for k, place in enumerate(index.values):
+            total = total + jnp.where(numbers == place, values[k], 0)
+        return total
+    if len(index) * size <= MOST_COMPARED:
+        return jnp.sum(jnp.where(_same(index, size), values[:, None], 0), axis=0)
+    padded = jnp.concatenate([values, jnp.zeros_like(values[:1])])
+    return functools.reduce(
+        jnp.add, [padded[entries] for entries in _table(index, size)]
+    )
+
+
+@functools.lru_cache(maxsize=256)
+def _stretches(index: Indices) -> tuple[tuple[int, int, int], ...] | None:
+    """Stretches of consecutive indices: `(first index, begin, end)` each.
+
+    Begin and end are positions in the list of indices. `None` if there are too many
+    stretches, or more than half as many as indices.
+    """
+    cuts = np.flatnonzero(np.diff(index.values) != 1) + 1
+    bounds = [0, *cuts.tolist(), len(index)]
+    if len(bounds) - 1 > MOST_STRETCHES or 2 * (len(bounds) - 1) > max(len(index), 2):
+        return None
+    return tuple(
+        (int(index.values[first]), first, last)
+        for first, last in itertools.pairwise(bounds)
+    )
+
+
+@functools.lru_cache(maxsize=256)
+def _same(index: Indices, size: int) -> np.ndarray:
+    """Mask `(indices, size)`: true at (i, j) where the index number i equals j."""
+    return index.values[:, None] == np.arange(size)[None, :]
+
+
+@functools.lru_cache(maxsize=256)
+def _table(index: Indices, size: int) -> np.ndarray:
+    """Table `(most, size)`: in column j the positions of the values added to entry j.
+
+    `most` is the largest number of values for one entry. Columns are padded with the
+    number of all values, which is the position of an appended zero.
+    """
+    counts = np.bincount(index.values, minlength=size)
+    table = np.full((max(int(np.max(counts)), 1), size), len(index), np.int32)
+    filled = np.zeros(size, np.int32)
+    for k, place in enumerate(index.values):
+        table[filled[place], place] = k
+        filled[place] += 1
+    return table
+
+
+def sum_of_loads(*given: tuple[Points, Loads], seen: AllSeen) -> dict[str, Loads]:
+    """Loads on whole members, from loads at places.
+
+    Args:
+        *given: Pairs of places on one member, such as `Anchors.points`, and loads
+            there: forces [N] and couples [N m], one entry for each place.
+        seen: The members by name, as the hooks of couplings get them.
+
+    Returns:
+        Loads by member, with an entry for each of its nodes and elements.
+
+    Example:
+        >>> seen = {"arm": extend.Seen(scene.as_member().parts(), motion)}
+        >>> tip = extend.anchors([("arm", "tip")], {"arm": state})
+        >>> push = extend.Loads((jnp.ones(1), jnp.zeros(1), jnp.zeros(1)))
+        >>> total = extend.sum_of_loads((tip.points, push), seen=seen)
+        >>> total["arm"].forces[0].shape, float(total["arm"].forces[0][-1])
+        ((11,), 1.0)
+    """
+    total: dict[str, Loads] = {}
+    for points, loads in given:
+        parts = seen[points.member].parts
+        size = parts.n_nodes, parts.inertias.shape[1]
+        forces = _spread(loads.forces, points.nodes, size[0])
+        couples = _spread(loads.couples, points.elements, size[1])
+        earlier = total.get(points.member, Loads())
+        total[points.member] = added(earlier, Loads(forces, couples))
+    return total
+
+
+def _spread(vector: Vec3 | None, index: Indices, size: int) -> Vec3 | None:
+    """Vector field on a row of `size` entries, each the sum of what has its index."""
+    if vector is None:
+        return None
+    return vectors.mapped(lambda component: scatter_add(component, index, size), vector)

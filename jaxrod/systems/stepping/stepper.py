@@ -10,11 +10,9 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any, ClassVar
 
-import jax
 from jaxtyping import Array
 
-from jaxrod.geometry import vectors
-from jaxrod.rods.motion import Loads, Motion
+from jaxrod.rods.motion import Loads, Motion, added
 from jaxrod.structure import pytree
 from jaxrod.systems.coupling import Coupling, Seen
 from jaxrod.systems.members.steppers import MemberStepper
@@ -131,14 +129,3 @@ class SystemStepper:
             **motions,
             **{k: self.members[k].moved_as(motions[k], v) for k, v in changed.items()},
         }
-
-
-def added(a: Loads, b: Loads) -> Loads:
-    """Sum of two loads on one member; either may lack forces or couples."""
-    return Loads(_added(a.forces, b.forces), _added(a.couples, b.couples))
-
-
-def _added(a: vectors.Vec3 | None, b: vectors.Vec3 | None) -> vectors.Vec3 | None:
-    if a is None or b is None:
-        return b if a is None else a
-    return jax.tree.map(lambda x, y: x + y, a, b)
