@@ -8,6 +8,7 @@ second, and so on. A rigid body is one node and one element.
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import replace
 from typing import Any
 
 import jax.numpy as jnp
@@ -322,6 +323,29 @@ class Coupling:
         `health` flags it above a limit, which is one by default.
         """
         return None
+
+
+def refresh_every(couplings: Sequence[Coupling]) -> int | None:
+    """Steps between searches: the least of all couplings; `None` if none searches."""
+    asked = [c.refresh_every for c in couplings if c.refresh_every is not None]
+    return min(asked) if asked else None
+
+
+def searched(couplings: Sequence[Coupling], seen: Any) -> tuple[Any, ...]:
+    """Results of the search of every coupling that searches for neighbours."""
+    return tuple(c.search(seen) for c in couplings if c.refresh_every is not None)
+
+
+def with_found(
+    couplings: Sequence[Coupling], found: Sequence[Any]
+) -> tuple[Coupling, ...]:
+    """Couplings with the results `found` of their searches in the field `found`."""
+    left = iter(found)
+    # A coupling that searches is a dataclass, by its decorator, with a field `found`.
+    return tuple(
+        c if c.refresh_every is None else replace(c, found=next(left))  # type: ignore[type-var]
+        for c in couplings
+    )
 
 
 def check_named(name: str, members: Iterable[str], where: str = "") -> None:

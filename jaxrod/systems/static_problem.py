@@ -37,10 +37,9 @@ from jaxrod.geometry.vectors import Vec3
 from jaxrod.lanes.steps import by_kernel
 from jaxrod.rods.motion import Motion
 from jaxrod.structure import pytree
-from jaxrod.systems.coupling import Parts, Seen
+from jaxrod.systems.coupling import Parts, Seen, searched, with_found
 from jaxrod.systems.stepping.assembly import Assembly, SystemState
-from jaxrod.systems.stepping.changing import searched, with_found
-from jaxrod.systems.stepping.stepper import Motions, SystemStepper
+from jaxrod.systems.stepping.stepper import Motions, SystemStepper, stepper_at
 
 INSTANT = 1e-9
 """Duration of the kick that measures loads, divided by `Scales.time`, the bending time
@@ -455,7 +454,7 @@ def static_problem(
 ) -> tuple[StaticProblem, Motions]:
     """The static problem of a system, and the configuration of a state."""
     scales = scales_of(system)
-    stepper = system.stepper(state, INSTANT * scales.time)
+    stepper = stepper_at(system, state, INSTANT * scales.time)
     members = {name: own.at_rest() for name, own in stepper.members.items()}
     problem = StaticProblem(system, replace(stepper, members=members), scales)
     bare = {name: state[name] for name in system.members}

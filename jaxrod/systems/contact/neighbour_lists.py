@@ -10,6 +10,8 @@ entries for each element most entries would be unused, since contact is uneven.
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
+from dataclasses import replace
 from typing import Any
 
 import jax.numpy as jnp
@@ -18,6 +20,7 @@ from jaxtyping import Array, Bool, Float
 from jaxrod.geometry.vectors import Vec3
 from jaxrod.structure import pytree, static
 from jaxrod.systems.contact.element_pairs import NeighbourList
+from jaxrod.systems.coupling import Coupling
 from jaxrod.validation import Numbers, as_array, check_count
 
 SPARE = 1.5
@@ -122,6 +125,19 @@ def no_record(dtype: Any) -> NeighbourRecord:
     """Record with which a run begins: all zero."""
     zero = jnp.zeros((), dtype)
     return NeighbourRecord(zero, zero, zero)
+
+
+def with_shortage(
+    record: NeighbourRecord, couplings: Sequence[Coupling]
+) -> NeighbourRecord:
+    """Updates the record with the shortage of entries in the last searches."""
+    missed, used = record.missed, record.used
+    for coupling in couplings:
+        if coupling.refresh_every is not None:
+            own: Any = coupling
+            missed = jnp.maximum(missed, own.found.missed)
+            used = jnp.maximum(used, jnp.max(own.found.used))
+    return replace(record, missed=missed, used=used)
 
 
 def with_spare(count: float) -> int:

@@ -16,7 +16,7 @@ contact; an end that is tied to another node has none.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -452,30 +452,6 @@ def last_but_continued(
         if others and not stays:
             found.append(rod * n + n - 1)
     return tuple(found)
-
-
-def free_ends(
-    member: str, parts: AllParts, held: Iterable[tuple[str, int]]
-) -> np.ndarray:
-    """Flags of the first and last end of a member's rods: 1 if free, 0 otherwise.
-
-    Args:
-        member: Name of the member.
-        parts: Constants of all members.
-        held: Members and indices of nodes that are tied to other nodes or attached to
-            bodies.
-
-    Returns:
-        Flags `(rods, 2)`.
-    """
-    own = parts[member]
-    last = own.n_elements
-    free = np.ones((own.count, 2))
-    for name, node in held:
-        rod, place = divmod(node, last + 1)
-        if name == member and place in (0, last):
-            free[rod, int(place == last)] = 0.0
-    return free
 
 
 def closed_rods(

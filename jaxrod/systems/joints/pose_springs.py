@@ -39,7 +39,6 @@ from jaxrod.geometry.vectors import Vec3
 from jaxrod.rods.motion import Loads
 from jaxrod.structure import pytree
 from jaxrod.systems.coupling import AllParts, AllSeen, Coupling, Seen
-from jaxrod.systems.energies import seen_at_rest
 from jaxrod.systems.joints.anchors import Anchors, anchors
 from jaxrod.systems.joints.places import (
     Place,
@@ -50,6 +49,7 @@ from jaxrod.systems.joints.places import (
     spin_at,
     sum_of_loads,
 )
+from jaxrod.systems.stepping.assembly import seen_at_rest
 from jaxrod.systems.system import System
 from jaxrod.validation import (
     Numbers,
