@@ -26,7 +26,7 @@ from typing import Any, TypeVar
 
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Bool, Int
+from jaxtyping import Array, Bool, Float, Int
 
 from jaxrod.geometry import vectors
 from jaxrod.geometry.vectors import Vec3
@@ -126,6 +126,24 @@ class Elements:
         a, b = 6 * fraction - 4, 6 * fraction - 2
         x, y, z = (a * one + b * two for one, two in zip(first, second, strict=True))
         return x, y, z
+
+
+@pytree
+class Bounds:
+    """Straight elements, each with a distance within which neighbours are searched."""
+
+    elements: Elements
+    """Straight elements, with their arc lengths along rods where these matter."""
+    reach: Float[Array, " elements"]
+    """Distance from the axis that includes the surface, the onset of contact and half
+    the skin [m]."""
+    numbers: Float[Array, " elements"]
+    """Indices of the elements in their member."""
+
+    @property
+    def middle(self) -> Vec3:
+        """Midpoints of the elements [m]."""
+        return vectors.add(self.elements.first, vectors.scale(0.5, self.elements.edge))
 
 
 def bulge_shares(fraction: Array) -> tuple[Array, Array]:

@@ -17,9 +17,7 @@ from typing import Any
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
-from jaxrod.geometry.vectors import Vec3
 from jaxrod.structure import pytree, static
-from jaxrod.systems.contact.element_pairs import NeighbourList
 from jaxrod.systems.coupling import Coupling
 from jaxrod.validation import Numbers, as_array, check_count
 
@@ -62,25 +60,6 @@ class NeighbourLists:
     def is_sized(self) -> bool:
         """Whether `pairs`, `candidates` and `cell_slots` are all known."""
         return None not in (self.pairs, self.candidates, self.cell_slots)
-
-
-@pytree
-class FoundNeighbours:
-    """Neighbour lists, node positions when they were made, and counts of entries."""
-
-    lists: tuple[NeighbourList, ...]
-    """Neighbour lists, one for each pair of members."""
-    places: tuple[Vec3, ...]
-    """Positions of the members' nodes at the search [m]."""
-    missed: Float[Array, ""]
-    """Entries needed minus entries available, the largest of pairs, candidates and cell
-    slots; positive if pairs were missed [1]."""
-    used: Float[Array, " lists"]
-    """Number of pairs that each list needs [1]."""
-    candidates: Float[Array, " lists"]
-    """Number of candidates of each list: pairs whose exact distance is computed [1]."""
-    in_cells: Float[Array, ""]
-    """Largest number of elements in three neighbouring cells [1]."""
 
 
 @pytree

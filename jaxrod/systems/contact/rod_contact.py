@@ -31,9 +31,8 @@ from jaxrod.effects.base import StabilityBound
 from jaxrod.geometry import vectors
 from jaxrod.geometry.vectors import Vec3
 from jaxrod.structure import pytree, static
-from jaxrod.systems.contact.element_pairs import Elements, row_vector
+from jaxrod.systems.contact.element_pairs import Bounds, Elements, row_vector
 from jaxrod.systems.contact.neighbour_lists import NeighbourLists
-from jaxrod.systems.contact.neighbour_search import Bounds
 from jaxrod.systems.contact.penalty_contact import (
     ContactPair,
     contact_pair,
