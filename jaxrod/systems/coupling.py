@@ -63,9 +63,6 @@ class Parts:
     is_rigid: bool = static(default=False)
     """Whether the member consists of rigid bodies, to which nodes of rods can be
     attached."""
-    joint_mean: str = static(default="arithmetic")
-    """Mean by which a joint of a rod gets its stiffness from its two elements:
-    "arithmetic" or "series"."""
 
     # `Motion.angular_velocities` uses these attributes of a rod.
     @property

@@ -295,5 +295,4 @@ def parts_of(rod: Rod) -> Parts:
         bend_twist_stiffness=rod.bend_twist_stiffness,
         linear_density=rod.linear_density,
         n_elements=rod.n_elements,
-        joint_mean=rod.joint_mean,
     )
