@@ -14,10 +14,9 @@ from jaxrod.analysis.health import HealthLimits, scene_health
 from jaxrod.analysis.stability import scene_stable_step
 from jaxrod.effects.base import Effect, StabilityBound, memory_of
 from jaxrod.geometry.vectors import Vec3
-from jaxrod.loaded_rod import LoadedRod, check_memory, memory_in
+from jaxrod.loaded_rod import LoadedRod, check_memory, free_velocity_mask, memory_in
 from jaxrod.rods.motion import Motion, motion_of
 from jaxrod.rods.rod import Rod, RodState
-from jaxrod.statics.degrees_of_freedom import free_velocity_mask
 from jaxrod.structure import pytree
 from jaxrod.systems.coupling import Carried, Parts
 from jaxrod.systems.members.member import Member, check_axes, check_fields
