@@ -256,7 +256,7 @@ class Coupling:
 
         The result is a pytree of arrays with fields `missed` and `used`. It stays in
         the coupling's field `found` until the next search: see
-        `jaxrod.systems.contact.neighbour_lists`.
+        `jaxrod.systems.contact.neighbour_search`.
         """
         # Not abstract: it is never called for couplings without `refresh_every`.
         raise NotImplementedError(f"{type(self).__name__} has no search")

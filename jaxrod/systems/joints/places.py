@@ -122,6 +122,7 @@ def layouts_of(state: Mapping[str, Any]) -> dict[str, Layout]:
 
 
 def _layout(name: str, state: Any) -> Layout:
+    """Layout of the state of the member `name`; a TypeError if it has none."""
     layout: Layout | None = getattr(state, "layout", None)
     if layout is None:
         raise TypeError(
@@ -170,6 +171,7 @@ def resolved(
 
 
 def _of_many(name: str, where: str, given: Sequence[Any], count: int) -> int:
+    """Index of one of `count` rods or bodies; it need not be `given` if there is one."""
     if not given:
         if count > 1:
             raise ValueError(f"{name}: {where} there are {count}, say which")
@@ -179,6 +181,7 @@ def _of_many(name: str, where: str, given: Sequence[Any], count: int) -> int:
 
 
 def _node(name: str, member: str, node: Any, layout: Layout) -> int:
+    """Index of a node of one rod, from an end or a number, which may be negative."""
     last = layout.n_elements
     if node == "base":
         return 0
@@ -205,6 +208,7 @@ def pairs(
 
 
 def _listed(name: str, places: Any) -> list[Place]:
+    """List of places, from one place or several; `name` is for messages."""
     if isinstance(places, Sequence) and places and not isinstance(places, str):
         if isinstance(places[0], str):
             return [places]
