@@ -171,7 +171,7 @@ def resolved(
 
 
 def _of_many(name: str, where: str, given: Sequence[Any], count: int) -> int:
-    """Index of one of `count` rods or bodies; it need not be `given` if there is one."""
+    """Index of one of `count` rods or bodies; if there is one it may be left out."""
     if not given:
         if count > 1:
             raise ValueError(f"{name}: {where} there are {count}, say which")
