@@ -15,12 +15,11 @@ from jaxrod.model import Stepper
 from jaxrod.rods.motion import Loads, Motion
 from jaxrod.rods.rod import Layout
 from jaxrod.structure import Leaf, memory, pytree, static
+from jaxrod.systems.coupling import Coupling, Parts, Seen
 from jaxrod.systems.joints.anchors import Anchors, anchors, spring_bounds
+from jaxrod.systems.joints.places import sum_of_loads
 from jaxrod.systems.members.member import Member
-from jaxrod.systems.members.parts import Parts, Seen
 from jaxrod.systems.members.steppers import MemberStepper
-from jaxrod.systems.sites.coupling import Coupling
-from jaxrod.systems.sites.rows import sum_of_loads
 from jaxrod.validation import as_array
 
 __all__ = [

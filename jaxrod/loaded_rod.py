@@ -8,6 +8,7 @@ step number and the memory.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 from typing import Any, ClassVar, Protocol, Self, TypeVar, runtime_checkable
 
@@ -17,7 +18,7 @@ from jaxtyping import Array, ArrayLike, Int
 
 from jaxrod.effects.base import Effect, Memory, memory_of, recalled, remembers, stirred
 from jaxrod.effects.time import Clock, at_clock, at_largest, clock_at, depends_on_time
-from jaxrod.geometry.vectors import Vec3
+from jaxrod.geometry.vectors import Vec3, subtract
 from jaxrod.model import Stepper
 from jaxrod.rods.elasticity import elastic_law, internal_loads
 from jaxrod.rods.motion import Loads, Motion, accumulate
@@ -314,6 +315,34 @@ def constrain_rates(scene: LoadedRod, motion: Motion) -> Motion:
     for effect in scene.effects:
         motion = effect.constrain_rates(scene.rod, motion)
     return motion
+
+
+def free_velocity_mask(scene: LoadedRod, motion: Motion) -> tuple[Vec3, Vec3]:
+    """Flags of velocities and spins: 1 if free under `constrain_rates`, 0 if held."""
+    return free_under(lambda moving: constrain_rates(scene, moving), motion)
+
+
+def free_under(
+    supported: Callable[[Motion], Motion], motion: Motion
+) -> tuple[Vec3, Vec3]:
+    """Flags of velocities and spins: 1 if free under `supported`, 0 if held.
+
+    Args:
+        supported: Function from a motion to the motion with the rates that supports
+            impose, in which each rate is either kept or replaced.
+        motion: Configuration of the rod, or of another member of a system.
+    """
+    rates = (motion.velocity, motion.spin)
+
+    def held(rate: float) -> Motion:
+        velocity, spin = jax.tree.map(lambda a: jnp.full_like(a, rate), rates)
+        return supported(replace(motion, velocity=velocity, spin=spin))
+
+    moving, still = held(1.0), held(0.0)
+    return (
+        subtract(moving.velocity, still.velocity),
+        subtract(moving.spin, still.spin),
+    )
 
 
 def dissipates(scene: LoadedRod) -> bool:

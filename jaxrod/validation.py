@@ -257,6 +257,16 @@ def as_array(
     return jnp.asarray(checked, dtype)
 
 
+def optional_number(name: str, value: Numbers | None, unit: str) -> Array | None:
+    """Checked number that must not be negative; `None` if none is given.
+
+    `name` and `unit` are for error messages.
+    """
+    if value is None:
+        return None
+    return as_array(name, value, unit, non_negative=True)
+
+
 def check_held(
     name: str, value: np.ndarray, unit: str, dtype: Any, *, each: bool = False
 ) -> None:

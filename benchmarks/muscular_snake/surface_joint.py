@@ -13,12 +13,9 @@ from jaxrod.geometry.rotations import directors, to_material, to_world
 from jaxrod.geometry.vectors import Vec3
 from jaxrod.rods.motion import Loads
 from jaxrod.structure import pytree
-from jaxrod.systems.joints.elastic_joints import orientation_at
+from jaxrod.systems.coupling import AllSeen, Seen
 from jaxrod.systems.joints.glue import Glue, GluedSide
-from jaxrod.systems.members.parts import Seen
-from jaxrod.systems.sites.coupling import AllSeen
-from jaxrod.systems.sites.places import Points
-from jaxrod.systems.sites.rows import gather, sum_of_loads
+from jaxrod.systems.joints.places import Points, gather, orientation_at, sum_of_loads
 
 
 @pytree

@@ -32,8 +32,7 @@ from jaxrod.geometry.vectors import Vec3
 from jaxrod.rods.motion import Loads
 from jaxrod.structure import pytree, static
 from jaxrod.systems.contact.segment_distance import Products, between, products
-from jaxrod.systems.members.parts import Seen
-from jaxrod.systems.sites.coupling import AllParts, AllSeen, Coupling, check_named
+from jaxrod.systems.coupling import AllParts, AllSeen, Coupling, Seen, check_named
 from jaxrod.validation import Numbers, as_array, check_count
 
 _PARALLEL = 1e-6

@@ -43,9 +43,8 @@ from jaxrod.geometry.rotations import (
     to_world,
 )
 from jaxrod.geometry.vectors import Vec3
-from jaxrod.loaded_rod import LoadedRod
+from jaxrod.loaded_rod import LoadedRod, free_velocity_mask
 from jaxrod.rods.motion import Motion
-from jaxrod.statics.degrees_of_freedom import free_velocity_mask
 from jaxrod.structure import pytree
 from jaxrod.validation import Numbers, as_array
 

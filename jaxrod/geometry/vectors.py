@@ -84,6 +84,17 @@ def apply(function: Callable[[Array, Array], Array], a: Vec3, b: Vec3) -> Vec3:
     return function(a[0], b[0]), function(a[1], b[1]), function(a[2], b[2])
 
 
+def along(axis: int, like: Array) -> Vec3:
+    """Unit vectors along a coordinate axis, one for each entry of `like`."""
+    x, y, z = (jnp.full_like(like, k == axis) for k in range(3))
+    return x, y, z
+
+
+def mapped(function: Callable[[Array], Array], vector: Vec3) -> Vec3:
+    """Applies a function to each of the three components of a vector field."""
+    return function(vector[0]), function(vector[1]), function(vector[2])
+
+
 def safe_norm(a: Vec3) -> Array:
     """Euclidean length, with gradient zero (not NaN) for the zero vector.
 

@@ -20,6 +20,7 @@ from jaxrod.geometry.rotations import (
 from jaxrod.geometry.vectors import (
     Vec3,
     add,
+    add_optional,
     dot,
     inner_difference,
     join,
@@ -156,6 +157,11 @@ class Loads:
             couples: tuple[Array, ...] | None = None,
         ) -> None:
             """Makes loads of forces (x, y, z) and couples (x, y, z); `None` is zero."""
+
+
+def added(a: Loads, b: Loads) -> Loads:
+    """Sum of two loads; either may lack forces or couples, which count as zero."""
+    return Loads(add_optional(a.forces, b.forces), add_optional(a.couples, b.couples))
 
 
 def accumulate(total: Vec3, part: Vec3 | None) -> Vec3:

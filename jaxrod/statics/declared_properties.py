@@ -24,13 +24,12 @@ from jaxrod.geometry.rotations import (
     rotation_exp,
     to_world,
 )
-from jaxrod.loaded_rod import LoadedRod, Method
+from jaxrod.loaded_rod import LoadedRod, Method, free_velocity_mask
 from jaxrod.rods.motion import Motion
 from jaxrod.rods.rod import Rod
 from jaxrod.statics.block_matrices import BlockTridiagonal, of_five_bands
 from jaxrod.statics.degrees_of_freedom import (
     free_position_mask,
-    free_velocity_mask,
     stack_dofs,
     unstack_dofs,
 )

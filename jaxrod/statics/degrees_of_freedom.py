@@ -9,14 +9,13 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from jaxrod.geometry import vectors
 from jaxrod.geometry.rotations import Quaternion, multiply_quaternions
 from jaxrod.geometry.vectors import Vec3
-from jaxrod.loaded_rod import LoadedRod, constrain, constrain_rates
+from jaxrod.loaded_rod import LoadedRod, constrain, free_velocity_mask
 from jaxrod.rods.motion import Motion
 
 _TURN = (0.8, 0.36, 0.48, 0.0)
@@ -39,21 +38,6 @@ def degrees_of_freedom(scene: LoadedRod, motion: Motion) -> tuple[Vec3, Vec3]:
     if placed is None:
         return nodes, elements
     return vectors.multiply(nodes, placed[0]), vectors.multiply(elements, placed[1])
-
-
-def free_velocity_mask(scene: LoadedRod, motion: Motion) -> tuple[Vec3, Vec3]:
-    """Flags of velocities and spins: 1 if free under `constrain_rates`, 0 if held."""
-    rates = (motion.velocity, motion.spin)
-
-    def held(rate: float) -> Motion:
-        velocity, spin = jax.tree.map(lambda a: jnp.full_like(a, rate), rates)
-        return constrain_rates(scene, replace(motion, velocity=velocity, spin=spin))
-
-    moving, still = held(1.0), held(0.0)
-    return (
-        vectors.subtract(moving.velocity, still.velocity),
-        vectors.subtract(moving.spin, still.spin),
-    )
 
 
 def free_position_mask(scene: LoadedRod, motion: Motion) -> tuple[Vec3, Vec3] | None:

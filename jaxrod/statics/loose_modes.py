@@ -26,7 +26,6 @@ from jaxtyping import Array, Bool, Float
 
 from jaxrod.geometry import vectors
 from jaxrod.geometry.rotations import directors
-from jaxrod.geometry.vectors import Vec3
 from jaxrod.rods.motion import Motion
 from jaxrod.rods.rod import Rod
 from jaxrod.statics.degrees_of_freedom import stack_dofs
@@ -107,17 +106,11 @@ def _modes_of_the_whole(rod: Rod, motion: Motion) -> Float[Array, "7 n+1 6"]:
     d3 = directors(motion.orientation)[2]
     modes = []
     for k in range(3):
-        nodes, elements = _along(k, x), _along(k, d3[0])
+        nodes, elements = vectors.along(k, x), vectors.along(k, d3[0])
         around = vectors.cross(nodes, (x, y, z))
         modes.append(stack_dofs(nodes, vectors.scale(0.0, elements)))
         modes.append(stack_dofs(around, elements))
     return jnp.stack([*modes, stack_dofs(vectors.scale(0.0, (x, y, z)), d3)])
-
-
-def _along(axis: int, like: Array) -> Vec3:
-    """Unit vectors along a world axis, one for each entry of `like`."""
-    x, y, z = (jnp.full_like(like, k == axis) for k in range(3))
-    return x, y, z
 
 
 def _middle(rod: Rod) -> int:

@@ -33,7 +33,7 @@ from jaxrod.statics.pseudo_transient import (
     find_rest,
 )
 from jaxrod.structure import pytree
-from jaxrod.systems.contact.neighbour_lists import RECORD
+from jaxrod.systems.contact.neighbour_lists import RECORD, with_shortage
 from jaxrod.systems.static_problem import (
     Linear,
     StaticProblem,
@@ -41,7 +41,6 @@ from jaxrod.systems.static_problem import (
     static_problem,
 )
 from jaxrod.systems.stepping.assembly import Assembly, SystemState
-from jaxrod.systems.stepping.changing import with_shortage
 from jaxrod.systems.stepping.stepper import Motions
 
 _SPARE = 16

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 from jaxrod.systems.contact.neighbour_lists import NeighbourLists, with_spare
-from jaxrod.systems.energies import seen_at_rest
+from jaxrod.systems.stepping.assembly import seen_at_rest
 from jaxrod.systems.system import System
 from jaxrod.validation import check_kind, is_traced
 

@@ -35,12 +35,12 @@ from jaxrod.geometry import matrices, vectors
 from jaxrod.geometry.rotations import directors, to_material, to_world
 from jaxrod.geometry.vectors import Vec3
 from jaxrod.lanes.steps import by_kernel
+from jaxrod.loaded_rod import free_under
 from jaxrod.rods.motion import Motion
 from jaxrod.structure import pytree
-from jaxrod.systems.members.parts import Parts, Seen
+from jaxrod.systems.coupling import Parts, Seen, searched, with_found
 from jaxrod.systems.stepping.assembly import Assembly, SystemState
-from jaxrod.systems.stepping.changing import searched, with_found
-from jaxrod.systems.stepping.stepper import Motions, SystemStepper
+from jaxrod.systems.stepping.stepper import Motions, SystemStepper, stepper_at
 
 INSTANT = 1e-9
 """Duration of the kick that measures loads, divided by `Scales.time`, the bending time
@@ -261,18 +261,7 @@ class StaticProblem:
         together = {}
         for name, stepper in self.stepper.members.items():
             motion, at = found[name], start[name]
-
-            def rates(
-                rate: float, motion: Motion = motion, stepper: Any = stepper
-            ) -> tuple[Vec3, Vec3]:
-                velocity, spin = jax.tree.map(
-                    lambda a: jnp.full_like(a, rate), (motion.velocity, motion.spin)
-                )
-                moving = replace(motion, velocity=velocity, spin=spin)
-                after = stepper.supported(moving)
-                return after.velocity, after.spin
-
-            nodes, elements = jax.tree.map(jnp.subtract, rates(1.0), rates(0.0))
+            nodes, elements = free_under(stepper.supported, motion)
             turning = jnp.where(elements[0] == 1, 1, elements[1])
             turning = jnp.where(turning == 1, 1, elements[2])
             position, orientation = jax.tree.map(
@@ -455,7 +444,7 @@ def static_problem(
 ) -> tuple[StaticProblem, Motions]:
     """The static problem of a system, and the configuration of a state."""
     scales = scales_of(system)
-    stepper = system.stepper(state, INSTANT * scales.time)
+    stepper = stepper_at(system, state, INSTANT * scales.time)
     members = {name: own.at_rest() for name, own in stepper.members.items()}
     problem = StaticProblem(system, replace(stepper, members=members), scales)
     bare = {name: state[name] for name in system.members}
@@ -545,7 +534,7 @@ def rigid_motions(own: Seen, length: Array) -> Iterator[tuple[Vec3, Vec3]]:
     still, unturned = vectors.scale(0.0, arm), vectors.scale(0.0, d3)
     motions = [] if not own.parts.is_rod else [(still, d3)]
     for axis in range(3):
-        moving, turning = _along(axis, arm[0]), _along(axis, d3[0])
+        moving, turning = vectors.along(axis, arm[0]), vectors.along(axis, d3[0])
         motions.append((moving, unturned))
         around = vectors.scale(1 / length, vectors.cross(moving, arm))
         motions.append((around, turning))
@@ -562,12 +551,6 @@ def _of_part(part: int, count: int, field: Vec3) -> Vec3:
     return x, y, z
 
 
-def _along(axis: int, like: Array) -> Vec3:
-    """Constant field of unit vectors along a world axis, with the shape of `like`."""
-    x, y, z = (jnp.full_like(like, k == axis) for k in range(3))
-    return x, y, z
-
-
 def spins(own: Seen, turning: Vec3) -> Vec3:
     """Angular momenta (`Motion.spin`) of elements or bodies [kg m^2/s].
 
@@ -576,7 +559,7 @@ def spins(own: Seen, turning: Vec3) -> Vec3:
     # Angular velocities are linear in spins: their matrix, column by column.
     columns = []
     for axis in range(3):
-        spin = _along(axis, turning[0])
+        spin = vectors.along(axis, turning[0])
         moving = replace(own, motion=replace(own.motion, spin=spin))
         columns.append(moving.angular_velocities)
     matrix = matrices.transpose((columns[0], columns[1], columns[2]))

@@ -19,34 +19,35 @@ from jaxrod.lanes.steps import by_kernel
 from jaxrod.model import Model, Stepper
 from jaxrod.statics.equilibrium import Equilibrium, search_limits
 from jaxrod.structure import pytree
-from jaxrod.systems.contact.neighbour_lists import RECORD, NeighbourRecord, no_record
-from jaxrod.systems.contact.rod_segments import free_ends
-from jaxrod.systems.energies import (
-    seen_at_rest,
-    system_angular_momentum,
-    system_kinetic_energy,
-    system_momentum,
-    system_potential_energy,
+from jaxrod.systems.contact.neighbour_lists import (
+    RECORD,
+    NeighbourRecord,
+    no_record,
+    with_shortage,
 )
+from jaxrod.systems.coupling import AllParts, Coupling
 from jaxrod.systems.equilibrium import system_equilibrium
 from jaxrod.systems.members.member import Member
-from jaxrod.systems.sites.coupling import AllParts, Coupling
 from jaxrod.systems.static_problem import squared_frequencies
 from jaxrod.systems.stepping.assembly import (
     Assembly,
     SystemState,
     held_parts,
     member_shapes,
+    seen_at_rest,
 )
-from jaxrod.systems.stepping.changing import with_shortage
 from jaxrod.systems.stepping.runs import (
     StableSystemStep,
     check_single,
     check_system_state,
     stable_system_dt,
-    system_stepper,
     system_with_memory,
     unstable_step,
+)
+from jaxrod.systems.stepping.stepper import (
+    SystemStepper,
+    stepper_at,
+    system_stepper,
 )
 from jaxrod.validation import as_array, in_type, is_traced, knows_constants
 
@@ -106,6 +107,10 @@ class System(Assembly, Model):
         """Checks state and step of a run; returns `dt` [s] in the system's dtype."""
         check_system_state(self, state)
         return as_array("dt", dt, "s", positive=True, dtype=self.dtype)
+
+    def stepper(self, state: SystemState, dt: Array) -> SystemStepper:
+        """Integrator of the system at one moment, with the constants of a run."""
+        return stepper_at(self, state, dt)
 
     def run_stepper(self, state: Any, dt: Array, first: Array | None) -> Stepper:
         """Integrator of a run from a state.
@@ -322,12 +327,14 @@ def _free_ends(
 
     They are 1 for a free end, and 0 for an end that is tied or attached.
     """
-    held = {node for coupling in couplings for node in coupling.joined_nodes()}
-    return {
-        name: jnp.asarray(free_ends(name, parts, held), dtype)
-        for name, own in parts.items()
-        if own.is_rod
-    }
+    free = {name: np.ones((own.count, 2)) for name, own in parts.items() if own.is_rod}
+    for name, node in {key for c in couplings for key in c.joined_nodes()}:
+        if name in free:
+            last = parts[name].n_elements
+            rod, place = divmod(node, last + 1)
+            if place in (0, last):
+                free[name][rod, int(place == last)] = 0.0
+    return {name: jnp.asarray(flags, dtype) for name, flags in free.items()}
 
 
 def _sized(
@@ -386,6 +393,58 @@ def _check_followers(couplings: Sequence[Coupling]) -> None:
                     f"{followers[member, node]!r}: attach all tied nodes to the body "
                     "instead"
                 )
+
+
+@jax.jit
+def system_kinetic_energy(system: Assembly, state: SystemState) -> Float[Array, ""]:
+    """Kinetic energy of all members [J]."""
+    members = system.interfaces()
+    return _total(member.kinetic_energy(state[k]) for k, member in members.items())
+
+
+@jax.jit
+def system_potential_energy(system: Assembly, state: SystemState) -> Float[Array, ""]:
+    """Elastic energy plus potential energies of effects and couplings [J]."""
+    members = system.interfaces()
+    total = _total(member.potential_energy(state[k]) for k, member in members.items())
+    if not system.couplings:
+        return total
+    # A kernel, because XLA takes many seconds to compile contact with lists.
+    return total + by_kernel(_CouplingEnergy(system), "energy", state)
+
+
+@pytree
+class _CouplingEnergy:
+    """Potential energy of all couplings, as a pytree with a method for `by_kernel`."""
+
+    system: Assembly
+    """The system whose couplings are summed."""
+
+    def energy(self, state: SystemState) -> Float[Array, ""]:
+        """Sum of the potential energies of all couplings in a state [J]."""
+        seen, prepared = seen_at_rest(self.system, state)
+        return _total(coupling.energy(seen) for coupling in prepared)
+
+
+@jax.jit
+def system_momentum(system: Assembly, state: SystemState) -> Float[Array, "3"]:
+    """Total linear momentum of all members, world frame [kg m/s]."""
+    members = system.interfaces()
+    return _total(member.momentum(state[k]) for k, member in members.items())
+
+
+@jax.jit
+def system_angular_momentum(system: Assembly, state: SystemState) -> Float[Array, "3"]:
+    """Total angular momentum about the origin, world frame [kg m^2/s]."""
+    members = system.interfaces()
+    return _total(member.angular_momentum(state[k]) for k, member in members.items())
+
+
+def _total(values: Any) -> Any:
+    total = None
+    for value in values:
+        total = value if total is None else total + value
+    return total
 
 
 @pytree

@@ -19,7 +19,7 @@ from jaxrod.geometry.surfaces import Triangles
 from jaxrod.model import Model
 from jaxrod.rods.elasticity import strains
 from jaxrod.rods.rod import RodState
-from jaxrod.systems.members.parts import Parts
+from jaxrod.systems.coupling import Parts
 from jaxrod.viz.colours import FIXED
 from jaxrod.viz.recording import extent
 from jaxrod.viz.rods import Rods, checked_rods

@@ -18,9 +18,8 @@ from jaxrod.geometry.rotations import (
     to_material,
 )
 from jaxrod.lanes.steps import by_kernel
-from jaxrod.loaded_rod import constrain_rates, dissipate
+from jaxrod.loaded_rod import constrain_rates, dissipate, free_velocity_mask
 from jaxrod.rods.motion import motion_of, state_of
-from jaxrod.statics.degrees_of_freedom import free_velocity_mask
 from jaxrod.structure import pytree
 from physics.rods import DENSITY, YOUNG, arm, deformed, difference, largest, random_rod
 from physics.torsion_free import free

@@ -16,7 +16,7 @@ import pytest
 
 import jaxrod
 from benchmarks.plectoneme.element_contact import element_contact
-from jaxrod.systems.energies import seen_at_rest
+from jaxrod.systems.stepping.assembly import seen_at_rest
 
 N, LENGTH, RADIUS, DENSITY, YOUNG = 12, 0.5, 0.01, 1000.0, 1e6
 STIFFNESS, DAMPING = 1e3, 0.5

@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 
 import jaxrod
-from jaxrod.systems.energies import seen_at_rest
+from jaxrod.systems.stepping.assembly import seen_at_rest
 
 N, LENGTH, RADIUS, SPHERE = 8, 0.8, 0.05, 1e4
 STIFFNESS, DAMPING, FRICTION = 2e5, 300.0, 0.4

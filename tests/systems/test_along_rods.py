@@ -11,7 +11,7 @@ from jaxrod.systems.contact.touching_rods import (
     share_near_tie,
     share_of_gap,
 )
-from jaxrod.systems.members.parts import parts_of
+from jaxrod.systems.members.rods import parts_of
 from systems.members import rod
 
 THICK, THIN, LENGTH = 0.03, 0.01, 0.1

@@ -10,9 +10,10 @@ import pytest
 import jaxrod
 from jaxrod.geometry.rotations import directors, rotation_log, to_material
 from jaxrod.rods.motion import Loads, Motion
-from jaxrod.systems.energies import seen_at_rest
+from jaxrod.systems.coupling import Carried
 from jaxrod.systems.joints.welds import Attachment
-from jaxrod.systems.members.rigid_stepper import Carried, RigidStepper
+from jaxrod.systems.members.rigid_stepper import RigidStepper
+from jaxrod.systems.stepping.assembly import seen_at_rest
 from systems.members import free_system, rod
 
 

@@ -5,7 +5,7 @@ import numpy as np
 
 import jaxrod
 from benchmarks.plectoneme.element_contact import element_contact
-from jaxrod.systems.energies import seen_at_rest
+from jaxrod.systems.stepping.assembly import seen_at_rest
 from systems.members import rod
 
 

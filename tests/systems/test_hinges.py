@@ -8,7 +8,7 @@ import pytest
 
 import jaxrod
 from jaxrod.structure import pytree
-from jaxrod.systems.energies import seen_at_rest
+from jaxrod.systems.stepping.assembly import seen_at_rest
 
 MASS, INERTIA, ARM = 1.0, (0.1, 0.2, 0.25), 0.3
 """Of the body that turns, and how far its centre is from the hinge [m]."""

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import jaxrod
-from jaxrod.systems.energies import seen_at_rest
+from jaxrod.systems.stepping.assembly import seen_at_rest
 from systems.members import rod
 
 RADIUS, ELEMENT = 0.02, 0.08

@@ -17,7 +17,7 @@ from jaxrod.geometry.rotations import (
     split_quaternion,
     to_world,
 )
-from jaxrod.systems.energies import seen_at_rest
+from jaxrod.systems.stepping.assembly import seen_at_rest
 from systems.rigid_pairs import SHAPES, alone, body, moved, pair, thrown
 
 

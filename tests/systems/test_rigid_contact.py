@@ -10,7 +10,7 @@ import pytest
 
 import jaxrod
 from jaxrod.systems.contact.sphere_cloud import spheres_of
-from jaxrod.systems.energies import seen_at_rest
+from jaxrod.systems.stepping.assembly import seen_at_rest
 from systems.rigid_pairs import SHAPES, G, alone, body, moved, pressed
 
 

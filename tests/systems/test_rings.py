@@ -17,7 +17,7 @@ from jaxrod.geometry.rotations import (
     split_quaternion,
 )
 from jaxrod.systems.contact.crossing_contact import CrossingContact
-from jaxrod.systems.energies import seen_at_rest
+from jaxrod.systems.stepping.assembly import seen_at_rest
 from systems.members import stirred
 
 RADIUS, THICK, YOUNG, DENSITY = 0.5, 0.004, 1e7, 1000.0

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 import jaxrod
-from jaxrod.systems.energies import seen_at_rest
-from jaxrod.systems.members.parts import parts_of
+from jaxrod.systems.members.rods import parts_of
+from jaxrod.systems.stepping.assembly import seen_at_rest
 from systems.members import rod
 
 STIFFNESS = 1e4

@@ -7,8 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from jaxrod.systems.sites.places import Indices
-from jaxrod.systems.sites.rows import gather, scatter_add, scatter_set
+from jaxrod.systems.joints.places import Indices, gather, scatter_add, scatter_set
 
 SIZE = 60
 INDICES = {

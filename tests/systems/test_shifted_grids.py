@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import jaxrod
-from jaxrod.systems.energies import seen_at_rest
+from jaxrod.systems.stepping.assembly import seen_at_rest
 from systems.members import SOFT, rod
 
 STIFFNESS, LENGTH, N, M = 1e4, 0.5, 7, 20

@@ -12,7 +12,8 @@ from jaxrod.rods.motion import motion_of
 from jaxrod.systems.contact.element_pairs import elements_at
 from jaxrod.systems.contact.rod_segments import rod_segments
 from jaxrod.systems.contact.smooth_axes import smooth_nodes, stiffest
-from jaxrod.systems.members.parts import Seen, parts_of
+from jaxrod.systems.coupling import Seen
+from jaxrod.systems.members.rods import parts_of
 
 
 def spline_of(nodes):

@@ -10,7 +10,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 import jaxrod
-from jaxrod.systems.members.parts import parts_of
+from jaxrod.systems.members.rods import parts_of
 
 N = 2
 

@@ -11,7 +11,7 @@ import pytest
 
 import jaxrod
 from jaxrod.geometry import surfaces
-from jaxrod.systems.energies import seen_at_rest
+from jaxrod.systems.stepping.assembly import seen_at_rest
 from jaxrod.viz import Arrows, Mesh, Replay, html, save_html
 from viz.browser import Browser
 from viz.busy_system import busy_replay, busy_run

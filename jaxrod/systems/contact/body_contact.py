@@ -35,10 +35,10 @@ from jaxrod.systems.contact.rod_segments import (
     points_needed,
     segments_and_ends,
 )
-from jaxrod.systems.members.parts import Parts, mapped
-from jaxrod.systems.sites.coupling import (
+from jaxrod.systems.coupling import (
     AllParts,
     AllSeen,
+    Parts,
     TiedPair,
     check_named,
 )
@@ -135,11 +135,15 @@ class BodyContact(PenaltyContact):
             more = vectors.cross(beside, arm)
             reactions.append(
                 (
-                    vectors.add(mapped(_sum, force), mapped(_sum, beside)),
-                    vectors.add(mapped(_sum, couple), mapped(_sum, more)),
+                    vectors.add(
+                        vectors.mapped(_sum, force), vectors.mapped(_sum, beside)
+                    ),
+                    vectors.add(
+                        vectors.mapped(_sum, couple), vectors.mapped(_sum, more)
+                    ),
                 )
             )
-        total = vectors.add(total, mapped(self._ends().from_beside, pulled))
+        total = vectors.add(total, vectors.mapped(self._ends().from_beside, pulled))
         on_rod = loads_on_member(
             segments, own, SegmentLoads(on_points=total, turning_points=turning)
         )

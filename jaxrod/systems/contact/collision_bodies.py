@@ -36,8 +36,7 @@ from jaxrod.geometry.vectors import Vec3
 from jaxrod.rods.motion import Loads
 from jaxrod.structure import pytree, static
 from jaxrod.systems.contact.sphere_cloud import SphereCloud, given_points, spheres_of
-from jaxrod.systems.members.parts import Parts, Seen, mapped, turning_mobility
-from jaxrod.systems.sites.coupling import AllSeen
+from jaxrod.systems.coupling import AllSeen, Parts, Seen, turning_mobility
 
 
 @pytree
@@ -210,7 +209,7 @@ def _standing(body: Body, balls: int, points_per_edge: int) -> CollisionBodies:
     endless = jnp.full((1,), jnp.inf, dtype)
 
     def one(vector: Vec3) -> Vec3:
-        return mapped(lambda c: jnp.asarray(c, dtype)[None], vector)
+        return vectors.mapped(lambda c: jnp.asarray(c, dtype)[None], vector)
 
     zero = one(vectors.split(jnp.zeros(3, dtype)))
     d1, d2, d3 = map(one, frame)
@@ -328,10 +327,14 @@ class CollisionPair:
         d1, d2, d3 = pose.frame
         balls = Posed(
             shape=a.shape,
-            position=mapped(each, pose.position),
-            frame=(mapped(each, d1), mapped(each, d2), mapped(each, d3)),
-            velocity=mapped(each, pose.velocity),
-            spin=mapped(each, pose.spin),
+            position=vectors.mapped(each, pose.position),
+            frame=(
+                vectors.mapped(each, d1),
+                vectors.mapped(each, d2),
+                vectors.mapped(each, d3),
+            ),
+            velocity=vectors.mapped(each, pose.velocity),
+            spin=vectors.mapped(each, pose.spin),
         )
         # All balls of all bodies in one row.
         row = jax.tree.map(
@@ -388,10 +391,10 @@ class CollisionPair:
             return jnp.sum(field, axis=1)
 
         return (
-            (mapped(on_balls, force), mapped(on_balls, couples)),
+            (vectors.mapped(on_balls, force), vectors.mapped(on_balls, couples)),
             (
-                mapped(on_surfaces, vectors.scale(-1.0, force)),
-                mapped(on_surfaces, back),
+                vectors.mapped(on_surfaces, vectors.scale(-1.0, force)),
+                vectors.mapped(on_surfaces, back),
             ),
         )
 

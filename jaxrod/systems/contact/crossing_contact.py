@@ -38,9 +38,8 @@ from jaxrod.effects.base import StabilityBound
 from jaxrod.geometry import vectors
 from jaxrod.geometry.vectors import Vec3
 from jaxrod.structure import pytree
-from jaxrod.systems.contact.element_pairs import Elements, bulge_shares
+from jaxrod.systems.contact.element_pairs import Bounds, Elements, bulge_shares
 from jaxrod.systems.contact.neighbour_lists import NeighbourLists
-from jaxrod.systems.contact.neighbour_search import Bounds
 from jaxrod.systems.contact.penalty_contact import (
     ContactPair,
     contact_pair,
@@ -65,8 +64,7 @@ from jaxrod.systems.contact.segment_distance import (
 )
 from jaxrod.systems.contact.smooth_axes import stiffest
 from jaxrod.systems.contact.touching_rods import TouchingRods, rod_law
-from jaxrod.systems.members.parts import Parts
-from jaxrod.systems.sites.coupling import AllParts, TiedPair
+from jaxrod.systems.coupling import AllParts, Parts, TiedPair
 from jaxrod.validation import Numbers
 
 Tree = TypeVar("Tree")

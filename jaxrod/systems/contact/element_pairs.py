@@ -26,14 +26,14 @@ from typing import Any, TypeVar
 
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Bool, Int
+from jaxtyping import Array, Bool, Float, Int
 
 from jaxrod.geometry import vectors
 from jaxrod.geometry.vectors import Vec3
 from jaxrod.lanes.choice import lanes_wanted
 from jaxrod.structure import pytree
 from jaxrod.systems.contact.rod_segments import RodSegments
-from jaxrod.systems.members.parts import Seen, mapped
+from jaxrod.systems.coupling import Seen
 
 Tree = TypeVar("Tree")
 
@@ -128,6 +128,24 @@ class Elements:
         return x, y, z
 
 
+@pytree
+class Bounds:
+    """Straight elements, each with a distance within which neighbours are searched."""
+
+    elements: Elements
+    """Straight elements, with their arc lengths along rods where these matter."""
+    reach: Float[Array, " elements"]
+    """Distance from the axis that includes the surface, the onset of contact and half
+    the skin [m]."""
+    numbers: Float[Array, " elements"]
+    """Indices of the elements in their member."""
+
+    @property
+    def middle(self) -> Vec3:
+        """Midpoints of the elements [m]."""
+        return vectors.add(self.elements.first, vectors.scale(0.5, self.elements.edge))
+
+
 def bulge_shares(fraction: Array) -> tuple[Array, Array]:
     """Hermite weights s (1 - s)^2 and -s^2 (1 - s) of the bulges at both nodes [1]."""
     rest = 1 - fraction
@@ -186,7 +204,7 @@ def elements_at(
         )
     first_spin = spin_change = None
     if spins:
-        nodes = mapped(segments.at_nodes, seen.angular_velocities)
+        nodes = vectors.mapped(segments.at_nodes, seen.angular_velocities)
         first_spin, spin_change, _ = _pieces(segments, nodes, smooth=False)
     dtype, placed = segments.radii.dtype, placed or has_contact_points
     return Elements(
@@ -222,13 +240,13 @@ def _pieces(
     if smooth:
         (x, p), (y, q), (z, r) = (segments.smooth(component) for component in nodes)
         nodes, tangents = (x, y, z), (p, q, r)
-    first = mapped(segments.firsts, nodes)
-    edge = vectors.subtract(mapped(segments.nexts, nodes), first)
+    first = vectors.mapped(segments.firsts, nodes)
+    edge = vectors.subtract(vectors.mapped(segments.nexts, nodes), first)
     if tangents is None:
         return first, edge, None
     bulges = (
-        vectors.subtract(mapped(segments.firsts, tangents), edge),
-        vectors.subtract(mapped(segments.nexts, tangents), edge),
+        vectors.subtract(vectors.mapped(segments.firsts, tangents), edge),
+        vectors.subtract(vectors.mapped(segments.nexts, tangents), edge),
     )
     return first, edge, bulges
 

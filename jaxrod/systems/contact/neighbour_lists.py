@@ -10,14 +10,15 @@ entries for each element most entries would be unused, since contact is uneven.
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
+from dataclasses import replace
 from typing import Any
 
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
-from jaxrod.geometry.vectors import Vec3
 from jaxrod.structure import pytree, static
-from jaxrod.systems.contact.element_pairs import NeighbourList
+from jaxrod.systems.coupling import Coupling
 from jaxrod.validation import Numbers, as_array, check_count
 
 SPARE = 1.5
@@ -62,25 +63,6 @@ class NeighbourLists:
 
 
 @pytree
-class FoundNeighbours:
-    """Neighbour lists, node positions when they were made, and counts of entries."""
-
-    lists: tuple[NeighbourList, ...]
-    """Neighbour lists, one for each pair of members."""
-    places: tuple[Vec3, ...]
-    """Positions of the members' nodes at the search [m]."""
-    missed: Float[Array, ""]
-    """Entries needed minus entries available, the largest of pairs, candidates and cell
-    slots; positive if pairs were missed [1]."""
-    used: Float[Array, " lists"]
-    """Number of pairs that each list needs [1]."""
-    candidates: Float[Array, " lists"]
-    """Number of candidates of each list: pairs whose exact distance is computed [1]."""
-    in_cells: Float[Array, ""]
-    """Largest number of elements in three neighbouring cells [1]."""
-
-
-@pytree
 class NeighbourRecord:
     """Worst shortage and age of neighbour lists since a run began.
 
@@ -122,6 +104,19 @@ def no_record(dtype: Any) -> NeighbourRecord:
     """Record with which a run begins: all zero."""
     zero = jnp.zeros((), dtype)
     return NeighbourRecord(zero, zero, zero)
+
+
+def with_shortage(
+    record: NeighbourRecord, couplings: Sequence[Coupling]
+) -> NeighbourRecord:
+    """Updates the record with the shortage of entries in the last searches."""
+    missed, used = record.missed, record.used
+    for coupling in couplings:
+        if coupling.refresh_every is not None:
+            own: Any = coupling
+            missed = jnp.maximum(missed, own.found.missed)
+            used = jnp.maximum(used, jnp.max(own.found.used))
+    return replace(record, missed=missed, used=used)
 
 
 def with_spare(count: float) -> int:

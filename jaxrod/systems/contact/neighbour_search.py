@@ -28,8 +28,8 @@ from jaxtyping import Array, Float, Int
 from jaxrod.geometry import vectors
 from jaxrod.geometry.vectors import Vec3
 from jaxrod.structure import pytree, static
-from jaxrod.systems.contact.element_pairs import Elements, NeighbourList, gather
-from jaxrod.systems.contact.neighbour_lists import FoundNeighbours, NeighbourLists
+from jaxrod.systems.contact.element_pairs import Bounds, NeighbourList, gather
+from jaxrod.systems.contact.neighbour_lists import NeighbourLists
 from jaxrod.systems.contact.segment_distance import nearest_places
 
 CELLS = 1024
@@ -43,26 +43,27 @@ _ROUNDING = 1e-3
 non-adjacent cell."""
 
 
-@pytree
-class Bounds:
-    """Straight elements, each with a distance within which neighbours are searched."""
-
-    elements: Elements
-    """Straight elements, with their arc lengths along rods where these matter."""
-    reach: Float[Array, " elements"]
-    """Distance from the axis that includes the surface, the onset of contact and half
-    the skin [m]."""
-    numbers: Float[Array, " elements"]
-    """Indices of the elements in their member."""
-
-    @property
-    def middle(self) -> Vec3:
-        """Midpoints of the elements [m]."""
-        return vectors.add(self.elements.first, vectors.scale(0.5, self.elements.edge))
-
-
 Allowed = Callable[[Bounds, Bounds], Array | None]
 """Function from pairs of elements to a mask of those that may touch; `None` for all."""
+
+
+@pytree
+class FoundNeighbours:
+    """Neighbour lists, node positions when they were made, and counts of entries."""
+
+    lists: tuple[NeighbourList, ...]
+    """Neighbour lists, one for each pair of members."""
+    places: tuple[Vec3, ...]
+    """Positions of the members' nodes at the search [m]."""
+    missed: Float[Array, ""]
+    """Entries needed minus entries available, the largest of pairs, candidates and cell
+    slots; positive if pairs were missed [1]."""
+    used: Float[Array, " lists"]
+    """Number of pairs that each list needs [1]."""
+    candidates: Float[Array, " lists"]
+    """Number of candidates of each list: pairs whose exact distance is computed [1]."""
+    in_cells: Float[Array, ""]
+    """Largest number of elements in three neighbouring cells [1]."""
 
 
 @pytree

@@ -16,7 +16,7 @@ from jaxrod.contacts.contact_law import PenaltyLaw
 from jaxrod.geometry import vectors
 from jaxrod.geometry.vectors import Vec3
 from jaxrod.structure import pytree
-from jaxrod.systems.sites.coupling import Coupling
+from jaxrod.systems.coupling import Coupling
 from jaxrod.validation import Numbers, as_array
 
 

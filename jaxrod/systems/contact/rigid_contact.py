@@ -37,7 +37,7 @@ from jaxrod.systems.contact.penalty_contact import (
     law_numbers,
 )
 from jaxrod.systems.contact.sphere_cloud import spheres_needed
-from jaxrod.systems.sites.coupling import AllParts, AllSeen, TiedPair
+from jaxrod.systems.coupling import AllParts, AllSeen, TiedPair
 from jaxrod.validation import Numbers, as_array, check_count, check_kind, numeric
 
 

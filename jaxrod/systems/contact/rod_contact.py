@@ -31,9 +31,8 @@ from jaxrod.effects.base import StabilityBound
 from jaxrod.geometry import vectors
 from jaxrod.geometry.vectors import Vec3
 from jaxrod.structure import pytree, static
-from jaxrod.systems.contact.element_pairs import Elements, row_vector
+from jaxrod.systems.contact.element_pairs import Bounds, Elements, row_vector
 from jaxrod.systems.contact.neighbour_lists import NeighbourLists
-from jaxrod.systems.contact.neighbour_search import Bounds
 from jaxrod.systems.contact.penalty_contact import (
     ContactPair,
     contact_pair,
@@ -48,8 +47,7 @@ from jaxrod.systems.contact.rod_segments import (
     rod_segments,
 )
 from jaxrod.systems.contact.touching_rods import TouchingRods, rod_law, same_rod
-from jaxrod.systems.members.parts import Parts
-from jaxrod.systems.sites.coupling import AllParts, AllSeen, TiedPair
+from jaxrod.systems.coupling import AllParts, AllSeen, Parts, TiedPair
 from jaxrod.validation import Numbers, check_count
 
 SPACING = 1 / 3

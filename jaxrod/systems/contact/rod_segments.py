@@ -16,7 +16,7 @@ contact; an end that is tied to another node has none.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -32,8 +32,7 @@ from jaxrod.geometry.vectors import Vec3
 from jaxrod.rods.motion import Loads
 from jaxrod.structure import pytree, static
 from jaxrod.systems.contact.smooth_axes import from_smooth_nodes, smooth_nodes
-from jaxrod.systems.members.parts import Parts, Seen, mapped
-from jaxrod.systems.sites.coupling import AllParts, TiedPair
+from jaxrod.systems.coupling import AllParts, Parts, Seen, TiedPair
 from jaxrod.validation import is_traced
 
 
@@ -321,9 +320,9 @@ def points_at(segments: RodSegments, seen: Seen, *, spins: bool) -> ContactPoint
     """Contact points of a member at one moment, with angular velocities if `spins`."""
     turning = seen.angular_velocities if spins else None
     return ContactPoints(
-        position=mapped(segments.at_points, seen.motion.position),
-        velocity=mapped(segments.at_points, seen.motion.velocity),
-        spin=None if turning is None else mapped(segments.of_points, turning),
+        position=vectors.mapped(segments.at_points, seen.motion.position),
+        velocity=vectors.mapped(segments.at_points, seen.motion.velocity),
+        spin=None if turning is None else vectors.mapped(segments.of_points, turning),
         radii=segments.point_radii,
         lengths=segments.lengths,
         rods=jnp.asarray(segments.point_rods, segments.radii.dtype),
@@ -374,13 +373,15 @@ def loads_on_member(segments: RodSegments, seen: Seen, loads: SegmentLoads) -> L
     nodes: Vec3 | None = None
     couples = loads.turning
     if loads.on_points is not None:
-        nodes = mapped(segments.from_points, loads.on_points)
+        nodes = vectors.mapped(segments.from_points, loads.on_points)
     if loads.turning_points is not None:
-        on_segments = mapped(segments.to_segments, loads.turning_points)
+        on_segments = vectors.mapped(segments.to_segments, loads.turning_points)
         couples = vectors.add_optional(on_segments, couples)
     if loads.turning_nodes is not None:
         x, y, z = map(segments.from_segments, *loads.turning_nodes)
-        couples = vectors.add_optional(mapped(segments.from_nodes, (x, y, z)), couples)
+        couples = vectors.add_optional(
+            vectors.mapped(segments.from_nodes, (x, y, z)), couples
+        )
     if loads.forces is not None and loads.nexts is not None:
         firsts = vectors.subtract(loads.forces, loads.nexts)
         x, y, z = map(segments.from_segments, firsts, loads.nexts)
@@ -451,30 +452,6 @@ def last_but_continued(
         if others and not stays:
             found.append(rod * n + n - 1)
     return tuple(found)
-
-
-def free_ends(
-    member: str, parts: AllParts, held: Iterable[tuple[str, int]]
-) -> np.ndarray:
-    """Flags of the first and last end of a member's rods: 1 if free, 0 otherwise.
-
-    Args:
-        member: Name of the member.
-        parts: Constants of all members.
-        held: Members and indices of nodes that are tied to other nodes or attached to
-            bodies.
-
-    Returns:
-        Flags `(rods, 2)`.
-    """
-    own = parts[member]
-    last = own.n_elements
-    free = np.ones((own.count, 2))
-    for name, node in held:
-        rod, place = divmod(node, last + 1)
-        if name == member and place in (0, last):
-            free[rod, int(place == last)] = 0.0
-    return free
 
 
 def closed_rods(

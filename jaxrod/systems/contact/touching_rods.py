@@ -30,6 +30,7 @@ from jaxrod.lanes.steps import by_kernel
 from jaxrod.rods.motion import Loads
 from jaxrod.structure import pytree, static
 from jaxrod.systems.contact.element_pairs import (
+    Bounds,
     Elements,
     column_vector,
     elements_at,
@@ -39,12 +40,8 @@ from jaxrod.systems.contact.element_pairs import (
     sums_over_all,
     sums_over_list,
 )
-from jaxrod.systems.contact.neighbour_lists import (
-    FoundNeighbours,
-    NeighbourLists,
-    with_spare,
-)
-from jaxrod.systems.contact.neighbour_search import Bounds, found_by
+from jaxrod.systems.contact.neighbour_lists import NeighbourLists, with_spare
+from jaxrod.systems.contact.neighbour_search import FoundNeighbours, found_by
 from jaxrod.systems.contact.penalty_contact import (
     ContactPair,
     PenaltyContact,
@@ -57,10 +54,10 @@ from jaxrod.systems.contact.rod_segments import (
     loads_on_member,
 )
 from jaxrod.systems.contact.smooth_axes import FARTHEST
-from jaxrod.systems.members.parts import Parts
-from jaxrod.systems.sites.coupling import (
+from jaxrod.systems.coupling import (
     AllParts,
     AllSeen,
+    Parts,
     TiedPair,
     check_named,
 )

@@ -1,1 +1,1 @@
-"""Joints between members: ties, welds, springs, hinges, glue, attachments."""
+"""Joints between members, such as welds and springs, and places where they act."""

@@ -21,22 +21,20 @@ from jaxrod.geometry.rotations import directors, to_material, to_world
 from jaxrod.geometry.vectors import Vec3
 from jaxrod.rods.motion import Loads
 from jaxrod.structure import pytree
-from jaxrod.systems.joints.elastic_joints import (
-    least_inertia,
-    orientation_at,
-    spin_at,
-)
-from jaxrod.systems.members.parts import Parts, Seen, turning_mobility
-from jaxrod.systems.sites.coupling import AllParts
-from jaxrod.systems.sites.places import (
+from jaxrod.systems.coupling import AllParts, Parts, Seen, turning_mobility
+from jaxrod.systems.joints.places import (
     Place,
     Points,
+    gather,
     layouts_of,
+    least_inertia,
+    orientation_at,
     points_of,
     position_of,
     resolved,
+    scatter_add,
+    spin_at,
 )
-from jaxrod.systems.sites.rows import gather, scatter_add
 
 
 @pytree

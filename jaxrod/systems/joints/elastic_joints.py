@@ -15,7 +15,9 @@ nor on the axes in which sections are described.
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from typing import Any
 
 import jax.numpy as jnp
 from jaxtyping import Array, Float
@@ -27,6 +29,7 @@ from jaxrod.geometry.rotations import (
     Quaternion,
     conjugate,
     directors,
+    join_quaternion,
     multiply_quaternions,
     rotation_log_and_coupling,
     split_quaternion,
@@ -37,10 +40,20 @@ from jaxrod.geometry.vectors import Vec3
 from jaxrod.rods.elasticity import joint_couples
 from jaxrod.rods.motion import Loads
 from jaxrod.structure import pytree
-from jaxrod.systems.members.parts import Parts, Seen
-from jaxrod.systems.sites.coupling import AllParts, AllSeen, Coupling
-from jaxrod.systems.sites.places import Points
-from jaxrod.systems.sites.rows import gather, scatter_add, sum_of_loads
+from jaxrod.systems.coupling import AllParts, AllSeen, Coupling, Parts
+from jaxrod.systems.joints.places import (
+    Place,
+    Points,
+    layouts_of,
+    least_inertia,
+    orientation_at,
+    points_of,
+    position_of,
+    resolved,
+    scatter_add,
+    spin_at,
+    sum_of_loads,
+)
 
 
 @pytree
@@ -154,6 +167,43 @@ class ElasticJoint(Coupling):
         return turning_bounds(self.a, self.b, parts, stiffness, self.damping)
 
 
+def elastic_joints(
+    a: Sequence[Place], b: Sequence[Place], state: Mapping[str, Any]
+) -> list[ElasticJoint]:
+    """Elastic joints at rest in a state, one `ElasticJoint` per pair of members."""
+    layouts = layouts_of(state)
+    sorted_pairs: dict[tuple[str, str], list[int]] = {}
+    ends = [
+        (resolved("a", one, layouts), resolved("b", two, layouts))
+        for one, two in zip(a, b, strict=True)
+    ]
+    for k, (one, two) in enumerate(ends):
+        sorted_pairs.setdefault((one[0], two[0]), []).append(k)
+    joints = []
+    for which in sorted_pairs.values():
+        frames = jnp.stack(
+            [
+                join_quaternion(
+                    multiply_quaternions(
+                        conjugate(position_of("a", a[k], state).orientation),
+                        position_of("b", b[k], state).orientation,
+                    )
+                )
+                for k in which
+            ],
+            axis=1,
+        )
+        joints.append(
+            ElasticJoint(
+                a=points_of("a", [ends[k][0] for k in which]),
+                b=points_of("b", [ends[k][1] for k in which]),
+                rest_frames=frames,
+                rest_rotations=jnp.zeros_like(frames[1:]),
+            )
+        )
+    return joints
+
+
 def natural_stiffness(
     a: Points, b: Points, frames: Quaternion, parts: AllParts
 ) -> tuple[Float[Array, "3 k"], Float[Array, "3 k"] | None]:
@@ -227,23 +277,6 @@ def _inverse(matrix: Matrix) -> tuple[Array, Array]:
     )
     mixed = (m32 / third, m31 / third, m21 / second + m31 * m32 / third)
     return jnp.stack(own), jnp.stack(mixed)
-
-
-def orientation_at(seen: Seen, points: Points) -> Quaternion:
-    """Orientation of the element of each point, a quaternion, material to world."""
-    w, x, y, z = (gather(c, points.elements) for c in seen.motion.orientation)
-    return w, x, y, z
-
-
-def spin_at(seen: Seen, points: Points) -> Vec3:
-    """Angular velocity of the element of each point, world frame [rad/s]."""
-    x, y, z = (gather(c, points.elements) for c in seen.angular_velocities)
-    return x, y, z
-
-
-def least_inertia(parts: Parts, points: Points) -> Array:
-    """Smallest moment of inertia of the element of each point [kg m^2]."""
-    return jnp.min(parts.inertias, axis=0)[points.elements.values]
 
 
 def turning_bounds(

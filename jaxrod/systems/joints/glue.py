@@ -28,27 +28,24 @@ from jaxrod.geometry.rotations import (
     to_world,
 )
 from jaxrod.geometry.vectors import Vec3
-from jaxrod.rods.motion import Loads
+from jaxrod.rods.motion import Loads, added
 from jaxrod.rods.rod import Layout, RodState
 from jaxrod.structure import pytree, static
-from jaxrod.systems.joints.elastic_joints import (
-    ElasticJoint,
-    least_inertia,
-    orientation_at,
-    spin_at,
-)
-from jaxrod.systems.joints.welds import elastic_joints
-from jaxrod.systems.members.parts import Parts, Seen
-from jaxrod.systems.sites.coupling import AllParts, AllSeen, Coupling
-from jaxrod.systems.sites.places import (
+from jaxrod.systems.coupling import AllParts, AllSeen, Coupling, Parts, Seen
+from jaxrod.systems.joints.elastic_joints import ElasticJoint, elastic_joints
+from jaxrod.systems.joints.places import (
     Indices,
     Points,
+    gather,
     layouts_of,
+    least_inertia,
+    orientation_at,
     points_of,
     resolved,
+    scatter_add,
+    spin_at,
+    sum_of_loads,
 )
-from jaxrod.systems.sites.rows import gather, scatter_add, sum_of_loads
-from jaxrod.systems.stepping.stepper import added
 from jaxrod.validation import Numbers, as_array, check_count
 
 

@@ -22,19 +22,23 @@ from jaxrod.geometry.rotations import directors, to_material, to_world
 from jaxrod.geometry.vectors import Vec3
 from jaxrod.rods.motion import Loads
 from jaxrod.structure import pytree
+from jaxrod.systems.coupling import AllParts, AllSeen, Coupling
 from jaxrod.systems.joints.elastic_joints import (
     ElasticJoint,
-    orientation_at,
-    spin_at,
+    elastic_joints,
     turning_bounds,
 )
-from jaxrod.systems.joints.springs import ball_joint, optional_number
-from jaxrod.systems.joints.ties import pairs
-from jaxrod.systems.joints.welds import elastic_joints
-from jaxrod.systems.sites.coupling import AllParts, AllSeen, Coupling
-from jaxrod.systems.sites.places import Place, Points, position_of
-from jaxrod.systems.sites.rows import sum_of_loads
-from jaxrod.validation import Numbers, as_array
+from jaxrod.systems.joints.places import (
+    Place,
+    Points,
+    orientation_at,
+    pairs,
+    position_of,
+    spin_at,
+    sum_of_loads,
+)
+from jaxrod.systems.joints.springs import ball_joint
+from jaxrod.validation import Numbers, as_array, optional_number
 
 
 @pytree

@@ -38,16 +38,27 @@ from jaxrod.geometry.rotations import (
 from jaxrod.geometry.vectors import Vec3
 from jaxrod.rods.motion import Loads
 from jaxrod.structure import pytree
-from jaxrod.systems.energies import seen_at_rest
+from jaxrod.systems.coupling import AllParts, AllSeen, Coupling, Seen
 from jaxrod.systems.joints.anchors import Anchors, anchors
-from jaxrod.systems.joints.elastic_joints import least_inertia, orientation_at, spin_at
-from jaxrod.systems.joints.springs import optional_number
-from jaxrod.systems.members.parts import Seen
-from jaxrod.systems.sites.coupling import AllParts, AllSeen, Coupling
-from jaxrod.systems.sites.places import Place, position_of
-from jaxrod.systems.sites.rows import scatter_add, sum_of_loads
+from jaxrod.systems.joints.places import (
+    Place,
+    least_inertia,
+    orientation_at,
+    position_of,
+    scatter_add,
+    spin_at,
+    sum_of_loads,
+)
+from jaxrod.systems.stepping.assembly import seen_at_rest
 from jaxrod.systems.system import System
-from jaxrod.validation import Numbers, as_array, check_array, check_kind, is_traced
+from jaxrod.validation import (
+    Numbers,
+    as_array,
+    check_array,
+    check_kind,
+    is_traced,
+    optional_number,
+)
 
 
 @pytree

@@ -22,10 +22,10 @@ from jaxrod.geometry.rotations import (
 )
 from jaxrod.rods.factories import MOST_ELEMENTS, rod_along
 from jaxrod.rods.rod import Rod, RodState
+from jaxrod.systems.coupling import Coupling
 from jaxrod.systems.joints.elastic_joints import ElasticJoint
+from jaxrod.systems.joints.places import layouts_of, points_of, resolved
 from jaxrod.systems.joints.ties import tie
-from jaxrod.systems.sites.coupling import Coupling
-from jaxrod.systems.sites.places import layouts_of, points_of, resolved
 from jaxrod.validation import (
     Numbers,
     check_array,

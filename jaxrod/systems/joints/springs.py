@@ -19,12 +19,10 @@ from jaxrod.effects.base import StabilityBound
 from jaxrod.geometry import vectors
 from jaxrod.rods.motion import Loads
 from jaxrod.structure import pytree
+from jaxrod.systems.coupling import AllParts, AllSeen, Coupling
 from jaxrod.systems.joints.anchors import Anchors, anchors, spring_bounds
-from jaxrod.systems.joints.ties import pairs
-from jaxrod.systems.sites.coupling import AllParts, AllSeen, Coupling
-from jaxrod.systems.sites.places import Place, position_of
-from jaxrod.systems.sites.rows import sum_of_loads
-from jaxrod.validation import Numbers, as_array, is_traced
+from jaxrod.systems.joints.places import Place, pairs, position_of, sum_of_loads
+from jaxrod.validation import Numbers, as_array, is_traced, optional_number
 
 
 @pytree
@@ -241,13 +239,3 @@ def _point(name: str, value: Numbers) -> Array:
 
 def _poses(places: Any, state: Mapping[str, Any]) -> list[Any]:
     return [position_of("a", place, state) for place in pairs(places, places)[0]]
-
-
-def optional_number(name: str, value: Numbers | None, unit: str) -> Array | None:
-    """Checked number that must not be negative; `None` if none is given.
-
-    `name` and `unit` are for error messages.
-    """
-    if value is None:
-        return None
-    return as_array(name, value, unit, non_negative=True)

@@ -19,16 +19,19 @@ from jaxtyping import Array
 
 from jaxrod.rods.motion import Motion
 from jaxrod.structure import pytree, static
-from jaxrod.systems.sites.coupling import AllParts, AllSeen, Coupling, TiedPair
-from jaxrod.systems.sites.places import (
+from jaxrod.systems.coupling import AllParts, AllSeen, Coupling, TiedPair
+from jaxrod.systems.joints.places import (
     Indices,
     Place,
     Points,
+    gather,
     layouts_of,
+    pairs,
     position_of,
     resolved,
+    scatter_add,
+    scatter_set,
 )
-from jaxrod.systems.sites.rows import gather, scatter_add, scatter_set
 from jaxrod.validation import is_traced
 
 _APART = 1e-3
@@ -280,28 +283,6 @@ def _tie_of(
         )
         groups.append(Indices([group[found[key]] for key in keys]))
     return Tie(tuple(points), tuple(groups), int(np.max(group)) + 1)
-
-
-def pairs(
-    a: Place | Sequence[Place], b: Place | Sequence[Place]
-) -> tuple[list[Place], list[Place]]:
-    """Two lists of places of equal length, from arguments of one place or several."""
-    first, second = _listed("a", a), _listed("b", b)
-    if len(first) != len(second):
-        raise ValueError(
-            f"a and b must be equally many places, got {len(first)} and {len(second)}"
-        )
-    return first, second
-
-
-def _listed(name: str, places: Any) -> list[Place]:
-    if isinstance(places, Sequence) and places and not isinstance(places, str):
-        if isinstance(places[0], str):
-            return [places]
-        return list(places)
-    raise TypeError(
-        f'{name} must be a place such as ("arm", "tip"), or several, got {places!r}'
-    )
 
 
 def check_together(a: Place, b: Place, state: Mapping[str, Any]) -> None:

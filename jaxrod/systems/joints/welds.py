@@ -19,31 +19,32 @@ from jaxtyping import Array, Float
 
 from jaxrod.geometry import matrices, vectors
 from jaxrod.geometry.rotations import (
-    conjugate,
     directors,
-    join_quaternion,
-    multiply_quaternions,
     to_material,
     to_world,
 )
 from jaxrod.geometry.vectors import Vec3
 from jaxrod.rods.motion import Loads, Motion
 from jaxrod.structure import pytree
-from jaxrod.systems.joints.elastic_joints import ElasticJoint, orientation_at, spin_at
-from jaxrod.systems.joints.ties import pairs, tie
-from jaxrod.systems.members.parts import Seen
-from jaxrod.systems.members.rigid_stepper import Carried
-from jaxrod.systems.sites.coupling import AllParts, AllSeen, Coupling
-from jaxrod.systems.sites.places import (
+from jaxrod.systems.coupling import AllParts, AllSeen, Carried, Coupling, Seen
+from jaxrod.systems.joints.elastic_joints import elastic_joints
+from jaxrod.systems.joints.places import (
     Indices,
     Place,
     Points,
+    gather,
     layouts_of,
+    orientation_at,
+    pairs,
     points_of,
     position_of,
     resolved,
+    scatter_add,
+    scatter_set,
+    spin_at,
+    sum_of_loads,
 )
-from jaxrod.systems.sites.rows import gather, scatter_add, scatter_set, sum_of_loads
+from jaxrod.systems.joints.ties import tie
 from jaxrod.validation import is_traced
 
 
@@ -128,43 +129,6 @@ def attach(
     if turning:
         return (fixed,)
     return (fixed, *elastic_joints(second, first, state))
-
-
-def elastic_joints(
-    a: Sequence[Place], b: Sequence[Place], state: Mapping[str, Any]
-) -> list[ElasticJoint]:
-    """Elastic joints at rest in a state, one `ElasticJoint` per pair of members."""
-    layouts = layouts_of(state)
-    sorted_pairs: dict[tuple[str, str], list[int]] = {}
-    ends = [
-        (resolved("a", one, layouts), resolved("b", two, layouts))
-        for one, two in zip(a, b, strict=True)
-    ]
-    for k, (one, two) in enumerate(ends):
-        sorted_pairs.setdefault((one[0], two[0]), []).append(k)
-    joints = []
-    for which in sorted_pairs.values():
-        frames = jnp.stack(
-            [
-                join_quaternion(
-                    multiply_quaternions(
-                        conjugate(position_of("a", a[k], state).orientation),
-                        position_of("b", b[k], state).orientation,
-                    )
-                )
-                for k in which
-            ],
-            axis=1,
-        )
-        joints.append(
-            ElasticJoint(
-                a=points_of("a", [ends[k][0] for k in which]),
-                b=points_of("b", [ends[k][1] for k in which]),
-                rest_frames=frames,
-                rest_rotations=jnp.zeros_like(frames[1:]),
-            )
-        )
-    return joints
 
 
 @pytree

@@ -22,8 +22,7 @@ from jaxrod.effects.base import Effect, StabilityBound
 from jaxrod.geometry.vectors import Vec3
 from jaxrod.rods.motion import Motion
 from jaxrod.rods.rod import Rod
-from jaxrod.systems.members.parts import Parts
-from jaxrod.systems.members.rigid_stepper import Carried
+from jaxrod.systems.coupling import Carried, Parts
 from jaxrod.systems.members.steppers import MemberStepper
 from jaxrod.validation import check_kind
 

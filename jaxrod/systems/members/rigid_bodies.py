@@ -30,9 +30,9 @@ from jaxrod.geometry.rotations import (
 )
 from jaxrod.rods.motion import Motion
 from jaxrod.structure import pytree
+from jaxrod.systems.coupling import Carried, Parts
 from jaxrod.systems.members.member import Member, check_axes, check_fields
-from jaxrod.systems.members.parts import Parts
-from jaxrod.systems.members.rigid_stepper import BodyState, Carried, RigidStepper
+from jaxrod.systems.members.rigid_stepper import BodyState, RigidStepper
 from jaxrod.systems.members.steppers import BodiesStepper, MemberStepper
 from jaxrod.validation import (
     Numbers,

@@ -30,7 +30,7 @@ from jaxrod.methods.verlet import Kick
 from jaxrod.rods.motion import Loads, Motion, accumulate
 from jaxrod.rods.rod import Layout
 from jaxrod.structure import pytree
-from jaxrod.systems.members.parts import Parts, Seen
+from jaxrod.systems.coupling import Carried, Parts, Seen
 
 
 @pytree
@@ -74,20 +74,6 @@ class BodyState:
     def directors(self) -> Float[Array, "3 3 k"]:
         """Body axes: `[i, j]` is world component j of axis i."""
         return directors_from_orientations(self.orientations)
-
-
-@pytree
-class Carried:
-    """Mass and moments of mass of the nodes attached to each body."""
-
-    mass: Array
-    """Sum of the masses [kg]."""
-    moment: Vec3
-    """Sum of m p, with the mass m of a node and its position p in the body's frame [kg
-    m]."""
-    second: Matrix
-    """Sum of the matrices m p p^T, with the mass m of a node and its position p in the
-    body's frame [kg m^2]."""
 
 
 @pytree

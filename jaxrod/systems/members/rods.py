@@ -14,15 +14,19 @@ from jaxrod.analysis.health import HealthLimits, scene_health
 from jaxrod.analysis.stability import scene_stable_step
 from jaxrod.effects.base import Effect, StabilityBound, memory_of
 from jaxrod.geometry.vectors import Vec3
-from jaxrod.loaded_rod import LoadedRod, check_memory, memory_in
+from jaxrod.loaded_rod import LoadedRod, check_memory, free_velocity_mask, memory_in
 from jaxrod.rods.motion import Motion, motion_of
 from jaxrod.rods.rod import Rod, RodState
-from jaxrod.statics.degrees_of_freedom import free_velocity_mask
 from jaxrod.structure import pytree
+from jaxrod.systems.coupling import Carried, Parts
 from jaxrod.systems.members.member import Member, check_axes, check_fields
-from jaxrod.systems.members.parts import Parts, flatten_rods, parts_of, unflatten_rods
-from jaxrod.systems.members.rigid_stepper import Carried
-from jaxrod.systems.members.steppers import MemberStepper, RodsStepper, RodStepper
+from jaxrod.systems.members.steppers import (
+    MemberStepper,
+    RodsStepper,
+    RodStepper,
+    flatten_rods,
+    unflatten_rods,
+)
 from jaxrod.validation import check_kind
 
 
@@ -278,3 +282,16 @@ def _free_rates(scene: LoadedRod, state: RodState) -> Vec3:
 def member_of_rod(scene: LoadedRod) -> OneRod:
     """Wraps a scene as a member: `EqualRods` if its rods are stacked, else `OneRod`."""
     return EqualRods(scene) if scene.rod.batch_shape else OneRod(scene)
+
+
+def parts_of(rod: Rod) -> Parts:
+    """Constants of one rod, for couplings."""
+    return Parts(
+        node_masses=rod.node_masses,
+        inertias=rod.inertias if rod.is_round else rod.principal_inertias,
+        rest_lengths=rod.rest_lengths,
+        radii=rod.radii,
+        bend_twist_stiffness=rod.bend_twist_stiffness,
+        linear_density=rod.linear_density,
+        n_elements=rod.n_elements,
+    )

@@ -15,7 +15,7 @@ from jaxrod.effects.time import Clock, at_clock
 from jaxrod.loaded_rod import Now, remembering, scene_at, without_dissipation
 from jaxrod.rods.motion import Loads, Motion
 from jaxrod.structure import pytree, static
-from jaxrod.systems.members.parts import Parts, Seen, flatten_rods, unflatten_rods
+from jaxrod.systems.coupling import Parts, Seen
 from jaxrod.systems.members.rigid_stepper import RigidStepper
 
 
@@ -245,3 +245,27 @@ class BodiesStepper(MemberStepper):
         """
         bodies = replace(self.rigid.bodies, effects=at_clock(model.effects, clock))
         return replace(self, rigid=replace(self.rigid, bodies=bodies))
+
+
+def flatten_rods(tree: Any) -> Any:
+    """Concatenates k rods along the last axis: `(k, ..., n)` becomes `(..., k n)`."""
+
+    def one(leaf: Array) -> Array:
+        moved = jnp.moveaxis(leaf, 0, -2)
+        return moved.reshape(*moved.shape[:-2], -1)
+
+    return jax.tree.map(one, tree)
+
+
+def unflatten_rods(tree: Any, count: int) -> Any:
+    """Splits the last axis into k rods: leaves `(..., k n)` become `(k, ..., n)`.
+
+    Single numbers are repeated for each rod, `(k,)`.
+    """
+
+    def one(leaf: Array) -> Array:
+        if jnp.ndim(leaf) == 0:
+            return jnp.broadcast_to(leaf, (count,))
+        return jnp.moveaxis(leaf.reshape(*leaf.shape[:-1], count, -1), -2, 0)
+
+    return jax.tree.map(one, tree)

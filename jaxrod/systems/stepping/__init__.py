@@ -1,1 +1,1 @@
-"""Time stepping of a system: its assembly, stepper, neighbour lists and runs."""
+"""Time stepping of a system: its assembly, its steppers, preparation of a run."""

@@ -1,4 +1,4 @@
-"""Rods and rigid bodies by name with their couplings, and their stepper."""
+"""Rods and rigid bodies by name with their couplings, and what couplings see."""
 
 from __future__ import annotations
 
@@ -6,9 +6,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import replace
 from typing import Any, Self
 
-import jax
-import jax.numpy as jnp
-from jaxtyping import Array, ArrayLike
+from jaxtyping import ArrayLike
 
 from jaxrod.effects.base import Effect
 from jaxrod.effects.time import (
@@ -19,11 +17,8 @@ from jaxrod.effects.time import (
     depends_on_time,
 )
 from jaxrod.structure import pytree, static
+from jaxrod.systems.coupling import Coupling, Parts, Seen, searched, with_found
 from jaxrod.systems.members.member import Member
-from jaxrod.systems.members.parts import Parts
-from jaxrod.systems.members.rigid_stepper import Carried
-from jaxrod.systems.sites.coupling import Coupling
-from jaxrod.systems.stepping.stepper import SystemStepper
 
 SystemState = Mapping[str, Any]
 """States of the members, by name: `RodState`, `BodyState` or a state of your own."""
@@ -110,24 +105,6 @@ class Assembly:
         """Constants of all members, for couplings, without flags of supports."""
         return {name: member.parts() for name, member in self.interfaces().items()}
 
-    def stepper(self, state: SystemState, dt: Array) -> SystemStepper:
-        """Integrator of the system, with constants computed once for a run."""
-        parts = held_parts(self, state)
-        couplings = tuple(coupling.prepared(parts) for coupling in self.couplings)
-        carried: dict[str, Carried] = {}
-        for coupling in couplings:
-            for name, own in coupling.carried(parts).items():
-                carried[name] = (
-                    jax.tree.map(jnp.add, carried[name], own)
-                    if name in carried
-                    else own
-                )
-        members = {
-            name: member.stepper(state[name], parts[name], carried.get(name), dt)
-            for name, member in self.interfaces().items()
-        }
-        return SystemStepper(members, couplings, dt)
-
 
 def member_shapes(members: Mapping[str, Any]) -> tuple[tuple[int, ...], ...]:
     """`array_shape` of each member, in the order of their sorted names."""
@@ -144,3 +121,20 @@ def held_parts(system: Assembly, state: SystemState) -> dict[str, Parts]:
         if held is not None:
             parts[name] = replace(parts[name], held=held)
     return parts
+
+
+def seen_at_rest(
+    system: Assembly, state: SystemState
+) -> tuple[dict[str, Seen], tuple[Any, ...]]:
+    """Constants and motion of each member in a state, and the prepared couplings.
+
+    Couplings have the results of a search for neighbours in this state. `Motion.spin`
+    is the angular momentum of elements for every method of stepping.
+    """
+    parts = held_parts(system, state)
+    prepared = tuple(coupling.prepared(parts) for coupling in system.couplings)
+    seen = {
+        name: Seen(parts[name], member.motion(state[name]))
+        for name, member in system.interfaces().items()
+    }
+    return seen, with_found(prepared, searched(prepared, seen))

@@ -1,4 +1,4 @@
-"""Preparation of a run of a system: checks, the stable step, memory and the stepper."""
+"""Preparation of a run of a system: checks, memory and the stable step."""
 
 from __future__ import annotations
 
@@ -11,23 +11,14 @@ from jaxtyping import Array, ArrayLike, Float
 
 from jaxrod.analysis.stability import StableStep
 from jaxrod.effects.base import StabilityBound, added_bounds
-from jaxrod.effects.time import Clock
-from jaxrod.model import Stepper
 from jaxrod.structure import pytree, static
 from jaxrod.systems.contact.neighbour_lists import RECORD, NeighbourRecord, no_record
+from jaxrod.systems.coupling import refresh_every
 from jaxrod.systems.stepping.assembly import (
     Assembly,
     SystemState,
-    held_parts,
     member_shapes,
 )
-from jaxrod.systems.stepping.changing import (
-    EvolvingSystem,
-    ListingSystem,
-    lists_neighbours,
-    refresh_every,
-)
-from jaxrod.systems.stepping.stepper import SystemStepper
 
 
 def check_system_state(system: Assembly, state: Any) -> None:
@@ -54,6 +45,11 @@ def check_system_state(system: Assembly, state: Any) -> None:
         member.check_state(name, state[name], system.dtype)
 
 
+def lists_neighbours(system: Assembly) -> bool:
+    """Whether a system has couplings that search for neighbours."""
+    return refresh_every(system.couplings) is not None
+
+
 def check_single(system: Assembly) -> None:
     """Raises a ValueError if a system is a batch of systems."""
     if system.shapes and member_shapes(system.members) != system.shapes:
@@ -69,31 +65,6 @@ def _check_record(record: Any) -> None:
             f"state[{RECORD!r}] must be the record that a run left there, got "
             f"{type(record).__name__}: leave it out to start again"
         )
-
-
-def system_stepper(
-    system: Assembly, state: SystemState, dt: Array, first: Array | None
-) -> Stepper:
-    """Integrator of a system in a run, for `advance`.
-
-    `first` is the number of the first step since time zero. It is `None` for a system
-    that neither depends on time nor has memory.
-    """
-    own = _own_stepper(system, state, dt, first)
-    every = refresh_every(own.couplings)
-    return own if every is None else ListingSystem(own, every)
-
-
-def _own_stepper(
-    system: Assembly, state: SystemState, dt: Array, first: Array | None
-) -> SystemStepper | EvolvingSystem:
-    if first is None:
-        return system.stepper(state, dt)
-    start = system.at(Clock(first, jnp.zeros_like(dt), dt))
-    stepper = start.stepper(state, dt)
-    parts = held_parts(system, state)
-    prepared = tuple(coupling.prepared(parts) for coupling in system.couplings)
-    return EvolvingSystem(stepper, system, prepared, first)
 
 
 def system_with_memory(system: Assembly, state: SystemState) -> dict[str, Any]:

@@ -1,16 +1,134 @@
-"""The base of all couplings between members of a system, and its hooks."""
+"""The interface of a coupling: what it sees of members, and its hooks.
+
+All nodes of a member are in one flat array, called a row, and so are its elements.
+Equal rods follow one another: first all entries of the first rod, then those of the
+second, and so on. A rigid body is one node and one element.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import replace
 from typing import Any
 
-from jaxtyping import Array
+import jax.numpy as jnp
+from jaxtyping import Array, Float
 
+from jaxrod.contacts.bodies import Body
 from jaxrod.effects.base import Reaction, StabilityBound
+from jaxrod.geometry import vectors
+from jaxrod.geometry.matrices import Matrix
+from jaxrod.geometry.rotations import directors, to_material, to_world
+from jaxrod.geometry.vectors import Vec3
 from jaxrod.rods.motion import Loads, Motion
-from jaxrod.systems.members.parts import Parts, Seen
-from jaxrod.systems.members.rigid_stepper import Carried
+from jaxrod.structure import pytree, static
+
+
+@pytree
+class Parts:
+    """Constants of a member, one entry per node or element.
+
+    Example:
+        >>> parts = scene.as_member().parts()
+        >>> parts.node_masses.shape, parts.is_rod, parts.n_nodes
+        ((11,), True, 11)
+    """
+
+    node_masses: Float[Array, " nodes"]
+    """Mass of each node, or of each body [kg]."""
+    inertias: Float[Array, "rows elements"]
+    """Moments of inertia [kg m^2]: transverse and polar for round rods (2 rows), else
+    about all three axes (3 rows)."""
+    rest_lengths: Float[Array, " elements"] | None = None
+    """Rest lengths of the elements of rods [m]; `None` for other members."""
+    radii: Float[Array, " elements"] | None = None
+    """Radii of the elements of rods [m]; `None` for other members."""
+    bend_twist_stiffness: Float[Array, "3 elements"] | None = None
+    """Bending stiffness about d1 and d2 and twisting stiffness about d3 of the elements
+    of rods [N m^2]; `None` for other members."""
+    linear_density: Float[Array, " elements"] | None = None
+    """Mass per rest length of the elements of rods [kg/m]; `None` for other members."""
+    shape: Body | None = None
+    """Surface of rigid bodies in their own frame; `None` for other members."""
+    held: Vec3 | None = None
+    """Flags per node and world axis: 1 where a support holds the node, else 0; `None`
+    if they are not known."""
+    count: int = static(default=1)
+    """Number of rods, bodies or points."""
+    n_elements: int = static(default=1)
+    """Number of elements of each rod; 1 for bodies and points, whose nodes are also
+    elements."""
+    is_rod: bool = static(default=True)
+    """Whether the member consists of rods, with one more node than elements."""
+    is_rigid: bool = static(default=False)
+    """Whether the member consists of rigid bodies, to which nodes of rods can be
+    attached."""
+
+    # `Motion.angular_velocities` uses these attributes of a rod.
+    @property
+    def is_round(self) -> bool:
+        """Whether each element has the same moment of inertia about d1 and d2."""
+        return self.inertias.shape[0] == 2
+
+    @property
+    def principal_inertias(self) -> Array:
+        """Moments of inertia about d1, d2 and d3, for non-round elements [kg m^2]."""
+        return self.inertias
+
+    @property
+    def n_nodes(self) -> int:
+        """Number of nodes of all rods, bodies or points together."""
+        return self.count * (self.n_elements + 1 if self.is_rod else 1)
+
+
+@pytree
+class Seen:
+    """A member at one moment: its constants and its motion.
+
+    Example:
+        >>> seen = extend.Seen(scene.as_member().parts(), motion)
+        >>> [float(abs(part).max()) for part in seen.angular_velocities]
+        [0.0, 0.0, 0.0]
+    """
+
+    parts: Parts
+    """Constants of the member."""
+    motion: Motion
+    """Positions and rates, with the nodes of all rods in one array, and the elements in
+    another. For bodies they are those of the origins of their frames."""
+    inverse_inertia: Matrix | None = None
+    """Inverse inertia of bodies that carry attached masses, in their own frames [1/(kg
+    m^2)]; `None` for other members."""
+
+    @property
+    def angular_velocities(self) -> Vec3:
+        """Angular velocities of the elements, world frame [rad/s]."""
+        if self.parts.is_rod:
+            # `Motion` uses only the inertias of the rod.
+            rod: Any = self.parts
+            return self.motion.angular_velocities(rod)
+        frame = directors(self.motion.orientation)
+        own = to_material(frame, self.motion.spin)
+        if self.inverse_inertia is None:
+            a, b, c = self.parts.inertias
+            return to_world(frame, (own[0] / a, own[1] / b, own[2] / c))
+        x, y, z = (vectors.dot(row, own) for row in self.inverse_inertia)
+        return to_world(frame, (x, y, z))
+
+
+@pytree
+class Carried:
+    """Mass and moments of mass of the nodes attached to each body."""
+
+    mass: Array
+    """Sum of the masses [kg]."""
+    moment: Vec3
+    """Sum of m p, with the mass m of a node and its position p in the body's frame [kg
+    m]."""
+    second: Matrix
+    """Sum of the matrices m p p^T, with the mass m of a node and its position p in the
+    body's frame [kg m^2]."""
+
 
 AllSeen = Mapping[str, Seen]
 """Constants and motion of the members of a system at one moment, by name."""
@@ -24,8 +142,7 @@ class Coupling:
     """Base of all couplings, whose hooks do nothing by default. A subclass is a pytree.
 
     Hooks are pure. Members are identified by name; a member that a hook does not return
-    is unchanged. All nodes of a member are in one flat array, and so are its elements
-    (`jaxrod.systems.members.parts`).
+    is unchanged. All nodes of a member are in one flat array, and so are its elements.
 
     Unless a coupling acts from outside, as a pose spring does, its forces come in pairs
     without a total force or moment. Nothing checks this. Ties (`constrain`, `exchange`,
@@ -139,7 +256,7 @@ class Coupling:
 
         The result is a pytree of arrays with fields `missed` and `used`. It stays in
         the coupling's field `found` until the next search: see
-        `jaxrod.systems.contact.neighbour_lists`.
+        `jaxrod.systems.contact.neighbour_search`.
         """
         # Not abstract: it is never called for couplings without `refresh_every`.
         raise NotImplementedError(f"{type(self).__name__} has no search")
@@ -205,6 +322,29 @@ class Coupling:
         return None
 
 
+def refresh_every(couplings: Sequence[Coupling]) -> int | None:
+    """Steps between searches: the least of all couplings; `None` if none searches."""
+    asked = [c.refresh_every for c in couplings if c.refresh_every is not None]
+    return min(asked) if asked else None
+
+
+def searched(couplings: Sequence[Coupling], seen: Any) -> tuple[Any, ...]:
+    """Results of the search of every coupling that searches for neighbours."""
+    return tuple(c.search(seen) for c in couplings if c.refresh_every is not None)
+
+
+def with_found(
+    couplings: Sequence[Coupling], found: Sequence[Any]
+) -> tuple[Coupling, ...]:
+    """Couplings with the results `found` of their searches in the field `found`."""
+    left = iter(found)
+    # A coupling that searches is a dataclass, by its decorator, with a field `found`.
+    return tuple(
+        c if c.refresh_every is None else replace(c, found=next(left))  # type: ignore[type-var]
+        for c in couplings
+    )
+
+
 def check_named(name: str, members: Iterable[str], where: str = "") -> None:
     """Raises a `ValueError` if no member has the given name.
 
@@ -219,3 +359,35 @@ def check_named(name: str, members: Iterable[str], where: str = "") -> None:
             f"{where and where + ': '}no member is called {name!r}; there are "
             + ", ".join(map(repr, known))
         )
+
+
+def turning_mobility(
+    inertias: Float[Array, "3 *k"], arm: Vec3, around: Array | float = 0.0
+) -> Array:
+    r"""Largest velocity of a point per impulse there, by turning alone [1/kg].
+
+    An impulse $f$ at the lever arm $r$ moves the point by $(r\times f)\cdot
+    I^{-1}(r\times f)$ along $f$. For unit vectors $f$ this is at most $r^2$ times the
+    larger eigenvalue of $I^{-1}$ in the plane across $r$. Points within a distance $d$
+    of it have at most $(\sqrt\lambda + d/\sqrt{I_{min}})^2$.
+
+    Args:
+        inertias: Moments of inertia about the axes of the body [kg m^2].
+        arm: Lever arms from the centre of mass, in the frame of the body [m].
+        around: Distance d from the ends of the arms [m].
+    """
+    least = jnp.min(inertias, axis=0)
+    length = vectors.safe_norm(arm)
+    x, y, z = (c * c for c in vectors.scale(1 / length, arm))
+    a, b, c = least[None] / inertias
+    slow = jnp.minimum(jnp.minimum(a, b), c)
+    # The eigenvalues above the least one: exact for equal moments.
+    a, b, c = a - slow, b - slow, c - slow
+    total = a * (y + z) + b * (z + x) + c * (x + y)
+    product = b * c * x + c * a * y + a * b * z
+    square = total * total - 4 * product
+    apart = square > 0
+    root = jnp.where(apart, jnp.sqrt(jnp.where(apart, square, 1)), 0)
+    ease = length * jnp.sqrt((slow + 0.5 * (total + root)) / least)
+    ease = ease + around / jnp.sqrt(least)
+    return ease * ease

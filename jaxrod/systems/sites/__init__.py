@@ -1,1 +1,0 @@
-"""Places on members where couplings act, and the interface of a coupling."""
