@@ -8,7 +8,7 @@ nor on the number of devices that share the batch.
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import jax
@@ -140,7 +140,7 @@ class VectorEnvironment:
 
     env: Environment
     """Environment of which the batch holds copies."""
-    batched: tuple[str, ...] = ()
+    batched: Sequence[str] = ()
     """Dotted paths of the parameters that differ between environments, such as
     "arm.rod.radii"; a path includes everything below it. These leaves have a first axis
     of length `num_envs`. All others are shared by the batch."""
