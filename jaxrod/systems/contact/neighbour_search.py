@@ -1,4 +1,4 @@
-"""Search for elements that are near to each other: in a grid of cells, or among all.
+"""Search for pairs of elements near each other: in a grid of cells, or over all pairs.
 
 The edge of a cell is longer than the largest distance between the midpoints of a pair
 within reach. The grid is centred at the mean of the second elements' midpoints.
@@ -88,7 +88,8 @@ class Rows:
     slots: int = static()
     """Static upper bound of `wide`: most elements tested in a stretch."""
     complete: bool = static(default=False)
-    """Whether there is only one stretch, with all second elements in order."""
+    """Whether all rows are tested at once: one stretch of at most `MOST_AT_ONCE` second
+    elements, in order."""
 
     @property
     def room(self) -> int:
@@ -101,7 +102,7 @@ class Rows:
         return self.begin.shape[0] * self.wide
 
     def places(self, row: Array, own: Array | slice) -> tuple[Array, Array]:
-        """Positions in `order` of the second elements that a row tests; their mask.
+        """Positions in `order` of the second elements that a row tests, and a mask.
 
         They are tested against the first elements `own`. The mask is false where the
         stretch of a first element has no entry in this row.
@@ -130,7 +131,7 @@ def found_by(
     *,
     once: bool,
 ) -> FoundNeighbours:
-    """Searches the neighbour lists of all pairs of members.
+    """Finds the neighbours of all pairs of members, and lists them.
 
     Args:
         how: Settings of the lists, with their sizes.

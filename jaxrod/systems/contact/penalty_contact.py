@@ -1,8 +1,8 @@
 """Penalty contact of members: base class of couplings, and forces of pairs of points.
 
 Force and reaction act at one common point, midway between the two surfaces. So momentum
-and angular momentum are exact, with damping and friction too, and friction turns both
-elements.
+and angular momentum are conserved exactly, also with damping and friction, and friction
+turns both elements.
 """
 
 from __future__ import annotations
@@ -53,7 +53,7 @@ def law_numbers(
     *,
     per_length: bool,
 ) -> dict[str, Any]:
-    """Checks the parameters of the law; returns them as fields of `PenaltyContact`.
+    """Validates the parameters of the law; returns the fields of `PenaltyContact`.
 
     Args:
         stiffness: Normal force per penetration [N/m^2] or [N/m].

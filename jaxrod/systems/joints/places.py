@@ -171,7 +171,7 @@ def resolved(
 
 
 def _of_many(name: str, where: str, given: Sequence[Any], count: int) -> int:
-    """Index of one of `count` rods or bodies; if there is one it may be left out."""
+    """Index of one of `count` rods or bodies; it may be omitted if `count` is one."""
     if not given:
         if count > 1:
             raise ValueError(f"{name}: {where} there are {count}, say which")
@@ -413,7 +413,7 @@ def sum_of_loads(*given: tuple[Points, Loads], seen: AllSeen) -> dict[str, Loads
 
 
 def _spread(vector: Vec3 | None, index: Indices, size: int) -> Vec3 | None:
-    """Vector field on a row of `size` entries, each the sum of what has its index."""
+    """Vector field on a row of `size` entries: sums of the values with each index."""
     if vector is None:
         return None
     return vectors.mapped(lambda component: scatter_add(component, index, size), vector)
