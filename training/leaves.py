@@ -19,7 +19,10 @@ def named_leaves(tree: Any, root: str) -> dict[str, Any]:
 
 
 def with_leaves(template: Any, root: str, leaves: dict[str, Any]) -> Any:
-    """Copy of a tree in which leaves are replaced by name, as in `named_leaves`."""
+    """Copy of a tree with the given leaves, which have the names of `named_leaves`.
+
+    Leaves that are not given are those of `template`.
+    """
     return jax.tree_util.tree_map_with_path(
         lambda path, leaf: leaves.get(_name(root, path), leaf), template
     )

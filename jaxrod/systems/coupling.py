@@ -52,7 +52,7 @@ class Parts:
     """Surface of rigid bodies in their own frame; `None` for other members."""
     held: Vec3 | None = None
     """Flags per node and world axis: 1 where a support holds the node, else 0; `None`
-    if they are not known."""
+    if no node is held, or if they are not known."""
     count: int = static(default=1)
     """Number of rods, bodies or points."""
     n_elements: int = static(default=1)

@@ -61,7 +61,7 @@ class _SystemPlace:
     """Motions that no load resists, in scaled rates, one per row; zeros in unused
     rows."""
     driven: Bool[Array, ""]
-    """Whether loads drive a loose motion, so that they cannot balance."""
+    """Whether the loads drive a loose motion and so cannot balance."""
 
     @property
     def loads(self) -> Float[Array, " m"]:

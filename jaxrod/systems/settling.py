@@ -66,8 +66,8 @@ class Settled:
     force_residual: Float[Array, ""]
     """Largest mass times acceleration of a node or a body released from rest [N]."""
     couple_residual: Float[Array, ""]
-    """Largest rate of angular momentum of an element or body released from rest [N m].
-    """
+    """Largest rate of change of the angular momentum of an element or body released
+    from rest [N m]."""
 
 
 def settled(
@@ -101,8 +101,8 @@ def settled(
             plus 8 eps S, with the bending stiffness B, length L and stretching
             stiffness S of a rod and the machine epsilon eps. The smallest value of all
             rods is used.
-        couple_tolerance: Largest couple out of balance [N m]; by default that force
-            times L, again the smallest of all rods.
+        couple_tolerance: Largest couple out of balance [N m]; by default L times that
+            force, again the smallest value of all rods.
         every: Steps between checks of the kinetic energy and of the residual.
         max_steps: Largest number of steps, rounded up to a multiple of `every`.
 

@@ -278,7 +278,7 @@ class StaticProblem:
         return self.placed(_still(together))
 
     def motions_of_the_whole(self, motions: Motions) -> Float[Array, "modes m"]:
-        """Rigid motions of each rod and body, in scaled rates: rows of length one.
+        """Rigid motions of each rod and body, in scaled rates: normalised, one per row.
 
         The rotation of all elements of a rod about their own d3 is one of them.
         """

@@ -93,7 +93,10 @@ class LearnerState:
 def along_the_run(
     state: LearnerState, first: Scalar, last: Scalar, dtype: DTypeLike
 ) -> Float[Array, ""]:
-    """Schedule last + (first - last) (1 - updates / total_updates), then constant."""
+    """Schedule last + (first - last) (1 - updates / total_updates), linear in time.
+
+    It stays at `last` after `total_updates`.
+    """
     remaining = 1 - state.updates / jnp.maximum(state.total_updates, 1)
     return last + (first - last) * jnp.clip(remaining, 0, 1).astype(dtype)
 

@@ -222,8 +222,11 @@ TD3 = Algorithm(
 class DDPGConfig(TD3Config):
     """Settings of DDPG: those of TD3 with one critic, no delay and no target smoothing.
 
-    `jaxrod.training.TD3Config` describes the settings. Source: Lillicrap et al.,
-    "Continuous control with deep reinforcement learning", 2016.
+    The default step size of the policy is also smaller than that of TD3.
+    `jaxrod.training.TD3Config` describes the settings.
+
+    Source: Lillicrap et al., "Continuous control with deep reinforcement learning",
+    2016.
 
     Example:
         >>> training.DDPGConfig().critics, training.TD3Config().critics

@@ -284,8 +284,9 @@ def turning_bounds(
 ) -> dict[str, StabilityBound]:
     r"""Stability bounds of springs and dashpots against relative rotation.
 
-    For elements with moments of inertia $I_a$ and $I_b$ and the stiffness $k$, the
-    bound on element $i$ is $k\,(1/I_a + 1/I_b)\,I_i$. The same holds for damping.
+    For elements with the smallest moments of inertia $I_a$ and $I_b$ and the stiffness
+    $k$, the bound on element $i$ is $k\,(1/I_a + 1/I_b)\,I_i$. The same holds for
+    damping.
     """
     inertia = least_inertia(parts[a.member], a), least_inertia(parts[b.member], b)
     ease = 1 / inertia[0] + 1 / inertia[1]

@@ -84,8 +84,10 @@ class GluedSide:
         """Loads of a force on each element at a point `place`, world frame.
 
         Each node gets half of the force, and the element the couple of the lever arm.
-        There are two pairs of nodes and loads: for the first nodes with the elements,
-        and for the second nodes.
+
+        Returns:
+            Two pairs of places and loads: for the first nodes and the elements, and for
+            the second nodes.
         """
         arm = vectors.subtract(place, self.middles(seen, seen.motion.position))
         frame = directors(orientation_at(seen, self.points))

@@ -50,9 +50,9 @@ class Springs(Coupling):
     def loads(self, seen: AllSeen) -> dict[str, Loads]:
         """Loads of springs and dashpots, which act halfway between both anchors.
 
-        With the vector `g` from the first anchor to the second and the velocity `u`
-        there of the second member relative to the first, the force on the first is
-        `k (1 - d / |g|) g + c u`.
+        The force on the first member is `k (1 - d / |g|) g + c u`. Here `g` is the
+        vector from the first anchor to the second, and `u` the velocity of the second
+        member relative to the first at the point halfway between them.
         """
         one, two = seen[self.a.points.member], seen[self.b.points.member]
         first, second = self.a.positions(one), self.b.positions(two)

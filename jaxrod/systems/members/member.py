@@ -153,7 +153,10 @@ class Member(ABC):
         return state
 
     def memory(self, state: Any) -> Any:
-        """Memory of its effects in a state, or their initial memory; empty if none."""
+        """Memory of its effects in a state, else their initial memory.
+
+        It is empty for members without memory.
+        """
         return ()
 
     # The state in the form that couplings read, and steps.

@@ -51,7 +51,7 @@ class BodyHealth:
     """Flags of numerical faults in rigid bodies, and the values behind them."""
 
     finite: Bool[Array, ""]
-    """Whether every number of the state is finite, and so are their squares."""
+    """Whether all numbers of the state, and their squares, are finite."""
     spin: Bool[Array, ""]
     """Flag: a body turns in one step by more than `HealthLimits.largest_turn`, one
     radian by default."""
