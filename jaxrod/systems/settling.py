@@ -1,11 +1,13 @@
 r"""Rest states of a scene or a system, by adaptive dynamic relaxation.
 
 The motion is followed with its true inertia and damped at the rate $2\omega$.
-This is the critical rate for the current frequency of the motion. The frequency is a
-Rayleigh quotient of the velocities $u$ and the change $\Delta a$, over a block of steps
-of total duration $t$, of the accelerations that all loads give at rest:
+This is the critical rate for the current frequency $\omega$ of the motion. It is found
+by a Rayleigh quotient,
 
-$$\omega^2 = -\frac{u\cdot M\,\Delta a}{t\; u\cdot M u}.$$
+$$\omega^2 = -\frac{u\cdot M\,\Delta a}{t\; u\cdot M u},$$
+
+with the masses $M$, the velocities $u$ and the change $\Delta a$ of the accelerations
+that all loads would give at rest, over a block of steps of total duration $t$.
 
 Fast modes decay first, and the damping adapts to the remaining motion down to the
 slowest mode. While the motion gains speed, as in a fall, there is no damping

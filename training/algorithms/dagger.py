@@ -129,7 +129,7 @@ class Advice:
 
 @pytree
 class DAggerState(LearnerState):
-    """Train state of a DAgger run: everything that is needed to continue it."""
+    """Train state of a DAgger run: everything needed to continue it."""
 
     weights: Any
     """Weights of the policy network."""
@@ -182,7 +182,7 @@ def init(
     Args:
         key: Typed random key; all randomness of the run comes from it.
         env: The environment, a `jaxrod.envs.Plannable`.
-        config: Settings; their numbers can be vmapped, too.
+        config: Settings, whose numbers can also be vmapped.
         env_params: Parameters of the environment, None for its defaults.
         total_steps: Control steps of the run, over which the learning rate falls.
 

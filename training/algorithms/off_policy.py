@@ -98,7 +98,7 @@ class OffPolicyConfig(LearnerConfig):
 
 @pytree
 class OffPolicyState(LearnerState):
-    """Train state of an off-policy run: everything that is needed to continue it."""
+    """Train state of an off-policy run: everything needed to continue it."""
 
     learner: Learner
     """Weights and optimiser states."""
@@ -127,7 +127,7 @@ def start(
     Args:
         key: Typed random key; all randomness of the run comes from it.
         env: The environment.
-        config: Settings; their numbers can be vmapped, too.
+        config: Settings, whose numbers can also be vmapped.
         env_params: Parameters of the environment, None for its defaults.
         total_steps: Control steps of the run, over which schedules run from their first
             to their last value.

@@ -284,7 +284,7 @@ def init(
     Args:
         key: Typed random key; all randomness of the run comes from it.
         env: The environment, with a method `cost` if the objective is the cost.
-        config: Settings; their numbers can be vmapped, too.
+        config: Settings, whose numbers can also be vmapped.
         env_params: Parameters of the environment, None for its defaults.
         total_steps: Control steps of the run, over which the learning rate falls.
 

@@ -244,7 +244,7 @@ class BodyContact(PenaltyContact):
         return worst
 
     def stability_bounds(self, parts: AllParts) -> dict[str, StabilityBound]:
-        """Bounds of stiffness and drag as if all of every rod touched every body.
+        """Bounds of stiffness and drag with each rod's whole length on every body.
 
         With `touching`, at most that length of rod touches a body. A spring's change of
         length is the sum of the contributions of node and body. By the Cauchy-Schwarz

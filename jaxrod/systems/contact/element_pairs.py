@@ -74,7 +74,7 @@ class Elements:
     first_radii: Array | None = None
     """Radius at the first node of each element [m]; `None` without contact points."""
     first_lengths: Array | None = None
-    """Rest length that the contact point at the first node stands for [m]; `None`
+    """Rest length that the contact point at the first node represents [m]; `None`
     without contact points."""
     last: Array | None = None
     """Flag: 1 where an element is the last of its rod, else 0 [1]; `None` without

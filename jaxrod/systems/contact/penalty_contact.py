@@ -91,7 +91,7 @@ def law_numbers(
 
 
 def check_members(members: tuple[str, ...]) -> None:
-    """Raises unless members are one or more strings, no two of them equal."""
+    """Raises an error unless members are one or more strings, no two of them equal."""
     for name in members:
         if not isinstance(name, str):
             raise TypeError(f"members are named by strings, got {name!r}")
@@ -110,7 +110,7 @@ class ContactPair:
 
     places: tuple[Array | None, Array]
     """Fractions along the first and the second element at which the points lie [1]; the
-    first is `None` if a contact point stands for the first element."""
+    first is `None` if a contact point represents the first element."""
     normal: Vec3
     """Unit vectors from the second point to the first."""
     weight: Array

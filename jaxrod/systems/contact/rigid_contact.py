@@ -205,7 +205,7 @@ class RigidContact(PenaltyContact):
         return worst
 
     def stability_bounds(self, parts: AllParts) -> dict[str, StabilityBound]:
-        """Bounds of stiffness and drag if as many balls as possible touch at once."""
+        """Bounds of stiffness and drag with as many balls in contact as possible."""
         moving, rubs = self.groups[: len(self.members)], self.friction is not None
         drag = self.law.largest_drag
         springs: list[list[Array]] = [[] for _ in moving]

@@ -8,7 +8,7 @@ $$E = \tfrac12 \sum_a w_a \Big[\sum_j \psi(p_{aj}) - \sum_v \psi(p_{av})\Big]
 
 with the penetration $p = r_a + r_b - d$ at the closest point of a segment or at a node,
 for the radii $r$ and the distance $d$ of the axes, the energy per length $\psi$ of
-`jaxrod.contacts.contact_law`, and the rest length $w_a$ that a point $a$ stands for. By
+`jaxrod.contacts.contact_law`, and the rest length $w_a$ that a point $a$ represents. By
 inclusion-exclusion over segments and the nodes between them every contact counts once,
 also where the closest point passes from one segment to the next. So parallel rods press
 on each other with the force $k p$ per length, for any sizes of their elements. Forces
@@ -229,7 +229,7 @@ class RodContact(TouchingRods):
         `own` and `every` are the constants of the rod's member and of all members.
         """
         assert own.linear_density is not None
-        # Length that a node stands for, from its mass.
+        # Length that a node represents, from its mass.
         lengths = self.max_contacts * own.node_masses / jnp.min(own.linear_density)
         stiffness = 2 * self.stiffness * lengths
         drag = None if self.damping is None else 2 * self.damping * lengths

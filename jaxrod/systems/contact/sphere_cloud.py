@@ -56,7 +56,8 @@ class SphereCloud:
     """Whether the balls together represent the whole body, which has no corner or
     edge."""
     at_once: int | None = static(default=None)
-    """Largest number of balls that can touch a convex body at once; `None` for all."""
+    """Largest number of balls that can touch a convex body at one time; `None` for
+    all."""
 
     @property
     def count(self) -> int:

@@ -9,7 +9,7 @@ $$E = \tfrac12 k |x^* - x|^2 + \tfrac12 k_t |\phi|^2, \qquad
 with dashpots on the velocity and the angular velocity relative to the target. The force
 and the couple are external: the drive of the target has the power
 $F\cdot\dot x^* + C\cdot\omega^*$. The dashpots dissipate $c |\dot x^* - \dot x|^2$
-and $c_t |\omega^* - \omega|^2$ of it; the rest goes into the system and the spring.
+and $c_t |\omega^* - \omega|^2$; the rest goes into the system and the spring.
 """
 
 from __future__ import annotations
