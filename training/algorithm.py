@@ -45,7 +45,7 @@ def steps_per_update(config: Any) -> int:
     """Control steps of one update: num_envs * rollout_steps * action_repeat.
 
     Args:
-        config: Configuration with these three fields, as every `LearnerConfig` has.
+        config: Configuration with these three fields, such as a `LearnerConfig`.
 
     Example:
         >>> config = training.PPOConfig(num_envs=64, rollout_steps=32, action_repeat=4)
@@ -90,19 +90,19 @@ def mean_over_devices(tree: Any, axis_name: str | None) -> Any:
 
 
 def check_nothing(config: Any, num_devices: int) -> None:
-    """Accepts any configuration: the default of `Algorithm.validate`."""
+    """Accepts every configuration; the default of `Algorithm.validate`."""
 
 
 @dataclass(frozen=True)
 class Algorithm:
     """A learner as a record of pure functions.
 
-    Training, resuming and evaluating use nothing else of a learner. Its train state is
-    one pytree of arrays with everything that a run needs: numbers of the configuration,
-    weights, optimiser, environments, keys. Anything that is not a number (the
-    environment, say) is static structure, see `jaxrod.extend.static`. Two states made
-    by `init` from configurations that differ only in numbers share one program. `train`
-    checks all of this before it compiles anything.
+    Training, resuming and evaluating use only these functions. The train state of a
+    learner is one pytree of arrays with everything that a run needs: numbers of the
+    configuration, weights, optimiser, environments, keys. Anything that is not a number
+    (the environment, say) is static structure, see `jaxrod.extend.static`. Two states
+    made by `init` from configurations that differ only in numbers share one compiled
+    program. `train` checks all of this before it compiles anything.
 
     A run records the algorithm as `module:NAME`. So it must be a variable of a module
     that can be imported, or `--resume` and `jaxrod evaluate` cannot find it.
@@ -116,7 +116,7 @@ class Algorithm:
     """
 
     name: str
-    """Name for display; for a built-in algorithm also its name in `find_algorithm`."""
+    """Name for display; `find_algorithm` finds a built-in algorithm by it."""
     config_type: type
     """Class of the configuration: a `jaxrod.extend.pytree` whose instance without
     arguments holds the defaults. Fields that are not static are numbers. `config.json`
@@ -147,7 +147,7 @@ class Algorithm:
     algorithm to one device."""
 
     def checked(self, config: Any) -> Any:
-        """Returns a configuration of this algorithm, or its defaults if it is None.
+        """Validates the type of `config` and returns it; for `None`, the defaults.
 
         Raises:
             ValueError: The configuration belongs to another algorithm.
@@ -173,7 +173,7 @@ _ALGORITHMS = {
 
 
 def algorithm_names() -> tuple[str, ...]:
-    """Returns the names that `find_algorithm` knows, sorted.
+    """Returns the names of all built-in algorithms, sorted.
 
     Example:
         >>> training.algorithm_names()
@@ -188,14 +188,15 @@ def find_algorithm(name: str, trust: Collection[str] | None = None) -> Algorithm
     Args:
         name: One of `algorithm_names()`, or the import path of your own algorithm,
             `module:NAME`.
-        trust: Modules that may be imported if the name was read from a file, see
-            `jaxrod.envs.importing.check_trusted`; None if the user typed the name.
+        trust: Modules that may be imported, for a name that was read from a file; see
+            `jaxrod.envs.importing.check_trusted`. None, for a name that the user typed,
+            allows all modules.
 
     Raises:
         ValueError: There is no algorithm of this name, or the object found is not an
             `Algorithm`.
         UntrustedError: The name was read from a file and its module is not trusted.
-        ImportError: The import path leads to nothing.
+        ImportError: Nothing is found at the import path.
 
     Example:
         >>> training.find_algorithm("sac") is training.SAC
@@ -219,8 +220,9 @@ def find_algorithm(name: str, trust: Collection[str] | None = None) -> Algorithm
 def recorded_name(algorithm: Algorithm) -> str:
     """Name of an algorithm for `config.json`, by which `find_algorithm` finds it.
 
-    It is the name in the registry or an import path. An algorithm that is no variable
-    of a module gets its `name`, which `find_algorithm` does not find.
+    It is the name of a built-in algorithm, or an import path. For an algorithm that is
+    not a variable of a module it is `algorithm.name`, which `find_algorithm` does not
+    find.
     """
     if algorithm.name in _ALGORITHMS:
         return algorithm.name

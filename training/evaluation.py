@@ -75,10 +75,11 @@ def evaluate(
 
     Args:
         env: The environment.
-        policy: Function from observations (episodes, observation_size) to actions: a
-            `Policy`, whose actions are held for its `action_repeat` control steps; or
-            any other such function, called at every control step. Or a
-            `jaxrod.envs.MemoryPolicy`, which also reads the states and keeps a memory.
+        policy: Function from observations (episodes, observation_size) to actions
+            (episodes, action_size). The actions of a `Policy` are held for its
+            `action_repeat` control steps; any other function is called at every control
+            step. Or a `jaxrod.envs.MemoryPolicy`, which also reads the states and keeps
+            a memory.
         episodes: Number of episodes.
         seed: Seed of the random numbers.
         env_params: Parameters of the environment, None for its defaults.

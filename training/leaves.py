@@ -12,14 +12,17 @@ import numpy as np
 def named_leaves(tree: Any, root: str) -> dict[str, Any]:
     """Leaves of a tree by name: `root` followed by the path of the leaf.
 
-    Leaves without elements are left out.
+    Leaves without elements, of size zero, are omitted.
     """
     leaves = jax.tree.leaves_with_path(tree)
     return {_name(root, path): leaf for path, leaf in leaves if leaf.size}
 
 
 def with_leaves(template: Any, root: str, leaves: dict[str, Any]) -> Any:
-    """Copy of a tree in which leaves are replaced by name, as in `named_leaves`."""
+    """Copy of a tree with the given leaves, which have the names of `named_leaves`.
+
+    Leaves that are not given are those of `template`.
+    """
     return jax.tree_util.tree_map_with_path(
         lambda path, leaf: leaves.get(_name(root, path), leaf), template
     )
@@ -33,7 +36,8 @@ def described(leaf: Any) -> str:
 def to_array(leaf: Any) -> np.ndarray:
     """A leaf as an array that NumPy can write.
 
-    Types that NumPy lacks, such as bfloat16, become unsigned integers of equal bits.
+    Types that NumPy lacks, such as bfloat16, become unsigned integers with the same
+    bits, and random keys their raw integers.
     """
     array = np.asarray(_numbers(leaf))
     return array.view(f"u{array.itemsize}") if array.dtype.kind == "V" else array
@@ -56,7 +60,7 @@ def from_array(array: np.ndarray, leaf: Any) -> Any:
 
 
 def differences_of_leaves(wanted: dict[str, str], found: dict[str, str]) -> str:
-    """The first differences between two sets of leaves as text, empty if none.
+    """The first three differences between two sets of leaves as text; "" without any.
 
     Args:
         wanted: Required leaves: their descriptions by name, as from `described`.
@@ -83,7 +87,7 @@ def is_key(leaf: Any) -> bool:
 def _hint(apart: list[str]) -> str:
     """Hint at JAX_ENABLE_X64 if the first differences are float32 against float64.
 
-    It is empty otherwise. `apart` has the differences as text.
+    It is an empty text otherwise. `apart` has the differences as text.
     """
     double = all("float32" in one and "float64" in one for one in apart[:3])
     return " (has JAX_ENABLE_X64 changed?)" if double else ""

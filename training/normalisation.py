@@ -13,8 +13,8 @@ from jaxrod.structure import pytree
 class RunningMoments:
     """Mean and variance of all samples so far, per component.
 
-    The variance is stored, not the sum of squares: it keeps the magnitude of the data
-    in runs of any length, as float32 requires. Before the first sample the mean is 0
+    The variance is stored instead of the sum of squares, which would grow with the
+    length of a run and lose digits in float32. Before the first sample the mean is 0
     and the variance 1, so that normalising changes nothing.
     """
 
@@ -38,8 +38,8 @@ def batch_moments(
 ) -> RunningMoments:
     """Count, mean and variance of one batch of samples, per component.
 
-    The first sample is subtracted before anything is summed. So a large mean does not
-    cost digits of the variance.
+    The first sample is subtracted before anything is summed, so that the variance loses
+    no digits to a large mean.
 
     Args:
         samples: One sample per row.
@@ -89,7 +89,7 @@ def normalise(
 ) -> Float[Array, "*batch size"]:
     """Normalised samples: (x - mean) / sqrt(variance + 1e-8), clipped to +-`limit`.
 
-    The 1e-8 keeps a component that never varied finite.
+    The term 1e-8 keeps components of zero variance finite.
     """
     leading = tuple(range(samples.ndim - 1))
     mean = jnp.expand_dims(moments.mean, leading)

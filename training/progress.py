@@ -15,9 +15,9 @@ class ProgressBar:
     """Shows the progress of a run or an optimisation.
 
     On a terminal one line is redrawn. Elsewhere (a notebook, a log file) a line is
-    printed after every tenth of the total, and after every 30 s without a line. A run
-    with a name shares the stream with other runs: it prints a line after every tenth
-    only.
+    printed after every tenth of the total, and whenever the last line is more than 30 s
+    old. A run with a name shares the stream with other runs, so it prints a line after
+    every tenth only.
     """
 
     def __init__(
@@ -34,8 +34,8 @@ class ProgressBar:
 
         Args:
             total: Count at which the work is complete.
-            unit: Name of the counted things, in the plural.
-            done: Count before the clock starts.
+            unit: Plural noun for what is counted, such as "steps".
+            done: Count when the clock starts.
             name: Name of one of several runs, printed before its lines.
             enabled: Whether anything is shown.
             stream: Output stream; stderr by default.
@@ -101,7 +101,7 @@ def progress_line(done: int, total: int, unit: str, rate: float, reached: str) -
     Args:
         done: Current count.
         total: Count at which the work is complete.
-        unit: Name of the counted things, in the plural.
+        unit: Plural noun for what is counted, such as "steps".
         rate: Counts per second; 0 if it is not known yet.
         reached: Result so far as text, such as "return 17.3".
     """

@@ -17,7 +17,7 @@ Scalar = float | Float[Array, ""]
 """Numeric setting: a Python float, or a JAX array inside a traced train state."""
 
 NetworkFactory = Callable[[str, int], Any]
-"""Function of a user that makes networks: `(role, output_size) -> flax module`."""
+"""User-supplied function that makes networks: `(role, output_size) -> flax module`."""
 
 Settings = Any
 """Any configuration, whose fields the checks read by name."""
@@ -40,15 +40,15 @@ class LearnerConfig:
     rollout_steps: int = static(default=128)
     """Number of decisions of each environment in one update."""
     action_repeat: int = static(default=1)
-    """Number of control steps for which every action is held: those of one decision."""
+    """Number of control steps of one decision, for which its action is held."""
     hidden_sizes: tuple[int, ...] = static(default=(64, 64))
     """Widths of the hidden layers of all built-in networks."""
     network: NetworkFactory | None = static(default=None)
     """Function that makes your own networks, `(role, output_size) -> flax module`;
     `None` for multilayer perceptrons. The role is "policy" (observation -> action) or
-    "critic" (observation -> value; in SAC, TD3 and DDPG observation and action,
-    concatenated). SAC requires twice as many outputs of a policy as there are actions,
-    means first."""
+    "critic" (observation -> value; in SAC, TD3 and DDPG the input is observation and
+    action, concatenated). For SAC a policy has two outputs per action: first all means,
+    then all log standard deviations."""
     spread_phases: bool = static(default=True)
     """Whether the first episodes start at random elapsed times, so that they end at
     different times; see `jaxrod.envs.VectorEnvironment`."""
@@ -60,8 +60,8 @@ class LearnerConfig:
     """Bound to which normalised observations are clipped."""
     short_steps: Scalar = 0.0
     """Control steps from the start of the run during which episodes are cut short, so
-    that more episodes begin. Such episodes are truncated, not terminated, and do not
-    count for the score."""
+    that more episodes begin. Such episodes are truncated, not terminated, and are left
+    out of the mean return."""
     short_length: Scalar = 500.0
     """Length of an episode that is cut short [control steps]."""
 
@@ -71,14 +71,14 @@ WIDEST_LAYER = 16_384
 1 GB."""
 
 MOST_LAYERS = 1_000
-"""Largest number of hidden layers that the file of a policy can hold."""
+"""Largest number of hidden layers that a policy file can hold."""
 
 LARGEST_COUNT = 2**31 - 1
 """Largest count of updates, sizes and loop iterations, which are 32-bit integers."""
 
 
 def check_steps(steps: int, per_update: int) -> int:
-    """Number of updates of a run: ceil(steps / per_update).
+    """Validates the length of a run and returns its updates: ceil(steps / per_update).
 
     Args:
         steps: Control steps of the run.
@@ -114,7 +114,7 @@ def _check_size(name: str, value: Any) -> None:
 
 
 def check_learner(config: LearnerConfig, num_devices: int) -> None:
-    """Checks the settings that all learners share.
+    """Validates the settings that all learners share.
 
     Raises:
         ValueError: A setting is wrong; the message has its name and value.

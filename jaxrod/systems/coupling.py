@@ -52,7 +52,7 @@ class Parts:
     """Surface of rigid bodies in their own frame; `None` for other members."""
     held: Vec3 | None = None
     """Flags per node and world axis: 1 where a support holds the node, else 0; `None`
-    if they are not known."""
+    if no node is held, or if they are not known."""
     count: int = static(default=1)
     """Number of rods, bodies or points."""
     n_elements: int = static(default=1)
@@ -198,7 +198,7 @@ class Coupling:
         return ()
 
     def merged(self, others: Sequence[Any]) -> Coupling:
-        """One coupling that replaces this one and others; all have `tied_pairs`."""
+        """Merges this coupling and `others`, which all have `tied_pairs`, into one."""
         # Not abstract: it is never called for couplings without tied pairs.
         raise NotImplementedError(f"{type(self).__name__} cannot be merged")
 
@@ -217,7 +217,7 @@ class Coupling:
         return None
 
     def with_free_ends(self, free: Mapping[str, Array]) -> Coupling:
-        """Copy that knows which ends of rods are free, and which continue.
+        """Copy that stores which ends of rods are free.
 
         Args:
             free: For each member, flags of the first and the last end of each of its
@@ -310,7 +310,7 @@ class Coupling:
 
         For a spring of stiffness `k` on an elongation that changes by the sum of
         `g_i . u_i`, with displacements `u_i` of nodes, the bound
-        `k (sum_j |g_j|^2 / m_j) m_i` on each node `i` is enough.
+        `k (sum_j |g_j|^2 / m_j) m_i` on each node `i` of mass `m_i` is sufficient.
         """
         return {}
 
@@ -323,7 +323,7 @@ class Coupling:
 
 
 def refresh_every(couplings: Sequence[Coupling]) -> int | None:
-    """Steps between searches: the least of all couplings; `None` if none searches."""
+    """Steps between searches: the smallest of all couplings; `None` if none has any."""
     asked = [c.refresh_every for c in couplings if c.refresh_every is not None]
     return min(asked) if asked else None
 
@@ -364,12 +364,13 @@ def check_named(name: str, members: Iterable[str], where: str = "") -> None:
 def turning_mobility(
     inertias: Float[Array, "3 *k"], arm: Vec3, around: Array | float = 0.0
 ) -> Array:
-    r"""Largest velocity of a point per impulse there, by turning alone [1/kg].
+    r"""Largest velocity of a point per unit impulse there, by rotation alone [1/kg].
 
-    An impulse $f$ at the lever arm $r$ moves the point by $(r\times f)\cdot
-    I^{-1}(r\times f)$ along $f$. For unit vectors $f$ this is at most $r^2$ times the
-    larger eigenvalue of $I^{-1}$ in the plane across $r$. Points within a distance $d$
-    of it have at most $(\sqrt\lambda + d/\sqrt{I_{min}})^2$.
+    An impulse $f$ at the lever arm $r$ gives the point the velocity $(r\times f)\cdot
+    I^{-1}(r\times f)$ along $f$. For unit vectors $f$ this is at most $\lambda |r|^2$,
+    with $\lambda$ the larger eigenvalue of $I^{-1}$ in the plane perpendicular to $r$.
+    Within a distance $d$ of the end of $r$ it is at most $(\sqrt\lambda\,|r| +
+    d/\sqrt{I_{min}})^2$.
 
     Args:
         inertias: Moments of inertia about the axes of the body [kg m^2].

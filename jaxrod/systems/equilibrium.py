@@ -1,11 +1,11 @@
 r"""Equilibria of systems, and their derivatives.
 
 A ball on a smooth floor can slide, and a round rod between two pins can turn about its
-axis. Such loose motions $m$ are resisted by no load in statics. The stiffness $K$ is
-then singular: the balance of loads does not determine the position along them. Suppose
-that the loads do not drive such a motion. Then a spring against its momentum $u = M m$
-only selects this position. For any stiffness of the spring the step $r$ has exactly no
-momentum along the motion:
+axis. In statics no load resists such a loose motion $m$. The stiffness $K$ is then
+singular: the balance of loads does not determine the position along $m$. Suppose that
+the loads $g$ do not drive the motion either. Then a spring against its momentum $u = M
+m$, with the mass matrix $M$, only selects this position. For any stiffness $\sigma$ of
+the spring, the step $r$ has exactly no momentum along the motion:
 
 $$(K + \sigma\,u u^T)\,r = g, \quad m\cdot g = 0 \quad\Rightarrow\quad
   u\cdot r = 0, \quad K r = g.$$
@@ -55,13 +55,13 @@ class _SystemPlace:
     linear: Linear
     """The static problem, linearised about the configuration."""
     stiffness: Float[Array, "m m"]
-    """Stiffness matrix, with springs along constrained rates and loose motions that
-    make it regular [J]."""
+    """Stiffness matrix, made nonsingular by springs along constrained rates and loose
+    motions [J]."""
     loose: Float[Array, "modes m"]
     """Motions that no load resists, in scaled rates, one per row; zeros in unused
     rows."""
     driven: Bool[Array, ""]
-    """Whether loads drive a loose motion: then they cannot balance."""
+    """Whether the loads drive a loose motion and so cannot balance."""
 
     @property
     def loads(self) -> Float[Array, " m"]:
@@ -134,9 +134,9 @@ def system_equilibrium(
 
     Args:
         system: The system, at one moment.
-        state: State to start from.
-        tolerance: The search ends at a correction of less than this many element
-            lengths and radians.
+        state: Initial state of the search.
+        tolerance: Size of a correction, in element lengths and radians, below which the
+            search ends.
         max_iterations: Largest number of corrections tried, accepted or not.
     """
     problem, start = static_problem(system, state)
@@ -232,9 +232,10 @@ _ROUNDINGS = 64
 round-off of positions, `StaticProblem.rounding` [1]."""
 
 _SLIGHT = 1e-9
-"""Limit on the tolerance for resistances where it is raised for round-off that adds up
-like a random walk over all unknowns [1]. Slender rods resist bending by more. In single
-precision `_ROUNDINGS` alone gives a larger tolerance."""
+"""Largest relative resistance that can count as zero when the tolerance is raised for
+the number of unknowns, over which round-off adds up like a random walk [1]. Slender
+rods resist bending by more. In single precision `_ROUNDINGS` alone gives a larger
+tolerance."""
 
 _DRIVEN = 1024
 """Largest relative work of loads along a loose motion that counts as zero, in units of
@@ -289,7 +290,7 @@ def held(
     """Stiffness matrix plus springs along loose motions and constrained rates [J].
 
     `motions` are the loose motions. Constrained rates are those that supports, ties and
-    attachments do not allow. The springs make the matrix regular.
+    attachments do not allow. The springs make the matrix nonsingular.
     """
     momenta = motions @ here.mass
     inertia = jnp.sum(momenta * motions, axis=1)

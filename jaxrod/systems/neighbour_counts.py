@@ -1,4 +1,4 @@
-"""Counts of the neighbours in a state, to size lists of neighbours."""
+"""Counts of the neighbours in a state, for the sizes of neighbour lists."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from jaxrod.validation import check_kind, is_traced
 
 @dataclass(frozen=True)
 class Neighbours:
-    """Neighbours of one coupling in a state, list by list.
+    """Counts of the neighbours of one coupling in a state, for each of its lists.
 
     Example:
         >>> lists = systems.neighbour_lists(pairs=100, candidates=400, cell_slots=0)
@@ -44,7 +44,7 @@ class Neighbours:
 
 
 def neighbours(system: System, state: Any) -> tuple[Neighbours, ...]:
-    """Counts the entries that lists of neighbours need in a concrete state.
+    """Counts the entries that neighbour lists need in a state.
 
     Args:
         system: The system.
@@ -52,10 +52,10 @@ def neighbours(system: System, state: Any) -> tuple[Neighbours, ...]:
             will reach.
 
     Returns:
-        One entry for every coupling with lists, in their order in the system.
+        One entry for each coupling with lists, in the order of `system.couplings`.
 
     Raises:
-        ValueError: If a value is traced.
+        ValueError: If a number of the system or of the state is traced.
 
     Example:
         >>> lists = systems.neighbour_lists(pairs=100, candidates=400, cell_slots=0)

@@ -1,11 +1,13 @@
 r"""Rest states of a scene or a system, by adaptive dynamic relaxation.
 
 The motion is followed with its true inertia and damped at the rate $2\omega$.
-This is the critical rate for the current frequency of the motion. The frequency is a
-Rayleigh quotient of the velocities $u$ and the change $\Delta a$, over a block of steps
-of total duration $t$, of the accelerations that all loads give at rest:
+This is the critical rate for the current frequency $\omega$ of the motion. It is found
+by a Rayleigh quotient,
 
-$$\omega^2 = -\frac{u\cdot M\,\Delta a}{t\; u\cdot M u}.$$
+$$\omega^2 = -\frac{u\cdot M\,\Delta a}{t\; u\cdot M u},$$
+
+with the masses $M$, the velocities $u$ and the change $\Delta a$ of the accelerations
+that all loads would give at rest, over a block of steps of total duration $t$.
 
 Fast modes decay first, and the damping adapts to the remaining motion down to the
 slowest mode. While the motion gains speed, as in a fall, there is no damping
@@ -66,8 +68,8 @@ class Settled:
     force_residual: Float[Array, ""]
     """Largest mass times acceleration of a node or a body released from rest [N]."""
     couple_residual: Float[Array, ""]
-    """Largest rate of angular momentum of an element or body released from rest [N m].
-    """
+    """Largest rate of change of the angular momentum of an element or body released
+    from rest [N m]."""
 
 
 def settled(
@@ -80,7 +82,7 @@ def settled(
     every: int = 16,
     max_steps: int = 1_000_000,
 ) -> Settled:
-    """Follows the damped motion of a scene or a system until it rests.
+    """Follows the damped motion of a scene or a system until it comes to rest.
 
     The method is described in the docstring of this module. It works for all models
     that can be stepped. It follows their motion, while `jaxrod.equilibrium` solves for
@@ -88,21 +90,21 @@ def settled(
     reverse mode, and does not use the implicit function theorem; forward mode follows
     all steps.
 
-    It finds rest states that are reached by falling. A model that stands exactly on the
-    top of a hill, such as a straight column, stays there and has converged. A model
-    that nothing holds never converges. Friction of contacts is a drag, which is zero at
-    rest: rods and bodies come to rest where they would without friction.
+    It finds rest states that are reached by falling. A model in unstable equilibrium,
+    such as a straight column, stays there and counts as converged. A model in free fall
+    never converges. Friction of contacts is a drag, which is zero at rest: rods and
+    bodies come to rest where they would without friction.
 
     Args:
         scene: The scene or system, without schedules (`.at(time)`).
-        state: State to start from; its velocities are set to zero.
+        state: Initial state; its velocities are set to zero.
         dt: Step size [s]; by default `stable_dt(scene).dt`.
-        force_tolerance: Largest force out of balance [N]. By default it is 1e-8 of a
-            rod's bending stiffness over its length squared, plus eight units of
-            round-off of its stretching stiffness, for the rod for which this is least.
-        couple_tolerance: Largest couple out of balance [N m]; by default the default
-            force tolerance times the length of the rod, for the rod for which this is
-            least.
+        force_tolerance: Largest force out of balance [N]. By default it is 1e-8 B / L^2
+            plus 8 eps S, with the bending stiffness B, length L and stretching
+            stiffness S of a rod and the machine epsilon eps. The smallest value of all
+            rods is used.
+        couple_tolerance: Largest couple out of balance [N m]; by default L times that
+            force, again the smallest value of all rods.
         every: Steps between checks of the kinetic energy and of the residual.
         max_steps: Largest number of steps, rounded up to a multiple of `every`.
 
@@ -110,9 +112,9 @@ def settled(
         The state at rest, and how well the loads balance there.
 
     Raises:
-        ValueError: If it depends on time, if there is no rod to take tolerances from
-            and they are not given, or if an argument is out of range.
-        TypeError: If `scene` or `state` is of another type.
+        ValueError: If the scene depends on time, if tolerances are not given and there
+            is no rod to derive them from, or if an argument is out of range.
+        TypeError: If `scene` or `state` is of the wrong type.
 
     Example:
         >>> rest = systems.settled(scene, state)
@@ -304,7 +306,7 @@ def _default_tolerances(scene: Model) -> tuple[Array | None, Array | None]:
 
 
 def _tolerances_of(rod: Rod) -> tuple[Array, Array]:
-    """Tolerances of force [N] and couple [N m] of a rod; the least of equal rods.
+    """Tolerances of force [N] and couple [N m] of a rod; the smallest of equal rods.
 
     The force is `SHARE B / L^2 + ROUNDING eps S`, with bending stiffness `B`, length
     `L`, machine epsilon `eps` and stretching stiffness `S`. The couple is the force

@@ -66,7 +66,7 @@ class Scales:
 
 
 def scales_of(system: Assembly) -> Scales:
-    """Units for a system; ones if it has no rods."""
+    """Units for a system; all are one if it has no rods."""
     lengths, elements, energies, times = [], [], [], []
     for own in system.parts().values():
         if not own.is_rod:
@@ -177,13 +177,14 @@ class StaticProblem:
         return self.accelerations(self.moved(given))
 
     def column(self, given: tuple[Motions, Array]) -> tuple[Array, ...]:
-        """Column of all matrices that belongs to a vector of scaled rates.
+        """Loads, and the products of all matrices with a vector of scaled rates.
 
-        `given` is the pair of a configuration and this vector.
+        `given` is the pair of a configuration and this vector. For a unit vector the
+        products are columns of the matrices.
 
         Returns:
             Loads out of balance, the allowed part of the rates, the momenta of this
-            part, and the loads that it causes; all scaled.
+            part, and the change of the loads that it causes; all scaled.
         """
         motions, _ = given
         rates = self.rates(given)
@@ -235,7 +236,10 @@ class StaticProblem:
         return self.placed(_still(self.stepper.enter(state)))
 
     def moved_after(self, given: tuple[Motions, Array]) -> Motions:
-        """Configuration after a second at scaled rates r; `given` is (start, r)."""
+        """Configuration after a second at scaled rates r.
+
+        `given` is the pair of the configuration before and r.
+        """
         return self.moved((given[0], self.rates(given)))
 
     def left_after(self, given: tuple[Motions, Array]) -> dict[str, Any]:
@@ -274,7 +278,7 @@ class StaticProblem:
         return self.placed(_still(together))
 
     def motions_of_the_whole(self, motions: Motions) -> Float[Array, "modes m"]:
-        """Rigid motions of each rod and body, in scaled rates: rows of length one.
+        """Rigid motions of each rod and body, in scaled rates: normalised, one per row.
 
         The rotation of all elements of a rod about their own d3 is one of them.
         """
@@ -300,7 +304,7 @@ class StaticProblem:
         return jnp.finfo(far.dtype).eps * jnp.maximum(1, far / self.scales.length)
 
     def listed(self, motions: Motions) -> StaticProblem:
-        """Copy with the lists of neighbours at a configuration."""
+        """Copy with the neighbour lists found at a configuration."""
         seen = self.stepper.seen(motions)
         found = lax.stop_gradient(searched(self.stepper.couplings, seen))
         couplings = with_found(self.stepper.couplings, found)
@@ -338,7 +342,10 @@ class StaticProblem:
         return ravel_pytree(found)[0]
 
     def scaled_momenta(self, motions: Motions, momenta: Any) -> Float[Array, " m"]:
-        """Gradient by scaled rates, from `momenta`, the gradient by rates."""
+        """Gradient with respect to scaled rates, from that with respect to rates.
+
+        `momenta` is the latter, and `motions` is the configuration.
+        """
         length = self.scales.length
         found = {
             name: (vectors.scale(length, moving), self._spins(motions, name, turning))
@@ -389,7 +396,7 @@ class StaticProblem:
         Args:
             here: The configuration before.
             scaled: Scaled rates.
-            loose: Motions along which the displacements have no momentum.
+            loose: Motions along which these displacements get no momentum.
         """
         _, tree_of = ravel_pytree(rates_of(here.motions))
         rates = by_kernel(self, "rates", (here.motions, scaled))
@@ -544,7 +551,7 @@ def rigid_motions(own: Seen, length: Array) -> Iterator[tuple[Vec3, Vec3]]:
 
 
 def _of_part(part: int, count: int, field: Vec3) -> Vec3:
-    """Copy of a field with zeros but in rod or body number `part` of `count`."""
+    """Copy of a field that is zero except in rod or body number `part` of `count`."""
     x, y, z = (
         jnp.where(jnp.arange(c.size) // (c.size // count) == part, c, 0) for c in field
     )
@@ -575,7 +582,7 @@ def spins(own: Seen, turning: Vec3) -> Vec3:
 
 
 def squared_frequencies(system: Assembly, state: SystemState) -> np.ndarray:
-    """Squares of all angular frequencies, increasing [rad^2/s^2].
+    """Squares of all angular frequencies, in increasing order [rad^2/s^2].
 
     They are computed in a basis of the rates that supports, ties and attachments allow.
 

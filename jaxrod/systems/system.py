@@ -56,10 +56,11 @@ from jaxrod.validation import as_array, in_type, is_traced, knows_constants
 class System(Assembly, Model):
     """Rods and rigid bodies by name, and the couplings between them.
 
-    Structure is static, numbers are traced. Only what is listed is in the compiled
-    program. Build a system with `make_system`. Functions for scenes (`advance`,
-    `rollout`, `stable_dt`, `health`) take it, too, with a dict of states by member. It
-    has the same methods as a scene, such as `total_energy(state)`.
+    Structure is static, numbers are traced. The compiled program contains these members
+    and couplings only. Build a system with `make_system`. Functions for scenes
+    (`advance`, `rollout`, `stable_dt`, `health`) also accept a system; its state is a
+    dict of the states of the members by name. It has the same methods as a scene, such
+    as `total_energy(state)`.
 
     Example:
         >>> system = jaxrod.make_system({"left": scene, "right": scene})
@@ -104,7 +105,7 @@ class System(Assembly, Model):
         return {**state, **changed}
 
     def check_run(self, state: Any, dt: ArrayLike, first: Array | None) -> Array:
-        """Checks state and step of a run; returns `dt` [s] in the system's dtype."""
+        """Validates state and step of a run; returns `dt` [s] in the system's dtype."""
         check_system_state(self, state)
         return as_array("dt", dt, "s", positive=True, dtype=self.dtype)
 
@@ -121,16 +122,17 @@ class System(Assembly, Model):
         return system_stepper(self, state, dt, first)
 
     def with_memory(self, state: Any) -> dict[str, Any]:
-        """Copy of the state with initial values for what it lacks.
+        """Copy of the state with memories of effects and a record of neighbour lists.
 
-        These are the memories of effects, and the record of neighbour lists.
+        Initial values are added where the state has none.
         """
         return system_with_memory(self, state)
 
     def step_warning(self, dt: Array, state: Any) -> tuple[str | None, bool]:
         """Warning if the step `dt` is above the stability bound; `None` below it.
 
-        The second entry is always `False`: the bound holds for any state.
+        The second entry, whether compression could make the step unstable later, is
+        always `False`: the bound holds for any state.
         """
         return unstable_step(self, dt), False
 
@@ -224,21 +226,21 @@ def make_system(
     *couplings: Coupling | Sequence[Coupling],
     state: SystemState | None = None,
 ) -> System:
-    """A system of rods and rigid bodies.
+    """Builds a system of rods and rigid bodies.
 
     Args:
         members: Members by name: scenes, `RigidBodies`, and members of your own. A
             scene is a rod and its effects, or equal rods if every number has a leading
             axis, as from `jax.vmap`.
-        *couplings: Couplings, as `tie`, `weld`, `attach`, `hinge_joint` and others
-            return them.
+        *couplings: Couplings, or sequences of them, as returned by `tie`, `weld`,
+            `attach`, `hinge_joint` and others.
         state: A state of the system. If it is given, couplings are checked against the
-            nodes that supports hold in it, and lists of neighbours are sized for it.
+            nodes that supports hold in it, and neighbour lists are sized for it.
 
     Raises:
-        ValueError: If a coupling does not fit the members, types differ, a member's
+        ValueError: If a coupling does not fit the members, dtypes differ, a member's
             method has no steps in a system, or an effect does not act on rigid bodies.
-        TypeError: If a member or a coupling is of another type.
+        TypeError: If a member or a coupling is of the wrong type.
 
     Example:
         >>> states = {"left": state, "right": state}
@@ -460,7 +462,7 @@ class SystemHealth:
     """Largest violation of all couplings, such as the distance of tied nodes or the
     depth of a contact, divided by the radius [1]."""
     overflow: Bool[Array, ""]
-    """Flag: lists of neighbours had too few entries, now or in a run that led here."""
+    """Flag: neighbour lists have too few entries, now or earlier in the run."""
     stale: Bool[Array, ""]
     """Flag: a run used lists after a node had moved by more than half their skin, the
     gap up to which pairs of elements are listed."""

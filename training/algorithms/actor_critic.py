@@ -24,7 +24,7 @@ ACTIVATION = "relu"
 
 @pytree
 class Learner:
-    """Weights and optimiser states of a learner: all that gradient steps change."""
+    """Weights and optimiser states of a learner, which gradient steps change."""
 
     weights: dict[str, Any]
     """Weights of the networks and other learned numbers, by name."""
@@ -48,7 +48,7 @@ def initial_policy(
     output_size: int,
     dtype: DTypeLike,
 ) -> Any:
-    """Initial weights of the policy network, after a check of its output size."""
+    """Validates the policy network's output size and returns its initial weights."""
     dummy = jnp.zeros(env.observation_size, dtype)
     network = policy_network(config, output_size, dtype)
     weights = initial_weights(network, key, dummy)
@@ -62,7 +62,7 @@ def critic_values(
     observation: Float[Array, "batch observation"],
     action: Float[Array, "batch action"],
 ) -> Float[Array, "critics batch"]:
-    """Values Q_i of every critic i, for normalised observations and actions."""
+    """Values Q_i of all critics i at actions and normalised observations."""
     inputs = jnp.concatenate([observation, action], axis=-1)
     network = _critic_network(config, inputs.dtype)
     values = [network.apply({"params": w}, inputs)[:, 0] for w in weights]
@@ -94,9 +94,9 @@ def critic_loss(
 ) -> tuple[Float[Array, ""], dict[str, Array]]:
     """Half the mean squared Bellman error, summed over the critics.
 
-    L = 1/2 sum_i mean((Q_i - y)^2) with the target y = r + gamma V'. V' is 0 only where
-    the task ended: for an episode that was cut short it is the value of the final
-    observation.
+    L = 1/2 sum_i mean((Q_i - y)^2) with the target y = r + gamma V'. V' counts as 0
+    only where the task ended. Where an episode was truncated it is the value of the
+    final observation.
 
     Args:
         weights: Weights of the critics.
@@ -106,7 +106,8 @@ def critic_loss(
         discount: Discount factor gamma.
 
     Returns:
-        The loss, and the mean squared error and mean value for the report.
+        The loss, and for the report the mean squared error and the mean value of the
+        critics.
     """
     next_value = jnp.where(transition.terminated, 0, next_value)
     target = jax.lax.stop_gradient(transition.reward + discount * next_value)
@@ -157,7 +158,10 @@ def apply_gradient(
 
 
 def polyak_update(learner: Learner, target: str, name: str, rate: Scalar) -> Learner:
-    """Polyak averaging: w_target + rate (w_name - w_target) replaces w_target."""
+    """Polyak averaging: w_target <- w_target + rate (w_name - w_target).
+
+    `target` and `name` are keys of `learner.weights`.
+    """
     moved = jax.tree.map(
         lambda old, new: old + rate * (new - old),
         learner.weights[target],

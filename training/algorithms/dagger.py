@@ -4,8 +4,8 @@ The policy acts; early in the run the planner acts instead in a fraction of the
 decisions. In every visited state the planner computes an action, starting from the
 policy's action (`better_actions`). The network is fitted by least squares to the stored
 actions of the planner. The planner uses the whole state and differentiates the
-simulation, but the policy is a function of the observation alone. So the fit averages
-over everything that is not observed.
+simulation, but the policy is a function of the observation alone. So the network learns
+the planner's mean action over all states with the same observation.
 
 The planner minimises the task's cost, and rewards are not used. So goals that are in
 the reward but not in the cost are not learned.
@@ -96,7 +96,8 @@ class DAggerConfig(LearnerConfig):
     action_repeat: int = static(default=16)
     hidden_sizes: tuple[int, ...] = static(default=(128, 128))
     lookahead: int = static(default=32)
-    """Horizon of the planner: control steps for which it holds its one action."""
+    """Horizon of the planner [control steps]: its plan is one action, held for this
+    time."""
     plan_iterations: int = static(default=1)
     """Gauss-Newton steps of the planner, starting from the policy's action."""
     gradient_steps: int = static(default=128)
@@ -128,7 +129,7 @@ class Advice:
 
 @pytree
 class DAggerState(LearnerState):
-    """Train state of a DAgger run: everything that is needed to continue it."""
+    """Train state of a DAgger run: everything needed to continue it."""
 
     weights: Any
     """Weights of the policy network."""
@@ -138,11 +139,12 @@ class DAggerState(LearnerState):
     """Ring buffer of observations with the planner's actions; the oldest are
     overwritten."""
     keys: Key[Array, " num_envs"]
-    """One key per environment, for who acts (planner or policy) and for the samples."""
+    """One key per environment, for the choice between planner and policy and for the
+    samples."""
 
 
 def validate(config: DAggerConfig, num_devices: int = 1) -> None:
-    """Checks a configuration on the host.
+    """Validates a configuration on the host.
 
     Raises:
         ValueError: A setting is wrong; the message has its name and value.
@@ -180,9 +182,9 @@ def init(
     Args:
         key: Typed random key; all randomness of the run comes from it.
         env: The environment, a `jaxrod.envs.Plannable`.
-        config: Settings; their numbers can be vmapped, too.
+        config: Settings, whose numbers can also be vmapped.
         env_params: Parameters of the environment, None for its defaults.
-        total_steps: Control steps over which the learning rate falls.
+        total_steps: Control steps of the run, over which the learning rate falls.
 
     Raises:
         ValueError: The environment is not plannable.
@@ -263,7 +265,8 @@ def _act(
     """Acts for one rollout and stores the planner's action of every decision.
 
     Returns:
-        The updated state, scalars for the report, and the episodes that ended.
+        The updated state, scalars for the report, and results of the complete episodes
+        that ended.
     """
     config: DAggerConfig = state.config
     environment, model = VectorEnvironment(state.env), model_of(state.env)
@@ -361,7 +364,10 @@ def _fit(
 
 
 def _planner_share(state: DAggerState) -> Float[Array, ""]:
-    """Probability that the planner acts: 1 - env_steps / planner_steps, at least 0."""
+    """Probability that the planner acts: 1 - steps / planner_steps, at least 0.
+
+    `steps` are the control steps of the run so far.
+    """
     config = state.config
     dtype = state.environments.observation.dtype
     # Updates are compared, not control steps, which would overflow their integers.
@@ -388,7 +394,7 @@ each of three step lengths."""
 
 
 def model_of(env: Environment) -> Any:
-    """Model for the planner: the environment without wrappers, after a check.
+    """Validates that an environment is plannable and returns it without wrappers.
 
     Raises:
         ValueError: The environment is not plannable.
@@ -410,18 +416,19 @@ def better_actions(
     r"""Actions of a planner that improves given actions, and their costs.
 
     The plan is one action $u$, each entry in [-1, 1], held for $h$ control steps from
-    the present state on. The planner solves
+    the present state. The planner solves
 
     $$\min_u |r(x_h(u))|^2 + e |u|^2$$
 
     by Gauss-Newton steps from the given action, with the environment's residuals $r$ at
-    the final state $x_h$. The small effort $e$ selects one of the many actions that
-    reach the goal. Such a short plan is cheap: one backward pass for each of the few
-    residuals. It is nearly a function of the state, so a network can learn it. If it is
-    recomputed before it has run out, it scores nearly as well as actions that are
+    the final state $x_h$. The small weight $e$ selects one of the many actions that
+    reach the goal. This short plan is cheap: a step needs one backward pass for each of
+    the few residuals. It is nearly a function of the state, so a network can learn it.
+    If it is recomputed before it ends, it scores nearly as well as actions that are
     linear between several knots (docs/optimum.md).
 
-    An action is left unchanged by a step without improvement, or if the model breaks.
+    A step that does not reduce the cost, or after which the cost is not finite, leaves
+    the action unchanged.
 
     Args:
         model: An environment with `predict` and `residuals`.
@@ -431,6 +438,9 @@ def better_actions(
         lookahead: Control steps h for which an action is held.
         effort: Weight e of the squared action.
         iterations: Number of Gauss-Newton steps.
+
+    Returns:
+        The improved actions, and the cost of each plan; infinite if the model breaks.
     """
     cost = PlanCost(
         params=params,

@@ -67,8 +67,8 @@ from jaxrod.training.settings import (
 class OffPolicyConfig(LearnerConfig):
     """Settings common to SAC, TD3 and DDPG; more are in `LearnerConfig`.
 
-    There are `gradient_steps` gradient steps for `num_envs * rollout_steps` decisions;
-    by default one for every 16.
+    There are `gradient_steps` gradient steps per `num_envs * rollout_steps` decisions;
+    by default one per 16 decisions.
 
     Example:
         >>> config = training.OffPolicyConfig(gradient_steps=128)
@@ -86,8 +86,8 @@ class OffPolicyConfig(LearnerConfig):
     learning_starts: Scalar = 10_000.0
     """Control steps with random actions before learning starts."""
     noise_correlation: Scalar = 0.0
-    """Correlation of the action noise from one decision to the next: 0 is white noise;
-    near 1 the noise is slow and explores further. It must be below 1."""
+    """Correlation of the action noise from one decision to the next, at least 0 and
+    below 1: 0 is white noise; near 1 the noise is slow and explores further."""
     policy_learning_rate: Scalar = 1e-3
     """Step size of Adam for the policy."""
     critic_learning_rate: Scalar = 1e-3
@@ -98,7 +98,7 @@ class OffPolicyConfig(LearnerConfig):
 
 @pytree
 class OffPolicyState(LearnerState):
-    """Train state of an off-policy run: everything that is needed to continue it."""
+    """Train state of an off-policy run: everything needed to continue it."""
 
     learner: Learner
     """Weights and optimiser states."""
@@ -107,7 +107,8 @@ class OffPolicyState(LearnerState):
     action_keys: Key[Array, " num_envs"]
     """One key per environment, for the noise of its actions."""
     action_noise: Float[Array, "num_envs action"]
-    """Standard normal noise of the last decision, from which the next one follows."""
+    """Standard normal noise of the last decision, with which that of the next one is
+    correlated."""
     replay_keys: Key[Array, " num_envs"]
     """One key per environment, for the samples drawn from its transitions."""
 
@@ -126,9 +127,9 @@ def start(
     Args:
         key: Typed random key; all randomness of the run comes from it.
         env: The environment.
-        config: Settings; their numbers can be vmapped, too.
+        config: Settings, whose numbers can also be vmapped.
         env_params: Parameters of the environment, None for its defaults.
-        total_steps: Control steps of the run, over which schedules go from their first
+        total_steps: Control steps of the run, over which schedules run from their first
             to their last value.
         make_learner: Function `(key, env, config, dtype) -> Learner` that makes initial
             weights and optimiser states.
@@ -211,8 +212,8 @@ def act_and_store(
 
     Before `learning_starts` the actions are uniform random numbers in [-1, 1]. In each
     environment the noise is an autoregressive process, z <- c z + sqrt(1 - c^2) w, with
-    w white and c the `noise_correlation`. At every decision z is standard normal, but
-    it can change slowly enough to move an arm noticeably.
+    white noise w and the `noise_correlation` c. At every decision z is standard normal,
+    but it can change slowly enough to move an arm noticeably.
 
     Args:
         state: The train state.
@@ -222,7 +223,8 @@ def act_and_store(
 
     Returns:
         The state with updated environments, replay buffer and moments, and metrics: the
-        mean reward of a decision (not scaled), and the episodes that ended.
+        mean reward of a decision (not scaled), and results of the complete episodes
+        that ended.
     """
     config: OffPolicyConfig = state.config
     environment = VectorEnvironment(state.env)
@@ -286,11 +288,12 @@ def learn(
 
     Args:
         state: The train state after `act_and_store`.
-        gradient_step: Function `(learner, batches) -> (learner, report)`.
+        gradient_step: Function `(learner, batches) -> (learner, report)`, with scalars
+            by name as report.
         acted: Metrics of `act_and_store`.
         batches_per_step: Number of batches for each call of `gradient_step`; divides
             `gradient_steps`.
-        noises: Number of noise arrays per batch, each of the shape of the actions.
+        noises: Number of noise arrays per batch, each with the shape of the actions.
         axis_name: Mapped axis over which the environments are spread, if any.
 
     Returns:

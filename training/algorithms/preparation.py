@@ -1,9 +1,10 @@
-"""Common parts of all learners: first state, schedules, devices, the trained policy.
+"""Common parts of all learners: initial state, schedules, devices, trained policy.
 
 Episodes may be cut short in the first part of a run (`restart_phase`). If the start of
-an episode decides its outcome, more episodes in the same number of steps teach more:
-half a million control steps are only 140 full episodes of Case 3. Episodes that are cut
-short are truncated, not terminated, and do not count for the score.
+an episode decides its outcome, a learner gains more from more episodes in the same
+number of steps: half a million control steps are only 140 full episodes of Case 3.
+Episodes that are cut short are truncated, not terminated, and are left out of the mean
+return.
 """
 
 from __future__ import annotations
@@ -34,7 +35,7 @@ def canonicalise(
     Args:
         key: Any typed random key; its value does not matter.
         env: The environment.
-        config: Settings of a learner, their numbers floats or arrays.
+        config: Settings of a learner, whose numbers are floats or arrays.
         env_params: Parameters of the environment, None for its defaults.
 
     Returns:
@@ -79,19 +80,23 @@ class LearnerState:
     env_params: Any
     """Parameters of the environment."""
     moments: RunningMoments
-    """Moments for normalisation: of all observations before the current update."""
+    """Mean and variance of all observations before the current update, which are used
+    to normalise observations."""
     environments: VectorState
     """State of the batch of environments."""
     updates: Int[Array, ""]
     """Number of updates so far."""
     total_updates: Int[Array, ""]
-    """Number of updates of the whole run, after which schedules are constant."""
+    """Number of updates of the whole run; schedules are constant afterwards."""
 
 
 def along_the_run(
     state: LearnerState, first: Scalar, last: Scalar, dtype: DTypeLike
 ) -> Float[Array, ""]:
-    """Schedule last + (first - last) (1 - updates / total_updates), then constant."""
+    """Schedule last + (first - last) (1 - updates / total_updates), linear in time.
+
+    It stays at `last` after `total_updates`.
+    """
     remaining = 1 - state.updates / jnp.maximum(state.total_updates, 1)
     return last + (first - last) * jnp.clip(remaining, 0, 1).astype(dtype)
 
@@ -99,7 +104,7 @@ def along_the_run(
 def restart_phase(
     env: Environment, config: Any, updates: Int[Array, ""] | int
 ) -> Int[Array, ""]:
-    """Initial elapsed step count of episodes that start now [control steps].
+    """Elapsed time at which episodes start at this point of the run [control steps].
 
     It is episode_length - short_length, at least 0, during the first `short_steps` of
     the run, so that these episodes end after `short_length` steps. Later it is 0.
@@ -119,7 +124,7 @@ def restart_phase(
 def started(
     key: Key[Array, ""], env: Environment, config: Any, env_params: Any, dtype: Any
 ) -> VectorState:
-    """The batch of environments before the first update.
+    """State of the batch of environments before the first update.
 
     Args:
         key: Typed random key.
@@ -143,8 +148,8 @@ def spread_over_devices(state: Any, **specs: Any) -> Any:
 
     Args:
         state: The train state, a dataclass.
-        **specs: Partition specs of the split fields, by name of the field. Each holds
-            for all leaves of the field.
+        **specs: Partition specs of the split fields, by name of the field. Each applies
+            to all leaves of the field.
     """
     names = [f.name for f in dataclasses.fields(state) if f.name != "env"]
     repeated: dict[str, Any] = dict.fromkeys(names, _REPEATED)
@@ -175,7 +180,10 @@ def check_memory(config: Any) -> None:
 
 
 def slots(config: Any) -> int:
-    """Length of the replay ring [decisions]: whole rollouts within `buffer_size`."""
+    """Length of each environment's replay ring [decisions]: a number of whole rollouts.
+
+    The rings of all environments together hold at most `buffer_size` decisions.
+    """
     rollouts = config.buffer_size // (config.num_envs * config.rollout_steps)
     return rollouts * config.rollout_steps
 

@@ -30,7 +30,7 @@ class Transition:
     next_observation: Float[Array, "*batch observation"]
     """Observation after the decision, before any restart of the episode."""
     terminated: Bool[Array, "*batch"]
-    """Whether the task ended here, so that the value of `next_observation` is 0."""
+    """Whether the task ended here; the value of `next_observation` is then 0."""
 
 
 @pytree
@@ -40,7 +40,7 @@ class ReplayBuffer:
     transitions: Any
     """Pytree of arrays of shape (slots, num_envs, ...), such as a `Transition`."""
     written: Int[Array, ""]
-    """Number of time steps written so far, also those overwritten since."""
+    """Number of time steps written so far, including those that were overwritten."""
 
     @property
     def slots(self) -> int:
@@ -99,7 +99,7 @@ def append(replay: ReplayBuffer, steps: Any) -> ReplayBuffer:
 def sample_indices(
     replay: ReplayBuffer, keys: Key[Array, " num_envs"], batches: int, per_env: int
 ) -> Int[Array, "batches per_env num_envs"]:
-    """Slots to sample, uniform over the filled slots, with replacement.
+    """Draws slots to sample, uniformly over the filled slots, with replacement.
 
     Args:
         replay: The buffer.
@@ -116,7 +116,10 @@ def sample_indices(
 
 
 def sample(replay: ReplayBuffer, times: Int[Array, "per_env num_envs"]) -> Any:
-    """Reads slot `times[i, j]` of environment j; shape (per_env * num_envs, ...)."""
+    """Reads slot `times[i, j]` of environment j, for all i and j.
+
+    The arrays have the shape (per_env * num_envs, ...).
+    """
     envs = jnp.broadcast_to(jnp.arange(times.shape[1])[None], times.shape)
     return jax.tree.map(
         lambda ring: ring[times.reshape(-1), envs.reshape(-1)], replay.transitions

@@ -43,7 +43,7 @@ from jaxrod.training.settings import Scalar, check_finite, check_positive
 LOG_STD_LIMITS = (-20.0, 2.0)
 """Bounds of the log standard deviation of u, the action before the tanh."""
 LARGEST_ENTROPY = math.log(2)
-"""Largest entropy of a number in [-1, 1]: log 2, that of the uniform density."""
+"""Largest entropy of a random number in [-1, 1]: log 2, for a uniform density."""
 
 
 def split_output(
@@ -59,7 +59,7 @@ def tanh_gaussian(
     log_std: Float[Array, "*batch action"],
     noise: Float[Array, "*batch action"],
 ) -> tuple[Float[Array, "*batch action"], Float[Array, "*batch"]]:
-    """The action a = tanh(u) with u = mean + std z, and the log of its density.
+    """Action a = tanh(u) with u = mean + std z, and the logarithm of its density.
 
     log p(a) = sum(log N(u) - log(1 - tanh(u)^2)). The last term is evaluated as 2 (log
     2 - u - softplus(-2 u)), which loses no digits where tanh is flat.
@@ -97,12 +97,12 @@ class SACConfig(OffPolicyConfig):
     initial_temperature: Scalar = 0.02
     """Initial temperature: the weight of the entropy in the objective."""
     entropy_per_action: Scalar = -1.0
-    """Target entropy of the policy per action, which the temperature adapts to reach.
-    Below log 2."""
+    """Target entropy of the policy per action component, below log 2. The temperature
+    is adapted to reach it."""
 
 
 def validate(config: SACConfig, num_devices: int = 1) -> None:
-    """Checks a configuration on the host.
+    """Validates a configuration on the host.
 
     Raises:
         ValueError: A setting is wrong; the message has its name and value.

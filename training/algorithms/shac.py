@@ -6,12 +6,13 @@ the value of the last state,
 $$J = \sum_{k<h} \gamma^k r_k + \gamma^h V(s_h),$$
 
 is differentiated through the simulation with respect to the policy's weights. Each
-window, and each episode that starts in it, contributes one such sum. The critic V is
-fitted to lambda returns of a target critic, which follows it slowly. With V = 0 this is
-the analytic policy gradient (APG). The objective is minus the task's smooth cost, or
-the reward; steps in the reward have no gradient.
+window, and each episode that starts within it, contributes one such sum. The critic V
+is fitted to lambda returns, which are computed with a target critic that follows V
+slowly. With V = 0 this is the analytic policy gradient (APG). The terms $r_k$ are minus
+the task's smooth cost, or the reward; discontinuities of the reward have no gradient.
 
-If the gradient is not finite, the policy step is skipped, and `skipped` reports it.
+If the gradient is not finite, the policy step is skipped, and the metric `skipped`
+reports it.
 
 Source: Xu et al., "Accelerated policy learning with parallel differentiable
 simulation", 2022.
@@ -80,15 +81,18 @@ class Window:
     terminated: Bool[Array, "steps num_envs"]
     """Whether the task ended in this step."""
     done: Bool[Array, "steps num_envs"]
-    """Whether the episode ended in this step, for whatever reason."""
+    """Whether the episode ended in this step, for any reason."""
     episodes: EpisodeRecord
-    """The complete episodes that ended."""
+    """Results of the complete episodes that ended."""
 
 
 def acted(
     state: OnPolicyState, weights: Any, noise: Float[Array, "steps num_envs action"]
 ) -> tuple[VectorState, Window]:
-    """Acts for one window with given policy weights; differentiable in the weights."""
+    """Acts for one window with given policy weights; differentiable in the weights.
+
+    Returns the environments after the window, and its samples.
+    """
     config = state.config
     environment = VectorEnvironment(state.env)
     network = policy_network(state.env, config, noise.dtype)
@@ -131,7 +135,7 @@ def objective(
 ) -> Float[Array, ""]:
     """Objective: sum of J over the starts of windows and of episodes, per decision.
 
-    J is the sum of gamma^k r_k from the start to the end of the window or of the
+    J is the sum of gamma^k r_k from such a start to the end of the window or of the
     episode, plus the discounted value there (0 if the task ended).
 
     Args:
@@ -158,7 +162,7 @@ def objective(
 def target_value(
     state: OnPolicyState, observation: Float[Array, "*batch observation"]
 ) -> Float[Array, "*batch"]:
-    """Values of normalised observations by the target critic; 0 without a critic."""
+    """Target critic's values of normalised observations; 0 without a critic."""
     if not state.config.critic:
         return jnp.zeros_like(observation[..., 0])
     network = value_network(state.config, observation.dtype)
@@ -177,7 +181,7 @@ class WithCost(EnvironmentWrapper):
     """The wrapped environment, which has a method `cost`."""
 
     def __post_init__(self) -> None:
-        """Checks that the environment has a cost."""
+        """Raises a ValueError if the environment has no cost."""
         if not hasattr(self.env, "cost"):
             raise ValueError(
                 f"{type(self.env).__name__} has no cost (jaxrod.envs.Plannable): "
@@ -239,7 +243,7 @@ class SHACConfig(OnPolicyConfig):
 
 
 def validate(config: SHACConfig, num_devices: int = 1) -> None:
-    """Checks a configuration on the host.
+    """Validates a configuration on the host.
 
     Raises:
         ValueError: A setting is wrong; the message has its name and value.
@@ -279,10 +283,10 @@ def init(
 
     Args:
         key: Typed random key; all randomness of the run comes from it.
-        env: The environment, with a method `cost` if that is the objective.
-        config: Settings; their numbers can be vmapped, too.
+        env: The environment, with a method `cost` if the objective is the cost.
+        config: Settings, whose numbers can also be vmapped.
         env_params: Parameters of the environment, None for its defaults.
-        total_steps: Control steps over which the learning rate falls.
+        total_steps: Control steps of the run, over which the learning rate falls.
 
     Raises:
         ValueError: The objective is the cost, but the environment has none.
@@ -399,8 +403,8 @@ def _fitted(
     aim = value + generalised_advantages(
         reward=window.earned,
         value=value,
-        # Used only where the last step ended no episode. Its final observation is then
-        # the next one.
+        # Used only where the last step did not end an episode. Its final observation is
+        # then the next one.
         last_value=following[-1],
         final_value=following,
         terminated=window.terminated,

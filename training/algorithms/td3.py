@@ -70,7 +70,7 @@ class TD3Config(OffPolicyConfig):
     exploration_noise: Scalar = 0.1
     """Standard deviation of the noise added to actions while acting [1]."""
     exploration_decay: Scalar = 0.0
-    """Fraction by which the exploration noise falls over the run, linearly."""
+    """Fraction by which the exploration noise decreases over the run, linearly."""
     target_noise: Scalar = 0.2
     """Standard deviation of the noise of target policy smoothing [1]."""
     target_noise_limit: Scalar = 0.5
@@ -78,7 +78,7 @@ class TD3Config(OffPolicyConfig):
 
 
 def validate(config: TD3Config, num_devices: int = 1) -> None:
-    """Checks a configuration on the host.
+    """Validates a configuration on the host.
 
     Raises:
         ValueError: A setting is wrong; the message has its name and value.
@@ -222,8 +222,11 @@ TD3 = Algorithm(
 class DDPGConfig(TD3Config):
     """Settings of DDPG: those of TD3 with one critic, no delay and no target smoothing.
 
-    `jaxrod.training.TD3Config` describes the settings. Source: Lillicrap et al.,
-    "Continuous control with deep reinforcement learning", 2016.
+    The default step size of the policy is also smaller than that of TD3.
+    `jaxrod.training.TD3Config` describes the settings.
+
+    Source: Lillicrap et al., "Continuous control with deep reinforcement learning",
+    2016.
 
     Example:
         >>> training.DDPGConfig().critics, training.TD3Config().critics

@@ -72,10 +72,11 @@ class TRPOConfig(OnPolicyConfig):
     value_minibatches: int = static(default=8)
     """Number of gradient steps in one pass; divides `rollout_steps`."""
     max_kl: Scalar = 0.01
-    """Bound on the policy's change in the first update: largest mean of
-    KL(old policy, new policy) over the observations [nat]."""
+    """Bound on the policy's change in the first update: KL(old policy, new policy),
+    averaged over the observations [nat]."""
     final_max_kl: Scalar = 0.01
-    """Bound on the policy's change in the last update [nat]; linear in between."""
+    """Bound on the policy's change in the last update [nat]; the bound is linear in
+    between."""
     damping: Scalar = 0.01
     """Damping d: F + d I replaces the Fisher matrix F."""
     line_search_shrink: Scalar = 0.5
@@ -86,7 +87,7 @@ class TRPOConfig(OnPolicyConfig):
 
 
 def validate(config: TRPOConfig, num_devices: int = 1) -> None:
-    """Checks a configuration on the host.
+    """Validates a configuration on the host.
 
     Raises:
         ValueError: A setting is wrong; the message has its name and value.
@@ -226,9 +227,9 @@ def mean_divergence(
 ) -> Float[Array, ""]:
     """KL(old, new) of normal distributions, averaged over the samples [nat].
 
-    KL = sum(log(s'/s) + (s^2 + (m - m')^2) / (2 s'^2) - 1/2), the new distribution
-    primed. It is written with expm1, so that float32 resolves nearly equal
-    distributions.
+    KL = sum(log(s'/s) + (s^2 + (m - m')^2) / (2 s'^2) - 1/2), with the means m and
+    standard deviations s; a prime marks the new distribution. It is computed with
+    expm1, so that float32 resolves nearly equal distributions.
     """
     change = log_std - old_log_std
     spread = change + 0.5 * jnp.expm1(-2 * change)
@@ -239,7 +240,11 @@ def mean_divergence(
 def _fit_value(
     state: OnPolicyState, experience: Experience, axis_name: str | None
 ) -> tuple[OnPolicyState, Float[Array, ""]]:
-    """Fits the value network to the value targets; returns the state and mean loss."""
+    """Fits the value network to the value targets.
+
+    Returns:
+        The updated state, and the mean loss.
+    """
     config: TRPOConfig = state.config
     shuffle_key, own = jax.random.split(state.shuffle_key)
     weights, memory, error = fit_value(
@@ -313,10 +318,10 @@ def conjugate_gradient(
     iterations: int,
     tolerance: float = 1e-10,
 ) -> Vector:
-    """Conjugate gradients: solves A x = b for a positive definite A, given A x alone.
+    """Conjugate gradients: solves A x = b for a positive definite A, from products A x.
 
     It stops early when the squared residual is below `tolerance` times its initial
-    value: further iterations would only produce round-off.
+    value, because further iterations would only add round-off.
 
     Args:
         product: Function that returns A x for a vector x.
@@ -366,7 +371,7 @@ class LineSearch:
     """Result of a backtracking line search."""
 
     point: Vector
-    """Accepted point; the start if no point was accepted."""
+    """Accepted point; the starting point if none was accepted."""
     accepted: Bool[Array, ""]
     """Whether a point was accepted."""
     backtracks: Int[Array, ""]
@@ -384,10 +389,10 @@ def backtrack(
 
     Args:
         acceptable: Function that returns whether a point is acceptable.
-        start: Start of the step.
-        step: The step of the first try.
+        start: Starting point.
+        step: Step of the first try, from the starting point.
         shrink: Factor from one try to the next.
-        tries: Largest number of tries; if all fail, the result is the start.
+        tries: Largest number of tries; if all fail, the result is the starting point.
     """
 
     def unfinished(carry: tuple[Array, Array]) -> Bool[Array, ""]:

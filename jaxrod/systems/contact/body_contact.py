@@ -1,11 +1,11 @@
 r"""Contact of rods with rigid bodies that move.
 
-The law is that of `jaxrod.contacts.contact`: points along the rod against the signed
-distance of the surface of a body at its current pose, with the velocity of this
-surface. Force and reaction act at one point, $c = x - r n$ on the rod's surface: on the
-rod's section with the lever arm $-r n$, on the body with the lever arm $c - X$. So
-momentum and angular momentum are exact, with damping and friction too, and friction
-makes both roll.
+The law is that of `jaxrod.contacts.contact`. At points $x$ along a rod of radius $r$ it
+uses the signed distance to the surface of a body at its current pose, the normal $n$,
+and the velocity of this surface. Force and reaction act at one point, $c = x - r n$ on
+the rod's surface: on the rod's section with the lever arm $-r n$, on the body, with the
+origin $X$, with the lever arm $c - X$. So momentum and angular momentum are conserved
+exactly, also with damping and friction, and friction makes rod and body roll.
 """
 
 from __future__ import annotations
@@ -56,8 +56,8 @@ class BodyContact(PenaltyContact):
     """
 
     touching: Float[Array, ""] | None = None
-    """Length of rod that touches a body at one time, for the stability bound; `None`
-    for all of it [m]."""
+    """Largest length of rod that touches a body at one time, for the stability bound
+    [m]; if `None`, the whole length."""
     free_ends: Float[Array, "rods 2"] | None = None
     """Flags of the rods' ends: 1 if free, 0 if tied or attached."""
     segments: RodSegments | None = None
@@ -74,7 +74,7 @@ class BodyContact(PenaltyContact):
 
     @property
     def is_contact(self) -> bool:
-        """True: marks forces that a replay can show as contact forces."""
+        """Always `True`: a replay can show these forces as contact forces."""
         return True
 
     def check(self, parts: AllParts) -> None:
@@ -244,13 +244,14 @@ class BodyContact(PenaltyContact):
         return worst
 
     def stability_bounds(self, parts: AllParts) -> dict[str, StabilityBound]:
-        """Bounds of stiffness and drag as if all of every rod touched every body.
+        """Bounds of stiffness and drag with each rod's whole length on every body.
 
-        With `touching` only that length of rod counts. A spring's change of length is
-        the sum of the contributions of node and body. By the Cauchy-Schwarz inequality
-        its energy is at most that of all masses together at the squared frequency `k`
-        times the sum of the mobilities. The mobility of a node is its length over its
-        mass. That of a body is the length touching it times its `surface_mobility`.
+        With `touching`, at most that length of rod touches a body. A spring's change of
+        length is the sum of the contributions of node and body. By the Cauchy-Schwarz
+        inequality its energy is at most that of all masses together at the squared
+        frequency `k` times the sum of the mobilities, with the stiffness `k`. The
+        mobility of a node is its length over its mass. That of a body is the length
+        touching it times its `surface_mobility`.
         """
         rods, bodies = parts[self.rod], parts[self.body]
         assert rods.linear_density is not None and rods.radii is not None
@@ -343,10 +344,10 @@ def body_contact(
         friction_drag: Largest friction per length and slip speed [kg/(m s)]; by default
             equal to `damping`.
         onset: Width of the smooth onset of contact, divided by the rod's radius [1].
-        points_per_element: Contact points per element; by default so many that they are
+        points_per_element: Contact points per element; by default enough that they are
             at most a radius apart.
-        touching: Length of rod that touches a body at a time, for `stable_dt`; by
-            default all of it [m].
+        touching: Largest length of rod that touches a body at one time, for
+            `stable_dt`; by default the whole length [m].
 
     Returns:
         A coupling for `make_system`.

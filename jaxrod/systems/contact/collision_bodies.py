@@ -1,16 +1,17 @@
-r"""Rigid bodies in contact: surfaces, balls tested against others, and mobilities.
+r"""Rigid bodies in contact: surfaces, balls tested against surfaces, and mobilities.
 
-Mobilities of surfaces bound the step that contact allows. The balls of a shape
-(`jaxrod.systems.contact.sphere_cloud`) have the shape in their convex hull. The
-mobility grows outwards, so its maximum is at a ball. Without friction forces are normal
-to the surface. On a round body they pass through the centre of a ball, which then is
-the end of the lever arm.
+Mobilities of surfaces limit the time step with contact. The convex hull of the balls of
+a shape (`jaxrod.systems.contact.sphere_cloud`) contains the shape. The mobility grows
+outwards, so its maximum is at a ball. Without friction, forces are normal to the
+surface. On a round body they pass through the centre of a ball, which is then the end
+of the lever arm.
 
-Other shapes are within `Body.bounding_radius`. If that is not known, the body is
+Other shapes are bounded by `Body.bounding_radius`. If that is not known, the body is
 assumed to be convex and of uniform density. Then it extends from its centre of mass by
-at most $\sqrt{15\,s/m}$ in the direction of each principal axis, with the second
-moment of mass $s$ along it (R. Kannan, L. Lovász and M. Simonovits, Discrete Comput.
-Geom. 13 (1995) 541). Of a cone, this is the height of its tip.
+at most $\sqrt{15\,s/m}$ in the direction of each principal axis, with the mass $m$ and
+the second moment of mass $s$ along the axis (R. Kannan, L. Lovász and M. Simonovits,
+Discrete Comput. Geom. 13 (1995) 541). For a cone, this is the distance of its tip from
+the centre of mass.
 """
 
 from __future__ import annotations
@@ -46,9 +47,9 @@ class Posed:
     shape: Body
     """Surface of the body in its own frame."""
     position: Vec3
-    """Origin of the body's frame [m]."""
+    """Origin of the body's frame, world frame [m]."""
     frame: tuple[Vec3, Vec3, Vec3]
-    """Axes d1, d2, d3 of the body's frame, world frame."""
+    """Axes d1, d2, d3 of the body's frame, as vectors in the world frame."""
     velocity: Vec3
     """Velocity of the origin, world frame [m/s]."""
     spin: Vec3
@@ -101,8 +102,8 @@ class CollisionBodies:
     moment of inertia J and mass m, which is a sphere's radius; infinite for a fixed
     body [m]."""
     mobilities: tuple[Array, Array]
-    """Largest mobilities at a contact of each body, for normal forces and for any; zero
-    if fixed [1/kg]."""
+    """Largest mobilities of each body at a contact, for normal forces and for forces in
+    any direction; zero if fixed [1/kg]."""
     masses: Array
     """Mass of each body; infinite for a fixed body [kg]."""
     inertias: Array
@@ -160,7 +161,7 @@ def collision_bodies(
 
     Args:
         members: Constants of the members.
-        fixed: Bodies that stand still.
+        fixed: Fixed bodies.
         balls: Number of balls along the axis of each member and fixed body.
         points_per_edge: Points on every edge of a box, corners included.
         points: Contact points of members, by name, in place of their balls `(3, k)`
@@ -259,7 +260,7 @@ class CollisionPair:
     def between(
         a: CollisionBodies, b: CollisionBodies, *, same: bool
     ) -> tuple[Way, ...]:
-        """Directions in which two groups are tested: whose balls, with which weight.
+        """Tests of balls against surfaces that two groups need; see `Way`.
 
         Args:
             a: The first group.
@@ -285,7 +286,7 @@ class CollisionPair:
 
     @staticmethod
     def contacts(a: CollisionBodies, b: CollisionBodies, *, same: bool) -> float:
-        """Largest weighted number of balls in contact between bodies of `a` and `b`.
+        """Largest weighted number of balls in contact between a body of `a` and of `b`.
 
         With `same`, `a` and `b` are one group.
         """
@@ -377,8 +378,8 @@ class CollisionPair:
         Couples are about the origins of the bodies, world frame.
 
         Args:
-            force: Force of each surface on each ball, as `depth` is shaped, world frame
-                [N].
+            force: Force of each surface on each ball, world frame, of the shape of
+                `depth` [N].
         """
         couples = vectors.cross(self.arms[0], force)
         back = vectors.cross(force, self.arms[1])
@@ -433,12 +434,14 @@ def _touch(
 def surface_mobility(
     bodies: Parts, *, rubs: bool, points: Array | None = None
 ) -> Float[Array, " k"]:
-    """Largest velocity per impulse of a point on the surface of each body [1/kg].
+    """Bound on the velocity of surface points per unit impulse, for each body [1/kg].
 
     Args:
         bodies: Constants of the bodies, which have a shape.
-        rubs: Whether forces have any direction; else they are normal to the surface.
-        points: Contact points on the surface `(3, points)`, if there are any [m].
+        rubs: Whether forces can have any direction, as with friction; otherwise they
+            are normal to the surface.
+        points: Contact points on the surface, in the bodies' frames `(3, points)`, if
+            there are any [m].
     """
     assert bodies.shape is not None
     turning = _turning(bodies, rubs)
@@ -479,7 +482,7 @@ def _of_cloud(bodies: Parts, cloud: SphereCloud, rubs: bool) -> Array:
 
 
 def _of_balls(bodies: Parts, centres: Array, radii: Array) -> Array:
-    """Largest mobility by turning among balls, for each body [1/kg]."""
+    """Largest mobility through rotation of any ball, for each body [1/kg]."""
     x, y, z = (c[:, None] for c in centres)
     each = turning_mobility(bodies.inertias[:, None, :], (x, y, z), radii[:, None])
     return jnp.max(each, axis=0)

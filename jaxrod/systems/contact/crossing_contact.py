@@ -4,13 +4,16 @@ Over the segments $i$, $j$ of two rods and the nodes between segments
 
 $$E = \sum_{ij} \big[\psi(p_{ij}) - \psi(p_{vj}) - \psi(p_{iw}) + \psi(p_{vw})\big].$$
 
-The penetration $p$ is taken at the closest points of two segments, of the second node
-$v$ or $w$ of one segment and the other segment, and of both nodes. Segments are pieces
-of curves that are smooth at nodes (`jaxrod.systems.contact.smooth_axes`): on polylines,
-rods at rest on each other would slide to nodes, where their energy is lower. By
-inclusion-exclusion over segments and the nodes between them a crossing counts once,
-wherever it is and however long segments are compared with their radius. The sum is
-smooth, since a node subtracts exactly the energy that both its segments have there.
+Here $\psi$ is the energy of a spring with the smooth onset of
+`jaxrod.contacts.contact_law`, and $v$ and $w$ are the second nodes of the segments $i$
+and $j$. The penetrations $p$ are those at the closest points of both segments, at the
+second node of one segment and the closest point of the other, and at both second nodes.
+Segments are pieces of curves that are smooth at nodes
+(`jaxrod.systems.contact.smooth_axes`): on polylines, rods at rest on each other would
+slide to nodes, where their energy is lower. By inclusion-exclusion over segments and
+the nodes between them a crossing counts once, wherever it is and however long segments
+are compared with their radius. The sum is smooth, since a node subtracts exactly the
+energy that both its segments have there.
 Rods that lie side by side also count once, however long the contact is. The law is
 meant for nests, nets and knots of long elements. Forces are exactly those of the
 energy, and act at one common point of both rods.
@@ -122,7 +125,7 @@ class CrossingContact(TouchingRods):
         )
 
     def weights(self, a: int, b: int, own: Elements, other: Elements) -> Array:
-        """Weights of pairs: one, less near ties and between neighbours on a rod [1]."""
+        """Weights of pairs: one, or less near ties and for neighbours on a rod [1]."""
         share = self.share(a, b, own, other)
         return jnp.ones_like(own.radii + other.radii) if share is None else share
 
@@ -131,9 +134,9 @@ class CrossingContact(TouchingRods):
     ) -> Iterator[ContactPair]:
         """Five pairs of points for each pair of elements, with their weights.
 
-        Two segments touch at their closest points and, as far as they are parallel, at
-        the middles of their overlap. By inclusion-exclusion, second nodes with segments
-        are subtracted and pairs of second nodes are added.
+        Two segments touch at their closest points and, to the degree that they are
+        parallel, at the middles of their overlap. By inclusion-exclusion, pairs of a
+        second node and a segment are subtracted, and pairs of second nodes are added.
         """
         way = vectors.subtract(own.first, other.first)
         lines = way, own.edge, other.edge
@@ -191,7 +194,7 @@ class CrossingContact(TouchingRods):
     def _shifting(
         self, nearest: ContactPair, middle: ContactPair, own: Elements, other: Elements
     ) -> tuple[Vec3, Vec3, Vec3]:
-        """Forces from changes of the weight c of closest points, and of the middles.
+        """Forces due to changes of the weight c of closest points, and of the middles.
 
         The energy of two segments is c times that of contact at their closest points,
         `nearest`, plus 1 - c times that of contact at the middles of their overlap,
@@ -329,7 +332,7 @@ def crossing_contact(
 ) -> CrossingContact:
     """Contact between all rods of the named members, counted once for each crossing.
 
-    It is for rods that cross and whose elements are longer than some radii: nests,
+    It is for rods that cross and whose elements are longer than a few radii: nests,
     nets, knots. Rods that lie side by side repel each other like one crossing, however
     long they are: use `rod_contact` for bundles.
 
@@ -345,8 +348,8 @@ def crossing_contact(
         onset: Width of the smooth onset of contact, divided by the mean of the radii
             [1].
         max_contacts: Rods that may cross one element at the same time, for `stable_dt`.
-        lists: Lists of neighbours, from `neighbour_lists`; by default every step tests
-            all pairs of elements.
+        lists: Settings from `neighbour_lists`; by default there are no lists, and every
+            step tests all pairs of elements.
 
     Returns:
         A coupling for `make_system`.

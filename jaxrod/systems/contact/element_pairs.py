@@ -74,7 +74,7 @@ class Elements:
     first_radii: Array | None = None
     """Radius at the first node of each element [m]; `None` without contact points."""
     first_lengths: Array | None = None
-    """Rest length that the contact point at the first node stands for [m]; `None`
+    """Rest length that the contact point at the first node represents [m]; `None`
     without contact points."""
     last: Array | None = None
     """Flag: 1 where an element is the last of its rod, else 0 [1]; `None` without
@@ -120,7 +120,10 @@ class Elements:
         return _combined(self.edge, (a, first), (b, second))
 
     def bend(self, fraction: Array) -> Vec3:
-        """Second derivative of the point on a smooth axis by the fraction [m]."""
+        """Second derivative of points on the axis with respect to the fraction [m].
+
+        The axis must be smooth.
+        """
         assert self.bulges is not None
         first, second = self.bulges
         a, b = 6 * fraction - 4, 6 * fraction - 2
@@ -278,7 +281,10 @@ def unpack(rows: Array, like: Tree) -> Tree:
 
 
 def scatter_add(tree: Tree, index: Int[Array, "..."], size: int) -> Tree:
-    """Sums pair values on `size` elements; `index` gives the element of each pair."""
+    """Sums pair values over the pairs of each of `size` elements.
+
+    `index` gives the element of each pair.
+    """
     rows = pack(tree)
     total = jnp.zeros((size, rows.shape[-1]), rows.dtype).at[index].add(rows)
     return unpack(total, tree)

@@ -1,4 +1,4 @@
-"""Lists of neighbours: their sizes, and how often they are rebuilt.
+"""Neighbour lists: their sizes, and how often they are rebuilt.
 
 A list holds pairs of elements of two members that may touch before it is rebuilt: the
 gap between their surfaces is below a *skin*. The list is valid while no node has moved
@@ -29,7 +29,7 @@ MOST_IN_CELLS = 10_000
 
 @pytree
 class NeighbourLists:
-    """Settings of lists of neighbours; see `neighbour_lists`.
+    """Settings of neighbour lists; see `neighbour_lists`.
 
     Example:
         >>> lists = systems.neighbour_lists(refresh_every=20)
@@ -101,7 +101,7 @@ RECORD = "neighbours"
 
 
 def no_record(dtype: Any) -> NeighbourRecord:
-    """Record with which a run begins: all zero."""
+    """Record at the beginning of a run: all zero."""
     zero = jnp.zeros((), dtype)
     return NeighbourRecord(zero, zero, zero)
 
@@ -109,7 +109,7 @@ def no_record(dtype: Any) -> NeighbourRecord:
 def with_shortage(
     record: NeighbourRecord, couplings: Sequence[Coupling]
 ) -> NeighbourRecord:
-    """Updates the record with the shortage of entries in the last searches."""
+    """Copy of the record, updated with the counts of entries in the last searches."""
     missed, used = record.missed, record.used
     for coupling in couplings:
         if coupling.refresh_every is not None:
@@ -132,17 +132,17 @@ def neighbour_lists(
     candidates: int | None = None,
     cell_slots: int | None = None,
 ) -> NeighbourLists:
-    """Lists of neighbours for contact among many rods.
+    """Settings of neighbour lists, for contact among many rods.
 
     Lists are made at the beginning of every run and every `refresh_every` steps in it.
     Results are the same as without lists as long as `health` raises neither of two
     flags: `overflow` for too few entries, and `stale` if a node moved by more than half
-    the skin before the lists were made again. `jaxrod.systems.neighbours` counts the
+    the skin before the lists were rebuilt. `jaxrod.systems.neighbours` counts the
     entries that a state needs.
 
     Args:
-        refresh_every: Steps between searches: somewhat less than `skin * radius / (2 *
-            dt * speed)` with the speed of the fastest node.
+        refresh_every: Steps between searches. It should be somewhat less than `skin *
+            radius / (2 * dt * speed)`, with the speed of the fastest node.
         skin: Gap between surfaces up to which elements are listed, divided by the
             largest radius [1]. A larger skin makes lists longer and valid for more
             steps.
@@ -152,8 +152,8 @@ def neighbour_lists(
         candidates: Largest number of pairs whose exact distance is computed, several
             times `pairs`; also counted by default.
         cell_slots: Largest number of elements in three neighbouring cells of the search
-            grid, or 0 to test all pairs instead. By default it is counted, too; members
-            of up to some hundred elements test all pairs.
+            grid, or 0 to test all pairs instead. By default it is 0 if no member has
+            more than 200 elements, and counted otherwise.
 
     Returns:
         Settings for the argument `lists` of `rod_contact` and `crossing_contact`.

@@ -1,4 +1,4 @@
-"""Search for elements that are near to each other: in a grid of cells, or among all.
+"""Search for pairs of elements near each other: in a grid of cells, or over all pairs.
 
 The edge of a cell is longer than the largest distance between the midpoints of a pair
 within reach. The grid is centred at the mean of the second elements' midpoints.
@@ -10,9 +10,9 @@ that may be near, five if each pair of one member is searched once.
 Pairs from these stretches are candidates if their midpoints are near enough for their
 lengths. The exact distance is computed for candidates only. The k-th candidate of an
 element is where its running count reaches k, found by bisection. Candidates are
-processed in blocks, and the pairs that remain of a block are written behind those of
-the blocks before. There is no scatter, no sort except that by cells, and no loop over
-empty rows or blocks.
+processed in blocks, and the pairs that remain of a block are written after those of
+earlier blocks. There is no scatter, no sort except by cell, and no loop over empty rows
+or blocks.
 """
 
 from __future__ import annotations
@@ -35,9 +35,9 @@ from jaxrod.systems.contact.segment_distance import nearest_places
 CELLS = 1024
 """Number of cells along each axis: 2^10, so that three indices form a 30-bit key."""
 BLOCK = 16_384
-"""Number of candidate pairs whose exact distance is computed at once."""
+"""Number of candidate pairs whose exact distances are computed together."""
 MOST_AT_ONCE = 1024
-"""Largest number of second elements for which all pairs are tested at once."""
+"""Largest number of second elements for which all pairs are tested together."""
 _ROUNDING = 1e-3
 """Relative margin of the cell size, so that round-off cannot move an element into a
 non-adjacent cell."""
@@ -72,7 +72,7 @@ class Rows:
 
     The second elements are sorted. Each first element is tested against some stretches
     of this order, each of consecutive elements. A row is the k-th element of one
-    stretch, for all first elements at once.
+    stretch, for all first elements together.
     """
 
     begin: Int[Array, "stretches own"]
@@ -88,7 +88,8 @@ class Rows:
     slots: int = static()
     """Static upper bound of `wide`: most elements tested in a stretch."""
     complete: bool = static(default=False)
-    """Whether there is only one stretch, with all second elements in order."""
+    """Whether all rows are tested together: there is one stretch, which contains all
+    second elements in order, at most `MOST_AT_ONCE`."""
 
     @property
     def room(self) -> int:
@@ -101,7 +102,7 @@ class Rows:
         return self.begin.shape[0] * self.wide
 
     def places(self, row: Array, own: Array | slice) -> tuple[Array, Array]:
-        """Positions in `order` of the second elements that a row tests; their mask.
+        """Positions in `order` of the second elements that a row tests, and a mask.
 
         They are tested against the first elements `own`. The mask is false where the
         stretch of a first element has no entry in this row.
@@ -130,7 +131,7 @@ def found_by(
     *,
     once: bool,
 ) -> FoundNeighbours:
-    """Searches the neighbour lists of all pairs of members.
+    """Finds the neighbours of all pairs of members, and lists them.
 
     Args:
         how: Settings of the lists, with their sizes.

@@ -1,8 +1,8 @@
 """Penalty contact of members: base class of couplings, and forces of pairs of points.
 
 Force and reaction act at one common point, midway between the two surfaces. So momentum
-and angular momentum are exact, with damping and friction too, and friction turns both
-elements.
+and angular momentum are conserved exactly, also with damping and friction, and friction
+turns both elements.
 """
 
 from __future__ import annotations
@@ -53,7 +53,7 @@ def law_numbers(
     *,
     per_length: bool,
 ) -> dict[str, Any]:
-    """Checks the parameters of the law; returns them as fields of `PenaltyContact`.
+    """Validates the parameters of the law; returns the fields of `PenaltyContact`.
 
     Args:
         stiffness: Normal force per penetration [N/m^2] or [N/m].
@@ -91,7 +91,7 @@ def law_numbers(
 
 
 def check_members(members: tuple[str, ...]) -> None:
-    """Raises unless members are one or more strings, no two of them equal."""
+    """Raises an error unless members are one or more strings, no two of them equal."""
     for name in members:
         if not isinstance(name, str):
             raise TypeError(f"members are named by strings, got {name!r}")
@@ -110,7 +110,7 @@ class ContactPair:
 
     places: tuple[Array | None, Array]
     """Fractions along the first and the second element at which the points lie [1]; the
-    first is `None` if a contact point stands for the first element."""
+    first is `None` if a contact point represents the first element."""
     normal: Vec3
     """Unit vectors from the second point to the first."""
     weight: Array

@@ -1,14 +1,14 @@
-r"""Contact of rigid bodies with one another and with bodies that stand still.
+r"""Contact of rigid bodies with one another and with fixed bodies.
 
 Balls on one body (`jaxrod.systems.contact.sphere_cloud`) are tested against the signed
 distance of the other's surface. Every ball has the law of
 `jaxrod.contacts.contact_law`, with a stiffness in N/m. If one of the two bodies is
-round, its balls are enough. If both have edges, the corners of each are tested against
-the other.
+round, testing its balls is enough. If both have edges, the corners of each are tested
+against the other.
 
 Force and reaction act at one point, midway between the two surfaces, with the
-velocities of both bodies there. So momentum and angular momentum are exact, with
-damping and friction too, and friction makes bodies roll.
+velocities of both bodies there. So momentum and angular momentum are conserved exactly,
+also with damping and friction, and friction makes bodies roll.
 """
 
 from __future__ import annotations
@@ -53,7 +53,7 @@ class RigidContact(PenaltyContact):
     """
 
     fixed: tuple[Body, ...] = ()
-    """Bodies that stand still."""
+    """Fixed bodies."""
     points: dict[str, Array] | None = None
     """Contact points on the surfaces of members, by name, in the bodies' frames `(3,
     points)` [m]."""
@@ -89,9 +89,9 @@ class RigidContact(PenaltyContact):
                 )
 
     def fitted(self, parts: AllParts, tied: tuple[TiedPair, ...]) -> RigidContact:
-        """Copy in which each body has its number of balls, to detect contact with.
+        """Copy with `balls` set: the numbers of balls, at which contact is detected.
 
-        It is `balls_per_axis`, or else follows from the body's shape.
+        They are `balls_per_axis`, if given, and otherwise follow from the shapes.
 
         Raises:
             ValueError: If no bodies can meet, or contact of two bodies cannot be
@@ -205,7 +205,7 @@ class RigidContact(PenaltyContact):
         return worst
 
     def stability_bounds(self, parts: AllParts) -> dict[str, StabilityBound]:
-        """Bounds of stiffness and drag if as many balls as possible touch at once."""
+        """Bounds of stiffness and drag with as many balls in contact as possible."""
         moving, rubs = self.groups[: len(self.members)], self.friction is not None
         drag = self.law.largest_drag
         springs: list[list[Array]] = [[] for _ in moving]
@@ -253,9 +253,9 @@ def rigid_contact(
     balls_per_axis: int | None = None,
     max_contacts: int | None = None,
 ) -> RigidContact:
-    """Contact of rigid bodies with one another and with bodies that stand still.
+    """Contact of rigid bodies with one another and with fixed bodies.
 
-    Spheres touch everything exactly. Capsules and cylinders are rows of balls at most a
+    Contact of spheres is exact. Capsules and cylinders are rows of balls at most a
     radius apart; cylinders also stand and roll on their rims. Boxes touch with their
     corners. Where the edges of two boxes cross, with no corner of one in the other,
     only the points of `points_per_edge` touch.
@@ -263,7 +263,7 @@ def rigid_contact(
     Args:
         *members: Names of members that are rigid bodies. Every body touches all others,
             including those of its own member.
-        fixed: Bodies that stand still, such as `jaxrod.shapes.plane()` for the ground.
+        fixed: Fixed bodies, such as `jaxrod.shapes.plane()` for the ground.
         stiffness: Force per penetration of every ball or corner that touches [N/m].
         damping: Force per normal speed [kg/s].
         friction: Coefficient of Coulomb friction [1].
@@ -274,8 +274,8 @@ def rigid_contact(
         points: Contact points on the surfaces of members, by name, in the bodies'
             frames `(3, k)` [m]. Bodies from `jaxrod.shapes.signed_distance` need them.
         points_per_edge: Points on every edge of a box, corners included.
-        balls_per_axis: Balls along the axis of capsules and cylinders; by default so
-            many that they are at most a radius apart.
+        balls_per_axis: Balls along the axis of capsules and cylinders; by default
+            enough that they are at most a radius apart.
         max_contacts: Bodies that may touch one body at the same time, for `stable_dt`:
             12 for equal spheres; by default all bodies.
 

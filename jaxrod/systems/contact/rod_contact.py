@@ -7,12 +7,14 @@ $$E = \tfrac12 \sum_a w_a \Big[\sum_j \psi(p_{aj}) - \sum_v \psi(p_{av})\Big]
   + (\text{the rods exchanged}),$$
 
 with the penetration $p = r_a + r_b - d$ at the closest point of a segment or at a node,
-the energy per length $\psi$ of `jaxrod.contacts.contact_law`, and the rest length $w_a$
-of a point. By inclusion-exclusion over segments and the nodes between them every
-contact counts once, also where the closest point passes from one segment to the next.
-So parallel rods press on each other with $k p$ per length, whatever their grids. Forces
+for the radii $r$ and the distance $d$ of the axes, the energy per length $\psi$ of
+`jaxrod.contacts.contact_law`, and the rest length $w_a$ that a point $a$ represents. By
+inclusion-exclusion over segments and the nodes between them every contact counts once,
+also where the closest point passes from one segment to the next. So parallel rods press
+on each other with the force $k p$ per length, for any sizes of their elements. Forces
 of a pair act at one common point between the two surfaces. So momentum and angular
-momentum are exact, with damping and friction too, and friction makes both rods roll.
+momentum are conserved exactly, also with damping and friction, and friction makes both
+rods roll.
 """
 
 from __future__ import annotations
@@ -89,15 +91,18 @@ class RodContact(TouchingRods):
     has_contact_points: ClassVar[bool] = True
 
     def bounding_radii(self, a: int) -> Array:
-        """Larger of each element's radius and its first node's, in member `a` [m]."""
+        """Largest radius of each element of member `a`, for the search [m].
+
+        It is the larger of the element's own radius and that of its first node.
+        """
         return jnp.maximum(self.segments[a].first_radii, self.segments[a].radii)
 
     def allowed(self, a: int, b: int, own: Bounds, other: Bounds) -> Any:
         """Mask of the pairs of elements that may touch; `None` for all.
 
-        Elements of members `a` and `b` that differ, or of two rods, may touch. Elements
-        of one rod may with self-contact, if they reach farther apart along it than pi
-        radii.
+        Elements of two members or of two rods may touch. Elements of one rod may touch
+        with self-contact if some point of the first is more than pi times the radius
+        away from the second along the rod.
         """
         if a != b:
             return None
@@ -129,22 +134,23 @@ class RodContact(TouchingRods):
     def weights(self, a: int, b: int, own: ContactPoints, other: Elements) -> Array:
         """Weights of point-segment pairs: half the point's rest length, or less [m].
 
-        Half, since the points of each rod are tested against the segments of the other.
-        Less near tied nodes and between neighbouring elements of one rod.
+        The half is there because the points of each rod are tested against the segments
+        of the other. Weights are smaller near tied nodes and between neighbouring
+        elements of one rod.
         """
         half = 0.5 * own.lengths
         share = self.share(a, b, own, other)
         return half if share is None else half * share
 
     def scales(self, own: ContactPoints, other: Elements) -> tuple[Array, Array]:
-        """Radius and rest length of the segments, which limit self-contact [m]."""
+        """Radii and rest lengths of the segments, which limit self-contact [m]."""
         assert other.rest_lengths is not None
         return other.radii, other.rest_lengths
 
     def contact_pairs(
         self, own: ContactPoints, other: Elements, weights: Array
     ) -> Iterator[ContactPair]:
-        """Pairs of points with the closest points on segments, and with second nodes.
+        """Pairs contact points with closest points on segments, and with second nodes.
 
         Pairs with second nodes have negative weights (inclusion-exclusion), or zero
         where no other segment follows.
@@ -215,7 +221,7 @@ class RodContact(TouchingRods):
         return one, replace(two, forces=vectors.scale(-1.0, one.forces))
 
     def bound(self, own: Parts, every: list[Parts]) -> StabilityBound:
-        """Bounds of stiffness and drag as if `max_contacts` rods touched all of a rod.
+        """Bounds of stiffness and drag with `max_contacts` rods along the whole rod.
 
         A spring's change of length is the sum of the contributions of two rods. Its
         square is at most twice the sum of their squares. Slip has four contributions,
@@ -223,7 +229,7 @@ class RodContact(TouchingRods):
         `own` and `every` are the constants of the rod's member and of all members.
         """
         assert own.linear_density is not None
-        # Length that a node stands for, from its mass.
+        # Length that a node represents, from its mass.
         lengths = self.max_contacts * own.node_masses / jnp.min(own.linear_density)
         stiffness = 2 * self.stiffness * lengths
         drag = None if self.damping is None else 2 * self.damping * lengths
@@ -261,7 +267,7 @@ def rod_contact(
     max_contacts: int = 2,
     lists: NeighbourLists | None = None,
 ) -> RodContact:
-    """Contact between all rods of the named members.
+    """Contact between all rods of the named members, per length of contact.
 
     Args:
         *members: Names of members; a member is one rod or several equal rods.
@@ -274,13 +280,13 @@ def rod_contact(
             nearer to each other along it than pi times its radius do not touch.
         onset: Width of the smooth onset of contact, divided by the mean of the radii
             [1].
-        points_per_element: Contact points per element; by default so many that they are
+        points_per_element: Contact points per element; by default enough that they are
             at most a third of a radius apart. Then the energy of crossing rods is the
             same to 3 % wherever they cross.
         max_contacts: Number of rods that may touch a rod at one place and time, for
             `stable_dt`: 2 for a few rods, 6 in a bundle.
-        lists: Lists of neighbours, from `neighbour_lists`; by default every step tests
-            all points against all segments.
+        lists: Settings from `neighbour_lists`; by default there are no lists, and every
+            step tests all points against all segments.
 
     Returns:
         A coupling for `make_system`.

@@ -2,13 +2,13 @@
 
 A segment is an element, from its first node to its second. Every segment has equally
 many contact points, the first of them at its first node; the last node of a rod is one
-more. Each point stands for a part of the rod's rest length (trapezoidal rule). The
+more. Each point represents a part of the rod's rest length (trapezoidal rule). The
 layout is regular, so rows are split and joined by reshaping, without indices.
 
 Contact of rods with rods sums over segments and subtracts the nodes between them
 (inclusion-exclusion), so that each contact counts once. Where ends of rods are tied, a
 node lies between segments of different rods. So all nodes but one of a group of tied
-nodes are subtracted, too. Only the last node of a rod can be subtracted, which is
+nodes are also subtracted. Only the last node of a rod can be subtracted, which is
 enough for rods welded end to end and for closed rods. A free end has an end face in
 contact; an end that is tied to another node has none.
 """
@@ -41,7 +41,7 @@ class RodSegments:
     """Constants of the segments and contact points of a member's rods."""
 
     lengths: Array
-    """Rest length that each contact point stands for: its quadrature weight [m]."""
+    """Rest length that each contact point represents: its quadrature weight [m]."""
     point_radii: Array
     """Radius of the rod at each contact point [m]."""
     places: Array
@@ -83,7 +83,7 @@ class RodSegments:
 
     @property
     def first_lengths(self) -> Array:
-        """Rest length that the point at each segment's first node stands for [m]."""
+        """Rest length that the point at each segment's first node represents [m]."""
         return self._rods(self.lengths)[:, : -1 : self.per_element].reshape(-1)
 
     @property
@@ -287,7 +287,7 @@ class ContactPoints:
     radii: Array
     """Radius of the rod at each point [m]."""
     lengths: Array
-    """Rest length that each point stands for [m]."""
+    """Rest length that each point represents [m]."""
     rods: Array
     """Index of the rod that each point belongs to."""
     places: Array
@@ -332,7 +332,7 @@ def points_at(segments: RodSegments, seen: Seen, *, spins: bool) -> ContactPoint
 
 @pytree
 class SegmentLoads:
-    """Forces and couples on contact points and segments; `None` stands for zero."""
+    """Forces and couples on contact points and segments; `None` means zero."""
 
     on_points: Vec3 | None = None
     """Forces on the contact points, world frame [N]."""

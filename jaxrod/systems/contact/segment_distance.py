@@ -70,18 +70,24 @@ class Products:
     start to the first's [m^2]."""
 
     def on_own(self, fraction: Array | float) -> Array:
-        """Fraction along segment 1 nearest to the point `fraction` of segment 2 [1]."""
+        """Fraction along segment 1 of the point nearest to one of segment 2 [1].
+
+        The latter is the point at `fraction` along segment 2.
+        """
         return jnp.clip((self.mixed * fraction - self.own_way) / self.own, 0, 1)
 
     def on_other(self, fraction: Array | float) -> Array:
-        """Fraction along segment 2 nearest to the point `fraction` of segment 1 [1]."""
+        """Fraction along segment 2 of the point nearest to one of segment 1 [1].
+
+        The latter is the point at `fraction` along segment 1.
+        """
         return jnp.clip((self.mixed * fraction + self.other_way) / self.other, 0, 1)
 
 
 def from_products(
     slopes: Products, way: Vec3, own: Vec3, other: Vec3
 ) -> tuple[Vec3, Vec3, Vec3]:
-    """Derivatives by the vectors `way`, `own`, `other`, from those by their products.
+    """Derivatives by the vectors `way`, `own` and `other`, from those by `Products`.
 
     Args:
         slopes: Derivatives of a quantity with respect to each of the products.

@@ -13,9 +13,9 @@ The first number sets how far the curve runs inside the nodes of a bend. It is c
 that a load on a limp rope does the same work as on a smooth rope. The other two were
 fitted so that the work of a load on a straight rope under tension is the same wherever
 along an element the load has slid to. For a limp rope it varies by 4e-5 of the load
-times the angle times the length of an element, where a polyline has 6e-2; for a stiff
-one it varies less. Straight rods stay straight. When a rod rotates, its curve rotates
-with it, so a force on the curve has the same moment as its forces on the nodes.
+times the angle times the length of an element; for a polyline by 6e-2. For a stiff rope
+it varies less. Straight rods stay straight. When a rod rotates, its curve rotates with
+it, so a force on the curve has the same moment as its forces on the nodes.
 
 Open rods are continued beyond their ends by point reflection, closed rods by the
 elements at the other end.
@@ -83,7 +83,7 @@ def _differences(nodes: Array, closed: np.ndarray) -> tuple[Array, Array]:
 
 @functools.cache
 def stiffest(n_elements: int) -> np.ndarray:
-    """Bound of each node's stiffness if every element has one spring of stiffness one.
+    """Bound on each node's stiffness if every element has one spring of unit stiffness.
 
     It is the sum of the absolute entries in the node's row of the stiffness matrix of
     smooth axes. Each spring acts at the point of its element where it adds most.

@@ -29,10 +29,10 @@ from jaxrod.structure import pytree, static
 from jaxrod.validation import is_traced
 
 RIM_POINTS = 4
-"""Number of points on a rim. Three would hold a cylinder up; four hold it equally in
-all directions."""
+"""Number of points on a rim. Three would support a standing cylinder; four support it
+equally in all directions."""
 MOST_BALLS = 100
-"""Largest number of balls in a row that stand for a body; more are refused."""
+"""Largest number of balls in a row that represent a body; more raise an error."""
 
 
 @pytree
@@ -40,7 +40,8 @@ class SphereCloud:
     """Balls of one body, in its own frame, tested against other surfaces."""
 
     offsets: Float[Array, "3 balls"]
-    """Centres of the balls; for points on a rim, the centre of the rim [m]."""
+    """Centres of the balls in the body's frame; for points on a rim, the centre of the
+    rim [m]."""
     radii: Float[Array, " balls"]
     """Radii of the balls, zero for points [m]."""
     rim_radii: Float[Array, " balls"] | None = None
@@ -55,7 +56,8 @@ class SphereCloud:
     """Whether the balls together represent the whole body, which has no corner or
     edge."""
     at_once: int | None = static(default=None)
-    """Largest number of balls that can touch a convex body at once; `None` for all."""
+    """Largest number of balls that can touch a convex body at one time; `None` for
+    all."""
 
     @property
     def count(self) -> int:

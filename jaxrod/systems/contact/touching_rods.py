@@ -1,14 +1,14 @@
 """Base of the laws of contact between rods: pairs of elements, and sums over them.
 
 A law defines which pairs of points of two elements count, and with which weights. Pairs
-of elements are all those of two members, or those on lists of neighbours
+of elements are all those of two members, or those on neighbour lists
 (`jaxrod.systems.contact.neighbour_lists`).
 
-Elements that are near to each other along a rod do not touch: a rod bent to a curvature
-of one over its radius just touches itself half a turn away. So contact begins pi times
-the radius away along the rod. From there a factor on contact, the share, rises to one
-over the length of an element. The same holds near nodes that are tied together, with
-the distance measured along both rods.
+Elements that are near each other along a rod do not touch: a rod bent to a radius of
+curvature equal to its own radius just touches itself half a turn away. So contact
+begins at an arc length of pi times the radius between the elements. From there a factor
+on contact, the share, rises from zero to one along the length of an element. The same
+holds near nodes that are tied together, with the arc length measured along both rods.
 """
 
 from __future__ import annotations
@@ -75,7 +75,7 @@ class TouchingRods(PenaltyContact):
     segments: tuple[RodSegments, ...] = ()
     """Segments and contact points of each member, set by `prepared`."""
     lists: NeighbourLists | None = None
-    """Settings of lists of neighbours; `None` to test all pairs in every step."""
+    """Settings of neighbour lists; `None` to test all pairs at every step."""
     found: FoundNeighbours | None = None
     """Neighbour lists of the last search; `None` before it."""
     members: tuple[str, ...] = static(default=())
@@ -101,7 +101,7 @@ class TouchingRods(PenaltyContact):
     # that the last three hooks make of them.
 
     def allowed(self, a: int, b: int, own: Bounds, other: Bounds) -> Any:
-        """Mask of pairs, of members `a` and `b`, that may touch; `None` for all."""
+        """Mask of the pairs of members `a` and `b` that may touch; `None` for all."""
         raise _without(self, "allowed")
 
     def bounding_radii(self, a: int) -> Array:
@@ -171,7 +171,7 @@ class TouchingRods(PenaltyContact):
 
     @property
     def is_contact(self) -> bool:
-        """True: marks forces that a replay can show as contact forces."""
+        """Always `True`: a replay can show these forces as contact forces."""
         return True
 
     @property
@@ -186,7 +186,7 @@ class TouchingRods(PenaltyContact):
 
     @property
     def places_matter(self) -> bool:
-        """Whether contact depends on rods and arc lengths of the elements."""
+        """Whether contact depends on the rods and the arc lengths of elements."""
         return (
             self.self_contact
             or bool(self.tied)
@@ -234,10 +234,9 @@ class TouchingRods(PenaltyContact):
         ]
 
     def share(self, a: int, b: int, own: Any, other: Elements) -> Array | None:
-        """Weight 0..1 of each pair, of members `a` and `b`; `None` if all are 1.
+        """Weight 0..1 of each pair of members `a` and `b`; `None` if all are 1.
 
-        It is below one near tied nodes, and for elements that are near to each other
-        along one rod.
+        It is below one near tied nodes, and for elements near each other along a rod.
         """
         share: Array | None = None
         if a == b:
@@ -504,14 +503,14 @@ def rod_law(
     lists: NeighbourLists | None,
     per_length: bool,
 ) -> dict[str, Any]:
-    """Checked fields that all laws of contact between rods have in common.
+    """Validated fields that all laws of contact between rods have in common.
 
     Args:
         members: Names of the members.
         *numbers: Parameters of the law in the order of `law_numbers`.
         self_contact: Whether each rod also touches itself.
         max_contacts: Number of rods that may touch a rod at one place and time.
-        lists: Settings of lists of neighbours.
+        lists: Settings of neighbour lists; `None` for no lists.
         per_length: Whether the law is per length of contact.
 
     Raises:

@@ -89,11 +89,11 @@ class Anchors:
         return Loads(force, to_material(frame, vectors.cross(arm, force)))
 
     def mobility(self, parts: Parts, reach: Array | float = 0.0) -> Array:
-        """Velocity of the anchors per impulse, an upper bound [1/kg].
+        """Upper bound on the velocity of each anchor per unit impulse there [1/kg].
 
-        It is `1 / m + r^2 / I`, with the mass of the node, the distance `r` of the
-        point of action from the node and the smallest moment of inertia of the element;
-        for rigid bodies the largest about axes across the lever arm.
+        On rods it is `1 / m + r^2 / I`, with the mass `m` of the node, the smallest
+        moment of inertia `I` of the element and `r` the length of the offset plus
+        `reach`. On rigid bodies the second term is `turning_mobility`.
 
         Args:
             parts: Constants of the member.
@@ -115,13 +115,13 @@ def anchors(
     at: Sequence[Array | None] | None = None,
     name: str = "places",
 ) -> Anchors:
-    """Anchors at places of one member.
+    """Anchors at or near places on one member.
 
     Args:
         places: Places on the member.
         state: State of the system.
-        at: Position of each anchor in `state`, world frame [m]; `None` for the node, or
-            for all nodes.
+        at: Position `(3,)` of each anchor in `state`, world frame [m]. An entry `None`
+            puts the anchor at the node; by default all are at their nodes.
         name: Name of the argument `places` in messages.
 
     Raises:

@@ -71,14 +71,14 @@ class ElasticJoint(Coupling):
     """Rotation vectors at which the joints exert no moment, in the frame of `b` [rad].
     """
     stiffness: Float[Array, "3 joints"] | None = None
-    """Stiffness about d1, d2 and d3 of `b` [N m]; `None`: that of half an element of
+    """Stiffness about d1, d2 and d3 of `b` [N m]; if `None`, that of half an element of
     each rod, in series."""
     mixed_stiffness: Float[Array, "3 joints"] | None = None
-    """Off-diagonal stiffness for the axes d2 and d3, d3 and d1, d1 and d2 [N m];
-    `None`: zero."""
+    """Off-diagonal stiffness for the axes d2 and d3, d3 and d1, d1 and d2 [N m]; zero
+    if `None`."""
     damping: Float[Array, ""] | Float[Array, " joints"] | None = None
     """Couple per relative angular velocity, one for all joints or one for each [N m s];
-    `None`: no damping."""
+    if `None`, there is no damping."""
 
     def check(self, parts: AllParts) -> None:
         """Raises ValueError if a member is missing or has too few nodes."""
@@ -207,7 +207,7 @@ def elastic_joints(
 def natural_stiffness(
     a: Points, b: Points, frames: Quaternion, parts: AllParts
 ) -> tuple[Float[Array, "3 k"], Float[Array, "3 k"] | None]:
-    """Stiffness of half an element of each rod in series; a body is rigid [N m].
+    """Stiffness of half an element of each rod, in series; bodies are rigid [N m].
 
     Args:
         a: Elements of the first member.
@@ -284,8 +284,9 @@ def turning_bounds(
 ) -> dict[str, StabilityBound]:
     r"""Stability bounds of springs and dashpots against relative rotation.
 
-    For elements with moments of inertia $I_a$ and $I_b$ and the stiffness $k$, the
-    bound on element $i$ is $k\,(1/I_a + 1/I_b)\,I_i$. The same holds for damping.
+    For elements with the smallest moments of inertia $I_a$ and $I_b$ and the stiffness
+    $k$, the bound on element $i$ is $k\,(1/I_a + 1/I_b)\,I_i$. The same holds for
+    damping.
     """
     inertia = least_inertia(parts[a.member], a), least_inertia(parts[b.member], b)
     ease = 1 / inertia[0] + 1 / inertia[1]

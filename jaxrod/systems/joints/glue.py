@@ -84,8 +84,10 @@ class GluedSide:
         """Loads of a force on each element at a point `place`, world frame.
 
         Each node gets half of the force, and the element the couple of the lever arm.
-        There are two pairs of nodes and loads: for the first nodes with the elements,
-        and for the second nodes.
+
+        Returns:
+            Two pairs of places and loads: for the first nodes and the elements, and for
+            the second nodes.
         """
         arm = vectors.subtract(place, self.middles(seen, seen.motion.position))
         frame = directors(orientation_at(seen, self.points))
@@ -95,10 +97,11 @@ class GluedSide:
         return (self.points, Loads(half, couple)), (others, Loads(half))
 
     def mobility(self, parts: Parts) -> Array:
-        """Velocity of the points of glue per impulse, an upper bound [1/kg].
+        """Upper bound on the velocity of each point of glue per unit impulse [1/kg].
 
-        It is `1 / (4 m1) + 1 / (4 m2) + r^2 / I`, with the masses of both nodes, the
-        length `r` of the offset and the smallest moment of inertia of the element.
+        It is `1 / (4 m1) + 1 / (4 m2) + r^2 / I`, with the masses `m1` and `m2` of both
+        nodes, the length `r` of the offset and the smallest moment of inertia `I` of
+        the element.
         """
         first = parts.node_masses[self.points.nodes.values]
         following = parts.node_masses[self.nexts.values]
@@ -179,11 +182,14 @@ class Glue(Coupling):
     """Force per length of glue and per gap, one for all pairs or one for each [N/m^2].
     """
     turning_stiffness: Float[Array, ""] | Float[Array, " pairs"] | None = None
-    """Couple per length of glue and per relative angle [N]; `None`: no resistance."""
+    """Couple per length of glue and per relative angle [N]; if `None`, glued elements
+    turn freely."""
     damping: Float[Array, ""] | Float[Array, " pairs"] | None = None
-    """Force per length of glue and per relative velocity [kg/(m s)]."""
+    """Force per length of glue and per relative velocity [kg/(m s)]; if `None`, there
+    is no damping."""
     turning_damping: Float[Array, ""] | Float[Array, " pairs"] | None = None
-    """Couple per length of glue and per relative angular velocity [N s]."""
+    """Couple per length of glue and per relative angular velocity [N s]; if `None`,
+    there is no damping."""
     lengths: Float[Array, " pairs"] | None = None
     """Length of glue of each pair, the mean rest length of both elements [m]; `None`
     before `prepared`."""
@@ -309,24 +315,24 @@ def glue(
         b: Name of the second rod, or of one rod for each rod of `a`.
         state: State of the system at rest.
         stiffness: Force per length of glue and distance, in all directions [N/m^2].
-            This and the next three are a number, or one for each pair of glued
-            elements, starting with those of the first rods.
+            This argument and the next three are one number for all pairs of glued
+            elements, or an array with one number for each pair, rod by rod.
         turning_stiffness: Couple per length and angle between the elements [N].
         damping: Force per length and relative speed [kg/(m s)].
         turning_damping: Couple per length and relative angular velocity [N s]; needs a
             `turning_stiffness`.
-        elements: Numbers of elements of `a`, and as many of the elements of `b` glued
-            to them; by default each element is glued to the one of the same number.
-            With several rods, one such pair of lists for all, or a list of such pairs,
-            one for each rod of `a`.
+        elements: List of element numbers of `a`, and an equally long list of the
+            elements of `b` glued to them; by default elements of the same number are
+            glued together. With several rods, one such pair of lists for all, or a list
+            of such pairs, one for each rod of `a`.
 
     Returns:
         A coupling for `make_system`.
 
     Raises:
-        ValueError: If there are no such rods or elements, their numbers differ, a
-            number is out of range, or a turning damping is given without a turning
-            stiffness.
+        ValueError: If there are no such rods or elements, `a` and `b` have different
+            numbers of them, a number is out of range, or a turning damping is given
+            without a turning stiffness.
         TypeError: If a rod is not given by its name.
 
     Example:

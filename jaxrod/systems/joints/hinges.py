@@ -2,7 +2,7 @@ r"""Hinges and fixed joints of finite stiffness between members.
 
 A hinge adds the energy $k_t (1 - a\cdot b)$ to a ball joint, where $a$ and $b$ are the
 directions of its axis, one fixed in the first and one in the second member. Motors act
-about the mean of both, dashpots about any axis.
+about the mean of both directions. Dashpots resist relative rotation about any axis.
 """
 
 from __future__ import annotations
@@ -56,11 +56,11 @@ class AxisSprings(Coupling):
     stiffness: Float[Array, ""]
     """Couple per sine of the angle between both axes [N m]."""
     damping: Float[Array, ""] | None = None
-    """Couple per relative angular velocity, about any axis [N m s]; `None`: no damping.
-    """
+    """Couple per relative angular velocity, about any axis [N m s]; if `None`, there is
+    no damping."""
     motor: Float[Array, ""] | None = None
-    """Couple on `b` about the mean axis, and its opposite on `a` [N m]; `None`: no
-    motor."""
+    """Couple on `b` about the mean axis, and its opposite on `a` [N m]; if `None`,
+    there is no motor."""
 
     def check(self, parts: AllParts) -> None:
         """Raises ValueError if a member is missing or has too few nodes."""
@@ -108,8 +108,9 @@ class AxisSprings(Coupling):
         """Stability bounds on the elements of both members, by member."""
         stiffness = jnp.broadcast_to(self.stiffness, (len(self.a.nodes),))
         if self.motor is not None:
-            # The couple M turns with the elements. The symmetric part of its derivative
-            # couples their turns across the axis, by M / 2 beside k of the spring.
+            # The couple M rotates with the elements. The symmetric part of its
+            # derivative couples their rotations perpendicular to the axis with M / 2,
+            # in addition to k of the spring.
             root = jnp.sqrt(stiffness**2 + (0.5 * self.motor) ** 2)
             stiffness = 0.5 * (stiffness + root)
         return turning_bounds(self.a, self.b, parts, stiffness, self.damping)
@@ -128,7 +129,7 @@ def hinge_joint(
     motor: Timed | None = None,
     at: Numbers | None = None,
 ) -> tuple[Coupling, ...]:
-    """A hinge between two members: they turn about an axis that is fixed in both.
+    """A hinge between two members, which turn about an axis that is fixed in both.
 
     Args:
         a: A place on the first member.
@@ -139,8 +140,9 @@ def hinge_joint(
         axis_stiffness: Couple per angle between the axes of both members [N m].
         damping: Force per relative speed [kg/s].
         axis_damping: Couple per relative angular velocity [N m s].
-        motor: Couple on `b` about the axis, opposite on `a`; may be a schedule [N m].
-        at: Position of the hinge in `state` `(3,)` [m]; by default at `a`.
+        motor: Couple on `b` about the axis, and its opposite on `a`; may be a schedule
+            [N m].
+        at: Position of the hinge in `state`, world frame `(3,)` [m]; by default at `a`.
 
     Returns:
         Couplings for `make_system`.
@@ -204,7 +206,7 @@ def fixed_joint(
         turning_stiffness: Couple per angle from rest [N m].
         damping: Force per relative speed [kg/s].
         turning_damping: Couple per relative angular velocity [N m s].
-        at: Position of the joint in `state` `(3,)` [m]; by default at `a`.
+        at: Position of the joint in `state`, world frame `(3,)` [m]; by default at `a`.
 
     Returns:
         Couplings for `make_system`.

@@ -7,9 +7,9 @@ element in the rows of its member, its flat arrays. `gather` reads entries of a 
 There are no scatter operations: each entry of a row collects the values that go to it.
 So sums are the same in every run, on every device. Stretches of consecutive indices are
 sliced and inserted as a whole, at a cost in proportion to their length. A few other
-indices are compared one by one. More of them are compared with all entries at once,
-which fuses with the surrounding program and has the same form when it is transposed.
-For a very large number of indices a table is used.
+indices are compared one by one. More of them are compared with all entries in one
+operation, which fuses with the surrounding program and has the same form when it is
+transposed. For a very large number of indices a table is used.
 """
 
 from __future__ import annotations
@@ -44,7 +44,7 @@ FEW = 8
 MOST_STRETCHES = 16
 """Largest number of stretches of consecutive indices that are sliced one by one."""
 MOST_COMPARED = 2**22
-"""Largest number of pairs of an index and an entry that are compared at once.
+"""Largest number of pairs of an index and an entry that one operation compares.
 
 It is this large because in reverse mode XLA's CPU compiler (0.10.1, with the fusion
 that `configure_cpu` asks for) gives up on some programs that gather entries."""
@@ -171,7 +171,7 @@ def resolved(
 
 
 def _of_many(name: str, where: str, given: Sequence[Any], count: int) -> int:
-    """Index of one of `count` rods or bodies; if there is one it may be left out."""
+    """Index of one of `count` rods or bodies; it may be omitted if `count` is one."""
     if not given:
         if count > 1:
             raise ValueError(f"{name}: {where} there are {count}, say which")
@@ -413,7 +413,7 @@ def sum_of_loads(*given: tuple[Points, Loads], seen: AllSeen) -> dict[str, Loads
 
 
 def _spread(vector: Vec3 | None, index: Indices, size: int) -> Vec3 | None:
-    """Vector field on a row of `size` entries, each the sum of what has its index."""
+    """Vector field on a row of `size` entries: sums of the values with each index."""
     if vector is None:
         return None
     return vectors.mapped(lambda component: scatter_add(component, index, size), vector)

@@ -9,7 +9,7 @@ $$E = \tfrac12 k |x^* - x|^2 + \tfrac12 k_t |\phi|^2, \qquad
 with dashpots on the velocity and the angular velocity relative to the target. The force
 and the couple are external: the drive of the target has the power
 $F\cdot\dot x^* + C\cdot\omega^*$. The dashpots dissipate $c |\dot x^* - \dot x|^2$
-and $c_t |\omega^* - \omega|^2$ of it; the rest goes into the system and the spring.
+and $c_t |\omega^* - \omega|^2$; the rest goes into the system and the spring.
 """
 
 from __future__ import annotations
@@ -80,11 +80,13 @@ class PoseSpring(Coupling):
     stiffness: Float[Array, ""]
     """Force per distance from the target [N/m]."""
     damping: Float[Array, ""] | None = None
-    """Force per velocity relative to the target [kg/s]; `None`: no damping."""
+    """Force per velocity relative to the target [kg/s]; if `None`, there is no damping.
+    """
     turning_stiffness: Float[Array, ""] | None = None
-    """Couple per angle from the target [N m]; `None`: it turns freely."""
+    """Couple per angle from the target [N m]; if `None`, the element turns freely."""
     turning_damping: Float[Array, ""] | None = None
-    """Couple per angular velocity relative to the target [N m s]."""
+    """Couple per angular velocity relative to the target [N m s]; if `None`, there is
+    no damping."""
 
     def check(self, parts: AllParts) -> None:
         """Raises ValueError if the member is missing or has too few nodes."""
@@ -329,7 +331,7 @@ def pose_spring(
 def pose_spring_reactions(
     system: System, state: Mapping[str, Any]
 ) -> tuple[Reaction, ...]:
-    """Force, couple and power of every pose spring of a system.
+    """Force, couple and power of each pose spring of a system.
 
     The power is that of the drive, which moves and turns the target.
 
@@ -342,7 +344,7 @@ def pose_spring_reactions(
 
     Raises:
         TypeError: If `system` is not a system.
-        ValueError: If it depends on time.
+        ValueError: If the system depends on time.
 
     Example:
         >>> place, states = ("arm", "tip"), {"arm": state}

@@ -1,8 +1,8 @@
 """Closed rods: a rod whose last node coincides with its first, and the closing joint.
 
 A closed rod is an open rod whose ends are tied, with one more elastic joint from its
-last element to its first, like the joints between all other elements. So all points of
-it are alike.
+last element to its first. This joint is like those between all other elements, so no
+point of the ring differs from the others.
 """
 
 from __future__ import annotations
@@ -52,8 +52,8 @@ def ring(
 ) -> tuple[Rod, RodState, tuple[Coupling, ...]]:
     """A closed rod in the shape of a circle, and the couplings that close it.
 
-    The rod alone is open, with both ends at one place. As a member of a system, under
-    the `name` given here and with the couplings, it is a ring:
+    The rod alone is open, with both ends at one place. It becomes a ring as the member
+    `name` of a system with these couplings:
 
         rod, state, closure = jaxrod.systems.ring(40, length=1.0, radius=0.01, ...)
         system = jaxrod.make_system({"ring": jaxrod.make_scene(rod)}, closure)
@@ -62,11 +62,12 @@ def ring(
         n_elements: Number of elements, at least 3.
         length: Rest length of the rod, once around [m]: the sum of the edges of a
             regular polygon.
-        centre: Centre of the circle `(3,)` [m].
-        normal: Normal of its plane, of any length `(3,)`; the rod runs around it
-            counterclockwise.
-        turns: Turns by which one end was twisted about the rod before it was joined to
-            the other, evenly spread (the link of the ring). Need not be whole [1].
+        centre: Centre of the circle, world frame `(3,)` [m].
+        normal: Normal of its plane, world frame, of any length `(3,)`; the rod runs
+            around it counterclockwise.
+        turns: Number of turns by which one end was twisted about the rod's axis before
+            the ends were joined (the link of the ring). It need not be an integer. The
+            twist is spread evenly along the rod [1].
         straight_at_rest: Whether the stress-free shape of the rod is straight;
             otherwise it is the circle.
         name: Name of the member in the system.
@@ -135,7 +136,7 @@ def _closure(
         name: Name of the member.
         state: State of the ring.
         bend: Rotation vector of the joint at rest [rad].
-        turn: Angle by which the end was twisted before it was joined [rad].
+        turn: Angle by which one end was twisted before the ends were joined [rad].
     """
     rest = {name: state}
     last, first = (name, "tip"), (name, "base")

@@ -36,9 +36,10 @@ class Springs(Coupling):
     stiffness: Float[Array, ""]
     """Force per elongation of a spring [N/m]."""
     damping: Float[Array, ""] | None = None
-    """Force of a dashpot per relative velocity [kg/s]; `None`: no dashpots."""
+    """Force of a dashpot per relative velocity [kg/s]; if `None`, there are no
+    dashpots."""
     rest_lengths: Float[Array, " springs"] | None = None
-    """Distances at which springs exert no force [m]; `None` for zero, so that the
+    """Distances at which springs exert no force [m]; if `None`, they are zero and the
     springs are isotropic."""
 
     def check(self, parts: AllParts) -> None:
@@ -49,9 +50,9 @@ class Springs(Coupling):
     def loads(self, seen: AllSeen) -> dict[str, Loads]:
         """Loads of springs and dashpots, which act halfway between both anchors.
 
-        With the vector `g` from the first anchor to the second and the velocity `u`
-        there of the second member relative to the first, the force on the first is
-        `k (1 - d / |g|) g + c u`.
+        The force on the first member is `k (1 - d / |g|) g + c u`. Here `g` is the
+        vector from the first anchor to the second, and `u` the velocity of the second
+        member relative to the first at the point halfway between them.
         """
         one, two = seen[self.a.points.member], seen[self.b.points.member]
         first, second = self.a.positions(one), self.b.positions(two)
@@ -109,8 +110,8 @@ def spring(
         stiffness: Force per change of distance [N/m].
         damping: Force per relative velocity of the two members [kg/s], both taken at
             the point halfway between the ends.
-        at: Ends of the spring in `state`: a pair of points `(3,)` [m]; by default the
-            nodes, or the origins of the bodies.
+        at: Ends of the spring in `state`, world frame: a pair of points `(3,)` [m]; by
+            default the nodes, or the origins of the bodies.
 
     Returns:
         A coupling for `make_system`.
@@ -165,14 +166,15 @@ def ball_joint(
         state: State of the system at rest.
         stiffness: Force per distance between the two points [N/m].
         damping: Force per relative speed [kg/s].
-        at: Position of the joint in `state` `(3,)` [m]; by default the places of `a`.
+        at: Position of the joint in `state`, world frame `(3,)` [m]; by default the
+            places of `a`.
 
     Returns:
         A coupling for `make_system`.
 
     Raises:
         ValueError: If there is no such place, a number is out of range, or `at` is not
-            given and two rods are further apart there than their elements are long.
+            given and two nodes of rods are further apart than the longer element there.
 
     Example:
         >>> states = {"left": state, "right": state}

@@ -1,10 +1,10 @@
-r"""Ties: nodes of rods that always have one position, exactly.
+r"""Ties: nodes of rods that always share one position, exactly.
 
-Tied nodes with masses $m_i$ have one velocity, $\sum m_i v_i / \sum m_i$ after every
-kick. The constraint is linear in the positions, so this projection is the constrained
-Verlet step itself. It keeps momentum, angular momentum and energy. It does not limit
-the time step, because added inertia only lowers frequencies. Along axes that a support
-holds, only the support's velocity counts.
+After every kick, tied nodes with masses $m_i$ get one velocity, $\sum m_i v_i / \sum
+m_i$. The constraint is linear in the positions, so this projection is the constrained
+Verlet step itself. It conserves momentum, angular momentum and energy. It does not
+limit the time step, because added inertia only lowers frequencies. Along axes that a
+support holds, the nodes get the support's velocity.
 """
 
 from __future__ import annotations
@@ -67,7 +67,8 @@ class Tie(Coupling):
     def constrain_rates(self, seen: AllSeen) -> dict[str, Motion]:
         """Gives all nodes of a group one velocity, the mean weighted by mass.
 
-        If a support holds some of them, it is the mean of these.
+        Along an axis on which supports hold some of the nodes, it is the plain mean of
+        the held ones.
         """
         return self._together(seen, "velocity")
 
@@ -181,7 +182,7 @@ def tie(
 ) -> Tie:
     """Ties nodes of rods together exactly: a ball joint without compliance.
 
-    Elements turn freely about the shared place; see `weld` for an elastic joint.
+    Elements turn freely about the shared node; see `weld` for an elastic joint.
 
     Args:
         a: A place, `("arm", "tip")`, `("arm", 7)` or `("arms", 2, "base")`; or

@@ -1,10 +1,11 @@
 r"""Welds: rods joined to rods, and to rigid bodies, at a fixed relative angle.
 
-Nodes of rods may be part of a rigid body, exactly: a node attached at the position $p$
-in the frame of a body moves with it: $x = X + R p$, $v = V + \omega\times R p$. The
-node's mass counts in the body's mass, centre and inertia. The body takes the impulse of
-every kick of the node, $J = m\,\Delta v$ at $x$. Momentum is exact. Added inertia does
-not limit the time step. Any number of nodes may be on one body.
+Nodes of rods can be part of a rigid body. A node attached at the position $p$ in the
+frame of a body moves exactly with the body: $x = X + R p$, $v = V + \omega\times R p$.
+The node's mass is included in the body's mass, centre of mass and inertia. The body
+takes the impulse of every kick of the node, $J = m\,\Delta v$ at $x$, so momentum is
+conserved exactly. Added inertia does not limit the time step. Any number of nodes can
+be attached to one body.
 """
 
 from __future__ import annotations
@@ -55,9 +56,9 @@ def weld(
 
     The joint is half an element of each rod, as two springs in series that are at rest
     in `state`, each about the axes of its own section. The order of `a` and `b` does
-    not matter. Two halves of a rod welded end to end make the whole rod. If the
-    elements at the weld differ, as in a tapered rod, they do so only with
-    `joint_mean="series"`.
+    not matter. Two halves of a rod welded end to end are equivalent to the whole rod.
+    If the elements at the weld differ, as in a tapered rod, this holds only for a whole
+    rod with `joint_mean="series"`.
 
     Args:
         a: A place, `("trunk", "tip")` or `("arms", 2, 7)`; or several.
@@ -94,9 +95,9 @@ def attach(
 ) -> tuple[Coupling, ...]:
     """Makes nodes of rods part of a rigid body, at their places in `state`.
 
-    The attachment is exact and does not limit the time step: the body has the nodes'
-    masses. The element is held at its angle to the body as by a clamp, unless it may
-    turn.
+    The attachment is exact and does not limit the time step: the body carries the
+    nodes' masses. An elastic joint holds the element at its angle to the body, as a
+    clamp would, unless `turning` is set.
 
     Args:
         a: A place on a rod, `("arm", "base")`; or several of one member.
@@ -152,7 +153,7 @@ class Attachment(Coupling):
         return [(self.points.member, int(i)) for i in self.points.nodes.values]
 
     def check(self, parts: AllParts) -> None:
-        """Checks that the members fit.
+        """Validates the members.
 
         Raises:
             ValueError: If members are missing, of the wrong kind or have too few nodes,
@@ -233,11 +234,11 @@ class Attachment(Coupling):
         return {self.points.member: changed}
 
     def exchange(self, before: AllSeen, after: AllSeen) -> dict[str, Loads]:
-        """Impulses that the kick gave to the nodes, as impulses on their bodies.
+        """Impulses that the kick gave to the nodes, passed on to their bodies.
 
-        With the velocities v of a node before and after the kick, the impulse is
-        `m (v_after - v_before)`, and its couple about the origin of the body is that of
-        the lever arm.
+        For a node of mass m the impulse is `m (v_after - v_before)`, with its velocity
+        v before and after the kick. It acts on the body at the node, so it has a couple
+        about the body's origin.
         """
         name, nodes = self.points.member, self.points.nodes
         masses = gather(before[name].parts.node_masses, nodes)

@@ -54,7 +54,8 @@ class Member(ABC):
     def array_shape(self) -> tuple[int, ...]:
         """Shape of an array with one number per element or body, of all rods.
 
-        A system stores it; more axes show later that it has become a batch of systems.
+        A system stores this shape. Additional axes later show that the system has
+        become a batch of systems.
         """
 
     @property
@@ -97,8 +98,10 @@ class Member(ABC):
     def check_state(self, name: str, state: Any, dtype: Any) -> None:
         """Raises a TypeError or a ValueError if a state is not of this member.
 
-        Args: name: Name of the member, for messages. state: The state to check. dtype:
-        Floating-point dtype of the system, which the state must have.
+        Args:
+            name: Name of the member, for messages.
+            state: The state to check.
+            dtype: Floating-point dtype of the system, which the state must have.
         """
 
     # The entry of a member in `System.members` is a scene, rigid bodies, or the member
@@ -122,7 +125,7 @@ class Member(ABC):
             name: Name of the member, for messages.
 
         Raises:
-            ValueError: If the type cannot hold a number.
+            ValueError: If a number does not fit the dtype.
         """
         return self
 
@@ -150,7 +153,10 @@ class Member(ABC):
         return state
 
     def memory(self, state: Any) -> Any:
-        """Memory of its effects in a state, or their initial memory; empty if none."""
+        """Memory of its effects in a state, else their initial memory.
+
+        It is empty for members without memory.
+        """
         return ()
 
     # The state in the form that couplings read, and steps.
@@ -228,13 +234,13 @@ class Member(ABC):
 def check_fields(
     name: str, state: Any, shape: tuple[int, ...], dtype: Any, spins: str
 ) -> None:
-    """Raises a ValueError if fields of a state have the wrong shape or type.
+    """Raises a ValueError if fields of a state have the wrong shape or dtype.
 
     Args:
         name: Name of the member.
         state: Its state.
         shape: Shape that positions must have.
-        dtype: Type of the system.
+        dtype: Dtype of the system, which the fields must have.
         spins: Name of the field of angular velocities or angular momenta.
     """
     if state.positions.shape != shape:

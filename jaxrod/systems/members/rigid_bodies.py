@@ -51,7 +51,7 @@ class BodyHealth:
     """Flags of numerical faults in rigid bodies, and the values behind them."""
 
     finite: Bool[Array, ""]
-    """Whether every number of the state is finite, and so are their squares."""
+    """Whether all numbers of the state, and their squares, are finite."""
     spin: Bool[Array, ""]
     """Flag: a body turns in one step by more than `HealthLimits.largest_turn`, one
     radian by default."""
@@ -207,7 +207,7 @@ class RigidBodies(Member):
         """Largest stable step times the factor `safety` [s], and `None`.
 
         Springs and dashpots of couplings (`bound`) and of effects limit it. `None`
-        stands in place of the `StableStep` of rods.
+        takes the place of the `StableStep` of rods.
         """
         bodies: Any = self
         for effect in self.effects:
@@ -247,9 +247,9 @@ def rigid_body(
         inertia: Principal moments of inertia `(3,)` [kg m^2]; by default those of the
             shape at uniform density.
         effects: Effects on the body, such as `gravity()` or `exponential_damping`.
-        position: Centre of mass `(3,)` [m].
+        position: Centre of mass, world frame `(3,)` [m].
         orientation: Orientation of the principal axes, a quaternion (w, x, y, z).
-        velocity: Velocity of the centre of mass `(3,)` [m/s].
+        velocity: Velocity of the centre of mass, world frame `(3,)` [m/s].
         angular_velocity: Angular velocity, world frame `(3,)` [rad/s].
         dtype: float32 or float64; by default JAX's default.
 
@@ -303,9 +303,9 @@ def _inertia(
     inertia: Numbers | None,
     dtype: Any,
 ) -> tuple[Array, Array]:
-    """Mass [kg] and principal moments of inertia `(3,)` [kg m^2], checked.
+    """Mass [kg] and principal moments of inertia `(3,)` [kg m^2], validated.
 
-    They are as given, or those of the solid.
+    They are the given values, or else those of the solid.
     """
     if (density is None) == (mass is None):
         raise ValueError("a rigid body needs a density [kg/m^3] or a mass [kg]")
@@ -462,7 +462,7 @@ _OF_RODS = (
 
 
 def check_body_effects(name: str, bodies: Any) -> None:
-    """Checks that all effects on bodies can act on them.
+    """Validates that all effects on bodies can act on them.
 
     Args:
         name: Name of the member, for messages.

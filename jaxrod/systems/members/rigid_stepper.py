@@ -2,7 +2,7 @@
 
 Nodes of rods that are attached to a body move with it. The body carries their masses:
 its centre of mass and its inertia are those of body and nodes together. Outside of this
-file forces and positions refer to the origin of the body's own frame.
+file, forces and positions refer to the origin of the body's own frame.
 """
 
 from __future__ import annotations
@@ -131,7 +131,8 @@ class RigidStepper:
     def enter(self, state: BodyState) -> Motion:
         """Motion of the centres of mass, from a state that refers to the origins.
 
-        Carried masses count. The spin is the angular momentum about the centre of mass.
+        Carried masses are included. The spin is the angular momentum about the centre
+        of mass.
         """
         orientation = split_quaternion(state.orientations)
         rate = vectors.split(state.angular_velocities)

@@ -44,7 +44,7 @@ class OneRod(Member):
 
     @property
     def array_shape(self) -> tuple[int, ...]:
-        """Shape of the rest lengths: `(elements,)`; equal rods: `(rods, elements)`."""
+        """Shape of the rest lengths, `(elements,)`; `(rods, elements)` if stacked."""
         return jnp.shape(self.model.rod.rest_lengths)
 
     @property

@@ -22,7 +22,7 @@ from jaxrod.systems.stepping.assembly import (
 
 
 def check_system_state(system: Assembly, state: Any) -> None:
-    """Checks that a state has a fitting state for every member of a system.
+    """Validates that a state contains a matching state for every member of a system.
 
     Raises:
         TypeError: If it is not a mapping, or a member's state is of another kind.
@@ -70,7 +70,7 @@ def _check_record(record: Any) -> None:
 def system_with_memory(system: Assembly, state: SystemState) -> dict[str, Any]:
     """Copy of the state with the initial memories of effects, where it has none.
 
-    A system with lists of neighbours also gets a record of the contacts that they miss.
+    For a system with neighbour lists, the copy also gets a record of missed contacts.
     """
     own = {
         name: member.with_memory(state[name])
@@ -98,7 +98,7 @@ class StableSystemStep:
     """Largest stable step of a system, and what limits it."""
 
     dt: Float[Array, ""]
-    """Largest stable step times the safety factor: the least of `members` [s]."""
+    """Largest stable step times the safety factor: the smallest of `members` [s]."""
     members: tuple[Float[Array, ""], ...]
     """Largest stable step of each member times the safety factor [s], in the order of
     `names`; infinite where nothing limits it."""

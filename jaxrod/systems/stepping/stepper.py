@@ -4,10 +4,11 @@ One step is position Verlet, as for a single rod: half a drift of every member; 
 positions of attached and tied nodes; loads of all members and couplings at this
 configuration; kicks; exchange of impulses between attached members; half a drift.
 
-A system may change in a run: by time, memory, or lists of neighbours. Lists are carried
-from step to step together with the motions and the age of the lists in steps. This age
-does not depend on the numbers of a system. So under `jax.vmap` it is the same for all
-systems, and the search stays a branch that is taken only when it is due.
+A system may change during a run: through schedules, memory of effects, or neighbour
+lists. Lists are carried from step to step together with the motions and the age of the
+lists in steps. This age does not depend on the numbers of a system. So under `jax.vmap`
+it is the same for all systems, and the search stays a branch that is taken only when it
+is due.
 """
 
 from __future__ import annotations
@@ -244,7 +245,7 @@ class EvolvingSystem:
 
 @pytree
 class Listing:
-    """Loop carry: motions of a system, its lists of neighbours and their age."""
+    """Loop carry: motions of a system, its neighbour lists and their age."""
 
     motions: Any
     """Motions of the members: the loop carry of the stepper that this one wraps."""
@@ -258,7 +259,7 @@ class Listing:
 
 @pytree
 class ListingSystem:
-    """Position Verlet of a system with lists of neighbours."""
+    """Position Verlet of a system with neighbour lists."""
 
     steps_of_end: ClassVar[int] = 1
     one_by_one: ClassVar[bool] = True
@@ -270,7 +271,7 @@ class ListingSystem:
     """Steps between searches."""
 
     def begin(self, state: Mapping[str, Any]) -> Listing:
-        """Loop carry in the middle of the first step; a search is due at once."""
+        """Loop carry in the middle of the first step; a search is due immediately."""
         motions = by_kernel(self.stepper, "begin", state)
         like = jax.eval_shape(self.search, motions)
         found = jax.tree.map(lambda leaf: jnp.zeros(leaf.shape, leaf.dtype), like)
@@ -344,7 +345,7 @@ def system_stepper(
 def _own_stepper(
     system: Assembly, state: SystemState, dt: Array, first: Array | None
 ) -> SystemStepper | EvolvingSystem:
-    """Integrator of a system in a run, but for its lists of neighbours."""
+    """Integrator of a system in a run, without its neighbour lists."""
     if first is None:
         return stepper_at(system, state, dt)
     start = system.at(Clock(first, jnp.zeros_like(dt), dt))
