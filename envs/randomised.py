@@ -485,8 +485,13 @@ def _entries(
 ) -> np.ndarray:
     """Mask `(size,)` of the observation's entries that `key` names.
 
-    A key is the name or the beginning of the name of channels, or indices such as
-    "0, 4-7". `option`, such as "noise", is where it was given, for messages.
+    A key is the name of a channel, a prefix of only one channel's name, or indices
+    such as "0, 4-7". `option` is the option that contains the key, such as "noise", and
+    is used only in error messages.
+
+    Raises:
+        ValueError: If no channel or several channels match, or an index is out of
+            range.
     """
     mask = np.zeros(size, bool)
     if re.fullmatch(r"\s*\d+(\s*-\s*\d+)?(\s*,\s*\d+(\s*-\s*\d+)?)*\s*", key):

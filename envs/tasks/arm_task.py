@@ -216,7 +216,7 @@ class ArmTask(ABC):
         return jnp.sum(self.residuals(state, action, params, width) ** 2)
 
     def snapshot(self, state: Any, params: Any) -> Snapshot:
-        """Snapshot of arm and target, with the tip's distance from it as a readout."""
+        """Snapshot of arm and target, with the tip-to-target distance as a readout."""
         tip, target = state.arm.tip, state.target.position
         distance = jnp.sqrt(jnp.sum((tip - target) ** 2))
         return Snapshot(

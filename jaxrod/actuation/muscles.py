@@ -87,12 +87,12 @@ class ConstantForce(ForceLength):
 
     @property
     def largest(self) -> float:
-        """Largest force fraction, one [1]."""
+        """Largest force fraction, which is always 1 [1]."""
         return 1.0
 
     @property
     def steepest(self) -> float:
-        """Largest slope of the force fraction, zero [1]."""
+        """Largest slope of the force fraction, which is always 0 [1]."""
         return 0.0
 
 

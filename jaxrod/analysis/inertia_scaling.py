@@ -155,7 +155,10 @@ def _scaled(scene: LoadedRod, factors: Array) -> LoadedRod:
 
 
 def _reasonable(rod: Rod) -> Array:
-    """Factors that raise the radius of gyration to half the element's length, or 1."""
+    """Factors on the transverse rotary inertia, at least 1.
+
+    They raise the larger radius of gyration of each element to half its length.
+    """
     largest = rod.linear_density * rod.rest_lengths**2 / 4
     return jnp.maximum(largest / jnp.max(rod.rotary_inertia[:-1], axis=0), 1)
 

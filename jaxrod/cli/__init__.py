@@ -252,7 +252,7 @@ def _program(command: str) -> ModuleType:
 
 
 def _sentence(error: ValueError | OSError | ImportError) -> str:
-    """Message of an error for the user, with the file or the package it is about."""
+    """Error message for the user, naming the file or package concerned."""
     if isinstance(error, ModuleNotFoundError) and error.name:
         package = error.name.partition(".")[0]
         if package in EXTRAS:

@@ -229,7 +229,7 @@ class Sphere(Body):
 
 @pytree
 class Capsule(Body):
-    """A cylinder with a half sphere at each end.
+    """A cylinder with a hemispherical cap at each end.
 
     Example:
         >>> pill = shapes.capsule((0.0, 0.0, 0.0), (2.0, 0.0, 0.0), 0.5)
@@ -240,9 +240,9 @@ class Capsule(Body):
     """
 
     start: Float[Array, "3"]
-    """Centre of the half sphere at one end [m]."""
+    """Centre of the hemisphere at one end [m]."""
     end: Float[Array, "3"]
-    """Centre of the half sphere at the other end [m]."""
+    """Centre of the hemisphere at the other end [m]."""
     radius: Float[Array, ""]
     """Radius [m]."""
 
@@ -287,14 +287,14 @@ class Capsule(Body):
         )
 
     def mesh(self) -> Triangles:
-        """Triangles of the cylinder and the half balls, for drawing."""
+        """Triangles of the cylinder and its hemispherical caps, for drawing."""
         start, end = np.asarray(self.start), np.asarray(self.end)
         half = float(np.linalg.norm(end - start)) / 2
         return surfaces.along(surfaces.capsule(half, float(self.radius)), start, end)
 
     @property
     def row_of_balls(self) -> tuple[Array, Array, Array]:
-        """Centres of the half spheres, and the radius [m]."""
+        """Centres of the two hemispherical caps, and their radius [m]."""
         return self.start, self.end, self.radius
 
 
@@ -606,8 +606,8 @@ def capsule(start: Numbers, end: Numbers, radius: Numbers) -> Capsule:
     """A fixed cylinder with round ends.
 
     Args:
-        start: Centre of the half sphere at one end `(3,)` [m].
-        end: Centre of the half sphere at the other end `(3,)` [m].
+        start: Centre of the hemisphere at one end `(3,)` [m].
+        end: Centre of the hemisphere at the other end `(3,)` [m].
         radius: Radius [m].
 
     Raises:

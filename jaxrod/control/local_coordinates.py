@@ -9,10 +9,10 @@ $$x \mapsto x + d, \quad q \mapsto q\,e^{\theta}, \quad v \mapsto v + \delta v, 
 with $\theta$ and $\omega$ in the material frames of the elements. Not all of these
 components are free. A very short time step projects a state onto the states that
 supports, ties, attachments and the method allow. So the columns of the step's Jacobian
-$T$ span all allowed directions, and its derivatives by rates span all allowed
-displacements. A component that no rate moves is held. Among components that move
-together, such as the positions of tied nodes, one is chosen as free, and the others
-follow it: with $S$ selecting the rows of free components, the directions are the
+$T$ span all allowed directions, and its derivatives with respect to rates span all
+allowed displacements. A component that no rate moves is held. Among components that
+move together, such as the positions of tied nodes, one is chosen as free, and the
+others follow it: with $S$ selecting the rows of free components, the directions are the
 columns of $B = T (S T)^{-1}$, so that $S B = 1$.
 
 This also works for custom methods, couplings and effects.

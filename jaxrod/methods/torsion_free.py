@@ -240,7 +240,10 @@ def _gap(one: Vec3, other: Vec3) -> Array:
 
 
 def _share(part: Array, whole: Vec3) -> Array:
-    """Largest entry of `part` divided by the largest component of `whole` [1]."""
+    """Largest entry of `part` over the largest magnitude of a component of `whole` [1].
+
+    `part` is not negative. The result is max(`part`) if `whole` is zero.
+    """
     size = jnp.max(jnp.abs(vectors.join(whole)))
     return jnp.max(part) / jnp.where(size > 0, size, 1)
 
@@ -454,7 +457,11 @@ class TorsionFreeStepper(Verlet):
     def add_loads(
         self, motion: TorsionFreeMotion, forces: Vec3, couples: Vec3
     ) -> tuple[Vec3, Vec3]:
-        """Adds all effects' loads, without couples about d3; all in the world frame."""
+        """Adds the loads of all effects to the given forces and couples, world frame.
+
+        Couples about d3 are ignored. Elastic walls are left out, because
+        `bending_couples` includes them.
+        """
         in_space = motion.view
         for effect in self.scene.effects:
             if has_elastic_wall(effect, self.scene.rod):

@@ -266,10 +266,13 @@ def _build(
 
 
 def _middles(elements: Any) -> Any:
-    """Arc lengths of the middles of elements, divided by the rod's length `(n,)` [1].
+    """Arc-length positions of element midpoints, divided by the rod's length [1].
 
     Args:
         elements: Number of elements of equal length, or lengths of elements [m].
+
+    Returns:
+        The positions, one per element `(n,)`.
     """
     if isinstance(elements, int):
         return (np.arange(elements) + 0.5) / elements

@@ -234,8 +234,8 @@ def rod_of_section(
     Args:
         n: Number of elements.
         rest_lengths: Rest lengths of the elements `(n,)`, already validated [m].
-        middles: Arc lengths of the middles of the elements, divided by the rod's length
-            `(n,)` [1].
+        middles: Arc-length positions of the element midpoints, divided by the rod's
+            length `(n,)` [1].
         radius: Radius of round sections [m]: one number, one per element, or the pair
             of base and tip radius.
         section: Section instead of a radius.
@@ -373,8 +373,8 @@ def _check_shapes(section: Section, n: int) -> None:
 def _radii(radius: Numbers, middles: Any, dtype: Any) -> Any:
     """Validates and returns a radius; a pair becomes a linear taper, one per element.
 
-    `middles` are the arc lengths of the middles of the elements, divided by the rod's
-    length.
+    `middles` are the arc-length positions of the element midpoints, divided by the
+    rod's length.
     """
     n = len(middles)
     shapes = [(), (2,), (n,)]

@@ -8,7 +8,7 @@ $$u = c_1 + f X/Z, \qquad v = c_2 + f Y/Z.$$
 
 A depth image has at each pixel the depth $Z$ of the nearest point of the rod on the ray
 through the pixel's centre. The rod is the union of capsules: an element is a cylinder
-with a half sphere at each end.
+with a hemisphere at each end.
 """
 
 from __future__ import annotations

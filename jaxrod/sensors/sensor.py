@@ -1,7 +1,7 @@
 r"""The base of all sensors, and interpolation along a rod at their stations.
 
 A station is an arc length $s$ of the unstressed rod. A field that is known at points
-$s_j$ (nodes, middles of elements or joints) is interpolated linearly in $s$, and
+$s_j$ (nodes, element midpoints or joints) is interpolated linearly in $s$, and
 extrapolated linearly beyond the first and the last point. Orientations are interpolated
 along the rotation vector $\phi_j$ of the joint, $q(s) = q_j\,e^{\lambda\phi_j}$, with
 the fraction $\lambda$ of the interval. The error is second order in the length of the
@@ -151,9 +151,9 @@ class Stations:
     nodes: Weights
     """Interpolation of values at nodes."""
     elements: Weights
-    """Interpolation of values at the middles of elements."""
+    """Interpolation of values at element midpoints."""
     joints: Weights
-    """Interpolation of values at joints, taken halfway between the middles of two
+    """Interpolation of values at joints, taken halfway between the midpoints of two
     elements."""
 
     def orientation(self, motion: Motion) -> Quaternion:
@@ -192,7 +192,7 @@ class StationSensor(Sensor):
             )
 
     def placed(self, reading: Vec3) -> Array:
-        """Joins components `(k,)` to a reading `(3, k)`, or `(3,)` for one station."""
+        """Stacks three components `(k,)` to `(3, k)`, or to `(3,)` for one station."""
         return vectors.join(reading).reshape(3, *self.arc_length.shape)
 
 

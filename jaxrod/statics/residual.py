@@ -183,7 +183,10 @@ class LoadBalance:
         return self.residual(increment), self.tangent(increment), self.mass()
 
     def ended(self, increment: Increment) -> tuple[Array, Motion]:
-        """Residual and motion at an increment, for a program that computes both."""
+        """Residual at an increment and the motion that goes with it.
+
+        One compiled program can thus return both.
+        """
         return self.residual(increment), self.motion(increment)
 
     def moved_along_edges(self, given: tuple[Increment, Array]) -> Motion:

@@ -213,7 +213,10 @@ class Coupling:
         return None
 
     def reaction(self, seen: AllSeen) -> Reaction | None:
-        """Force, couple and power of an external drive; `None` without a drive."""
+        """Force, couple and power that an external drive supplies to the system.
+
+        Returns `None` for a coupling without a drive.
+        """
         return None
 
     def with_free_ends(self, free: Mapping[str, Array]) -> Coupling:

@@ -78,10 +78,10 @@ class Setting:
 
 @dataclass(frozen=True, eq=False)
 class Prepared:
-    """A workload built with a setting, ready to run."""
+    """A workload built for a given setting, ready to run."""
 
     setting: Setting
-    """The setting, with the step size that is used."""
+    """The setting, with the step size used."""
     scene: Scene
     """The scene, in the setting's floating-point type."""
     state: RodState

@@ -28,7 +28,7 @@ def resample(scene: Scene, state: RodState, n_elements: int) -> tuple[Scene, Rod
     """Converts a scene and a state to another number of equally long elements.
 
     Interpolation is in rest arc length. Logarithms of properties are interpolated
-    linearly between the middles of elements, rest curvatures between joints, positions
+    linearly between element midpoints, rest curvatures between joints, positions
     and velocities between nodes, and orientations along the rotation from each element
     to the next. Effects define their counterparts on the new rod (`Effect.resampled`).
 
@@ -103,7 +103,7 @@ def _resampled_rod(rod: Rod, n: int) -> Rod:
 
 
 def _places(rod: Rod) -> tuple[np.ndarray, np.ndarray]:
-    """Rest arc lengths of nodes and of the middles of elements [m]."""
+    """Rest arc lengths of nodes and of element midpoints [m]."""
     lengths = np.asarray(rod.rest_lengths, np.float64)
     nodes = np.concatenate([[0.0], np.cumsum(lengths)])
     return nodes, np.asarray(rod.arc_length_midpoints, np.float64)

@@ -413,7 +413,7 @@ class Arm:
         )
 
     def _weights(self, masses: Array, pull: Array) -> MarkerWeights:
-        """Makes the couples of the markers' weights about the middles of elements.
+        """Builds the couples of the markers' weights about the element midpoints.
 
         `masses` are the masses of the markers [kg], `pull` is the acceleration of
         gravity [m/s^2].
@@ -426,7 +426,7 @@ class Arm:
 
     @property
     def _middles(self) -> np.ndarray:
-        """Arc lengths of the middles of the elements [m]."""
+        """Arc-length positions of the element midpoints [m]."""
         return (np.arange(self.elements) + 0.5) * self.length / self.elements
 
     @property
@@ -442,7 +442,7 @@ class Arm:
         return np.eye(self.elements)[self._places[0]]
 
     def _along(self, name: str, given: Any) -> np.ndarray:
-        """Validates a quantity, and returns its values at the middles of elements.
+        """Validates a quantity, and returns its values at the element midpoints.
 
         `given` is a positive number, or pairs of arc length [m] and number, between
         which it interpolates linearly. `name` is the quantity's name in error messages.
@@ -471,7 +471,7 @@ class Arm:
 
 @pytree
 class MarkerWeights(Effect):
-    """Couples of the weights of markers about the middles of their elements.
+    """Couples of the weights of markers about the midpoints of their elements.
 
     The masses of the markers are part of the mass of the elements, whose weights are
     those of `gravity`.
@@ -480,7 +480,7 @@ class MarkerWeights(Effect):
     reach: ClassVar[Reach] = "neighbours"
 
     levers: Float[Array, "markers 3"]
-    """Mass of each marker times its offset from the middle of its element, along d1, d2
+    """Mass of each marker times its offset from its element's midpoint, along d1, d2
     and d3 [kg m]."""
     acceleration: Float[Array, "3"]
     """Acceleration of gravity [m/s^2]."""
@@ -499,7 +499,7 @@ class MarkerWeights(Effect):
         """Potential energy of the couples [J].
 
         It is the energy of the weights at the markers, minus the energy of the same
-        weights at the middles of elements.
+        weights at the element midpoints.
         """
         x, y, z = (jnp.sum(self.placed * row[:, None], 0) for row in self.levers.T)
         frame = rotations.directors(rotations.split_quaternion(state.orientations))

@@ -32,7 +32,7 @@ class Sphere:
     """
 
     positions: Any
-    """Centre of the sphere [m], shape (3,) if it is at rest, (T, 3) if it moves."""
+    """Centre of the sphere [m], shape (3,) if stationary, (T, 3) if it moves."""
     radius: float
     """Radius of the sphere [m]."""
     name: str = "target"
@@ -41,7 +41,7 @@ class Sphere:
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Cylinder:
-    """A cylinder at rest, such as an obstacle.
+    """A stationary cylinder, such as an obstacle.
 
     Example:
         >>> post = viz.Cylinder((0.5, 0.2, -1.0), (0.5, 0.2, 1.0), 0.05, name="post")
@@ -152,7 +152,7 @@ def checked_cylinder(index: int, cylinder: Cylinder) -> Cylinder:
 def checked_arrows(index: int, arrows: Arrows, times: np.ndarray) -> Arrows:
     """Validates a group of arrows, and returns a copy of those to be drawn.
 
-    Arrows that are too short to be drawn in any frame are left out, and so are all but
+    Leaves out arrows that in every frame are too short to be drawn, then keeps at most
     the `MOST` longest. `index` is the index of the group, for the error message.
     """
     name = f"arrows[{index}]"

@@ -89,9 +89,10 @@ class Window:
 def acted(
     state: OnPolicyState, weights: Any, noise: Float[Array, "steps num_envs action"]
 ) -> tuple[VectorState, Window]:
-    """Acts for one window with given policy weights; differentiable in the weights.
+    """Runs the policy for one window with the given weights.
 
-    Returns the environments after the window, and its samples.
+    Returns the environments after the window, and the window's samples. Both are
+    differentiable in the weights.
     """
     config = state.config
     environment = VectorEnvironment(state.env)

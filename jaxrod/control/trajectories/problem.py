@@ -80,7 +80,7 @@ class Problem:
         return int(self.lower.shape[-1])
 
     def step(self, state: Any, control: Array, interval: Array) -> tuple[Any, Any]:
-        """Returns the state after an interval under a control, and the residuals."""
+        """Returns the state after interval number `interval`, and its residuals."""
         after = self.move(self.data, state, control, interval)
         return after, self.on_the_way(after, control, interval)
 

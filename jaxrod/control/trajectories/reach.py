@@ -238,7 +238,10 @@ def reach(
 
 
 def moved(data: Reach, state: RodState, control: Array, interval: Array) -> RodState:
-    """Returns the arm's state after an interval under a control."""
+    """Returns the arm's state after interval number `interval`, counted from 0.
+
+    `state` is the state at its beginning, and `control` acts during it.
+    """
     scene = data.arm.with_controls(control.reshape(data.control_shape))
     first = interval * data.steps_per_interval
     return advance(scene, state, data.dt, data.steps_per_interval, first=first)

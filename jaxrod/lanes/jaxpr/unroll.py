@@ -199,7 +199,7 @@ def _unknown(equation: Any, rules: dict[str, Rule]) -> str | None:
 
 
 MOST_ROUNDS = 10_000
-"""Largest number of rounds for which a `while` loop is unrolled."""
+"""Largest number of iterations for which a `while` loop is unrolled."""
 
 
 @rule(*CALLS)
@@ -233,10 +233,11 @@ def scanned(unroller: Unroller, equation: Any, *arrays: Any) -> Any:
 
 @rule("while")
 def looped(unroller: Unroller, equation: Any, *arrays: Any) -> Any:
-    """Unrolls a `while` loop whose condition is a known number in every round.
+    """Unrolls a `while` loop whose condition is a known number in every iteration.
 
     Raises:
-        NotUnrolled: The condition depends on inputs, or there are too many rounds.
+        NotUnrolled: The condition depends on inputs, or the loop has too many
+            iterations.
     """
     loop = while_of(equation)
     first_carry = loop.n_condition + loop.n_body

@@ -292,10 +292,10 @@ class KernelPlan:
         )
 
     def prepare(self, outputs: Sequence[int]) -> None:
-        """Writes the functions `@shared` and `@fixed` of loop-invariant values.
+        """Writes `@shared` and `@fixed`, which compute loop-invariant values.
 
-        `@shared` computes values that all rods share, `@fixed` those of each rod, as
-        far as the outputs of the kernel need them.
+        `@shared` computes the values that all rods share, `@fixed` those of each rod.
+        Only values that the outputs of the kernel need are computed.
         """
         used = self.step.graph.needed(outputs)
         self.operations = len(used)

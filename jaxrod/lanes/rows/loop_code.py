@@ -105,7 +105,7 @@ class RowWriter(Writer):
         return name
 
     def _number(self, node: int) -> str:
-        """Returns the name of a single number, which is loaded if it is in memory."""
+        """Returns the name of a scalar, loading it first if it is in memory."""
         name = self.numbers.get(node)
         if name is not None:
             return name

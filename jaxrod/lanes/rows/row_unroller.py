@@ -47,7 +47,7 @@ SHARED = (
 depend on the layout of arrays. All other rules of elementwise primitives are shared
 too."""
 MOST_UNROLLED = 64
-"""Largest number of rounds for which a `scan` is unrolled."""
+"""Largest number of iterations for which a `scan` is unrolled."""
 
 
 class RowUnroller(Unroller):
@@ -379,7 +379,7 @@ def scanned(unroller: RowUnroller, equation: Any, *arrays: Rows) -> list[Rows]:
     """Translates `scan` to one loop along rows if possible; otherwise unrolls it.
 
     Raises:
-        NotUnrolled: There are too many rounds to unroll, or none.
+        NotUnrolled: The scan has no iterations, or too many to unroll.
     """
     scan = scan_of(equation)
     looped = recurrence(unroller, scan, arrays)

@@ -354,7 +354,10 @@ class Schedule:
             self._take(argument, loop)
 
     def _read_as_stored(self, node: int) -> None:
-        """Records that a scatter or recurrence reads its rows from memory."""
+        """Marks the input rows and the result of a scatter or recurrence as stored.
+
+        Its loop reads and writes them in memory.
+        """
         graph, level = self.graph, self._at[node]
         self._kept.add(node)
         for argument in graph.arguments[node]:

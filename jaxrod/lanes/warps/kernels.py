@@ -110,10 +110,10 @@ class WarpPlan(RowPlan):
         ]
 
     def hoist(self, goals: Sequence[Goal]) -> None:
-        """Writes the functions `@shared` and `@fixed` of values that all steps share.
+        """Writes `@shared` and `@fixed`, which compute values that all steps share.
 
-        `@shared` computes those that all scenes share too, `@fixed` those of one scene,
-        as far as the goals need them.
+        `@shared` computes the values that all scenes share too, `@fixed` those of one
+        scene. Only values that the goals need are computed.
         """
         graph = self.graph
         self.know_data()

@@ -135,7 +135,7 @@ class CrossingContact(TouchingRods):
         """Five pairs of points for each pair of elements, with their weights.
 
         Two segments touch at their closest points and, to the degree that they are
-        parallel, at the middles of their overlap. By inclusion-exclusion, pairs of a
+        parallel, at the midpoints of their overlap. By inclusion-exclusion, pairs of a
         second node and a segment are subtracted, and pairs of second nodes are added.
         """
         way = vectors.subtract(own.first, other.first)
@@ -194,10 +194,10 @@ class CrossingContact(TouchingRods):
     def _shifting(
         self, nearest: ContactPair, middle: ContactPair, own: Elements, other: Elements
     ) -> tuple[Vec3, Vec3, Vec3]:
-        """Forces due to changes of the weight c of closest points, and of the middles.
+        """Forces due to changes of the weight c of closest points, and of midpoints.
 
         The energy of two segments is c times that of contact at their closest points,
-        `nearest`, plus 1 - c times that of contact at the middles of their overlap,
+        `nearest`, plus 1 - c times that of contact at the midpoints of their overlap,
         `middle`. At the closest points the distance is stationary, so the shift of
         these points along the segments does not contribute.
 

@@ -114,7 +114,10 @@ class Rows:
 
 
 def near_each_other(own: Bounds, other: Bounds, allowed: Allowed) -> Array:
-    """Mask of `allowed` pairs whose distance is at most the sum of both reaches."""
+    """Mask of `allowed` pairs no further apart than the sum of their reaches.
+
+    The distance is the shortest one between the straight axes of the elements.
+    """
     way = vectors.subtract(own.elements.first, other.elements.first)
     square = nearest_places(way, own.elements.edge, other.elements.edge)[2]
     reach = own.reach + other.reach

@@ -146,7 +146,10 @@ class RigidContact(PenaltyContact):
                     yield a, b
 
     def _collisions(self, seen: AllSeen) -> Iterator[tuple[int, int, CollisionPair]]:
-        """Contacts (a, b, pair) of balls of group a with surfaces of group b."""
+        """Contacts (a, b, pair) of the balls of group a with the surfaces of group b.
+
+        `a` and `b` are indices into `groups`.
+        """
         for a, b in self._pairs(self.groups):
             one, two = self.groups[a], self.groups[b]
             for first, _, share in CollisionPair.between(one, two, same=a == b):
@@ -164,7 +167,7 @@ class RigidContact(PenaltyContact):
                 )
 
     def loads(self, seen: AllSeen) -> dict[str, Loads]:
-        """Forces and couples on all bodies of the members."""
+        """Contact forces and couples on the rigid bodies of each member."""
         total: dict[int, tuple[Vec3, Vec3]] = {}
         for a, b, pair in self._collisions(seen):
             for number, own in zip((a, b), pair.loads(self._force(pair)), strict=True):

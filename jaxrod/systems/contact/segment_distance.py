@@ -1,4 +1,4 @@
-r"""Closest points of two segments or smooth axes, and middles of parallel segments.
+r"""Closest points of two segments or smooth axes; midpoints of parallel segments.
 
 The squared distance of the segments $x_1 + s e_1$ and $x_2 + t e_2$ is a quadratic form
 with the determinant $D = |e_1|^2 |e_2|^2 \sin^2\theta$. Its minimum in the unit square
@@ -9,10 +9,10 @@ nearest of these five candidates is correct even if round-off spoils one of them
 
 Where segments are parallel the closest points are not unique, and a force there would
 jump from end to end. Below $\sin^2\theta = 10^{-5}$ contact is shifted, linearly in
-$\sin^2\theta$, from the closest points to the middles of the overlap of the segments.
-Below $10^{-6}$ only the middles are in contact. The transition begins at such small
+$\sin^2\theta$, from the closest points to the midpoints of the segments' overlap.
+Below $10^{-6}$ only the midpoints are in contact. The transition begins at such small
 angles because segments that touch only at their closest points would not touch at their
-middles.
+midpoints.
 
 For two pieces of smooth axes Newton's method is used in the unit square, started from
 the closest points of the chords. In each step the squared distance is replaced by its
@@ -54,7 +54,7 @@ left out [1]."""
 
 @pytree
 class Products:
-    """Scalar products of the edges of two segments and the vector between starts."""
+    """Scalar products of two segments' edges and the vector between their starts."""
 
     own: Array
     """Square of the length of the first edge, e1 . e1 [m^2]."""
@@ -87,7 +87,7 @@ class Products:
 def from_products(
     slopes: Products, way: Vec3, own: Vec3, other: Vec3
 ) -> tuple[Vec3, Vec3, Vec3]:
-    """Derivatives by the vectors `way`, `own` and `other`, from those by `Products`.
+    """Derivatives with respect to the vectors from those with respect to the products.
 
     Args:
         slopes: Derivatives of a quantity with respect to each of the products.
@@ -96,8 +96,7 @@ def from_products(
         other: Edge of the second segment [m].
 
     Returns:
-        Derivatives with respect to the vector between starts, the first edge and the
-        second edge, by the chain rule.
+        Derivatives with respect to `way`, `own` and `other`, by the chain rule.
     """
 
     def sums(*terms: tuple[Array, Vec3]) -> Vec3:
@@ -211,9 +210,9 @@ def crossedness(have: Products) -> Array:
 
 
 def middles(have: Products) -> tuple[Array, Array]:
-    """Fractions along two parallel segments at the middles of their overlap [1].
+    """Fractions along two parallel segments at the midpoints of their overlap [1].
 
-    On each segment it is the middle of the part that overlaps the other segment.
+    On each segment it is the midpoint of the part that overlaps the other segment.
     Without an overlap it is the end nearest to the other segment.
     """
     return (

@@ -1,6 +1,6 @@
 r"""Smooth axes: curves along rods that are as smooth at nodes as between them.
 
-Where a polyline bends, its nodes stick out and the middles of its elements lie inside.
+Where a polyline bends, its nodes stick out and its elements' midpoints lie inside.
 So a load that slides along the polyline goes up and down, and rests at nodes. A curve
 through the nodes still has this fault. Here each element has the cubic Hermite curve
 with positions $y_i$ and tangents $m_i$ at its nodes. With the central differences

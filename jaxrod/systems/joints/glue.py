@@ -481,7 +481,7 @@ def _glued(
 
 
 def _middles(state: RodState, points: Points) -> tuple[np.ndarray, np.ndarray]:
-    """Middles `(3, k)` [m] and directors `(3, 3, k)` of the elements `points`."""
+    """Midpoints `(3, k)` [m] and directors `(3, 3, k)` of the elements `points`."""
     first, listed = points.nodes.values, points.elements.values
     # The state is concrete even while other numbers are traced.
     with jax.ensure_compile_time_eval():

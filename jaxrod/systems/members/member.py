@@ -119,7 +119,7 @@ class Member(ABC):
         raise NotImplementedError(f"{type(self).__name__} takes no effects")
 
     def in_own_type(self, name: str) -> Any:
-        """Copy of the member's entry in the system, with effects in its dtype.
+        """Copy of the member's entry, with effects converted to the member's dtype.
 
         Args:
             name: Name of the member, for messages.
@@ -270,7 +270,8 @@ def check_axes(
         name: Name of the member, for the message.
         what: Name of the array, for the message.
         shape: Shape of the array.
-        *allowed: Allowed shapes, as names of axes; only their numbers of axes count.
+        *allowed: Allowed shapes, given as axis names; only the number of axes is
+            checked.
     """
     if len(shape) in map(len, allowed):
         return

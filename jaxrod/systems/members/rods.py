@@ -76,7 +76,7 @@ class OneRod(Member):
         return self.each(lambda scene: scene.with_effect(effect))
 
     def in_own_type(self, name: str) -> Any:
-        """The unchanged scene: `make_scene` has already converted its effects."""
+        """The unchanged scene, whose effects `make_scene` has already converted."""
         return self.model
 
     def with_free_ends(self, free: Array) -> Any:
