@@ -25,7 +25,7 @@ try:
     from jaxrod.training.algorithms.trpo import TRPO, TRPOConfig
     from jaxrod.training.evaluation import Evaluation, evaluate
     from jaxrod.training.exporting.exports import export_c, export_onnx
-    from jaxrod.training.networks import NetworkPolicy
+    from jaxrod.training.networks import NetworkPolicy, RecurrentPolicy
     from jaxrod.training.policy import MLPPolicy, Policy, load_policy, save_policy
     from jaxrod.training.runs.folder import RunFolder
     from jaxrod.training.runs.loop import train, train_seeds
@@ -62,6 +62,7 @@ __all__ = [
     "OnPolicyConfig",
     "PPOConfig",
     "Policy",
+    "RecurrentPolicy",
     "Result",
     "RunFolder",
     "SACConfig",

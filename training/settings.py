@@ -65,6 +65,15 @@ class LearnerConfig:
     short_length: Scalar = 500.0
     """Length of an episode that is cut short [control steps]."""
 
+    def recurrent_units(self, role: str) -> int:
+        """Number of recurrent units of a built-in network; 0 without memory.
+
+        Args:
+            role: "policy" or "critic".
+        """
+        del role
+        return 0
+
 
 WIDEST_LAYER = 16_384
 """Largest number of units of a hidden layer. The weights between two such layers take
@@ -136,15 +145,20 @@ def check_learner(config: LearnerConfig, num_devices: int) -> None:
             f"hidden_sizes must be at most {MOST_LAYERS} layers, got {len(sizes)}"
         )
     for size in sizes:
-        if check_count(f"each of hidden_sizes {sizes}", size, 1) > WIDEST_LAYER:
-            raise ValueError(
-                f"each of hidden_sizes must be at most {WIDEST_LAYER:,} units, got "
-                f"{size:,} units"
-            )
+        check_count(f"each of hidden_sizes {sizes}", size, 1)
+        check_units("each of hidden_sizes", size)
     if config.network is not None and not callable(config.network):
         raise ValueError(
             "network must be a function (role, output_size) -> flax module, got "
             f"{config.network!r:.80}"
+        )
+
+
+def check_units(name: str, size: Any) -> None:
+    """Raises ValueError unless a width is an integer from 0 to `WIDEST_LAYER`."""
+    if check_count(name, size, 0) > WIDEST_LAYER:
+        raise ValueError(
+            f"{name} must be at most {WIDEST_LAYER:,} units, got {size:,} units"
         )
 
 

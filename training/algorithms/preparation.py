@@ -20,9 +20,15 @@ from jaxrod.envs import Environment, VectorEnvironment, VectorState
 from jaxrod.structure import pytree, static
 from jaxrod.training.algorithm import DEVICE_AXIS, steps_per_update
 from jaxrod.training.algorithms.replay import ReplayBuffer
-from jaxrod.training.networks import NetworkPolicy, layers
+from jaxrod.training.networks import (
+    NetworkPolicy,
+    RecurrentPolicy,
+    initial_memory,
+    layers,
+    network_factory,
+)
 from jaxrod.training.normalisation import RunningMoments
-from jaxrod.training.policy import MLPPolicy, Policy
+from jaxrod.training.policy import MLPPolicy
 from jaxrod.training.settings import Scalar
 
 
@@ -186,7 +192,7 @@ def network_policy(
     activation: str,
     output: str = "clip",
     outputs_per_action: int = 1,
-) -> Policy:
+) -> Any:
     """Deterministic policy: the network's first outputs, bounded to [-1, 1].
 
     Args:
@@ -203,6 +209,12 @@ def network_policy(
         "output": output,
         "action_repeat": config.action_repeat,
     }
+    network = network_factory(config, "policy", activation)
+    outputs = outputs_per_action * size
+    if initial_memory(network("policy", outputs), (), float) is not None:
+        return RecurrentPolicy(
+            weights=weights, network=network, action_size=size, **common
+        )
     if config.network is None:
         *hidden, (kernel, bias) = layers(weights)
         last = kernel[:, :size], bias[:size]
@@ -210,7 +222,7 @@ def network_policy(
     return NetworkPolicy(
         weights=weights,
         network=config.network,
-        output_size=outputs_per_action * size,
+        output_size=outputs,
         action_size=size,
         **common,
     )
