@@ -25,7 +25,7 @@ from jaxtyping import Array, Bool, DTypeLike, Float, Key
 
 from jaxrod.structure import pytree, static
 from jaxrod.training.normalisation import RunningMoments, normalise
-from jaxrod.training.policy import OUTPUTS
+from jaxrod.training.policy import bounded
 from jaxrod.training.settings import LearnerConfig, NetworkFactory
 
 ACTIVATIONS: dict[str, Callable[[Array], Array]] = {
@@ -426,15 +426,22 @@ class NetworkPolicy:
     """Function that bounds actions to [-1, 1]: "clip" or "tanh"."""
     action_repeat: int = static(default=1)
     """Control steps for which an action is held, as in training."""
+    action_std: Float[Array, " action"] | None = None
+    """Standard deviation of the noise in training, as in `MLPPolicy`."""
 
     def __call__(
-        self, observation: Float[Array, "*batch observation"]
+        self,
+        observation: Float[Array, "*batch observation"],
+        noise: Float[Array, "*batch action"] | None = None,
     ) -> Float[Array, "*batch action"]:
-        """Returns the action for one observation, or for a batch of them."""
+        """Returns the action for one observation, or for a batch of them.
+
+        `noise` is added before the action is bounded.
+        """
         network = own_network(self.network, "policy", self.output_size)
         seen = normalise(self.moments, observation, self.limit)
         output = network.apply({"params": self.weights}, seen).astype(seen.dtype)
-        return OUTPUTS[self.output](output[..., : self.action_size])
+        return bounded(self.output, output[..., : self.action_size], noise)
 
 
 @pytree
@@ -467,6 +474,8 @@ class RecurrentPolicy:
     """Function that bounds actions to [-1, 1]: "clip" or "tanh"."""
     action_repeat: int = static(default=1)
     """Control steps for which an action is held, as in training."""
+    action_std: Float[Array, " action"] | None = None
+    """Standard deviation of the noise in training, as in `MLPPolicy`."""
 
     def init(self, observation: Float[Array, "batch observation"], state: Any) -> Any:
         """Memory at the start of a batch of episodes."""
@@ -475,11 +484,18 @@ class RecurrentPolicy:
         return initial_memory(network, observation.shape[:-1], observation.dtype)
 
     def act(
-        self, memory: Any, observation: Float[Array, "batch observation"], state: Any
+        self,
+        memory: Any,
+        observation: Float[Array, "batch observation"],
+        state: Any,
+        noise: Float[Array, "batch action"] | None = None,
     ) -> tuple[Float[Array, "batch action"], Any]:
-        """Returns the actions, and the memory after the observations."""
+        """Returns the actions, and the memory after the observations.
+
+        `noise` is added before the actions are bounded.
+        """
         del state
         network = own_network(self.network, "policy", self.action_size)
         seen = normalise(self.moments, observation, self.limit)
         output, memory = apply_once(network, self.weights, seen, memory)
-        return OUTPUTS[self.output](output.astype(seen.dtype)), memory
+        return bounded(self.output, output.astype(seen.dtype), noise), memory

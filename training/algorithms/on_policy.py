@@ -28,6 +28,7 @@ from jaxrod.training.algorithm import Algorithm, mean_over_devices, steps_per_up
 from jaxrod.training.algorithms.preparation import (
     SPREAD,
     LearnerState,
+    along_the_run,
     canonicalise,
     network_policy,
     restart_phase,
@@ -79,6 +80,12 @@ class OnPolicyConfig(LearnerConfig):
     """Weight of the policy's entropy in the objective."""
     initial_log_std: Scalar = 0.0
     """Logarithm of the initial standard deviation of actions."""
+    max_log_std: Scalar = 2.0
+    """Bound on the logarithm of the standard deviation of actions in the first update.
+    Actions are clipped to [-1, 1], so a bound of 2 hardly matters."""
+    final_max_log_std: Scalar = 2.0
+    """Bound on the logarithm of the standard deviation in the last update; linear in
+    between. A bound of -2 at the end makes the policy learn to act without noise."""
 
 
 @pytree
@@ -245,6 +252,17 @@ def initial_memories(
     }
 
 
+def with_bounded_noise(state: OnPolicyState) -> OnPolicyState:
+    """The state with the standard deviation of actions within the schedule's bound."""
+    config: OnPolicyConfig = state.config
+    policy = state.weights["policy"]
+    bound = along_the_run(
+        state, config.max_log_std, config.final_max_log_std, policy["log_std"].dtype
+    )
+    policy = {**policy, "log_std": jnp.minimum(policy["log_std"], bound)}
+    return dataclasses.replace(state, weights=state.weights | {"policy": policy})
+
+
 def gather_experience(
     state: OnPolicyState, axis_name: str | None = None
 ) -> tuple[OnPolicyState, Experience, EpisodeRecord]:
@@ -254,6 +272,7 @@ def gather_experience(
         The state with updated environments and moments, the experience, and the
         episodes that ended. The experience is normalised by the earlier moments.
     """
+    state = with_bounded_noise(state)
     config: OnPolicyConfig = state.config
     dtype = state.environments.observation.dtype
     policy = policy_network(state.env, config, dtype)
@@ -386,7 +405,8 @@ def partition(state: OnPolicyState) -> OnPolicyState:
 def deterministic_policy(state: OnPolicyState, output: str = "clip") -> Any:
     """Deterministic policy: the mean of the action distribution, bounded to [-1, 1]."""
     weights = state.weights["policy"].get("mean", {})
-    return network_policy(state, weights, ACTIVATION, output)
+    std = jnp.exp(state.weights["policy"]["log_std"])
+    return network_policy(state, weights, ACTIVATION, output, action_std=std)
 
 
 def check_on_policy(config: OnPolicyConfig, num_devices: int) -> None:
@@ -394,7 +414,7 @@ def check_on_policy(config: OnPolicyConfig, num_devices: int) -> None:
     check_learner(config, num_devices)
     check_fractions(config, "trace_decay")
     check_not_negative(config, "entropy_weight")
-    check_finite(config, "initial_log_std")
+    check_finite(config, "initial_log_std", "max_log_std", "final_max_log_std")
 
 
 def action_noise(state: OnPolicyState) -> Float[Array, "steps num_envs action"]:

@@ -192,6 +192,7 @@ def network_policy(
     activation: str,
     output: str = "clip",
     outputs_per_action: int = 1,
+    action_std: Float[Array, " action"] | None = None,
 ) -> Any:
     """Deterministic policy: the network's first outputs, bounded to [-1, 1].
 
@@ -201,6 +202,7 @@ def network_policy(
         activation: Activation function of the perceptron, if it is one.
         output: Function that bounds the actions, "clip" or "tanh".
         outputs_per_action: Number of outputs of the network for each action.
+        action_std: Standard deviation of the noise in training, if it is a constant.
     """
     config, size = state.config, state.env.action_size
     common: dict[str, Any] = {
@@ -208,6 +210,7 @@ def network_policy(
         "limit": config.observation_limit,
         "output": output,
         "action_repeat": config.action_repeat,
+        "action_std": action_std,
     }
     network = network_factory(config, "policy", activation)
     outputs = outputs_per_action * size
