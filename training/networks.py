@@ -336,8 +336,8 @@ def initial_weights(
         variables = network.init(key, inputs[None], memory)
     else:
         raise ValueError(
-            "network must have no memory (initial_memory) here: only ppo trains "
-            f"networks with memory; got a {type(network).__name__}"
+            "network must have no memory (initial_memory): only ppo trains networks "
+            "with memory"
         )
     others = sorted(set(variables) - {"params"})
     if others:

@@ -23,7 +23,7 @@ from jaxtyping import Array, Bool, DTypeLike, Float, Int, Key
 
 from jaxrod.envs import Environment, EpisodeRecord, VectorEnvironment, VectorState
 from jaxrod.envs.wrappers import repeating
-from jaxrod.structure import pytree
+from jaxrod.structure import pytree, static
 from jaxrod.training.algorithm import Algorithm, mean_over_devices, steps_per_update
 from jaxrod.training.algorithms.preparation import (
     SPREAD,
@@ -103,6 +103,9 @@ class OnPolicyState(LearnerState):
     memory: dict[str, Any]
     """Memories of the networks, by name as in `weights`, with a first axis of
     environments; None for a network without memory."""
+    actor_size: int = static()
+    """Number of entries of the observation that the policy sees: the first ones. The
+    critic sees all."""
 
 
 @pytree
@@ -195,6 +198,7 @@ def start(
     *,
     make_optimiser: Callable[[Any], optax.GradientTransformation],
     recurrent: bool = False,
+    actor_size: int | None = None,
 ) -> OnPolicyState:
     """The train state before the first update; pure, so it can be vmapped over keys.
 
@@ -208,6 +212,8 @@ def start(
         make_optimiser: Function `config -> optax transformation`, whose initial state
             becomes `optimiser`.
         recurrent: Whether the networks may have a memory.
+        actor_size: Number of entries of the observation that the policy sees; None for
+            all.
 
     Raises:
         ValueError: A network cannot be used.
@@ -217,14 +223,15 @@ def start(
     env = repeating(env, config.action_repeat)
     config, env_params, dtype = canonicalise(key, env, config, env_params)
     keys = jax.random.split(key, 5)
-    dummy = jnp.zeros(env.observation_size, dtype)
+    size = env.observation_size if actor_size is None else actor_size
+    seen, dummy = jnp.zeros(size, dtype), jnp.zeros(env.observation_size, dtype)
     policy, value = policy_network(env, config, dtype), value_network(config, dtype)
     weights = {
-        "policy": initial_weights(policy, keys[0], dummy, recurrent=recurrent),
+        "policy": initial_weights(policy, keys[0], seen, recurrent=recurrent),
         "value": initial_weights(value, keys[1], dummy, recurrent=recurrent),
     }
     mean_weights = weights["policy"].get("mean", {})
-    check_outputs(policy.mean, mean_weights, dummy, env.action_size)
+    check_outputs(policy.mean, mean_weights, seen, env.action_size)
     check_outputs(value, weights["value"], dummy, 1)
     return OnPolicyState(
         env=env,
@@ -237,6 +244,7 @@ def start(
         action_keys=jax.random.split(keys[3], config.num_envs),
         shuffle_key=keys[4],
         memory=initial_memories(policy, value, config.num_envs, dtype),
+        actor_size=size,
         updates=jnp.zeros((), jnp.int32),
         total_updates=jnp.asarray(updates, jnp.int32),
     )
@@ -286,7 +294,8 @@ def gather_experience(
     def act(observation: Array, memory: Any, noise: Array) -> tuple[Array, Any]:
         seen = normalised(observation)
         own = weights["policy"].get("mean", {})
-        mean, acted = apply_once(policy.mean, own, seen, memory["policy"])
+        shown = seen[..., : state.actor_size]
+        mean, acted = apply_once(policy.mean, own, shown, memory["policy"])
         _, judged = apply_once(values, weights["value"], seen, memory["value"])
         action = mean.astype(dtype) + jnp.exp(log_std)[None] * noise
         return action, {"policy": acted, "value": judged}
@@ -406,6 +415,12 @@ def deterministic_policy(state: OnPolicyState, output: str = "clip") -> Any:
     """Deterministic policy: the mean of the action distribution, bounded to [-1, 1]."""
     weights = state.weights["policy"].get("mean", {})
     std = jnp.exp(state.weights["policy"]["log_std"])
+    moments = dataclasses.replace(
+        state.moments,
+        mean=state.moments.mean[: state.actor_size],
+        variance=state.moments.variance[: state.actor_size],
+    )
+    state = dataclasses.replace(state, moments=moments)
     return network_policy(state, weights, ACTIVATION, output, action_std=std)
 
 
@@ -631,6 +646,11 @@ def warm_start(algorithm: Algorithm, policy: MLPPolicy) -> Algorithm:
             )
         if state.config.network is not None:
             raise ValueError("network must be None to begin with an MLPPolicy")
+        if state.actor_size < state.env.observation_size:
+            raise ValueError(
+                "privileged_critic must be false to begin with an MLPPolicy, which "
+                "knows no moments of what its critic saw"
+            )
         own = algorithm.policy(state)
         if not isinstance(own, MLPPolicy):
             raise ValueError(

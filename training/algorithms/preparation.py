@@ -152,7 +152,7 @@ def spread_over_devices(state: Any, **specs: Any) -> Any:
         **specs: Partition specs of the split fields, by name of the field. Each holds
             for all leaves of the field.
     """
-    names = [f.name for f in dataclasses.fields(state) if f.name != "env"]
+    names = [f.name for f in dataclasses.fields(state) if not f.metadata.get("static")]
     repeated: dict[str, Any] = dict.fromkeys(names, _REPEATED)
     return dataclasses.replace(state, **(repeated | specs))
 
