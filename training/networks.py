@@ -1,8 +1,8 @@
 """Networks of the learners, as flax modules.
 
-If a configuration has a `network`, a function `(role, output_size) -> flax module`,
-that function makes the policy and critic networks. Otherwise they are multilayer
-perceptrons, which may have a gated recurrent unit.
+If a configuration has a `network`, a function `(role, output_size) -> network`, that
+function makes the policy and critic networks: flax modules, or pairs of functions.
+Otherwise they are multilayer perceptrons, which may have a gated recurrent unit.
 
 A module with a memory has two methods:
 - `initial_memory(batch, dtype) -> memory`: memory at the start of an episode, any
@@ -175,6 +175,24 @@ class GaussianPolicy(nn.Module):
         return mean, log_std
 
 
+class FunctionPair(nn.Module):
+    """Pair of functions as a flax module.
+
+    Attributes:
+        make: Function (key, input) -> weights, any pytree of arrays; the input is zero.
+        call: Function (weights, inputs) -> outputs, for any leading axes.
+    """
+
+    make: Callable[[Array, Array], Any]
+    call: Callable[[Any, Array], Array]
+
+    @nn.compact
+    def __call__(self, inputs: Float[Array, "*batch inputs"]) -> Array:
+        """Outputs of the network; the last axis of `inputs` holds the components."""
+        one = jnp.zeros(inputs.shape[-1:], inputs.dtype)
+        return self.call(self.param("weights", self.make, one), inputs)
+
+
 @dataclasses.dataclass(frozen=True)
 class BuiltInNetwork:
     """Function that makes the built-in networks, as a `NetworkFactory`.
@@ -245,7 +263,7 @@ def make_network(
         dtype: Dtype of the built-in network.
 
     Raises:
-        ValueError: The result of `network` is no flax module.
+        ValueError: The result of `network` is no network.
     """
     factory = network_factory(config, role, activation, dtype)
     return own_network(factory, role, output_size)
@@ -255,13 +273,15 @@ def own_network(network: NetworkFactory, role: str, output_size: int) -> nn.Modu
     """The flax module that a user's function makes for a role, without weights.
 
     Raises:
-        ValueError: The function's result is no flax module.
+        ValueError: The function's result is no network.
     """
     module: Any = network(role, output_size)
+    if isinstance(module, tuple) and len(module) == 2 and all(map(callable, module)):
+        module = FunctionPair(*module)
     if not isinstance(module, nn.Module):
         raise ValueError(
-            "network must make flax modules (flax.linen.Module), for "
-            f"{role!r} it made a {type(module).__name__}"
+            "network must make flax modules (flax.linen.Module) or pairs of functions "
+            f"(init, apply), for {role!r} it made a {type(module).__name__}"
         )
     # Weights are stored under the names given here; a module's own name would hide
     # them.

@@ -17,7 +17,8 @@ Scalar = float | Float[Array, ""]
 """Numeric setting: a Python float, or a JAX array inside a traced train state."""
 
 NetworkFactory = Callable[[str, int], Any]
-"""Function of a user that makes networks: `(role, output_size) -> flax module`."""
+"""Function of a user that makes networks: `(role, output_size) -> network`, a flax
+module or a pair of functions (init, apply)."""
 
 Settings = Any
 """Any configuration, whose fields the checks read by name."""
@@ -44,8 +45,9 @@ class LearnerConfig:
     hidden_sizes: tuple[int, ...] = static(default=(64, 64))
     """Widths of the hidden layers of all built-in networks."""
     network: NetworkFactory | None = static(default=None)
-    """Function that makes your own networks, `(role, output_size) -> flax module`;
-    `None` for multilayer perceptrons. The role is "policy" (observation -> action) or
+    """Function that makes your own networks, `(role, output_size) -> network`: a flax
+    module, or a pair of functions `(init, apply)`; `None` for the built-in ones. The
+    role is "policy" (observation -> action) or
     "critic" (observation -> value; in SAC, TD3 and DDPG observation and action,
     concatenated). SAC requires twice as many outputs of a policy as there are actions,
     means first."""
@@ -149,7 +151,7 @@ def check_learner(config: LearnerConfig, num_devices: int) -> None:
         check_units("each of hidden_sizes", size)
     if config.network is not None and not callable(config.network):
         raise ValueError(
-            "network must be a function (role, output_size) -> flax module, got "
+            "network must be a function (role, output_size) -> network, got "
             f"{config.network!r:.80}"
         )
 
