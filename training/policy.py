@@ -23,7 +23,6 @@ import numpy as np
 from jaxtyping import Array, Float, Key
 
 from jaxrod.envs import held_for, remembering
-from jaxrod.envs.memory_policy import has_memory
 from jaxrod.files import (
     OBJECT,
     check_entries,
@@ -169,7 +168,7 @@ class NoisyPolicy:
         now, keys = jnp.swapaxes(jax.vmap(jax.random.split)(keys), 0, 1)
         draw = jax.vmap(lambda key: jax.random.normal(key, std.shape, std.dtype))
         noise = std[None] * draw(now)
-        if has_memory(self.policy):
+        if remembering(self.policy) is self.policy:
             action, remembered = self.policy.act(remembered, observation, state, noise)
         else:
             action = self.policy(observation, noise)

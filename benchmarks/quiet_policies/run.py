@@ -1,4 +1,4 @@
-"""What TRPO earns without the noise of its training, by the schedule of that noise.
+"""Returns of TRPO without the noise of its training.
 
 TRPO on `tracking` (variant "paper") with the settings of the published grid. The bound
 on the logarithm of the standard deviation falls from 0 to a number, or is so large that

@@ -1,4 +1,4 @@
-"""What is left of a learner's return where arm and sensors are as bad as real ones.
+"""Returns of learners on an arm with bad sensors, as real ones are.
 
 The task is `tracking` (variant "clean"). The arm is up to 30 % stiffer or softer than
 its model, another one in every episode. Commands arrive 20 ms late. Positions have

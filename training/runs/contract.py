@@ -12,7 +12,6 @@ import numpy as np
 from jax.sharding import PartitionSpec
 
 from jaxrod.envs import Environment, EpisodeRecord, remembering
-from jaxrod.envs.memory_policy import has_memory
 from jaxrod.training.algorithm import Algorithm, Metrics, find_algorithm
 from jaxrod.validation import check_count
 
@@ -171,7 +170,8 @@ def _check_policy(name: str, policy: Any, env: Environment) -> None:
 
     `name` is that of the algorithm, for the message.
     """
-    if not (callable(policy) or has_memory(policy)):
+    has_memory = remembering(policy) is policy
+    if not (callable(policy) or has_memory):
         raise ValueError(
             f"policy of {name} must return a callable, policy(observation), or a "
             f"jaxrod.envs.MemoryPolicy, got a {type(policy).__name__}"
@@ -189,7 +189,7 @@ def _check_policy(name: str, policy: Any, env: Environment) -> None:
 
     # The second batch size differs from every other dimension. A policy with memory
     # acts on batches alone.
-    single: list[tuple[int, ...]] = [] if has_memory(policy) else [()]
+    single: list[tuple[int, ...]] = [] if has_memory else [()]
     for leading in (*single, (size + actions + 1,)):
         observation = jax.ShapeDtypeStruct((*leading, size), jnp.result_type(float))
         demand = (
