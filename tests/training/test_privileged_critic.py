@@ -105,7 +105,7 @@ def test_a_critic_predicts_what_it_sees():
         run = {"progress": False, "evaluation_episodes": 0}
         result = train(Luck(), steps=256 * 40, config=config, **run)
         errors[privileged] = result.progress[-1]["value_error"]
-    assert errors[True] < 0.1 * errors[False]
+    assert errors[True] < 0.2 * errors[False]
 
 
 @pytest.mark.parametrize("units", [0, 4])
