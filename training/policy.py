@@ -168,7 +168,8 @@ class NoisyPolicy:
         now, keys = jnp.swapaxes(jax.vmap(jax.random.split)(keys), 0, 1)
         draw = jax.vmap(lambda key: jax.random.normal(key, std.shape, std.dtype))
         noise = std[None] * draw(now)
-        if remembering(self.policy) is self.policy:
+        has_memory = remembering(self.policy) is self.policy
+        if has_memory:
             action, remembered = self.policy.act(remembered, observation, state, noise)
         else:
             action = self.policy(observation, noise)

@@ -10,6 +10,7 @@ from __future__ import annotations
 import argparse
 import json
 import time
+from typing import Any
 
 from jaxrod.cli import runs
 
@@ -53,7 +54,7 @@ def run(args: argparse.Namespace) -> int:
     check_seed(args.seed)
     jaxrod.configure_cpu()
     stored = runs.open_run(args.run_folder, args.trust)
-    policy = stored.policy()
+    policy: Any = stored.policy()
     from jaxrod.training import evaluate, with_noise
 
     if args.noisy:
