@@ -16,6 +16,7 @@ from jaxrod.envs.protocol import (
     Drawable,
     Environment,
     Plannable,
+    Privileged,
     Snapshot,
 )
 from jaxrod.envs.randomisation import Randomisation, posterior
@@ -43,6 +44,7 @@ __all__ = [
     "MemoryPolicy",
     "OneEpisode",
     "Plannable",
+    "Privileged",
     "Randomisation",
     "Randomised",
     "RandomisedParams",

@@ -197,6 +197,34 @@ class Plannable(Environment, Protocol):
         """Residuals whose squares sum to the cost; takes the arguments of `cost`."""
 
 
+class Privileged(Environment, Protocol):
+    """An environment that shows a critic more than its observation.
+
+    A critic is only used in training, where the simulation knows everything. Randomised
+    environments are of this kind, see `jaxrod.training.PPOConfig.privileged_critic`.
+
+    Example:
+        >>> varied = envs.Randomisation(
+        ...     parameters={"stride": {"uniform": (0.1, 0.3)}}, noise=0.05
+        ... )
+        >>> env = envs.make("trivial", randomise=varied)
+        >>> params = env.default_params()
+        >>> observation, start = env.reset(jax.random.key(0), params)
+        >>> env.privileged_observation(start, params).shape  # position and stride
+        (2,)
+    """
+
+    def privileged_observation(
+        self, state: State, params: Params
+    ) -> Float[Array, " privileged"]:
+        """Quantities that no sensor shows, as one vector.
+
+        Args:
+            state: Current state.
+            params: Traced parameters.
+        """
+
+
 class Channel(NamedTuple):
     """Number, name and unit of consecutive entries of an observation or an action.
 

@@ -105,6 +105,8 @@ class RandomisedState:
     """Output of the actuators; None without lag and rate limit."""
     seen: Float[Array, " entries"] | None
     """Last seen value of every entry; None without drop-out."""
+    clean: Float[Array, " entries"]
+    """Observation of the task, without noise and drop-out."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -241,7 +243,8 @@ class Randomised(EnvironmentWrapper):
             most = jnp.minimum(params.actuator["delay"][1], longest)
             actuator["delay"] = jnp.minimum(jnp.floor(actuator["delay"]), most)
         rest = jnp.zeros(self.action_size)
-        seen, observation = self._sensed(own, observation, params, None)
+        clean = observation
+        seen, observation = self._sensed(own, clean, params, None)
         state = RandomisedState(
             task=task,
             drawn=drawn,
@@ -251,6 +254,7 @@ class Randomised(EnvironmentWrapper):
             else None,
             position=rest if {"lag", "rate"} & set(actuator) else None,
             seen=seen,
+            clean=clean,
         )
         return observation, state
 
@@ -264,16 +268,33 @@ class Randomised(EnvironmentWrapper):
         """Advances one control step with the drawn parameters and actuators."""
         own = jax.random.fold_in(key, _OWN)
         command, state = self._actuated(state, action)
-        observation, task, reward, terminated, truncated, info = self.env.step(
+        clean, task, reward, terminated, truncated, info = self.env.step(
             key, state.task, command, self.task_params(state, params)
         )
-        seen, observation = self._sensed(own, observation, params, state.seen)
-        state = dataclasses.replace(state, task=task, seen=seen)
+        seen, observation = self._sensed(own, clean, params, state.seen)
+        state = dataclasses.replace(state, task=task, seen=seen, clean=clean)
         return observation, state, reward, terminated, truncated, info
 
     def task_params(self, state: RandomisedState, params: RandomisedParams) -> Any:
         """Parameters of the task in the running episode: the nominal and the drawn."""
         return self._with(state.drawn, params.task)
+
+    def privileged_observation(
+        self, state: RandomisedState, params: RandomisedParams
+    ) -> Float[Array, " privileged"]:
+        """Returns what sensors do not show, see `jaxrod.envs.Privileged`.
+
+        It is the observation without noise and drop-out, all drawn values, and the
+        actions that are still on their way.
+        """
+        del params
+        hidden = (state.drawn, state.actuator, state.pending, state.position)
+        return jnp.concatenate(
+            [
+                jnp.ravel(leaf).astype(state.clean.dtype)
+                for leaf in jax.tree.leaves((state.clean, hidden))
+            ]
+        )
 
     @property
     def snapshot(self) -> Callable[[RandomisedState, RandomisedParams], Snapshot]:

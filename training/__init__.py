@@ -25,8 +25,15 @@ try:
     from jaxrod.training.algorithms.trpo import TRPO, TRPOConfig
     from jaxrod.training.evaluation import Evaluation, evaluate
     from jaxrod.training.exporting.exports import export_c, export_onnx
-    from jaxrod.training.networks import NetworkPolicy
-    from jaxrod.training.policy import MLPPolicy, Policy, load_policy, save_policy
+    from jaxrod.training.networks import NetworkPolicy, RecurrentPolicy
+    from jaxrod.training.policy import (
+        MLPPolicy,
+        NoisyPolicy,
+        Policy,
+        load_policy,
+        save_policy,
+        with_noise,
+    )
     from jaxrod.training.runs.folder import RunFolder
     from jaxrod.training.runs.loop import train, train_seeds
     from jaxrod.training.runs.resuming import restore_policy, untrained_policy
@@ -58,10 +65,12 @@ __all__ = [
     "MLPPolicy",
     "Metrics",
     "NetworkPolicy",
+    "NoisyPolicy",
     "OffPolicyConfig",
     "OnPolicyConfig",
     "PPOConfig",
     "Policy",
+    "RecurrentPolicy",
     "Result",
     "RunFolder",
     "SACConfig",
@@ -82,4 +91,5 @@ __all__ = [
     "train_seeds",
     "untrained_policy",
     "warm_start",
+    "with_noise",
 ]

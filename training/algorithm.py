@@ -15,7 +15,6 @@ from jaxtyping import Array
 from jaxrod.envs import EpisodeRecord
 from jaxrod.envs.importing import find_object, import_path_in
 from jaxrod.structure import pytree
-from jaxrod.training.policy import Policy
 
 DEVICE_AXIS = "env"
 """Name of the device axis over which the environments of a run are spread."""
@@ -135,9 +134,10 @@ class Algorithm:
     Under a mapped axis of that name the state holds this device's part of the split
     leaves. Replicated leaves must stay equal on all devices, see
     `mean_over_devices`."""
-    policy: Callable[[Any], Policy]
+    policy: Callable[[Any], Any]
     """`state -> policy`: the deterministic policy, a pytree of arrays. It is called as
-    `policy(observation) -> action` with any leading axes."""
+    `policy(observation) -> action` with any leading axes, or it is a
+    `jaxrod.envs.MemoryPolicy` that does not look at the states."""
     validate: Callable[[Any, int], None] = check_nothing
     """`(config, num_devices) -> None`: raises ValueError with the name and the value of
     the wrong setting. The default accepts every configuration."""

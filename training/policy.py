@@ -9,6 +9,7 @@ policy of the same structure, see `load_policy`.
 
 from __future__ import annotations
 
+import dataclasses
 import io
 import json
 import zipfile
@@ -19,9 +20,9 @@ from typing import Any, Protocol
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Array, Float, Key
 
-from jaxrod.envs import held_for
+from jaxrod.envs import held_for, remembering
 from jaxrod.files import (
     OBJECT,
     check_entries,
@@ -39,6 +40,7 @@ from jaxrod.training.leaves import (
     with_leaves,
 )
 from jaxrod.training.normalisation import RunningMoments, normalise
+from jaxrod.validation import check_seed
 
 ACTIVATIONS = {
     "tanh": jnp.tanh,
@@ -48,6 +50,15 @@ ACTIVATIONS = {
 """Activation functions of the hidden layers by name, in plain JAX."""
 OUTPUTS = {"clip": lambda x: jnp.clip(x, -1, 1), "tanh": jnp.tanh}
 """Functions that bound actions to [-1, 1], by name."""
+
+
+def bounded(
+    output: str,
+    action: Float[Array, "*batch action"],
+    noise: Float[Array, "*batch action"] | None,
+) -> Float[Array, "*batch action"]:
+    """The action, plus noise if there is any, bounded by a function of `OUTPUTS`."""
+    return OUTPUTS[output](action if noise is None else action + noise)
 
 
 class Policy(Protocol):
@@ -95,24 +106,110 @@ class MLPPolicy:
     """Function that bounds actions to [-1, 1], a name in `OUTPUTS`."""
     action_repeat: int = static(default=1)
     """Control steps for which an action is held, as in training."""
+    action_std: Float[Array, " action"] | None = None
+    """Standard deviation of the noise in training, which the policy itself lacks, see
+    `with_noise`; None if the learner's noise was of another kind."""
 
     def __call__(
-        self, observation: Float[Array, "*batch observation"]
+        self,
+        observation: Float[Array, "*batch observation"],
+        noise: Float[Array, "*batch action"] | None = None,
     ) -> Float[Array, "*batch action"]:
-        """Returns the action for one observation, or for a batch of them."""
+        """Returns the action for one observation, or for a batch of them.
+
+        `noise` is added before the action is bounded.
+        """
         hidden = normalise(self.moments, observation, self.limit)
         for i, (kernel, bias) in enumerate(self.layers):
             if i > 0:
                 hidden = ACTIVATIONS[self.activation](hidden)
             bias = jnp.expand_dims(bias, tuple(range(hidden.ndim - 1)))
             hidden = hidden @ kernel + bias
-        return OUTPUTS[self.output](hidden)
+        return bounded(self.output, hidden, noise)
+
+
+@pytree
+class NoisyPolicy:
+    """Policy that acts with the noise of its training: a `jaxrod.envs.MemoryPolicy`.
+
+    Its memory is that of the policy, and the random keys of the episodes.
+
+    Example:
+        >>> quiet = training.untrained_policy(envs.make("trivial"))
+        >>> quiet = jax.tree.map(lambda leaf: jnp.ones(leaf.shape), quiet)
+        >>> noisy = training.with_noise(quiet, seed=1)
+        >>> seen = jnp.zeros((2, 1))
+        >>> action, memory = noisy.act(noisy.init(seen, None), seen, None)
+        >>> action.shape
+        (2, 1)
+    """
+
+    policy: Any
+    """The policy without noise."""
+    key: Key[Array, ""]
+    """Random key, from which each episode of a batch gets its own."""
+
+    @property
+    def action_repeat(self) -> int:
+        """Control steps for which an action is held."""
+        return held_for(self.policy)
+
+    def init(self, observation: Float[Array, "batch observation"], state: Any) -> Any:
+        """Initial memory of the policy, and a random key for each episode."""
+        keys = jax.random.split(self.key, len(observation))
+        return remembering(self.policy).init(observation, state), keys
+
+    def act(
+        self, memory: Any, observation: Float[Array, "batch observation"], state: Any
+    ) -> tuple[Float[Array, "batch action"], Any]:
+        """Returns the noisy actions, and the memory with the next keys."""
+        remembered, keys = memory
+        std = self.policy.action_std
+        now, keys = jnp.swapaxes(jax.vmap(jax.random.split)(keys), 0, 1)
+        draw = jax.vmap(lambda key: jax.random.normal(key, std.shape, std.dtype))
+        noise = std[None] * draw(now)
+        has_memory = remembering(self.policy) is self.policy
+        if has_memory:
+            action, remembered = self.policy.act(remembered, observation, state, noise)
+        else:
+            action = self.policy(observation, noise)
+        return action, (remembered, keys)
+
+
+def with_noise(policy: Any, seed: int = 0) -> NoisyPolicy:
+    """Returns the policy as it acted at the end of its training, with noise.
+
+    Every decision adds Gaussian noise of standard deviation `policy.action_std` before
+    the action is bounded.
+
+    Args:
+        policy: Policy of PPO, TRPO or SHAC.
+        seed: Seed of the noise.
+
+    Raises:
+        ValueError: The policy has no `action_std`.
+
+    Example:
+        >>> env = envs.make("trivial")
+        >>> config = training.PPOConfig(num_envs=16, rollout_steps=16)
+        >>> result = training.train(env, steps=16000, config=config, progress=False)
+        >>> noisy = training.with_noise(result.policy)
+        >>> training.evaluate(env, noisy).mean < result.evaluation.mean
+        True
+    """
+    if getattr(policy, "action_std", None) is None:
+        raise ValueError(
+            "policy must have an action_std, as those of ppo, trpo and shac have, "
+            f"got a {type(policy).__name__} without"
+        )
+    return NoisyPolicy(policy, jax.random.key(check_seed(seed)))
 
 
 PERCEPTRON, PYTREE = 1, 2
 """Format numbers in policy.json: a multilayer perceptron, and any other pytree."""
 
 _ROOT = "policy"
+_NOISE = "action_std"
 _MAY_LACK = {"action_repeat": whole(1, 2**31 - 1), "about": OBJECT}
 
 
@@ -215,6 +312,7 @@ def load_policy(folder: str | Path, like: Any = None) -> Any:
         output=description["output"],
         # Policies from before this entry existed decided at every control step.
         action_repeat=description.get("action_repeat", 1),
+        action_std=found.get(_NOISE),
     )
 
 
@@ -234,6 +332,8 @@ def _perceptron(policy: MLPPolicy) -> tuple[dict[str, Any], dict[str, np.ndarray
     }
     for i, (kernel, bias) in enumerate(policy.layers):
         arrays |= {f"kernel_{i}": kernel, f"bias_{i}": bias}
+    if policy.action_std is not None:
+        arrays[_NOISE] = policy.action_std
     description = {
         "format": PERCEPTRON,
         "activation": policy.activation,
@@ -267,6 +367,9 @@ def _put_into(like: Any, file: Path, arrays: dict[str, np.ndarray]) -> Any:
     Raises:
         ValueError: The names, kinds or shapes differ, or a number is NaN.
     """
+    if f"{_ROOT}.{_NOISE}" not in arrays and getattr(like, _NOISE, None) is not None:
+        # Policies from before this entry existed.
+        like = dataclasses.replace(like, **{_NOISE: None})
     leaves = named_leaves(like, _ROOT)
     for name in leaves.keys() & arrays.keys():
         dtype = np.dtype(leaves[name].dtype)
@@ -326,7 +429,7 @@ def _check_numbers(
     layers = range(description["layers"])
     names = {f"{part}_{i}" for i in layers for part in ("kernel", "bias")}
     names |= {f"observation_{part}" for part in ("count", "mean", "variance", "limit")}
-    for name in sorted(names ^ arrays.keys()):
+    for name in sorted(names ^ (arrays.keys() - {_NOISE})):
         if name in names:
             raise ValueError(f"it lacks {name!r}, which follows from policy.json")
         raise ValueError(f"it has {name!r}, which does not follow from policy.json")
@@ -344,6 +447,8 @@ def _check_numbers(
             f"kernel_{i}": (sizes[i], sizes[i + 1]),
             f"bias_{i}": (sizes[i + 1],),
         }
+    if _NOISE in arrays:
+        shapes[_NOISE] = (sizes[-1],)
     for name, shape in shapes.items():
         array = arrays[name]
         if array.shape != shape:
@@ -353,8 +458,8 @@ def _check_numbers(
             )
         if array.dtype.kind != "f" or not np.isfinite(array).all():
             raise ValueError(f"{name!r} must hold finite numbers")
-    for name in ("observation_count", "observation_variance"):
-        if (arrays[name] < 0).any():
+    for name in ("observation_count", "observation_variance", _NOISE):
+        if name in arrays and (arrays[name] < 0).any():
             raise ValueError(f"{name!r} must not be negative")
     if arrays["observation_limit"] <= 0:
         raise ValueError("'observation_limit' must be positive")

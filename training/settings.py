@@ -17,7 +17,8 @@ Scalar = float | Float[Array, ""]
 """Numeric setting: a Python float, or a JAX array inside a traced train state."""
 
 NetworkFactory = Callable[[str, int], Any]
-"""User-supplied function that makes networks: `(role, output_size) -> flax module`."""
+"""User-supplied function that makes networks: `(role, output_size) -> network`, a flax
+module or a pair of functions (init, apply)."""
 
 Settings = Any
 """Any configuration, whose fields the checks read by name."""
@@ -44,11 +45,11 @@ class LearnerConfig:
     hidden_sizes: tuple[int, ...] = static(default=(64, 64))
     """Widths of the hidden layers of all built-in networks."""
     network: NetworkFactory | None = static(default=None)
-    """Function that makes your own networks, `(role, output_size) -> flax module`;
-    `None` for multilayer perceptrons. The role is "policy" (observation -> action) or
-    "critic" (observation -> value; in SAC, TD3 and DDPG the input is observation and
-    action, concatenated). For SAC a policy has two outputs per action: first all means,
-    then all log standard deviations."""
+    """Function that makes your own networks, `(role, output_size) -> network`: a flax
+    module, or a pair of functions `(init, apply)`; `None` for the built-in ones. The
+    role is "policy" (observation -> action) or "critic" (observation -> value; in SAC,
+    TD3 and DDPG the input is observation and action, concatenated). For SAC a policy
+    has two outputs per action: first all means, then all log standard deviations."""
     spread_phases: bool = static(default=True)
     """Whether the first episodes start at random elapsed times, so that they end at
     different times; see `jaxrod.envs.VectorEnvironment`."""
@@ -64,6 +65,15 @@ class LearnerConfig:
     out of the mean return."""
     short_length: Scalar = 500.0
     """Length of an episode that is cut short [control steps]."""
+
+    def recurrent_units(self, role: str) -> int:
+        """Number of recurrent units of a built-in network; 0 without memory.
+
+        Args:
+            role: "policy" or "critic".
+        """
+        del role
+        return 0
 
 
 WIDEST_LAYER = 16_384
@@ -136,15 +146,20 @@ def check_learner(config: LearnerConfig, num_devices: int) -> None:
             f"hidden_sizes must be at most {MOST_LAYERS} layers, got {len(sizes)}"
         )
     for size in sizes:
-        if check_count(f"each of hidden_sizes {sizes}", size, 1) > WIDEST_LAYER:
-            raise ValueError(
-                f"each of hidden_sizes must be at most {WIDEST_LAYER:,} units, got "
-                f"{size:,} units"
-            )
+        check_count(f"each of hidden_sizes {sizes}", size, 1)
+        check_units("each of hidden_sizes", size)
     if config.network is not None and not callable(config.network):
         raise ValueError(
-            "network must be a function (role, output_size) -> flax module, got "
+            "network must be a function (role, output_size) -> network, got "
             f"{config.network!r:.80}"
+        )
+
+
+def check_units(name: str, size: Any) -> None:
+    """Raises ValueError unless a width is an integer from 0 to `WIDEST_LAYER`."""
+    if check_count(name, size, 0) > WIDEST_LAYER:
+        raise ValueError(
+            f"{name} must be at most {WIDEST_LAYER:,} units, got {size:,} units"
         )
 
 

@@ -1,7 +1,8 @@
 """Measure the policy of a run.
 
 Plays complete episodes of the deterministic policy in parallel, with random numbers
-that training never used, and reports their returns.
+that training never used, and reports their returns. With --noisy the policy acts with
+the noise that it had at the end of training.
 """
 
 from __future__ import annotations
@@ -9,6 +10,7 @@ from __future__ import annotations
 import argparse
 import json
 import time
+from typing import Any
 
 from jaxrod.cli import runs
 
@@ -16,6 +18,7 @@ EXAMPLES = """\
 examples:
   jaxrod evaluate runs/first
   jaxrod evaluate runs/first --episodes 100 --seed 7
+  jaxrod evaluate runs/first --noisy             as it acted in training
   jaxrod evaluate runs/first --json              for a script: score, returns, ...
   jaxrod evaluate runs/arm --trust my_module     a run of your own task or learner
 """
@@ -32,6 +35,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--seed", type=int, default=1, help="seed of the episodes (default: 1)"
     )
     parser.add_argument(
+        "--noisy",
+        action="store_true",
+        help="act with the noise of training (ppo, trpo, shac)",
+    )
+    parser.add_argument(
         "--json", action="store_true", help="print one JSON object instead of text"
     )
 
@@ -46,9 +54,11 @@ def run(args: argparse.Namespace) -> int:
     check_seed(args.seed)
     jaxrod.configure_cpu()
     stored = runs.open_run(args.run_folder, args.trust)
-    policy = stored.policy()
-    from jaxrod.training import evaluate
+    policy: Any = stored.policy()
+    from jaxrod.training import evaluate, with_noise
 
+    if args.noisy:
+        policy = with_noise(policy, args.seed)
     began = time.perf_counter()
     found = evaluate(stored.env, policy, episodes=args.episodes, seed=args.seed)
     wall = time.perf_counter() - began
@@ -60,6 +70,7 @@ def run(args: argparse.Namespace) -> int:
             "algorithm": stored.config["algorithm"],
             "episodes": args.episodes,
             "seed": args.seed,
+            "noisy": args.noisy,
             "score": found.mean,
             "score_std": found.standard_deviation,
             "flagged_fraction": found.flagged_fraction,
@@ -69,7 +80,8 @@ def run(args: argparse.Namespace) -> int:
         }
         print(json.dumps(result, indent=2))
         return 0
-    print(f"{stored.title}: {args.episodes} episodes of the deterministic policy")
+    kind = "policy with noise" if args.noisy else "deterministic policy"
+    print(f"{stored.title}: {args.episodes} episodes of the {kind}")
     print(
         f"return    {found.mean:,.1f} ± {found.standard_deviation:,.1f} "
         f"({found.returns.min():,.1f} to {found.returns.max():,.1f})"

@@ -120,3 +120,12 @@ def test_impossible_numbers_are_named(words, sentence, trained, run):
     code, _, err = run("evaluate", trained[0], *words)
     assert code == 2
     assert sentence in err
+
+
+def test_noise_costs_something(trained, run, run_json):
+    words = ("evaluate", trained[0], "--episodes", 64)
+    quiet, noisy = (run_json(*words, *more, "--json") for more in ([], ["--noisy"]))
+    assert (quiet["noisy"], noisy["noisy"]) == (False, True)
+    assert noisy["score"] < quiet["score"] - 0.1
+    code, out, _ = run(*words, "--noisy")
+    assert code == 0 and "64 episodes of the policy with noise" in out

@@ -353,6 +353,33 @@ def test_gradients_through_a_rollout_are_finite_and_right():
     assert all(np.all(np.isfinite(leaf)) for leaf in jax.tree.leaves(slope))
 
 
+def test_privileged_is_what_sensors_do_not_show():
+    env, params = randomised(
+        parameters={"stride": {"uniform": (0.1, 0.3)}},
+        noise=0.5,
+        dropout=0.3,
+        delay=(1, 2),
+        lag=0.7,
+    )
+    observation, state = env.reset(jax.random.key(0), params)
+    actions = jnp.linspace(-1, 1, 6)[:, None]
+    for key, action in zip(
+        jax.random.split(jax.random.key(1), 6), actions, strict=True
+    ):
+        observation, state, *_ = env.step(key, state, action, params)
+        hidden = env.privileged_observation(state, params)
+        np.testing.assert_array_equal(hidden[0], state.task.position)
+        assert hidden[0] != observation[0]
+        np.testing.assert_array_equal(hidden[1], state.drawn["stride"])
+        np.testing.assert_array_equal(hidden[2], state.actuator["delay"])
+        np.testing.assert_array_equal(hidden[4], action[0])
+        np.testing.assert_array_equal(hidden[6:], state.position)
+    plain, params = randomised()
+    observation, state = plain.reset(jax.random.key(0), params)
+    hidden = plain.privileged_observation(state, params)
+    np.testing.assert_array_equal(hidden, observation)
+
+
 def test_a_planner_sees_the_drawn_parameters_and_the_delay():
     env, params = randomised(
         parameters={"stride": {"uniform": (0.1, 0.3)}}, delay=(1, 1), lag=0.7
@@ -362,6 +389,7 @@ def test_a_planner_sees_the_drawn_parameters_and_the_delay():
     for _ in range(3):
         _, moved, *_ = env.step(jax.random.key(1), moved, action, params)
     foreseen = env.predict(state, action, params, 3)
+    moved = replace(moved, clean=foreseen.clean)  # What is predicted is not observed.
     for a, b in zip(*map(jax.tree.leaves, (foreseen, moved)), strict=True):
         np.testing.assert_allclose(a, b, rtol=1e-12)
     residuals = env.residuals(foreseen, action, params)

@@ -207,6 +207,22 @@ def sequence(role, outputs):
     return nn.Sequential([nn.Dense(8), lambda x: nn.tanh(x), nn.Dense(outputs)])
 
 
+def pair(role, outputs):
+    # Two functions, without flax.
+    def init(key, inputs):
+        shape = (inputs.size, outputs)
+        return {
+            "kernel": 0.1 * jax.random.normal(key, shape),
+            "bias": jnp.ones(outputs),
+        }
+
+    def apply(weights, inputs):
+        bias = weights["bias"].reshape((1,) * (inputs.ndim - 1) + (outputs,))
+        return jnp.tanh(inputs @ weights["kernel"] + bias)
+
+    return init, apply
+
+
 class Normalised(nn.Module):
     outputs: int
 
@@ -215,11 +231,12 @@ class Normalised(nn.Module):
         return nn.Dense(self.outputs)(nn.BatchNorm(use_running_average=True)(inputs))
 
 
-@pytest.mark.fast_sets(1)
+@pytest.mark.fast_sets(2)
 @pytest.mark.parametrize(
     ("name", "dtype", "network"),
     [
         ("ppo", jnp.float32, convolution),
+        ("ppo", jnp.float64, pair),
         ("trpo", jnp.float64, sequence),
         ("sac", jnp.float64, convolution),
         ("td3", jnp.float32, sequence),

@@ -19,7 +19,9 @@ from jaxrod.envs import Channel
 from jaxrod.envs.trivial import Trivial
 from jaxrod.extend import pytree
 from jaxrod.training import (
+    PPO,
     MLPPolicy,
+    PPOConfig,
     algorithm_names,
     export_c,
     export_onnx,
@@ -270,8 +272,6 @@ def test_any_network_of_these_primitives_acts_as_in_jax(tmp_path, network):
 def test_a_network_in_flax_acts_as_in_jax(tmp_path):
     import flax.linen as nn
 
-    from jaxrod.training import PPOConfig
-
     class Residual(nn.Module):
         outputs: int
 
@@ -326,24 +326,48 @@ def gated(**more):
     )
 
 
-@pytest.mark.parametrize("by_observation", [False, True])
-def test_a_recurrent_policy_acts_as_in_jax_over_episodes(tmp_path, by_observation):
-    policy = gated(by_observation=by_observation)
-    episodes = observations(policy, 20 * 50).reshape(20, 50, 7)
+def actions_in_jax(policy, episodes):
+    """Actions of a policy with memory in episodes of observations."""
 
     def played(memory, seen):
         action, memory = policy.act(memory, seen[None], None)
-        return memory, action[0]
+        return memory, jnp.clip(action[0], -1, 1)
 
-    wanted = np.stack(
-        [jax.lax.scan(played, policy.init(e[:1], None), e)[1] for e in episodes]
-    )
-    contract = export_c(policy, Sized(), tmp_path / "gated.h")
-    act = compiled(tmp_path / "gated.h")
-    for episode, actions in zip(episodes, wanted, strict=True):
+    play = jax.jit(lambda e: jax.lax.scan(played, policy.init(e[:1], None), e)[1])
+    return np.stack([play(episode) for episode in episodes])
+
+
+def actions_by_onnx(file, contract, episodes):
+    """Actions of an exported model with memory in episodes of observations."""
+    session = onnx_session(file)
+    found = []
+    for episode in episodes:
+        memory = [np.asarray(a["start"], a["type"]) for a in contract["memory"]]
+        for seen in episode:
+            given = {f"memory_{i}": array for i, array in enumerate(memory)}
+            action, *memory = session.run(None, {"observation": seen} | given)
+            found.append(action)
+    return np.reshape(found, (*episodes.shape[:2], -1))
+
+
+def actions_in_c(file, episodes):
+    """Actions of an exported header with memory in episodes of observations."""
+    act = compiled(file)
+    found = []
+    for episode in episodes:
         act.start(episode[0])
-        found = np.stack([act(seen) for seen in episode])
-        np.testing.assert_allclose(found, np.clip(actions, -1, 1), rtol=0, atol=1e-6)
+        found.append([act(seen) for seen in episode])
+    return np.asarray(found)
+
+
+@pytest.mark.parametrize("by_observation", [False, True])
+def test_a_policy_with_memory_acts_as_in_jax_over_episodes(tmp_path, by_observation):
+    policy = gated(by_observation=by_observation)
+    episodes = observations(policy, 20 * 50).reshape(20, 50, 7)
+    wanted = actions_in_jax(policy, episodes)
+    contract = export_c(policy, Sized(), tmp_path / "gated.h")
+    found = actions_in_c(tmp_path / "gated.h", episodes)
+    np.testing.assert_allclose(found, wanted, rtol=0, atol=1e-6)
     assert [array["shape"] for array in contract["memory"]] == [[1, 6], [1]]
     if by_observation:
         assert contract["memory"][0]["start"] is None
@@ -351,13 +375,33 @@ def test_a_recurrent_policy_acts_as_in_jax_over_episodes(tmp_path, by_observatio
             export_onnx(policy, Sized(), tmp_path / "gated.onnx")
         return
     contract = export_onnx(policy, Sized(), tmp_path / "gated.onnx")
-    session = onnx_session(tmp_path / "gated.onnx")
-    for episode, actions in zip(episodes, wanted, strict=True):
-        memory = [np.asarray(a["start"], a["type"]) for a in contract["memory"]]
-        for seen, action in zip(episode, actions, strict=True):
-            given = {f"memory_{i}": array for i, array in enumerate(memory)}
-            found, *memory = session.run(None, {"observation": seen} | given)
-            np.testing.assert_allclose(found, np.clip(action, -1, 1), rtol=0, atol=1e-6)
+    found = actions_by_onnx(tmp_path / "gated.onnx", contract, episodes)
+    np.testing.assert_allclose(found, wanted, rtol=0, atol=1e-6)
+
+
+@pytest.mark.parametrize("double", [False, True])
+def test_a_recurrent_policy_of_ppo_acts_as_in_jax_over_episodes(tmp_path, double):
+    config = PPOConfig(num_envs=4, gru_units=24, hidden_sizes=(16, 16))
+    with jax.enable_x64(double):
+        state = PPO.init(jax.random.key(0), Seen(), config)
+        # Weights as large as learned ones: untrained actions are all about zero.
+        policy = jax.tree.map(
+            lambda leaf: leaf + 0.3 * jax.random.normal(jax.random.key(1), leaf.shape),
+            PPO.policy(state),
+        )
+        policy = dataclasses.replace(policy, moments=state.moments)
+        single = lambda leaf: jnp.asarray(np.asarray(leaf, np.float32))
+        contract = export_c(policy, Seen(), tmp_path / "gru.h")
+        export_onnx(policy, Seen(), tmp_path / "gru.onnx")
+    drawn = np.random.default_rng(2).normal(size=(10, 500, 6))
+    # Sensors drift: memory matters if observations belong together.
+    episodes = np.cumsum(0.2 * drawn, axis=1, dtype=np.float32)
+    wanted = actions_in_jax(jax.tree.map(single, policy), episodes)
+    assert (np.abs(wanted) < 0.9).mean() > 0.2 and np.ptp(wanted) > 1
+    found = actions_in_c(tmp_path / "gru.h", episodes)
+    np.testing.assert_allclose(found, wanted, rtol=0, atol=1e-6)
+    found = actions_by_onnx(tmp_path / "gru.onnx", contract, episodes)
+    np.testing.assert_allclose(found, wanted, rtol=0, atol=1e-6)
 
 
 @pytree

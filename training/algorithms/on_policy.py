@@ -23,11 +23,12 @@ from jaxtyping import Array, Bool, DTypeLike, Float, Int, Key
 
 from jaxrod.envs import Environment, EpisodeRecord, VectorEnvironment, VectorState
 from jaxrod.envs.wrappers import repeating
-from jaxrod.structure import pytree
+from jaxrod.structure import pytree, static
 from jaxrod.training.algorithm import Algorithm, mean_over_devices, steps_per_update
 from jaxrod.training.algorithms.preparation import (
     SPREAD,
     LearnerState,
+    along_the_run,
     canonicalise,
     network_policy,
     restart_phase,
@@ -36,7 +37,9 @@ from jaxrod.training.algorithms.preparation import (
 )
 from jaxrod.training.networks import (
     GaussianPolicy,
+    apply_once,
     check_outputs,
+    initial_memory,
     initial_weights,
     layers,
     make_network,
@@ -47,7 +50,7 @@ from jaxrod.training.normalisation import (
     no_moments,
     normalise,
 )
-from jaxrod.training.policy import MLPPolicy, Policy
+from jaxrod.training.policy import MLPPolicy
 from jaxrod.training.settings import (
     LearnerConfig,
     Scalar,
@@ -77,6 +80,12 @@ class OnPolicyConfig(LearnerConfig):
     """Weight of the policy's entropy in the objective."""
     initial_log_std: Scalar = 0.0
     """Logarithm of the initial standard deviation of actions."""
+    max_log_std: Scalar = 2.0
+    """Bound on the logarithm of the standard deviation of actions in the first update.
+    Actions are clipped to [-1, 1], so a bound of 2 hardly matters."""
+    final_max_log_std: Scalar = 2.0
+    """Bound on the logarithm of the standard deviation in the last update; linear in
+    between. A bound of -2 at the end makes the policy learn to act without noise."""
 
 
 @pytree
@@ -91,6 +100,12 @@ class OnPolicyState(LearnerState):
     """One key per environment, for the noise of its actions."""
     shuffle_key: Key[Array, ""]
     """Key for the order of the minibatches."""
+    memory: dict[str, Any]
+    """Memories of the networks, by name as in `weights`, with a first axis of
+    environments; None for a network without memory."""
+    actor_size: int = static()
+    """Number of entries of the observation that the policy sees: the first ones. The
+    critic sees all."""
 
 
 @pytree
@@ -111,6 +126,10 @@ class Experience:
     """Value that the network predicted before the update, in scaled rewards."""
     reward: Float[Array, "steps num_envs"]
     """Reward of each decision, not scaled, for the report."""
+    starts: Bool[Array, "steps num_envs"]
+    """Whether an episode began with this observation, after the first step."""
+    memory: dict[str, Any]
+    """Memories of the networks before the first step, as in `OnPolicyState`."""
 
 
 def policy_network(
@@ -128,10 +147,25 @@ def value_network(config: OnPolicyConfig, dtype: DTypeLike) -> nn.Module:
 
 
 def predicted_value(
-    network: nn.Module, weights: Any, observation: Float[Array, "*batch observation"]
+    network: nn.Module,
+    weights: Any,
+    observation: Float[Array, "*batch observation"],
+    memory: Any = None,
+    starts: Bool[Array, "*batch"] | None = None,
 ) -> Float[Array, "*batch"]:
-    """Values V of normalised observations: the single output of the value network."""
-    output = network.apply({"params": weights}, observation)
+    """Values V of normalised observations: the single output of the value network.
+
+    Args:
+        network: The network.
+        weights: Weights of the network.
+        observation: Observations; for a network with memory of shape (steps, batch,
+            observation).
+        memory: Memory before the first step; None for a network without memory.
+        starts: Whether an episode begins with an observation; only used with a memory.
+    """
+    recalled = () if memory is None else (memory, starts)
+    output = network.apply({"params": weights}, observation, *recalled)
+    output = output[0] if recalled else output
     return output[..., 0].astype(observation.dtype)
 
 
@@ -163,6 +197,8 @@ def start(
     total_steps: int | Int[Array, ""] = 10_000_000,
     *,
     make_optimiser: Callable[[Any], optax.GradientTransformation],
+    recurrent: bool = False,
+    actor_size: int | None = None,
 ) -> OnPolicyState:
     """The train state before the first update; pure, so it can be vmapped over keys.
 
@@ -175,20 +211,27 @@ def start(
             to their last value.
         make_optimiser: Function `config -> optax transformation`, whose initial state
             becomes `optimiser`.
+        recurrent: Whether the networks may have a memory.
+        actor_size: Number of entries of the observation that the policy sees; None for
+            all.
+
+    Raises:
+        ValueError: A network cannot be used.
     """
     optimiser = make_optimiser(config)
     updates = -(-total_steps // steps_per_update(config))
     env = repeating(env, config.action_repeat)
     config, env_params, dtype = canonicalise(key, env, config, env_params)
     keys = jax.random.split(key, 5)
-    dummy = jnp.zeros(env.observation_size, dtype)
+    size = env.observation_size if actor_size is None else actor_size
+    seen, dummy = jnp.zeros(size, dtype), jnp.zeros(env.observation_size, dtype)
     policy, value = policy_network(env, config, dtype), value_network(config, dtype)
     weights = {
-        "policy": initial_weights(policy, keys[0], dummy),
-        "value": initial_weights(value, keys[1], dummy),
+        "policy": initial_weights(policy, keys[0], seen, recurrent=recurrent),
+        "value": initial_weights(value, keys[1], dummy, recurrent=recurrent),
     }
     mean_weights = weights["policy"].get("mean", {})
-    check_outputs(policy.mean, mean_weights, dummy, env.action_size)
+    check_outputs(policy.mean, mean_weights, seen, env.action_size)
     check_outputs(value, weights["value"], dummy, 1)
     return OnPolicyState(
         env=env,
@@ -200,9 +243,32 @@ def start(
         environments=started(keys[2], env, config, env_params, dtype),
         action_keys=jax.random.split(keys[3], config.num_envs),
         shuffle_key=keys[4],
+        memory=initial_memories(policy, value, config.num_envs, dtype),
+        actor_size=size,
         updates=jnp.zeros((), jnp.int32),
         total_updates=jnp.asarray(updates, jnp.int32),
     )
+
+
+def initial_memories(
+    policy: nn.Module, value: nn.Module, num_envs: int, dtype: DTypeLike
+) -> dict[str, Any]:
+    """Memories of both networks at the start of an episode in every environment."""
+    return {
+        "policy": initial_memory(policy, (num_envs,), dtype),
+        "value": initial_memory(value, (num_envs,), dtype),
+    }
+
+
+def with_bounded_noise(state: OnPolicyState) -> OnPolicyState:
+    """The state with the standard deviation of actions within the schedule's bound."""
+    config: OnPolicyConfig = state.config
+    policy = state.weights["policy"]
+    bound = along_the_run(
+        state, config.max_log_std, config.final_max_log_std, policy["log_std"].dtype
+    )
+    policy = {**policy, "log_std": jnp.minimum(policy["log_std"], bound)}
+    return dataclasses.replace(state, weights=state.weights | {"policy": policy})
 
 
 def gather_experience(
@@ -214,6 +280,7 @@ def gather_experience(
         The state with updated environments and moments, the experience, and the
         episodes that ended. The experience is normalised by the earlier moments.
     """
+    state = with_bounded_noise(state)
     config: OnPolicyConfig = state.config
     dtype = state.environments.observation.dtype
     policy = policy_network(state.env, config, dtype)
@@ -222,32 +289,42 @@ def gather_experience(
     def normalised(observation: Array) -> Array:
         return normalise(state.moments, observation, config.observation_limit)
 
-    def act(observation: Array, noise: Array) -> Array:
-        mean, log_std = policy.apply(
-            {"params": state.weights["policy"]}, normalised(observation)
-        )
-        return mean + jnp.exp(log_std)[None] * noise
+    weights, log_std = state.weights, state.weights["policy"]["log_std"]
 
-    def value(observation: Array) -> Array:
-        # The network expects normalised observations.
-        return predicted_value(values, state.weights["value"], observation)
+    def act(observation: Array, memory: Any, noise: Array) -> tuple[Array, Any]:
+        seen = normalised(observation)
+        own = weights["policy"].get("mean", {})
+        shown = seen[..., : state.actor_size]
+        mean, acted = apply_once(policy.mean, own, shown, memory["policy"])
+        _, judged = apply_once(values, weights["value"], seen, memory["value"])
+        action = mean.astype(dtype) + jnp.exp(log_std)[None] * noise
+        return action, {"policy": acted, "value": judged}
+
+    def value(observation: Array, memory: Any) -> Array:
+        seen = normalised(observation)
+        output, _ = apply_once(values, weights["value"], seen, memory["value"])
+        return output[..., 0].astype(dtype)
 
     noise = action_noise(state)
-    environments, rollout = collect(
+    (environments, memory), rollout = collect(
         VectorEnvironment(state.env),
-        state.environments,
+        (state.environments, state.memory),
         state.env_params,
         act,
-        lambda observation: value(normalised(observation)),
+        value,
         noise,
         restart_phase(state.env, config, state.updates),
+        initial_memories(policy, values, noise.shape[1], dtype),
     )
     observation = normalised(rollout.observation)
-    predicted = value(observation)
+    starts = jnp.concatenate([jnp.zeros_like(rollout.done[:1]), rollout.done[:-1]])
+    predicted = predicted_value(
+        values, weights["value"], observation, state.memory["value"], starts
+    )
     advantage = generalised_advantages(
         reward=config.reward_scale * rollout.reward,
         value=predicted,
-        last_value=value(normalised(environments.observation)),
+        last_value=value(environments.observation, memory),
         final_value=rollout.final_value,
         terminated=rollout.terminated,
         done=rollout.done,
@@ -257,16 +334,19 @@ def gather_experience(
     experience = Experience(
         observation=observation,
         action=rollout.action,
-        log_prob=log_density(noise, state.weights["policy"]["log_std"]),
+        log_prob=log_density(noise, log_std),
         advantage=advantage,
         value_target=advantage + predicted,
         value=predicted,
         reward=rollout.reward,
+        starts=starts,
+        memory=state.memory,
     )
     seen = rollout.observation.reshape(-1, rollout.observation.shape[-1])
     state = dataclasses.replace(
         state,
         environments=environments,
+        memory=memory,
         moments=merge_moments(state.moments, batch_moments(seen, axis_name)),
     )
     return state, experience, rollout.episodes
@@ -326,13 +406,22 @@ def fit_value(
 
 def partition(state: OnPolicyState) -> OnPolicyState:
     """Partition specs: environments and their keys are split over the devices."""
-    return spread_over_devices(state, environments=SPREAD, action_keys=SPREAD)
+    return spread_over_devices(
+        state, environments=SPREAD, action_keys=SPREAD, memory=SPREAD
+    )
 
 
-def deterministic_policy(state: OnPolicyState, output: str = "clip") -> Policy:
+def deterministic_policy(state: OnPolicyState, output: str = "clip") -> Any:
     """Deterministic policy: the mean of the action distribution, bounded to [-1, 1]."""
     weights = state.weights["policy"].get("mean", {})
-    return network_policy(state, weights, ACTIVATION, output)
+    std = jnp.exp(state.weights["policy"]["log_std"])
+    moments = dataclasses.replace(
+        state.moments,
+        mean=state.moments.mean[: state.actor_size],
+        variance=state.moments.variance[: state.actor_size],
+    )
+    state = dataclasses.replace(state, moments=moments)
+    return network_policy(state, weights, ACTIVATION, output, action_std=std)
 
 
 def check_on_policy(config: OnPolicyConfig, num_devices: int) -> None:
@@ -340,7 +429,7 @@ def check_on_policy(config: OnPolicyConfig, num_devices: int) -> None:
     check_learner(config, num_devices)
     check_fractions(config, "trace_decay")
     check_not_negative(config, "entropy_weight")
-    check_finite(config, "initial_log_std")
+    check_finite(config, "initial_log_std", "max_log_std", "final_max_log_std")
 
 
 def action_noise(state: OnPolicyState) -> Float[Array, "steps num_envs action"]:
@@ -377,31 +466,38 @@ class Trajectories:
 
 def collect(
     environment: VectorEnvironment,
-    state: VectorState,
+    before: tuple[VectorState, Any],
     env_params: Any,
-    act: Callable[[Array, Array], Array],
-    value: Callable[[Array], Array],
+    act: Callable[[Array, Any, Array], tuple[Array, Any]],
+    value: Callable[[Array, Any], Array],
     noise: Float[Array, "steps num_envs action"],
     restart_phase: Int[Array, ""] | int = 0,
-) -> tuple[VectorState, Trajectories]:
+    initial: Any = None,
+) -> tuple[tuple[VectorState, Any], Trajectories]:
     """Acts for `steps` decisions in every environment of a batch.
 
     Args:
         environment: The batch of environments.
-        state: State of the batch.
+        before: State of the batch, and memory; every leaf has a first axis of
+            environments.
         env_params: Parameters of the environment.
-        act: Function (observation, noise) -> action, on a batch.
-        value: Function observation -> value, on a batch. Called only in steps in which
-            an episode is truncated.
+        act: Function (observation, memory, noise) -> (action, memory), on a batch.
+        value: Function (observation, memory) -> value, on a batch. Called only in steps
+            in which an episode is truncated.
         noise: Standard normal noise of the actions.
         restart_phase: Initial elapsed step count of new episodes, as in
             `jaxrod.envs.VectorEnvironment.step`.
+        initial: Memory at the start of an episode in every environment.
+
+    Returns:
+        State and memory afterwards, and the rollouts.
     """
 
     def step(
-        state: VectorState, noise: Float[Array, "num_envs action"]
-    ) -> tuple[VectorState, Trajectories]:
-        action = act(state.observation, noise)
+        before: tuple[VectorState, Any], noise: Float[Array, "num_envs action"]
+    ) -> tuple[tuple[VectorState, Any], Trajectories]:
+        state, memory = before
+        action, memory = act(state.observation, memory, noise)
         following, outcome = environment.step(
             state,
             jnp.clip(action, -1, 1),
@@ -411,21 +507,32 @@ def collect(
         cut_short = outcome.truncated & ~outcome.terminated
         final_value = jax.lax.cond(
             jnp.any(cut_short),
-            lambda observation: jnp.where(cut_short, value(observation), 0),
+            lambda observation: jnp.where(cut_short, value(observation, memory), 0),
             lambda observation: jnp.zeros_like(observation[:, 0]),
             outcome.final_observation,
         )
-        return following, Trajectories(
+        done = outcome.terminated | outcome.truncated
+        memory = jax.tree.map(
+            lambda new, old: jnp.where(_along_first(done, old), new, old),
+            initial,
+            memory,
+        )
+        return (following, memory), Trajectories(
             observation=state.observation,
             action=action,
             reward=outcome.reward,
             terminated=outcome.terminated,
-            done=outcome.terminated | outcome.truncated,
+            done=done,
             final_value=final_value,
             episodes=outcome.episodes,
         )
 
-    return jax.lax.scan(step, state, noise)
+    return jax.lax.scan(step, before, noise)
+
+
+def _along_first(mask: Bool[Array, " num_envs"], leaf: Array) -> Array:
+    """Mask of the environments with as many axes as a leaf, for `where`."""
+    return mask.reshape(mask.shape + (1,) * (leaf.ndim - 1))
 
 
 def generalised_advantages(
@@ -539,6 +646,11 @@ def warm_start(algorithm: Algorithm, policy: MLPPolicy) -> Algorithm:
             )
         if state.config.network is not None:
             raise ValueError("network must be None to begin with an MLPPolicy")
+        if state.actor_size < state.env.observation_size:
+            raise ValueError(
+                "privileged_critic must be false to begin with an MLPPolicy, which "
+                "knows no moments of what its critic saw"
+            )
         own = algorithm.policy(state)
         if not isinstance(own, MLPPolicy):
             raise ValueError(

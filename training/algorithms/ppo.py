@@ -15,6 +15,7 @@ import optax
 from jaxtyping import Array, Float, Int, Key
 
 from jaxrod.envs import Environment
+from jaxrod.envs.wrappers import EnvironmentWrapper
 from jaxrod.structure import pytree, static
 from jaxrod.training.algorithm import (
     Algorithm,
@@ -23,6 +24,7 @@ from jaxrod.training.algorithm import (
     steps_per_update,
 )
 from jaxrod.training.algorithms.on_policy import (
+    ACTIVATION,
     Experience,
     OnPolicyConfig,
     OnPolicyState,
@@ -33,17 +35,18 @@ from jaxrod.training.algorithms.on_policy import (
     log_density,
     partition,
     policy_network,
-    predicted_value,
     standardised,
     start,
     value_network,
 )
 from jaxrod.training.algorithms.preparation import along_the_run
+from jaxrod.training.networks import apply_to_samples, initial_memory, make_network
 from jaxrod.training.settings import (
     Scalar,
     check_counts,
     check_not_negative,
     check_positive,
+    check_units,
 )
 
 
@@ -60,7 +63,14 @@ class PPOConfig(OnPolicyConfig):
     epochs: int = static(default=8)
     """Number of passes over the experience of one update."""
     minibatches: int = static(default=8)
-    """Number of gradient steps in one pass; divides `rollout_steps`."""
+    """Number of gradient steps in one pass; divides `rollout_steps`, or with a memory
+    the environments of one device."""
+    gru_units: int = static(default=0)
+    """Number of gated recurrent units of the built-in networks, by which the policy
+    remembers what it has seen in an episode; 0 for a policy without memory."""
+    privileged_critic: bool = static(default=False)
+    """Whether the critic also sees the task's privileged observation, see
+    `jaxrod.envs.Privileged`. The built-in critic then has no memory."""
     learning_rate: Scalar = 1e-3
     """Step size of Adam at the start."""
     final_learning_rate: Scalar = 5e-5
@@ -73,6 +83,10 @@ class PPOConfig(OnPolicyConfig):
     gradient_norm: Scalar = 0.5
     """Largest norm of a gradient; longer gradients are scaled down to it."""
 
+    def recurrent_units(self, role: str) -> int:
+        """Number of recurrent units of a built-in network."""
+        return 0 if role == "critic" and self.privileged_critic else self.gru_units
+
 
 def validate(config: PPOConfig, num_devices: int = 1) -> None:
     """Checks a configuration on the host.
@@ -82,15 +96,32 @@ def validate(config: PPOConfig, num_devices: int = 1) -> None:
     """
     check_on_policy(config, num_devices)
     check_counts(config, "epochs", "minibatches")
-    if config.rollout_steps % config.minibatches:
+    check_units("gru_units", config.gru_units)
+    if not isinstance(config.privileged_critic, bool):
         raise ValueError(
-            f"minibatches must divide rollout_steps, {config.rollout_steps}, "
-            f"got {config.minibatches}"
+            f"privileged_critic must be true or false, got {config.privileged_critic!r}"
+        )
+    if _has_memory(config):
+        of, samples = "the environments of a device", config.num_envs // num_devices
+    else:
+        of, samples = "rollout_steps", config.rollout_steps
+    if samples % config.minibatches:
+        raise ValueError(
+            f"minibatches must divide {of}, {samples}, got {config.minibatches}"
         )
     check_positive(
         config, "learning_rate", "final_learning_rate", "clip", "gradient_norm"
     )
     check_not_negative(config, "value_weight")
+
+
+def _has_memory(config: PPOConfig) -> bool:
+    """Whether the policy or the critic has a memory."""
+    made = (
+        make_network(config, role, 1, activation=ACTIVATION, dtype=float)
+        for role in ("policy", "critic")
+    )
+    return any(initial_memory(network, (), float) is not None for network in made)
 
 
 def _optimiser(config: PPOConfig) -> optax.GradientTransformation:
@@ -101,9 +132,87 @@ def _optimiser(config: PPOConfig) -> optax.GradientTransformation:
     )
 
 
-init = functools.partial(start, make_optimiser=_optimiser)
-"""Function that makes the train state before the first update, see
-`on_policy.start`."""
+@dataclasses.dataclass(frozen=True)
+class WithPrivileged(EnvironmentWrapper):
+    """Wrapper that appends the privileged observation to the observation.
+
+    Raises:
+        ValueError: The environment has no privileged observation.
+    """
+
+    env: Environment
+    """The wrapped environment, which has a method `privileged_observation`."""
+
+    def __post_init__(self) -> None:
+        """Checks that there is a privileged observation."""
+        if getattr(self.env, "privileged_observation", None) is None:
+            raise ValueError(
+                f"{type(self.env).__name__} has no privileged_observation "
+                "(jaxrod.envs.Privileged): let privileged_critic be false"
+            )
+
+    @functools.cached_property
+    def observation_size(self) -> int:
+        """Length of the observation with the privileged one."""
+        with jax.ensure_compile_time_eval():
+            params = self.env.default_params()
+        start = jax.eval_shape(self.reset, jax.random.key(0), params)
+        size: int = start[0].shape[0]
+        return size
+
+    def reset(self, key: Key[Array, ""], params: Any) -> tuple[Array, Any]:
+        """Starts an episode; the privileged observation comes last."""
+        observation, state = self.env.reset(key, params)
+        return self._extended(observation, state, params), state
+
+    def step(
+        self,
+        key: Key[Array, ""],
+        state: Any,
+        action: Float[Array, " action"],
+        params: Any,
+    ) -> Any:
+        """Advances the environment; the privileged observation comes last."""
+        observation, state, *more = self.env.step(key, state, action, params)
+        return (self._extended(observation, state, params), state, *more)
+
+    def _extended(self, observation: Array, state: Any, params: Any) -> Array:
+        """The observation, and after it the privileged one."""
+        env: Any = self.env
+        hidden = env.privileged_observation(state, params)
+        return jnp.concatenate([observation, hidden.astype(observation.dtype)])
+
+
+def init(
+    key: Key[Array, ""],
+    env: Environment,
+    config: PPOConfig,
+    env_params: Any = None,
+    total_steps: int | Int[Array, ""] = 10_000_000,
+) -> OnPolicyState:
+    """The train state before the first update; pure, so it can be vmapped over keys.
+
+    Args:
+        key: Typed random key; all randomness of the run comes from it.
+        env: The environment, with a privileged observation if the critic shall see it.
+        config: Settings; their numbers can be vmapped, too.
+        env_params: Parameters of the environment, None for its defaults.
+        total_steps: Control steps over which the learning rate falls.
+
+    Raises:
+        ValueError: A network cannot be used, or the environment has no privileged
+            observation.
+    """
+    return start(
+        key,
+        WithPrivileged(env) if config.privileged_critic else env,
+        config,
+        env_params,
+        total_steps,
+        make_optimiser=_optimiser,
+        recurrent=True,
+        actor_size=env.observation_size,
+    )
 
 
 def update(
@@ -115,6 +224,9 @@ def update(
     not depend on how the environments are split over devices, its samples come from
     independent environments, and it is read in long contiguous blocks of memory.
 
+    With a memory it is a random set of environments, each with all time steps: the
+    gradient goes back through time to the start of the rollout or of the episode.
+
     Args:
         state: The train state.
         axis_name: Mapped axis over which the environments are spread, if any.
@@ -122,6 +234,9 @@ def update(
     config: PPOConfig = state.config
     state, experience, episodes = gather_experience(state, axis_name)
     optimiser = _optimiser(config)
+    recurrent = bool(jax.tree.leaves(state.memory))
+    axis = 1 if recurrent else 0
+    samples = dataclasses.replace(experience, memory={})
     learning_rate = along_the_run(
         state,
         config.learning_rate,
@@ -134,9 +249,10 @@ def update(
     ) -> tuple[tuple[Any, Any], dict[str, Array]]:
         weights, moments = carry
         rows, advantage = chosen
-        batch = jax.tree.map(lambda leaf: leaf[rows], experience)
-        batch = dataclasses.replace(batch, advantage=advantage)
-        objective = functools.partial(_loss, env=state.env, config=config)
+        batch = jax.tree.map(lambda leaf: _chosen(leaf, rows, axis), samples)
+        memory = jax.tree.map(lambda leaf: leaf[rows], experience.memory)
+        batch = dataclasses.replace(batch, advantage=advantage, memory=memory)
+        objective = functools.partial(_loss, state=state)
         gradient, report = jax.grad(objective, has_aux=True)(weights, batch)
         gradient = mean_over_devices(gradient, axis_name)
         report["gradient_norm"] = optax.tree.norm(gradient)
@@ -145,9 +261,10 @@ def update(
         return (weights, moments), report
 
     def epoch(carry: Any, key: Key[Array, ""]) -> tuple[Any, dict[str, Array]]:
-        rows = jax.random.permutation(key, config.rollout_steps)
+        rows = jax.random.permutation(key, experience.advantage.shape[axis])
         rows = rows.reshape(config.minibatches, -1)
-        advantage = standardised(experience.advantage[rows], (1, 2), axis_name)
+        advantage = jnp.moveaxis(_chosen(experience.advantage, rows, axis), axis, 0)
+        advantage = standardised(advantage, (1, 2), axis_name)
         return jax.lax.scan(minibatch_step, carry, (rows, advantage))
 
     shuffle_key, epochs_key = jax.random.split(state.shuffle_key)
@@ -174,23 +291,35 @@ def update(
     return state, Metrics(mean_over_devices(scalars, axis_name), episodes)
 
 
+def _chosen(leaf: Array, rows: Int[Array, "*rows"], axis: int) -> Array:
+    """Entries `rows` of the first or the second axis of a leaf."""
+    return leaf[rows] if axis == 0 else leaf[:, rows]
+
+
 def _loss(
     weights: dict[str, Any],
     batch: Experience,
-    env: Environment,
-    config: PPOConfig,
+    state: OnPolicyState,
 ) -> tuple[Float[Array, ""], dict[str, Array]]:
     """Loss of PPO on a batch, and its terms for the report.
 
     L = -mean(min(q A, clip(q, 1 - clip, 1 + clip) A))
     + value_weight mean((V - value_target)^2) / 2 - entropy_weight H,
-    with the probability ratio q, the advantage A and the entropy H.
+    with the probability ratio q, the advantage A and the entropy H. Of the `state`
+    only what stays the same in an update is used.
     """
-    batch = jax.tree.map(lambda leaf: leaf.reshape(-1, *leaf.shape[2:]), batch)
+    config: PPOConfig = state.config
     dtype = batch.observation.dtype
-    mean, log_std = policy_network(env, config, dtype).apply(
-        {"params": weights["policy"]}, batch.observation
+    seen, starts, memory = batch.observation, batch.starts, batch.memory
+    batch = jax.tree.map(
+        lambda leaf: leaf.reshape(-1, *leaf.shape[2:]),
+        dataclasses.replace(batch, memory={}),
     )
+    own, log_std = weights["policy"].get("mean", {}), weights["policy"]["log_std"]
+    network = policy_network(state.env, config, dtype).mean
+    shown = seen[..., : state.actor_size]
+    mean = apply_to_samples(network, own, shown, memory["policy"], starts)
+    mean = mean.astype(dtype)
     standardised = (batch.action - mean) * jnp.exp(-log_std)[None]
     log_ratio = log_density(standardised, log_std) - batch.log_prob
     ratio = jnp.exp(log_ratio)
@@ -198,7 +327,8 @@ def _loss(
     gain = jnp.mean(jnp.minimum(ratio * batch.advantage, clipped * batch.advantage))
 
     network = value_network(config, dtype)
-    value = predicted_value(network, weights["value"], batch.observation)
+    value = apply_to_samples(network, weights["value"], seen, memory["value"], starts)
+    value = value[..., 0].astype(dtype)
     value_loss = 0.5 * jnp.mean((value - batch.value_target) ** 2)
     entropy = gaussian_entropy(log_std)
     loss = -gain + config.value_weight * value_loss - config.entropy_weight * entropy

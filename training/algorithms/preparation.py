@@ -21,9 +21,15 @@ from jaxrod.envs import Environment, VectorEnvironment, VectorState
 from jaxrod.structure import pytree, static
 from jaxrod.training.algorithm import DEVICE_AXIS, steps_per_update
 from jaxrod.training.algorithms.replay import ReplayBuffer
-from jaxrod.training.networks import NetworkPolicy, layers
+from jaxrod.training.networks import (
+    NetworkPolicy,
+    RecurrentPolicy,
+    initial_memory,
+    layers,
+    network_factory,
+)
 from jaxrod.training.normalisation import RunningMoments
-from jaxrod.training.policy import MLPPolicy, Policy
+from jaxrod.training.policy import MLPPolicy
 from jaxrod.training.settings import Scalar
 
 
@@ -151,7 +157,7 @@ def spread_over_devices(state: Any, **specs: Any) -> Any:
         **specs: Partition specs of the split fields, by name of the field. Each applies
             to all leaves of the field.
     """
-    names = [f.name for f in dataclasses.fields(state) if f.name != "env"]
+    names = [f.name for f in dataclasses.fields(state) if not f.metadata.get("static")]
     repeated: dict[str, Any] = dict.fromkeys(names, _REPEATED)
     return dataclasses.replace(state, **(repeated | specs))
 
@@ -194,7 +200,8 @@ def network_policy(
     activation: str,
     output: str = "clip",
     outputs_per_action: int = 1,
-) -> Policy:
+    action_std: Float[Array, " action"] | None = None,
+) -> Any:
     """Deterministic policy: the network's first outputs, bounded to [-1, 1].
 
     Args:
@@ -203,6 +210,7 @@ def network_policy(
         activation: Activation function of the perceptron, if it is one.
         output: Function that bounds the actions, "clip" or "tanh".
         outputs_per_action: Number of outputs of the network for each action.
+        action_std: Standard deviation of the noise in training, if it is a constant.
     """
     config, size = state.config, state.env.action_size
     common: dict[str, Any] = {
@@ -210,7 +218,14 @@ def network_policy(
         "limit": config.observation_limit,
         "output": output,
         "action_repeat": config.action_repeat,
+        "action_std": action_std,
     }
+    network = network_factory(config, "policy", activation)
+    outputs = outputs_per_action * size
+    if initial_memory(network("policy", outputs), (), float) is not None:
+        return RecurrentPolicy(
+            weights=weights, network=network, action_size=size, **common
+        )
     if config.network is None:
         *hidden, (kernel, bias) = layers(weights)
         last = kernel[:, :size], bias[:size]
@@ -218,7 +233,7 @@ def network_policy(
     return NetworkPolicy(
         weights=weights,
         network=config.network,
-        output_size=outputs_per_action * size,
+        output_size=outputs,
         action_size=size,
         **common,
     )

@@ -52,6 +52,7 @@ from jaxrod.training.algorithms.on_policy import (
     predicted_value,
     start,
     value_network,
+    with_bounded_noise,
 )
 from jaxrod.training.algorithms.preparation import along_the_run, restart_phase
 from jaxrod.training.normalisation import batch_moments, merge_moments, normalise
@@ -314,6 +315,7 @@ def update(
         state: The train state.
         axis_name: Mapped axis over which the environments are spread, if any.
     """
+    state = with_bounded_noise(state)
     config: SHACConfig = state.config
     adam = _optimiser(config)
     dtype = state.environments.observation.dtype

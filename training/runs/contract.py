@@ -11,7 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax.sharding import PartitionSpec
 
-from jaxrod.envs import Environment, EpisodeRecord
+from jaxrod.envs import Environment, EpisodeRecord, remembering
 from jaxrod.training.algorithm import Algorithm, Metrics, find_algorithm
 from jaxrod.validation import check_count
 
@@ -170,10 +170,11 @@ def _check_policy(name: str, policy: Any, env: Environment) -> None:
 
     `name` is that of the algorithm, for the message.
     """
-    if not callable(policy):
+    has_memory = remembering(policy) is policy
+    if not (callable(policy) or has_memory):
         raise ValueError(
-            f"policy of {name} must return a callable, policy(observation), got "
-            f"a {type(policy).__name__}"
+            f"policy of {name} must return a callable, policy(observation), or a "
+            f"jaxrod.envs.MemoryPolicy, got a {type(policy).__name__}"
         )
     if any(
         jnp.issubdtype(leaf.dtype, jax.dtypes.prng_key)
@@ -181,15 +182,22 @@ def _check_policy(name: str, policy: Any, env: Environment) -> None:
     ):
         raise ValueError(f"policy of {name} must be deterministic, it holds a key")
     size, actions = env.observation_size, env.action_size
-    # The second batch size differs from every other dimension.
-    for leading in ((), (size + actions + 1,)):
+
+    def first_action(policy: Any, observation: Any) -> Any:
+        acting = remembering(policy)
+        return acting.act(acting.init(observation, None), observation, None)[0]
+
+    # The second batch size differs from every other dimension. A policy with memory
+    # acts on batches alone.
+    single: list[tuple[int, ...]] = [] if has_memory else [()]
+    for leading in (*single, (size + actions + 1,)):
         observation = jax.ShapeDtypeStruct((*leading, size), jnp.result_type(float))
         demand = (
             f"policy of {name} must map observations of shape {observation.shape} to "
             f"actions of shape {(*leading, actions)}"
         )
         try:
-            action = jax.eval_shape(lambda p, o: p(o), policy, observation)
+            action = jax.eval_shape(first_action, policy, observation)
         except (TypeError, ValueError) as error:
             raise ValueError(f"{demand}: {error}") from error
         if getattr(action, "shape", None) != (*leading, actions):

@@ -26,7 +26,7 @@ from jaxrod.files import (
 from jaxrod.structure import pytree
 from jaxrod.training.algorithm import Algorithm
 from jaxrod.training.leaves import is_key
-from jaxrod.training.policy import Policy, load_policy, needs_structure
+from jaxrod.training.policy import load_policy, needs_structure
 from jaxrod.training.runs.checkpoint import Checkpoints
 from jaxrod.training.runs.contract import resolve, updates_of
 from jaxrod.training.runs.folder import (
@@ -191,8 +191,8 @@ def restore_policy(
     *,
     env_params: Any = None,
     trust: Collection[str] = (),
-) -> Policy:
-    """Reads the policy of a run.
+) -> Any:
+    """Reads the policy of a run: a `Policy`, or a `jaxrod.envs.MemoryPolicy`.
 
     Args:
         run: Folder of the run.

@@ -22,7 +22,7 @@ from jaxrod.files import make_folder
 from jaxrod.training.algorithm import Algorithm, Metrics
 from jaxrod.training.evaluation import Evaluation, evaluate
 from jaxrod.training.leaves import from_array, named_leaves, to_array, with_leaves
-from jaxrod.training.policy import Policy, save_policy
+from jaxrod.training.policy import save_policy
 from jaxrod.training.progress import ProgressBar, reached
 from jaxrod.training.runs.checkpoint import Checkpoints
 from jaxrod.training.runs.contract import check_state, updates_of
@@ -66,8 +66,9 @@ class Result:
 
     summary: dict[str, Any]
     """Contents of `summary.json`: scores, steps, times and the device."""
-    policy: Policy
-    """The deterministic policy."""
+    policy: Any
+    """The deterministic policy: a `Policy`, or with a memory a
+    `jaxrod.envs.MemoryPolicy`."""
     progress: list[dict[str, Any]]
     """One row per chunk of this call, as in `progress.csv`."""
     episodes: EpisodeLog
@@ -288,12 +289,12 @@ class Run:
             # So that a run can be evaluated and drawn while it is running.
             self._export(policy)
 
-    def _policy(self) -> Policy:
+    def _policy(self) -> Any:
         """The deterministic policy, in host memory."""
         with self.hosts.losing_none(self.env_steps):
             return self.hosts.fetched(self.learner.policy(self.state), self.mesh)
 
-    def _export(self, policy: Policy) -> None:
+    def _export(self, policy: Any) -> None:
         """Writes the policy into the folder, if there is one."""
         if self.folder:
             names = ("task", "variant", "algorithm", "seed")
@@ -325,7 +326,7 @@ class Run:
         return None if found is None else (*found, self.folder.episodes.read())
 
     def _evaluate(
-        self, policy: Policy, episodes: int
+        self, policy: Any, episodes: int
     ) -> tuple[Evaluation, dict[str, Any]]:
         began = time.monotonic()
         seed = self.requested["seed"]

@@ -1,0 +1,141 @@
+"""Noise of the actions: its bound along a run, and policies that act with it."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from jaxrod.envs.trivial import Trivial
+from jaxrod.training import (
+    PPOConfig,
+    evaluate,
+    find_algorithm,
+    load_policy,
+    save_policy,
+    train,
+    untrained_policy,
+    with_noise,
+)
+from jaxrod.training.algorithms import on_policy, ppo
+from jaxrod.training.policy import MLPPolicy
+
+SMALL = {
+    "ppo": {"num_envs": 8, "rollout_steps": 16, "epochs": 1, "minibatches": 2},
+    "trpo": {"num_envs": 8, "rollout_steps": 16},
+    "shac": {"num_envs": 8, "rollout_steps": 16},
+}
+
+
+@pytest.mark.fast_sets(2)
+@pytest.mark.parametrize("name", SMALL)
+def test_the_bound_of_the_noise_falls_linearly(name):
+    bounds = {"max_log_std": -1.0, "final_max_log_std": -3.0}
+    config = find_algorithm(name).config_type(
+        **SMALL[name], hidden_sizes=(4,), initial_log_std=0.0, **bounds
+    )
+    run = {"progress": False, "evaluation_episodes": 0, "chunk_steps": 1}
+    per_update = find_algorithm(name).steps_per_update(config)
+    result = train(Trivial(), name, steps=8 * per_update, config=config, **run)
+    found = np.log([row["action_std"] for row in result.progress])
+    # An update may move it from the bound at which it acted, by a little.
+    np.testing.assert_allclose(found, -1 - 2 * np.arange(8) / 8, atol=0.2)
+    assert np.ptp(found) > 1.5
+
+
+@pytest.mark.parametrize("log_std", [-0.5, 1.9, 2.0])
+def test_noise_below_the_bound_is_left_as_it_is(log_std):
+    config = PPOConfig(**SMALL["ppo"], initial_log_std=log_std)
+    state = ppo.init(jax.random.key(0), Trivial(), config)
+    after = on_policy.with_bounded_noise(state)
+    for a, b in zip(*map(jax.tree.leaves, (state.weights, after.weights)), strict=True):
+        np.testing.assert_array_equal(a, b)
+
+
+def quiet(output="clip", std=(0.1, 2.0), bias=(0.0, 0.5)):
+    """A policy whose action does not depend on the observation."""
+    like = untrained_policy(Trivial(), config=PPOConfig(hidden_sizes=()))
+    zeros = jax.tree.map(lambda leaf: jnp.zeros(leaf.shape), like)
+    return dataclasses.replace(
+        zeros,
+        limit=jnp.ones(()),
+        layers=((jnp.zeros((1, 2)), jnp.asarray(bias)),),
+        action_std=None if std is None else jnp.asarray(std),
+        output=output,
+    )
+
+
+def acted(policy, seed, steps=2, batch=20_000):
+    noisy, seen = with_noise(policy, seed), jnp.zeros((batch, 1))
+    memory, actions = noisy.init(seen, None), []
+    for _ in range(steps):
+        action, memory = noisy.act(memory, seen, None)
+        actions.append(action)
+    return np.stack(actions)
+
+
+@pytest.mark.parametrize("output", ["clip", "tanh"])
+def test_noise_is_added_before_actions_are_bounded(output):
+    policy = quiet(output)
+    actions = acted(policy, 0)
+    assert (np.abs(actions) <= 1).all()
+    undone = np.arctanh(actions) if output == "tanh" else actions
+    first = undone[..., 0]
+    assert np.mean(first) == pytest.approx(0, abs=3e-3)
+    assert np.std(first) == pytest.approx(0.1, rel=2e-2)
+    # The probability of an action above zero: that of z > -0.25.
+    share = np.mean(actions[..., 1] > 0)
+    assert share == pytest.approx(0.5987, abs=1e-2)
+    # Neither decisions nor episodes share their noise.
+    assert abs(np.corrcoef(first[0], first[1])[0, 1]) < 0.03
+    assert len(np.unique(first)) == first.size
+    np.testing.assert_array_equal(acted(policy, 0), actions)
+    assert (acted(policy, 1) != actions).any()
+
+
+def test_a_noisy_policy_keeps_what_the_quiet_one_has():
+    config = PPOConfig(**SMALL["ppo"], gru_units=4, action_repeat=3)
+    policy = ppo.PPO.policy(ppo.init(jax.random.key(0), Trivial(), config))
+    silent = dataclasses.replace(policy, action_std=0 * policy.action_std)
+    assert with_noise(policy).action_repeat == 3
+    scores = [evaluate(Trivial(), p).mean for p in (silent, with_noise(silent))]
+    assert scores[0] == scores[1] != evaluate(Trivial(), with_noise(policy)).mean
+
+
+def test_files_hold_the_noise_and_older_ones_do_not(tmp_path):
+    save_policy(quiet(), tmp_path / "new")
+    loaded = load_policy(tmp_path / "new")
+    np.testing.assert_array_equal(loaded.action_std, [0.1, 2.0])
+    assert isinstance(loaded, MLPPolicy)
+    save_policy(quiet(std=None), tmp_path / "old")
+    assert "action_std" not in np.load(tmp_path / "old" / "policy.npz")
+    assert load_policy(tmp_path / "old").action_std is None
+    with pytest.raises(ValueError, match=r"policy must have an action_std, .* MLPPol"):
+        with_noise(load_policy(tmp_path / "old"))
+    for wrong, words in {(0.1,): "shape", (0.1, -2.0): "must not be negative"}.items():
+        save_policy(quiet(std=wrong), tmp_path / "wrong")
+        with pytest.raises(ValueError, match=f"'action_std' .*{words}"):
+            load_policy(tmp_path / "wrong")
+
+
+def test_policies_with_memory_from_before_are_read_without_noise(tmp_path):
+    config = PPOConfig(**SMALL["ppo"], gru_units=4)
+    policy = ppo.PPO.policy(ppo.init(jax.random.key(0), Trivial(), config))
+    save_policy(dataclasses.replace(policy, action_std=None), tmp_path)
+    assert not any(
+        "std" in name
+        for name in json.loads((tmp_path / "policy.json").read_text())["leaves"]
+    )
+    like = untrained_policy(Trivial(), config=config)
+    assert load_policy(tmp_path, like).action_std is None
+
+
+@pytest.mark.parametrize("name", ["max_log_std", "final_max_log_std"])
+def test_a_bound_that_is_no_number_is_refused(name):
+    config = PPOConfig(**{name: float("nan")})
+    with pytest.raises(ValueError, match=f"{name} must be finite, got nan"):
+        train(Trivial(), steps=20_000, config=config, progress=False)
