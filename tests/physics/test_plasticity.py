@@ -112,7 +112,12 @@ def test_energy_lost_is_that_of_yielding(record):
     loss = LIMIT * np.sum(path * lengths)
     assert loss > 0.3 * totals[0]
     error = abs(totals[0] - totals[-1] - loss) / loss
-    record("Energy lost against that of yielding", "m_y |dp|", error, at_most=0.01)
+    record(
+        "Energy lost against that of yielding",
+        "m_y dp along the path",
+        error,
+        at_most=0.01,
+    )
 
 
 def test_sections_must_be_round():
