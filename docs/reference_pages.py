@@ -81,6 +81,11 @@ PAGES = (
         "Muscles, tendons, chambers, magnets and waves.",
         packages=("jaxrod.actuation",),
     ),
+    Page(
+        "Materials",
+        "Relaxation, hysteresis and plastic set.",
+        packages=("jaxrod.materials",),
+    ),
     Page("Fluids", "Drag, flow, buoyancy and added mass.", packages=("jaxrod.fluids",)),
     Page(
         "Shapes", "Shapes of obstacles and rigid bodies.", packages=("jaxrod.shapes",)
@@ -151,7 +156,7 @@ import numpy as np
 import jaxrod
 from jaxrod import actuation, assemblies, extend, fluids, schedules
 from jaxrod import control, envs, sensors, training, twin, viz
-from jaxrod import shapes, systems, topology, tradeoff
+from jaxrod import materials, shapes, systems, topology, tradeoff
 from jaxrod.control import estimation
 
 rod, state = jaxrod.straight_rod(

@@ -8,11 +8,11 @@ A rod is a pytree, a step is a pure function, a thousand arms are `jax.vmap` of 
     dt = jaxrod.stable_dt(scene).dt
     state = jaxrod.advance(scene, state, dt, 1000)
 
-Names of one subject are in namespaces: `jaxrod.actuation`, `fluids`, `schedules`,
-`sensors`, `shapes`, `systems`, `topology` and `extend`, for effects, couplings and
-methods of your own. Environments are in `jaxrod.envs`, learners in `jaxrod.training`,
-trajectory optimisation, planning and identification in `jaxrod.control`, drawing in
-`jaxrod.viz`.
+Names of one subject are in namespaces: `jaxrod.actuation`, `fluids`, `materials`,
+`schedules`, `sensors`, `shapes`, `systems`, `topology` and `extend`, for effects,
+couplings and methods of your own. Environments are in `jaxrod.envs`, learners in
+`jaxrod.training`, trajectory optimisation, planning and identification in
+`jaxrod.control`, drawing in `jaxrod.viz`.
 
 `import jaxrod` loads nothing: every name is imported from its module when it is
 first used. The command line therefore answers at once, and `jaxrod doctor` can report

@@ -7,6 +7,7 @@ from jaxrod import envs as envs
 from jaxrod import extend as extend
 from jaxrod import fluids as fluids
 from jaxrod import geometry as geometry
+from jaxrod import materials as materials
 from jaxrod import schedules as schedules
 from jaxrod import sensors as sensors
 from jaxrod import shapes as shapes

@@ -16,12 +16,12 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, ArrayLike, Int
 
-from jaxrod.effects.base import Effect, Memory, memory_of, recalled, remembers, stirred
+from jaxrod.effects.base import Effect, Memory, memory_of, recalled, remembers
 from jaxrod.effects.time import Clock, at_clock, at_largest, clock_at, depends_on_time
 from jaxrod.geometry.vectors import Vec3, subtract
 from jaxrod.model import Stepper
 from jaxrod.rods.elasticity import elastic_law, internal_loads
-from jaxrod.rods.motion import Loads, Motion, accumulate
+from jaxrod.rods.motion import Loads, Motion, accumulate, motion_of
 from jaxrod.rods.repr import repr_or_class_name, scene_repr
 from jaxrod.rods.rod import Rod, RodState, check_state
 from jaxrod.structure import pytree
@@ -188,7 +188,7 @@ class LoadedRod:
         For checks of effects: a load that is zero now may leave the plane or twist
         later.
         """
-        effects = recalled(self.effects, stirred(memory_of(self.effects)))
+        effects = tuple(effect.stirred for effect in self.effects)
         return replace(self, effects=effects).at_largest
 
     @property
@@ -395,9 +395,11 @@ class Now:
 
 def scene_at(scene: LoadedRod, now: Now, fraction: ArrayLike, dt: Array) -> LoadedRod:
     """Scene at the time `(now.step + fraction) * dt`, with the memory in `now`."""
-    clock = Clock(now.step, jnp.asarray(fraction, dt.dtype), dt)
-    effects = at_clock(recalled(scene.effects, now.memory), clock)
-    return replace(scene, effects=effects)
+    passed = jnp.asarray(fraction, dt.dtype)
+    effects = recalled(scene.effects, now.memory)
+    effects = at_clock(effects, Clock(now.step, passed, dt))
+    within = tuple(effect.during_step(passed * dt) for effect in effects)
+    return replace(scene, effects=within)
 
 
 def memory_in(scene: LoadedRod, state: RodState) -> Memory:
@@ -415,6 +417,19 @@ def remembering(scene: LoadedRod, motion: Motion, dt: Array, now: Now) -> Now:
                 f"class, got {type(after).__name__}"
             )
     return Now(now.step + 1, _alike(memory_of(effects), now.memory))
+
+
+def remembering_rest(scene: LoadedRod, state: RodState) -> RodState:
+    """State at rest, with the memory that a step of zero leaves in the effects.
+
+    The scene has the memory that its effects had before they came to rest.
+    """
+    if not scene.remembers:
+        return state
+    nothing = jnp.zeros((), scene.rod.rest_lengths.dtype)
+    now = Now(jnp.zeros((), jnp.int32), memory_of(scene.effects))
+    after = remembering(scene, motion_of(state), nothing, now)
+    return replace(state, memory=after.memory)
 
 
 def _alike(new: Memory, old: Memory) -> Memory:

@@ -6,6 +6,7 @@ NAMESPACES = (
     jaxrod,
     jaxrod.actuation,
     jaxrod.fluids,
+    jaxrod.materials,
     jaxrod.schedules,
     jaxrod.sensors,
     jaxrod.shapes,

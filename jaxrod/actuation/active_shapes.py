@@ -19,7 +19,9 @@ from jaxrod.actuation.section_load import (
     SectionStrains,
     SectionStress,
     Walls,
-    lengths_at_nodes,
+    joint_lengths_at_nodes,
+    rest_curvatures_at_nodes,
+    stiffness_at_nodes,
     transport_bound,
     walls_of,
 )
@@ -57,12 +59,10 @@ class ActiveShape(SectionLoad):
         """Elastic energy with the added shape, minus that without [J]."""
         total = jnp.zeros((), rod.rest_lengths.dtype)
         if self.curvature is not None:
-            curvature, stiffness = _wide(self.curvature), self._stiffness(rod)
-            rest = jnp.pad(
-                rod.rest_curvatures * rod.joint_lengths[None, :], ((0, 0), (1, 1))
-            )
+            curvature, stiffness = _wide(self.curvature), stiffness_at_nodes(rod)
+            lengths = joint_lengths_at_nodes(rod, self.walls)[None, :]
+            rest = rest_curvatures_at_nodes(rod) * lengths
             turned = vectors.join(strains.rotations) - rest
-            lengths = self._lengths(rod)[None, :]
             own = stiffness * curvature * (0.5 * curvature * lengths - turned)
             total = total + jnp.sum(jnp.where(lengths > 0, own, 0))
         if self.strain is not None:
@@ -77,7 +77,7 @@ class ActiveShape(SectionLoad):
         """Force and moment that the added shape adds to the elastic ones."""
         force = moment = None
         if self.curvature is not None:
-            moment = vectors.split(-self._stiffness(rod) * _wide(self.curvature))
+            moment = vectors.split(-stiffness_at_nodes(rod) * _wide(self.curvature))
         if self.strain is not None:
             force = vectors.split(-rod.shear_stretch_stiffness * _wide(self.strain))
         return SectionStress(force, moment)
@@ -86,7 +86,7 @@ class ActiveShape(SectionLoad):
         """Bound on the stiffness that the stress adds because it turns with the rod."""
         force = moment = None
         if self.curvature is not None:
-            bent = self._stiffness(rod) * _wide(self.curvature)
+            bent = stiffness_at_nodes(rod) * _wide(self.curvature)
             moment = vectors.safe_norm(vectors.split(bent))
         if self.strain is not None:
             pulled = rod.shear_stretch_stiffness * _wide(self.strain)
@@ -102,18 +102,6 @@ class ActiveShape(SectionLoad):
             ),
             strain=_resampled(self.strain, middle_places(rod), middle_places(new_rod)),
         )
-
-    def _stiffness(self, rod: Rod) -> Array:
-        """Bend-twist stiffness of the joint at each node `(3, n + 1)` [N m^2]."""
-        ends = rod.bend_twist_stiffness
-        return jnp.concatenate([ends[:, :1], rod.joint_stiffness, ends[:, -1:]], axis=1)
-
-    def _lengths(self, rod: Rod) -> Array:
-        """Rest length of the joint at each node; zero at free ends [m]."""
-        held = {wall.end for wall in self.walls}
-        lengths = lengths_at_nodes(rod)
-        first, last = (0.0 if end not in held else 1.0 for end in ("base", "tip"))
-        return lengths.at[0].multiply(first).at[-1].multiply(last)
 
 
 def _wide(values: Array) -> Array:

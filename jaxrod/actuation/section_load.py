@@ -235,6 +235,28 @@ def walls_of(into: Clamp | tuple[Clamp, ...] | None) -> Walls:
     return walls
 
 
+def stiffness_at_nodes(rod: Rod) -> Array:
+    """Bend-twist stiffness of the joint at each node `(3, n + 1)` [N m^2]."""
+    ends = rod.bend_twist_stiffness
+    return jnp.concatenate([ends[:, :1], rod.joint_stiffness, ends[:, -1:]], axis=1)
+
+
+def joint_lengths_at_nodes(rod: Rod, walls: Walls) -> Array:
+    """Rest length of the joint at each node; zero at ends without a wall [m]."""
+    held = {wall.end for wall in walls}
+    lengths = lengths_at_nodes(rod)
+    first, last = (0.0 if end not in held else 1.0 for end in ("base", "tip"))
+    return lengths.at[0].multiply(first).at[-1].multiply(last)
+
+
+def rest_curvatures_at_nodes(rod: Rod) -> Array:
+    """Curvature and twist at rest of the joint at each node `(3, n + 1)` [1/m].
+
+    They are zero at both ends: a wall is in line with the rod at rest.
+    """
+    return jnp.pad(rod.rest_curvatures, ((0, 0), (1, 1)))
+
+
 def lengths_at_nodes(rod: Rod) -> Array:
     """Rest length around each node: half of each neighbouring element [m]."""
     return at_nodes(rod.rest_lengths)

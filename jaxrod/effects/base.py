@@ -274,13 +274,26 @@ class Effect:
         """
         return motion
 
+    def during_step(self, elapsed: Array) -> Effect:
+        """Effect within a step, for loads that change between two memories.
+
+        Every method calls it before `loads`. Energies, `health` and `equilibrium` refer
+        to the beginning of a step and do not call it.
+
+        Args:
+            elapsed: Time since the beginning of the step, whose memory the effect has
+                [s].
+        """
+        return self
+
     def after_step(self, rod: Rod, motion: Motion, dt: Array) -> Effect:
         """Effect with its memory fields updated by one step.
 
         Only changes of fields declared with `jaxrod.extend.memory()` are kept. The hook
-        is called once a step, at the configuration where loads act, with the rates
-        after the loads have changed them. In implicit steps it is called at the end of
-        the step.
+        is called once a step, at the configuration in its middle. Explicit steps give
+        the rates after the loads have changed them, implicit steps those of the middle.
+        `equilibrium` calls it once, at the shape that it has found, with a step of
+        zero.
 
         Args:
             rod: The rod.
@@ -288,6 +301,15 @@ class Effect:
             dt: Step size [s].
         """
         return self
+
+    @property
+    def stirred(self) -> Effect:
+        """Effect with other memory, to test which loads may appear later.
+
+        By default 0.739 is added to real numbers. An effect whose memory stays in the
+        plane, or free of twist, as long as the rod does returns itself.
+        """
+        return recalled((self,), stirred(memory_of((self,))))[0]
 
     def damping_rates(self, rod: Rod) -> tuple[Array, Array] | None:
         """Decay rates of velocities and spins [1/s]; `None` without damping.

@@ -304,9 +304,12 @@ class EvolvingImplicit:
         first = Base(motion, self.implicit.rates(motion))
         fractions = jnp.stack([coefficient, 1 - coefficient])
         _, added = lax.scan(stage, first, fractions)
-        last = self._at(now, 1.0)
-        after = last.after(motion, added)
-        return after, remembering(last.scene, after, self.implicit.dt, now)
+        after = self._at(now, 1.0).after(motion, added)
+        middle = _add(
+            motion, jax.tree.map(lambda a: 0.25 / coefficient * (a[0] + a[1]), added)
+        )
+        halfway = self._at(now, 0.5).scene
+        return after, remembering(halfway, middle, self.implicit.dt, now)
 
     def end(self, carry: tuple[Motion, Now]) -> RodState:
         """Packs a motion and the memory of effects into a state."""

@@ -9,7 +9,6 @@ from abc import ABC, abstractmethod
 from dataclasses import replace
 from typing import Any, ClassVar
 
-import jax.numpy as jnp
 from jaxtyping import Array, Int
 
 from jaxrod.loaded_rod import (
@@ -20,6 +19,7 @@ from jaxrod.loaded_rod import (
     remembering,
     scene_at,
 )
+from jaxrod.rods.drag import mean_decay
 from jaxrod.rods.motion import Motion
 from jaxrod.rods.rod import RodState
 from jaxrod.structure import pytree
@@ -47,13 +47,7 @@ class Kick:
         loss = None
         if damping is not None:
             exponent = damping * dt
-            # (1 - exp(-x)) / x; its series where the quotient loses digits.
-            small = exponent < 1e-2
-            series = 1 - exponent * (
-                1 / 2 - exponent * (1 / 6 - exponent * (1 / 24 - exponent / 120))
-            )
-            quotient = -jnp.expm1(-exponent) / jnp.where(small, 1, exponent)
-            share = jnp.where(small, series, quotient)
+            share = mean_decay(exponent)
             duration = dt * share
             loss = exponent * share
         gain = duration if inverse_inertia is None else inverse_inertia * duration

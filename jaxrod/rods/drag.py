@@ -56,6 +56,20 @@ class Drag:
         return (self.along_per_speed, self.across_per_speed) != (None, None)
 
 
+def mean_decay(exponent: Array) -> Array:
+    """Mean of exp(-s) for s from 0 to `exponent`: (1 - exp(-x)) / x, at zero 1 [1].
+
+    The exponent is at least zero.
+    """
+    # The series is used where the quotient loses digits.
+    small = exponent < 1e-2
+    series = 1 - exponent * (
+        1 / 2 - exponent * (1 / 6 - exponent * (1 / 24 - exponent / 120))
+    )
+    quotient = -jnp.expm1(-exponent) / jnp.where(small, 1, exponent)
+    return jnp.where(small, series, quotient)
+
+
 def node_tangents(motion: Motion) -> Vec3:
     """Unit vectors along the rod at the nodes: directions of the mean edges there."""
     around = vectors.pair_sum(motion.edges)

@@ -12,7 +12,13 @@ from jaxtyping import Array, ArrayLike, Bool, Float, Int
 
 from jaxrod.effects.base import Effect
 from jaxrod.lanes.steps import by_kernel
-from jaxrod.loaded_rod import LoadedRod, constrain, constrain_rates, scene_of
+from jaxrod.loaded_rod import (
+    LoadedRod,
+    constrain,
+    constrain_rates,
+    remembering_rest,
+    scene_of,
+)
 from jaxrod.model import Model, check_model
 from jaxrod.rods.elasticity import elastic_law
 from jaxrod.rods.motion import Motion, motion_of, state_of
@@ -155,7 +161,8 @@ def scene_equilibrium(
             "jaxrod.fixed_end(state)"
         )
     check_declared_properties(scene)
-    return _equilibrium(scene, state, bound, most)
+    # The scene has the memory: states with and without are one program.
+    return _equilibrium(scene, replace(state, memory=None), bound, most)
 
 
 def _is_loose(scene: LoadedRod) -> bool:
@@ -286,7 +293,7 @@ def _equilibrium(
     residual, motion = by_kernel(balance, "ended", increment)
     force, couple = unstack_dofs(residual)
     return Equilibrium(
-        state=replace(state_of(motion), memory=state.memory),
+        state=remembering_rest(scene, state_of(motion)),
         converged=end.converged,
         stable=end.converged & end.here.tangent.is_positive(),
         loose=end.here.loose,

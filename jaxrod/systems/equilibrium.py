@@ -16,7 +16,6 @@ of a rod about their own axes, and all linear combinations of these.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import replace
 from typing import Any
 
@@ -152,7 +151,8 @@ def system_equilibrium(
     rest = by_kernel(problem, "left_after", (found, correction))
     loads = lax.stop_gradient(here.loads)
     converged = end.converged
-    together = _with_memory(system, rest, state)
+    members = system.interfaces()
+    together = {name: members[name].remembering_rest(rest[name]) for name in rest}
     if RECORD in state:
         # Contacts that did not fit into the lists are not balanced.
         couplings = problem.listed(here.linear.motions).stepper.couplings
@@ -198,18 +198,6 @@ def _last_correction_jvp(primals: Any, tangents: Any) -> tuple[Array, Array]:
 
     _, change = jax.jvp(accelerations, (problem, found), tuple(tangents[:2]))
     return correction, jnp.linalg.solve(stiffness, here.mass @ change)
-
-
-def _with_memory(
-    system: Assembly, state: Mapping[str, Any], before: SystemState
-) -> dict[str, Any]:
-    """Adds to a state the memories of effects in the state `before`."""
-    together = dict(state)
-    for name, member in system.interfaces().items():
-        memory = member.memory(before[name])
-        if any(memory):
-            together[name] = replace(state[name], memory=memory)
-    return together
 
 
 def _is_positive(here: _SystemPlace, rounding: Array) -> Array:

@@ -248,6 +248,13 @@ NUMERIC: dict[str, dict[str, Any]] = {
         "curvature": [0.1, 0.2, 0.3],
         "strain": [0.0, 0.1, 0.2],
     },
+    "standard_linear_solid": {
+        "rod": ...,
+        "stiffness_ratio": 1.5,
+        "relaxation_time": 0.1,
+    },
+    "bending_hysteresis": {"rod": ..., "stiffness": 2.0, "slip_moment": 0.1},
+    "plastic_bending": {"rod": ..., "yield_moment": 0.5, "hardening": 0.1},
     "stokes_drag": {"along": 1.0, "across": 2.0, "turning": 0.1},
     "quadratic_drag": {"density": 1e3, "across": 1.1, "along": 0.1},
     "slender_cylinder": {"viscosity": 1.0, "length": 2.0, "radius": 0.01},

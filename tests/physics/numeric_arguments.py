@@ -220,6 +220,11 @@ FACTORIES = {
     "active_shape": [
         {"rod": ROD, "curvature": (1.0, 2.0, 0.5), "strain": (0.1, 0.2, 0.3)}
     ],
+    "standard_linear_solid": [
+        {"rod": ROD, "stiffness_ratio": 1.5, "relaxation_time": 0.1}
+    ],
+    "bending_hysteresis": [{"rod": ROD, "stiffness": 2.0, "slip_moment": 0.1}],
+    "plastic_bending": [{"rod": ROD, "yield_moment": 0.5, "hardening": 0.1}],
     "magnetisation": [
         {"rod": ROD, "moment_per_length": (1.0, 2.0, 0.5), "field": (0.1, 0.2, 0.3)}
     ],

@@ -159,6 +159,10 @@ class Member(ABC):
         """
         return ()
 
+    def remembering_rest(self, state: Any) -> Any:
+        """Copy of a state at rest, with the memory of effects after a step of zero."""
+        return state
+
     # The state in the form that couplings read, and steps.
 
     def held(self, state: Any) -> Vec3 | None:

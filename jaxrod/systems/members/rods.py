@@ -14,7 +14,13 @@ from jaxrod.analysis.health import HealthLimits, scene_health
 from jaxrod.analysis.stability import scene_stable_step
 from jaxrod.effects.base import Effect, StabilityBound, memory_of
 from jaxrod.geometry.vectors import Vec3
-from jaxrod.loaded_rod import LoadedRod, check_memory, free_velocity_mask, memory_in
+from jaxrod.loaded_rod import (
+    LoadedRod,
+    check_memory,
+    free_velocity_mask,
+    memory_in,
+    remembering_rest,
+)
 from jaxrod.rods.motion import Motion, motion_of
 from jaxrod.rods.rod import Rod, RodState
 from jaxrod.structure import pytree
@@ -122,6 +128,10 @@ class OneRod(Member):
     def memory(self, state: Any) -> Any:
         """Memory of the effects in a state, or their initial memory."""
         return self.each(memory_in, state)
+
+    def remembering_rest(self, state: Any) -> Any:
+        """Copy of a state at rest, with the memory after a step of zero."""
+        return self.each(remembering_rest, state)
 
     def check_state(self, name: str, state: Any, dtype: Any) -> None:
         """Raises a TypeError or a ValueError if a state is not of this rod."""
