@@ -21,6 +21,7 @@ distances are rounded off.
 from __future__ import annotations
 
 import itertools
+import math
 from typing import Any, NamedTuple
 
 import jax
@@ -50,6 +51,7 @@ from jaxrod.validation import (
     check_array,
     is_traced,
     knows_constants,
+    numeric,
     warn,
 )
 
@@ -118,7 +120,7 @@ class SignedDistanceGrid(Body):
         """Value of the spline [m] and its gradient [1], in the axes of the grid."""
         sizes = self.coefficients.shape
         strides = (sizes[1] * sizes[2], sizes[2], 1)
-        first = x.index * strides[0] + y.index * strides[1] + z.index
+        first = x.first * strides[0] + y.first * strides[1] + z.first
         # One table of all 27 coefficients of all points, because XLA's CPU compiler
         # gives up on some programs with several (CONTRIBUTING.md).
         steps = np.array(
@@ -231,8 +233,9 @@ class SignedDistanceGrid(Body):
                 "multiply them by their unit [m].",
                 CoarseGridWarning,
             )
-        margin = float(jnp.min(jnp.abs(_boundary(self.values))))
-        if np.all(self.beyond > 0) and margin < np.max(radii) * (1 - 1e-6):
+        single = self.count is None and float(self.beyond) > 0
+        margin = float(np.min(_boundary(self.values))) if single else math.inf
+        if margin < np.max(radii) * (1 - 1e-6):
             warn(
                 f"the grid of a body ends {margin:.3g} m from its surface, nearer than "
                 f"the rod's radius, {np.max(radii):.3g} m: give from_mesh "
@@ -259,13 +262,13 @@ class SignedDistanceGrid(Body):
         places = self._own_points()
         centre = jnp.sum(share[None] * places, axis=(1, 2, 3)) / total
         x, y, z = places - centre[:, None, None, None]
-        # A cell is a cube, not a point.
-        cube = self.spacing * self.spacing / 12
+        # Shares are those of a surface that is blurred over the width of a cell.
+        blur = self.spacing * self.spacing / 12
 
         def mean(a: Array, b: Array) -> Array:
             return jnp.sum(share * a * b) / total
 
-        xx, yy, zz = mean(x, x) + cube, mean(y, y) + cube, mean(z, z) + cube
+        xx, yy, zz = mean(x, x) - blur, mean(y, y) - blur, mean(z, z) - blur
         xy, xz, yz = -mean(x, y), -mean(x, z), -mean(y, z)
         inertia = jnp.stack(
             [
@@ -336,7 +339,7 @@ class SignedDistanceGrid(Body):
 class _Place(NamedTuple):
     """Places of points along one axis of a grid, and the spline's weights there."""
 
-    index: Array
+    first: Array
     """Index of the first of three coefficients."""
     weights: tuple[Array, Array, Array]
     """Weights of the coefficients [1]."""
@@ -355,7 +358,7 @@ def _place(own: Array, spacing: Array, count: int) -> _Place:
     low, high = 0.5 - f, 0.5 + f
     per = jnp.where(place == inside, 1 / spacing, 0)
     return _Place(
-        index=nearest.astype(jnp.int32),
+        first=nearest.astype(jnp.int32),
         weights=(0.5 * low * low, 0.75 - f * f, 0.5 * high * high),
         slopes=(-per * low, -2 * per * f, per * high),
         away=spacing * (place - inside),
@@ -384,14 +387,11 @@ def _quaternion(axes: Float[Array, "3 3"]) -> tuple[Array, Array, Array, Array]:
     return normalise(split_quaternion(longest))
 
 
-def _boundary(values: Float[Array, "*batch nx ny nz"]) -> Float[Array, "*batch n"]:
-    """All values on the six sides of a grid."""
-    sides = [
-        jnp.take(values, end, axis=axis).reshape(*values.shape[:-3], -1)
-        for axis in (-3, -2, -1)
-        for end in (0, -1)
-    ]
-    return jnp.concatenate(sides, axis=-1)
+def _boundary(values: Any) -> Any:
+    """All values on the six sides of a grid, in one row."""
+    last = [n - 1 for n in values.shape]
+    sides = (values[:: last[0]], values[:, :: last[1]], values[:, :, :: last[2]])
+    return (jnp if is_traced(values) else np).concatenate([s.ravel() for s in sides])
 
 
 def _to_coefficients(count: int) -> np.ndarray:
@@ -436,32 +436,33 @@ def signed_distance_grid(
         >>> round(float(abs(distance[5])), 3)  # the rod is at y = z = 0
         0.0
     """
-    shape = np.shape(values)
+    found = numeric("values", values, "m")
+    shape = found.shape
     if len(shape) != 3 or min(shape) < 3:
         raise ValueError(
             "values must have shape (nx, ny, nz) with at least 3 points along each "
             f"axis, got {shape}"
         )
     dtype = jnp.result_type(float)
-    found = check_array("values", values, [shape], "m", dtype=dtype)
+    found = check_array("values", found, [shape], "m", dtype=dtype)
+    numbers: Any = jnp if is_traced(found) else np
     coefficients = found
     for axis, count in enumerate(shape):
-        matrix = _to_coefficients(count)
-        if is_traced(found):
-            matrix = jnp.asarray(matrix, dtype)
-            turned = jnp.tensordot(matrix, coefficients, (1, axis), precision="highest")
-            coefficients = jnp.moveaxis(turned, 0, axis)
-        else:
-            turned = np.tensordot(matrix, coefficients, (1, axis))
-            coefficients = np.moveaxis(turned, 0, axis)
-    sides = _boundary(jnp.asarray(found, dtype))
-    beyond = jnp.where(jnp.min(sides) > 0, 1.0, jnp.where(jnp.max(sides) < 0, -1.0, 0))
+        matrix = numbers.asarray(_to_coefficients(count), found.dtype)
+        columns = numbers.moveaxis(coefficients, axis, 0).reshape(count, -1)
+        # Products to full precision, on accelerators too.
+        with jax.default_matmul_precision("highest"):
+            spread = matrix @ columns
+        rest = [n for k, n in enumerate(coefficients.shape) if k != axis]
+        coefficients = numbers.moveaxis(spread.reshape(-1, *rest), 0, axis)
+    sides = _boundary(found)
+    beyond = jnp.where(sides.min() > 0, 1.0, jnp.where(sides.max() < 0, -1.0, 0))
     return SignedDistanceGrid(
         coefficients=jnp.asarray(coefficients, dtype),
         spacing=as_array("spacing", spacing, "m", positive=True),
         corner=as_array("corner", corner, "m", [(3,)]),
         orientation=with_length("orientation", orientation, [(4,)]),
-        beyond=beyond.astype(dtype),
+        beyond=jnp.asarray(beyond, dtype),
     )
 
 
@@ -510,7 +511,8 @@ def from_mesh(
         >>> round(float(distance[5]), 3)  # from the rod to the top of the cube
         0.2
     """
-    corners = check_array("vertices", vertices, [np.shape(vertices)], "m")
+    corners = numeric("vertices", vertices, "m")
+    corners = check_array("vertices", corners, [corners.shape], "m")
     if is_traced(corners):
         raise ValueError(
             "vertices must be known numbers: the distances are computed in NumPy. Move "
@@ -533,14 +535,17 @@ def from_mesh(
     room = 0.1 * float(np.max(sides))
     if margin is not None:
         room = _known("margin", margin)
-    counts = np.ceil((sides + 2 * room) / step - 1e-6).astype(int) + 1
-    if np.prod(counts, dtype=float) > MOST_POINTS:
+    with np.errstate(over="ignore"):
+        cells = np.ceil((sides + 2 * room) / step - 1e-6)
+        n_points = float(np.prod(cells + 1))
+    if n_points > MOST_POINTS:
         raise ValueError(
             f"a spacing of {step:.3g} m for a mesh of {size} m with a margin of "
-            f"{room:.3g} m makes {np.prod(counts, dtype=float):.2g} grid points, more "
+            f"{room:.3g} m makes {n_points:.2g} grid points, more "
             f"than {MOST_POINTS:.2g}. If the unit of the mesh is the millimetre, "
             "multiply its vertices by 1e-3; otherwise give a larger spacing"
         )
+    counts = cells.astype(int) + 1
     # Equal margins on both sides.
     first = 0.5 * (low + high) - 0.5 * step * (counts - 1)
     a, b, c = (int(n) for n in counts)
@@ -563,18 +568,19 @@ def _known(name: str, value: Numbers) -> float:
 
 def _checked_faces(faces: Any, n_vertices: int) -> np.ndarray:
     """Indices of the corners of each face, checked."""
-    found = np.asarray(faces)
-    if found.ndim != 2 or found.shape[1] != 3 or found.dtype.kind not in "iu":
+    found = numeric("faces", faces)
+    if is_traced(found) or found.ndim != 2 or found.shape[1] != 3:
         raise ValueError(
-            "faces must be integers of shape (f, 3), the corners of each triangle, got "
-            f"{found.dtype} of shape {found.shape}"
+            "faces must be known indices of shape (f, 3), the corners of each "
+            f"triangle, got shape {found.shape}"
         )
     if not len(found):
         raise ValueError("faces must be at least four triangles, got none")
-    if found.min() < 0 or found.max() >= n_vertices:
+    wrong = (found != np.floor(found)) | (found < 0) | (found >= n_vertices)
+    if np.any(wrong):
         raise ValueError(
             f"faces must be indices of vertices, from 0 to {n_vertices - 1}, got "
-            f"{found.min()} to {found.max()}"
+            f"{found[wrong][0]:g}"
         )
     return found.astype(np.int64)
 

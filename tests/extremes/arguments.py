@@ -91,6 +91,7 @@ ALSO_NAMED = {
     "poisson_ratio": ("shear_modulus",),
     "damping": ("friction_drag",),
     "bodies": ("body",),
+    "faces": ("the mesh",),
     "vertices": ("the mesh", "corner must be"),
     "margin": ("spacing",),
     "position": ("corner must be",),
