@@ -40,10 +40,8 @@ def build():
     rod, state = jaxrod.straight_rod(
         N_ELEMENTS, length=LENGTH, direction=(1.0, 0.0, 0.0), **material
     )
-    way = (SPEED * END, 0.0, 0.0)
-    push = jaxrod.driven(
-        state, displacement=jaxrod.schedules.ramp((0.0, 0.0, 0.0), way, END)
-    )
+    way = jaxrod.schedules.ramp((0.0, 0.0, 0.0), (SPEED * END, 0.0, 0.0), END)
+    push = jaxrod.driven(state, displacement=way)
     wall = shapes.from_mesh(*vessel(), spacing=RADIUS, margin=2 * RADIUS).complement()
     touch = jaxrod.contact(wall, stiffness=1e7, damping=3.0)
     scene = jaxrod.make_scene(rod, push, jaxrod.exponential_damping(50.0), touch)
@@ -69,7 +67,9 @@ def run(share=1.0):
     vertices, faces = vessel()
     lower = faces[np.max(vertices[faces, 2], axis=1) < 1e-9]
     shown = {"fields": {"bending [1/m]": jaxrod.viz.bending}, "title": "Catheter"}
-    shown["meshes"] = [jaxrod.viz.Mesh(vertices, lower, name="vessel")]
+    shown["meshes"] = [
+        jaxrod.viz.Mesh(vertices, lower, name="vessel", colour="#98a3b3")
+    ]
     bare = jaxrod.make_scene(scene.rod, *scene.effects[:2])
     replay = jaxrod.viz.Replay.from_states(bare, states, times, **shown)
     return replay, float(gained), theory

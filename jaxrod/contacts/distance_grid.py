@@ -10,8 +10,8 @@ $$\tfrac12 (\tfrac12 - f)^2, \qquad \tfrac34 - f^2, \qquad \tfrac12 (\tfrac12 + 
 so 27 coefficients give a distance and its gradient. Coefficients are chosen so that the
 spline has the given distances at the grid points. The gradient is continuous, linear
 distances are exact, and a force along it has an energy. Linear interpolation between
-eight points costs two thirds as much. But its gradient jumps from cell to cell, and a
-rod that slides would be knocked at every cell.
+eight points would be cheaper, but its gradient jumps from cell to cell, and a rod that
+slides would be knocked at every cell.
 
 Where the nearest point of a surface is not unique the gradient is shorter than one, and
 passes through zero; within a cell or two of such places, and of edges of the surface,
