@@ -479,9 +479,8 @@ def from_mesh(
     """A fixed body from a closed surface of triangles.
 
     The distances at the grid points are those from the triangles. They are computed
-    once, in NumPy: for 10,000 triangles and 64 points along each axis this takes about
-    ten seconds. `jaxrod.save` keeps the body. The cost of contact depends neither on
-    the number of triangles nor on that of grid points.
+    once, in NumPy, which takes seconds; `jaxrod.save` keeps the body. A step costs the
+    same for any number of triangles and grid points.
 
     Args:
         vertices: Corners of the triangles `(v, 3)` [m].
