@@ -62,7 +62,18 @@ CELLS = 60
 
 
 class CoarseGridWarning(UserWarning):
-    """Warning that the grid of a body is too coarse or too small for a rod."""
+    """Warning that the grid of a body is too coarse or too small for a rod.
+
+    Example:
+        >>> import warnings
+        >>> x, y, z = np.indices((4, 4, 4)) * 0.5  # coarser than the rod is thick
+        >>> ground = shapes.signed_distance_grid(z - 0.5, 0.5)
+        >>> with warnings.catch_warnings(record=True) as caught:
+        ...     warnings.simplefilter("always")
+        ...     _ = jaxrod.make_scene(rod, jaxrod.contact(ground, stiffness=1e4))
+        >>> caught[0].category.__name__
+        'CoarseGridWarning'
+    """
 
 
 @pytree
@@ -603,9 +614,10 @@ def load_mesh(path: Any, unit: float = 1.0) -> Triangles:
     Example:
         >>> text = "v 0 0 0\nv 9 0 0\nv 0 9 0\nv 0 0 9\n"
         >>> text += "f 1 3 2\nf 1 2 4\nf 1 4 3\nf 2 3 4\n"
-        >>> _ = pathlib.Path("corner.obj").write_text(text)
+        >>> with open("corner.obj", "w") as file:
+        ...     _ = file.write(text)
         >>> vertices, faces = shapes.load_mesh("corner.obj", unit=1e-3)
-        >>> vertices.max(axis=0).tolist(), len(faces)
+        >>> vertices.max(axis=0).round(4).tolist(), len(faces)
         ([0.009, 0.009, 0.009], 4)
     """
     try:
