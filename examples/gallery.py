@@ -27,6 +27,7 @@ SCENES = (
     "gripper",
     "knot",
     "nest",
+    "catheter",
 )
 HEAD = """\
 # Gallery

@@ -16,6 +16,7 @@ import numpy as np
 import pytest
 
 import jaxrod
+from jaxrod.geometry import surfaces
 from jaxrod.tradeoff import tuning
 from jaxrod.tradeoff.measure import reference
 from public_names import PUBLIC
@@ -532,6 +533,8 @@ def below(point, height):
     return point[2] - height
 
 
+BRICK = surfaces.box(np.array([1.0, 0.2, 0.2]))
+
 # Each of a shape whose top is as high as it is told; flat, or a ridge along the rod.
 ROOM = {
     "sphere": lambda top: jaxrod.shapes.sphere((0.5, 0, top - 0.2), 0.2),
@@ -544,6 +547,9 @@ ROOM = {
     "plane": lambda top: jaxrod.shapes.plane((0, 0, top)),
     "box": lambda top: jaxrod.shapes.box((0.5, 0, top - 0.2), (1.0, 0.2, 0.2)),
     "signed_distance": lambda top: jaxrod.shapes.signed_distance(below, top),
+    "from_mesh": lambda top: jaxrod.shapes.from_mesh(
+        *BRICK, spacing=0.05, position=(0.5, 0, top - 0.2)
+    ),
 }
 
 

@@ -76,6 +76,7 @@ def test_page_lists_the_pythons_of_the_classifiers_with_what_is_pinned():
         ("sb3_contrib", "Stable Baselines 3 and sb3-contrib"),
         ("torch", "PyTorch"),
         ("llvmlite", "llvmlite"),
+        ("trimesh", "trimesh"),
         ("ray", "Ray"),
     ],
 )

@@ -35,6 +35,7 @@ from jaxrod.geometry.rotations import (
 )
 from jaxrod.geometry.surfaces import Triangles
 from jaxrod.geometry.vectors import Vec3
+from jaxrod.rods.rod import Rod
 from jaxrod.structure import pytree, static
 from jaxrod.validation import Numbers, as_array, check_array, is_traced
 
@@ -143,6 +144,10 @@ class Body(ABC):
         By default the centre of mass is at the origin, and the others are not known.
         """
         return Solid(self, jnp.zeros(3), jnp.asarray(IDENTITY))
+
+    def check(self, rod: Rod) -> None:
+        """Warns if contact with a rod is inaccurate; by default it never is."""
+        return
 
     def mesh(self) -> Triangles | None:
         """Triangles of the surface, for drawing.
@@ -665,7 +670,7 @@ def plane(point: Numbers = (0.0, 0.0, 0.0), normal: Numbers = (0.0, 0.0, 1.0)) -
         1.0
     """
     return Plane(
-        as_array("point", point, "m", [(3,)]), _with_length("normal", normal, [(3,)])
+        as_array("point", point, "m", [(3,)]), with_length("normal", normal, [(3,)])
     )
 
 
@@ -695,7 +700,7 @@ def box(
     return Box(
         centre=as_array("centre", centre, "m", [(3,)]),
         half_lengths=as_array("half_lengths", half_lengths, "m", [(3,)], positive=True),
-        orientation=_with_length("orientation", orientation, [(4,)]),
+        orientation=with_length("orientation", orientation, [(4,)]),
     )
 
 
@@ -756,7 +761,7 @@ def _ends(start: Numbers, end: Numbers) -> tuple[Array, Array]:
     return jnp.asarray(first, dtype), jnp.asarray(last, dtype)
 
 
-def _with_length(name: str, value: Numbers, shapes: list[tuple[int, ...]]) -> Array:
+def with_length(name: str, value: Numbers, shapes: list[tuple[int, ...]]) -> Array:
     """Validates that a vector can be normalised and returns it as an array."""
     checked = check_array(name, value, shapes, "")
     dtype = jnp.result_type(float)

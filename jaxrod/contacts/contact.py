@@ -166,7 +166,8 @@ class Contact(Effect):
         return jnp.maximum(1 - functools.reduce(jnp.minimum, gaps), 0)
 
     def check(self, rod: Rod) -> None:
-        """Warns where a body is so thin that it fits between two contact points."""
+        """Warns where a body is too thin for the contact points, or inaccurate."""
+        self.body.check(rod)
         check_spacing(self.body.inradius, rod, self.points_per_element)
 
     def force_directions(self, rod: Rod, motion: Motion) -> Vec3:

@@ -78,14 +78,14 @@ def turned(across: np.ndarray, along: np.ndarray) -> Triangles:
         a, b = k * _AROUND + first, k * _AROUND + nexts
         c, d = a + _AROUND, b + _AROUND
         faces += [np.stack([a, b, d], -1), np.stack([a, d, c], -1)]
-    return _merged(rings.reshape(-1, 3), np.concatenate(faces))
+    return merged(rings.reshape(-1, 3), np.concatenate(faces))
 
 
-def _merged(vertices: np.ndarray, faces: np.ndarray) -> Triangles:
+def merged(vertices: np.ndarray, faces: np.ndarray) -> Triangles:
     """Merges coincident corners, and drops faces without area."""
-    size = np.ptp(vertices, axis=0).max()
+    size = np.ptp(vertices, axis=0).max() or 1.0
     _, first, where = np.unique(
-        np.round(vertices / (1e-7 * size)).astype(np.int64),
+        np.round((vertices - vertices.min(axis=0)) / (1e-7 * size)).astype(np.int64),
         axis=0,
         return_index=True,
         return_inverse=True,

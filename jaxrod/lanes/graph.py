@@ -173,11 +173,18 @@ class Graph:
         self.places: dict[int, tuple[int, int]] = {}
         """Origin of each input node: number of the input array, and flat index in
         it."""
+        self.tables: dict[int, int] = {}
+        """First input node of the table from which each lookup reads, by node."""
         self._known: dict[Any, int] = {}
 
     def __len__(self) -> int:
         """Number of nodes."""
         return len(self.operations)
+
+    @property
+    def n_operations(self) -> int:
+        """Number of nodes that are not entries of input arrays."""
+        return len(self) - len(self.places)
 
     def constant(self, value: Any, kind: str) -> int:
         """Returns the node of a known number of type `kind`, such as `"f32"`."""
@@ -208,6 +215,21 @@ class Graph:
             flat[entry] = node = self._new("input", (), kind, rate)
             self.places[node] = (which, entry)
         return nodes
+
+    def looked_up(self, first: int, index: int) -> int:
+        """Returns the node of an entry of an input array at a computed index.
+
+        The array's rate is `UNIFORM`. The index, whose kind is `i32`, counts from the
+        input node `first` and must be inside the array.
+        """
+        key = ("lookup", first, index)
+        node = self._known.get(key)
+        if node is None:
+            rate = max(UNIFORM, self.rates[index])
+            node = self._new("lookup", (index,), self.kinds[first], rate)
+            self._known[key] = node
+            self.tables[node] = first
+        return node
 
     def add(self, operation: str, arguments: tuple[int, ...], kind: str) -> int:
         """Returns the node of an operation: an existing, a simpler or a new one.

@@ -241,7 +241,7 @@ def _back_kernel(
             sums, given[len(floats) :], made[len(floats) :], strict=True
         )
     ]
-    _check_length(len(graph), most)
+    _check_length(graph.n_operations, most)
     outputs = [array.reshape(-1).tolist() for array in (*made[: len(floats)], *total)]
     adjoint = Step(graph, step.constants, carry, outputs)
     return adjoint_kernel(step, adjoint, len(floats), _width(body))
@@ -280,7 +280,7 @@ def _unrolled_step(
         inputs.append(graph.inputs(i, aval.shape, kind, rate))
         entries.append(Entries(kind, inputs[-1].size, rate))
     made = unroller.run(body.closed, inputs)
-    _check_length(len(graph), most)
+    _check_length(graph.n_operations, most)
     outputs = [array.reshape(-1).tolist() for array in made]
     constants, carry = entries[: body.n_constants], entries[body.n_constants :]
     return Step(graph, constants, carry, outputs), unroller, inputs
@@ -310,7 +310,7 @@ def _unrolled_run(
     ]
     begun = unroller.run(ends.begin, [*inputs[:n], *given])
     ended = unroller.run(ends.end, inputs)
-    _check_length(len(graph), most)
+    _check_length(graph.n_operations, most)
     return step, EndNodes(
         [_entries_of(aval) for aval in avals],
         [array.reshape(-1).tolist() for array in begun],

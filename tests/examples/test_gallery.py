@@ -25,6 +25,7 @@ WHOLE = {
     "gripper": 0.03,
     "knot": 0.03,
     "nest": 0.1,
+    "catheter": 0.05,
 }
 
 

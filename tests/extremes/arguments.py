@@ -46,6 +46,8 @@ MAY_BE_NONE = {
     ("implicit", "tolerance"),
     ("scale_inertia", "dt"),
     ("signed_distance", "parameters"),
+    ("from_mesh", "spacing"),
+    ("from_mesh", "margin"),
     ("equilibrium", "tolerance"),
     ("sine", "mean"),
     ("driven", "axis"),
@@ -89,6 +91,10 @@ ALSO_NAMED = {
     "poisson_ratio": ("shear_modulus",),
     "damping": ("friction_drag",),
     "bodies": ("body",),
+    "faces": ("the mesh",),
+    "vertices": ("the mesh", "corner must be"),
+    "margin": ("spacing",),
+    "position": ("corner must be",),
     "n_elements": ("element length",),
 }
 """Other words by which a message may name an argument."""
@@ -163,6 +169,27 @@ NUMERIC: dict[str, dict[str, Any]] = {
         "orientation": [1.0, 0.5, 0.0, 0.0],
     },
     "signed_distance": {"function": ..., "parameters": 1.0},
+    "signed_distance_grid": {
+        "values": [
+            [[0.1 * (i + j + k) for i in range(3)] for j in range(3)] for k in range(3)
+        ],
+        "spacing": 0.1,
+        "corner": [1.0, 2.0, 3.0],
+        "orientation": [1.0, 0.5, 0.0, 0.0],
+    },
+    "from_mesh": {
+        "vertices": [
+            [0.5, 0.0, 0.0],
+            [1.0, 0.0, 0.0],
+            [0.0, 1.0, 0.0],
+            [0.0, 0.0, 1.0],
+        ],
+        "faces": [[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3]],
+        "spacing": 0.25,
+        "margin": 0.5,
+        "position": [1.0, 2.0, 3.0],
+        "orientation": [1.0, 0.5, 0.0, 0.0],
+    },
     "contact": {
         "bodies": ...,
         "stiffness": 1e3,

@@ -243,3 +243,31 @@ def test_derivatives_of_functions_contain_known_primitives_alone(function):
     slope = jax.grad(function)
     for program in (function, slope, jax.grad(slope)):
         assert supported(jax.make_jaxpr(program)(0.5)) is None
+
+
+@pytest.mark.parametrize("kind", ["float32", "int32", "bool"])
+def test_a_table_that_all_rods_share_is_read_at_computed_places(kind):
+    """Beyond its ends the last number counts; one index is the same for all rods."""
+    table = np.random.default_rng(3).normal(scale=9, size=2000).astype(kind)
+
+    def cycle(table, places, same, _):
+        read = lambda place: table.at[place].get(mode="clip")
+        return [jnp.append(read(3 * places - 1000), read(same[:1] * 7))]
+
+    places = np.random.default_rng(4).integers(0, 1200, (9, 5)).astype(np.int32)
+    same = jnp.asarray([31, 4], jnp.int32)
+    given = jnp.asarray(table), jnp.asarray(places), same
+    slot = jnp.zeros((9, 6), kind)
+    closed = jax.make_jaxpr(cycle)(given[0], given[1][0], same, slot[0])
+    spec = RunSpec(LoopBody(closed, 3), None)
+    batched = jax.vmap(
+        lambda places, slot: cycles_p.bind(
+            jnp.int32(1), given[0], places, same, slot, spec=spec
+        )[0]
+    )
+    use_lanes(forced())
+    taken = jax.jit(batched)(given[1], slot)
+    assert lane_choices()[-1].taken, lane_choices()[-1].why
+    use_lanes("never")
+    expected = jax.vmap(lambda one: cycle(given[0], one, same, None)[0])(given[1])
+    np.testing.assert_array_equal(taken, expected)

@@ -123,6 +123,25 @@ FACTORIES = {
             "orientation": (1.0, 0.5, 0.0, 0.0),
         }
     ],
+    "signed_distance_grid": [
+        {
+            "values": tuple(
+                ((0.1, 0.2, 0.4), (0.3, 0.5, 0.2), (0.1, 0.4, 0.6)) for _ in range(3)
+            ),
+            "spacing": 0.1,
+            "corner": (1.0, 2.0, 3.0),
+            "orientation": (1.0, 0.5, 0.0, 0.0),
+        }
+    ],
+    "from_mesh": [
+        {
+            "vertices": ((0.5, 0, 0), (1.0, 0, 0), (0, 1.0, 0), (0, 0, 1.0)),
+            "faces": ((0, 2, 1), (0, 1, 3), (0, 3, 2), (1, 2, 3)),
+            "spacing": 0.25,
+            "position": (1.0, 2.0, 3.0),
+            "orientation": (1.0, 0.5, 0.0, 0.0),
+        }
+    ],
     "contact": [
         {
             "bodies": BALL,

@@ -15,6 +15,7 @@ from typing import Any
 import jax
 import numpy as np
 
+from jaxrod.lanes.graph import UNIFORM
 from jaxrod.lanes.jaxpr.unroll import NotUnrolled, Unroller, kind_of, rule
 
 MOST_CHOICES = 64
@@ -57,7 +58,10 @@ def replaced(
 
 @rule("gather")
 def gathered(unroller: Unroller, equation: Any, array: Any, indices: Any) -> Any:
-    """Translates a gather with known indices; out-of-bounds indices follow its mode."""
+    """Translates a gather; out-of-bounds indices follow its mode.
+
+    The indices are known, or single numbers are read from an array that all rods share.
+    """
     graph, kind = unroller.graph, kind_of(equation.outvars[0].aval)
     outside = equation.params["fill_value"]
     if outside is None:
@@ -70,7 +74,21 @@ def gathered(unroller: Unroller, equation: Any, array: Any, indices: Any) -> Any
         found = _evaluated(equation, params, places, known)
         nodes = np.append(array.reshape(-1), graph.constant(outside, kind))
         return nodes[found]
-    raise NotUnrolled("lanes do not gather from places that change")
+    flat = array.reshape(-1)
+    first = int(flat[0])
+    is_input = graph.operations[first] == "input" and graph.rates[first] == UNIFORM
+    is_whole = np.array_equal(flat, np.arange(first, first + flat.size))
+    simple = array.ndim == 1 and tuple(equation.params["slice_sizes"]) == (1,)
+    index_kind = kind_of(equation.invars[1].aval)
+    clips = "CLIP" in str(equation.params["mode"])
+    if not (is_input and is_whole and simple and clips and index_kind == "i32"):
+        raise NotUnrolled("lanes do not gather from places that change")
+
+    def entry(index: int) -> int:
+        return graph.looked_up(first, _clamped(graph, index, flat.size - 1, "i32"))
+
+    found = unroller.mapped(entry, kind, indices)
+    return found.reshape(equation.outvars[0].aval.shape)
 
 
 @rule("scatter", "scatter-add", "scatter-mul", "scatter-min", "scatter-max")

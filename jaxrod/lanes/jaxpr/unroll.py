@@ -84,7 +84,7 @@ class Unroller:
                         f"{name}: {result.shape}, not {variable.aval.shape}"
                     )
                 values[variable] = result
-            if len(self.graph) > MOST_NODES:
+            if self.graph.n_operations > MOST_NODES:
                 raise NotUnrolled(f"the program has more than {MOST_NODES} operations")
         return [read(atom) for atom in jaxpr.outvars]
 

@@ -148,7 +148,7 @@ def function_text(
         The text of the function, and its writer.
     """
     graph = memory.graph
-    writer = Writer(graph, width, _reader(memory, rate))
+    writer = Writer(graph, width, _reader(memory, rate), _table(memory))
     goals: dict[int, list[tuple[Region, int]]] = {}
     for node, region, offset in outputs:
         goals.setdefault(node, []).append((region, offset))
@@ -180,6 +180,18 @@ def _reader(memory: Memory, rate: int) -> Callable[[Writer, int], str | None]:
         return _load(writer, kind, region, offset)
 
     return load
+
+
+def _table(memory: Memory) -> Callable[[Writer, int], str]:
+    """Returns a function that writes the address of an input that all rods share."""
+
+    def address(writer: Writer, node: int) -> str:
+        place = memory.where(node)
+        assert place is not None and place[0].lanes == 1
+        region, offset = place
+        return writer.new(f"getelementptr i8, ptr {region.pointer}, i64 {offset}")
+
+    return address
 
 
 def _load(writer: Writer, kind: str, region: Region, offset: int) -> str:

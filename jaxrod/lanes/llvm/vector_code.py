@@ -57,6 +57,7 @@ class Writer:
         graph: Graph,
         width: int,
         load: Callable[[Writer, int], str | None],
+        table: Callable[[Writer, int], str] | None = None,
     ) -> None:
         """Begins an LLVM function without lines.
 
@@ -66,8 +67,11 @@ class Writer:
             load: Function that writes the load of a node from memory and returns the
                 name of its value; it returns `None` for a node that this function
                 computes.
+            table: Function that writes the address of an input node that all rods
+                share, and returns the name of the pointer; `None` without lookups.
         """
         self.graph, self.width, self.load = graph, width, load
+        self.table = table
         self.lines: list[str] = []
         self.names: dict[int, str] = {}
         self.loaded: dict[int, tuple[str, int]] = {}
@@ -142,6 +146,9 @@ class Writer:
         sources = graph.arguments[node]
         names = [self.value(a) for a in sources]
         source_kind = graph.kinds[sources[-1]]
+        if operation == "lookup":
+            assert self.table is not None
+            return self._lookup(self.table(self, graph.tables[node]), names[0], kind)
         if operation == "select":
             return self._select(names, kind)
         if operation in _COMPARE_FLOATS:
@@ -157,6 +164,32 @@ class Writer:
         if kind[0] == "f":
             return self._float(operation, names, kind)
         return self._whole(operation, names, kind)
+
+    def _lookup(self, table: str, index: str, kind: str) -> str:
+        """Appends the read of a number in each lane, from a table at computed indices.
+
+        `table` is the pointer to the first number, of type `kind`; `index` is the name
+        of the indices.
+        """
+        one = "i8" if kind == "b1" else TYPES[kind]
+        if self.width == 1:
+            at = self.new(f"getelementptr {one}, ptr {table}, i32 {index}")
+            found = self.new(f"load {one}, ptr {at}, align {BYTES[kind]}")
+            return self.new(f"icmp ne i8 {found}, 0") if kind == "b1" else found
+        w = self.width
+        ats = self.new(f"getelementptr {one}, ptr {table}, <{w} x i32> {index}")
+        read, every = f"<{w} x {one}>", f"<{w} x i1>"
+        suffix = kind if kind[0] == "f" else f"i{8 * BYTES[kind]}"
+        name = f"@llvm.masked.gather.v{w}{suffix}.v{w}p0"
+        self.declared.add(f"declare {read} {name}(<{w} x ptr>, i32, {every}, {read})")
+        mask = "<" + ", ".join(["i1 true"] * w) + ">"
+        found = self.new(
+            f"call {read} {name}(<{w} x ptr> {ats}, i32 {BYTES[kind]}, {every} {mask}, "
+            f"{read} poison)"
+        )
+        if kind == "b1":
+            return self.new(f"icmp ne {read} {found}, zeroinitializer")
+        return found
 
     def _float(self, operation: str, names: list[str], kind: str) -> str:
         if operation == "neg":
