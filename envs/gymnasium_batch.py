@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import functools
 import math
+from collections.abc import Sequence
 from typing import Any
 
 import gymnasium
@@ -21,8 +22,29 @@ from jaxrod.envs.registry import make
 from jaxrod.envs.wrappers import VectorEnvironment, VectorState, VectorStep
 from jaxrod.installation.backend import compile_for_rods
 
-METADATA: dict[str, Any] = {"render_modes": ["rgb_array"], "render_fps": 714}
-"""Default metadata of both Gymnasium classes, read before an environment exists."""
+MOST_FRAMES = 30
+"""Largest number of pictures that a film shows in a second."""
+METADATA: dict[str, Any] = {"render_modes": ["rgb_array"], "render_fps": MOST_FRAMES}
+"""Default metadata of the Gymnasium classes, read before an environment exists."""
+
+
+def film_metadata(control_period: float, modes: Sequence[str]) -> dict[str, Any]:
+    """Metadata of an environment that can be drawn.
+
+    `render_fps` is the frame rate of a film in real time that shows the state after
+    every `steps_per_frame` control steps. It is at most 30, rounded to a whole number.
+
+    Args:
+        control_period: Time between actions [s].
+        modes: Render modes.
+    """
+    # Rounded, so that 1 / 30 s is not taken for a little less.
+    steps = math.ceil(round(1 / (MOST_FRAMES * control_period), 6))
+    return {
+        "render_modes": [*modes],
+        "render_fps": max(1, round(1 / (steps * control_period))),
+        "steps_per_frame": steps,
+    }
 
 
 class Batch:
@@ -33,7 +55,7 @@ class Batch:
         num_envs: Number of environments.
         observation_space: Space of one environment: any finite float32 numbers.
         action_space: Space of one environment: [-1, 1].
-        metadata: Render modes, and `render_fps`: control steps per second.
+        metadata: Render modes, and the frame rate of films; see `film_metadata`.
         params: Parameters of the environment; None means its defaults, which the first
             reset makes.
     """
@@ -45,15 +67,17 @@ class Batch:
         render_mode: str | None,
         params: Any,
         options: dict[str, Any],
+        modes: Sequence[str] = ("rgb_array",),
     ) -> None:
         """Makes the environment; computes nothing yet.
 
         Args:
             task: A task for `jaxrod.envs.make`, or an environment.
             num_envs: Number of environments, at least 1.
-            render_mode: None or "rgb_array".
+            render_mode: None or one of `modes`.
             params: Parameters; None for the environment's defaults.
             options: Passed to `make`.
+            modes: Render modes of an environment that can be drawn.
 
         Raises:
             ValueError: An argument does not fit.
@@ -73,16 +97,12 @@ class Batch:
         self.action_space = Box(-1, 1, (self.env.action_size,), np.float32)
         self.metadata: dict[str, Any] = {"render_modes": []}
         if drawable(self.env):
-            self.metadata = {
-                "render_modes": ["rgb_array"],
-                "render_fps": round(1 / self.env.control_period),
-            }
-        modes = self.metadata["render_modes"]
-        if render_mode is not None and render_mode not in modes:
+            self.metadata = film_metadata(self.env.control_period, modes)
+        known = self.metadata["render_modes"]
+        if render_mode is not None and render_mode not in known:
             raise ValueError(
-                f"render_mode must be None{' or ' if modes else ''}"
-                f"{', '.join(map(repr, modes))} for {self.env.name}; "
-                f"got {render_mode!r}"
+                f"render_mode must be {' or '.join(map(repr, [None, *known]))} for "
+                f"{self.env.name}; got {render_mode!r}"
             )
         self._packed: Packed | None = None
         self._lengths: np.ndarray | None = None

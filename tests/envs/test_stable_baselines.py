@@ -162,7 +162,7 @@ DRAWN = {"render_mode": "rgb_array", "variant": "clean"}
 
 def test_what_can_be_drawn_says_how_fast_it_is_played():
     envs = adapter.StableBaselinesVecEnv("tracking", 2, **DRAWN)
-    assert envs.metadata["render_fps"] == 714
+    assert envs.metadata["render_fps"] == 30
     assert envs.metadata["render_modes"] == ["human", "rgb_array"]
     with pytest.raises(gymnasium.error.ResetNeeded, match="reset"):
         envs.render()
