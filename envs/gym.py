@@ -212,10 +212,11 @@ class GymnasiumEnv(_Limited, gymnasium.Env[np.ndarray, np.ndarray]):
 
     def _show(self) -> None:
         """Puts a picture in the window, if there is a window and one is due."""
-        if self.render_mode != "human" or self._steps % self.metadata["steps_per_frame"]:
+        if self.render_mode != "human" or self._shown is None:
             return
-        assert self._shown is not None
-        self._window.show(self._picture(self._shown), 1 / self.metadata["render_fps"])
+        if self._steps % self.metadata["steps_per_frame"] == 0:
+            picture = self._picture(self._shown)
+            self._window.show(picture, 1 / self.metadata["render_fps"])
 
     def close(self) -> None:
         """Closes the window, if there is one."""
