@@ -15,6 +15,8 @@ from jaxrod.envs.protocol import (
     Channel,
     Drawable,
     Environment,
+    GoalConditioned,
+    Goals,
     Plannable,
     Snapshot,
 )
@@ -40,6 +42,8 @@ __all__ = [
     "Drawable",
     "Environment",
     "EpisodeRecord",
+    "GoalConditioned",
+    "Goals",
     "MemoryPolicy",
     "OneEpisode",
     "Plannable",

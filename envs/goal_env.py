@@ -1,0 +1,121 @@
+"""Gymnasium environments with a goal, for hindsight experience replay.
+
+Source: M. Andrychowicz et al., Hindsight Experience Replay, NeurIPS 2017.
+"""
+
+from __future__ import annotations
+
+import functools
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+try:
+    import gymnasium
+    from gymnasium.spaces import Box, Dict
+except ModuleNotFoundError as missing:
+    if missing.name != "gymnasium":
+        raise
+    raise ModuleNotFoundError(
+        "jaxrod.envs.goal_env needs gymnasium; install it with: "
+        'pip install "jaxrod[gym]"',
+        name="gymnasium",
+    ) from missing
+
+from jaxrod.envs.gymnasium_batch import Batch
+from jaxrod.envs.protocol import GoalConditioned
+
+__all__ = ["GoalEnv"]
+
+Observation = dict[str, np.ndarray]
+"""Arrays under "observation", "achieved_goal" and "desired_goal"."""
+
+
+class GoalEnv(
+    gymnasium.ObservationWrapper[Observation, np.ndarray, np.ndarray],
+    gymnasium.utils.RecordConstructorArgs,
+):
+    """A Gymnasium environment of a task whose observations name the goal.
+
+    They have the shape that Gymnasium's goal environments and learners with hindsight
+    expect:
+
+    - `"observation"`: the body. Nothing of the goal is in it, neither its position nor
+      its velocity, so that a goal can be exchanged afterwards.
+    - `"achieved_goal"` and `"desired_goal"`: in `tracking` the positions of tip and
+      target; in `reaching` each with its quaternion.
+
+    The reward of a step is `compute_reward` of its goals, except where an arm broke.
+    """
+
+    def __init__(self, env: gymnasium.Env[np.ndarray, np.ndarray]) -> None:
+        """Wraps an environment.
+
+        Args:
+            env: What `gymnasium.make` made of an id of jaxrod, or a
+                `jaxrod.envs.gym.GymnasiumEnv`.
+
+        Raises:
+            ValueError: The environment is not of jaxrod, or its task has no goals.
+        """
+        gymnasium.utils.RecordConstructorArgs.__init__(self)
+        gymnasium.ObservationWrapper.__init__(self, env)
+        batch = getattr(env.unwrapped, "_batch", None)
+        if batch is None:
+            raise ValueError(f"env must be an environment of jaxrod, got {env}")
+        task = batch.env
+        if not hasattr(task, "goal_entries"):
+            raise ValueError(f"{task.name} has no goals: it has no goal_entries")
+        self._batch: Batch = batch
+        self._task: GoalConditioned = task
+        entries = {
+            "observation": task.goal_entries.body,
+            "achieved_goal": task.goal_entries.achieved,
+            "desired_goal": task.goal_entries.desired,
+        }
+        self._entries = {name: np.array(which) for name, which in entries.items()}
+        largest = float(np.finfo(np.float32).max)
+        self.observation_space = Dict(
+            {
+                name: Box(-largest, largest, which.shape, np.float32)
+                for name, which in self._entries.items()
+            }
+        )
+
+    def observation(self, observation: np.ndarray) -> Observation:
+        """Observation by parts, copied out of the whole one."""
+        return {name: observation[which] for name, which in self._entries.items()}
+
+    def compute_reward(
+        self,
+        achieved_goal: Float[np.ndarray, "*batch goal"],
+        desired_goal: Float[np.ndarray, "*batch goal"],
+        info: Any = None,
+    ) -> Float[np.ndarray, "*batch"]:
+        """Computes the reward of steps that lead to `achieved_goal`.
+
+        Args:
+            achieved_goal: Goals that the steps achieved.
+            desired_goal: Goals that were to be achieved; not necessarily those of the
+                episode.
+            info: Ignored: nothing but the goals matters.
+
+        Raises:
+            gymnasium.error.ResetNeeded: `reset` was not called before.
+        """
+        self._batch.packed()
+        return np.array(
+            _rewards(self._task, achieved_goal, desired_goal, self._batch.params)
+        )
+
+
+@functools.partial(jax.jit, static_argnums=0)
+def _rewards(
+    task: GoalConditioned, achieved: Array, desired: Array, params: Any
+) -> Array:
+    """Rewards of goals; the last axis is that of a goal, all others are a batch."""
+    one = lambda a, d: task.goal_reward(a, d, params)
+    return jnp.vectorize(one, signature="(g),(g)->()")(achieved, desired)
