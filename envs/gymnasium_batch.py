@@ -1,11 +1,11 @@
-"""Batch behind the Gymnasium and Stable Baselines adapters, with NumPy in and out."""
+"""Batch behind the adapters for Gymnasium, Stable Baselines 3 and PyTorch."""
 
 from __future__ import annotations
 
 import dataclasses
 import functools
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import gymnasium
@@ -13,7 +13,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from gymnasium.spaces import Box
-from jaxtyping import Array, Bool, Float, Key, PyTree, UInt8
+from jaxtyping import Array, Bool, Float, Int, Key, PyTree, UInt8
 
 from jaxrod.envs.checking import check_action_shape
 from jaxrod.envs.drawing import drawable, edge_lengths, missing, picture
@@ -141,17 +141,45 @@ class Batch:
             waiting: Mask of environments that do not change: they have zero reward and
                 do not end.
         """
-        packed = self.packed()
         actions = np.asarray(actions)
         check_action_shape("actions", actions, (self.num_envs, self.env.action_size))
-        actions = actions.astype(self._dtype)
+        return self.advance(actions.astype(self._dtype), np.asarray, waiting)
+
+    def advance(
+        self,
+        actions: Any,
+        convert: Callable[[Array], Any],
+        waiting: Bool[np.ndarray, " num_envs"] | None = None,
+    ) -> VectorStep:
+        """Advances all environments by one control step, for arrays of any library.
+
+        Args:
+            actions: Array for JAX, shape (num_envs, action_size), of the dtype of the
+                observations.
+            convert: Function that makes an array of the other library. The results are
+                views of a few such arrays, which nothing else refers to.
+            waiting: As in `step`.
+        """
+        packed = self.packed()
         program = self._programs[waiting is not None]
         self._packed, (arrays, others) = program.step(
             packed, actions, self._numbers, waiting
         )
         return program.outcome.unpack(
-            (tuple(map(np.asarray, arrays)), tuple(map(np.asarray, others)))
+            (tuple(map(convert, arrays)), tuple(map(convert, others)))
         )
+
+    def set_elapsed(self, elapsed: Int[Array, " num_envs"]) -> None:
+        """Sets the clocks of the running episodes [control steps], to end them early.
+
+        These episodes count as partial.
+        """
+        state = self.started()
+        partial = jnp.asarray(elapsed) > 0
+        state = dataclasses.replace(
+            state, elapsed=jnp.asarray(elapsed, state.elapsed.dtype), partial=partial
+        )
+        self._packed = self._layout.pack(state)
 
     def packed(self) -> Packed:
         """Current state of the batch, packed into flat arrays.
