@@ -224,7 +224,7 @@ def check_action_shape(name: str, given: Any, shape: tuple[int, ...]) -> None:
     Raises:
         ValueError: If the shapes differ; the message shows both.
     """
-    found = tuple(np.shape(given))
+    found = np.shape(given)
     if found == shape:
         return
     hint = ""

@@ -55,8 +55,8 @@ class GoalEnv(
         """Wraps an environment.
 
         Args:
-            env: What `gymnasium.make` made of an id of jaxrod, or a
-                `jaxrod.envs.gym.GymnasiumEnv`.
+            env: A `jaxrod.envs.gym.GymnasiumEnv`, for example from
+                `gymnasium.make("jaxrod/tracking-clean-v0")`.
 
         Raises:
             ValueError: The environment is not of jaxrod, or its task has no goals.
@@ -78,12 +78,13 @@ class GoalEnv(
         }
         self._entries = {name: np.array(which) for name, which in entries.items()}
         largest = float(np.finfo(np.float32).max)
-        self.observation_space = Dict(
+        parts: Any = Dict(
             {
                 name: Box(-largest, largest, which.shape, np.float32)
                 for name, which in self._entries.items()
             }
         )
+        self.observation_space = parts
 
     def observation(self, observation: np.ndarray) -> Observation:
         """Observation by parts, copied out of the whole one."""

@@ -105,6 +105,7 @@ class Batch:
                 f"{self.env.name}; got {render_mode!r}"
             )
         self._packed: Packed | None = None
+        self._dtype: Any = None  # of observations and actions; set by `reset`
         self._lengths: np.ndarray | None = None
 
     def reset(
@@ -125,7 +126,7 @@ class Batch:
         self._layout, numbers = layout(state), layout(self.params)
         self._packed = self._layout.pack(state)
         self._numbers = numbers.pack(self.params)
-        self._dtype = np.dtype(state.observation.dtype)
+        self._dtype = state.observation.dtype
         made_of = batch, self._layout, numbers, self.num_envs == 1
         # The programs are looked up once: in every step this would take a twentieth of
         # the time of one arm.
@@ -141,9 +142,7 @@ class Batch:
             waiting: Mask of environments that do not change: they have zero reward and
                 do not end.
         """
-        actions = np.asarray(actions)
-        check_action_shape("actions", actions, (self.num_envs, self.env.action_size))
-        return self.advance(actions.astype(self._dtype), np.asarray, waiting)
+        return self.advance(np.asarray(actions, self._dtype), np.asarray, waiting)
 
     def advance(
         self,
@@ -161,6 +160,7 @@ class Batch:
             waiting: As in `step`.
         """
         packed = self.packed()
+        check_action_shape("actions", actions, (self.num_envs, self.env.action_size))
         program = self._programs[waiting is not None]
         self._packed, (arrays, others) = program.step(
             packed, actions, self._numbers, waiting

@@ -21,10 +21,8 @@ except ModuleNotFoundError as missing:
         name="torch",
     ) from missing
 
-from jaxrod.envs.checking import check_action_shape
 from jaxrod.envs.gymnasium_batch import Batch
 from jaxrod.envs.protocol import Environment
-from jaxrod.envs.wrappers import VectorStep
 
 __all__ = ["RslRlVecEnv", "SkrlEnv", "TorchBatch"]
 
@@ -88,22 +86,20 @@ class TorchBatch:
         self.observation = _tensor(self._batch.started().observation)
         return self.observation
 
-    def step(self, actions: torch.Tensor) -> VectorStep:
+    def step(self, actions: torch.Tensor) -> Any:
         """Advances all environments by one control step.
 
         Args:
             actions: In [-1, 1], shape (num_envs, action_size).
 
         Returns:
-            The results; every leaf is a tensor.
+            The results, a `jaxrod.envs.VectorStep` whose leaves are tensors.
 
         Raises:
             ValueError: The actions have another shape.
         """
-        shape = (self.num_envs, self.env.action_size)
-        check_action_shape("actions", actions, shape)
         given = actions.detach().to(self.observation).contiguous()
-        step = self._batch.advance(jax.dlpack.from_dlpack(given), _tensor)
+        step: Any = self._batch.advance(jax.dlpack.from_dlpack(given), _tensor)
         self.observation = step.observation
         return step
 
@@ -193,7 +189,7 @@ class SkrlEnv:
         device: Device of all tensors.
         observation_space: Space of the observation of one environment.
         action_space: Space of the action of one environment.
-        state_space: Always None: there is no state besides the observation.
+        state_space: Always None: skrl learns from the observation alone.
     """
 
     num_agents = 1
@@ -234,7 +230,7 @@ class SkrlEnv:
         return step.observation, reward, terminated, truncated, step.info
 
     def state(self) -> None:
-        """Returns None: there is no state besides the observation."""
+        """Returns None: skrl learns from the observation alone."""
 
     def render(self) -> None:
         """Draws nothing."""
