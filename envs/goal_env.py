@@ -27,6 +27,7 @@ except ModuleNotFoundError as missing:
 
 from jaxrod.envs.gymnasium_batch import Batch
 from jaxrod.envs.protocol import GoalConditioned
+from jaxrod.validation import check_count
 
 __all__ = ["GoalEnv"]
 
@@ -35,7 +36,7 @@ Observation = dict[str, np.ndarray]
 
 
 class GoalEnv(
-    gymnasium.ObservationWrapper[Observation, np.ndarray, np.ndarray],
+    gymnasium.Wrapper[Observation, np.ndarray, np.ndarray, np.ndarray],
     gymnasium.utils.RecordConstructorArgs,
 ):
     """A Gymnasium environment of a task whose observations name the goal.
@@ -48,27 +49,34 @@ class GoalEnv(
     - `"achieved_goal"` and `"desired_goal"`: in `tracking` the positions of tip and
       target; in `reaching` each with its quaternion.
 
-    The reward of a step is `compute_reward` of its goals, except where an arm broke.
+    The reward of a step is `compute_reward` of its goals. That is the reward of the
+    task, except where an arm of the variant "paper" breaks or an action is held.
     """
 
-    def __init__(self, env: gymnasium.Env[np.ndarray, np.ndarray]) -> None:
+    def __init__(
+        self, env: gymnasium.Env[np.ndarray, np.ndarray], hold: int = 1
+    ) -> None:
         """Wraps an environment.
 
         Args:
             env: A `jaxrod.envs.gym.GymnasiumEnv`, for example from
                 `gymnasium.make("jaxrod/tracking-clean-v0")`.
+            hold: Control steps for which every action is held. The reward is that of
+                the last of them.
 
         Raises:
-            ValueError: The environment is not of jaxrod, or its task has no goals.
+            ValueError: The environment is not of jaxrod, its task has no goals, or
+                `hold` is below 1.
         """
-        gymnasium.utils.RecordConstructorArgs.__init__(self)
-        gymnasium.ObservationWrapper.__init__(self, env)
+        gymnasium.utils.RecordConstructorArgs.__init__(self, hold=hold)
+        gymnasium.Wrapper.__init__(self, env)
         batch = getattr(env.unwrapped, "_batch", None)
         if batch is None:
             raise ValueError(f"env must be an environment of jaxrod, got {env}")
         task = batch.env
         if not hasattr(task, "goal_entries"):
             raise ValueError(f"{task.name} has no goals: it has no goal_entries")
+        self._hold = check_count("hold", hold, 1)
         self._batch: Batch = batch
         self._task: GoalConditioned = task
         entries = {
@@ -86,7 +94,34 @@ class GoalEnv(
         )
         self.observation_space = parts
 
-    def observation(self, observation: np.ndarray) -> Observation:
+    def reset(
+        self, *, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[Observation, dict[str, Any]]:
+        """Starts an episode, as `jaxrod.envs.gym.GymnasiumEnv.reset` does."""
+        observation, info = self.env.reset(seed=seed, options=options)
+        return self._parts(observation), info
+
+    def step(
+        self, action: np.ndarray
+    ) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
+        """Advances by the control steps of one action, or to the end of the episode.
+
+        Args:
+            action: In [-1, 1], shape (action_size,).
+
+        Returns:
+            Observation, reward, terminated, truncated, and the environment's scalars.
+        """
+        for _ in range(self._hold):
+            observation, _, terminated, truncated, info = self.env.step(action)
+            if terminated or truncated:
+                break
+        parts = self._parts(observation)
+        goals = parts["achieved_goal"], parts["desired_goal"]
+        reward = float(self.compute_reward(*goals))
+        return parts, reward, terminated, truncated, info
+
+    def _parts(self, observation: np.ndarray) -> Observation:
         """Observation by parts, copied out of the whole one."""
         return {name: observation[which] for name, which in self._entries.items()}
 

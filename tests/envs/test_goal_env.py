@@ -88,12 +88,29 @@ def test_the_checker_has_nothing_to_say():
     assert again.get_wrapper_attr("compute_reward")(np.zeros(7), np.zeros(7), {}) > 0
 
 
+def test_held_actions_are_so_many_control_steps():
+    single = GoalEnv(GymnasiumEnv("reaching", **SHORT))
+    held = GoalEnv(GymnasiumEnv("reaching", **SHORT), hold=3)
+    single.reset(seed=0)
+    held.reset(seed=0)
+    action = np.full(single.action_space.shape, 0.5, np.float32)
+    for _ in range(3):
+        wanted = single.step(action)
+    found = held.step(action)
+    for key, value in wanted[0].items():
+        np.testing.assert_array_equal(found[0][key], value)
+    assert found[1:] == wanted[1:] and not found[3]
+    assert held.step(action)[3]  # the fourth control step ends the episode
+
+
 def test_bad_input_is_refused_in_words():
     with pytest.raises(ValueError, match="trivial has no goals"):
         GoalEnv(GymnasiumEnv("trivial"))
     with pytest.raises(ValueError, match=r"of jaxrod, got .*CartPole"):
         GoalEnv(gymnasium.make("CartPole-v1"))
     env = GoalEnv(GymnasiumEnv("tracking", **SHORT))
+    with pytest.raises(ValueError, match="hold must be"):
+        GoalEnv(GymnasiumEnv("tracking", **SHORT), hold=0)
     with pytest.raises(gymnasium.error.ResetNeeded, match="reset"):
         env.compute_reward(np.zeros(3), np.zeros(3), {})
 
