@@ -36,7 +36,7 @@ Observation = dict[str, np.ndarray]
 
 
 class GoalEnv(
-    gymnasium.Wrapper[Observation, np.ndarray, np.ndarray, np.ndarray],
+    gymnasium.Wrapper[Any, np.ndarray, Any, np.ndarray],
     gymnasium.utils.RecordConstructorArgs,
 ):
     """A Gymnasium environment of a task whose observations name the goal.
@@ -69,7 +69,7 @@ class GoalEnv(
                 `hold` is below 1.
         """
         gymnasium.utils.RecordConstructorArgs.__init__(self, hold=hold)
-        gymnasium.Wrapper.__init__(self, env)
+        super().__init__(env)
         batch = getattr(env.unwrapped, "_batch", None)
         if batch is None:
             raise ValueError(f"env must be an environment of jaxrod, got {env}")
