@@ -212,6 +212,7 @@ def test_ppo_of_rsl_rl_improves_on_tracking_as_ours_does():
             "gamma": 0.98,
             "entropy_coef": 0.0,
             "use_clipped_value_loss": False,
+            "normalize_advantage_per_mini_batch": True,
             "max_grad_norm": 10.0,
         },
     }
