@@ -55,7 +55,8 @@ OLDEST_TESTS := tests/jax_internals tests/lanes tests/test_compiled_once.py \
     tests/test_doctor.py tests/physics/test_equilibrium.py tests/physics/test_statics.py \
     tests/systems/test_neighbour_lists.py tests/systems/test_one_by_one.py \
     tests/envs/test_protocol.py tests/envs/test_brax.py tests/envs/test_gymnasium.py \
-    tests/envs/test_stable_baselines.py tests/training/test_contract.py
+    tests/envs/test_stable_baselines.py tests/envs/test_torch_env.py \
+    tests/training/test_contract.py
 
 test-oldest:
 	$(MAKE) test-oldest-here VENV=build/oldest PYTHON=$(OLDEST_PYTHON)

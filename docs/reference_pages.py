@@ -137,6 +137,11 @@ PAGES = (
         packages=("jaxrod.envs",),
     ),
     Page(
+        "Shape of gymnax",
+        "Gives tasks to learners that are whole JAX programs.",
+        packages=("jaxrod.envs.gymnax_env",),
+    ),
+    Page(
         "Learners",
         "Trains, evaluates and exports policies.",
         packages=("jaxrod.training",),

@@ -7,6 +7,8 @@ lists them. Keyword arguments of `make` and `make_vec` go to the task, for examp
 
 from __future__ import annotations
 
+import copy
+import time
 from collections.abc import Mapping
 from typing import Any
 
@@ -14,6 +16,7 @@ import numpy as np
 
 try:
     import gymnasium
+    from gymnasium.envs.registration import EnvSpec
     from gymnasium.vector import AutoresetMode
     from gymnasium.vector.utils import batch_space
 except ModuleNotFoundError as missing:
@@ -53,7 +56,29 @@ def _id(task: str, variant: str) -> str:
     return f"jaxrod/{task}-{variant}-v0"
 
 
-class GymnasiumEnv(gymnasium.Env[np.ndarray, np.ndarray]):
+class _Limited:
+    """Base of both classes: `spec.max_episode_steps` is the episode's length.
+
+    The length is an option of the task, so no number could be registered with an id.
+    """
+
+    _batch: Batch
+    _spec: EnvSpec | None = None
+
+    @property
+    def spec(self) -> EnvSpec | None:
+        """Arguments of `gymnasium.make`; None for an environment made otherwise."""
+        return self._spec
+
+    @spec.setter
+    def spec(self, given: EnvSpec | None) -> None:
+        """Keeps a copy, with the episode's length."""
+        self._spec = copy.copy(given)
+        if self._spec is not None:
+            self._spec.max_episode_steps = self._batch.env.episode_length
+
+
+class GymnasiumEnv(_Limited, gymnasium.Env[np.ndarray, np.ndarray]):
     """An environment as a `gymnasium.Env`.
 
     Its results equal those of `jaxrod.envs.VectorEnvironment` with one environment up
@@ -61,9 +86,15 @@ class GymnasiumEnv(gymnasium.Env[np.ndarray, np.ndarray]):
     bit. The seed s starts a batch of one environment with `jax.random.key(s)`. `reset`
     without a seed starts the next episode of this batch if the previous one has ended,
     and otherwise draws a new seed from `np_random`.
+
+    In the render mode "human" a window of matplotlib shows the motion, never faster
+    than in real time. It gets a new picture after every `metadata["steps_per_frame"]`
+    control steps. Films of these pictures at `metadata["render_fps"]` frames a second
+    play in real time. Films with a picture of every control step, such as those of
+    `gymnasium.wrappers.RecordVideo`, play `steps_per_frame` times as slowly.
     """
 
-    metadata = METADATA
+    metadata = METADATA | {"render_modes": ["human", "rgb_array"]}
 
     def __init__(
         self,
@@ -77,20 +108,24 @@ class GymnasiumEnv(gymnasium.Env[np.ndarray, np.ndarray]):
 
         Args:
             task: A task for `jaxrod.envs.make`, or an environment.
-            render_mode: None, or "rgb_array" for pictures of 480 x 640 pixels.
+            render_mode: None, "rgb_array" for pictures of 480 x 640 pixels, or "human"
+                for a window.
             params: Parameters of the environment; None for its defaults.
             **options: Passed to `jaxrod.envs.make`, for example `variant="clean"`.
 
         Raises:
             ValueError: An argument does not fit.
         """
-        self._batch = Batch(task, 1, render_mode, params, options)
+        modes = self.metadata["render_modes"]
+        self._batch = Batch(task, 1, render_mode, params, options, modes)
         self.render_mode = render_mode
         self.metadata = self._batch.metadata
         self.observation_space = self._batch.observation_space
         self.action_space = self._batch.action_space
         self._ended = False
         self._shown: Packed | None = None
+        self._steps = 0  # control steps of the episode; used in the mode "human"
+        self._window = _Window(self._batch.env.name)
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
@@ -115,6 +150,8 @@ class GymnasiumEnv(gymnasium.Env[np.ndarray, np.ndarray]):
             self._batch.reset(drawn)
         self._ended = False
         self._shown = self._batch.packed()
+        self._steps = 0
+        self._show()
         return observed(self._batch.started().observation[0]), {}
 
     def step(
@@ -142,6 +179,8 @@ class GymnasiumEnv(gymnasium.Env[np.ndarray, np.ndarray]):
         # The batch has already begun the next episode, so the picture shows the ended
         # episode one step before its end.
         self._shown = before if self._ended else self._batch.packed()
+        self._steps += 1
+        self._show()
         return (
             observed(step.final_observation[0]),
             float(step.reward[0]),
@@ -151,7 +190,11 @@ class GymnasiumEnv(gymnasium.Env[np.ndarray, np.ndarray]):
         )
 
     def render(self) -> np.ndarray | None:
-        """Draws a picture, RGB of shape (480, 640, 3); None without a render mode.
+        """Draws a picture, RGB of shape (480, 640, 3), in the mode "rgb_array".
+
+        Returns:
+            The picture; None in the mode "human", whose window needs no call, and
+            without a render mode.
 
         Raises:
             gymnasium.error.ResetNeeded: `reset` was not called before.
@@ -161,11 +204,67 @@ class GymnasiumEnv(gymnasium.Env[np.ndarray, np.ndarray]):
             return None
         if self._shown is None:
             raise gymnasium.error.ResetNeeded("call reset before render")
-        return self._batch.picture(self._batch.unpacked(self._shown), 0)
+        return None if self.render_mode == "human" else self._picture(self._shown)
+
+    def _picture(self, shown: Packed) -> np.ndarray:
+        """Picture of a packed state of the batch, RGB."""
+        return self._batch.picture(self._batch.unpacked(shown), 0)
+
+    def _show(self) -> None:
+        """Puts a picture in the window, if there is a window and one is due."""
+        if self.render_mode != "human" or self._shown is None:
+            return
+        if self._steps % self.metadata["steps_per_frame"] == 0:
+            picture = self._picture(self._shown)
+            self._window.show(picture, 1 / self.metadata["render_fps"])
+
+    def close(self) -> None:
+        """Closes the window, if there is one."""
+        self._window.close()
+
+
+class _Window:
+    """Window of matplotlib that shows one picture after another."""
+
+    def __init__(self, title: str) -> None:
+        """Opens no window yet; `title` is its title."""
+        self._title = title
+        self._figure: Any = None
+        self._image: Any = None
+        self._due = 0.0  # earliest time of the next picture, of time.monotonic [s]
+
+    def show(self, picture: np.ndarray, seconds: float) -> None:
+        """Shows an RGB picture, no sooner than `seconds` after the one before."""
+        from matplotlib import pyplot
+
+        if self._figure is None:
+            height, width, _ = picture.shape
+            size = width / 100, height / 100
+            self._figure = pyplot.figure(self._title, size, 100)
+            self._image = self._figure.figimage(picture)
+            if self._figure.canvas.required_interactive_framework is None:
+                gymnasium.logger.warn(
+                    'render_mode="human" shows nothing: matplotlib has no window here, '
+                    f"its backend is {pyplot.get_backend()!r}"
+                )
+            else:
+                self._figure.show()
+        self._image.set_data(picture)
+        self._figure.canvas.draw_idle()
+        self._figure.canvas.start_event_loop(max(self._due - time.monotonic(), 1e-3))
+        self._due = time.monotonic() + seconds
+
+    def close(self) -> None:
+        """Closes the window."""
+        if self._figure is not None:
+            from matplotlib import pyplot
+
+            pyplot.close(self._figure)
+            self._figure = None
 
 
 class GymnasiumVectorEnv(
-    gymnasium.vector.VectorEnv[np.ndarray, np.ndarray, np.ndarray]
+    _Limited, gymnasium.vector.VectorEnv[np.ndarray, np.ndarray, np.ndarray]
 ):
     """`jaxrod.envs.VectorEnvironment` for Gymnasium, equal up to round-off.
 
@@ -190,6 +289,7 @@ class GymnasiumVectorEnv(
         render_mode: str | None = None,
         params: Any = None,
         autoreset_mode: AutoresetMode | str = AutoresetMode.SAME_STEP,
+        max_episode_steps: int | None = None,
         **options: Any,
     ) -> None:
         """Makes the batch.
@@ -201,11 +301,16 @@ class GymnasiumVectorEnv(
             params: Parameters shared by the batch; None for the environment's defaults.
             autoreset_mode: One of `gymnasium.vector.AutoresetMode`, or its value:
                 "SameStep", "NextStep" or "Disabled".
+            max_episode_steps: The task's option `episode_length` under Gymnasium's
+                name; the smaller one counts. A `spec` that is made again has both.
             **options: Passed to `jaxrod.envs.make`, for example `variant="clean"`.
 
         Raises:
             ValueError: An argument does not fit.
         """
+        if max_episode_steps is not None:
+            length = options.get("episode_length", max_episode_steps)
+            options["episode_length"] = min(length, max_episode_steps)
         self._mode = _mode(autoreset_mode)
         self._batch = Batch(task, num_envs, render_mode, params, options)
         self.num_envs = num_envs

@@ -1,10 +1,11 @@
-"""Batch behind the Gymnasium and Stable Baselines adapters, with NumPy in and out."""
+"""Batch behind the adapters for Gymnasium, Stable Baselines 3 and PyTorch."""
 
 from __future__ import annotations
 
 import dataclasses
 import functools
 import math
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import gymnasium
@@ -12,7 +13,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from gymnasium.spaces import Box
-from jaxtyping import Array, Bool, Float, Key, PyTree, UInt8
+from jaxtyping import Array, Bool, Float, Int, Key, PyTree, UInt8
 
 from jaxrod.envs.checking import check_action_shape
 from jaxrod.envs.drawing import drawable, edge_lengths, missing, picture
@@ -21,8 +22,29 @@ from jaxrod.envs.registry import make
 from jaxrod.envs.wrappers import VectorEnvironment, VectorState, VectorStep
 from jaxrod.installation.backend import compile_for_rods
 
-METADATA: dict[str, Any] = {"render_modes": ["rgb_array"], "render_fps": 714}
-"""Default metadata of both Gymnasium classes, read before an environment exists."""
+MOST_FRAMES = 30
+"""Largest number of pictures that a film shows in a second."""
+METADATA: dict[str, Any] = {"render_modes": ["rgb_array"], "render_fps": MOST_FRAMES}
+"""Default metadata of the Gymnasium classes, read before an environment exists."""
+
+
+def film_metadata(control_period: float, modes: Sequence[str]) -> dict[str, Any]:
+    """Metadata of an environment that can be drawn.
+
+    `render_fps` is the frame rate of a film in real time that shows the state after
+    every `steps_per_frame` control steps. It is at most 30, rounded to a whole number.
+
+    Args:
+        control_period: Time between actions [s].
+        modes: Render modes.
+    """
+    # Rounded, so that 1 / 30 s is not taken for a little less.
+    steps = math.ceil(round(1 / (MOST_FRAMES * control_period), 6))
+    return {
+        "render_modes": [*modes],
+        "render_fps": max(1, round(1 / (steps * control_period))),
+        "steps_per_frame": steps,
+    }
 
 
 class Batch:
@@ -33,7 +55,7 @@ class Batch:
         num_envs: Number of environments.
         observation_space: Space of one environment: any finite float32 numbers.
         action_space: Space of one environment: [-1, 1].
-        metadata: Render modes, and `render_fps`: control steps per second.
+        metadata: Render modes, and the frame rate of films; see `film_metadata`.
         params: Parameters of the environment; None means its defaults, which the first
             reset makes.
     """
@@ -45,15 +67,17 @@ class Batch:
         render_mode: str | None,
         params: Any,
         options: dict[str, Any],
+        modes: Sequence[str] = ("rgb_array",),
     ) -> None:
         """Makes the environment; computes nothing yet.
 
         Args:
             task: A task for `jaxrod.envs.make`, or an environment.
             num_envs: Number of environments, at least 1.
-            render_mode: None or "rgb_array".
+            render_mode: None or one of `modes`.
             params: Parameters; None for the environment's defaults.
             options: Passed to `make`.
+            modes: Render modes of an environment that can be drawn.
 
         Raises:
             ValueError: An argument does not fit.
@@ -73,18 +97,15 @@ class Batch:
         self.action_space = Box(-1, 1, (self.env.action_size,), np.float32)
         self.metadata: dict[str, Any] = {"render_modes": []}
         if drawable(self.env):
-            self.metadata = {
-                "render_modes": ["rgb_array"],
-                "render_fps": round(1 / self.env.control_period),
-            }
-        modes = self.metadata["render_modes"]
-        if render_mode is not None and render_mode not in modes:
+            self.metadata = film_metadata(self.env.control_period, modes)
+        known = self.metadata["render_modes"]
+        if render_mode is not None and render_mode not in known:
             raise ValueError(
-                f"render_mode must be None{' or ' if modes else ''}"
-                f"{', '.join(map(repr, modes))} for {self.env.name}; "
-                f"got {render_mode!r}"
+                f"render_mode must be {' or '.join(map(repr, [None, *known]))} for "
+                f"{self.env.name}; got {render_mode!r}"
             )
         self._packed: Packed | None = None
+        self._dtype: Any = None  # of observations and actions; set by `reset`
         self._lengths: np.ndarray | None = None
 
     def reset(
@@ -105,7 +126,7 @@ class Batch:
         self._layout, numbers = layout(state), layout(self.params)
         self._packed = self._layout.pack(state)
         self._numbers = numbers.pack(self.params)
-        self._dtype = np.dtype(state.observation.dtype)
+        self._dtype = state.observation.dtype
         made_of = batch, self._layout, numbers, self.num_envs == 1
         # The programs are looked up once: in every step this would take a twentieth of
         # the time of one arm.
@@ -121,17 +142,44 @@ class Batch:
             waiting: Mask of environments that do not change: they have zero reward and
                 do not end.
         """
+        return self.advance(np.asarray(actions, self._dtype), np.asarray, waiting)
+
+    def advance(
+        self,
+        actions: Any,
+        convert: Callable[[Array], Any],
+        waiting: Bool[np.ndarray, " num_envs"] | None = None,
+    ) -> VectorStep:
+        """Advances all environments by one control step, for arrays of any library.
+
+        Args:
+            actions: Array for JAX, shape (num_envs, action_size), of the dtype of the
+                observations.
+            convert: Function that makes an array of the other library. The results are
+                views of a few such arrays, which nothing else refers to.
+            waiting: As in `step`.
+        """
         packed = self.packed()
-        actions = np.asarray(actions)
         check_action_shape("actions", actions, (self.num_envs, self.env.action_size))
-        actions = actions.astype(self._dtype)
         program = self._programs[waiting is not None]
         self._packed, (arrays, others) = program.step(
             packed, actions, self._numbers, waiting
         )
         return program.outcome.unpack(
-            (tuple(map(np.asarray, arrays)), tuple(map(np.asarray, others)))
+            (tuple(map(convert, arrays)), tuple(map(convert, others)))
         )
+
+    def set_elapsed(self, elapsed: Int[Array, " num_envs"]) -> None:
+        """Sets the clocks of the running episodes [control steps], to end them early.
+
+        These episodes count as partial.
+        """
+        state = self.started()
+        partial = jnp.asarray(elapsed) > 0
+        state = dataclasses.replace(
+            state, elapsed=jnp.asarray(elapsed, state.elapsed.dtype), partial=partial
+        )
+        self._packed = self._layout.pack(state)
 
     def packed(self) -> Packed:
         """Current state of the batch, packed into flat arrays.

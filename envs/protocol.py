@@ -225,6 +225,57 @@ class Privileged(Environment, Protocol):
         """
 
 
+class Goals(NamedTuple):
+    """Indices of the entries of an observation that describe body and goal.
+
+    Example:
+        >>> entries = envs.make("tracking").goal_entries
+        >>> entries.achieved, entries.desired  # x, y, z of the tip and of the target
+        ((10, 21, 32), (37, 38, 39))
+    """
+
+    body: tuple[int, ...]
+    """Entries that describe the body, and nothing of the goal."""
+    achieved: tuple[int, ...]
+    """Entries that say where the body is, in the order of `desired`."""
+    desired: tuple[int, ...]
+    """Entries that say where it should be."""
+
+
+class GoalConditioned(Environment, Protocol):
+    """An environment whose reward depends on an achieved and a desired goal alone.
+
+    `tracking` and `reaching` are such environments. Learners that learn from goals
+    other than the desired one need this; see `jaxrod.envs.goal_env`.
+
+    Example:
+        >>> env = envs.make("tracking")
+        >>> params = env.default_params()
+        >>> env.goal_reward(jnp.zeros(3), jnp.array([0.0, 0.0, 0.2]), params).round(2)
+        Array(-0.04, dtype=float32)
+    """
+
+    @property
+    def goal_entries(self) -> Goals:
+        """Entries of the observation that describe body and goal."""
+
+    def goal_reward(
+        self,
+        achieved: Float[Array, " goal"],
+        desired: Float[Array, " goal"],
+        params: Params,
+    ) -> Float[Array, ""]:
+        """Reward of a step after which `achieved` holds instead of `desired`.
+
+        It is the reward of `step`, except for steps in which the body breaks.
+
+        Args:
+            achieved: Entries of the observation in `goal_entries.achieved`.
+            desired: Entries of the observation in `goal_entries.desired`.
+            params: Traced parameters.
+        """
+
+
 class Channel(NamedTuple):
     """Number, name and unit of consecutive entries of an observation or an action.
 

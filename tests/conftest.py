@@ -50,6 +50,10 @@ MAY_BE_SKIPPED = {
     "JAX sees no accelerator": "runs on a GPU, where there is none",
     "the sb3 extra is not installed": "the adapter for Stable Baselines 3, without "
     "the extra `sb3`: PyTorch may come with CUDA, which takes gigabytes",
+    "PyTorch is not installed": "tensors of PyTorch, and learners that use them",
+    "RSL-RL is not installed": "a learner of RSL-RL",
+    "skrl is not installed": "a learner of skrl",
+    "rejax is not installed": "a learner of rejax, whose gymnax wants an older JAX",
     "could not import 'ray'": "sweeps on a Ray cluster, without the extra `ray`",
     "could not import 'moviepy'": "films by Gymnasium, without the extra `video`",
     "could not import 'yaml'": "descriptions of clusters, where nothing reads YAML",

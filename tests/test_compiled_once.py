@@ -25,7 +25,7 @@ doubled(jnp.ones(3))
 import jaxrod
 
 # What stands on flax or on another program's interface imports that at once.
-others = ("cli", "training", "brax", "gym", "stable_baselines")
+others = ("cli", "training", "brax", "gym", "goal_env", "stable_baselines", "torch")
 for package in ("jaxrod", "jaxrod.envs"):
     root = importlib.import_module(package)
     for module in pkgutil.walk_packages(root.__path__, f"{package}."):

@@ -32,6 +32,8 @@ Variant = Literal["paper", "clean"]
 
 OBSERVED_NODES = 11
 """Number of observed nodes of the arm, equidistant, including base and tip."""
+TIP = tuple(OBSERVED_NODES * (axis + 1) - 1 for axis in range(3))
+"""Entries of the observation that are the position of the tip: x, y, z."""
 COST_WIDTH = 0.1
 """Distance from the target beyond which a planner's cost grows linearly [m]."""
 

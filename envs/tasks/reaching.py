@@ -39,10 +39,11 @@ from jaxtyping import Array, Bool, Float, Key
 
 from jaxrod import RodState
 from jaxrod.envs.arm.soft_arm import REFERENCE_ELEMENTS
-from jaxrod.envs.protocol import Channel
+from jaxrod.envs.protocol import Channel, Goals
 from jaxrod.envs.tasks.arm_task import (
     COST_WIDTH,
     OBSERVED_NODES,
+    TIP,
     ArmParams,
     ArmState,
     BenchmarkTask,
@@ -187,6 +188,22 @@ class Reaching(BenchmarkTask):
         *speed_channels("the goal, which is 0"),
         Channel(4, "orientation of the goal: w, x, y, z, w at least 0", "1"),
     )
+    goal_entries = Goals(
+        body=(*range(41),),
+        achieved=(*TIP, *range(37, 41)),
+        desired=(*range(41, 44), *range(48, 52)),
+    )
+
+    def goal_reward(
+        self,
+        achieved: Float[Array, "7"],
+        desired: Float[Array, "7"],
+        params: Any,
+    ) -> Float[Array, ""]:
+        """Reward of a position (3) and a quaternion (4); see `reaching_reward`."""
+        squared = jnp.sum((achieved[:3] - desired[:3]) ** 2)
+        misalignment = 1 - jnp.sum(achieved[3:] * desired[3:]) ** 2
+        return reaching_reward(squared, misalignment, params)
 
 
 def random_goal(key: Key[Array, ""], params: GoalParams) -> Goal:

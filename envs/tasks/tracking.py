@@ -29,14 +29,16 @@ from jaxtyping import Array, Bool, Float, Key
 from jaxrod.envs.arm import moving_target
 from jaxrod.envs.arm.moving_target import Target, TargetParams
 from jaxrod.envs.arm.soft_arm import REFERENCE_ELEMENTS
-from jaxrod.envs.protocol import Channel
+from jaxrod.envs.protocol import Channel, Goals
 from jaxrod.envs.tasks.arm_task import (
     OBSERVED_NODES,
+    TIP,
     ArmParams,
     ArmState,
     BenchmarkTask,
     Variant,
     checked_sizes,
+    distance_reward,
     speed_and_direction,
     speed_channels,
 )
@@ -118,6 +120,16 @@ class Tracking(BenchmarkTask):
         Channel(3, "position of the target: x, y, z", "m"),
         *speed_channels("the target"),
     )
+    goal_entries = Goals(body=(*range(37),), achieved=TIP, desired=(37, 38, 39))
+
+    def goal_reward(
+        self,
+        achieved: Float[Array, "3"],
+        desired: Float[Array, "3"],
+        params: Any,
+    ) -> Float[Array, ""]:
+        """Reward by the distance of a position from a target; see `distance_reward`."""
+        return distance_reward(jnp.sum((achieved - desired) ** 2), params.bonus)
 
 
 def tracking(

@@ -7,6 +7,7 @@ import os
 import re
 import subprocess
 import sys
+import time
 
 import gymnasium
 import jax
@@ -15,11 +16,13 @@ import numpy as np
 import pytest
 from gymnasium.utils.env_checker import check_env, data_equivalence
 from gymnasium.vector import AutoresetMode, SyncVectorEnv
+from matplotlib import pyplot
 
 from every_id import EVERY_ID
 from jaxrod import straight_rod
 from jaxrod.envs import Snapshot, VectorEnvironment, make
-from jaxrod.envs.gym import GymnasiumEnv, GymnasiumVectorEnv, ids
+from jaxrod.envs.gym import GymnasiumEnv, GymnasiumVectorEnv, _Window, ids
+from jaxrod.envs.gymnasium_batch import film_metadata
 from jaxrod.envs.trivial import Trivial
 
 pytestmark = pytest.mark.default_precision
@@ -304,8 +307,12 @@ def test_bad_input_is_refused_in_words():
             either.reset(options={"reset_mask": np.ones(2, bool)})
     with pytest.raises(ValueError, match="None for trivial; got 'rgb_array'"):
         GymnasiumEnv("trivial", render_mode="rgb_array")
-    with pytest.raises(ValueError, match="None or 'rgb_array' for tracking; got 'x'"):
+    with pytest.raises(
+        ValueError, match="None or 'human' or 'rgb_array' for tracking; got 'x'"
+    ):
         GymnasiumEnv("tracking", render_mode="x")
+    with pytest.raises(ValueError, match="None or 'rgb_array' for tracking; got 'hum"):
+        GymnasiumVectorEnv("tracking", 2, render_mode="human")
     with pytest.raises(ValueError, match=r"no options, got .*variant"):
         GymnasiumEnv(make("trivial"), variant="clean")
     with pytest.raises(ValueError, match="num_envs must be at least 1, got 0"):
@@ -324,6 +331,88 @@ def test_every_task_has_an_id_for_each_variant_and_takes_its_options():
     env = gymnasium.make("jaxrod.envs.gym:jaxrod/structured-clean-v0", controls=4)
     assert env.action_space.shape == (4,)
     assert env.spec.from_json(env.spec.to_json()).kwargs["controls"] == 4
+
+
+def test_specs_tell_how_long_an_episode_is():
+    name = "jaxrod/tracking-clean-v0"
+    assert gymnasium.make(name).spec.max_episode_steps == 7142
+    env = gymnasium.make(name, episode_length=9)
+    assert env.spec.max_episode_steps == 9
+    assert gymnasium.make(name, max_episode_steps=5).spec.max_episode_steps == 5
+    again = gymnasium.make(env.spec)
+    assert again.spec.max_episode_steps == again.unwrapped.spec.max_episode_steps == 9
+    # The registered spec is not changed, so a longer episode has no hidden limit.
+    assert gymnasium.spec(name).max_episode_steps is None
+    limit = gymnasium.wrappers.TimeLimit
+    longer = gymnasium.make(name, episode_length=8000)
+    assert longer.spec.max_episode_steps == 8000
+    while longer is not longer.unwrapped:
+        assert not isinstance(longer, limit)
+        longer = longer.env
+    assert longer.unwrapped._batch.env.episode_length == 8000
+    bare = GymnasiumEnv("trivial")
+    assert bare.spec is None
+    bare.spec = gymnasium.spec(name)
+    assert gymnasium.spec(name).max_episode_steps is None
+
+
+@pytest.mark.parametrize(
+    ("given", "length"),
+    [
+        ({}, 7142),
+        ({"max_episode_steps": 3}, 3),
+        ({"episode_length": 4}, 4),
+        ({"max_episode_steps": 3, "episode_length": 4}, 3),
+        ({"max_episode_steps": 8000}, 8000),
+    ],
+)
+def test_batches_take_the_limit_by_the_name_of_gymnasium(given, length):
+    envs = gymnasium.make_vec("jaxrod/tracking-clean-v0", num_envs=2, **given)
+    assert envs.spec.max_episode_steps == length
+    assert envs._batch.env.episode_length == length
+
+
+@pytest.mark.parametrize(
+    ("period", "fps", "steps"),
+    [(1.4e-3, 30, 24), (0.1, 10, 1), (0.05, 20, 1), (1 / 30, 30, 1), (3.0, 1, 1)],
+)
+def test_films_in_real_time_have_a_rate_that_players_show(period, fps, steps):
+    found = film_metadata(period, ["rgb_array"])
+    assert (found["render_fps"], found["steps_per_frame"]) == (fps, steps)
+    if period < 1:
+        assert found["render_fps"] * steps * period == pytest.approx(1, rel=0.01)
+
+
+def test_a_window_shows_the_pictures_of_a_film():
+    env = GymnasiumEnv(Leaning(control_period=0.016), render_mode="human")
+    twin = GymnasiumEnv(Leaning(control_period=0.016), render_mode="rgb_array")
+    assert env.metadata["steps_per_frame"] == 3
+    twin.reset(seed=0)
+    pictures = [twin.render()]
+    with pytest.warns(UserWarning, match="has no window here, its backend is '[Aa]gg'"):
+        env.reset(seed=0)
+    [number] = pyplot.get_fignums()
+    shown = pyplot.figure(number).images[0]
+    for _ in range(3):
+        # A picture is due at the start and after three control steps.
+        np.testing.assert_array_equal(shown.get_array(), pictures[0])
+        env.step(np.ones(1, np.float32))
+        twin.step(np.ones(1, np.float32))
+        assert env.render() is None
+    np.testing.assert_array_equal(shown.get_array(), twin.render())
+    assert np.any(twin.render() != pictures[0])
+    env.close()
+    assert not pyplot.get_fignums()
+
+
+@pytest.mark.filterwarnings("ignore:.*has no window here:UserWarning")
+def test_a_window_waits_for_real_time():
+    window, picture = _Window("tests"), np.zeros((10, 10, 3), np.uint8)
+    window.show(picture, 0.5)
+    began = time.monotonic()
+    window.show(picture, 0.5)
+    assert time.monotonic() - began > 0.4
+    window.close()
 
 
 def test_parameters_and_environments_may_be_ones_own():
@@ -348,7 +437,8 @@ def test_without_gymnasium_a_sentence_says_what_to_install(monkeypatch):
 def test_the_checker_has_nothing_to_say_about_what_can_be_drawn():
     gymnasium.register("tests/Leaning-v0", GymnasiumEnv, kwargs={"task": Leaning()})
     try:
-        check_env(gymnasium.make("tests/Leaning-v0").unwrapped)
+        with pytest.warns(UserWarning, match="has no window here"):
+            check_env(gymnasium.make("tests/Leaning-v0").unwrapped)
     finally:
         del gymnasium.registry["tests/Leaning-v0"]
 

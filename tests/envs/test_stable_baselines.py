@@ -162,7 +162,7 @@ DRAWN = {"render_mode": "rgb_array", "variant": "clean"}
 
 def test_what_can_be_drawn_says_how_fast_it_is_played():
     envs = adapter.StableBaselinesVecEnv("tracking", 2, **DRAWN)
-    assert envs.metadata["render_fps"] == 714
+    assert envs.metadata["render_fps"] == 30
     assert envs.metadata["render_modes"] == ["human", "rgb_array"]
     with pytest.raises(gymnasium.error.ResetNeeded, match="reset"):
         envs.render()
@@ -205,3 +205,39 @@ def test_actions_of_another_shape_are_refused_as_they_were_given(shape):
     words = re.escape(f"actions must have shape (2, 1), got {shape}")
     with pytest.raises(ValueError, match=words):
         envs.step(np.zeros(shape, np.float32))
+
+
+@pytest.mark.slow
+def test_hindsight_improves_on_tracking_as_our_ppo_does():
+    """In 49,152 control steps, held by 16: from -105, more than half way to -91."""
+    goals = importlib.import_module("jaxrod.envs.goal_env")
+    plain = gymnasium.make("jaxrod/tracking-clean-v0", episode_length=250)
+    env = goals.GoalEnv(plain, hold=16)
+    replay = {"n_sampled_goal": 4, "goal_selection_strategy": "future"}
+    model = sb3.SAC(
+        "MultiInputPolicy",
+        env,
+        replay_buffer_class=sb3.HerReplayBuffer,
+        replay_buffer_kwargs=replay,
+        learning_starts=500,
+        gamma=0.9,
+        learning_rate=1e-3,
+        policy_kwargs={"net_arch": [64, 64]},
+        seed=0,
+    )
+    model.learn(3072)
+    entries = make("tracking", variant="clean").goal_entries
+    envs = GymnasiumVectorEnv("tracking", 256, variant="clean", episode_length=250)
+    seen, _ = envs.reset(seed=1)
+    total = np.zeros(256)
+    for step in range(250):
+        if step % 16 == 0:
+            parts = {
+                "observation": seen[:, [*entries.body]],
+                "achieved_goal": seen[:, [*entries.achieved]],
+                "desired_goal": seen[:, [*entries.desired]],
+            }
+            actions, _ = model.predict(parts, deterministic=True)
+        seen, reward, *_ = envs.step(actions)
+        total += reward
+    assert total.mean() > -98
