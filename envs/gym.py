@@ -57,7 +57,7 @@ def _id(task: str, variant: str) -> str:
 
 
 class _Limited:
-    """Base of both classes: `spec.max_episode_steps` is the episode's length.
+    """Base class with the episode's length as `spec.max_episode_steps`.
 
     The length is an option of the task, so no number could be registered with an id.
     """

@@ -133,7 +133,7 @@ class Method:
 
 @pytree
 class LoadedRod:
-    """Base of `Scene`: a rod, its effects and a method, without energies and runs.
+    """Base class of `Scene`: rod, effects and method, without energies and runs.
 
     Only the listed `effects` are in the compiled program.
 

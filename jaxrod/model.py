@@ -47,7 +47,7 @@ class Stepper(Protocol):
 
 
 class Model(ABC):
-    """Base of all models: a scene of one rod, or a system of several members.
+    """Base class of all models: a scene of one rod, or a system of several members.
 
     The state of a scene is a `RodState`; the state of a system is a dict of states by
     member.

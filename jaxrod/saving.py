@@ -177,7 +177,7 @@ def _contents(file: Path) -> tuple[dict[str, Any], dict[str, bytes]]:
     Members are not compressed, so they cannot have more bytes than the file.
 
     Raises:
-        ValueError: If this is not a file of `save`.
+        ValueError: If the file was not written by `save`.
     """
     content = read_plain(file)
     with zipfile.ZipFile(io.BytesIO(content)) as archive:

@@ -60,7 +60,9 @@ def from_array(array: np.ndarray, leaf: Any) -> Any:
 
 
 def differences_of_leaves(wanted: dict[str, str], found: dict[str, str]) -> str:
-    """The first three differences between two sets of leaves as text; "" without any.
+    """The first three differences between two sets of leaves, as text.
+
+    The text is empty if there are none.
 
     Args:
         wanted: Required leaves: their descriptions by name, as from `described`.

@@ -43,7 +43,7 @@ def batch_moments(
 
     Args:
         samples: One sample per row.
-        axis_name: Mapped device axis over which the batch is split; None without one.
+        axis_name: Mapped device axis over which the batch is split; None for no split.
     """
     origin = samples[:1]
     shifted = samples - origin

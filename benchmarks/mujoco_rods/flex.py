@@ -46,7 +46,7 @@ class Job(NamedTuple):
     masses: list[float]
     """Masses of the nodes [kg]."""
     gravity: float
-    """Acceleration of gravity, downwards [m/s^2]."""
+    """Gravitational acceleration, downwards [m/s^2]."""
     force: list[float]
     """Force on the last node [N]."""
     damping: float

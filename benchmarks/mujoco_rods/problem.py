@@ -23,7 +23,7 @@ class Problem(NamedTuple):
     clamped: bool = False
     """Whether a wall holds the first end."""
     gravity: float = 0.0
-    """Acceleration of gravity, downwards [m/s^2]."""
+    """Gravitational acceleration, downwards [m/s^2]."""
     force: float = 0.0
     """Force on the last node, upwards [N]."""
     looks: int = 1

@@ -93,7 +93,7 @@ def swing(
         bending: Stiffness EI [N m^2].
         weight: Weight w for each length at rest [N/m].
         stretching: Stiffness EA [N].
-        gravity: Acceleration of gravity g [m/s^2].
+        gravity: Gravitational acceleration g [m/s^2].
         elements: Number of elements, equally long.
     """
     h = length / elements

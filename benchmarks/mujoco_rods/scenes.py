@@ -13,7 +13,7 @@ from scipy.optimize import brentq
 from benchmarks.mujoco_rods import references
 
 GRAVITY = 9.81
-"""Acceleration of gravity [m/s^2]."""
+"""Gravitational acceleration [m/s^2]."""
 SHEAR_CORRECTION = 27 / 28
 """Timoshenko's factor of a circle, as jaxrod and PyElastica have it [1]."""
 AMPLITUDE = 0.02

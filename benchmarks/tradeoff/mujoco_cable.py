@@ -72,7 +72,7 @@ def measure_mujoco(
 
 
 def _loads(scene: Scene) -> tuple[np.ndarray, float]:
-    """Acceleration of gravity [m/s^2] and rate of damping [1/s] of a scene."""
+    """Gravitational acceleration [m/s^2] and rate of damping [1/s] of a scene."""
     gravity, rate = np.zeros(3), 0.0
     for effect in scene.effects:
         if isinstance(effect, Gravity):

@@ -198,7 +198,7 @@ class Octopus:
         )
 
     def snapshot(self, state: OctopusState, params: OctopusParams) -> Snapshot:
-        """Snapshot of arms and head, with the distance covered as a readout."""
+        """Snapshot of arms and head; the readout is the distance along the heading."""
         place = state.body["head"].positions[:, 0]
         way = jnp.sum(place[:2] * state.heading)
         return Snapshot(

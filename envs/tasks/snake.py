@@ -227,7 +227,7 @@ class Snake:
         )
 
     def snapshot(self, state: SnakeState, params: SnakeParams) -> Snapshot:
-        """Snapshot of the snake, with the distance covered as a readout."""
+        """Snapshot of the snake; the readout is the distance along the heading."""
         way = jnp.sum(params.body.centre(state.body) * state.heading)
         return Snapshot(
             positions=state.body.positions,

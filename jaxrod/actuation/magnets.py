@@ -28,7 +28,7 @@ from jaxrod.validation import Numbers, as_array, check_kind
 
 
 class MagneticField(ABC):
-    """Base of magnetic fields that vary in space; a subclass is a pytree.
+    """Base class of magnetic fields that vary in space; a subclass is a pytree.
 
     Its numbers may be schedules.
 

@@ -60,7 +60,7 @@ from jaxrod.validation import Numbers, as_array, check_kind
 
 
 class ForceLength(ABC):
-    """Base of curves of force over stretch, as fractions of the full force."""
+    """Base class of curves of force over stretch, as fractions of the full force."""
 
     @abstractmethod
     def energy(self, stretch: Array) -> Array:

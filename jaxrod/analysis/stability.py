@@ -389,12 +389,13 @@ def _vibration(model: _Model, factors: InertiaFactors) -> tuple[Array, Vibration
 def _largest_step(
     measure: _Measure, tolerance: float, model: _Model, nothing: Any
 ) -> _Found:
-    """Step h at which h times the frequency, including damping, is 2.
+    """Step h at which h times the highest frequency, including damping, is 2.
 
     Args:
-        measure: Function from factors of the inertias to the highest frequency [rad/s]
-            and further details.
-        tolerance: Width at which the bracket is narrow enough [1].
+        measure: Function that returns the highest frequency [rad/s] and further
+            details. Its arguments are `model` and the factors by which damping
+            multiplies masses and rotary inertias; these factors depend on h.
+        tolerance: The search ends when the bracket of log h is narrower than this [1].
         model: The scene, and the state at which to measure.
         nothing: Details with the structure of those that `measure` gives.
     """

@@ -94,7 +94,7 @@ _ROUNDED = 1e-6
 
 
 class Body(ABC):
-    """Base of all bodies, which are given by signed distance and normal.
+    """Base class of all bodies, which are given by signed distance and normal.
 
     Example:
         >>> @extend.pytree
@@ -526,7 +526,10 @@ class SignedDistance(Body):
 
 
 def _count(leading: tuple[int, ...]) -> int | None:
-    """Number of bodies, from the leading axes of their arrays; `None` without any."""
+    """Number of bodies, from the leading axes of their arrays.
+
+    It is `None` if there are no leading axes.
+    """
     if len(leading) > 1:
         raise ValueError(f"bodies must have at most one leading axis, got {leading}")
     return leading[0] if leading else None

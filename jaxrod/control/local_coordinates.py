@@ -391,8 +391,9 @@ def moved_by(model: Any, state: Any, changes: Float[Array, " components"]) -> An
     """State after changes of all components.
 
     `changes` concatenates, for each member in alphabetical order, the displacements
-    `(3, nodes)` and rotation vectors `(3, elements)`. Their rates follow in the same
-    order.
+    `(3, nodes)` and rotation vectors `(3, elements)`. The changes of velocities and
+    angular velocities follow after all members, in the same order. Rotation vectors and
+    angular velocities are in the material frames.
     """
     here = fields(model, state)
     places, rates = ravel_pytree(differences(here, here))[1](changes)

@@ -134,7 +134,7 @@ class Reaction:
 
 
 class Effect:
-    """Base of all effects on a rod: every hook does nothing.
+    """Base class of all effects on a rod: every hook does nothing.
 
     Hooks are pure functions. `loads` is called at the configuration in the middle of a
     step, `constrain_rates` and `dissipate` after all loads have changed the rates, and

@@ -156,7 +156,7 @@ def as_flow(flow: Flow | Timed | None) -> Flow | None:
 
 @pytree
 class FluidDrag(Effect):
-    """Base of drag in a fluid at rest or in a flow."""
+    """Base class of drag in a fluid at rest or in a flow."""
 
     flow: Flow | None
     """Flow of the fluid; `None` for a fluid at rest."""

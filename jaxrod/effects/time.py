@@ -115,7 +115,7 @@ def _product(a: Array, b: Array) -> tuple[Array, Array]:
 
 
 class Schedule(ABC):
-    """Base of numbers that depend on time; a subclass is a pytree.
+    """Base class of numbers that depend on time; a subclass is a pytree.
 
     Stability bounds, and checks that motion stays in a plane, use `largest`. Every
     component of it must be at least as large as the absolute value of that component at

@@ -37,7 +37,7 @@ def warn_of_weight(rod: Rod, acceleration: Array) -> None:
 
     Args:
         rod: The rod.
-        acceleration: Acceleration of gravity `(3,)` [m/s^2].
+        acceleration: Gravitational acceleration `(3,)` [m/s^2].
     """
     masses, stretching = rod.element_masses, rod.shear_stretch_stiffness
     known = not is_traced(masses, stretching, acceleration)

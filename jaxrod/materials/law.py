@@ -1,4 +1,4 @@
-"""Base of materials with memory: stress that depends on the history of the strains.
+"""Base class of materials with memory: stress depends on the history of strains.
 
 The strain measures are those of the rod: curvature and twist of joints, shear and
 stretch of elements. The memory is one array per measure, and the stress is added to the
@@ -39,7 +39,10 @@ class Measures:
 
 
 class Material(SectionLoad):
-    """Base of materials with memory. A subclass is a pytree with a field `walls`."""
+    """Base class of materials with memory.
+
+    A subclass is a pytree with a field `walls`.
+    """
 
     # The moment of a joint depends on its own rotation alone, and the force of an
     # element on its own strain alone.

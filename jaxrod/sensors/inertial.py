@@ -47,7 +47,7 @@ IDENTITY = (1.0, 0.0, 0.0, 0.0)
 
 
 class InertialSensor(StationSensor):
-    """Base of accelerometers and gyroscopes, mounted on a section of a rod."""
+    """Base class of accelerometers and gyroscopes, mounted on a section of a rod."""
 
     def check(self, scene: LoadedRod) -> None:
         """Raises a ValueError unless the scene has the consistent law with twist."""

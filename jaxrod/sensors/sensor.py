@@ -39,7 +39,7 @@ length [1]."""
 
 
 class Sensor(ABC):
-    """Base of all sensors: a sensor computes a reading from a state of a scene.
+    """Base class of all sensors: a sensor computes a reading from a state of a scene.
 
     A sensor is a frozen pytree. `read` is a pure function: `jax.vmap` of it reads a
     batch or a recording, and it is differentiable in forward and reverse mode.
@@ -174,7 +174,7 @@ class Stations:
 
 @pytree
 class StationSensor(Sensor):
-    """Base of sensors at stations: arc lengths of a rod."""
+    """Base class of sensors at stations: arc lengths of a rod."""
 
     arc_length: Float[Array, "*k"]
     """Arc lengths of the stations in the unstressed rod [m]."""

@@ -191,7 +191,8 @@ class _RodPlace:
     configuration: Motion
     """Positions and orientations; rates are zero."""
     units: Float[Array, "1 6"]
-    """Units of steps: the length of the rod [m], and one [rad]."""
+    """Scales of a step's components: the length of the rod [m] for displacements, 1 rad
+    for rotations."""
     loads: Float[Array, "n+1 6"]
     """Unbalanced loads on free components, times `units` [J]."""
     tangent: Tangent
@@ -237,7 +238,10 @@ class _RodAtRest:
 
     @property
     def units(self) -> Float[Array, "1 6"]:
-        """Units of steps: the length of the rod [m], and one [rad]."""
+        """Scales of the components of a step.
+
+        They are the length of the rod [m] for displacements, and 1 rad for rotations.
+        """
         return _six(jnp.sum(self.balance.scene.rod.rest_lengths), 1)
 
     @property

@@ -118,7 +118,7 @@ def _middle(rod: Rod) -> int:
 
 
 def _units(rod: Rod) -> Float[Array, "1 6"]:
-    """Units of displacements and rotations: the length of the rod [m], and 1 [rad]."""
+    """Scales: the length of the rod [m] for displacements, 1 rad for rotations."""
     length = jnp.sum(rod.rest_lengths)
     one = jnp.ones_like(length)
     return jnp.stack([length, length, length, one, one, one])[None]

@@ -249,7 +249,7 @@ class LoadBalance:
         return replace(moved, displacement=vectors.add(moved.displacement, closing))
 
     def change(self, increment: Increment, step: Float[Array, "n+1 6"]) -> Increment:
-        """Change of an increment by a small step, to first order; see `retract`."""
+        """First-order change of an increment caused by a small step; see `retract`."""
         displacement, turn = unstack_dofs(step)
         own = to_material(directors(self.base.orientation), turn)
         once = vectors.cross(increment.turn, own)

@@ -139,10 +139,11 @@ TiedPair = tuple[str, int, str, int]
 
 
 class Coupling:
-    """Base of all couplings, whose hooks do nothing by default. A subclass is a pytree.
+    """Base class of all couplings: by default every hook does nothing.
 
-    Hooks are pure. Members are identified by name; a member that a hook does not return
-    is unchanged. All nodes of a member are in one flat array, and so are its elements.
+    A subclass is a pytree. Hooks are pure. Members are identified by name; a member
+    that a hook does not return is unchanged. All nodes of a member are in one flat
+    array, and so are its elements.
 
     Unless a coupling acts from outside, as a pose spring does, its forces come in pairs
     without a total force or moment. Nothing checks this. Ties (`constrain`, `exchange`,

@@ -52,7 +52,7 @@ ANCHOR, ROUNDINGS = 1e-8, 100
 
 @pytree
 class Scales:
-    """Units of length, energy and time for a system, computed from its rods."""
+    """Scales of length, energy and time for a system, computed from its rods."""
 
     length: Float[Array, ""]
     """Length of the longest rod [m]."""
@@ -66,7 +66,7 @@ class Scales:
 
 
 def scales_of(system: Assembly) -> Scales:
-    """Units for a system; all are one if it has no rods."""
+    """Scales for a system; all are one if it has no rods."""
     lengths, elements, energies, times = [], [], [], []
     for own in system.parts().values():
         if not own.is_rod:
@@ -125,7 +125,7 @@ class StaticProblem:
     stepper: SystemStepper
     """The stepper of the system; its kick from rest gives the accelerations."""
     scales: Scales
-    """The units of the unknowns."""
+    """Scales of the unknowns."""
 
     # Methods for kernels take one argument, often a pair: a configuration, and rates.
 
@@ -168,12 +168,12 @@ class StaticProblem:
         return jax.tree.map(lambda a, b: (a - b) / dt, kicked, still)
 
     def moved(self, given: tuple[Motions, Any]) -> Motions:
-        """Configuration after a second at rates r; `given` is (configuration, r)."""
+        """Configuration after one second at rates r; `given` is (configuration, r)."""
         one = jnp.ones((), self.system.dtype)
         return at_rest(self.stepper.drift(with_rates(*given), one))
 
     def accelerations_after(self, given: tuple[Motions, Any]) -> Any:
-        """Accelerations after a second at rates r; `given` is (configuration, r)."""
+        """Accelerations after one second at rates r; `given` is (configuration, r)."""
         return self.accelerations(self.moved(given))
 
     def column(self, given: tuple[Motions, Array]) -> tuple[Array, ...]:
@@ -225,7 +225,7 @@ class StaticProblem:
         return moved, jnp.concatenate(gaps)
 
     def placed(self, given: tuple[Motions, Any]) -> Motions:
-        """Configuration after a second at rates r, with ties and attachments exact.
+        """Configuration after one second at rates r; ties and attachments hold exactly.
 
         `given` is (configuration, r).
         """
@@ -236,20 +236,26 @@ class StaticProblem:
         return self.placed(_still(self.stepper.enter(state)))
 
     def moved_after(self, given: tuple[Motions, Array]) -> Motions:
-        """Configuration after a second at scaled rates r.
+        """Configuration after one second at constant scaled rates r (see `rates`).
 
         `given` is the pair of the configuration before and r.
         """
         return self.moved((given[0], self.rates(given)))
 
     def left_after(self, given: tuple[Motions, Array]) -> dict[str, Any]:
-        """State after a second at scaled rates r; `given` is (configuration, r)."""
+        """State at rest that a configuration reaches in one second at scaled rates r.
+
+        `given` is (configuration, r). The vector r has the velocities of all members
+        divided by the scale of length, and their angular velocities. Ties and
+        attachments hold exactly.
+        """
         return self.stepper.leave(self.placed((given[0], self.rates(given))))
 
     def accelerations_scaled(self, given: tuple[Motions, Array]) -> Array:
-        """Accelerations, as scaled rates, after a second at scaled rates r.
+        """Accelerations at the configuration reached in one second at scaled rates r.
 
-        `given` is (configuration, r).
+        `given` is (configuration, r). The result is scaled in the same way as r: see
+        `scaled`.
         """
         moved = self.moved_after(given)
         return self.scaled(moved, self.accelerations(moved))
@@ -388,7 +394,7 @@ class StaticProblem:
     def moved_along_edges(
         self, here: Linear, scaled: Float[Array, " m"], loose: Float[Array, "modes m"]
     ) -> Motions:
-        """Configuration after a second at scaled rates; strains change linearly.
+        """Configuration after one second at scaled rates; strains change linearly.
 
         Nodes are displaced to close the gaps of `moved_with_gaps`, in the least-squares
         sense where ties and supports do not allow more.

@@ -197,7 +197,10 @@ def tune(
 
 @dataclass
 class _Search:
-    """Search for the accurate settings of a workload; records all that were tried."""
+    """Searches for settings that meet `max_error` on a workload.
+
+    It records every setting that it tries.
+    """
 
     workload: Workload
     exact: Reference

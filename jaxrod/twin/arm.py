@@ -192,7 +192,7 @@ class Arm:
     normal: tuple[float, float, float]
     """Direction of d1 of the straight arm, in the arm's frame."""
     gravity: tuple[float, float, float]
-    """Acceleration of gravity in the arm's frame [m/s^2]."""
+    """Gravitational acceleration in the arm's frame [m/s^2]."""
     tendons: tuple[TendonDrawing, ...]
     markers: tuple[Marker, ...]
     unknown: Mapping[str, float]
@@ -415,8 +415,8 @@ class Arm:
     def _weights(self, masses: Array, pull: Array) -> MarkerWeights:
         """Builds the couples of the markers' weights about the element midpoints.
 
-        `masses` are the masses of the markers [kg], `pull` is the acceleration of
-        gravity [m/s^2].
+        `masses` are the masses of the markers [kg], `pull` is the gravitational
+        acceleration [m/s^2].
         """
         offsets = np.array([marker.offset for marker in self.markers], float)
         ahead = (np.array(self._places[1]) - 0.5) * self.length / self.elements
@@ -483,7 +483,7 @@ class MarkerWeights(Effect):
     """Mass of each marker times its offset from its element's midpoint, along d1, d2
     and d3 [kg m]."""
     acceleration: Float[Array, "3"]
-    """Acceleration of gravity [m/s^2]."""
+    """Gravitational acceleration [m/s^2]."""
     placed: Float[Array, "markers n"]
     """Matrix: one where a marker (row) is on an element (column), else zero."""
 

@@ -105,7 +105,10 @@ class Comparison:
 
 
 def root_mean_square(errors: Any) -> np.ndarray:
-    """Root mean square of the finite errors over the first axis; NaN without any."""
+    """Root mean square of the finite errors over the first axis.
+
+    It is NaN where there are no finite errors.
+    """
     rows = np.asarray(errors)
     seen = np.isfinite(rows)
     sums = np.sum(np.where(seen, rows, 0) ** 2, axis=0)
@@ -192,7 +195,9 @@ class Twin:
         return _registered(self.arm, self.values, [recording], self.registration)[0][0]
 
     def compare(self, recordings: Sequence[Recording]) -> list[Comparison]:
-        """Predicts markers of recordings; those not in the fit are registered first.
+        """Predicts the markers of recordings.
+
+        A recording that was not fitted is first converted by `registered`.
 
         Raises:
             ValueError: If a recording cannot be registered, the arm has no equilibrium
@@ -337,7 +342,8 @@ def _fitted(
 ) -> tuple[Fit, float]:
     """Fits unknowns to registered recordings; returns the fit, and the noise [m].
 
-    `noise`, `robust` and `iterations` are as in `identify`.
+    Registered recordings have their markers in the arm's order and frame. `noise`,
+    `robust` and `iterations` are as in `identify`.
     """
     data = [_prepared(arm, recording) for recording in recordings]
     problem = _problem(arm, data)

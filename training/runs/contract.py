@@ -78,7 +78,9 @@ def updates_of(algorithm: Algorithm, config: Any) -> int:
 
 
 def check_state(algorithm: Algorithm, state: Any, env: Environment) -> None:
-    """Checks `update`, `policy` and `partition` by tracing them on a train state.
+    """Checks `update`, `policy` and `partition` of an algorithm on a train state.
+
+    It traces `update` and `policy`, and calls `partition`.
 
     Args:
         algorithm: Algorithm that made the state.

@@ -149,7 +149,7 @@ def converted(unroller: Unroller, equation: Any, array: Any) -> Any:
 def as_kind(unroller: Unroller, array: Any, before: str, after: str) -> Any:
     """Converts numbers of type `before`, such as `"f32"`, to type `after`.
 
-    Numbers other than 0 become true if `after` is boolean (`"b1"`).
+    If `after` is boolean (`"b1"`), nonzero numbers become true.
     """
     if before == after:
         return array

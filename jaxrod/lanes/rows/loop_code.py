@@ -760,7 +760,10 @@ class RowWriter(Writer):
         )
 
     def stored_number(self, node: int) -> str:
-        """Returns the name of a node's number at the loop index, or its literal."""
+        """Returns the name of the variable that holds a node's value at the loop index.
+
+        It returns the literal if the node is constant.
+        """
         graph = self.graph
         known = graph.value(node)
         if known is not None:

@@ -22,19 +22,21 @@ from jaxrod.validation import Numbers, as_array
 
 @pytree
 class PenaltyContact(Coupling):
-    """Base of penalty-contact couplings: springs, dashpots and Coulomb friction."""
+    """Base class of penalty contact: springs, dashpots and Coulomb friction."""
 
     stiffness: Float[Array, ""]
-    """Normal force per penetration: [N/m^2] if per length of contact, else [N/m]."""
+    """Normal force per penetration: [N/m^2] if per unit length of contact, else
+    [N/m]."""
     onset: Float[Array, ""]
     """Width of the smooth onset of contact, divided by a rod's radius or a body's size
     [1]."""
     damping: Float[Array, ""] | None = None
-    """Dashpot force per normal speed: [kg/(m s)] if per length, else [kg/s]."""
+    """Dashpot force per normal speed: [kg/(m s)] if per unit length, else [kg/s]."""
     friction: Float[Array, ""] | None = None
     """Coefficient of Coulomb friction [1]."""
     friction_drag: Float[Array, ""] | None = None
-    """Largest friction force per slip speed: [kg/(m s)] if per length, else [kg/s]."""
+    """Largest friction force per slip speed: [kg/(m s)] if per unit length, else
+    [kg/s]."""
 
     @property
     def law(self) -> PenaltyLaw:
@@ -62,7 +64,8 @@ def law_numbers(
         friction_drag: Largest friction per slip speed [kg/(m s)] or [kg/s]; by default
             the damping.
         onset: Width of the smooth onset divided by a rod's radius or a body's size [1].
-        per_length: Whether the law is per length of contact: the first of both units.
+        per_length: Whether the law is per unit length of contact. If it is, the first
+            of the two units above applies, else the second.
 
     Raises:
         ValueError: If a number is out of range, or friction is given without drag.
@@ -114,8 +117,8 @@ class ContactPair:
     normal: Vec3
     """Unit vectors from the second point to the first."""
     weight: Array
-    """Factor on the force and energy of the pair: a length if the law is per length
-    [m], else a number [1]. It is negative for pairs that are subtracted."""
+    """Factor on the force and energy of the pair: a length [m] if the law is per unit
+    length, else a pure number [1]. It is negative for pairs that are subtracted."""
     depth: Array
     """Penetration: sum of the radii minus the distance of the points [m]."""
     width: Array

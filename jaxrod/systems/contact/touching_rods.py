@@ -1,4 +1,4 @@
-"""Base of the laws of contact between rods: pairs of elements, and sums over them.
+"""Base class of contact laws between rods: pairs of elements, and sums over them.
 
 A law defines which pairs of points of two elements count, and with which weights. Pairs
 of elements are all those of two members, or those on neighbour lists
@@ -70,7 +70,7 @@ without a grid of cells."""
 
 @pytree
 class TouchingRods(PenaltyContact):
-    """Base of the laws of contact between all rods of some members."""
+    """Base class of the contact laws between all rods of the given members."""
 
     segments: tuple[RodSegments, ...] = ()
     """Segments and contact points of each member, set by `prepared`."""
@@ -503,7 +503,7 @@ def rod_law(
     lists: NeighbourLists | None,
     per_length: bool,
 ) -> dict[str, Any]:
-    """Validated fields that all laws of contact between rods have in common.
+    """Validated fields that all contact laws between rods have in common.
 
     Args:
         members: Names of the members.
@@ -511,7 +511,7 @@ def rod_law(
         self_contact: Whether each rod also touches itself.
         max_contacts: Number of rods that may touch a rod at one place and time.
         lists: Settings of neighbour lists; `None` for no lists.
-        per_length: Whether the law is per length of contact.
+        per_length: Whether the law is per unit length of contact.
 
     Raises:
         ValueError: If a number is out of range, or friction is given without drag.

@@ -85,7 +85,7 @@ class Member(ABC):
             check_kind(f"member {name!r}: effect", effect, Effect)
 
     def check_statics(self, name: str) -> None:
-        """Raises a ValueError if the member cannot take part in statics.
+        """Raises a ValueError if the member cannot be used in a static solve.
 
         That is the case if its loads are not the gradient of an energy.
 

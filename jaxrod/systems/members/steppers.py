@@ -80,7 +80,9 @@ class MemberStepper(ABC):
         return self
 
     def at(self, model: Any, memory: Any, clock: Clock) -> MemberStepper:
-        """Copy with the schedules and the memory of the member evaluated at a time.
+        """Copy with the member's schedules evaluated at the given time.
+
+        Effects in the copy have the given memory.
 
         Args:
             model: Entry of the member in the system, with its schedules.
@@ -152,10 +154,10 @@ class RodStepper(MemberStepper):
         return replace(self, verlet=replace(self.verlet, scene=scene))
 
     def at(self, model: Any, memory: Any, clock: Clock) -> RodStepper:
-        """Copy with the schedules of a scene evaluated at a time.
+        """Copy with the scene's schedules evaluated at the given time.
 
-        The scene `model` has the schedules, `memory` is that of its effects, and
-        `clock` is the time.
+        `model` is the scene with its schedules, and `clock` is the time. The effects in
+        the copy have the given `memory`.
         """
         if not model.evolves:
             return self
@@ -238,10 +240,10 @@ class BodiesStepper(MemberStepper):
         return self.rigid.pushed(motion, impulses)
 
     def at(self, model: Any, memory: Any, clock: Clock) -> BodiesStepper:
-        """Copy with the schedules of effects evaluated at a time.
+        """Copy with the effects' schedules evaluated at the given time.
 
-        The bodies `model` have the schedules, and `clock` is the time. Bodies have no
-        memory.
+        `model` is the bodies with the schedules, and `clock` is the time. Bodies have
+        no memory.
         """
         bodies = replace(self.rigid.bodies, effects=at_clock(model.effects, clock))
         return replace(self, rigid=replace(self.rigid, bodies=bodies))
