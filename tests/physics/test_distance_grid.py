@@ -225,6 +225,7 @@ def in_tube(body):
     return scene, jaxrod.advance(scene, state, 1e-4, 3000)
 
 
+@pytest.mark.slow
 def test_a_rod_inside_a_tube_of_triangles_rests_as_in_the_round_tube():
     """The chords of the mesh's 80 sides are 0.02 mm inside the circle."""
     angle = 2 * np.pi * np.arange(80) / 80
@@ -247,6 +248,7 @@ def test_a_rod_inside_a_tube_of_triangles_rests_as_in_the_round_tube():
     assert jaxrod.health(scene, inside_mesh, 1e-4).largest_violation < 0.2
 
 
+@pytest.mark.slow
 def test_energy_is_conserved_on_a_curved_mesh(ring):
     """A force along the gradient of the spline has an energy."""
 
@@ -274,6 +276,7 @@ def test_energy_is_conserved_on_a_curved_mesh(ring):
     assert coarse < 2e-5 and fine < 0.4 * coarse
 
 
+@pytest.mark.slow
 def test_positions_follow_the_place_of_the_body():
     """Reverse mode through contact, against differences."""
     base = shapes.from_mesh(*BOX, spacing=0.015, margin=0.05)
@@ -288,6 +291,7 @@ def test_positions_follow_the_place_of_the_body():
     assert abs(slope - by_difference) < 1e-5 and abs(slope) > 0.01
 
 
+@pytest.mark.slow
 def test_a_batch_is_its_members_and_numbers_change_without_compiling(block):
     points = np.random.default_rng(8).uniform(-0.3, 0.3, (3, 50))
     factors = jnp.asarray([1.0, 1.1, 0.9])
@@ -316,6 +320,7 @@ def test_a_batch_is_its_members_and_numbers_change_without_compiling(block):
     assert near.n_bodies == 3
 
 
+@pytest.mark.fast_sets(1)
 @pytest.mark.parametrize("kind", [np.float32, np.float64])
 def test_everything_is_finite_everywhere(block, kind):
     body = jaxrod.astype(block, kind)
@@ -366,6 +371,7 @@ def test_volume_and_inertia_are_those_of_the_closed_form(ring, block):
         block.complement().solid()
 
 
+@pytest.mark.slow
 def test_a_rod_touches_a_moving_mesh_as_it_touches_the_box(block):
     """Contact with a rigid body conserves momentum, and both fly apart alike."""
 
@@ -400,6 +406,7 @@ def test_a_rod_touches_a_moving_mesh_as_it_touches_the_box(block):
     assert difference(after["body"].velocities, of_box["body"].velocities) < 1e-3
 
 
+@pytest.mark.slow
 def test_a_mesh_is_drawn_where_it_is():
     body = shapes.from_mesh(*BOX, spacing=0.02, position=(1.0, 2.0, 3.0))
     corners, faces = body.mesh()
