@@ -19,6 +19,7 @@ import jaxrod
 from jaxrod.geometry import surfaces
 from jaxrod.tradeoff import tuning
 from jaxrod.tradeoff.measure import reference
+from physics.bending import arc
 from public_names import PUBLIC
 
 ROOT = Path(__file__).parents[1]
@@ -296,6 +297,27 @@ def test_a_magnet_turns_into_the_field():
     close(momentum, ZERO)
     # Along x in a field along z: the couple is about minus y.
     close(spin, (0, -0.3 * 0.02, 0), rtol=1e-4)
+
+
+@runs("standard_linear_solid", "bending_hysteresis", "plastic_bending")
+def test_materials_with_memory_add_their_moments():
+    """In the first moment of a bend beyond the limits of wires and metal."""
+    bending, curvature = 1e6 * math.pi * RADIUS**4 / 4, 0.2
+    scene = jaxrod.make_scene(
+        ROD,
+        jaxrod.materials.standard_linear_solid(
+            ROD, stiffness_ratio=1.5, relaxation_time=1.0
+        ),
+        jaxrod.materials.bending_hysteresis(ROD, stiffness=3.0, slip_moment=0.2),
+        jaxrod.materials.plastic_bending(ROD, yield_moment=0.5, hardening=0.1),
+    )
+    state = jaxrod.advance(scene, arc(ROD, REST, (0.0, curvature)), 1e-6, 1)
+    elastic, friction = bending * curvature, 0.2 * -math.expm1(-3.0 * curvature / 0.2)
+    couple = 2.5 * elastic + friction - 0.9 * (elastic - 0.5)
+    # Bending about d2, which is minus y where the rod begins.
+    close(state.angular_momenta[:, 0], (0, -couple * 1e-6, 0), rtol=1e-4)
+    left = 0.9 * (curvature - 0.5 / bending)
+    close(state.memory[2]["set"][1, 1:-1], left, rtol=1e-4)
 
 
 @runs("Effect", "memory")
