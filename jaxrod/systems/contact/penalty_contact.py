@@ -37,6 +37,11 @@ class PenaltyContact(Coupling):
     """Largest friction force per slip speed: [kg/(m s)] if per length, else [kg/s]."""
 
     @property
+    def twists(self) -> str | None:
+        """Friction, which acts on the surface of rods and so turns them."""
+        return None if self.friction is None else "friction"
+
+    @property
     def law(self) -> PenaltyLaw:
         """Stiffness, damping and friction as a `PenaltyLaw`, which computes forces."""
         return PenaltyLaw(
