@@ -107,7 +107,7 @@ PAGES = (
     ),
     Page(
         "Speed for accuracy",
-        "Finds the cheapest setting within an allowed error.",
+        "Finds the cheapest setting within an allowed error, and what can be left out.",
         ("tradeoff",),
         ("jaxrod.tradeoff",),
     ),

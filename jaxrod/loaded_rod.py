@@ -65,7 +65,16 @@ class Method:
     steps_in_systems: ClassVar[bool] = False
     """Whether rods with this method can be members of a system. Its stepper must then
     have `enter`, `leave`, `drift`, `constrain_rates`, and a `kick` that takes the loads
-    of couplings, all on `Motion`."""
+    of couplings. `view` turns its form of motion into a `Motion`, and `moved_as` takes
+    positions and velocities of nodes from one."""
+
+    @property
+    def in_space(self) -> Method:
+        """Method of the same law in three dimensions and with explicit steps.
+
+        Statics of systems use it. By default it is the method itself.
+        """
+        return self
 
     @property
     def has_energy(self) -> bool:
@@ -100,6 +109,13 @@ class Method:
         """
         # Not abstract: checks of single effects make scenes that are never stepped.
         raise NotImplementedError
+
+    def stepper_in_system(self, scene: LoadedRod, state: RodState, dt: Array) -> Any:
+        """Integrator of a member of a system, for steps of `dt` [s].
+
+        By default it is `stepper(scene, state, dt)`.
+        """
+        return self.stepper(scene, state, dt)
 
     def loads(self, scene: LoadedRod, motion: Motion) -> Loads:
         """Sum of internal and external loads, for analyses such as `stable_dt`.

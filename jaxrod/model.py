@@ -97,6 +97,10 @@ class Model(ABC):
         """Copy of a state of the model, with the states of named members replaced."""
 
     @abstractmethod
+    def with_members(self, changed: Mapping[str, Any]) -> Self:
+        """The model with other entries for named members; a scene's name is ""."""
+
+    @abstractmethod
     def contact_forces(self, state: Any) -> list[tuple[str, Vec3]]:
         """Contact forces on the nodes of members, world frame [N], for replays.
 

@@ -93,6 +93,11 @@ class Scene(LoadedRod, Model):
         """The state named "" in `changed` if there is one, otherwise `state`."""
         return changed.get("", state)
 
+    def with_members(self, changed: Mapping[str, Any]) -> Scene:
+        """The scene named "" in `changed` if there is one, otherwise this one."""
+        scene: Scene = changed.get("", self)
+        return scene
+
     def contact_forces(self, state: Any) -> list[tuple[str, Vec3]]:
         """Contact forces of fixed bodies on the nodes [N], one entry per effect."""
         return [("", forces) for forces in self.as_member().contact_forces(state)]

@@ -14,6 +14,12 @@ $$\rho = \frac{1/2 - 2\gamma + \gamma^2}{\gamma^2}$$
 of its amplitude per step: the spectral radius, chosen between 0 and 1. With
 $\rho = 1$ it is two implicit midpoint half steps, symmetric in time: no numerical
 damping at all, and angular momentum conserved to the tolerance of the solver.
+
+In a system, couplings act in the middle of a step. There the rod is seen where its
+rates have carried it from the beginning of the step, at $x_n + \frac h2 v_n$. The
+loads of couplings on that configuration are constant in the implicit step of the rod,
+which ends at $x_{n+1}, v_{n+1}$. So the rod's own stiffness does not limit the step,
+while that of couplings does, as in position Verlet. The step remains of second order.
 """
 
 from __future__ import annotations
@@ -26,6 +32,7 @@ import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Array, ArrayLike, Float, Int
 
+from jaxrod.effects.base import Effect
 from jaxrod.geometry import vectors
 from jaxrod.geometry.rotations import (
     directors,
@@ -48,9 +55,10 @@ from jaxrod.loaded_rod import (
     remembering,
     scene_at,
 )
+from jaxrod.methods.consistent import Consistent
 from jaxrod.rods.elasticity import ElasticLaw, elastic_law
-from jaxrod.rods.motion import Motion, motion_of, state_of
-from jaxrod.rods.rod import RodState
+from jaxrod.rods.motion import Loads, Motion, motion_of, state_of
+from jaxrod.rods.rod import Rod, RodState
 from jaxrod.statics.declared_properties import check_declared_properties
 from jaxrod.statics.degrees_of_freedom import free_position_mask, stack_dofs
 from jaxrod.statics.newton import default_tolerance, newton
@@ -64,6 +72,7 @@ class Implicit(Method):
     """Implicit steps and their settings; see `implicit`."""
 
     explicit: ClassVar[bool] = False
+    steps_in_systems = True
 
     spectral_radius: Float[Array, ""]
     """Fraction of an infinitely stiff motion left after a step [1]."""
@@ -73,6 +82,11 @@ class Implicit(Method):
     max_iterations: int = static(default=20)
     """Largest number of corrections per stage. A step that needs more gives NaN."""
 
+    @property
+    def in_space(self) -> Consistent:
+        """The consistent law, of which this is another method."""
+        return Consistent()
+
     def check(self, scene: LoadedRod) -> None:
         """Raises ValueError if an effect's declared `reach` or tangent proves wrong."""
         check_declared_properties(scene)
@@ -80,6 +94,12 @@ class Implicit(Method):
     def stepper(self, scene: LoadedRod, state: RodState, dt: Array) -> ImplicitStepper:
         """Stepper with the constants for a scene and a step size `dt` [s]."""
         return ImplicitStepper.create(scene, self, dt)
+
+    def stepper_in_system(
+        self, scene: LoadedRod, state: RodState, dt: Array
+    ) -> PartitionedStepper:
+        """Stepper of a member of a system, for steps of `dt` [s]."""
+        return PartitionedStepper.create(self.stepper(scene, state, dt))
 
 
 def implicit(
@@ -186,6 +206,10 @@ class ImplicitStepper:
 
     def cycle(self, motion: Motion) -> Motion:
         """Motion after one step of two stages."""
+        return self.slowed(constrain(self.scene, self.stepped(motion)))
+
+    def stepped(self, motion: Motion) -> Motion:
+        """Motion after one step, before constraints and separate damping."""
         # Stage 2 starts at h (1 - 2 gamma) k1, here in units of stage 1's increment.
         second = 1 / self.coefficient - 2
 
@@ -195,22 +219,24 @@ class ImplicitStepper:
 
         first = Base(motion, self.rates(motion))
         _, added = lax.scan(stage, first, length=2)
-        return self.after(motion, added)
+        return self.summed(motion, added)
 
     def evolving(self, scene: LoadedRod, first: Array) -> EvolvingImplicit:
         """Stepper for a scene with schedules or memory, from step number `first` on."""
         return EvolvingImplicit(self, scene, first)
 
-    def after(self, motion: Motion, added: Increments) -> Motion:
+    def summed(self, motion: Motion, added: Increments) -> Motion:
         """Motion at the end of a step, from the increments of its two stages.
 
         `added` has the increments of both stages along its leading axis.
         """
         share = 0.5 / self.coefficient
         one, two = (jax.tree.map(lambda a, i=i: share * a[i], added) for i in (0, 1))
-        after = _add(_add(motion, one), two)
-        slowed = dissipate(self.scene, constrain(self.scene, after), self.dt)
-        return constrain_rates(self.scene, slowed)
+        return _add(_add(motion, one), two)
+
+    def slowed(self, motion: Motion) -> Motion:
+        """Motion after separate damping for one step, and constraints on rates."""
+        return constrain_rates(self.scene, dissipate(self.scene, motion, self.dt))
 
     def rates(self, motion: Motion) -> tuple[Vec3, Vec3]:
         """Velocities [m/s] and angular velocities [rad/s] of a motion, world frame."""
@@ -304,7 +330,8 @@ class EvolvingImplicit:
         first = Base(motion, self.implicit.rates(motion))
         fractions = jnp.stack([coefficient, 1 - coefficient])
         _, added = lax.scan(stage, first, fractions)
-        after = self._at(now, 1.0).after(motion, added)
+        last = self._at(now, 1.0)
+        after = last.slowed(constrain(last.scene, last.summed(motion, added)))
         middle = _add(
             motion, jax.tree.map(lambda a: 0.25 / coefficient * (a[0] + a[1]), added)
         )
@@ -321,6 +348,106 @@ class EvolvingImplicit:
         """Stepper whose scene is at the time `(now.step + fraction) * dt`."""
         scene = scene_at(self.scene, now, fraction, self.implicit.dt)
         return replace(self.implicit, scene=scene)
+
+
+@pytree
+class OutsideLoads(Effect):
+    """Forces and couples of couplings, constant in the world frame for a step."""
+
+    reach = "neighbours"
+    forces: Vec3
+    """Forces on the nodes, world frame [N]."""
+    couples: Vec3
+    """Couples on the elements, world frame [N m]."""
+
+    def loads(self, rod: Rod, motion: Motion) -> Loads:
+        """The forces, and the couples in the material frames."""
+        frame = directors(motion.orientation)
+        return Loads(self.forces, to_material(frame, self.couples))
+
+    def turning_tangent(self, rod: Rod, motion: Motion) -> None:
+        """None: the couples are constant in the world frame."""
+
+
+@pytree
+class Ahead:
+    """A rod at the end of an implicit step, seen at another time."""
+
+    motion: Motion
+    """Motion at the end of the last step."""
+    lead: Array
+    """Time at which the rod is seen, after the end of the last step [s]."""
+
+
+@pytree
+class PartitionedStepper:
+    """Implicit steps of a scene whose couplings act in the middle of a step."""
+
+    scene: LoadedRod
+    """Scene that is stepped."""
+    implicit: ImplicitStepper
+    """Stepper of the scene, whose `scene` is replaced in every step."""
+    dt: Array
+    """Step size [s]."""
+
+    @staticmethod
+    def create(implicit: ImplicitStepper) -> PartitionedStepper:
+        """Stepper within a system, from that of the scene alone."""
+        return PartitionedStepper(implicit.scene, implicit, implicit.dt)
+
+    def enter(self, state: RodState) -> Ahead:
+        """Unpacks a state and makes it satisfy the scene's constraints."""
+        begin = replace(self.implicit, scene=self.scene).begin(state)
+        return Ahead(begin, jnp.zeros_like(self.dt))
+
+    def leave(self, ahead: Ahead) -> RodState:
+        """Packs the motion at the end of a step into a state."""
+        return state_of(ahead.motion)
+
+    def drift(self, ahead: Ahead, dt: Array) -> Ahead:
+        """The rod seen a time `dt` [s] later, where supports have put it."""
+        later = replace(ahead, lead=ahead.lead + dt)
+        seen = self.view(later)
+        placed = constrain(self.scene, seen)
+        return later if placed is seen else self.moved_as(later, placed)
+
+    def kick(self, ahead: Ahead, others: Loads | None = None) -> Ahead:
+        """The rod at the end of the next step, seen at the same time.
+
+        `others` are the loads of couplings on the rod as it is seen.
+        """
+        scene, motion = self.scene, ahead.motion
+        if others is not None:
+            frame = directors(self.view(ahead).orientation)
+            none = jax.tree.map(jnp.zeros_like, (motion.velocity, motion.spin))
+            couples = others.couples
+            outside = OutsideLoads(
+                none[0] if others.forces is None else others.forces,
+                none[1] if couples is None else to_world(frame, couples),
+            )
+            scene = replace(scene, effects=(*scene.effects, outside))
+        present = replace(self.implicit, scene=scene)
+        after = present.slowed(present.stepped(motion))
+        return Ahead(after, ahead.lead - self.dt)
+
+    def view(self, ahead: Ahead) -> Motion:
+        """Motion in the form that effects and couplings take."""
+        return self._later(ahead.motion, ahead.lead)
+
+    def moved_as(self, ahead: Ahead, seen: Motion) -> Ahead:
+        """The rod whose view is `seen`, in which supports have changed it."""
+        return replace(ahead, motion=self._later(seen, -ahead.lead))
+
+    def constrain_rates(self, ahead: Ahead) -> Ahead:
+        """Applies the constraints of all effects on velocities and spins."""
+        held = constrain_rates(self.scene, ahead.motion)
+        return replace(ahead, motion=held)
+
+    def _later(self, motion: Motion, time: Array) -> Motion:
+        """Motion after a time [s] at the same velocities and angular velocities."""
+        turn = vectors.scale(time, motion.angular_velocities(self.scene.rod))
+        orientation = multiply_quaternions(rotation_exp(turn), motion.orientation)
+        return replace(motion, orientation=normalise(orientation)).moved(time)
 
 
 def _add(motion: Motion, added: Increments) -> Motion:

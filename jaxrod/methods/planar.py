@@ -43,10 +43,17 @@ _PARTS = (
 class Planar(Method):
     """Method for motion in a plane, with either elastic law; see `planar`."""
 
+    steps_in_systems = True
+
     plane: PlaneName = static()
     """The plane of motion."""
     of: Consistent | PyElastica
     """The elastic law, given as its method in three dimensions."""
+
+    @property
+    def in_space(self) -> Consistent | PyElastica:
+        """The law's method in three dimensions."""
+        return self.of
 
     @property
     def has_energy(self) -> bool:
@@ -260,7 +267,7 @@ def _shares_of_effects(
     odd = 0.4 * jnp.cos(
         1.1 * jnp.arange(rod.n_elements, dtype=state.positions.dtype) + 0.3
     )
-    bent = stepper.view(replace(entered, turn=entered.turn + odd))
+    bent = stepper.view(entered.turned(odd))
     zero = jnp.zeros_like(rod.rest_lengths[0])
     # The round-off of a held element's angle causes couples.
     roundings = 16 * jnp.sqrt(jnp.finfo(zero.dtype).eps)

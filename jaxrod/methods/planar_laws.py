@@ -35,6 +35,7 @@ from jaxrod.methods.planar_verlet import (
     spread,
 )
 from jaxrod.methods.verlet import Kick
+from jaxrod.rods.motion import Loads
 from jaxrod.rods.rod import RodState
 from jaxrod.structure import pytree
 
@@ -97,8 +98,11 @@ class PlanarPyElasticaStepper(PlanarVerlet):
         n1, n2 = self.constants.normal
         return n1 * spin[0] + n2 * spin[1]
 
-    def kick(self, motion: PlanarMotion) -> PlanarMotion:
-        """Changes velocities and angular velocities by all loads over one step."""
+    def kick(self, motion: PlanarMotion, others: Loads | None = None) -> PlanarMotion:
+        """Changes velocities and angular velocities by all loads over one step.
+
+        `others` are loads from outside the scene, if any.
+        """
         rod, (c, s) = self.constants, motion.direction
         dx, dy = motion.edges
         lengths = motion.lengths
@@ -120,7 +124,7 @@ class PlanarPyElasticaStepper(PlanarVerlet):
             * (inverse_stretch * inverse_stretch)
             * (self.inertia * motion.spin)
         )
-        forces, couple = self.add_loads(motion, forces, couple)
+        forces, couple = self.add_loads(motion, forces, couple, others)
         gain = self.dt * self.inverse_masses
         kicked = replace(
             motion,
@@ -191,17 +195,20 @@ class PlanarConsistentStepper(PlanarVerlet):
         """Component of the angular momentum along the normal [kg m^2/s]."""
         return spin[PLANES[self.plane][2]]
 
-    def kick(self, motion: PlanarMotion) -> PlanarMotion:
-        """Changes velocities and angular momenta by all loads over one step."""
+    def kick(self, motion: PlanarMotion, others: Loads | None = None) -> PlanarMotion:
+        """Changes velocities and angular momenta by all loads over one step.
+
+        `others` are loads from outside the scene, if any.
+        """
         rod, (c, s) = self.constants, motion.direction
         dx, dy = motion.edges
         across, along = c * dy - s * dx, c * dx + s * dy
         shear, axial = rod.stresses(across, along)
         forces = spread(axial * c - shear * s), spread(axial * s + shear * c)
         couple = spread(rod.moments(motion.turn)) + (along * shear - across * axial)
-        others = replace(self, scene=without_drag(self.scene))
-        forces, couple = others.add_loads(motion, forces, couple)
-        if others.scene is not self.scene:
+        dry = replace(self, scene=without_drag(self.scene))
+        forces, couple = dry.add_loads(motion, forces, couple, others)
+        if dry.scene is not self.scene:
             dragged = self._dragged(motion, forces, couple)
             return self.constrain_rates(self.dissipate(dragged))
         u, v = motion.velocity

@@ -58,6 +58,9 @@ class PlanarMotion:
     """In-plane components of the node positions [m]."""
     turn: Array
     """Angle by which each element has rotated since the start of the run [rad]."""
+    half: Vec2
+    """Cosine and sine of half that angle, carried along so that no step computes them.
+    """
     direction: Vec2
     """In-plane components of the unit vectors d3."""
     velocity: Vec2
@@ -68,6 +71,18 @@ class PlanarMotion:
     remainder: Vec2 | None = None
     """Accumulated round-off of the positions (Kahan) [m]; `None` without
     compensation."""
+
+    def turned(self, angle: Array) -> PlanarMotion:
+        """Motion whose elements have rotated further about the normal [rad]."""
+        half = 0.5 * angle
+        sine_ratio, cosine = sine_ratio_and_cosine(half * half)
+        by = cosine, half * sine_ratio
+        return replace(
+            self,
+            turn=self.turn + angle,
+            half=_turned(self.half, by),
+            direction=_turned(self.direction, _turned(by, by)),
+        )
 
     @property
     def edges(self) -> Vec2:
@@ -197,6 +212,7 @@ class PlanarVerlet(Verlet):
         motion = PlanarMotion(
             position=(state.positions[a], state.positions[b]),
             turn=jnp.zeros_like(d3[a]),
+            half=(jnp.ones_like(d3[a]), jnp.zeros_like(d3[a])),
             direction=(d3[a], d3[b]),
             velocity=(state.velocities[a], state.velocities[b]),
             spin=self.spin_from_momentum(state.angular_momenta[out]),
@@ -222,16 +238,7 @@ class PlanarVerlet(Verlet):
 
     def drift(self, motion: PlanarMotion, dt: Array) -> PlanarMotion:
         """Moves nodes and rotates elements at unchanged rates for `dt` [s]."""
-        turn = self.angle_turned(motion.spin, dt)
-        sine_ratio, c = sine_ratio_and_cosine(turn * turn)
-        s = turn * sine_ratio
-        x, y = motion.direction
-        x, y = x * c - y * s, y * c + x * s
-        # One step of Newton's method towards unit length.
-        length = 1.5 - 0.5 * (x * x + y * y)
-        moved = replace(
-            motion, turn=motion.turn + turn, direction=(x * length, y * length)
-        )
+        moved = motion.turned(self.angle_turned(motion.spin, dt))
         step = dt * motion.velocity[0], dt * motion.velocity[1]
         if motion.remainder is None:
             return self.constrain(replace(moved, position=_add(motion.position, step)))
@@ -241,23 +248,33 @@ class PlanarVerlet(Verlet):
         return self.constrain(replace(moved, position=position, remainder=remainder))
 
     def add_loads(
-        self, motion: PlanarMotion, forces: Vec2, couple: Array
+        self, motion: PlanarMotion, forces: Vec2, couple: Array, others: Loads | None
     ) -> tuple[Vec2, Array]:
-        """Adds in-plane forces and normal couples of all effects to the given ones."""
+        """Adds in-plane forces and normal couples of all loads to the given ones.
+
+        The loads are those of effects, and `others` from outside the scene.
+        """
         a, b, _ = PLANES[self.plane]
         n1, n2 = self.constants.normal
         in_space = self.view(motion)
         none = jnp.zeros_like(motion.position[0])
+
+        def added(forces: Vec2, couple: Array, loads: Loads) -> tuple[Vec2, Array]:
+            if loads.forces is not None:
+                forces = forces[0] + loads.forces[a], forces[1] + loads.forces[b]
+            if loads.couples is not None:
+                couple = couple + n1 * loads.couples[0] + n2 * loads.couples[1]
+            return forces, couple
+
+        if others is not None:
+            forces, couple = added(forces, couple, others)
         for effect in self.scene.effects:
             before = Loads(
                 forces=self._in_space(forces, jnp.stack([none] * 3)),
                 couples=(n1 * couple, n2 * couple, jnp.zeros_like(couple)),
             )
             loads = effect.loads_after(self.scene.rod, in_space, before)
-            if loads.forces is not None:
-                forces = forces[0] + loads.forces[a], forces[1] + loads.forces[b]
-            if loads.couples is not None:
-                couple = couple + n1 * loads.couples[0] + n2 * loads.couples[1]
+            forces, couple = added(forces, couple, loads)
         return forces, couple
 
     def constrain(self, motion: PlanarMotion) -> PlanarMotion:
@@ -278,15 +295,21 @@ class PlanarVerlet(Verlet):
         # Angle by which constraints rotate elements, the short way around.
         turned = multiply_quaternions(held.orientation, conjugate(free.orientation))
         way = jnp.where(turned[0] < 0, -1, 1)
-        back = 2 * jnp.arctan2(way * turned[1 + out], way * turned[0])
+        half = way * turned[0], way * turned[1 + out]
+        back = 2 * jnp.arctan2(half[1], half[0])
         pairs = zip(held.orientation, free.orientation, strict=True)
         is_held = jnp.any(jnp.stack([one != other for one, other in pairs]), axis=0)
         d3 = directors(held.orientation)[2]
-        x, y = motion.direction
+
+        def chosen(held: Vec2, free: Vec2) -> Vec2:
+            (x, y), (u, v) = held, free
+            return jnp.where(is_held, x, u), jnp.where(is_held, y, v)
+
         return replace(
             motion,
             turn=jnp.where(is_held, motion.turn + back, motion.turn),
-            direction=(jnp.where(is_held, d3[a], x), jnp.where(is_held, d3[b], y)),
+            half=chosen(_turned(motion.half, half), motion.half),
+            direction=chosen((d3[a], d3[b]), motion.direction),
         )
 
     def constrain_rates(self, motion: PlanarMotion) -> PlanarMotion:
@@ -321,6 +344,17 @@ class PlanarVerlet(Verlet):
             spin_is_velocity=is_velocity,
         )
 
+    def moved_as(self, motion: PlanarMotion, seen: Motion) -> PlanarMotion:
+        """Motion whose nodes have the in-plane positions and velocities of `seen`."""
+        a, b, _ = PLANES[self.plane]
+        rest = seen.remainder
+        return replace(
+            motion,
+            position=(seen.position[a], seen.position[b]),
+            velocity=(seen.velocity[a], seen.velocity[b]),
+            remainder=None if rest is None else (rest[a], rest[b]),
+        )
+
     def _remainder(self, motion: PlanarMotion) -> Vec3 | None:
         """Round-off of positions: two parts in the plane; the normal one of `start`."""
         if motion.remainder is None or self.start.remainders is None:
@@ -341,8 +375,8 @@ class PlanarVerlet(Verlet):
         """Orientations of the first state, rotated about the normal by `turn`."""
         zero = jnp.zeros_like(motion.turn)
         turn = [zero, zero, zero]
-        turn[PLANES[self.plane][2]] = jnp.sin(0.5 * motion.turn)
-        turned = (jnp.cos(0.5 * motion.turn), turn[0], turn[1], turn[2])
+        cosine, turn[PLANES[self.plane][2]] = motion.half
+        turned = (cosine, turn[0], turn[1], turn[2])
         start = split_quaternion(self.start.orientations)
         return normalise(multiply_quaternions(turned, start))
 
@@ -353,6 +387,15 @@ def spread(a: Array) -> Array:
     For internal forces of elements it is the sum of forces on every node.
     """
     return vectors.pad(a, 0, 1) - vectors.pad(a, 1, 0)
+
+
+def _turned(vector: Vec2, by: Vec2) -> Vec2:
+    """Unit vectors rotated by angles, given by cosine and sine, as complex products."""
+    (x, y), (c, s) = vector, by
+    x, y = x * c - y * s, y * c + x * s
+    # One step of Newton's method towards unit length.
+    length = 1.5 - 0.5 * (x * x + y * y)
+    return x * length, y * length
 
 
 def _in_plane(orientation: Quaternion, normal: Vec2, out: int) -> Quaternion:

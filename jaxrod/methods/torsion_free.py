@@ -56,6 +56,7 @@ from jaxrod.loaded_rod import (
     dissipate,
     dissipates,
 )
+from jaxrod.methods.consistent import Consistent
 from jaxrod.methods.drag_kick import drag_kick, without_drag
 from jaxrod.methods.verlet import Kick, Verlet
 from jaxrod.rods.motion import Loads, Motion, motion_of, state_of
@@ -387,8 +388,13 @@ class TorsionFreeStepper(Verlet):
         """Motion in the form that effects take, with untwisted frames."""
         return motion.view
 
-    def kick(self, motion: TorsionFreeMotion) -> TorsionFreeMotion:
-        """Changes velocities and angular momenta by all loads over one step."""
+    def kick(
+        self, motion: TorsionFreeMotion, others: Loads | None = None
+    ) -> TorsionFreeMotion:
+        """Changes velocities and angular momenta by all loads over one step.
+
+        `others` are loads from outside the scene, if any.
+        """
         d = motion.direction
         edges = motion.view.edges
         shear, axial = self.stiffness
@@ -400,8 +406,8 @@ class TorsionFreeStepper(Verlet):
         couples = vectors.add(
             vectors.scale(excess, vectors.cross(edges, d)), self.bending_couples(d)
         )
-        others = replace(self, scene=without_drag(self.scene))
-        forces, couples = others.add_loads(motion, forces, couples)
+        dry = replace(self, scene=without_drag(self.scene))
+        forces, couples = dry.add_loads(motion, forces, couples, others)
         rates = drag_kick(self.scene, motion.view, forces, couples, self.dt)
         if rates is None:
             rates = (
@@ -455,20 +461,22 @@ class TorsionFreeStepper(Verlet):
         return on_elements(moment[0]), on_elements(moment[1]), on_elements(moment[2])
 
     def add_loads(
-        self, motion: TorsionFreeMotion, forces: Vec3, couples: Vec3
+        self,
+        motion: TorsionFreeMotion,
+        forces: Vec3,
+        couples: Vec3,
+        others: Loads | None,
     ) -> tuple[Vec3, Vec3]:
-        """Adds the loads of all effects to the given forces and couples, world frame.
+        """Adds all loads to the given forces and couples, world frame.
 
-        Couples about d3 are ignored. Elastic walls are left out, because
-        `bending_couples` includes them.
+        They are those of effects, and `others` from outside the scene. Couples about d3
+        are ignored. Elastic walls are left out, because `bending_couples` includes
+        them.
         """
         in_space = motion.view
-        for effect in self.scene.effects:
-            if has_elastic_wall(effect, self.scene.rod):
-                continue
-            frame = directors(in_space.orientation)
-            before = Loads(forces, to_material(frame, couples))
-            loads = effect.loads_after(self.scene.rod, in_space, before)
+        frame = directors(in_space.orientation)
+
+        def added(forces: Vec3, couples: Vec3, loads: Loads) -> tuple[Vec3, Vec3]:
             if loads.forces is not None:
                 forces = vectors.add(forces, loads.forces)
             if loads.couples is not None:
@@ -476,6 +484,16 @@ class TorsionFreeStepper(Verlet):
                 first, second, _ = loads.couples
                 couples = vectors.add(couples, vectors.scale(first, d1))
                 couples = vectors.add(couples, vectors.scale(second, d2))
+            return forces, couples
+
+        if others is not None:
+            forces, couples = added(forces, couples, others)
+        for effect in self.scene.effects:
+            if has_elastic_wall(effect, self.scene.rod):
+                continue
+            before = Loads(forces, to_material(frame, couples))
+            loads = effect.loads_after(self.scene.rod, in_space, before)
+            forces, couples = added(forces, couples, loads)
         return forces, couples
 
     def constrain(self, motion: TorsionFreeMotion) -> TorsionFreeMotion:
@@ -506,6 +524,7 @@ class TorsionFree(Method):
     """The consistent law without twist; see `torsion_free`."""
 
     twist: ClassVar[bool] = False
+    steps_in_systems = True
 
     @property
     def solves_drag(self) -> bool:
@@ -517,6 +536,11 @@ class TorsionFree(Method):
     ) -> TorsionFreeStepper:
         """Stepper for a scene, a first state and steps of `dt` [s]."""
         return TorsionFreeStepper.create(scene, state, dt)
+
+    @property
+    def in_space(self) -> Consistent:
+        """The consistent law, of which this is another method."""
+        return Consistent()
 
     def check(self, scene: LoadedRod) -> None:
         """Raises ValueError if the rod or an effect needs twist."""

@@ -20,7 +20,7 @@ from jaxrod.loaded_rod import (
     scene_at,
 )
 from jaxrod.rods.drag import mean_decay
-from jaxrod.rods.motion import Motion
+from jaxrod.rods.motion import Loads, Motion
 from jaxrod.rods.rod import RodState
 from jaxrod.structure import pytree
 
@@ -90,15 +90,31 @@ class Verlet(ABC):
         """Moves nodes and rotates elements, with unchanged rates, for `dt` [s]."""
 
     @abstractmethod
-    def kick(self, motion: Any) -> Any:
-        """Changes velocities and spins by all loads over one step, without moving."""
+    def kick(self, motion: Any, others: Loads | None = None) -> Any:
+        """Changes velocities and spins by all loads over one step, without moving.
+
+        `others` are loads from outside the scene, as `view` shows it: those of the
+        couplings of a system.
+        """
 
     def view(self, motion: Any) -> Motion:
-        """Motion in the form that effects take.
+        """Motion in the form that effects and couplings take.
 
-        The compiler drops fields that no effect reads.
+        The compiler drops fields that none of them reads.
         """
         return motion
+
+    def moved_as(self, motion: Any, seen: Motion) -> Any:
+        """Motion whose nodes have the positions and velocities of `seen`.
+
+        `seen` is the view of `motion`, in which couplings have changed nodes.
+        """
+        return replace(
+            motion,
+            position=seen.position,
+            velocity=seen.velocity,
+            remainder=seen.remainder,
+        )
 
     def constrain_rates(self, motion: Any) -> Any:
         """Applies the constraints of all effects on velocities and spins."""

@@ -204,6 +204,23 @@ class Coupling:
         raise NotImplementedError(f"{type(self).__name__} cannot be merged")
 
     @property
+    def twists(self) -> str | None:
+        """Name, for messages, of loads that twist rods or turn with their elements.
+
+        Members without twist refuse a coupling with such a name, whatever its numbers
+        are. `None` by default: the loads are then tested numerically.
+        """
+        return None
+
+    @property
+    def is_symmetric(self) -> bool:
+        """Whether loads lie in any plane in which all its members are and move.
+
+        Systems with planar members test the loads of other couplings numerically.
+        """
+        return False
+
+    @property
     def is_contact(self) -> bool:
         """Whether its forces are contact forces, which a replay can show."""
         return False

@@ -37,7 +37,7 @@ from jaxrod.geometry.vectors import Vec3
 from jaxrod.lanes.steps import by_kernel
 from jaxrod.loaded_rod import free_under
 from jaxrod.rods.motion import Motion
-from jaxrod.structure import pytree
+from jaxrod.structure import pytree, static
 from jaxrod.systems.coupling import Parts, Seen, searched, with_found
 from jaxrod.systems.stepping.assembly import Assembly, SystemState
 from jaxrod.systems.stepping.stepper import Motions, SystemStepper, stepper_at
@@ -126,6 +126,10 @@ class StaticProblem:
     """The stepper of the system; its kick from rest gives the accelerations."""
     scales: Scales
     """Scales of the unknowns."""
+    normal_axis: int | None = static(default=None)
+    """World axis along which nothing moves, 0 for x; `None` in space."""
+    untwisted: tuple[str, ...] = static(default=())
+    """Names of the members whose elements do not rotate about their axes."""
 
     # Methods for kernels take one argument, often a pair: a configuration, and rates.
 
@@ -134,10 +138,30 @@ class StaticProblem:
         motions, rates = given
 
         def held(own: Any) -> Any:
-            return rates_of(self.stepper.supported(with_rates(motions, own)))
+            moving = with_rates(motions, self._reduced(motions, own))
+            return rates_of(self.stepper.supported(moving))
 
         none = jax.tree.map(jnp.zeros_like, rates)
         return jax.tree.map(jnp.subtract, held(rates), held(none))
+
+    def _reduced(self, motions: Motions, rates: Any) -> Any:
+        """Rates without what the methods of members leave out.
+
+        Supports, ties and attachments do not mix these with the other rates.
+        """
+        reduced = {}
+        for name, (velocity, spin) in rates.items():
+            if name in self.untwisted:
+                d3 = directors(motions[name].orientation)[2]
+                along = vectors.dot(d3, spin)
+                spin = vectors.subtract(spin, vectors.scale(along, d3))
+            if self.normal_axis is not None:
+                inside = [float(k != self.normal_axis) for k in range(3)]
+                a, b, c = inside
+                velocity = a * velocity[0], b * velocity[1], c * velocity[2]
+                spin = tuple((1 - k) * s for k, s in zip(inside, spin, strict=True))
+            reduced[name] = velocity, spin
+        return reduced
 
     def momenta(self, given: tuple[Motions, Any]) -> Any:
         """Gradient, with respect to rates r, of the kinetic energy T(P r).
@@ -456,10 +480,26 @@ def static_problem(
     system: Assembly, state: SystemState
 ) -> tuple[StaticProblem, Motions]:
     """The static problem of a system, and the configuration of a state."""
+    axes = {own.method.normal_axis for own in system.interfaces().values()} - {None}
+    if len(axes) > 1:
+        raise ValueError(
+            "statics and frequencies need one plane for all planar members, got "
+            f"{len(axes)}: leave out planar(...)"
+        )
+    untwisted = [
+        k for k, member in system.interfaces().items() if not member.method.twist
+    ]
+    system = system.in_space()
     scales = scales_of(system)
     stepper = stepper_at(system, state, INSTANT * scales.time)
     members = {name: own.at_rest() for name, own in stepper.members.items()}
-    problem = StaticProblem(system, replace(stepper, members=members), scales)
+    problem = StaticProblem(
+        system,
+        replace(stepper, members=members),
+        scales,
+        next(iter(axes), None),
+        tuple(untwisted),
+    )
     bare = {name: state[name] for name in system.members}
     start: Motions = by_kernel(problem, "entered", bare)
     return problem, start

@@ -28,6 +28,7 @@ from jaxrod.systems.contact.neighbour_lists import (
 from jaxrod.systems.coupling import AllParts, Coupling
 from jaxrod.systems.equilibrium import system_equilibrium
 from jaxrod.systems.members.member import Member
+from jaxrod.systems.reductions import check_reduced
 from jaxrod.systems.static_problem import squared_frequencies
 from jaxrod.systems.stepping.assembly import (
     Assembly,
@@ -79,6 +80,10 @@ class System(Assembly, Model):
             )
         return {name: state[name] for name in self.members}
 
+    def with_members(self, changed: Mapping[str, Any]) -> System:
+        """Copy of the system in which named members have other entries."""
+        return replace(self, members={**self.members, **changed})
+
     def contact_forces(self, state: Any) -> list[tuple[str, Vec3]]:
         """Contact forces on the nodes of members, world frame [N].
 
@@ -107,6 +112,8 @@ class System(Assembly, Model):
     def check_run(self, state: Any, dt: ArrayLike, first: Array | None) -> Array:
         """Validates state and step of a run; returns `dt` [s] in the system's dtype."""
         check_system_state(self, state)
+        if not is_traced(self, state):
+            check_reduced(self, state)
         return as_array("dt", dt, "s", positive=True, dtype=self.dtype)
 
     def stepper(self, state: SystemState, dt: Array) -> SystemStepper:
@@ -286,7 +293,10 @@ def make_system(
         fitted = _sized(system, fitted, state)
     typed = tuple(in_type(system.dtype, type(c).__name__, c) for c in fitted)
     _check_followers(ordered)
-    return replace(system, couplings=typed, shapes=member_shapes(system.members))
+    made = replace(system, couplings=typed, shapes=member_shapes(system.members))
+    if state is not None and not is_traced(made, state):
+        check_reduced(made, state)
+    return made
 
 
 def _parts_at(system: System, state: SystemState | None) -> AllParts:

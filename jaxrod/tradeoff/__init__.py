@@ -1,8 +1,9 @@
 """Measures the trade-off of speed and accuracy: cost and error of settings of a run.
 
 `tune` finds the cheapest setting of a scene within an allowed error. `measure` gives
-the cost and the error of one setting. In a checkout, `jaxrod tradeoff` shows the
-trade-off for one of `SCENES`, next to that of PyElastica.
+the cost and the error of one setting. `reductions` tells what a model can leave out.
+In a checkout, `jaxrod tradeoff` shows the trade-off for one of `SCENES`, next to that
+of PyElastica.
 """
 
 from jaxrod.tradeoff.measure import (
@@ -13,6 +14,7 @@ from jaxrod.tradeoff.measure import (
     prepare,
     reference,
 )
+from jaxrod.tradeoff.reductions import Reduction, reductions
 from jaxrod.tradeoff.tuning import Tuned, tune
 from jaxrod.tradeoff.workload import (
     SCENES,
@@ -27,12 +29,14 @@ from jaxrod.tradeoff.workload import (
 __all__ = [
     "SCENES",
     "Measurement",
+    "Reduction",
     "Reference",
     "Setting",
     "Tuned",
     "Workload",
     "measure",
     "prepare",
+    "reductions",
     "reference",
     "rope",
     "slam",

@@ -149,6 +149,11 @@ def test_couplings_that_do_not_fit(given, couple, words):
         jaxrod.make_system(members, couple(state), state=state)
 
 
+@jaxrod.extend.pytree
+class Alone(jaxrod.extend.Method):
+    """A method without steps in a system."""
+
+
 def test_members_of_other_kinds_and_types(given):
     members, _ = given
     single, _ = jaxrod.straight_rod(
@@ -157,9 +162,7 @@ def test_members_of_other_kinds_and_types(given):
     with pytest.raises(ValueError, match="must all be of one type"):
         jaxrod.make_system({**members, "single": jaxrod.make_scene(single)})
     with pytest.raises(ValueError, match="no steps in a system"):
-        jaxrod.make_system(
-            {"a": jaxrod.make_scene(members["two"].rod, method=jaxrod.implicit())}
-        )
+        jaxrod.make_system({"a": jaxrod.make_scene(members["two"].rod, method=Alone())})
     with pytest.raises(TypeError, match="member 'a'"):
         jaxrod.make_system({"a": members["two"].rod})
     with pytest.raises(TypeError, match="couplings must be"):

@@ -267,7 +267,10 @@ def _reduced(
 ) -> Rows:
     graph, kind = unroller.graph, array.kind
     if 0 in array.shape:
-        raise NotUnrolled("rows have no reduction of nothing")
+        left = tuple(n for a, n in enumerate(array.shape) if a not in axes)
+        if 0 in left:
+            raise NotUnrolled("rows have no reduction to nothing")
+        return unroller.full(identity(operation, kind), left, kind)
     along = tuple(i for i, axis in enumerate(array.loops) if axis in axes)
     count = int(np.prod([array.dims[i] for i in along], dtype=int))
 

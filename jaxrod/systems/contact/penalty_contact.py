@@ -39,6 +39,11 @@ class PenaltyContact(Coupling):
     [kg/s]."""
 
     @property
+    def twists(self) -> str | None:
+        """Friction, which acts on the surface of rods and so turns them."""
+        return None if self.friction is None else "friction"
+
+    @property
     def law(self) -> PenaltyLaw:
         """Stiffness, damping and friction as a `PenaltyLaw`, which computes forces."""
         return PenaltyLaw(

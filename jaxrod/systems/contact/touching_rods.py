@@ -170,6 +170,11 @@ class TouchingRods(PenaltyContact):
     # Methods that use these hooks.
 
     @property
+    def is_symmetric(self) -> bool:
+        """True: between round rods in a plane all forces are in this plane."""
+        return True
+
+    @property
     def is_contact(self) -> bool:
         """Always `True`: a replay can show these forces as contact forces."""
         return True

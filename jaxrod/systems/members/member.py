@@ -15,11 +15,13 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable
 from typing import Any
 
+import jax.numpy as jnp
 from jaxtyping import Array, ArrayLike
 
 from jaxrod.analysis.health import HealthLimits
 from jaxrod.effects.base import Effect, StabilityBound
 from jaxrod.geometry.vectors import Vec3
+from jaxrod.loaded_rod import Method
 from jaxrod.rods.motion import Motion
 from jaxrod.rods.rod import Rod
 from jaxrod.systems.coupling import Carried, Parts
@@ -68,6 +70,11 @@ class Member(ABC):
         """Parameters of the rod or of equal rods; `None` for other members."""
         return None
 
+    @property
+    def method(self) -> Method:
+        """Method of its rods, which says what they leave out; for others, nothing."""
+        return Method()
+
     @abstractmethod
     def parts(self) -> Parts:
         """Constants that couplings read, such as the masses of nodes.
@@ -93,6 +100,18 @@ class Member(ABC):
             name: Name of the member, for messages.
         """
         del name
+
+    def check_for(self, method: Method, name: str, state: Any) -> None:
+        """Raises a ValueError if a rod could not step with a method from a state.
+
+        What couplings see and do is checked elsewhere. All values are known.
+
+        Args:
+            method: The method, of another member that couplings join to this one.
+            name: Name of the member, for messages.
+            state: State of the member.
+        """
+        del method, name, state
 
     @abstractmethod
     def check_state(self, name: str, state: Any, dtype: Any) -> None:
@@ -127,6 +146,21 @@ class Member(ABC):
         Raises:
             ValueError: If a number does not fit the dtype.
         """
+        return self
+
+    def with_method(self, method: Callable[[Any], Any]) -> Any:
+        """Copy of the member's entry with another method.
+
+        Args:
+            method: Function from the present method to the new one.
+
+        Raises:
+            ValueError: If the scene does not fit the method.
+        """
+        raise NotImplementedError(f"{type(self).__name__} has no method")
+
+    def in_space(self) -> Any:
+        """Copy of the member's entry that leaves nothing out, for statics."""
         return self
 
     def with_free_ends(self, free: Array) -> Any:
@@ -284,3 +318,19 @@ def check_axes(
         f"member {name!r}: its {what} must have the shape {wanted}, got {shape}: use "
         "jax.vmap for a batch of systems"
     )
+
+
+def step_limit(inertia: Array, stiffness: Array | None, drag: Array | None) -> Array:
+    """Step [s] at which a spring and a dashpot become unstable; infinite without them.
+
+    It is the positive root h of `k h^2 + 2 c h = 4 m`, with the stiffness k, the drag c
+    and the mass or moment of inertia m.
+    """
+    zero = jnp.zeros_like(inertia)
+    k = zero if stiffness is None else stiffness
+    c = zero if drag is None else drag
+    square = c * c + 4 * k * inertia
+    free = square <= 0
+    # The inner `where` avoids the root of zero, which has no derivative.
+    below = c + jnp.sqrt(jnp.where(free, 1, square))
+    return jnp.where(free, jnp.inf, 4 * inertia / below)

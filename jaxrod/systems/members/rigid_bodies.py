@@ -31,7 +31,12 @@ from jaxrod.geometry.rotations import (
 from jaxrod.rods.motion import Motion
 from jaxrod.structure import pytree
 from jaxrod.systems.coupling import Carried, Parts
-from jaxrod.systems.members.member import Member, check_axes, check_fields
+from jaxrod.systems.members.member import (
+    Member,
+    check_axes,
+    check_fields,
+    step_limit,
+)
 from jaxrod.systems.members.rigid_stepper import BodyState, RigidStepper
 from jaxrod.systems.members.steppers import BodiesStepper, MemberStepper
 from jaxrod.validation import (
@@ -216,8 +221,8 @@ class RigidBodies(Member):
         least = jnp.min(self.principal_inertias, axis=0)
         one = jnp.ones((), self.dtype)
         nodes, elements = bound.drags(one, one)
-        moving = _limit(self.masses, bound.nodes, nodes)
-        turning = _limit(least, bound.elements, elements)
+        moving = step_limit(self.masses, bound.nodes, nodes)
+        turning = step_limit(least, bound.elements, elements)
         limit = jnp.min(jnp.minimum(moving, turning))
         return jnp.asarray(safety) * limit, None
 
@@ -432,22 +437,6 @@ def stacked_bodies(
         for name in ("positions", "orientations", "velocities", "angular_velocities")
     ]
     return parameters, BodyState(*leaves)
-
-
-def _limit(inertia: Array, stiffness: Array | None, drag: Array | None) -> Array:
-    """Step [s] at which a spring and a dashpot become unstable; infinite without them.
-
-    It is the positive root h of `k h^2 + 2 c h = 4 m`, with the stiffness k, the drag c
-    and the mass or moment of inertia m.
-    """
-    zero = jnp.zeros_like(inertia)
-    k = zero if stiffness is None else stiffness
-    c = zero if drag is None else drag
-    square = c * c + 4 * k * inertia
-    free = square <= 0
-    # The inner `where` avoids the root of zero, which has no derivative.
-    below = c + jnp.sqrt(jnp.where(free, 1, square))
-    return jnp.where(free, jnp.inf, 4 * inertia / below)
 
 
 _OF_RODS = (

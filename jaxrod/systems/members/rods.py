@@ -16,6 +16,7 @@ from jaxrod.effects.base import Effect, StabilityBound, memory_of
 from jaxrod.geometry.vectors import Vec3
 from jaxrod.loaded_rod import (
     LoadedRod,
+    Method,
     check_memory,
     free_velocity_mask,
     memory_in,
@@ -25,7 +26,12 @@ from jaxrod.rods.motion import Motion, motion_of
 from jaxrod.rods.rod import Rod, RodState
 from jaxrod.structure import pytree
 from jaxrod.systems.coupling import Carried, Parts
-from jaxrod.systems.members.member import Member, check_axes, check_fields
+from jaxrod.systems.members.member import (
+    Member,
+    check_axes,
+    check_fields,
+    step_limit,
+)
 from jaxrod.systems.members.steppers import (
     MemberStepper,
     RodsStepper,
@@ -66,8 +72,29 @@ class OneRod(Member):
         if not self.model.method.steps_in_systems:
             raise ValueError(
                 f"member {name!r} steps with {type(self.model.method).__name__}, which "
-                "has no steps in a system: use consistent() or pyelastica()"
+                "has no steps in a system: give it a method of jaxrod, or "
+                "`steps_in_systems`"
             )
+
+    @property
+    def method(self) -> Method:
+        """Method of the rods, which says what they leave out."""
+        method: Method = self.model.method
+        return method
+
+    def check_for(self, method: Method, name: str, state: Any) -> None:
+        """Raises a ValueError if a rod could not step with a method from a state."""
+        for scene, own in self.one_by_one(state):
+            now = scene.recalling(own)
+            try:
+                for known in (now.at(0.0), scene.stirred) if scene.evolves else (now,):
+                    method.check_state(known, own)
+            except ValueError as error:
+                raise ValueError(f"member {name!r}: {error}") from None
+
+    def one_by_one(self, state: Any) -> list[tuple[Any, Any]]:
+        """Scene and state of each rod."""
+        return [(self.model, state)]
 
     def check_statics(self, name: str) -> None:
         """Raises a ValueError if internal loads are not the gradient of an energy."""
@@ -84,6 +111,19 @@ class OneRod(Member):
     def in_own_type(self, name: str) -> Any:
         """The unchanged scene, whose effects `make_scene` has already converted."""
         return self.model
+
+    def with_method(self, method: Callable[[Any], Any]) -> Any:
+        """Copy of the scene with the method that `method` makes of the present one."""
+        scene = replace(self.model, method=method(self.model.method))
+        scene.method.check(scene.at(0.0))
+        if scene.evolves:
+            scene.method.check_evolving(scene)
+            scene.method.check(scene.stirred)
+        return scene
+
+    def in_space(self) -> Any:
+        """Copy of the scene with the method of its law in three dimensions."""
+        return replace(self.model, method=self.model.method.in_space)
 
     def with_free_ends(self, free: Array) -> Any:
         """Copy of the scene whose effects know which ends of its rods are free."""
@@ -168,7 +208,9 @@ class OneRod(Member):
     ) -> MemberStepper:
         """Integrator of the rods in a run; `carried` is for rigid bodies only."""
         del carried
-        return RodStepper(self.model.method.stepper(self.model, state, dt), parts)
+        return RodStepper(
+            self.model.method.stepper_in_system(self.model, state, dt), parts
+        )
 
     def contact_forces(self, state: Any) -> list[Vec3]:
         """Contact forces of fixed bodies on the nodes [N], one entry per effect."""
@@ -214,8 +256,18 @@ class OneRod(Member):
         """Largest step that is stable for every rod, times the factor `safety` [s].
 
         It is limited by the rods and their effects, and by couplings (`bound`). The
-        second result is the `StableStep` of each rod.
+        second result is the `StableStep` of each rod. Implicit rods are limited by
+        couplings alone; the second result is `None`.
         """
+        if not self.method.explicit:
+            parts = self.parts()
+            even = jnp.ones((), self.dtype)
+            nodes, elements = bound.drags(even, even)
+            least = jnp.min(parts.inertias, axis=0)
+            moving = step_limit(parts.node_masses, bound.nodes, nodes)
+            turning = step_limit(least, bound.elements, elements)
+            limit = jnp.minimum(jnp.min(moving), jnp.min(turning))
+            return jnp.asarray(safety) * limit, None
 
         def one(scene: LoadedRod, own: StabilityBound) -> Any:
             effects = (*scene.effects, CouplingBounds(own))
@@ -236,6 +288,13 @@ class EqualRods(OneRod):
     def count(self) -> int:
         """Number of rods."""
         return int(self.array_shape[0])
+
+    def one_by_one(self, state: Any) -> list[tuple[Any, Any]]:
+        """Scene and state of each rod."""
+        return [
+            jax.tree.map(lambda leaf, k=k: leaf[k], (self.model, state))
+            for k in range(self.count)
+        ]
 
     def each(self, function: Callable[..., Any], *given: Any) -> Any:
         """Applies a function to the scene and arguments of each rod, by `jax.vmap`."""
@@ -265,7 +324,7 @@ class EqualRods(OneRod):
     ) -> MemberStepper:
         """Integrator of all rods in a run; `carried` is for rigid bodies only."""
         del carried
-        verlet = self.each(lambda s, own: s.method.stepper(s, own, dt), state)
+        verlet = self.each(lambda s, own: s.method.stepper_in_system(s, own, dt), state)
         return RodsStepper(verlet, parts, parts.count)
 
     def total(self, function: Callable[[Any, Any], Array], state: Any) -> Array:

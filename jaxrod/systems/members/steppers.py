@@ -141,12 +141,15 @@ class RodStepper(MemberStepper):
 
     def seen(self, motion: Motion) -> Seen:
         """Constants and motion of all rods, concatenated, as couplings read them."""
-        return Seen(self.parts, self.row(motion))
+        return Seen(
+            self.parts, self.row(self.each(lambda one, own: one.view(own), motion))
+        )
 
-    def moved_as(self, motion: Motion, seen: Motion) -> Motion:
+    def moved_as(self, motion: Any, seen: Motion) -> Any:
         """Splits `seen`, a motion of all rods that couplings have changed, by rod."""
-        changed: Motion = self.rows(seen)
-        return changed
+        return self.each(
+            lambda one, own, to: one.moved_as(own, to), motion, self.rows(seen)
+        )
 
     def at_rest(self) -> RodStepper:
         """Copy for statics, without effects that only dissipate."""
@@ -175,7 +178,8 @@ class RodStepper(MemberStepper):
         none = jnp.zeros((), jnp.int32)
 
         def one(stepper: Any, own: Any, had: Any) -> Any:
-            return remembering(stepper.scene, own, dt, Now(none, had)).memory
+            seen = stepper.view(own)
+            return remembering(stepper.scene, seen, dt, Now(none, had)).memory
 
         return self.each(one, motion, memory)
 

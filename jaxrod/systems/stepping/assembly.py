@@ -105,6 +105,11 @@ class Assembly:
         """Constants of all members, for couplings, without flags of supports."""
         return {name: member.parts() for name, member in self.interfaces().items()}
 
+    def in_space(self) -> Self:
+        """Copy whose members leave nothing out, for statics."""
+        spatial = {name: own.in_space() for name, own in self.interfaces().items()}
+        return replace(self, members=spatial)
+
 
 def member_shapes(members: Mapping[str, Any]) -> tuple[tuple[int, ...], ...]:
     """`array_shape` of each member, in the order of their sorted names."""

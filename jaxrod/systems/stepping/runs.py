@@ -139,8 +139,13 @@ def stable_system_dt(system: Assembly, safety: ArrayLike = 0.8) -> StableSystemS
             bounds[name] = added_bounds(bounds.get(name), bound)
     limits: list[Array] = []
     steps: list[StableStep | None] = []
+    joined = {name for own in system.couplings for name, _ in own.joined_nodes()}
     for name, member in system.interfaces().items():
         bound = bounds.get(name, StabilityBound())
+        if name in joined and not member.method.explicit:
+            # The force of an exact joint acts after the step of an implicit rod, whose
+            # end is free until then.
+            member = member.in_space().as_member()
         limit, step = member.stable_step(bound, safety)
         limits.append(limit)
         steps.append(step)
