@@ -16,18 +16,9 @@ import jax
 
 import jaxrod
 
-SCENES = (
-    "octopus",
-    "snake",
-    "plectoneme",
-    "flagella",
-    "cilia",
-    "tendon_arm",
-    "pneumatic_arm",
-    "gripper",
-    "knot",
-    "nest",
-    "catheter",
+SCENES = tuple(
+    "octopus snake plectoneme flagella cilia tendon_arm pneumatic_arm gripper knot nest "
+    "catheter".split()
 )
 HEAD = """\
 # Gallery
