@@ -17,8 +17,8 @@ import jax
 import jaxrod
 
 SCENES = tuple(
-    "octopus snake plectoneme flagella cilia tendon_arm pneumatic_arm gripper knot nest "
-    "catheter".split()
+    "octopus snake plectoneme flagella cilia tendon_arm pneumatic_arm gripper knot "
+    "nest catheter".split()
 )
 HEAD = """\
 # Gallery
