@@ -379,6 +379,7 @@ def test_a_policy_with_memory_acts_as_in_jax_over_episodes(tmp_path, by_observat
     np.testing.assert_allclose(found, wanted, rtol=0, atol=1e-6)
 
 
+@pytest.mark.fast_sets(1)
 @pytest.mark.parametrize("double", [False, True])
 def test_a_recurrent_policy_of_ppo_acts_as_in_jax_over_episodes(tmp_path, double):
     config = PPOConfig(num_envs=4, gru_units=24, hidden_sizes=(16, 16))

@@ -31,7 +31,7 @@ SMALL = {
 }
 
 
-@pytest.mark.fast_sets(2)
+@pytest.mark.fast_sets(1)
 @pytest.mark.parametrize("name", SMALL)
 def test_the_bound_of_the_noise_falls_linearly(name):
     bounds = {"max_log_std": -1.0, "final_max_log_std": -3.0}

@@ -73,7 +73,8 @@ class Luck:
         return params.scale * jnp.stack([state.luck, state.luck**2, state.luck])
 
 
-@pytest.mark.parametrize("units", [0, 4])
+@pytest.mark.fast_sets(1)
+@pytest.mark.parametrize("units", [4, 0])
 def test_the_policy_depends_on_nothing_privileged(units):
     config = dataclasses.replace(SMALL, gru_units=units)
     state = ppo.init(jax.random.key(0), Luck(), config)
@@ -97,6 +98,7 @@ def test_the_policy_depends_on_nothing_privileged(units):
     assert PPO.policy(state).moments.mean.shape == (2,)
 
 
+@pytest.mark.slow
 def test_a_critic_predicts_what_it_sees():
     errors = {}
     for privileged in (False, True):
@@ -108,7 +110,8 @@ def test_a_critic_predicts_what_it_sees():
     assert errors[True] < 0.2 * errors[False]
 
 
-@pytest.mark.parametrize("units", [0, 4])
+@pytest.mark.fast_sets(1)
+@pytest.mark.parametrize("units", [4, 0])
 def test_a_run_leaves_a_policy_of_the_task_itself(tmp_path, units):
     varied = {"parameters": {"stride": {"uniform": (0.1, 0.3)}}, "noise": 0.05}
     env = make("trivial", randomise=varied | {"delay": [0, 2]})

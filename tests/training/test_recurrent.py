@@ -131,6 +131,7 @@ def test_rollouts_and_minibatches_agree_on_memory_and_values():
         assert memory[~ended].any(axis=1).all()
 
 
+@pytest.mark.slow
 def test_the_value_of_a_cut_short_episode_remembers_the_episode():
     # With lambda 0 an advantage is one step's error: its target can be computed apart.
     config = dataclasses.replace(SMALL, trace_decay=0.0, rollout_steps=24)
@@ -302,6 +303,7 @@ def counting_policy(role, outputs):
     return Counting(outputs) if role == "policy" else nn.Dense(outputs)
 
 
+@pytest.mark.fast_sets(1)
 @pytest.mark.parametrize("network", [counting, counting_policy])
 def test_networks_with_a_memory_of_your_own(tmp_path, network):
     config = dataclasses.replace(SMALL, network=network, gru_units=0, action_repeat=2)
