@@ -84,11 +84,11 @@ def settled(
 ) -> Settled:
     """Follows the damped motion of a scene or a system until it comes to rest.
 
-    The method is described in the docstring of this module. It works for all models
-    that can be stepped. It follows their motion, while `jaxrod.equilibrium` solves for
-    the balance of loads. It works inside jit and vmap. It cannot be differentiated in
-    reverse mode, and does not use the implicit function theorem; forward mode follows
-    all steps.
+    The method is described in the docstring of this module. It works for all scenes and
+    for systems whose members allow `with_effect`, which adds a drag to them. It follows
+    their motion, while `jaxrod.equilibrium` solves for the balance of loads. It works
+    inside jit and vmap. It cannot be differentiated in reverse mode, and does not use
+    the implicit function theorem; forward mode follows all steps.
 
     It finds rest states that are reached by falling. A model in unstable equilibrium,
     such as a straight column, stays there and counts as converged. A model in free fall
