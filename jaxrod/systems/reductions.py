@@ -92,7 +92,9 @@ def check_in_plane(system: Assembly, state: SystemState) -> None:
     shares = jax.device_get(_shares_outside(system.at(0.0), bare))
     for name, other in dict.fromkeys((name, other) for name, other, _ in shares):
         members[other].check_for(members[name].method, other, state[other])
-    for (name, other, what), share in shares.items():
+    # First what the members are, then "forces of" and "couples of".
+    for name, other, what in sorted(shares, key=lambda key: " of " in key[2]):
+        share = shares[name, other, what]
         if not share <= np.sqrt(np.finfo(share.dtype).eps):
             raise ValueError(
                 f"member {name!r} moves in a plane and needs {what} of {other!r} in "
@@ -269,7 +271,7 @@ def _shares_outside(system: Assembly, state: SystemState) -> Shares:
     shares: Shares = {}
     for name, (joined, axis) in _neighbourhoods(system, couplings, seen).items():
         own = {other: seen[other] for other in joined}
-        for (other, what), share in _shares_of_states(own, axis).items():
+        for (other, what), share in _shares_of_states(own, name, axis).items():
             shares[name, other, what] = share
         for other in joined:
             if seen[other].parts.is_rod:
@@ -294,16 +296,17 @@ def _shares_outside(system: Assembly, state: SystemState) -> Shares:
 
 
 def _shares_of_states(
-    seen: Mapping[str, Seen], axis: int
+    seen: Mapping[str, Seen], planar: str, axis: int
 ) -> dict[tuple[str, str], Array]:
     """Out-of-plane fractions of positions, rates and inertia, by member and words.
 
-    `axis` is the world axis along the normal, at the height of the first node.
+    The plane is at the height of the first node of the member `planar`, across the
+    world axis `axis`.
     """
     a, b = (k for k in range(3) if k != axis)
     spans = [c for own in seen.values() for c in own.motion.position]
     size = jnp.max(jnp.stack([jnp.max(c) - jnp.min(c) for c in spans]))
-    middle = next(iter(seen.values())).motion.position[axis][0]
+    middle = seen[planar].motion.position[axis][0]
     still = STILL * _wave_speed([own.parts for own in seen.values()])
     found: dict[tuple[str, str], Array] = {}
     for name, own in seen.items():

@@ -128,8 +128,6 @@ class StaticProblem:
     """Scales of the unknowns."""
     normal_axis: int | None = static(default=None)
     """World axis along which nothing moves, 0 for x; `None` in space."""
-    untwisted: tuple[str, ...] = static(default=())
-    """Names of the members whose elements do not rotate about their axes."""
 
     # Methods for kernels take one argument, often a pair: a configuration, and rates.
 
@@ -138,29 +136,26 @@ class StaticProblem:
         motions, rates = given
 
         def held(own: Any) -> Any:
-            moving = with_rates(motions, self._reduced(motions, own))
+            moving = with_rates(motions, self._in_plane(own))
             return rates_of(self.stepper.supported(moving))
 
         none = jax.tree.map(jnp.zeros_like, rates)
         return jax.tree.map(jnp.subtract, held(rates), held(none))
 
-    def _reduced(self, motions: Motions, rates: Any) -> Any:
-        """Rates without what the methods of members leave out.
+    def _in_plane(self, rates: Any) -> Any:
+        """Rates without those that leave the plane of planar members, if there is one.
 
         Supports, ties and attachments do not mix these with the other rates.
         """
+        if self.normal_axis is None:
+            return rates
         reduced = {}
         for name, (velocity, spin) in rates.items():
-            if name in self.untwisted:
-                d3 = directors(motions[name].orientation)[2]
-                along = vectors.dot(d3, spin)
-                spin = vectors.subtract(spin, vectors.scale(along, d3))
-            if self.normal_axis is not None:
-                inside = [float(k != self.normal_axis) for k in range(3)]
-                a, b, c = inside
-                velocity = a * velocity[0], b * velocity[1], c * velocity[2]
-                spin = tuple((1 - k) * s for k, s in zip(inside, spin, strict=True))
-            reduced[name] = velocity, spin
+            inside = [float(k != self.normal_axis) for k in range(3)]
+            reduced[name] = (
+                tuple(k * v for k, v in zip(inside, velocity, strict=True)),
+                tuple((1 - k) * s for k, s in zip(inside, spin, strict=True)),
+            )
         return reduced
 
     def momenta(self, given: tuple[Motions, Any]) -> Any:
@@ -486,9 +481,6 @@ def static_problem(
             "statics and frequencies need one plane for all planar members, got "
             f"{len(axes)}: leave out planar(...)"
         )
-    untwisted = [
-        k for k, member in system.interfaces().items() if not member.method.twist
-    ]
     system = system.in_space()
     scales = scales_of(system)
     stepper = stepper_at(system, state, INSTANT * scales.time)
@@ -498,7 +490,6 @@ def static_problem(
         replace(stepper, members=members),
         scales,
         next(iter(axes), None),
-        tuple(untwisted),
     )
     bare = {name: state[name] for name in system.members}
     start: Motions = by_kernel(problem, "entered", bare)

@@ -65,7 +65,7 @@ def test_planar_fingers_are_those_in_space(record):
         system, state = gripper(method)
         ends.append(jaxrod.advance(system, state, 1e-4, 1000))
     moved = apart(ends[0], state)
-    assert moved > 0.3 * 0.12
+    assert moved > 0.2 * 0.12
     record(
         "Planar fingers with a ball, after 1000 steps [lengths of a finger]",
         "the same in space",
@@ -148,9 +148,11 @@ def test_a_coupling_of_ones_own_is_tested_too():
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("method", [jaxrod.planar("zx"), jaxrod.torsion_free()])
-def test_rest_and_frequencies_are_those_in_space(method):
-    """Frequencies are those of the motions that the method has."""
+@pytest.mark.parametrize(
+    ("method", "share"), [(jaxrod.planar("zx"), 0.5), (jaxrod.torsion_free(), 1.0)]
+)
+def test_rest_and_frequencies_are_those_in_space(method, share):
+    """A plane has half of the frequencies; statics know twist in every method."""
 
     def found(method):
         system, state = made("tie", method)
@@ -170,7 +172,7 @@ def test_rest_and_frequencies_are_those_in_space(method):
     rest, frequencies = found(jaxrod.consistent())
     own, fewer = found(method)
     assert apart(rest, own) < 1e-9
-    assert 0 < len(fewer) < len(frequencies)
+    assert len(fewer) == share * len(frequencies)
     for frequency in fewer[fewer > 1e-3 * fewer[-1]]:
         assert np.min(np.abs(frequencies / frequency - 1)) < 1e-6
 
