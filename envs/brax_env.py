@@ -29,7 +29,7 @@ except ModuleNotFoundError as missing:
 
 from jaxrod.envs.checking import action_of_size
 from jaxrod.envs.protocol import Environment
-from jaxrod.envs.registry import make
+from jaxrod.envs.registry import made
 from jaxrod.installation.backend import compile_for_rods
 from jaxrod.structure import pytree
 
@@ -83,9 +83,7 @@ class BraxEnv(Env):
             ValueError: An argument does not fit.
         """
         compile_for_rods()
-        if not isinstance(task, str) and options:
-            raise ValueError(f"an environment takes no options, got {sorted(options)}")
-        self.env = make(task, **options) if isinstance(task, str) else task
+        self.env = made(task, options)
         self.sys = self.env.default_params() if params is None else params
 
     @property

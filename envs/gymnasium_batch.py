@@ -18,7 +18,7 @@ from jaxtyping import Array, Bool, Float, Int, Key, PyTree, UInt8
 from jaxrod.envs.checking import check_action_shape
 from jaxrod.envs.drawing import drawable, edge_lengths, missing, picture
 from jaxrod.envs.protocol import Environment
-from jaxrod.envs.registry import make
+from jaxrod.envs.registry import made
 from jaxrod.envs.wrappers import VectorEnvironment, VectorState, VectorStep
 from jaxrod.installation.backend import compile_for_rods
 
@@ -83,9 +83,7 @@ class Batch:
             ValueError: An argument does not fit.
         """
         compile_for_rods()
-        if not isinstance(task, str) and options:
-            raise ValueError(f"an environment takes no options, got {sorted(options)}")
-        self.env = make(task, **options) if isinstance(task, str) else task
+        self.env = made(task, options)
         if num_envs < 1:
             raise ValueError(f"num_envs must be at least 1, got {num_envs}")
         self.num_envs = num_envs

@@ -15,7 +15,7 @@ from jaxtyping import Array, Bool, Float, Int, Key
 
 from jaxrod.envs.checking import action_of_size
 from jaxrod.envs.protocol import Environment, Info
-from jaxrod.envs.registry import make
+from jaxrod.envs.registry import made
 from jaxrod.installation.backend import compile_for_rods
 from jaxrod.structure import pytree
 
@@ -129,9 +129,7 @@ class GymnaxEnv:
             ValueError: An argument does not fit.
         """
         compile_for_rods()
-        if not isinstance(task, str) and options:
-            raise ValueError(f"an environment takes no options, got {sorted(options)}")
-        self.env = make(task, **options) if isinstance(task, str) else task
+        self.env = made(task, options)
         self.default_params = GymnaxParams(
             self.env.default_params(), self.env.episode_length
         )

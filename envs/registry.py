@@ -93,6 +93,19 @@ def make(
     return env
 
 
+def made(task: str | Environment, options: Mapping[str, Any]) -> Environment:
+    """The given environment, or the one that `make` makes of a task with options.
+
+    Raises:
+        ValueError: There are options beside an environment, or `make` raises.
+    """
+    if isinstance(task, str):
+        return make(task, **options)
+    if options:
+        raise ValueError(f"an environment takes no options, got {sorted(options)}")
+    return task
+
+
 def origin_of(env: Environment) -> Origin | None:
     """Task and options with which `make` made an environment; None if it did not."""
     remembered, how = _MADE.get(id(env), (lambda: None, None))

@@ -39,7 +39,7 @@ class Curve(NamedTuple):
 
     name: str
     at: np.ndarray
-    """Where it was measured: time, or curvature."""
+    """Time or curvature at each measurement."""
     measured: np.ndarray
     exact: np.ndarray
 

@@ -10,24 +10,16 @@ from __future__ import annotations
 
 import argparse
 import dataclasses
-import json
 from pathlib import Path
 from typing import Any
 
-import jaxrod
 from benchmarks.paper.settings import GRID
-from benchmarks.shared.arguments import add_names
-from benchmarks.shared.files import write_record
+from benchmarks.shared.learners import add_run_arguments, returns, run_all
 from jaxrod.envs import make
 from jaxrod.installation.machine import processor_and_versions
-from jaxrod.training import TRPOConfig, evaluate, train, with_noise
+from jaxrod.training import TRPOConfig, train
 
 RECORDS = Path(__file__).with_name("records")
-SEEDS = (0, 1, 2)
-STEPS = 10_000_000
-EPISODES = 64
-EPISODES_SEED = 2
-"""Seed of the counted episodes."""
 SCHEDULES: dict[str, dict[str, float]] = {
     "none": {},
     "to-0.37": {"max_log_std": 0.0, "final_max_log_std": -1.0},
@@ -50,16 +42,12 @@ def trained(name: str, seed: int, steps: int) -> dict[str, Any]:
         evaluation_episodes=0,
         progress=False,
     )
-    played = {"episodes": EPISODES, "seed": EPISODES_SEED}
-    quiet = evaluate(env, result.policy, **played)
-    noisy = evaluate(env, with_noise(result.policy), **played)
     return {
         "schedule": name,
         "seed": seed,
         "control_steps": result.summary["env_steps"],
         "return_in_training": result.summary["final_score"],
-        "return_without_noise": quiet.mean,
-        "return_with_noise": noisy.mean,
+        **returns(env, result.policy),
         "action_std": result.progress[-1]["action_std"],
         "wall_s": result.summary["wall_s"],
         "settings": settings,
@@ -71,17 +59,9 @@ def trained(name: str, seed: int, steps: int) -> dict[str, Any]:
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declares schedules, seeds and steps."""
-    add_names(parser, "schedules", SCHEDULES, "SCHEDULE")
-    parser.add_argument("--seeds", type=int, nargs="+", default=SEEDS, metavar="N")
-    parser.add_argument("--steps", type=int, default=STEPS, help="control steps")
+    add_run_arguments(parser, SCHEDULES, "SCHEDULE")
 
 
 def run(args: argparse.Namespace) -> int:
     """Trains, plays and writes."""
-    jaxrod.configure_cpu(1)
-    for name in args.schedules:
-        for seed in args.seeds:
-            record = trained(name, seed, args.steps)
-            write_record(RECORDS, f"{name}-{seed}-{args.steps}", record)
-            print(json.dumps(record), flush=True)
-    return 0
+    return run_all(args, trained, RECORDS)

@@ -13,24 +13,16 @@ trained. Writes a record of every run into records.
 from __future__ import annotations
 
 import argparse
-import json
 from pathlib import Path
 from typing import Any
 
-import jaxrod
-from benchmarks.shared.arguments import add_names
 from benchmarks.shared.clocks import Clocks
-from benchmarks.shared.files import write_record
+from benchmarks.shared.learners import add_run_arguments, returns, run_all
 from jaxrod.envs import Environment, make
 from jaxrod.installation.machine import processor_and_versions
-from jaxrod.training import PPOConfig, evaluate, train, with_noise
+from jaxrod.training import PPOConfig, train
 
 RECORDS = Path(__file__).with_name("records")
-SEEDS = (0, 1, 2)
-STEPS = 10_000_000
-EPISODES = 64
-EPISODES_SEED = 2
-"""Seed of the counted episodes."""
 DELAY = 0.02
 """Delay of the commands [s]."""
 MARKERS = 11
@@ -43,7 +35,7 @@ COMMON: dict[str, Any] = {
     "max_log_std": 0.0,
     "final_max_log_std": -1.5,
 }
-"""What differs from PPO's defaults for all learners."""
+"""Settings of all learners that differ from PPO's defaults."""
 GRU: dict[str, Any] = {"gru_units": 64, "epochs": 4}
 LEARNERS: dict[str, dict[str, Any]] = {
     "ideal": {},
@@ -89,18 +81,13 @@ def trained(name: str, seed: int, steps: int) -> dict[str, Any]:
         progress=False,
     )
     wall, cpu = clocks.read()
-    played = {"episodes": EPISODES, "seed": EPISODES_SEED}
-    quiet = evaluate(env, result.policy, **played)
-    noisy = evaluate(env, with_noise(result.policy), **played)
     columns = ("env_steps", "episode_return_mean", "action_std")
     return {
         "learner": name,
         "seed": seed,
         "control_steps": result.summary["env_steps"],
-        "return": quiet.mean,
-        "return_with_noise": noisy.mean,
+        **returns(env, result.policy),
         "return_in_training": result.summary["final_score"],
-        "flagged": quiet.flagged_fraction,
         "wall_s": wall,
         "processor_s": cpu,
         "settings": COMMON | LEARNERS[name],
@@ -113,18 +100,9 @@ def trained(name: str, seed: int, steps: int) -> dict[str, Any]:
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declares learners, seeds and steps."""
-    add_names(parser, "learners", LEARNERS, "LEARNER")
-    parser.add_argument("--seeds", type=int, nargs="+", default=SEEDS, metavar="N")
-    parser.add_argument("--steps", type=int, default=STEPS, help="control steps")
+    add_run_arguments(parser, LEARNERS, "LEARNER")
 
 
 def run(args: argparse.Namespace) -> int:
     """Trains, plays and writes."""
-    jaxrod.configure_cpu(1)
-    for name in args.learners:
-        for seed in args.seeds:
-            record = trained(name, seed, args.steps)
-            write_record(RECORDS, f"{name}-{seed}-{args.steps}", record)
-            shown = {key: record[key] for key in record if key != "rows"}
-            print(json.dumps(shown), flush=True)
-    return 0
+    return run_all(args, trained, RECORDS)

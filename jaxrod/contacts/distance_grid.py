@@ -222,11 +222,6 @@ class SignedDistanceGrid(Body):
         square = jnp.max(jnp.where(self.values <= 0, corners, 0))
         return jnp.sqrt(square) + np.sqrt(3.0) * self.spacing
 
-    @property
-    def is_convex(self) -> bool:
-        """False: it is not known whether the body is convex."""
-        return False
-
     def check(self, rod: Rod) -> None:
         """Warns if cells are larger than the rod's radius, or the grid ends too near.
 

@@ -156,7 +156,7 @@ def test_nothing_is_imported_from_gymnax():
 
 @pytest.mark.slow
 def test_ppo_of_rejax_improves_on_tracking_as_ours_does():
-    """Of the gain of our PPO in 200,000 steps, from -104 to -46, at least half."""
+    """At least half the gain of our PPO in 200,000 steps, from -104 to -46."""
     rejax = pytest.importorskip("rejax", reason="rejax is not installed")
     learner = rejax.get_algo("ppo").create(
         env=GymnaxEnv("tracking", variant="clean", episode_length=250),

@@ -57,7 +57,7 @@ def test_grid_distances_of_a_block_are_those_of_its_closed_form():
 
 
 def test_signs_are_right_at_acute_edges_and_corners():
-    """Where the normal of one face alone would have the wrong sign."""
+    """At these points the normal of one face alone has the wrong sign."""
     corners = np.array([[0, 0, 0], [1, 0.1, 0], [1, 0, 0.1], [1, -0.1, -0.1]], float)
     faces = np.array([[0, 1, 2], [0, 2, 3], [0, 3, 1], [1, 3, 2]])
     closed = mesh_distance.closed_surface(corners, faces)
@@ -87,7 +87,7 @@ def test_ten_thousand_triangles_have_the_distances_of_the_smooth_ring(ring, reco
 
 
 def test_the_normal_is_the_gradient_everywhere(ring, block):
-    """By JAX and by differences, inside the grid, outside, and for the complement."""
+    """JAX and differences agree inside the grid, outside, and for the complement."""
     points = np.random.default_rng(2).uniform(-0.4, 0.4, (3, 200))
     for body in (ring, block, ring.complement()):
         distance = lambda x, body=body: body.surface(vectors.split(x[:, None]))[0][0]
@@ -459,7 +459,7 @@ def test_bad_meshes_are_refused_in_words(mesh, options, words):
 
 
 def test_inside_out_and_repeated_corners_are_put_right(block):
-    """An STL file lists corners anew for each face, and some faces are points."""
+    """An STL file repeats the corners of each face, and some faces are points."""
     corners = BOX[0][BOX[1][:, ::-1]].reshape(-1, 3)
     faces = np.arange(len(corners)).reshape(-1, 3)
     faces = np.concatenate([faces, [[0, 0, 0], [1, 1, 2]]])

@@ -44,7 +44,7 @@ def swinging(law, scale=1.0, method=None, dtype=None):
 
 @every_law
 def test_loads_are_minus_the_gradient_of_the_energy(law):
-    """As long as nothing relaxes, slips or yields."""
+    """This holds while nothing relaxes, slips or yields."""
     rod, state = straight(4)
     wall = jaxrod.clamp(state)
     effect = law(rod, 1e6, into=wall)

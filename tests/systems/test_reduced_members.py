@@ -127,7 +127,7 @@ def test_a_spring_beside_the_axis_leaves_the_plane_and_twists():
 
 @jaxrod.extend.pytree
 class Wind(jaxrod.extend.Coupling):
-    """Couples about the axes of elements, from a coupling of one's own."""
+    """A user-defined coupling with couples about the axes of elements."""
 
     size: jax.Array
 

@@ -157,6 +157,7 @@ class Member(ABC):
         Raises:
             ValueError: If the scene does not fit the method.
         """
+        # Not abstract: it is called for members with a rod alone.
         raise NotImplementedError(f"{type(self).__name__} has no method")
 
     def in_space(self) -> Any:
