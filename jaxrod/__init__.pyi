@@ -32,6 +32,7 @@ from jaxrod.analysis.stability import stable_dt as stable_dt
 from jaxrod.contacts.contact import contact as contact
 from jaxrod.contacts.near import near_contact as near_contact
 from jaxrod.contacts.points import ThinBodyWarning as ThinBodyWarning
+from jaxrod.contacts.sticking import sticking_contact as sticking_contact
 from jaxrod.damping.filters import laplacian_filter as laplacian_filter
 from jaxrod.damping.filters import short_wave_damping as short_wave_damping
 from jaxrod.damping.internal_damping import internal_damping as internal_damping

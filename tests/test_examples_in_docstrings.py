@@ -48,6 +48,7 @@ SLOW = {
     "jaxrod.rollout",
     "jaxrod.scale_inertia",
     "jaxrod.short_wave_damping",
+    "jaxrod.sticking_contact",
     "jaxrod.tune",
     "jaxrod.Tuned",
     "jaxrod.use_lanes",

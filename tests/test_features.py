@@ -634,6 +634,19 @@ def test_contact_with_the_nearest_bodies_is_contact_with_all():
     close(nearest.positions, all_of_them.positions, rtol=1e-13)
 
 
+@runs("sticking_contact")
+def test_what_sticks_stays_within_the_elongation_of_its_springs():
+    line = ROD.node_masses.sum() / ROD.length
+    top = 9.81 * line / 1e5 - RADIUS
+    ground = jaxrod.contact(ROOM["plane"](top), stiffness=1e5, damping=500, friction=1)
+    holds = jaxrod.sticking_contact(ground, ROD, REST)
+    pull = jaxrod.gravity((2.0, 0, -9.81))
+    scene = jaxrod.make_scene(ROD, pull, holds)
+    state = jaxrod.advance(scene, REST, 1e-3, 1000)
+    close(state.positions[0] - REST.positions[0], 2.0 * line / 5e4, rtol=0.1)
+    close(state.velocities, 0, atol=1e-6)
+
+
 # Systems. Equal rods are one member, so that their number does not matter.
 
 

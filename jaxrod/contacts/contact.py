@@ -115,8 +115,10 @@ class Contact(Effect):
     def loads(self, rod: Rod, motion: Motion) -> Loads:
         """Contact forces on nodes, and friction couples on elements, material frame."""
         loads = Loads()
-        for points, bodies in self._in_view(rod):
-            loads = self._add_loads(loads, rod, motion, points, bodies)
+        for (points, bodies), grips in zip(
+            self._in_view(rod), self._grips(rod, motion), strict=True
+        ):
+            loads = self._add_loads(loads, rod, motion, points, bodies, grips)
         if loads.couples is None:
             return loads
         frame = directors(motion.orientation)
@@ -147,10 +149,12 @@ class Contact(Effect):
 
     def energy(self, rod: Rod, state: RodState) -> Array:
         """Energy of the springs [J]."""
-        position = motion_of(state).position
+        motion = motion_of(state)
         total = jnp.zeros((), state.positions.dtype)
-        for points, bodies in self._in_view(rod):
-            total = total + self._energy_at(rod, position, points, bodies)
+        for (points, bodies), grips in zip(
+            self._in_view(rod), self._grips(rod, motion), strict=True
+        ):
+            total = total + self._energy_at(rod, motion, points, bodies, grips)
         return total
 
     def violation(self, rod: Rod, state: RodState) -> Array:
@@ -194,6 +198,13 @@ class Contact(Effect):
         """The contact with flags of free ends; only free ends have an end face."""
         return dataclasses.replace(self, free_ends=free)
 
+    def _grips(self, rod: Rod, motion: Motion) -> list[Sequence[Any]]:
+        """Memory of friction at each group of points, one entry for each body.
+
+        Contact of this class has no memory: its entries are `None`.
+        """
+        return [[None] * len(bodies) for _, bodies in self._in_view(rod)]
+
     def _points(self, rod: Rod) -> list[Points]:
         return contact_points(rod, self.points_per_element, self.free_ends)
 
@@ -209,15 +220,26 @@ class Contact(Effect):
         ]
 
     def _energy_at(
-        self, rod: Rod, position: Vec3, points: Points, bodies: list[Body]
+        self,
+        rod: Rod,
+        motion: Motion,
+        points: Points,
+        bodies: list[Body],
+        grips: Sequence[Any],
     ) -> Array:
-        """Energy of the springs of `bodies` at one group of contact points [J]."""
-        radii = points.of_elements(rod.radii)
-        place = points.of_nodes(position)
+        """Energy of the springs of `bodies` at one group of contact points [J].
 
-        def of_body(body: Body) -> Array:
-            distance, _ = body.surface(place)
+        `grips` is the memory of friction, one entry for each body.
+        """
+        radii = points.of_elements(rod.radii)
+        place = points.of_nodes(motion.position)
+
+        def of_body(pair: tuple[Body, Any]) -> Array:
+            body, grip = pair
+            distance, normal = body.surface(place)
             density = self._density(radii, distance)
+            if grip is not None:
+                density = density + self._grip_density(radii, distance, normal, grip)
             total = jnp.sum(points.lengths * density)
             if points.ends is None:
                 return total
@@ -228,7 +250,7 @@ class Contact(Effect):
             )
             return total + jnp.sum(counted * ends.of_points(density))
 
-        return _summed(of_body, bodies)
+        return _summed(of_body, list(zip(bodies, grips, strict=True)))
 
     def _add_loads(
         self,
@@ -237,8 +259,12 @@ class Contact(Effect):
         motion: Motion,
         points: Points,
         bodies: list[Body],
+        grips: Sequence[Any],
     ) -> Loads:
-        """Adds loads of `bodies` on one group of points, couples in the world frame."""
+        """Adds loads of `bodies` on one group of points, couples in the world frame.
+
+        `grips` is the memory of friction, one entry for each body.
+        """
         position = points.of_nodes(motion.position)
         velocity = points.of_nodes(motion.velocity)
         radii = points.of_elements(rod.radii)
@@ -252,7 +278,8 @@ class Contact(Effect):
             x, y, z = (points.of_elements(c) for c in d3)
             axis = x, y, z
 
-        def of_body(body: Body) -> _OfBody:
+        def of_body(pair: tuple[Body, Any]) -> _OfBody:
+            body, grip = pair
             distance, normal = body.surface(position)
             leaving = vectors.dot(velocity, normal)
             push = normal_force(
@@ -268,7 +295,7 @@ class Contact(Effect):
                 arm = vectors.scale(-radii, normal)
                 slip = vectors.add(velocity, vectors.cross(spin, arm))
                 along = vectors.subtract(slip, vectors.scale(leaving, normal))
-                drag = self._friction(push, along, normal, axis)
+                drag = self._friction(push, along, normal, axis, arm, grip)
                 pressed = vectors.add(pressed, drag)
 
             def counted(lengths: Array, at: Callable[[Array], Array]) -> _Pushed:
@@ -288,8 +315,12 @@ class Contact(Effect):
             ends = points.ends
             beside, outward = body.of_ends().surface(ends.beside(position))
             own, own_radii = ends.of_points(distance), ends.of_points(radii)
+            density = self._density(own_radii, own)
+            if grip is not None:
+                held = self._grip_density(radii, distance, normal, grip)
+                density = density + ends.of_points(held)
             lengths, change, pulls = ends.counted_and_changes(
-                own, beside, self._depth(own_radii), self._density(own_radii, own)
+                own, beside, self._depth(own_radii), density
             )
             at_ends = counted(lengths, ends.of_points)
             change_of_ends = vectors.scale(change, _each(ends.of_points, normal))
@@ -297,7 +328,7 @@ class Contact(Effect):
             return _OfBody(along_rod, at_ends, vectors.scale(pulls, outward))
 
         # Forces on ends are spread over the points once, not for every body.
-        found = _summed(of_body, bodies)
+        found = _summed(of_body, list(zip(bodies, grips, strict=True)))
         force, couple = found.along_rod
         if found.at_ends is not None and points.ends is not None:
             ends = points.ends
@@ -327,13 +358,34 @@ class Contact(Effect):
         """Spring energy per length at a rod axis's `distance` from a body [J/m]."""
         return energy_density(radii - distance, self.onset * radii, self.stiffness)
 
+    def _grip_density(
+        self, radii: Array, distance: Array, normal: Vec3, grip: Any
+    ) -> Array:
+        """Energy per length of the springs of static friction [J/m].
+
+        `radii` are those of the rod, `distance` and `normal` those of its axis from a
+        body.
+        """
+        raise NotImplementedError  # Without memory nothing asks for it.
+
     def _friction(
-        self, push: Array, slip: Vec3, normal: Vec3, axis: Vec3 | None
+        self,
+        push: Array,
+        slip: Vec3,
+        normal: Vec3,
+        axis: Vec3 | None,
+        arm: Vec3,
+        grip: Any,
     ) -> Vec3:
         """Friction force per length [N/m], at a slip velocity and a normal force.
 
-        `push` is the normal force per length. `axis` is d3 for directional friction,
-        and `None` for isotropic friction.
+        Args:
+            push: Normal force per length [N/m].
+            slip: Slip velocity, along the surface [m/s].
+            normal: Unit normal of the surface.
+            axis: d3 for directional friction, `None` for isotropic friction.
+            arm: From the centre of each section to the place that it touches [m].
+            grip: Memory of friction; here `None`.
         """
         assert self.friction is not None and self.friction_drag is not None
         if axis is None:
@@ -400,7 +452,7 @@ def _one_by_one(body: Body, count: int | None) -> list[Body]:
     return [jax.tree.map(operator.itemgetter(k), body) for k in range(count)]
 
 
-def _summed(of_body: Callable[[Body], Any], bodies: list[Body]) -> Any:
+def _summed(of_body: Callable[[Any], Any], bodies: Sequence[Any]) -> Any:
     """Sum of a function's values over all bodies.
 
     The program computes body by body, not along an axis of the arrays: that takes two

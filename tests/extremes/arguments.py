@@ -43,6 +43,7 @@ MAY_BE_NONE = {
     ("rod_along", "directors"),
     ("exponential_damping", "rotational_rate"),
     ("contact", "friction_drag"),
+    ("sticking_contact", "stick_stiffness"),
     ("implicit", "tolerance"),
     ("scale_inertia", "dt"),
     ("signed_distance", "parameters"),
@@ -117,7 +118,7 @@ def things(dtype: Any) -> dict[str, Any]:
         "state": state,
         "scene": scene,
         "bodies": balls,
-        "contact": jaxrod.contact(balls, stiffness=1.0),
+        "contact": jaxrod.contact(balls, stiffness=1.0, damping=1.0, friction=0.5),
         "spline": jaxrod.actuation.control_spline(2, 1.2),
         "scaling": jaxrod.scale_inertia(scene),
         "function": beside,
@@ -128,6 +129,12 @@ def things(dtype: Any) -> dict[str, Any]:
 
 
 NUMERIC: dict[str, dict[str, Any]] = {
+    "sticking_contact": {
+        "contact": ...,
+        "rod": ...,
+        "state": ...,
+        "stick_stiffness": 10.0,
+    },
     "straight_rod": {
         "n_elements": 3,
         "length": 1.2,
@@ -482,6 +489,12 @@ OF_KINDS: dict[str, dict[str, Any]] = {
         "angular_velocities": np.zeros((3, 3)),
     },
     "near_contact": {"contact": ..., "rod": ..., "state": ..., "count": 1},
+    "sticking_contact": {
+        "contact": ...,
+        "rod": ...,
+        "state": ...,
+        "stick_stiffness": 10.0,
+    },
     "contact": {"bodies": ..., "stiffness": 1.0},
     "spline_couples": {
         "rod": ...,

@@ -194,6 +194,13 @@ def _near(self: Maker) -> Any:
     return jaxrod.near_contact(touch, self.rod, self.state, 2)
 
 
+def _sticking(self: Maker) -> Any:
+    """Contact with one shape that the rod touches or nearly touches, with static
+    friction."""
+    touch = _contact(self)
+    return jaxrod.sticking_contact(touch, self.rod, self.state)
+
+
 def _muscle(self: Maker, **more: Any) -> Any:
     view = self.view
     offsets = self.uniform(-1, 1, (2, 2)) * self.radius
@@ -362,6 +369,31 @@ def _uniform_load(self: Maker, *, follower: bool = False) -> Any:
     )
 
 
+def _relaxing(self: Maker) -> Any:
+    return jaxrod.materials.standard_linear_solid(
+        self.rod,
+        stiffness_ratio=self.weight * self.uniform(0.2, 2),
+        relaxation_time=self.view.number(10 ** self.uniform(-3, -1), "s"),
+    )
+
+
+def _wires(self: Maker) -> Any:
+    view, w = self.view, self.weight
+    return jaxrod.materials.bending_hysteresis(
+        self.rod,
+        stiffness=view.number(w * self.uniform(0.2, 2) * self.bend, "N m^2"),
+        slip_moment=view.number(w * 0.1 * self.bend / self.length, "N m"),
+    )
+
+
+def _plastic(self: Maker) -> Any:
+    return jaxrod.materials.plastic_bending(
+        self.rod,
+        yield_moment=self.view.number(0.1 * self.bend / self.length, "N m"),
+        hardening=self.uniform(0, 0.9),
+    )
+
+
 MAKERS: dict[str, Callable[[Maker], Any]] = {
     "gravity": lambda m: jaxrod.gravity(
         m.timed(m.view.vector(m.weight * m.vector(9), "m s^-2"))
@@ -399,6 +431,7 @@ MAKERS: dict[str, Callable[[Maker], Any]] = {
     "contact": _contact,
     "contact of many": lambda m: _contact(m, 2),
     "near contact": _near,
+    "sticking contact": _sticking,
     "muscle": _muscle,
     "helical muscle": _helical,
     "muscle across": lambda m: _muscle(m, across=True, offsets=None),
@@ -425,5 +458,8 @@ MAKERS: dict[str, Callable[[Maker], Any]] = {
     ),
     "magnet in a gradient": _gradient,
     "spline couples": _spline,
+    "relaxing solid": _relaxing,
+    "wires that slip": _wires,
+    "plastic bending": _plastic,
 }
-HALVED = set(MAKERS) - DISSIPATING - DRAGS
+HALVED = set(MAKERS) - DISSIPATING - DRAGS - {"plastic bending"}

@@ -49,6 +49,10 @@ EFFECTS = (
     "magnet",
     "magnet in a gradient",
     "spline couples",
+    "relaxing solid",
+    "wires that slip",
+    "plastic bending",
+    "sticking contact",
 )
 ONE_WAY = {
     "tendon",
@@ -80,7 +84,13 @@ PLANAR = {
     "contact",
     "contact of many",
     "near contact",
+    "relaxing solid",
+    "wires that slip",
+    "plastic bending",
+    "sticking contact",
 }
+FRAMED = {"relaxing solid", "wires that slip", "plastic bending", "sticking contact"}
+"""Effects with memory, which need frames of elements."""
 
 
 @dataclass(frozen=True)
@@ -133,6 +143,8 @@ def random_kind(random: np.random.Generator) -> Kind:
     allowed = list(EFFECTS)
     if method.startswith("planar") or method == "torsion free":
         allowed = [e for e in EFFECTS if e in PLANAR]
+    if method == "torsion free":
+        allowed = [e for e in allowed if e not in FRAMED]
     if method.endswith("pyelastica"):
         allowed.remove("quadratic")
     elif method != "pyelastica":
