@@ -92,13 +92,14 @@ class StickingContact(Contact):
         energy is at most twice the sum of both alone.
         """
         bound = super().stability_bound(rod)
-        assert bound.slip_drag is not None and bound.slip_couple is not None
-        springs = 2 * self.stick_stiffness / self.friction_drag
+        # Springs act where the drag of friction does, with twice their stiffness.
+        as_drag = dataclasses.replace(self, friction_drag=2 * self.stick_stiffness)
+        springs = Contact.stability_bound(as_drag, rod)
+        nodes, along = bound.nodes, springs.slip_drag
+        assert nodes is not None and along is not None
         # Friction acts across the normal, so nodes have the larger of both springs.
         return dataclasses.replace(
-            bound,
-            nodes=jnp.maximum(bound.nodes, springs * bound.slip_drag),
-            elements=springs * bound.slip_couple,
+            bound, nodes=jnp.maximum(nodes, along), elements=springs.slip_couple
         )
 
     def after_step(self, rod: Rod, motion: Motion, dt: Array) -> StickingContact:
@@ -146,7 +147,7 @@ class StickingContact(Contact):
         turned = rotation_log(
             multiply_quaternions(motion.orientation, conjugate(before))
         )
-        grips = []
+        grips: list[Sequence[_Grip]] = []
         for points, elongations in zip(
             self._points(rod), self.elongations, strict=True
         ):
