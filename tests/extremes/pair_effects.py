@@ -140,7 +140,7 @@ class Maker:
         return made
 
 
-def _contact(self: Maker, many: int = 0) -> Any:
+def _contact(self: Maker, many: int = 0, *, sticks: bool = False) -> Any:
     view = self.view
     nodes = np.asarray(self.state.positions) / view._size("m") - view.shift[:, None]
     nodes = view.turn.T @ view.along(nodes)
@@ -185,7 +185,7 @@ def _contact(self: Maker, many: int = 0) -> Any:
         damping=view.number(self.weight * self.uniform(0.5, 5), "N s m^-2"),
         friction=self.uniform(0.1, 0.8) * (self.kind.method != "torsion free"),
         points_per_element=2,
-        stick_ratio=self.uniform(1, 2),
+        stick_ratio=1.0 if sticks else self.uniform(1, 2),
     )
 
 
@@ -197,7 +197,7 @@ def _near(self: Maker) -> Any:
 def _sticking(self: Maker) -> Any:
     """Contact with one shape that the rod touches or nearly touches, with static
     friction."""
-    touch = _contact(self)
+    touch = _contact(self, sticks=True)
     return jaxrod.sticking_contact(touch, self.rod, self.state)
 
 
