@@ -566,6 +566,9 @@ ROOM = {
     "cylinder": lambda top: jaxrod.shapes.cylinder(
         (-1, 0, top - 0.2), (2, 0, top - 0.2), 0.2
     ),
+    "pipe": lambda top: jaxrod.shapes.pipe(
+        (-1, 0, top - 0.2), (2, 0, top - 0.2), 0.1, thickness=0.1
+    ),
     "plane": lambda top: jaxrod.shapes.plane((0, 0, top)),
     "box": lambda top: jaxrod.shapes.box((0.5, 0, top - 0.2), (1.0, 0.2, 0.2)),
     "signed_distance": lambda top: jaxrod.shapes.signed_distance(below, top),

@@ -378,6 +378,90 @@ class Cylinder(Body):
 
 
 @pytree
+class Pipe(Body):
+    """A straight pipe with a round bore, open at both ends.
+
+    Example:
+        >>> sheath = shapes.pipe((0.0, 0.0, 0.0), (0.0, 0.0, 2.0), 0.5, thickness=0.1)
+        >>> round(float(sheath.solid().volume), 3), round(float(sheath.inradius), 3)
+        (0.691, 0.6)
+    """
+
+    start: Float[Array, "3"]
+    """Centre of one end [m]."""
+    end: Float[Array, "3"]
+    """Centre of the other end [m]."""
+    radius: Float[Array, ""]
+    """Radius of the bore [m]."""
+    thickness: Float[Array, ""]
+    """Thickness of the wall [m]."""
+
+    def surface(self, points: Vec3) -> tuple[Array, Vec3]:
+        """Distance and normal, from the distances to bore, mantle and nearer end."""
+        axis, length = _unit(self.end - self.start)
+        relative = _from_point(0.5 * (self.start + self.end), points)
+        along = vectors.dot(relative, axis)
+        across = vectors.subtract(relative, vectors.scale(along, axis))
+        half = 0.5 * self.thickness
+        beyond, outwards = _round(across, self.radius + half)
+        beside = jnp.abs(beyond) - half
+        end_face = jnp.abs(along) - 0.5 * length
+        size = jnp.minimum(half, 0.5 * length)
+        distance, (side, end) = _corner((beside, end_face), size)
+        normal = vectors.add(
+            vectors.scale(side * _sign(beyond), outwards),
+            vectors.scale(end * _sign(along), axis),
+        )
+        return distance, normal
+
+    @property
+    def count(self) -> int | None:
+        """Number of bodies: the length of a leading axis; `None` for a single one."""
+        return _count(self.radius.shape)
+
+    @property
+    def inradius(self) -> Array:
+        """Smaller of the outer radius and half the length [m].
+
+        It is that of a pipe without a bore: between two points on one side of the wall
+        no wall is thin.
+        """
+        x, y, z = jnp.moveaxis(self.end - self.start, -1, 0)
+        outer = self.radius + self.thickness
+        return jnp.minimum(outer, 0.5 * vectors.safe_norm((x, y, z)))
+
+    @property
+    def bounding_radius(self) -> Array:
+        """Distance of the farther end from the origin, plus the outer radius [m]."""
+        ends = jnp.stack([self.start, self.end])
+        farther = jnp.max(jnp.sqrt(jnp.sum(ends * ends, axis=-1)), axis=0)
+        return farther + self.radius + self.thickness
+
+    def solid(self) -> Solid:
+        """Volume, and moments of inertia per mass, about the axis and across it."""
+        centre, orientation, half = pose_of_axis(self.start, self.end)
+        outer = self.radius + self.thickness
+        squares = outer * outer + self.radius * self.radius
+        across = squares / 4 + half * half / 3
+        wall = self.thickness * (outer + self.radius)
+        return Solid(
+            Pipe(*ends_along_z(half), self.radius, self.thickness),
+            centre,
+            orientation,
+            2 * jnp.pi * wall * half,
+            jnp.stack([across, across, squares / 2]),
+        )
+
+    def mesh(self) -> Triangles:
+        """Triangles of bore, mantle and rims, for drawing."""
+        start, end = np.asarray(self.start), np.asarray(self.end)
+        half = float(np.linalg.norm(end - start)) / 2
+        bore = float(self.radius)
+        around = surfaces.pipe(half, bore, bore + float(self.thickness))
+        return surfaces.along(around, start, end)
+
+
+@pytree
 class Plane(Body):
     """Half space below a plane, such as the ground.
 
@@ -652,6 +736,36 @@ def cylinder(start: Numbers, end: Numbers, radius: Numbers) -> Cylinder:
     """
     ends = _ends(start, end)
     return Cylinder(*ends, as_array("radius", radius, "m", positive=True))
+
+
+def pipe(start: Numbers, end: Numbers, radius: Numbers, thickness: Numbers) -> Pipe:
+    """A fixed straight pipe, open at both ends: a sheath, a bore, a ring.
+
+    Contact inside of it works like that outside. The wall should be thicker than a rod
+    moves in a step; its thickness changes nothing else inside.
+
+    Args:
+        start: Centre of one end `(3,)` [m].
+        end: Centre of the other end `(3,)` [m].
+        radius: Radius of the bore [m].
+        thickness: Thickness of the wall [m].
+
+    Raises:
+        ValueError: If the ends are the same, or so near or so far apart that the square
+            of their distance leaves the range of the precision, or a number is not
+            positive.
+
+    Example:
+        >>> sheath = shapes.pipe((-0.5, 0.0, 0.0), (0.5, 0.0, 0.0), 0.05, thickness=0.1)
+        >>> distance, normal = sheath.surface(motion.position)
+        >>> round(float(distance[2]), 3)  # a node on the axis
+        0.05
+    """
+    return Pipe(
+        *_ends(start, end),
+        as_array("radius", radius, "m", positive=True),
+        as_array("thickness", thickness, "m", positive=True),
+    )
 
 
 def plane(point: Numbers = (0.0, 0.0, 0.0), normal: Numbers = (0.0, 0.0, 1.0)) -> Plane:

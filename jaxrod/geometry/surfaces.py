@@ -34,6 +34,14 @@ def cylinder(half: float, radius: float) -> Triangles:
     )
 
 
+def pipe(half: float, bore: float, outer: float) -> Triangles:
+    """Triangulated pipe with radii `bore` and `outer`, from z = -half to half."""
+    return turned(
+        np.array([bore, outer, outer, bore, bore]),
+        np.array([-half, -half, half, half, -half]),
+    )
+
+
 def along(triangles: Triangles, start: np.ndarray, end: np.ndarray) -> Triangles:
     """Moves a surface so that its z axis becomes the line from `start` to `end`.
 

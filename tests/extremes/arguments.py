@@ -169,6 +169,12 @@ NUMERIC: dict[str, dict[str, Any]] = {
     "sphere": {"centre": [1.0, 2.0, 3.0], "radius": 0.5},
     "capsule": {"start": [1.0, 2.0, 3.0], "end": [0.0, 0.0, 1.0], "radius": 0.5},
     "cylinder": {"start": [1.0, 2.0, 3.0], "end": [0.0, 0.0, 1.0], "radius": 0.5},
+    "pipe": {
+        "start": [1.0, 2.0, 3.0],
+        "end": [0.0, 0.0, 1.0],
+        "radius": 0.5,
+        "thickness": 0.1,
+    },
     "plane": {"point": [1.0, 2.0, 3.0], "normal": [0.0, 0.5, 1.0]},
     "box": {
         "centre": [1.0, 2.0, 3.0],

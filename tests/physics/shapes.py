@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import jax.numpy as jnp
 import numpy as np
 
@@ -27,6 +29,9 @@ BODIES = {
     "sphere": lambda: jaxrod.shapes.sphere((0.1, -0.02, 0.05), 0.2),
     "capsule": lambda: jaxrod.shapes.capsule((-0.2, 0.1, 0.0), (0.2, 0.0, 0.1), 0.15),
     "cylinder": lambda: jaxrod.shapes.cylinder((-0.2, 0.1, 0.0), (0.2, 0.0, 0.1), 0.15),
+    "pipe": lambda: jaxrod.shapes.pipe(
+        (-0.2, 0.1, 0.0), (0.2, 0.0, 0.1), 0.15, thickness=0.1
+    ),
     "plane": lambda: jaxrod.shapes.plane((0.0, 0.1, 0.0), (0.3, 2.0, -0.5)),
     "box": lambda: jaxrod.shapes.box(
         (0.05, 0.0, -0.05), (0.1, 0.2, 0.3), (0.9, 0.1, -0.3, 0.2)
@@ -55,7 +60,7 @@ def turned(body, rotation, shift):
     if isinstance(body, jaxrod.shapes.SignedDistance):
         centre, radius = body.parameters
         return jaxrod.shapes.signed_distance(egg, (place(centre), radius))
-    return type(body)(place(body.start), place(body.end), body.radius)
+    return replace(body, start=place(body.start), end=place(body.end))
 
 
 def rotated(rotation, points):

@@ -102,6 +102,16 @@ def test_distances_are_those_of_the_nearest_of_many_points_of_the_surface():
     ]
     assert nearest(body, jnp.concatenate([mantle, *lids], axis=1)) < 2e-3
 
+    body = jaxrod.shapes.pipe((0.0, 0.0, -0.3), (0.0, 0.0, 0.3), 0.15, thickness=0.05)
+    walls = [jnp.concatenate([r * around, 0.3 * second[None]]) for r in (0.15, 0.2)]
+    rims = [
+        jnp.concatenate(
+            [(0.15 + 0.05 * share)[None] * around, jnp.full_like(first, z)[None]]
+        )
+        for z in (-0.3, 0.3)
+    ]
+    assert nearest(body, jnp.concatenate([*walls, *rims], axis=1)) < 2e-3
+
 
 @pytest.mark.fast_sets(6)
 def test_everything_is_finite_everywhere(body, dtype):

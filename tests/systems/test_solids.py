@@ -46,6 +46,18 @@ def test_solids_of_revolution_are_sums_of_discs(shape):
     np.testing.assert_allclose(solid.centre, middle, atol=1e-12)
 
 
+def test_a_pipe_is_a_cylinder_without_its_bore():
+    start, end = np.array([0.2, -0.1, 0.4]), np.array([0.6, 0.1, -0.8])
+    pipe = jaxrod.shapes.pipe(start, end, 0.2, thickness=0.1).solid()
+    outer, bore = (jaxrod.shapes.cylinder(start, end, r).solid() for r in (0.3, 0.2))
+    volume = outer.volume - bore.volume
+    inertia = outer.volume * outer.gyration - bore.volume * bore.gyration
+    np.testing.assert_allclose(pipe.volume, volume, rtol=1e-6)
+    np.testing.assert_allclose(pipe.gyration, inertia / volume, rtol=1e-5)
+    np.testing.assert_allclose(pipe.centre, outer.centre)
+    np.testing.assert_allclose(pipe.orientation, outer.orientation)
+
+
 def test_a_box_is_its_sides():
     centre, sides = np.array([-0.1, 0.2, 0.3]), np.array([0.4, 0.3, 0.8])
     solid = jaxrod.shapes.box(tuple(centre), tuple(sides / 2)).solid()
@@ -62,11 +74,12 @@ def test_a_box_is_its_sides():
         lambda: jaxrod.shapes.sphere((0.1, 0.2, 0.3), 0.4),
         lambda: jaxrod.shapes.capsule((0.1, 0.2, 0.3), (0.4, -0.5, 0.2), 0.1),
         lambda: jaxrod.shapes.cylinder((0.1, 0.2, 0.3), (0.1, 0.2, -0.9), 0.1),
+        lambda: jaxrod.shapes.pipe((0.1, 0.2, 0.3), (0.4, -0.5, 0.2), 0.2, 0.1),
         lambda: jaxrod.shapes.box(
             (0.1, 0.2, 0.3), (0.4, 0.5, 0.6), (0.8, 0.2, -0.4, 0.4)
         ),
     ],
-    ids=["sphere", "capsule", "cylinder", "box"],
+    ids=["sphere", "capsule", "cylinder", "pipe", "box"],
 )
 def test_the_triangles_of_a_shape_have_their_corners_on_it_and_its_volume(shape):
     body = shape()
