@@ -20,7 +20,11 @@
 #define SKIP 1 /* whether pairs too far apart to touch are left out */
 #endif
 #define ELEMENTS (RODS * N)
-#define W (64 / (int)sizeof(T)) /* pairs of a chunk: numbers in a vector */
+#ifdef __AVX512F__
+#define W (64 / (int)sizeof(T)) /* pairs of a chunk: numbers in a register */
+#else
+#define W (32 / (int)sizeof(T))
+#endif
 #define ROUND_UP(n) (((n) + W - 1) / W * W)
 typedef struct {
     T stiffness, damping;
@@ -102,7 +106,7 @@ static inline V spring(V depth, V width, T stiffness) {
 static inline V normal_force(V depth, V width, V leaving, T stiffness, T damping) {
     V d;
     Mask touches = started(depth, width, &d), full = d >= width;
-    V over = d - (T)0.5 * width, part = d / width;
+    V over = d - (T)0.5 * width, part = d * (1 / width);
     V force = stiffness * choose(full, over, (T)0.5 * part * d);
     V ratio = choose(full, over, (T)0.5 * d);
     V way = damping / stiffness * larger(leaving, all(0));

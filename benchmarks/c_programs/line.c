@@ -127,8 +127,10 @@ static int contact(const States *s, const Constants *k, const List *list, const 
             V together = (q ? a->radius : a->first_radius) + b->radius;
             V3 r = with(way, fraction, a->edge), u = with(speed, fraction, a->change);
             V t = clip(dot(r, b->edge) / square);
-            V3 on = pressed(with(r, -t, b->edge), with(u, -t, b->change), together,
-                            length[q], law);
+            V3 at = with(r, -t, b->edge);
+            V near = (1 + (T)0.25 * law->onset) * together;
+            if (SKIP && largest_of(near * near - dot(at, at)) <= 0) continue;
+            V3 on = pressed(at, with(u, -t, b->change), together, length[q], law);
             V3 off = pressed(minus(r, b->edge), minus(u, b->change), together,
                              -b->follows * length[q], law);
             other_next = plus(with(other_next, t, on), off);

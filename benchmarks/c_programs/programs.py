@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import ctypes
 import subprocess
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -12,15 +12,14 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxrod.loaded_rod import external_loads
-from jaxrod.methods.drag_kick import without_drag
 from jaxrod.methods.consistent import ConsistentStepper
 from jaxrod.rods.motion import motion_of
-from jaxrod.systems.stepping.assembly import held_parts
+from jaxrod.systems.contact.neighbour_lists import RECORD
 from jaxrod.systems.stepping.stepper import stepper_at
 
 FLAGS = (
     "-O3 -march=native -fno-math-errno -fno-trapping-math -ffinite-math-only "
-    "-fno-signed-zeros -ffp-contract=fast -fopenmp-simd"
+    "-fno-signed-zeros -ffp-contract=fast"
 )
 FIELDS = ("positions", "velocities", "orientations", "angular_momenta")
 RECORDED = ("missed", "moved", "used")
@@ -71,8 +70,19 @@ def kind(dtype: str) -> str:
     return {"float32": "float", "float64": "double"}[dtype]
 
 
-def numbers_of_state(state: Any, names: tuple[str, ...] = ()) -> np.ndarray:
-    """Numbers of a rod's state, or of the states of several, as C programs order them.
+def settings_of_lists(contact: Any) -> dict[str, int]:
+    """Numbers that a C program of contact with neighbour lists is compiled for."""
+    lists = contact.lists
+    # One number of pairs holds for all lists.
+    room = np.sum(np.broadcast_to(lists.pairs, np.shape(lists.candidates)))
+    settings = {"ROOM": int(room), "EVERY": lists.refresh_every}
+    if contact.has_contact_points:
+        settings["POINTS"] = contact.points_per_element[0]
+    return settings
+
+
+def numbers_of_state(state: Any, names: Sequence[str]) -> np.ndarray:
+    """Numbers of a rod's state, or of those of several, in the order of C programs.
 
     `names` are the members of a system, one after another; none for a single rod.
     """
@@ -82,10 +92,20 @@ def numbers_of_state(state: Any, names: tuple[str, ...] = ()) -> np.ndarray:
     )
 
 
-def numbers_of_rod(
-    stepper: ConsistentStepper, state: Any, *, bent: bool
-) -> Iterator[Any]:
-    """Constants of a rod in the order of the struct `Rod`."""
+def recorded(state: Any) -> list[float]:
+    """Record of neighbour lists in a state, in the order of `RECORDED`; empty if none."""
+    if not isinstance(state, dict) or RECORD not in state:
+        return []
+    return [float(getattr(state[RECORD], name)) for name in RECORDED]
+
+
+def flat(fields: Iterable[Any], dtype: str) -> np.ndarray:
+    """Numbers of some fields, one after another."""
+    return np.concatenate([np.asarray(field, dtype).ravel() for field in fields])
+
+
+def numbers_of_rod(stepper: Any, state: Any) -> Iterator[Any]:
+    """Constants of a rod in the order of the struct `Rod`, without those at rest."""
     scene, law = stepper.scene, stepper.law
     n, dtype = scene.rod.n_elements, np.asarray(stepper.dt).dtype
     walls = [wall for effect in scene.effects if (wall := effect.wall(scene.rod))]
@@ -93,15 +113,13 @@ def numbers_of_rod(
     if walls:
         (wall,) = walls
         stiffness, orientation = np.asarray(wall.stiffness), wall.orientation
-    before = lambda x, first: np.concatenate([first[:, None], np.stack(x)], axis=1)
     spread = lambda x, k: np.broadcast_to(0.0 if x is None else np.asarray(x), (k,))
-    motion = motion_of(state)
     forces = 3 * (jnp.zeros(n + 1, dtype),)
     couples = 3 * (jnp.zeros(n, dtype),)
-    loads = external_loads(without_drag(scene), motion, forces, couples)
+    loads = external_loads(scene, motion_of(state), forces, couples)
     yield law.inverse_lengths
     yield np.stack(law.shear_stretch)
-    yield before(law.joint, stiffness)
+    yield _behind(stiffness, law.joint)
     yield orientation
     yield np.stack(loads.forces)
     yield spread(stepper.velocity_kick.gain, n + 1)
@@ -111,48 +129,49 @@ def numbers_of_rod(
     yield stepper.inverse_inertia
     yield stepper.inertia_contrast
     yield 0.0 if walls else 1.0
-    if bent:
-        yield np.stack(law.rest_strains)
-        yield before(law.rest_rotations, np.zeros(3))
 
 
-def flat(fields: Iterator[Any], dtype: str) -> np.ndarray:
-    """Numbers of some fields, one after another."""
-    return np.concatenate([np.asarray(field, dtype).ravel() for field in fields])
+def _behind(first: np.ndarray, joints: Any) -> np.ndarray:
+    """Numbers of the joints of a rod behind those of the joint with a wall."""
+    return np.concatenate([first[:, None], np.stack(joints)], axis=1)
 
 
-def numbers_of_contact(contact: Any) -> Iterator[Any]:
-    """Constants of contact between rods in the order of the struct `Law`."""
-    segments = contact.segments
-    joined = lambda name: np.concatenate([getattr(s, name) for s in segments])
-    yield contact.stiffness
-    yield contact.damping
-    yield contact.onset
-    yield contact._skin()
-    yield joined("radii")
-    yield joined("starts")
-    yield joined("rest_lengths")
-    yield np.concatenate([~s.is_end for s in segments])
-    yield joined("first_radii")
-    yield joined("first_lengths")
-    yield joined("is_last")
+def constants_of_scene(scene: Any, state: Any, dt: float, dtype: str) -> np.ndarray:
+    """Constants of a single rod, for `rod.c`."""
+    stepper = ConsistentStepper.create(scene, jnp.asarray(dt, dtype))
+    return flat(numbers_of_rod(stepper, state), dtype)
 
 
-def numbers_of_system(
-    system: Any, state: Any, dt: Any, dtype: str, *, bent: bool
-) -> tuple[np.ndarray, tuple[str, ...]]:
-    """Constants of a system for its C program, and its members in their order there."""
+def constants_of_joint(system: Any, state: Any, dt: float, dtype: str) -> np.ndarray:
+    """Constants of two rods whose nodes are tied, for `joint.c`."""
     stepper = stepper_at(system, state, jnp.asarray(dt, dtype))
-    (coupling,) = stepper.couplings
-    tied = bool(coupling.joined_nodes())
-    names = tuple(sorted(system.members)) if tied else coupling.members
+    one, two = (stepper.members[name].verlet for name in ("one", "two"))
+    last, first = one.scene.rod.node_masses[-1], two.scene.rod.node_masses[0]
+    share = first / (last + first)
+    rods = [numbers_of_rod(one, state["one"]), numbers_of_rod(two, state["two"])]
+    return flat([*rods[0], *rods[1], share], dtype)
+
+
+def constants_of_contact(system: Any, state: Any, dt: float, dtype: str) -> np.ndarray:
+    """Constants of rods that touch, for `crossing.c` and `line.c`.
+
+    A single rod that touches itself is bent at rest.
+    """
+    stepper = stepper_at(system, state, jnp.asarray(dt, dtype))
+    (contact,) = stepper.couplings
     fields: list[Any] = []
-    for name in names:
+    for name in contact.members:
         own = stepper.members[name].verlet
-        fields += list(numbers_of_rod(own, state[name], bent=bent))
-    if tied:
-        one, two = (held_parts(system, state)[name].node_masses for name in names)
-        fields.append(two[0] / (one[-1] + two[0]))
-    else:
-        fields += list(numbers_of_contact(coupling))
-    return flat(iter(fields), dtype), names
+        fields += numbers_of_rod(own, state[name])
+        if len(contact.members) == 1:
+            fields.append(np.stack(own.law.rest_strains))
+            fields.append(_behind(np.zeros(3), own.law.rest_rotations))
+    segments = contact.segments
+    largest = max(float(np.max(s.radii)) for s in segments)
+    joined = lambda name: np.concatenate([getattr(s, name) for s in segments])
+    fields += [contact.stiffness, contact.damping, contact.onset]
+    fields += [contact.lists.skin * largest]
+    fields += map(joined, ("radii", "starts", "rest_lengths"))
+    fields.append(np.concatenate([~s.is_end for s in segments]))
+    fields += map(joined, ("first_radii", "first_lengths", "is_last"))
+    return flat(fields, dtype)

@@ -9,6 +9,11 @@ from typing import Any, NamedTuple
 import numpy as np
 
 import jaxrod
+from benchmarks.c_programs.programs import (
+    constants_of_contact,
+    constants_of_joint,
+    constants_of_scene,
+)
 from benchmarks.lanes.run import crossing
 from benchmarks.system_speed.run import wound
 
@@ -22,9 +27,13 @@ class Compared(NamedTuple):
     source: str
     """Name of the C program."""
     settings: dict[str, int]
-    """Numbers that the C program is compiled for."""
+    """Numbers that the C program is compiled for, besides those of lists."""
     build: Callable[[str], Built]
     """Function from a type to the scene in it."""
+    constants: Callable[[Any, Any, float, str], np.ndarray]
+    """Function from a scene, a state, a step and a type to constants of the program."""
+    members: tuple[str, ...]
+    """Members in the order of the program; none for a single rod."""
     steps: int
     """Number of steps of a measured run."""
 
@@ -118,33 +127,55 @@ def plectoneme(n: int, dtype: str) -> Built:
     scene = jaxrod.make_scene(rod, jaxrod.exponential_damping(4.0))
     state = {"rope": state}
     system = jaxrod.make_system({"rope": scene}, touch, state=state)
-    return system, state, float(jaxrod.stable_dt(system).dt)
+    return system, state, 0.5 * float(jaxrod.stable_dt(system).dt)
+
+
+def rods(n: int) -> Compared:
+    """A single rod of n elements."""
+    build = lambda dtype: rod(n, dtype)
+    steps = max(200, 200_000 // n)
+    return Compared("rod.c", {"N": n}, build, constants_of_scene, (), steps)
 
 
 SCENES = {
-    "joint": Compared("joint.c", {"N": 20}, lambda dtype: joint(20, dtype), 10_000),
-    "crossing ropes": Compared(
+    "two rods of 20 elements, a joint": Compared(
+        "joint.c",
+        {"N": 20},
+        lambda dtype: joint(20, dtype),
+        constants_of_joint,
+        ("one", "two"),
+        8192,
+    ),
+    "two ropes of 51, `crossing_contact`": Compared(
         "crossing.c",
         {"N": 51, "RODS": 2},
         lambda dtype: crossing("crossing_contact", 51, dtype),
+        constants_of_contact,
+        ("one", "other"),
         2048,
     ),
-    "line ropes": Compared(
+    "two ropes of 51, `rod_contact`": Compared(
         "line.c",
         {"N": 51, "RODS": 2},
         lambda dtype: crossing("rod_contact", 51, dtype),
+        constants_of_contact,
+        ("one", "other"),
         2048,
     ),
-    "coil": Compared(
+    "a coil of 100, `crossing_contact`": Compared(
         "crossing.c",
         {"N": 100, "RODS": 1, "BENT": 1},
         lambda dtype: coil(100, dtype),
+        constants_of_contact,
+        ("coil",),
         1024,
     ),
-    "plectoneme": Compared(
+    "a plectoneme of 150, `rod_contact`": Compared(
         "line.c",
         {"N": 150, "RODS": 1, "BENT": 1},
         lambda dtype: plectoneme(150, dtype),
+        constants_of_contact,
+        ("rope",),
         512,
     ),
 }
