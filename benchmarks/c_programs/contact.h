@@ -1,7 +1,6 @@
-/* Rods that touch: the law at a point, neighbour lists, and steps with both.
+/* Rods that touch: arithmetic of pairs of elements, one pair in each lane of a vector.
 
-   A law of contact defines `Table`, `fill`, `reach`, `may_touch`, `listed` and
-   `contact`. Pairs are listed every EVERY steps, by testing all of them. */
+   A law includes this file, and contact_steps.h after its own functions. */
 #include <string.h>
 
 #include "rod.h"

@@ -87,6 +87,7 @@ static void drift_all(States *s, const Constants *k, T dt) {
 }
 
 void advance(States *s, const Constants *k, double dt, int steps) {
+    unsigned mode = flush_small_numbers();
     static List list;
     drift_all(s, k, (T)(0.5 * dt));
     for (int step = 0; step < steps - 1; step++) {
@@ -95,4 +96,5 @@ void advance(States *s, const Constants *k, double dt, int steps) {
     }
     kick_all(s, k, &list, steps - 1);
     drift_all(s, k, (T)(0.5 * dt));
+    restore(mode);
 }

@@ -180,7 +180,8 @@ static inline void shift(Forces *f, V3 way, const Side *a, const Side *b, Produc
     rise = rise / h.other / (CROSSED - PARALLEL);
     Products d = {rise * cosine * cosine, rise * cosine * h.mixed / h.other,
                   -2 * rise * cosine, all(0), all(0)};
-    for (int end = 0; end < 2; end++) {
+    for (int k = 0; k < 2; k++) {
+        T end = k;
         V on = (h.mixed * end - h.own_way) / h.own;
         V slope = choose((on > 0) & (on < 1), (T)0.5 * by_s / h.own, all(0));
         d.own -= slope * on, d.mixed += slope * end, d.own_way -= slope;

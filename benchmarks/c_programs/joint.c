@@ -29,6 +29,7 @@ static inline void kick_both(States *s, const Rods *r) {
 }
 
 void advance(States *s, const Rods *r, double dt, int steps) {
+    unsigned mode = flush_small_numbers();
     drift_both(s, r, (T)(0.5 * dt));
     for (int k = 1; k < steps; k++) {
         kick_both(s, r);
@@ -36,4 +37,5 @@ void advance(States *s, const Rods *r, double dt, int steps) {
     }
     kick_both(s, r);
     drift_both(s, r, (T)(0.5 * dt));
+    restore(mode);
 }

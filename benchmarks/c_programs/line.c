@@ -81,9 +81,10 @@ static int near_pairs(const List *list, const Chords *h, int *kept) {
         }
         V3 way = minus(one, two);
         V inverse = 1 / dot(f, f), along = inverse * dot(way, f);
-        V step = ((T)1 / POINTS) * inverse * dot(e, f), beyond = far;
+        V step = inverse * dot(e, f), beyond = far;
         for (int q = 0; q <= POINTS; q++) {
-            V3 r = with(with(way, all(q * ((T)1 / POINTS)), e), -clip(along + q * step), f);
+            T fraction = q * ((T)1 / POINTS);
+            V3 r = with(with(way, all(fraction), e), -clip(along + fraction * step), f);
             beyond = smaller(beyond, dot(r, r) - far * far);
         }
         for (int l = 0; l < W && begin + l < list->count; l++) {

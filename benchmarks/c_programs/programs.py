@@ -92,9 +92,12 @@ def numbers_of_state(state: Any, names: Sequence[str]) -> np.ndarray:
     )
 
 
-def recorded(state: Any) -> list[float]:
-    """Record of neighbour lists in a state, in the order of `RECORDED`; empty if none."""
-    if not isinstance(state, dict) or RECORD not in state:
+def recorded(state: Any, names: Sequence[str]) -> list[float]:
+    """Record of neighbour lists in a state; empty if there are none.
+
+    `names` are the members of a system; none for a single rod.
+    """
+    if not names or RECORD not in state:
         return []
     return [float(getattr(state[RECORD], name)) for name in RECORDED]
 

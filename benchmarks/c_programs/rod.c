@@ -2,6 +2,7 @@
 #include "rod.h"
 
 void advance(State *s, const Rod *r, double dt, int steps) {
+    unsigned mode = flush_small_numbers();
     drift(s, r, (T)(0.5 * dt));
     for (int k = 1; k < steps; k++) {
         kick(s, r, r->force);
@@ -9,4 +10,5 @@ void advance(State *s, const Rod *r, double dt, int steps) {
     }
     kick(s, r, r->force);
     drift(s, r, (T)(0.5 * dt));
+    restore(mode);
 }

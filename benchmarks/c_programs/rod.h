@@ -80,6 +80,15 @@ static inline void sine_and_cosine(T square, T *ratio, T *cosine) {
 
 static inline T root(T a) { return SINGLE ? (T)sqrtf((float)a) : (T)sqrt((double)a); }
 
+/* Numbers too small for full precision become zero, as in XLA; they are slow. Returns the
+   processor's mode before. */
+static inline unsigned flush_small_numbers(void) {
+    unsigned mode = __builtin_ia32_stmxcsr();
+    __builtin_ia32_ldmxcsr(mode | 0x8040);
+    return mode;
+}
+static inline void restore(unsigned mode) { __builtin_ia32_ldmxcsr(mode); }
+
 static void drift(State *restrict s, const Rod *restrict r, T dt) {
     for (int c = 0; c < 3; c++)
         for (int i = 0; i <= N; i++) s->x[c][i] += dt * s->v[c][i];

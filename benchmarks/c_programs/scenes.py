@@ -24,6 +24,8 @@ Built = tuple[Any, Any, float]
 class Compared(NamedTuple):
     """A scene in jaxrod, and the C program of the same law."""
 
+    title: str
+    """Words for the scene in tables."""
     source: str
     """Name of the C program."""
     settings: dict[str, int]
@@ -127,18 +129,19 @@ def plectoneme(n: int, dtype: str) -> Built:
     scene = jaxrod.make_scene(rod, jaxrod.exponential_damping(4.0))
     state = {"rope": state}
     system = jaxrod.make_system({"rope": scene}, touch, state=state)
-    return system, state, 0.5 * float(jaxrod.stable_dt(system).dt)
+    return system, state, 0.25 * float(jaxrod.stable_dt(system).dt)
 
 
 def rods(n: int) -> Compared:
     """A single rod of n elements."""
     build = lambda dtype: rod(n, dtype)
     steps = max(200, 200_000 // n)
-    return Compared("rod.c", {"N": n}, build, constants_of_scene, (), steps)
+    return Compared(str(n), "rod.c", {"N": n}, build, constants_of_scene, (), steps)
 
 
-SCENES = {
-    "two rods of 20 elements, a joint": Compared(
+SCENES: dict[str, Compared] = {
+    "joint": Compared(
+        "two rods of 20 elements, a joint",
         "joint.c",
         {"N": 20},
         lambda dtype: joint(20, dtype),
@@ -146,7 +149,8 @@ SCENES = {
         ("one", "two"),
         8192,
     ),
-    "two ropes of 51, `crossing_contact`": Compared(
+    "crossing": Compared(
+        "two ropes of 51, `crossing_contact`",
         "crossing.c",
         {"N": 51, "RODS": 2},
         lambda dtype: crossing("crossing_contact", 51, dtype),
@@ -154,7 +158,8 @@ SCENES = {
         ("one", "other"),
         2048,
     ),
-    "two ropes of 51, `rod_contact`": Compared(
+    "line": Compared(
+        "two ropes of 51, `rod_contact`",
         "line.c",
         {"N": 51, "RODS": 2},
         lambda dtype: crossing("rod_contact", 51, dtype),
@@ -162,7 +167,8 @@ SCENES = {
         ("one", "other"),
         2048,
     ),
-    "a coil of 100, `crossing_contact`": Compared(
+    "coil": Compared(
+        "a coil of 100, `crossing_contact`",
         "crossing.c",
         {"N": 100, "RODS": 1, "BENT": 1},
         lambda dtype: coil(100, dtype),
@@ -170,7 +176,8 @@ SCENES = {
         ("coil",),
         1024,
     ),
-    "a plectoneme of 150, `rod_contact`": Compared(
+    "plectoneme": Compared(
+        "a plectoneme of 150, `rod_contact`",
         "line.c",
         {"N": 150, "RODS": 1, "BENT": 1},
         lambda dtype: plectoneme(150, dtype),
