@@ -39,8 +39,10 @@ DTYPES = ("float32", "float64")
 WINDOWS = 15
 COMPARED = 100
 TOLERANCE = {"float32": 0.05, "float64": 1e-11}
-"""Largest difference of any number of the state, over the largest number [1]. In float32
-rows and XLA differ by 2e-2 in the coil, whose elements are nearly parallel."""
+"""Largest difference of any number of the state, over the largest number [1].
+
+In float32 rows and XLA differ by 2e-2 in the coil, whose elements are nearly parallel.
+"""
 OFTEN = 4
 """Steps between searches in the run that shows what a search costs."""
 
