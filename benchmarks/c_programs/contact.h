@@ -25,6 +25,7 @@
 #define W (32 / (int)sizeof(T))
 #endif
 #define ROUND_UP(n) (((n) + W - 1) / W * W)
+
 typedef struct {
     T stiffness, damping;
     T onset; /* width of the onset over the mean radius */
@@ -46,7 +47,7 @@ typedef struct {
     T places[RODS][3][N + 1]; /* of the nodes at the search */
 } List;
 
-/* Rod of an element: its index among the elements of all rods is given. */
+/* Rod of an element, which is numbered among the elements of all rods. */
 static inline int rod_of(int element) { return RODS == 1 ? 0 : element >= N; }
 static inline T most(T a, T b) { return a > b ? a : b; }
 

@@ -27,7 +27,7 @@ RECORDED = ("missed", "moved", "used")
 
 
 class Program:
-    """A compiled C program with the constants of a scene."""
+    """A C program, compiled for the sizes of a scene."""
 
     def __init__(
         self, source: str, settings: Mapping[str, Any], bits: int, folder: Path
