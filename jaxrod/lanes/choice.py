@@ -12,8 +12,8 @@ import jax
 
 from jaxrod.lanes.llvm.machine_code import llvm_is_installed, not_here
 
-AUTO, ALWAYS, ROWS, NEVER = "auto", "always", "rows", "never"
-MODES = (AUTO, ALWAYS, ROWS, NEVER)
+AUTO, ALWAYS, LOOPS, ROWS, NEVER = "auto", "always", "loops", "rows", "never"
+MODES = (AUTO, ALWAYS, LOOPS, ROWS, NEVER)
 
 _log = logging.getLogger("jaxrod.lanes")
 _mode = [os.environ.get("JAXROD_LANES", AUTO)]

@@ -24,6 +24,7 @@ from jaxrod.jax_internals.equations import (
 from jaxrod.lanes.choice import (
     ALWAYS,
     AUTO,
+    LOOPS,
     NEVER,
     ROWS,
     LaneChoice,
@@ -35,6 +36,11 @@ from jaxrod.lanes.graph import FIXED, UNIFORM, VARYING, EndNodes, Entries, Graph
 from jaxrod.lanes.jaxpr.unroll import MOST_NODES, NotUnrolled, Unroller, kind_of
 from jaxrod.lanes.llvm.kernel import Kernel, adjoint_kernel, run_kernel, step_kernel
 from jaxrod.lanes.llvm.machine_code import not_here, registered, vector_bytes
+from jaxrod.lanes.looped.kernels import (
+    back_in_lanes,
+    cycles_in_lanes,
+    run_in_lanes,
+)
 from jaxrod.lanes.rows.kernels import (
     back_kernel,
     cycles_kernel,
@@ -70,15 +76,23 @@ def lowered_by_lanes(
         return None
     begun = time.perf_counter()
     few = rods == 1 or 2 * rods < _width(spec.body)
-    by_rows = mode == ROWS or (mode == AUTO and few)
+    ways: dict[str, Callable[[str, RunSpec], tuple[Kernel | None, str]]] = {
+        "lanes": _of_lanes,
+        "lanes in loops": _in_loops,
+        "rows": _of_rows,
+    }
+    wanted = {
+        AUTO: ("rows",) if few else ("lanes", "lanes in loops", "rows"),
+        ALWAYS: ("lanes",),
+        LOOPS: ("lanes in loops",),
+        ROWS: ("rows",),
+    }[mode]
     try:
-        kernel = None
-        if not by_rows:
-            most = MOST_OPERATIONS if mode == AUTO else MOST_NODES
-            kernel, words = _of_lanes(name, spec, most)
-            by_rows = kernel is None and mode == AUTO
-        if kernel is None and by_rows:
-            kernel, words = _of_rows(name, spec)
+        kernel, words, way = None, "", ""
+        for way in wanted:
+            kernel, words = ways[way](name, spec)
+            if kernel is not None:
+                break
         if kernel is None:
             refused(words, rods)
             return None
@@ -87,7 +101,7 @@ def lowered_by_lanes(
         _failed(error, rods)
         return None
     seconds = time.perf_counter() - begun
-    words = f"{'rows' if by_rows else 'lanes'} of {vector_bytes()} bytes"
+    words = f"{way} of {vector_bytes()} bytes"
     note(LaneChoice(True, words, rods, kernel.operations, seconds))
     # Kernels align their workspace to 64 bytes themselves.
     room = kernel.room + 64 + kernel.kept * spec.every
@@ -141,13 +155,14 @@ def _failed(error: Exception, rods: int) -> None:
     refused(f"no kernel: {type(error).__name__}: {first_line}", rods)
 
 
-def _of_lanes(name: str, spec: RunSpec, most: int) -> tuple[Kernel | None, str]:
+def _of_lanes(name: str, spec: RunSpec) -> tuple[Kernel | None, str]:
     """Returns a kernel with a rod in each vector lane, or `None` and the reason.
 
-    `name` is the name of the primitive, `spec` describes the run. A graph of more than
-    `most` nodes is refused. With a kernel the reason is empty.
+    `name` is the name of the primitive, `spec` describes the run. With a kernel the
+    reason is empty.
     """
     body = spec.body
+    most = MOST_OPERATIONS if lane_mode() == AUTO else MOST_NODES
     shared = (True,) * body.n_constants
     if spec.batch is not None:
         shared = tuple(not row for row in spec.batch.rows[: body.n_constants])
@@ -157,6 +172,26 @@ def _of_lanes(name: str, spec: RunSpec, most: int) -> tuple[Kernel | None, str]:
         if name == "jaxrod_cycles":
             return _steps_kernel(body, shared, spec.keeps, most), ""
         return _back_kernel(body, spec.moving, shared, most), ""
+    except NotUnrolled as reason:
+        return None, str(reason)
+
+
+def _in_loops(name: str, spec: RunSpec) -> tuple[Kernel | None, str]:
+    """Returns a kernel with a scene in each lane and loops, or `None` and the reason.
+
+    `name` is the name of the primitive, `spec` describes the run. With a kernel the
+    reason is empty.
+    """
+    body, width = spec.body, _width(spec.body)
+    batched = (False,) * body.n_constants
+    if spec.batch is not None:
+        batched = tuple(spec.batch.rows[: body.n_constants])
+    try:
+        if spec.ends is not None:
+            return run_in_lanes(body, spec.ends, batched, width), ""
+        if name == "jaxrod_cycles":
+            return cycles_in_lanes(body, batched, width, checkpoints=spec.keeps), ""
+        return back_in_lanes(body, spec.moving, batched, width), ""
     except NotUnrolled as reason:
         return None, str(reason)
 
