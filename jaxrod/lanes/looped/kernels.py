@@ -411,8 +411,14 @@ def back_in_lanes(
 ) -> Kernel:
     """Returns the kernel of the reverse pass, with a scene in each lane.
 
-    Operands and results are those of `lanes.llvm.kernel.adjoint_kernel`. `moving` tells
-    which constants have tangents, `batched` which constants differ between scenes.
+    Operands: counts, constants, checkpoints, cotangents of the last carry. Results:
+    cotangents of the first carry and of constants; workspace.
+
+    Args:
+        body: The step.
+        moving: Whether each constant has a tangent.
+        batched: Whether each constant differs between scenes.
+        lanes: Number of lanes of a vector.
     """
     plan = LanePlan(body, batched, lanes)
     n, n_carry = plan.n_constants, len(plan.carry)

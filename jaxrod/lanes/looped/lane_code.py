@@ -61,9 +61,8 @@ class LaneWriter(Writer):
                 whole += self._flowing(stream)
                 stream = Stream()
             if flows(loop):
-                self._member(
-                    stream.add(self.schedule, loop, reads, f"g{number}"), loop
-                )
+                mark = f"g{number}"
+                self._flow(stream.add(self.schedule, loop, reads, mark), loop, mark)
             elif not loop.dims and not loop.scatters and loop.recurrence is None:
                 self._straight(loop)
             else:
@@ -285,12 +284,12 @@ class LaneWriter(Writer):
             found = self.new(f"icmp ne {many} {found}, zeroinitializer")
         return found
 
-    def _member(self, member: Member, loop: Loop) -> None:
-        """Writes the body of a loop that runs together with others."""
+    def _flow(self, member: Member, loop: Loop, mark: str) -> None:
+        """Writes a loop as a member of a stream; its labels begin with `mark`."""
         self.dims, self.indices = loop.dims, [f"%i_{member.mark}"]
         self.names, self.lines = {}, member.body
         self.before = [self.head, member.body]
-        self._body(loop, member.mark)
+        self._body(loop, mark)
 
     def _body(self, loop: Loop, mark: str) -> str:
         """Appends the body of a loop; returns the label of its last block."""
@@ -522,7 +521,8 @@ class LaneWriter(Writer):
             self._begin_scatter(node)
         first = graph.arguments[loop.scatters[0]]
         rounds = graph.extras[loop.scatters[0]][1]
-        mark, body = f"g{number}", []
+        mark = f"g{number}"
+        body: Lines = []
         numbers = dict(self.numbers)
         self.lines, self.before = body, [self.head, body]
         self.dims, self.indices = (rounds,), [f"%i_{mark}"]
@@ -629,7 +629,8 @@ class LaneWriter(Writer):
         graph, schedule = self.graph, self.schedule
         made: Recurrence = graph.extras[node]
         given, entries = graph.arguments[node], made.lanes
-        place, mark, body = schedule.place(node), f"g{number}", []
+        place, mark = schedule.place(node), f"g{number}"
+        body: Lines = []
         assert place is not None
         self.names, self.dims = {}, (made.length,)
         self.before, self.indices = [self.head, body], [f"%i_{mark}"]
@@ -714,9 +715,7 @@ def vector_literal(number: object, kind: str, lanes: int) -> str:
     return "<" + ", ".join([f"{memory_type(kind)} {text}"] * lanes) + ">"
 
 
-def lane_fill_call(
-    number: str, place: Place, kind: str, fill: Fill, lanes: int
-) -> str:
+def lane_fill_call(number: str, place: Place, kind: str, fill: Fill, lanes: int) -> str:
     """Returns LLVM IR of a call that writes one vector to many entries of an array.
 
     Args:

@@ -36,16 +36,18 @@ class Write:
     base: int | None
     """Index of that entry; each round writes the next one. `None` if the entries do not
     lie beside each other."""
+    place: int
+    """Place among the members of the one that writes them."""
 
 
 @dataclass
 class Member:
-    """A loop in a stream."""
+    """Loops in a stream that have the same rounds."""
 
     mark: str
     """Beginning of its labels. Its index is `%i_` and the mark."""
     delay: int
-    """Round of the stream in which the loop begins."""
+    """Round of the stream in which the loops begin."""
     rounds: int
     body: Lines = field(default_factory=list)
 
@@ -72,7 +74,9 @@ class Stream:
             for read, write in found
         )
 
-    def add(self, schedule: Schedule, loop: Loop, reads: list[Read], mark: str) -> Member:
+    def add(
+        self, schedule: Schedule, loop: Loop, reads: list[Read], mark: str
+    ) -> Member:
         """Adds a loop, which begins as early as its reads allow.
 
         Args:
@@ -81,22 +85,29 @@ class Stream:
             reads: Nodes that the loop reads.
             mark: Beginning of its labels.
         """
-        delay = 0
+        delay, place, rounds = 0, 0, loop.dims[0]
         for read in reads:
             for write in self._written.get(read.node, ()):
                 assert read.shift is not None and write.base is not None
                 delay = max(delay, write.delay + read.shift - write.base)
+                place = max(place, write.place)
+        while place < len(self.members):
+            member = self.members[place]
+            if (member.delay, member.rounds) == (delay, rounds):
+                break
+            place += 1
+        else:
+            member = Member(mark, delay, rounds)
+            self.members.append(member)
         for node in loop.nodes:
             if schedule.is_kept(node):
-                self._written.setdefault(node, []).append(Write(delay, 0))
+                self._written.setdefault(node, []).append(Write(delay, 0, place))
         for goal in loop.goals:
             word, _, number = goal.place.pointer.partition(" ")
             if word == "node":
                 beside = goal.piece.strides == (1,)
-                write = Write(delay, goal.piece.base if beside else None)
+                write = Write(delay, goal.piece.base if beside else None, place)
                 self._written.setdefault(int(number), []).append(write)
-        member = Member(mark, delay, loop.dims[0])
-        self.members.append(member)
         return member
 
     def lines(self) -> Lines:
@@ -114,8 +125,11 @@ class Stream:
         ]
         for member in self.members:
             own = member.mark
+            lines.append(f"%i_{own} = sub nsw i64 %t_{mark}, {member.delay}")
+            if member.rounds == rounds:
+                lines += member.body
+                continue
             lines += [
-                f"%i_{own} = sub nsw i64 %t_{mark}, {member.delay}",
                 f"%h_{own} = icmp ult i64 %i_{own}, {member.rounds}",
                 f"br i1 %h_{own}, label %{own}_go, label %{own}_gone",
                 f"{own}_go:",
