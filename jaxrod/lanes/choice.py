@@ -69,10 +69,10 @@ def use_lanes(mode: str) -> None:
         >>> jaxrod.use_lanes("never")  # XLA alone, from now on
         >>> after = jaxrod.step(scene, state, 1e-4)
         >>> jaxrod.use_lanes("auto")  # whichever is faster
-        >>> jaxrod.use_lanes("sometimes")
+        >>> jaxrod.use_lanes("often")
         Traceback (most recent call last):
             ...
-        ValueError: mode must be one of auto, always, loops, rows, never; got 'sometimes'
+        ValueError: mode must be one of auto, always, loops, rows, never; got 'often'
     """
     if mode not in MODES:
         raise ValueError(f"mode must be one of {', '.join(MODES)}; got {mode!r}")
