@@ -120,3 +120,26 @@ def test_scenes_have_lists_of_their_own(share):
     assert "_some:" in kernel.text
     for a, b in zip(found, expected, strict=True):
         np.testing.assert_allclose(a, b, rtol=1e-12, atol=1e-12)
+
+
+def touching(x, y):
+    """Sums over all pairs of points of pulls that are zero for most pairs."""
+    ahead = x[:, None] - x[None, :]
+    near = 0.01 - ahead**2
+    other = jnp.abs(x[:, None] + x[None, :] - 1) < 0.02
+    pull = jnp.where(near > 0, near * jnp.sin(ahead), 0) * y[None]
+    push = -ahead * jnp.where(other, jnp.cos(ahead), 0)
+    return [x + jnp.sum(pull - push, 0) + 0.1 * jnp.sum(push, 1), y]
+
+
+@pytest.mark.parametrize("touches", [0, 1, 5, 11])
+def test_pairs_that_touch_in_no_scene_are_skipped(touches):
+    rng = np.random.default_rng(3)
+    x = np.linspace(1, 9, SIZE) + rng.uniform(-0.05, 0.05, (11, SIZE))
+    x[:touches, ::3] = rng.uniform(0.4, 0.6, (touches, 8))
+    given = jnp.asarray(x), *batch(11, (SIZE,))
+    found, expected, kernel = bound(touching, 0, *given, n=2)
+    step = kernel.text.split("@step(")[1].split("\n}")[0]
+    assert step.count("_some:") == 1
+    for a, b in zip(found, expected, strict=True):
+        np.testing.assert_allclose(a, b, rtol=1e-12, atol=1e-12)

@@ -390,11 +390,29 @@ class LaneWriter(Writer):
         self.before = [self.head, *([] for _ in range(depth))]
         self.behind = [[] for _ in range(depth + 1)]
         self.names, self.lines = {}, self.before[depth]
-        label = self._body(loop, marks[-1])
-        phis: Lines = []
+        mark, phis = marks[-1], list[str]()
         finish: list[Callable[[], None]] = []
+        masks = masks_of_sums(self.graph, self.schedule, loop)
+        skip: Lines | None = None
+        if masks:
+            for node in self._ahead(loop, masks):
+                self.names[node] = self._computed(node)
+            some = self.value(masks[0])
+            for mask in masks[1:]:
+                some = self.new(f"or {self.type('b1')} {some}, {self.value(mask)}")
+            some = self._anywhere(some)
+            label, skip = f"{mark}_skip", []
+            self.lines.append(f"br i1 {some}, label %{mark}_some, label %{label}")
+            self.lines.append(f"{mark}_some:")
+            for node in loop.nodes:
+                if node not in self.names:
+                    self.names[node] = self._computed(node)
+        else:
+            label = self._body(loop, mark)
         for node in loop.reductions:
-            self._reduce(node, marks[-1], label, phis, finish)
+            self._reduce(node, mark, label, phis, finish, skip)
+        if skip is not None:
+            self.lines += [f"br label %{label}", f"{label}:", *skip]
         self.lines = self.behind[depth - 1]
         for act in finish:
             act()
@@ -420,6 +438,17 @@ class LaneWriter(Writer):
                 inner = [*self.before[axis], *inner]
         return inner
 
+    def _ahead(self, loop: Loop, masks: Sequence[int]) -> list[int]:
+        """Returns the nodes of a loop that its masks need, in their order."""
+        graph, own = self.graph, set(loop.nodes)
+        needed, stack = set(masks), list(masks)
+        while stack:
+            for argument in graph.arguments[stack.pop()]:
+                if argument in own and argument not in needed:
+                    needed.add(argument)
+                    stack.append(argument)
+        return [node for node in loop.nodes if node in needed]
+
     def _reduce(
         self,
         node: int,
@@ -427,6 +456,7 @@ class LaneWriter(Writer):
         label: str,
         phis: Lines,
         finish: list[Callable[[], None]],
+        skip: Lines | None,
     ) -> None:
         """Appends a reduction: along the row in registers, along outer axes in memory.
 
@@ -437,6 +467,8 @@ class LaneWriter(Writer):
             phis: List to which the loop's `phi` line is added.
             finish: List to which a function is added that appends the lines after the
                 loop.
+            skip: `phi` lines of the last block, if rounds may be skipped; the first
+                block of the body then has the label of the loop.
         """
         graph, schedule, depth = self.graph, self.schedule, len(self.dims)
         operation, axes = graph.extras[node]
@@ -470,6 +502,14 @@ class LaneWriter(Writer):
         self.count += 1
         old = f"%a{self.count}"
         made = self._combined(operation, old, value, kind)
+        if skip is not None:
+            some = made
+            self.count += 1
+            made = f"%a{self.count}"
+            skip.append(
+                f"{made} = phi {self.type(kind)} [{old}, %{mark}], "
+                f"[{some}, %{mark}_some]"
+            )
         phis.append(
             f"{old} = phi {self.type(kind)} [{self.literal(none, kind)}, %{mark}_pre], "
             f"[{made}, %{label}]"
@@ -696,6 +736,56 @@ class _RoundWriter(Writer):
 
     def new(self, text: str) -> str:
         return self.outer.new(text)
+
+
+def masks_of_sums(graph: RowGraph, schedule: Schedule, loop: Loop) -> list[int]:
+    """Returns masks of a loop that does nothing but sums.
+
+    All terms of the sums are zero where none of the masks is true. Contact between all
+    pairs of elements is an example: few pairs touch. The list is empty if there are no
+    such masks.
+    """
+    own = set(loop.nodes)
+    if loop.mask is not None or loop.goals or any(map(schedule.is_kept, own)):
+        return []
+    known: dict[int, frozenset[int] | None] = {}
+
+    def masks(node: int) -> frozenset[int] | None:
+        """Masks without which a node is zero; `None` if it need not be zero."""
+        if node not in known:
+            known[node] = found(node)
+        return known[node]
+
+    def found(node: int) -> frozenset[int] | None:
+        if graph.value(node) == 0:
+            return frozenset()
+        if node not in own:
+            return None
+        operation, arguments = graph.operations[node], graph.arguments[node]
+        if operation == "select":
+            mask, yes, no = arguments
+            if graph.value(no) == 0:
+                return frozenset([mask])
+            return _joined(masks(yes), masks(no))
+        if operation == "mul":
+            first = masks(arguments[0])
+            return masks(arguments[1]) if first is None else first
+        if operation in ("add", "sub"):
+            return _joined(*map(masks, arguments))
+        return masks(arguments[0]) if operation == "neg" else None
+
+    whole: frozenset[int] | None = frozenset()
+    for node in loop.reductions:
+        if graph.extras[node][0] != "add":
+            return []
+        whole = _joined(whole, masks(graph.arguments[node][0]))
+    return sorted(whole or ())
+
+
+def _joined(
+    a: frozenset[int] | None, b: frozenset[int] | None
+) -> frozenset[int] | None:
+    return None if a is None or b is None else a | b
 
 
 def is_single(place: Place) -> bool:

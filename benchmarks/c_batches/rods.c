@@ -29,7 +29,7 @@ typedef struct {
 #define advance advance_one
 #define State OneState
 #define Rod OneRod
-#include "rod.c"
+#include "../c_programs/rod.c"
 #undef advance
 #undef State
 #undef Rod
