@@ -129,7 +129,7 @@ def touching(x, y):
     other = jnp.abs(x[:, None] + x[None, :] - 1) < 0.02
     pull = jnp.where(near > 0, near * jnp.sin(ahead), 0) * y[None]
     push = -ahead * jnp.where(other, jnp.cos(ahead), 0)
-    return [x + jnp.sum(pull - push, 0) + 0.1 * jnp.sum(push, 1), y]
+    return [x + jnp.sum(pull - push, 0) + 0.1 * jnp.sum(pull, 1), y]
 
 
 @pytest.mark.parametrize("touches", [0, 1, 5, 11])
