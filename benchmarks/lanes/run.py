@@ -30,7 +30,7 @@ from jaxrod.envs import make
 
 PAGE = ROOT / "docs" / "performance.md"
 WINDOWS = 5
-MODES = ("always", "never")
+MODES = ("auto", "never")
 SINGLE_MODES = ("auto", "never")
 HEADS = {
     "speed": (
