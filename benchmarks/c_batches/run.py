@@ -71,7 +71,7 @@ def row(n: int, dtype: str, rods: int, folder: Path, window: float) -> str:
         begun = np.tile(start, (rods, 1))
         # The rods begin with different velocities, which grow along them.
         rates = slice(3 * (n + 1), 6 * (n + 1))
-        along = np.tile(np.linspace(0, 0.1, n + 1), 3)
+        along = np.tile(np.linspace(0, 0.01, n + 1), 3)
         begun[:, rates] += np.arange(rods)[:, None] / rods * along
         many = jax.tree.map(lambda leaf: jnp.stack([leaf] * rods), state)
         shape = many.velocities.shape
