@@ -39,14 +39,15 @@ TOLERANCE = {"float32": 1e-2, "float64": 1e-11}
 MODES = {"auto": "chosen", "loops": "lanes in loops", "rows": "rows", "never": "XLA"}
 
 
-def compiled(n: int, dtype: str, folder: Path) -> Any:
+def compiled(n: int, dtype: str) -> Any:
     """The C program for `n` elements."""
     source = Path(__file__).with_name("rods.c")
-    library = folder / f"rods_{n}_{dtype}.so"
     kind = {"float32": "float", "float64": "double"}[dtype]
-    words = f"cc {FLAGS} -DN={n} -DT={kind} -shared -fPIC {source} -o {library} -lm"
-    subprocess.run(words.split(), check=True)
-    found = ctypes.CDLL(str(library))
+    with tempfile.TemporaryDirectory() as folder:
+        library = Path(folder) / "rods.so"
+        words = f"cc {FLAGS} -DN={n} -DT={kind} -shared -fPIC {source} -o {library} -lm"
+        subprocess.run(words.split(), check=True)
+        found = ctypes.CDLL(str(library))
     given = (ctypes.c_void_p, ctypes.c_void_p, ctypes.c_double, *[ctypes.c_int] * 2)
     found.advance.argtypes = given
     return found
@@ -57,7 +58,7 @@ def advanced(scene: Any, dt: Any, state: Any, steps: Any) -> Any:
     return jaxrod.advance(scene, state, dt, steps)
 
 
-def row(n: int, dtype: str, rods: int, folder: Path, window: float) -> str:
+def row(n: int, dtype: str, rods: int, modes: list[str], window: float) -> str:
     """One row of the table.
 
     Raises:
@@ -66,7 +67,7 @@ def row(n: int, dtype: str, rods: int, folder: Path, window: float) -> str:
     with jax.enable_x64(dtype == "float64"):
         scene, state, dt = scene_of(n, dtype)
         dt = jnp.asarray(dt, dtype)
-        program, constants = compiled(n, dtype, folder), numbers_of(scene, dt, dtype)
+        program, constants = compiled(n, dtype), numbers_of(scene, dt, dtype)
         start = np.concatenate([np.asarray(getattr(state, f)).ravel() for f in FIELDS])
         begun = np.tile(start, (rods, 1))
         # The rods begin with different velocities, which grow along them.
@@ -91,7 +92,7 @@ def row(n: int, dtype: str, rods: int, folder: Path, window: float) -> str:
         steps = max(20, 20_000 // n)
         runs: dict[str, Callable[[], Any]] = {"C": lambda: in_c(steps)}
         there, first = in_c(COMPARED), {}
-        for mode in MODES:
+        for mode in modes:
             jaxrod.use_lanes(mode)
             # A new function for each mode, so that it is compiled again.
             one = jax.vmap(partial(advanced, scene, dt), in_axes=(0, None))
@@ -110,10 +111,10 @@ def row(n: int, dtype: str, rods: int, folder: Path, window: float) -> str:
             call = lambda run=run: jax.block_until_ready(run(many, jnp.int32(steps)))
             runs[mode] = call
         per = {k: 1e6 * t / steps / rods for k, t in times(runs, window).items()}
-    figures = [f"{per[k]:.3g}" for k in ("C", *MODES)]
-    share = f"{per['C'] / per['auto']:.2f}"
-    seconds = [f"{first[k]:.1f}" for k in ("auto", "never")]
-    return f"| {n} | {dtype} | {' | '.join([*figures, share, *seconds])} |"
+    figures = [f"{per[k]:.3g}" for k in ("C", *modes)]
+    figures += [f"{per['C'] / per[k]:.2f}" for k in modes]
+    figures += [f"{first[k]:.1f}" for k in modes]
+    return f"| {n} | {dtype} | {' | '.join(figures)} |"
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -121,19 +122,21 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--lengths", type=int, nargs="+", default=list(LENGTHS))
     parser.add_argument("--dtypes", nargs="+", default=list(DTYPES), choices=DTYPES)
     parser.add_argument("--rods", type=int, default=64, help="a multiple of 16")
+    parser.add_argument("--modes", nargs="+", default=list(MODES), choices=MODES)
     parser.add_argument("--seconds", type=float, default=0.1)
 
 
 def run(args: argparse.Namespace) -> int:
     """Measures and prints the table."""
     jaxrod.configure_cpu(1)
-    names = " | ".join(MODES.values())
-    heads = f"elements | type | C [us a rod-step] | {names} | C / chosen"
-    heads += " | first call, chosen [s] | XLA"
-    print(f"{processor_and_versions()}; cc {FLAGS}; {args.rods} rods\n\n| {heads} |")
-    print("|---:|---|" + "---:|" * 8)
-    with tempfile.TemporaryDirectory() as folder:
-        for dtype in args.dtypes:
-            for n in args.lengths:
-                print(row(n, dtype, args.rods, Path(folder), args.seconds), flush=True)
+    names = [MODES[mode] for mode in args.modes]
+    heads = ["elements", "type", "C [us a rod-step]", *names]
+    heads += [f"C / {name}" for name in names] + [f"first call, {k} [s]" for k in names]
+    print(f"{processor_and_versions()}; cc {FLAGS}; {args.rods} rods\n")
+    print(f"| {' | '.join(heads)} |")
+    print("|---:|---|" + "---:|" * (len(heads) - 2))
+    for dtype in args.dtypes:
+        for n in args.lengths:
+            made = row(n, dtype, args.rods, args.modes, args.seconds)
+            print(made, flush=True)
     return 0
