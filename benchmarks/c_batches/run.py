@@ -1,4 +1,4 @@
-"""Batches of rods in lanes, rows and by XLA beside a C program of the same law.
+"""Batches of rods in lanes beside a C program of the same law.
 
 The C program has a rod in each lane of a vector of 512 bits, and one pass along the
 rods for a step. It is compiled for one number of elements and one type. All programs
@@ -34,7 +34,7 @@ from benchmarks.c_programs.run import (
 from jaxrod.installation.machine import processor_and_versions
 
 LENGTHS = (20, 50, 100, 200, 500, 1000)
-TOLERANCE = {"float32": 1e-2, "float64": 1e-11}
+TOLERANCE = {"float32": 1e-2, "float64": 1e-10}
 """Largest difference of any number after the first steps, over the largest number."""
 MODES = {"auto": "chosen", "loops": "lanes in loops", "rows": "rows", "never": "XLA"}
 
