@@ -2,8 +2,9 @@
 
 `speed`: rod-steps per second of scenes of many kinds, a batch of 256. `gradient`: the
 value and gradient of 1000 steps, a batch of 64. `length`: elements from 5 to 1000.
-`batch`: rods from 1 to 65536. `single`: one scene or system, without a batch.
-`single_gradient`: its gradient. All by default; a table that is not measured stays.
+`batch`: rods from 1 to 65536. `many`: 64 systems with contact. `single`: one scene or
+system, without a batch. `single_gradient`: its gradient. All by default; a table that
+is not measured stays.
 
 Both programs are compiled first; then windows of both alternate, and the least of five
 is taken of each. Counted is processor time of one core, compiling apart.
@@ -30,7 +31,7 @@ from jaxrod.envs import make
 
 PAGE = ROOT / "docs" / "performance.md"
 WINDOWS = 5
-MODES = ("always", "never")
+MODES = ("auto", "never")
 SINGLE_MODES = ("auto", "never")
 HEADS = {
     "speed": (
@@ -49,6 +50,10 @@ HEADS = {
     "batch": (
         "| rods of 20 elements | lanes [million rod-steps/s] | XLA | ratio "
         "| first call, lanes [s] | XLA |\n|---|---:|---:|---:|---:|---:|"
+    ),
+    "many": (
+        "| 64 systems at once | kernel | kernel [us a step of one] | XLA | ratio "
+        "| first call, kernel [s] | XLA |\n|---|---|---:|---:|---:|---:|---:|"
     ),
     "single": (
         "| one scene or system | rows [us a step] | XLA | ratio "
@@ -100,11 +105,17 @@ def of_task(name: str) -> tuple[Any, Any, Any]:
     controls[turning:] = 0
     scene = params.arm.scene(jnp.asarray(controls), state.arm)
 
+    return in_single_precision((scene, state.arm, params.dt))
+
+
+def in_single_precision(tree: Any) -> Any:
+    """The same numbers in float32."""
+
     def single(leaf: Any) -> Any:
-        floating = jnp.issubdtype(leaf.dtype, jnp.floating)
+        floating = jnp.issubdtype(jnp.result_type(leaf), jnp.floating)
         return jnp.asarray(leaf, jnp.float32) if floating else leaf
 
-    return jax.tree.map(single, (scene, state.arm, params.dt))
+    return jax.tree.map(single, tree)
 
 
 SPEED: dict[str, Callable[[], tuple[Any, Any, Any]]] = {
@@ -220,6 +231,24 @@ def single_row(label: str, model: tuple[Any, Any, Any], window: float) -> str:
     )
 
 
+def many_row(label: str, model: tuple[Any, Any, Any], window: float) -> str:
+    """One row of steps of 64 equal systems at once."""
+    scene, state, dt = model
+    rods, steps = 64, 40
+
+    def run(states: Any, n: Any) -> Any:
+        return jax.vmap(lambda state: jaxrod.advance(scene, state, dt, n))(states)
+
+    programs, first = compiled(run, (batch_of(state, rods), jnp.int32(steps)))
+    made = jaxrod.lane_choices()[-1].why.partition(" of ")[0]
+    per = {k: 1e6 * t / (steps * rods) for k, t in timed(programs, window).items()}
+    kernel, xla = per["auto"], per["never"]
+    return (
+        f"| {label} | {made} | {kernel:.3g} | {xla:.3g} | {xla / kernel:.1f} | "
+        f"{first['auto']:.1f} | {first['never']:.1f} |"
+    )
+
+
 def single_gradient_row(label: str, model: tuple[Any, Any, Any], window: float) -> str:
     """One row of values and gradients to all numbers of a scene or system."""
     scene, state, dt = model
@@ -296,10 +325,10 @@ def forward_row(
 
     programs, first = compiled(run, (batch_of(state, rods), jnp.int32(steps)))
     per = {k: t / (steps * rods) for k, t in timed(programs, window).items()}
-    lanes, xla = 1e-6 / per["always"], 1e-6 / per["never"]
+    lanes, xla = 1e-6 / per["auto"], 1e-6 / per["never"]
     return (
         f"| {label} | {lanes:.3g} | {xla:.3g} | {lanes / xla:.1f} | "
-        f"{first['always']:.1f} | {first['never']:.1f} |"
+        f"{first['auto']:.1f} | {first['never']:.1f} |"
     )
 
 
@@ -316,12 +345,12 @@ def gradient_row(label: str, model: tuple[Any, Any, Any], window: float) -> str:
     couples = 0.1 * jnp.ones((rods, 3, n), state.positions.dtype)
     forward, _ = compiled(jax.vmap(final), (couples,))
     both, first = compiled(jax.vmap(jax.value_and_grad(final)), (couples,))
-    ahead = timed(forward, window)["always"] / (rods * steps)
+    ahead = timed(forward, window)["auto"] / (rods * steps)
     per = {k: t / (steps * rods) for k, t in timed(both, window).items()}
-    lanes, xla = 1e6 * per["always"], 1e6 * per["never"]
+    lanes, xla = 1e6 * per["auto"], 1e6 * per["never"]
     return (
         f"| {label} | {lanes:.3g} | {xla:.3g} | {xla / lanes:.1f} | "
-        f"{per['always'] / ahead:.1f} | {first['always']:.1f} | {first['never']:.1f} |"
+        f"{per['auto'] / ahead:.1f} | {first['auto']:.1f} | {first['never']:.1f} |"
     )
 
 
@@ -334,8 +363,16 @@ def rows(table: str, window: float) -> Iterable[str]:
         yield gradient_row("n = 20", arm(20), window)
         yield gradient_row("n = 20, float64", arm(20, dtype="float64"), window)
     elif table == "length":
-        for n in (5, 10, 20, 50, 100, 200, 1000):
+        for n in (5, 10, 20, 50, 100, 200, 500, 1000):
             yield forward_row(f"{n}", arm(n), 256, window)
+    elif table == "many":
+        twisted = example("plectoneme").build()
+        yield many_row("`plectoneme.py`", in_single_precision(twisted), window)
+        yield many_row("`plectoneme.py`, float64", twisted, window)
+        ropes = crossing("crossing_contact")
+        yield many_row("two ropes, `crossing_contact`, lists", ropes, window)
+        ropes = crossing("rod_contact")
+        yield many_row("two ropes, `rod_contact`, lists", ropes, window)
     elif table == "single":
         for label, model in SINGLE.items():
             yield single_row(label, model(), window)

@@ -12,8 +12,8 @@ import jax
 
 from jaxrod.lanes.llvm.machine_code import llvm_is_installed, not_here
 
-AUTO, ALWAYS, ROWS, NEVER = "auto", "always", "rows", "never"
-MODES = (AUTO, ALWAYS, ROWS, NEVER)
+AUTO, ALWAYS, LOOPS, ROWS, NEVER = "auto", "always", "loops", "rows", "never"
+MODES = (AUTO, ALWAYS, LOOPS, ROWS, NEVER)
 
 _log = logging.getLogger("jaxrod.lanes")
 _mode = [os.environ.get("JAXROD_LANES", AUTO)]
@@ -38,8 +38,8 @@ class LaneChoice:
     """Number of rods in the batch; 1 without a batch."""
     operations: int = 0
     """Size of the kernel; 0 for XLA. Lanes: number of graph nodes, with inputs and
-    constants. Rows and warps: lines of LLVM IR that compute a value. Beginning and end
-    of a run count too."""
+    constants. Lanes in loops, rows and warps: lines of LLVM IR that compute a value.
+    Beginning and end of a run count too."""
     seconds: float = 0.0
     """Time spent on generating and compiling the kernel [s]; 0 for XLA."""
 
@@ -51,15 +51,16 @@ def use_lanes(mode: str) -> None:
     """Sets when programs compiled from now on use jaxrod's kernels instead of XLA.
 
     On CPUs, lanes process as many rods at once as a vector register has numbers, and
-    rows process one rod, with its elements in the vector register. On NVIDIA GPUs,
-    warps of 32 threads process one scene each: wherever they are faster in mode
-    `"auto"`, and wherever they are possible in modes `"always"` and `"rows"`. Other
-    devices use XLA.
+    rows process one rod, with its elements in the vector register. Long programs of
+    lanes are loops over the elements. On NVIDIA GPUs, warps of 32 threads process one
+    scene each: wherever they are faster in mode `"auto"`, and wherever they are
+    possible in modes `"always"`, `"loops"` and `"rows"`. Other devices use XLA.
 
     Args:
         mode: `"auto"` (whichever is likely to be faster), `"always"` (lanes wherever
-            they are possible), `"rows"` (rows wherever they are possible), or
-            `"never"`. The environment variable `JAXROD_LANES` sets the initial mode.
+            they are possible), `"loops"` (lanes in loops wherever they are possible),
+            `"rows"` (rows wherever they are possible), or `"never"`. The environment
+            variable `JAXROD_LANES` sets the initial mode.
 
     Raises:
         ValueError: The mode is unknown.
@@ -68,10 +69,10 @@ def use_lanes(mode: str) -> None:
         >>> jaxrod.use_lanes("never")  # XLA alone, from now on
         >>> after = jaxrod.step(scene, state, 1e-4)
         >>> jaxrod.use_lanes("auto")  # whichever is faster
-        >>> jaxrod.use_lanes("sometimes")
+        >>> jaxrod.use_lanes("often")
         Traceback (most recent call last):
             ...
-        ValueError: mode must be one of auto, always, rows, never; got 'sometimes'
+        ValueError: mode must be one of auto, always, loops, rows, never; got 'often'
     """
     if mode not in MODES:
         raise ValueError(f"mode must be one of {', '.join(MODES)}; got {mode!r}")

@@ -1,9 +1,12 @@
 """Kernels of runs: from the jaxprs of a run to a call of its machine code.
 
-Lanes are for batches of short programs: a vector lane for each rod. LLVM compiles every
-operation of every element, so compilation takes longer for more elements. Rows are for
-single scenes, small batches and long rods: a loop over the elements for each operation.
-The length of such a program does not grow with the number of elements.
+Lanes are for batches: a vector lane for each scene. A short program is written out
+element by element, so that neighbours meet in registers. Compiling it takes longer for
+more elements. Longer programs, and reverse passes, are lanes in loops: loops over the
+elements, whose code does not grow with their number.
+
+Rows are for single scenes, small batches, and scenes that are so large that a vector of
+them does not fit into a processor's cache: the same loops, in vectors of elements.
 """
 
 from __future__ import annotations
@@ -19,11 +22,11 @@ import jax.numpy as jnp
 
 from jaxrod.jax_internals.equations import (
     operand_types,
-    result_types,
 )
 from jaxrod.lanes.choice import (
     ALWAYS,
     AUTO,
+    LOOPS,
     NEVER,
     ROWS,
     LaneChoice,
@@ -33,23 +36,31 @@ from jaxrod.lanes.choice import (
 )
 from jaxrod.lanes.graph import FIXED, UNIFORM, VARYING, EndNodes, Entries, Graph, Step
 from jaxrod.lanes.jaxpr.unroll import MOST_NODES, NotUnrolled, Unroller, kind_of
-from jaxrod.lanes.llvm.kernel import Kernel, adjoint_kernel, run_kernel, step_kernel
+from jaxrod.lanes.llvm.kernel import Kernel, run_kernel, step_kernel
 from jaxrod.lanes.llvm.machine_code import not_here, registered, vector_bytes
+from jaxrod.lanes.looped.kernels import (
+    back_in_lanes,
+    cycles_in_lanes,
+    run_in_lanes,
+)
 from jaxrod.lanes.rows.kernels import (
     back_kernel,
     cycles_kernel,
     whole_run_kernel,
 )
-from jaxrod.lanes.run_spec import Ends, LoopBody, RunSpec, adjoint_body, chosen
+from jaxrod.lanes.run_spec import Ends, LoopBody, RunSpec, chosen
 from jaxrod.lanes.warps.cuda import device, launch_for, slower_than_xla
 from jaxrod.lanes.warps.cuda import not_here as no_warps_here
 from jaxrod.lanes.warps.cuda import registered as registered_on_gpu
 from jaxrod.lanes.warps.kernels import kernel_of_warps
 
-MOST_OPERATIONS = 60_000
-"""Largest number of graph nodes for which lanes are chosen in mode `"auto"`. Longer
-programs do not fit the processor's instruction cache and take many seconds to compile,
-so rows are used."""
+MOST_OPERATIONS = 25_000
+"""Largest number of graph nodes of a program that is written out element by element in
+mode `"auto"`. Longer programs take several seconds to compile, and are no faster than
+lanes in loops."""
+MOST_MEMORY = 5_000_000
+"""Largest memory of a vector of scenes [bytes] for which lanes in loops are chosen in
+mode `"auto"`. More does not fit a processor's cache, so that rows are as fast."""
 
 
 def lowered_by_lanes(
@@ -57,7 +68,8 @@ def lowered_by_lanes(
 ) -> Callable[..., Any] | None:
     """Returns the CPU program of a primitive: a kernel's call, or `None` for XLA.
 
-    The kernel is one of lanes or of rows. The choice is recorded with its reason.
+    The kernel is one of lanes, of lanes in loops or of rows. The choice is recorded
+    with its reason.
 
     Args:
         name: Name of the primitive.
@@ -70,15 +82,23 @@ def lowered_by_lanes(
         return None
     begun = time.perf_counter()
     few = rods == 1 or 2 * rods < _width(spec.body)
-    by_rows = mode == ROWS or (mode == AUTO and few)
+    ways: dict[str, Callable[[str, RunSpec], tuple[Kernel | None, str]]] = {
+        "lanes": _written_out,
+        "lanes in loops": _in_loops,
+        "rows": _of_rows,
+    }
+    wanted = {
+        AUTO: ("rows",) if few else ("lanes", "lanes in loops", "rows"),
+        ALWAYS: ("lanes", "lanes in loops"),
+        LOOPS: ("lanes in loops",),
+        ROWS: ("rows",),
+    }[mode]
     try:
-        kernel = None
-        if not by_rows:
-            most = MOST_OPERATIONS if mode == AUTO else MOST_NODES
-            kernel, words = _of_lanes(name, spec, most)
-            by_rows = kernel is None and mode == AUTO
-        if kernel is None and by_rows:
-            kernel, words = _of_rows(name, spec)
+        kernel, words, way = None, "", ""
+        for way in wanted:
+            kernel, words = ways[way](name, spec)
+            if kernel is not None:
+                break
         if kernel is None:
             refused(words, rods)
             return None
@@ -87,7 +107,7 @@ def lowered_by_lanes(
         _failed(error, rods)
         return None
     seconds = time.perf_counter() - begun
-    words = f"{'rows' if by_rows else 'lanes'} of {vector_bytes()} bytes"
+    words = f"{way} of {vector_bytes()} bytes"
     note(LaneChoice(True, words, rods, kernel.operations, seconds))
     # Kernels align their workspace to 64 bytes themselves.
     room = kernel.room + 64 + kernel.kept * spec.every
@@ -133,21 +153,23 @@ def _failed(error: Exception, rods: int) -> None:
     """Records that a run is left to XLA because its kernel could not be compiled.
 
     Raises:
-        Exception: The error itself, in modes `"always"` and `"rows"`.
+        Exception: The error itself, in all modes but `"auto"`.
     """
-    if lane_mode() in (ALWAYS, ROWS):
+    if lane_mode() in (ALWAYS, LOOPS, ROWS):
         raise error
     first_line = str(error).partition("\n")[0]
     refused(f"no kernel: {type(error).__name__}: {first_line}", rods)
 
 
-def _of_lanes(name: str, spec: RunSpec, most: int) -> tuple[Kernel | None, str]:
-    """Returns a kernel with a rod in each vector lane, or `None` and the reason.
+def _written_out(name: str, spec: RunSpec) -> tuple[Kernel | None, str]:
+    """Returns a kernel of lanes, element by element, or `None` and the reason.
 
-    `name` is the name of the primitive, `spec` describes the run. A graph of more than
-    `most` nodes is refused. With a kernel the reason is empty.
+    `name` is the name of the primitive, `spec` describes the run. With a kernel the
+    reason is empty. Reverse passes are not written out: in loops they are as fast, and
+    compiling takes half as long.
     """
     body = spec.body
+    most = MOST_OPERATIONS if lane_mode() == AUTO else MOST_NODES
     shared = (True,) * body.n_constants
     if spec.batch is not None:
         shared = tuple(not row for row in spec.batch.rows[: body.n_constants])
@@ -156,9 +178,33 @@ def _of_lanes(name: str, spec: RunSpec, most: int) -> tuple[Kernel | None, str]:
             return _run_kernel(body, spec.ends, shared, most), ""
         if name == "jaxrod_cycles":
             return _steps_kernel(body, shared, spec.keeps, most), ""
-        return _back_kernel(body, spec.moving, shared, most), ""
+        return None, "reverse passes are not written out"
     except NotUnrolled as reason:
         return None, str(reason)
+
+
+def _in_loops(name: str, spec: RunSpec) -> tuple[Kernel | None, str]:
+    """Returns a kernel with a scene in each lane and loops, or `None` and the reason.
+
+    `name` is the name of the primitive, `spec` describes the run. With a kernel the
+    reason is empty.
+    """
+    body, width = spec.body, _width(spec.body)
+    batched = (False,) * body.n_constants
+    if spec.batch is not None:
+        batched = tuple(spec.batch.rows[: body.n_constants])
+    try:
+        if spec.ends is not None:
+            kernel = run_in_lanes(body, spec.ends, batched, width)
+        elif name == "jaxrod_cycles":
+            kernel = cycles_in_lanes(body, batched, width, checkpoints=spec.keeps)
+        else:
+            kernel = back_in_lanes(body, spec.moving, batched, width)
+    except NotUnrolled as reason:
+        return None, str(reason)
+    if lane_mode() == AUTO and kernel.room > MOST_MEMORY:
+        return None, f"a vector of scenes takes {kernel.room} bytes"
+    return kernel, ""
 
 
 def _of_rows(name: str, spec: RunSpec) -> tuple[Kernel | None, str]:
@@ -218,35 +264,6 @@ def _run_kernel(
     return run_kernel(step, around, _width(body))
 
 
-@lru_cache(maxsize=64)
-def _back_kernel(
-    body: LoopBody, moving: tuple[bool, ...], shared: tuple[bool, ...], most: int
-) -> Kernel:
-    step, unroller, inputs = _unrolled_step(body, shared, most)
-    graph = step.graph
-    spec = RunSpec(body, 0, moving)
-    closed = adjoint_body(spec)
-    floats = chosen(step.carry, body.floating)
-    sums = chosen(step.constants, moving)
-    carry = [Entries(e.kind, e.size, VARYING) for e in (*floats, *sums)]
-    first = len(step.constants) + len(step.carry)
-    given = [
-        graph.inputs(first + i, aval.shape, kind_of(aval), VARYING)
-        for i, aval in enumerate(result_types(closed))
-    ]
-    made = unroller.run(closed, [*inputs, *given[: len(floats)]])
-    total = [
-        graph.each("add", e.kind, old, new)
-        for e, old, new in zip(
-            sums, given[len(floats) :], made[len(floats) :], strict=True
-        )
-    ]
-    _check_length(graph.n_operations, most)
-    outputs = [array.reshape(-1).tolist() for array in (*made[: len(floats)], *total)]
-    adjoint = Step(graph, step.constants, carry, outputs)
-    return adjoint_kernel(step, adjoint, len(floats), _width(body))
-
-
 def _width(body: LoopBody) -> int:
     """Number of the carry's widest floats per vector register, at least 2."""
     sizes = [aval.dtype.itemsize for aval in chosen(body.avals, body.floating)] or [4]
@@ -270,7 +287,7 @@ def _unrolled_step(
         NotUnrolled: The step cannot be unrolled, or has more than `most` nodes.
     """
     graph = Graph()
-    unroller = Unroller(graph)
+    unroller = Unroller(graph, most)
     inputs, entries = [], []
     for i, aval in enumerate(operand_types(body.closed)):
         rate = VARYING
@@ -280,7 +297,6 @@ def _unrolled_step(
         inputs.append(graph.inputs(i, aval.shape, kind, rate))
         entries.append(Entries(kind, inputs[-1].size, rate))
     made = unroller.run(body.closed, inputs)
-    _check_length(graph.n_operations, most)
     outputs = [array.reshape(-1).tolist() for array in made]
     constants, carry = entries[: body.n_constants], entries[body.n_constants :]
     return Step(graph, constants, carry, outputs), unroller, inputs
@@ -310,7 +326,6 @@ def _unrolled_run(
     ]
     begun = unroller.run(ends.begin, [*inputs[:n], *given])
     ended = unroller.run(ends.end, inputs)
-    _check_length(graph.n_operations, most)
     return step, EndNodes(
         [_entries_of(aval) for aval in avals],
         [array.reshape(-1).tolist() for array in begun],
@@ -322,13 +337,3 @@ def _unrolled_run(
 def _entries_of(aval: Any) -> Entries:
     """Returns number type and size of an array, marked as changing at every step."""
     return Entries(kind_of(aval), math.prod(aval.shape), VARYING)
-
-
-def _check_length(operations: int, most: int) -> None:
-    """Refuses a program with more than `most` operations.
-
-    Raises:
-        NotUnrolled: The program is too long.
-    """
-    if operations > most:
-        raise NotUnrolled(f"a program of {operations} operations is longer than {most}")

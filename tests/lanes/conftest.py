@@ -19,7 +19,7 @@ def pytest_generate_tests(metafunc):
     """Runs the tests of some modules in both modes."""
     name = metafunc.module.__name__.rpartition("test_")[2]
     if name in BY_BOTH and "always" in metafunc.fixturenames:
-        modes = ["always", "rows", *(["warps"] if name in BY_WARPS else [])]
+        modes = ["always", "loops", "rows", *(["warps"] if name in BY_WARPS else [])]
         metafunc.parametrize("always", modes, indirect=True)
 
 

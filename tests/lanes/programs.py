@@ -288,9 +288,10 @@ OPERATIONS = (
     *(_scan, _loop, _branch, _matrix, _einsum, _derivative),
 )
 MOVING = (_gather_moving, _scatter_moving, _scatter_masked)
-"""Operations at places that change, which rows have and lanes have not."""
-LENGTHS = {"always": (1, 2, 3), "rows": (1, 2, 3, 4, 5, 7, 8, 9, 17, 20)}
-"""Lengths of axes, by mode: those of rows are loops from five on."""
+"""Operations at places that change, which loops have and unrolled lanes have not."""
+_ANY = (1, 2, 3, 4, 5, 7, 8, 9, 17, 20)
+LENGTHS = {"always": (1, 2, 3), "loops": _ANY, "rows": _ANY}
+"""Lengths of axes, by mode: where there are loops, they begin at a length of five."""
 
 
 def random_program(seed, mode="always"):
@@ -311,7 +312,7 @@ def random_program(seed, mode="always"):
         jnp.asarray(rng.integers(-9, 9, shape()), jnp.int32),
         jnp.asarray(rng.integers(0, 2, shape()), bool),
     ]
-    known = OPERATIONS + (6 * MOVING if mode == "rows" else ())
+    known = OPERATIONS + (() if mode == "always" else 6 * MOVING)
     picks = rng.integers(0, len(known), rng.integers(3, 9))
     inner_seed = int(rng.integers(2**31))
 

@@ -69,7 +69,7 @@ def test_lanes_are_for_cpus_alone(monkeypatch, backend):
 
 @pytest.mark.parametrize("mode", ["sometimes", "", None])
 def test_a_mode_there_is_not_is_refused_in_words(mode):
-    with pytest.raises(ValueError, match="auto, always, rows, never"):
+    with pytest.raises(ValueError, match="auto, always, loops, rows, never"):
         use_lanes(mode)
 
 
@@ -85,9 +85,22 @@ def test_a_mode_in_the_environment_that_there_is_not_is_refused_in_words():
     assert made.returncode != 0 and "JAXROD_LANES must be one of" in made.stderr
 
 
-def test_a_step_that_is_too_long_for_lanes_is_left_to_rows(monkeypatch):
+def test_a_long_step_is_a_loop_and_a_large_one_is_left_to_rows(monkeypatch):
     kernels._run_kernel.cache_clear()
     monkeypatch.setattr(kernels, "MOST_OPERATIONS", 1000)
     use_lanes("auto")
     taken = advanced(9)[-1]
+    assert taken.taken and taken.why.startswith("lanes in loops")
+    monkeypatch.setattr(kernels, "MOST_MEMORY", 1000)
+    taken = advanced(9)[-1]
     assert taken.taken and taken.why.startswith("rows")
+
+
+def test_reverse_passes_of_batches_are_lanes_in_loops():
+    scene, state, dt = hanging(4)
+    choice._choices.clear()
+    use_lanes("auto")
+    final = lambda s: jnp.sum(jaxrod.advance(scene, s, dt, 3).positions ** 2)
+    jax.jit(jax.vmap(jax.grad(final, allow_int=True)))(shaken(state, 8, 0))
+    assert any(made.why.startswith("lanes in loops") for made in lane_choices())
+    assert all(made.taken for made in lane_choices())

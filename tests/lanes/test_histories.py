@@ -14,7 +14,7 @@ from physics.test_histories import LAWS, swinging
 
 
 @pytest.mark.fast_sets(1)
-@pytest.mark.parametrize("mode", ["always", "rows"])
+@pytest.mark.parametrize("mode", ["always", "loops", "rows"])
 @pytest.mark.parametrize("law", LAWS.values(), ids=LAWS)
 def test_kernels_take_materials_with_memory(law, mode):
     scene, state, dt = swinging(law)

@@ -1,4 +1,4 @@
-"""Rows: list entries that are not in use are skipped, and nothing else is."""
+"""Loops over rows: entries not in use are skipped, and pieces and scans are right."""
 
 import jax
 import jax.numpy as jnp
@@ -10,6 +10,7 @@ from jaxrod.lanes.primitives import cycles_p
 from jaxrod.lanes.rows.kernels import cycles_kernel
 from jaxrod.lanes.run_spec import LoopBody, RunSpec
 
+LOOPS = pytest.mark.parametrize("way", ["rows", "loops"])
 ENTRIES, SIZE = 37, 11
 
 
@@ -20,9 +21,10 @@ def gathered_and_scattered(table, places, there, total):
     return [total + jnp.zeros(SIZE, table.dtype).at[places].add(more)]
 
 
+@LOOPS
 @pytest.mark.parametrize("used", [0, 1, 16, 36, 37, "scattered"])
 @pytest.mark.parametrize("dtype", ["float32", "float64"])
-def test_sums_over_the_entries_in_use_are_those_of_xla(used, dtype):
+def test_sums_over_the_entries_in_use_are_those_of_xla(used, dtype, way):
     rng = np.random.default_rng(0)
     table = jnp.asarray(rng.normal(size=SIZE), dtype)
     places = jnp.asarray(rng.integers(0, SIZE, ENTRIES), jnp.int32)
@@ -33,7 +35,7 @@ def test_sums_over_the_entries_in_use_are_those_of_xla(used, dtype):
     kernel = cycles_kernel(body, (False,) * 3, checkpoints=False)
     assert "_skip:" in kernel.text
     found = []
-    for mode in ("rows", "never"):
+    for mode in (way, "never"):
         use_lanes(mode)
         run = jax.jit(lambda *a: cycles_p.bind(*a, spec=RunSpec(body, None)))
         found.append(run(jnp.int32(3), *given)[0])
@@ -54,8 +56,9 @@ def windows(places, table, rows):
     ]
 
 
+@LOOPS
 @pytest.mark.parametrize("dtype", ["float32", "float64"])
-def test_gathers_of_pieces_are_those_of_xla(dtype):
+def test_gathers_of_pieces_are_those_of_xla(dtype, way):
     rng = np.random.default_rng(0)
     table = jnp.asarray(rng.normal(size=SIZE), dtype)
     rows = jnp.asarray(rng.normal(size=(5, 4)), dtype)
@@ -64,7 +67,7 @@ def test_gathers_of_pieces_are_those_of_xla(dtype):
     slots = [jnp.zeros(8, dtype), jnp.zeros((8, 2), dtype)]
     step = lambda *arrays: windows(*arrays[:3])
     body = LoopBody(jax.make_jaxpr(step)(*given, *slots), 3)
-    use_lanes("rows")
+    use_lanes(way)
     run = jax.jit(lambda *a: cycles_p.bind(*a, spec=RunSpec(body, None)))
     found = run(jnp.int32(1), *given, *slots)
     assert lane_choices()[-1].taken, lane_choices()[-1].why
@@ -92,9 +95,10 @@ def falling(above, below, backwards):
     return [found[:, 0] + found[::-1, 1] * last[1][0], below]
 
 
+@LOOPS
 @pytest.mark.parametrize("length", [1, 2, 7, 100])
 @pytest.mark.parametrize("dtype", ["float32", "float64"])
-def test_a_scan_of_pairs_is_a_loop(length, dtype):
+def test_a_scan_of_pairs_is_a_loop(length, dtype, way):
     """Longer than loops that are unrolled; the code is as long for any length."""
     rng = np.random.default_rng(length)
     given = [jnp.asarray(rng.uniform(0.5, 1, length), dtype) for _ in range(2)]
@@ -104,7 +108,7 @@ def test_a_scan_of_pairs_is_a_loop(length, dtype):
         text = cycles_kernel(body, (), checkpoints=False).text
         assert text.count("fdiv") == 1
     found = []
-    for mode in ("rows", "never"):
+    for mode in (way, "never"):
         use_lanes(mode)
         run = jax.jit(lambda *a: cycles_p.bind(*a, spec=RunSpec(body, 3)))
         found.append(run(jnp.int32(3), *given)[0])

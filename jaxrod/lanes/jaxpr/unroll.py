@@ -38,13 +38,14 @@ class NotUnrolled(Exception):
 class Unroller:
     """Translates jaxprs to nodes of one graph; each node is a single number."""
 
-    def __init__(self, graph: Graph) -> None:
+    def __init__(self, graph: Graph, most: int = MOST_NODES) -> None:
         """Makes an unroller with the rules of all registered primitives.
 
         Args:
             graph: Graph to which nodes are added.
+            most: Largest number of nodes; longer programs are refused.
         """
-        self.graph = graph
+        self.graph, self.most = graph, most
         self.rules: dict[str, Rule] = RULES
         """Translation rules, by name of the primitive."""
 
@@ -84,8 +85,8 @@ class Unroller:
                         f"{name}: {result.shape}, not {variable.aval.shape}"
                     )
                 values[variable] = result
-            if self.graph.n_operations > MOST_NODES:
-                raise NotUnrolled(f"the program has more than {MOST_NODES} operations")
+            if self.graph.n_operations > self.most:
+                raise NotUnrolled(f"the program has more than {self.most} operations")
         return [read(atom) for atom in jaxpr.outvars]
 
     def as_array(self, result: Any) -> Any:

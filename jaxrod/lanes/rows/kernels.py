@@ -475,8 +475,8 @@ def back_kernel(
 ) -> Kernel:
     """Returns the kernel of the reverse pass, for one scene after another.
 
-    Operands and results are those of `lanes.llvm.kernel.adjoint_kernel`. `moving` tells
-    which constants have tangents, `batched` which constants differ between scenes.
+    Operands and results are those of `lanes.looped.kernels.back_in_lanes`. `moving`
+    tells which constants have tangents, `batched` which differ between scenes.
     """
     plan = RowPlan(body, batched)
     n = plan.n_constants

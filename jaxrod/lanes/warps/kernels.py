@@ -425,8 +425,8 @@ def back_by_warps(
 ) -> WarpKernel:
     """Returns the GPU kernel of the reverse pass, with a warp for each scene.
 
-    Operands and results are those of `lanes.llvm.kernel.adjoint_kernel`. `moving` tells
-    which constants have tangents, `batched` which constants differ between scenes.
+    Operands and results are those of `lanes.looped.kernels.back_in_lanes`. `moving`
+    tells which constants have tangents, `batched` which differ between scenes.
     """
     plan = WarpPlan(body, batched)
     n, n_carry = plan.n_constants, len(plan.carry)
