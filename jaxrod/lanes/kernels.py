@@ -11,7 +11,7 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Callable, Sequence
-from functools import lru_cache
+from functools import lru_cache, partial
 from typing import Any
 
 import jax
@@ -33,6 +33,7 @@ from jaxrod.lanes.choice import (
 )
 from jaxrod.lanes.graph import FIXED, UNIFORM, VARYING, EndNodes, Entries, Graph, Step
 from jaxrod.lanes.jaxpr.unroll import MOST_NODES, NotUnrolled, Unroller, kind_of
+from jaxrod.lanes.kept_kernels import kept
 from jaxrod.lanes.llvm.kernel import Kernel, adjoint_kernel, run_kernel, step_kernel
 from jaxrod.lanes.llvm.machine_code import not_here, registered, vector_bytes
 from jaxrod.lanes.rows.kernels import (
@@ -75,10 +76,12 @@ def lowered_by_lanes(
         kernel = None
         if not by_rows:
             most = MOST_OPERATIONS if mode == AUTO else MOST_NODES
-            kernel, words = _of_lanes(name, spec, most)
+            make = partial(_of_lanes, name, spec, most)
+            kernel, words = kept(f"lanes of at most {most}", name, spec, make)
             by_rows = kernel is None and mode == AUTO
         if kernel is None and by_rows:
-            kernel, words = _of_rows(name, spec)
+            make = partial(_of_rows, name, spec)
+            kernel, words = kept("rows", name, spec, make)
         if kernel is None:
             refused(words, rods)
             return None
