@@ -41,7 +41,8 @@ PROGRAMS = (
 )
 HEAD = (
     "| program | import [s] | model [s] | first call [s] | programs | kernels "
-    "| second process: first call [s] | again [s] |\n|---|---:|---:|---:|---:|---:|---:|---:|"
+    "| second process: first call [s] | again [s] |\n"
+    "|---|---:|---:|---:|---:|---:|---:|---:|"
 )
 TASKS_HEAD = "| task | compiling [s] | second process [s] |\n|---|---:|---:|"
 

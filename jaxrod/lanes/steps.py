@@ -36,7 +36,8 @@ def try_lanes(integrator: Any, given: Any, n_times: Any) -> Any:
     """Runs an integrator from a state to a result, by a primitive that has kernels.
 
     Args:
-        integrator: A pytree with methods `begin`, `cycle` and `end`.
+        integrator: A pytree with methods `begin`, `cycle` and `end`. If its attribute
+            `iterates` is true, a cycle has loops whose length depends on numbers.
         given: State, the argument of `begin`.
         n_times: Number of cycles, an `int` or traced.
 
@@ -45,6 +46,9 @@ def try_lanes(integrator: Any, given: Any, n_times: Any) -> Any:
         that the caller has to write the loop for XLA.
     """
     if not _kernels_wanted():
+        return None
+    if getattr(integrator, "iterates", False):
+        refused("lanes have no loop whose length depends on numbers")
         return None
     from jaxrod.lanes.primitives import run_p
 

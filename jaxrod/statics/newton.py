@@ -111,7 +111,8 @@ def newton(
         converged=jnp.zeros((), bool),
     )
     end = lax.while_loop(unfinished, improve, begin)
-    return replace(end, increment=balance.retract(end.increment, end.step))
+    last = by_kernel(balance, "retracted", (end.increment, end.step))
+    return replace(end, increment=last)
 
 
 def _largest_share(step: Float[Array, "n+1 6"]) -> Array:

@@ -198,6 +198,10 @@ class LoadBalance:
         """
         return self.motion(self.retract_along_edges(*given))
 
+    def retracted(self, given: tuple[Increment, Array]) -> Increment:
+        """Increment after `retract` of the two entries of `given`."""
+        return self.retract(*given)
+
     def increment_along_edges(self, given: tuple[Increment, Array]) -> Increment:
         """Increment after `retract_along_edges` of the two entries of `given`."""
         return self.retract_along_edges(*given)
@@ -256,9 +260,13 @@ class LoadBalance:
         return Increment(displacement, vectors.add(own, change))
 
     def with_held_components(
-        self, guess: Float[Array, "n+1 6"], found: Increment
+        self, given: tuple[Float[Array, "n+1 6"], Increment]
     ) -> Increment:
-        """Increment `found`, with held components taken from the step `guess`."""
+        """Increment `found`, with held components taken from the step `guess`.
+
+        They are the entries of `given`: `guess`, then `found`.
+        """
+        guess, found = given
         free = Increment(*unstack_dofs(self.free))
         displacement, turn = unstack_dofs(guess)
         own = to_material(directors(self.base.orientation), turn)
