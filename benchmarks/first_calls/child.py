@@ -1,4 +1,4 @@
-"""One program in a process of its own: `python -m benchmarks.first_calls.child NAME`.
+"""One program in a process of its own; `run.py` starts it with the name of one.
 
 Prints a line of JSON with processor times and what was compiled.
 """

@@ -1,4 +1,4 @@
-"""Processor time of first calls: what a user waits for before the first answer.
+"""Processor time before the first answer, in a first and in a second process.
 
 Each program runs in a process of its own. "First process" keeps no programs on disk.
 "Second process" finds those that an earlier process has kept. A call that is repeated

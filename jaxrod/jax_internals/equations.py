@@ -155,9 +155,13 @@ def programs_within(equation: Any) -> Iterator[Any]:
     """Yields the jaxprs among the parameters of an equation."""
     for value in equation.params.values():
         for inner in value if isinstance(value, tuple | list) else (value,):
-            inside = getattr(inner, "jaxpr", inner)
-            if hasattr(inside, "eqns"):
-                yield inside
+            if _is_program(inner):
+                yield program_of(inner).jaxpr
+
+
+def _is_program(value: Any) -> bool:
+    """Whether a value is a jaxpr, closed or not."""
+    return hasattr(program_of(value).jaxpr, "eqns")
 
 
 def called_program(equation: Any) -> Any:
@@ -312,24 +316,21 @@ def _type_text(aval: Any) -> str:
     return f"{aval.dtype}{list(aval.shape)}"
 
 
-_PLAIN = (type(None), bool, int, float, str)
-
-
 def _described(value: Any, rules: bool) -> str:
     """Description of the value of a parameter, or of known numbers.
 
     Raises:
         NoDescriptionError: It has none.
     """
-    if type(value) in _PLAIN:
+    if isinstance(value, enum.Enum):
+        return f"{type(value).__name__}.{value.name}"
+    if value is None or isinstance(value, bool | int | float | str):
         return f"{type(value).__name__} {value!r}"
     if isinstance(value, tuple | list):
         inside = ";".join(_described(part, rules) for part in value)
         return f"{type(value).__name__}({inside})"
-    if hasattr(getattr(value, "jaxpr", value), "eqns"):
+    if _is_program(value):
         return f"{{{description(value, rules=rules)}}}"
-    if isinstance(value, enum.Enum):
-        return f"{type(value).__name__}.{value.name}"
     if isinstance(value, np.dtype):
         return str(value)
     if isinstance(value, np.ndarray | np.generic) and value.dtype.kind in "biuf":

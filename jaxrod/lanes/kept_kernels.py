@@ -34,7 +34,7 @@ def kept(kind: str, name: str, spec: RunSpec, make: Callable[[], Made]) -> Made:
     """Returns a kernel from disk, or makes it and stores it there.
 
     Args:
-        kind: Type of the kernel, and all that it depends on besides the program.
+        kind: Type of the kernel, with its limits.
         name: Name of the primitive.
         spec: Structure of the operation. Its number of steps is not part of a kernel.
         make: Function that makes the kernel.

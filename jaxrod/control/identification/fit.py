@@ -136,6 +136,11 @@ def fit(
             raise ValueError('mode must be "forward" with multiple_shooting')
         return _fit_windows(simulate, problem, windows, iterations, damping, tolerance)
 
+    try:
+        hash(simulate)
+    except TypeError:
+        # An object that is called, with arrays in it: compiled for this call alone.
+        simulate = partial(simulate)
     return _fit_whole(simulate, problem, damping, tolerance, iterations, mode)
 
 
