@@ -26,6 +26,7 @@ from jaxrod.lanes.run_spec import RunSpec
 
 Made = tuple[Kernel | None, str]
 """A kernel, or `None` and the reason why there is none."""
+_WHAT = "kernel"
 _FASTEST = 1
 """Level of compression: LLVM IR shrinks to a tenth in milliseconds."""
 
@@ -44,7 +45,7 @@ def kept(kind: str, name: str, spec: RunSpec, make: Callable[[], Made]) -> Made:
     key = _key(kind, name, spec)
     if key is None:
         return make()
-    found = read(key)
+    found = read(key, _WHAT)
     if found is not None:
         fields = json.loads(zlib.decompress(found))
         words = fields.pop("words")
@@ -52,7 +53,7 @@ def kept(kind: str, name: str, spec: RunSpec, make: Callable[[], Made]) -> Made:
     kernel, words = make()
     fields = {} if kernel is None else dataclasses.asdict(kernel)
     text = json.dumps({**fields, "words": words})
-    write(key, zlib.compress(text.encode(), _FASTEST))
+    write(key, zlib.compress(text.encode(), _FASTEST), _WHAT)
     return kernel, words
 
 

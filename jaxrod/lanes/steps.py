@@ -10,7 +10,7 @@ import jax
 import jax.numpy as jnp
 from jax import lax
 
-from jaxrod.jax_internals.equations import result_types
+from jaxrod.jax_internals.equations import program_of, result_types
 from jaxrod.jax_internals.mesh_axes import axes_of, pvary, varying_shape
 from jaxrod.lanes.choice import (
     NEVER,
@@ -163,6 +163,10 @@ class _Parts:
             return pvary([_settled(leaf) for leaf in made], self.axes)
 
         closed = jax.make_jaxpr(method)(*self.constants, *leaves)
+        known = program_of(closed).constants
+        if any(isinstance(number, jax.core.Tracer) for number in known):
+            # A function in the structure holds a number of this trace alone.
+            return closed, result[0]
         while len(_programs) >= MOST_PROGRAMS:
             del _programs[next(iter(_programs))]
         _programs[key] = closed, result[0]

@@ -207,27 +207,30 @@ def keeps_objects(engine: Any, key: str) -> None:
     )
 
 
-def read(key: str) -> bytes | None:
-    """Returns what is kept under a key, or `None`: not there, damaged, or not ours."""
+def read(key: str, what: str = "lanes") -> bytes | None:
+    """Returns what is kept under a key, or `None`: not there, damaged, or not ours.
+
+    The name of its file begins with `what` it is, machine code by default.
+    """
     folder = folder_of_kernels()
     if folder is None:
         return None
-    found = read_own(_path(folder, key))
+    found = read_own(_path(folder, key, what))
     if found is None:
         return None
     content = found[_DIGEST:]
     return content if hashlib.sha256(content).digest() == found[:_DIGEST] else None
 
 
-def write(key: str, content: bytes) -> None:
-    """Keeps bytes under a key, if there is a folder for them."""
+def write(key: str, content: bytes, what: str = "lanes") -> None:
+    """Keeps bytes under a key, if there is a folder for them; see `read`."""
     folder = folder_of_kernels()
     if folder is None:
         return
     try:
         make_private_folder(folder)
         whole = hashlib.sha256(content).digest() + content
-        write_atomically(_path(folder, key), whole, private=True)
+        write_atomically(_path(folder, key, what), whole, private=True)
     except OSError:
         # A folder that is full or read-only costs time, not results.
         return
@@ -251,8 +254,8 @@ def _is_refused(folder: Path) -> bool:
     return True
 
 
-def _path(folder: Path, key: str) -> Path:
-    return folder / f"jaxrod-lanes-{hashlib.sha256(key.encode()).hexdigest()}"
+def _path(folder: Path, key: str, what: str) -> Path:
+    return folder / f"jaxrod-{what}-{hashlib.sha256(key.encode()).hexdigest()}"
 
 
 def folder_of_kernels() -> Path | None:
