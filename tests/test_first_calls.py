@@ -1,5 +1,7 @@
 """What first calls trace and compile, counted so that it cannot creep back."""
 
+from typing import ClassVar
+
 import jax
 import jax.monitoring
 import jax.numpy as jnp
@@ -72,8 +74,8 @@ def test_derivatives_of_equilibria_leave_little_to_xla():
 class Counted(jaxrod.extend.Effect):
     """An effect that counts how often its loads are traced."""
 
+    traces: ClassVar[list[int]] = []
     push: jax.Array
-    traces = []
 
     def loads(self, rod, motion):
         self.traces.append(1)
