@@ -51,7 +51,7 @@ MOST_BYTES = 10**9
 _JAX_SHORTEST = 1.0
 _OWN = "jaxrod-process-"
 """Beginning of the names of the folders of single processes."""
-_KEPT = re.compile(r"jaxrod-lanes-.*|.*-cache|.*-atime")
+_KEPT = re.compile(r"jaxrod-(lanes|kernel)-.*|.*-cache|.*-atime")
 """Names of the files that JAX and jaxrod keep; others in the folder are not touched."""
 _WEEK = 7 * 86_400.0
 

@@ -6,9 +6,14 @@ with such a parameter is left to XLA.
 
 from __future__ import annotations
 
+import enum
 from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
 
 _PARAMETERS: dict[str, str] = {
     # Primitives that only move numbers.
@@ -150,9 +155,13 @@ def programs_within(equation: Any) -> Iterator[Any]:
     """Yields the jaxprs among the parameters of an equation."""
     for value in equation.params.values():
         for inner in value if isinstance(value, tuple | list) else (value,):
-            inside = getattr(inner, "jaxpr", inner)
-            if hasattr(inside, "eqns"):
-                yield inside
+            if _is_program(inner):
+                yield program_of(inner).jaxpr
+
+
+def _is_program(value: Any) -> bool:
+    """Whether a value is a jaxpr, closed or not."""
+    return hasattr(program_of(value).jaxpr, "eqns")
 
 
 def called_program(equation: Any) -> Any:
@@ -209,3 +218,123 @@ def while_of(equation: Any) -> While:
         given["body_jaxpr"],
         given["body_nconsts"],
     )
+
+
+class NoDescriptionError(Exception):
+    """Raised for a program with a part that has no stable description."""
+
+
+def description(program: Any, *, rules: bool = False) -> str:
+    """Returns a text that is equal for programs that compute the same, in any process.
+
+    It has all types, known numbers, equations and the parameters that are understood.
+
+    Args:
+        program: A jaxpr, closed or not.
+        rules: Whether programs with equal texts also have the same derivatives. Then
+            custom rules of derivatives are described by what they compute.
+
+    Raises:
+        NoDescriptionError: If a primitive, a parameter or a number has no description.
+    """
+    jaxpr, constants = program_of(program)
+    numbers: dict[Any, int] = {}
+
+    def new(variable: Any) -> str:
+        numbers[variable] = len(numbers)
+        return _type_text(variable.aval)
+
+    def read(atom: Any) -> str:
+        if is_literal(atom):
+            return f"{_described(np.asarray(atom.val), rules)}{_type_text(atom.aval)}"
+        return str(numbers[atom])
+
+    lines = [",".join(map(new, [*jaxpr.constvars, *jaxpr.invars]))]
+    lines += [_described(np.asarray(constant), rules) for constant in constants]
+    for equation in jaxpr.eqns:
+        words = unknown_parameter(equation)
+        if words is not None:
+            raise NoDescriptionError(words)
+        given = ",".join(map(read, equation.invars))
+        made = ",".join(map(new, equation.outvars))
+        lines.append(f"{_operation(equation, rules)}:{given}:{made}")
+        if rules and equation.primitive.name.startswith("custom_"):
+            lines.append(_rule(jaxpr, equation))
+    lines.append(",".join(map(read, jaxpr.outvars)))
+    return "\n".join(lines)
+
+
+def _operation(equation: Any, rules: bool) -> str:
+    """Description of the primitive and the parameters of an equation."""
+    name = equation.primitive.name
+    if name in CALLS:
+        return f"{name}{{{description(called_program(equation), rules=rules)}}}"
+    if name == "scan":
+        scan = scan_of(equation)
+        facts = scan.length, scan.backwards, scan.n_constants, scan.n_carry
+        return f"{name}{facts}{{{description(scan.body, rules=rules)}}}"
+    known = _PARAMETERS.get(name, "").split()
+    given = {key: equation.params[key] for key in known if key in equation.params}
+    return f"{name}{_described(tuple(sorted(given.items())), rules)}"
+
+
+def _rule(jaxpr: Any, equation: Any) -> str:
+    """Description of the tangent of one equation of a jaxpr, with its own rule.
+
+    Raises:
+        NoDescriptionError: It has no tangent, or JAX builds jaxprs differently.
+    """
+    operands = [a for a in dict.fromkeys(equation.invars) if not is_literal(a)]
+    moving = [jnp.issubdtype(a.aval.dtype, jnp.floating) for a in operands]
+    try:
+        alone = jaxpr.replace(
+            constvars=[],
+            invars=operands,
+            outvars=equation.outvars,
+            eqns=[equation],
+            debug_info=jaxpr.debug_info.with_unknown_names(),
+        )
+
+        def tangent(given: list[Any], tangents: list[Any]) -> Any:
+            def value(moved: list[Any]) -> list[Any]:
+                rest = iter(moved)
+                pairs = zip(given, moving, strict=True)
+                arrays = [next(rest) if moves else array for array, moves in pairs]
+                return list(jax.core.eval_jaxpr(alone, [], *arrays))
+
+            moved = [a for a, moves in zip(given, moving, strict=True) if moves]
+            return jax.jvp(value, (moved,), (tangents,))
+
+        types = [jax.ShapeDtypeStruct(a.aval.shape, a.aval.dtype) for a in operands]
+        rates = [a for a, moves in zip(types, moving, strict=True) if moves]
+        return description(jax.make_jaxpr(tangent)(types, rates))
+    except (TypeError, AttributeError, AssertionError, ValueError) as error:
+        raise NoDescriptionError(f"{equation.primitive.name}: {error}") from error
+
+
+def _type_text(aval: Any) -> str:
+    return f"{aval.dtype}{list(aval.shape)}"
+
+
+def _described(value: Any, rules: bool) -> str:
+    """Description of the value of a parameter, or of known numbers.
+
+    Raises:
+        NoDescriptionError: It has none.
+    """
+    if isinstance(value, enum.Enum):
+        return f"{type(value).__name__}.{value.name}"
+    if value is None or isinstance(value, bool | int | float | str):
+        return f"{type(value).__name__} {value!r}"
+    if isinstance(value, tuple | list):
+        inside = ";".join(_described(part, rules) for part in value)
+        return f"{type(value).__name__}({inside})"
+    if _is_program(value):
+        return f"{{{description(value, rules=rules)}}}"
+    if isinstance(value, np.dtype):
+        return str(value)
+    if isinstance(value, np.ndarray | np.generic) and value.dtype.kind in "biuf":
+        return f"{value.dtype}{list(value.shape)}{value.tobytes().hex()}"
+    if isinstance(value, np.ndarray) and value.dtype == jax.dtypes.float0:
+        return f"no tangent{list(value.shape)}"
+    raise NoDescriptionError(f"{type(value).__name__} has no description")

@@ -14,7 +14,7 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Callable, Sequence
-from functools import lru_cache
+from functools import lru_cache, partial
 from typing import Any
 
 import jax
@@ -36,6 +36,7 @@ from jaxrod.lanes.choice import (
 )
 from jaxrod.lanes.graph import FIXED, UNIFORM, VARYING, EndNodes, Entries, Graph, Step
 from jaxrod.lanes.jaxpr.unroll import MOST_NODES, NotUnrolled, Unroller, kind_of
+from jaxrod.lanes.kept_kernels import kept
 from jaxrod.lanes.llvm.kernel import Kernel, run_kernel, step_kernel
 from jaxrod.lanes.llvm.machine_code import not_here, registered, vector_bytes
 from jaxrod.lanes.looped.kernels import (
@@ -96,7 +97,9 @@ def lowered_by_lanes(
     try:
         kernel, words, way = None, "", ""
         for way in wanted:
-            kernel, words = ways[way](name, spec)
+            make = partial(ways[way], name, spec)
+            kind = f"{way} of {vector_bytes()} bytes, {mode}"
+            kernel, words = kept(kind, name, spec, make)
             if kernel is not None:
                 break
         if kernel is None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, lru_cache
 from typing import Any
 
 import jax
@@ -167,6 +167,7 @@ def tangent_body(spec: RunSpec) -> tuple[Any, int]:
     return closed, len(constants) + len(rates)
 
 
+@lru_cache(maxsize=64)
 def adjoint_body(spec: RunSpec) -> Any:
     """Returns the closed jaxpr of a reversed step (vector-Jacobian product).
 

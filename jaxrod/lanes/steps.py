@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import lru_cache
 from typing import Any
 
 import jax
 import jax.numpy as jnp
 from jax import lax
 
-from jaxrod.jax_internals.equations import result_types
+from jaxrod.jax_internals.equations import program_of, result_types
 from jaxrod.jax_internals.mesh_axes import axes_of, pvary, varying_shape
 from jaxrod.lanes.choice import (
     NEVER,
@@ -21,12 +22,22 @@ from jaxrod.lanes.choice import (
 from jaxrod.lanes.jaxpr.unroll import supported
 from jaxrod.lanes.run_spec import Ends, LoopBody, RunSpec, as_step
 
+MOST_PROGRAMS = 128
+"""Number of traced methods that are remembered."""
+_programs: dict[Any, tuple[Any, Any]] = {}
+"""Traced methods by their name and the structure and types of their operands, the
+oldest first. Runs and derivatives of equal models thus share programs and kernels."""
+_body = lru_cache(MOST_PROGRAMS)(LoopBody)
+_ends = lru_cache(MOST_PROGRAMS)(Ends)
+_step = lru_cache(MOST_PROGRAMS)(as_step)
+
 
 def try_lanes(integrator: Any, given: Any, n_times: Any) -> Any:
     """Runs an integrator from a state to a result, by a primitive that has kernels.
 
     Args:
-        integrator: A pytree with methods `begin`, `cycle` and `end`.
+        integrator: A pytree with methods `begin`, `cycle` and `end`. If its attribute
+            `iterates` is true, a cycle has loops whose length depends on numbers.
         given: State, the argument of `begin`.
         n_times: Number of cycles, an `int` or traced.
 
@@ -35,6 +46,9 @@ def try_lanes(integrator: Any, given: Any, n_times: Any) -> Any:
         that the caller has to write the loop for XLA.
     """
     if not _kernels_wanted():
+        return None
+    if getattr(integrator, "iterates", False):
+        refused("lanes have no loop whose length depends on numbers")
         return None
     from jaxrod.lanes.primitives import run_p
 
@@ -45,9 +59,8 @@ def try_lanes(integrator: Any, given: Any, n_times: Any) -> Any:
     end, made_tree = parts.program("end", carry)
     if _refused(parts, carried, begin, body, cycled, begin, end):
         return None
-    spec = RunSpec(
-        LoopBody(body, parts.n), parts.length, ends=Ends(begin, end, parts.n)
-    )
+    ends = _ends(begin, end, parts.n)
+    spec = RunSpec(_body(body, parts.n), parts.length, ends=ends)
     made = run_p.bind(*parts.operands, spec=spec)
     return jax.tree.unflatten(made_tree, made)
 
@@ -73,7 +86,7 @@ def try_cycles(integrator: Any, carry: Any, n_times: Any) -> Any:
     body, cycled = parts.program("cycle", parts.given)
     if _refused(parts, carried, None, body, cycled):
         return None
-    spec = RunSpec(LoopBody(body, parts.n), parts.length)
+    spec = RunSpec(_body(body, parts.n), parts.length)
     made = cycles_p.bind(*parts.operands, spec=spec)
     return jax.tree.unflatten(carried, made)
 
@@ -97,8 +110,7 @@ def by_kernel(integrator: Any, name: str, given: Any) -> Any:
         refused(words)
         return getattr(integrator, name)(given)
     _, *arrays = parts.operands
-    step = as_step(closed, parts.n)
-    made = run_once(step, arrays[: parts.n], arrays[parts.n :])
+    made = run_once(_step(closed, parts.n), arrays[: parts.n], arrays[parts.n :])
     return jax.tree.unflatten(made_tree, made)
 
 
@@ -129,9 +141,16 @@ class _Parts:
     def program(self, name: str, argument: Any) -> tuple[Any, Any]:
         """Returns a method as a closed jaxpr, and the tree structure of its result.
 
-        It is traced for `argument`, a pytree of arrays or array types.
+        It is traced for `argument`, a pytree of arrays or array types, once for equal
+        structures and types.
         """
         leaves, tree = jax.tree.flatten(argument)
+        types = tuple((leaf.shape, leaf.dtype) for leaf in (*self.constants, *leaves))
+        wide: Any = getattr(jax.config, "jax_enable_x64", None)
+        mesh = jax.sharding.get_abstract_mesh()
+        key = (name, self.structure, tree, types, self.axes, mesh, wide)
+        if key in _programs:
+            return _programs[key]
         result: list[Any] = []
 
         def method(*arrays: Any) -> list[Any]:
@@ -144,7 +163,14 @@ class _Parts:
             return pvary([_settled(leaf) for leaf in made], self.axes)
 
         closed = jax.make_jaxpr(method)(*self.constants, *leaves)
-        return closed, result[0]
+        known = program_of(closed).constants
+        if any(isinstance(number, jax.core.Tracer) for number in known):
+            # A function in the structure holds a number of this trace alone.
+            return closed, result[0]
+        while len(_programs) >= MOST_PROGRAMS:
+            del _programs[next(iter(_programs))]
+        _programs[key] = closed, result[0]
+        return _programs[key]
 
     def like(self, tree: Any, closed: Any) -> Any:
         """Returns a pytree of structure `tree` with a closed jaxpr's result types."""

@@ -43,6 +43,7 @@ from jaxrod.geometry.rotations import (
     to_world,
 )
 from jaxrod.geometry.vectors import Vec3
+from jaxrod.lanes.steps import by_kernel
 from jaxrod.loaded_rod import (
     LoadedRod,
     Method,
@@ -62,7 +63,12 @@ from jaxrod.rods.rod import Rod, RodState
 from jaxrod.statics.declared_properties import check_declared_properties
 from jaxrod.statics.degrees_of_freedom import free_position_mask, stack_dofs
 from jaxrod.statics.newton import default_tolerance, newton
-from jaxrod.statics.residual import LoadBalance, displaced, implicit_solution
+from jaxrod.statics.residual import (
+    Increment,
+    LoadBalance,
+    displaced,
+    implicit_solution,
+)
 from jaxrod.structure import pytree, static
 from jaxrod.validation import Numbers, as_array, check_count
 
@@ -171,6 +177,7 @@ class ImplicitStepper:
     """Constants of the implicit step for one scene and one step size."""
 
     steps_of_end: ClassVar[int] = 0
+    iterates: ClassVar[bool] = True
     scene: LoadedRod
     settings: Implicit
     law: ElasticLaw
@@ -206,20 +213,26 @@ class ImplicitStepper:
 
     def cycle(self, motion: Motion) -> Motion:
         """Motion after one step of two stages."""
-        return self.slowed(constrain(self.scene, self.stepped(motion)))
+        added = self.increments(motion)
+        ended: Motion = by_kernel(self, "ended", (motion, added))
+        return ended
 
     def stepped(self, motion: Motion) -> Motion:
         """Motion after one step, before constraints and separate damping."""
+        return self.summed(motion, self.increments(motion))
+
+    def increments(self, motion: Motion) -> Increments:
+        """Increments of the two stages of a step, along a leading axis."""
         # Stage 2 starts at h (1 - 2 gamma) k1, here in units of stage 1's increment.
         second = 1 / self.coefficient - 2
 
         def stage(base: Base, _: None) -> tuple[Base, Increments]:
             added = self.stage(base)
-            return self.second_base(motion, added, second), added
+            return by_kernel(self, "base_after", (motion, added, second)), added
 
         first = Base(motion, self.rates(motion))
         _, added = lax.scan(stage, first, length=2)
-        return self.summed(motion, added)
+        return added
 
     def evolving(self, scene: LoadedRod, first: Array) -> EvolvingImplicit:
         """Stepper for a scene with schedules or memory, from step number `first` on."""
@@ -246,6 +259,33 @@ class ImplicitStepper:
         spin = to_world(frame, (a / one, b / two, c / three))
         return motion.velocity, spin
 
+    # Methods for kernels: each takes one argument.
+
+    def ended(self, given: tuple[Motion, Increments]) -> Motion:
+        """Motion at the end of a step, from the motion before and the increments."""
+        return self.slowed(constrain(self.scene, self.summed(*given)))
+
+    def base_after(self, given: tuple[Motion, Increments, Array]) -> Base:
+        """Base of the second stage, see `second_base`."""
+        return self.second_base(*given)
+
+    def guess(self, base: Base) -> Float[Array, "n+1 6"]:
+        """Initial guess of a stage's step from its base, zero for held nodes."""
+        guess = self.duration * stack_dofs(*base.rates)
+        placed = free_position_mask(self.scene, base.motion)
+        return guess if placed is None else guess * stack_dofs(*placed)
+
+    def reached(self, given: tuple[LoadBalance, Increment]) -> Increments:
+        """Changes of configuration and rates by an increment, for a balance."""
+        balance, increment = given
+        reached, base = balance.motion(increment), balance.base
+        return Increments(
+            displacement=increment.displacement,
+            turn=increment.turn,
+            velocity=vectors.subtract(reached.velocity, base.velocity),
+            spin=vectors.subtract(reached.spin, base.spin),
+        )
+
     def second_base(self, motion: Motion, added: Increments, factor: Array) -> Base:
         """Base of the second stage: `motion` plus `factor` times increments `added`.
 
@@ -265,10 +305,7 @@ class ImplicitStepper:
         balance = LoadBalance(
             self.scene, self.law, base.motion, 1 / self.duration, self.damping
         )
-        guess = self.duration * stack_dofs(*base.rates)
-        placed = free_position_mask(self.scene, base.motion)
-        if placed is not None:
-            guess = guess * stack_dofs(*placed)
+        guess = by_kernel(self, "guess", base)
         tolerance = self.settings.tolerance
         if tolerance is None:
             tolerance = jnp.asarray(default_tolerance(guess.dtype), guess.dtype)
@@ -277,20 +314,14 @@ class ImplicitStepper:
             self.settings.max_iterations,
         )
         # Components with a prescribed rate get the derivative of that rate.
-        increment = implicit_solution(
-            balance, balance.with_held_components(guess, found.increment)
-        )
+        held = by_kernel(balance, "with_held_components", (guess, found.increment))
+        increment = implicit_solution(balance, held)
         # Failure is data: not finite, for health to find.
         increment = jax.tree.map(
             lambda a: jnp.where(found.converged, a, jnp.nan), increment
         )
-        reached = balance.motion(increment)
-        return Increments(
-            displacement=increment.displacement,
-            turn=increment.turn,
-            velocity=vectors.subtract(reached.velocity, base.motion.velocity),
-            spin=vectors.subtract(reached.spin, base.motion.spin),
-        )
+        added: Increments = by_kernel(self, "reached", (balance, increment))
+        return added
 
 
 @pytree
@@ -301,6 +332,7 @@ class EvolvingImplicit:
     """
 
     steps_of_end: ClassVar[int] = 0
+    iterates: ClassVar[bool] = True
     implicit: ImplicitStepper
     """Stepper of the scene in its initial form, whose `scene` is replaced in each
     stage."""

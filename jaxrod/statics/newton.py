@@ -16,6 +16,7 @@ from jax import lax
 from jaxtyping import Array, Bool, Float, Int
 
 from jaxrod.geometry.vectors import Vec3
+from jaxrod.lanes.steps import by_kernel
 from jaxrod.statics.degrees_of_freedom import unstack_dofs
 from jaxrod.statics.residual import Increment, LoadBalance
 from jaxrod.structure import pytree
@@ -77,9 +78,10 @@ def newton(
 
     def improve(search: Search) -> Search:
         share = search.share
-        increment = balance.retract_along_edges(search.increment, share * search.step)
-        residual = balance.residual(increment)
-        step = balance.tangent(increment).solve(-residual)
+        tried = search.increment, share * search.step
+        increment = by_kernel(balance, "increment_along_edges", tried)
+        residual, tangent, _ = by_kernel(balance, "about", increment)
+        step = tangent.solve(-residual)
         better = size(step) <= LARGEST_GROWTH * size(search.step)
         # A guess that needs a correction much larger than itself is worse than none.
         first = search.iterations == 0
@@ -109,7 +111,8 @@ def newton(
         converged=jnp.zeros((), bool),
     )
     end = lax.while_loop(unfinished, improve, begin)
-    return replace(end, increment=balance.retract(end.increment, end.step))
+    last = by_kernel(balance, "retracted", (end.increment, end.step))
+    return replace(end, increment=last)
 
 
 def _largest_share(step: Float[Array, "n+1 6"]) -> Array:

@@ -40,6 +40,7 @@ from jaxrod.geometry.rotations import (
     to_world,
 )
 from jaxrod.geometry.vectors import Vec3
+from jaxrod.lanes.steps import by_kernel
 from jaxrod.loaded_rod import LoadedRod, constrain_rates
 from jaxrod.rods.elasticity import (
     ElasticLaw,
@@ -178,9 +179,10 @@ class LoadBalance:
 
     # Methods for kernels: each takes one argument.
 
-    def about(self, increment: Increment) -> tuple[Array, Tangent, Array]:
-        """Residual, tangent and mass blocks at an increment, for a single program."""
-        return self.residual(increment), self.tangent(increment), self.mass()
+    def about(self, increment: Increment) -> tuple[Array, Tangent, Array | None]:
+        """Residual and tangent at an increment, in statics with the mass blocks."""
+        mass = self.mass() if self.at_rest else None
+        return self.residual(increment), self.tangent(increment), mass
 
     def ended(self, increment: Increment) -> tuple[Array, Motion]:
         """Residual at an increment and the motion that goes with it.
@@ -196,15 +198,13 @@ class LoadBalance:
         """
         return self.motion(self.retract_along_edges(*given))
 
-    def held_tangent(self, increment: Increment) -> tuple[Tangent, Bool[Array, ""]]:
-        """Tangent at an increment; in statics with springs that resist loose modes.
+    def retracted(self, given: tuple[Increment, Array]) -> Increment:
+        """Increment after `retract` of the two entries of `given`."""
+        return self.retract(*given)
 
-        Loose modes are motions of the whole rod that nothing resists.
-
-        Returns:
-            The tangent, and whether there are loose modes.
-        """
-        return self.held(self.tangent(increment), increment)
+    def increment_along_edges(self, given: tuple[Increment, Array]) -> Increment:
+        """Increment after `retract_along_edges` of the two entries of `given`."""
+        return self.retract_along_edges(*given)
 
     def held(
         self, tangent: Tangent, increment: Increment
@@ -260,9 +260,13 @@ class LoadBalance:
         return Increment(displacement, vectors.add(own, change))
 
     def with_held_components(
-        self, guess: Float[Array, "n+1 6"], found: Increment
+        self, given: tuple[Float[Array, "n+1 6"], Increment]
     ) -> Increment:
-        """Increment `found`, with held components taken from the step `guess`."""
+        """Increment `found`, with held components taken from the step `guess`.
+
+        They are the entries of `given`: `guess`, then `found`.
+        """
+        guess, found = given
         free = Increment(*unstack_dofs(self.free))
         displacement, turn = unstack_dofs(guess)
         own = to_material(directors(self.base.orientation), turn)
@@ -363,8 +367,11 @@ def _implicit_solution_jvp(
 ) -> tuple[Increment, Increment]:
     balance, found = primals
     found = implicit_solution(balance, found)
-    _, change = jax.jvp(LoadBalance.residual, (balance, found), tangents)
-    step = balance.held_tangent(found)[0].solve(-change)
+    # The tangent is that of the search, whose kernel is there already.
+    unbalanced = lambda balance, found: by_kernel(balance, "residual", found)
+    _, change = jax.jvp(unbalanced, (balance, found), tangents)
+    _, tangent, _ = by_kernel(balance, "about", found)
+    step = balance.held(tangent, found)[0].solve(-change)
     return found, jax.tree.map(jnp.add, tangents[1], balance.change(found, step))
 
 

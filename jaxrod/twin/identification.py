@@ -405,7 +405,8 @@ class _Residuals(NamedTuple):
     noise and robust weights w, for the estimate of the noise."""
 
 
-class _Found(NamedTuple):
+@pytree
+class _Found:
     """Best point of a search, with the fields that `fit_of` needs."""
 
     solution: Array

@@ -22,7 +22,7 @@ from jaxrod.jax_internals.primitives import (
     no_kernels_in,
     unknown_rules,
 )
-from jaxrod.lanes import choice
+from jaxrod.lanes import choice, steps
 from jaxrod.lanes.choice import lane_choices, lane_mode, use_lanes
 from jaxrod.lanes.jaxpr.unroll import RULES, supported
 from jaxrod.lanes.rows.row_unroller import ROW_RULES
@@ -181,6 +181,7 @@ def test_xla_takes_the_whole_run(kind, monkeypatch, mode):
 
     def run():
         jax.clear_caches()
+        steps._programs.clear()
         return jax.vmap(lambda s: jaxrod.advance(scene, s, 1e-5, 3))(many)
 
     use_lanes("never")

@@ -13,7 +13,8 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import replace
-from typing import Any, NamedTuple
+from functools import partial
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -26,6 +27,7 @@ from jaxrod.control.identification.parameters import Parameters, make_parameters
 from jaxrod.control.identification.result import NEAR, Fit, smallest_ratio, vague_ways
 from jaxrod.control.identification.windows import MultipleShooting
 from jaxrod.control.least_squares import least_squares
+from jaxrod.structure import pytree, static
 from jaxrod.validation import is_traced
 
 Simulate = Callable[..., Any]
@@ -63,7 +65,8 @@ def fit(
         simulate: Takes parameters by name and returns observations. With
             `multiple_shooting` it runs one window: it takes parameters, the window's
             initial state and its known data, and returns the window's observations; for
-            joined windows, also the initial state of the next window.
+            joined windows, also the initial state of the next window. If it is given
+            again without windows, it is not traced again.
         observed: Observations, a pytree like the result of `simulate`. Values that are
             not finite count as not observed and are left out. With `multiple_shooting`
             they are stacked on the leading axis by window, or by trajectory and window
@@ -132,6 +135,25 @@ def fit(
         if mode == "reverse":
             raise ValueError('mode must be "forward" with multiple_shooting')
         return _fit_windows(simulate, problem, windows, iterations, damping, tolerance)
+
+    try:
+        hash(simulate)
+    except TypeError:
+        # An object that is called, with arrays in it: compiled for this call alone.
+        simulate = partial(simulate)
+    return _fit_whole(simulate, problem, damping, tolerance, iterations, mode)
+
+
+@partial(jax.jit, static_argnames=("simulate", "iterations", "mode"))
+def _fit_whole(
+    simulate: Simulate,
+    problem: FitProblem,
+    damping: Any,
+    tolerance: Any,
+    iterations: int,
+    mode: str | None,
+) -> Fit:
+    """Fits parameters alone: the search and its uncertainty, as one program."""
 
     def residuals(point: Array) -> Any:
         made = simulate(problem.parameters.values(point))
@@ -221,7 +243,8 @@ def _misses(made: Any, target: Any, seen: Any, noise: Any) -> Any:
     )
 
 
-class FitProblem(NamedTuple):
+@pytree
+class FitProblem:
     """Checked arguments of `fit`, as arrays."""
 
     parameters: Parameters
@@ -238,7 +261,8 @@ class FitProblem(NamedTuple):
     """Upper bounds of the search variables, see `Parameters`."""
     observations: Array
     """Number of finite observations."""
-    noise_is_given: bool
+    noise_is_given: bool = static()
+    """Whether `noise` is known, not to be estimated from the residuals."""
 
 
 def make_fit_problem(
@@ -261,16 +285,16 @@ def make_fit_problem(
     _check_names("upper", upper, parameters)
     seen = _checked(simulate, parameters, observed)
     deviations = _noise(noise, observed)
-    low, high = parameters.bound(lower, -1), parameters.bound(upper, 1)
+    low, high = _bounds(parameters, lower, upper)
     if not is_traced(low, high) and not np.all(np.asarray(low) < np.asarray(high)):
         raise ValueError(f"lower must be below upper, got {lower!r} and {upper!r}")
-    count = sum((jnp.sum(s) for s in jax.tree.leaves(seen)), jnp.zeros((), jnp.int32))
-    target = jax.tree.map(lambda o, s: jnp.where(s, o, 0), observed, seen)
+    target, count = _seen_and_counted(observed, seen)
     return FitProblem(
         parameters, target, seen, deviations, low, high, count, noise is not None
     )
 
 
+@partial(jax.jit, static_argnames="others")
 def fit_of(problem: FitProblem, found: Any, others: int = 0) -> Fit:
     """Makes a `Fit`, with covariance and misfit, from the result of a search.
 
@@ -320,6 +344,23 @@ def fit_of(problem: FitProblem, found: Any, others: int = 0) -> Fit:
         at_bound=at_bound,
         degrees_of_freedom=degrees_of_freedom,
     )
+
+
+@jax.jit
+def _bounds(
+    parameters: Parameters,
+    lower: Mapping[str, Any] | None,
+    upper: Mapping[str, Any] | None,
+) -> tuple[Array, Array]:
+    """Lower and upper bounds of the search variables."""
+    return parameters.bound(lower, -1), parameters.bound(upper, 1)
+
+
+@jax.jit
+def _seen_and_counted(observed: Any, seen: Any) -> tuple[Any, Array]:
+    """Observations with zeros for those that are not `seen`, and the number of seen."""
+    count = sum((jnp.sum(s) for s in jax.tree.leaves(seen)), jnp.zeros((), jnp.int32))
+    return jax.tree.map(lambda o, s: jnp.where(s, o, 0), observed, seen), count
 
 
 def _decomposed(jacobian: Array) -> tuple[Array, Array]:

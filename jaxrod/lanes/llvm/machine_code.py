@@ -200,29 +200,40 @@ def keeps_objects(engine: Any, key: str) -> None:
         key: Text that determines the object code: the processor, the optimisation level
             and the LLVM IR.
     """
-    path = _path(key)
-    if path is None or _is_refused(path.parent):
+    if folder_of_kernels() is None:
         return
+    engine.set_object_cache(
+        lambda module, code: write(key, code), lambda module: read(key)
+    )
 
-    def kept(module: Any) -> bytes | None:
-        del module
-        found = read_own(path)
-        if found is None:
-            return None
-        code = found[_DIGEST:]
-        return code if hashlib.sha256(code).digest() == found[:_DIGEST] else None
 
-    def keep(module: Any, code: bytes) -> None:
-        del module
-        try:
-            make_private_folder(path.parent)
-            content = hashlib.sha256(code).digest() + code
-            write_atomically(path, content, private=True)
-        except OSError:
-            # A folder that is full or read-only costs time, not results.
-            return
+def read(key: str, what: str = "lanes") -> bytes | None:
+    """Returns what is kept under a key, or `None`: not there, damaged, or not ours.
 
-    engine.set_object_cache(keep, kept)
+    The name of its file begins with `what` it is, machine code by default.
+    """
+    folder = folder_of_kernels()
+    if folder is None:
+        return None
+    found = read_own(_path(folder, key, what))
+    if found is None:
+        return None
+    content = found[_DIGEST:]
+    return content if hashlib.sha256(content).digest() == found[:_DIGEST] else None
+
+
+def write(key: str, content: bytes, what: str = "lanes") -> None:
+    """Keeps bytes under a key, if there is a folder for them; see `read`."""
+    folder = folder_of_kernels()
+    if folder is None:
+        return
+    try:
+        make_private_folder(folder)
+        whole = hashlib.sha256(content).digest() + content
+        write_atomically(_path(folder, key, what), whole, private=True)
+    except OSError:
+        # A folder that is full or read-only costs time, not results.
+        return
 
 
 def _is_refused(folder: Path) -> bool:
@@ -243,10 +254,15 @@ def _is_refused(folder: Path) -> bool:
     return True
 
 
-def _path(key: str) -> Path | None:
+def _path(folder: Path, key: str, what: str) -> Path:
+    return folder / f"jaxrod-{what}-{hashlib.sha256(key.encode()).hexdigest()}"
+
+
+def folder_of_kernels() -> Path | None:
+    """Returns JAX's folder of compiled programs; `None` without one that is safe."""
     # JAX defines its settings at run time, so that type checkers do not know them.
     settings: Any = jax.config
     folder = settings.jax_compilation_cache_dir
     if not folder or "://" in folder or not settings.jax_enable_compilation_cache:
         return None
-    return Path(folder) / f"jaxrod-lanes-{hashlib.sha256(key.encode()).hexdigest()}"
+    return None if _is_refused(Path(folder)) else Path(folder)

@@ -19,6 +19,7 @@ from jaxrod.systems.stepping.assembly import (
     SystemState,
     member_shapes,
 )
+from jaxrod.validation import as_array
 
 
 def check_system_state(system: Assembly, state: Any) -> None:
@@ -84,7 +85,8 @@ def system_with_memory(system: Assembly, state: SystemState) -> dict[str, Any]:
 
 def unstable_step(system: Assembly, dt: Array) -> str | None:
     """Warning about a concrete step above the stability bound; `None` below it."""
-    bound = stable_system_dt(system, safety=1.0)
+    # The argument is that of `stable_dt`, so that both are one program.
+    bound = stable_system_dt(system, as_array("safety", 1.0, ""))
     if not float(dt) > float(bound.dt):
         return None
     return (

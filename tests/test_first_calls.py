@@ -1,0 +1,136 @@
+"""What first calls trace and compile, counted so that it cannot creep back."""
+
+from typing import ClassVar
+
+import jax
+import jax.monitoring
+import jax.numpy as jnp
+import pytest
+
+import jaxrod
+from jaxrod import control
+from jaxrod.control.local_coordinates import tangent_map
+from jaxrod.jax_internals.equations import program_of, programs_within
+from jaxrod.structure import pytree
+from jaxrod.systems.stepping.runs import stable_system_dt
+from physics.rods import arm
+
+COMPILED = "/jax/core/compile/backend_compile_duration"
+
+
+@pytest.fixture
+def compiled():
+    """A list that grows by one for each program that XLA compiles."""
+    seen = []
+
+    def listen(event, duration, **kwargs):
+        if event == COMPILED:
+            seen.append(event)
+
+    jax.monitoring.register_event_duration_secs_listener(listen)
+    yield seen
+    jax.monitoring.unregister_event_duration_listener(listen)
+
+
+def equations_of(program):
+    """All equations that are left to XLA; a kernel counts as one."""
+    for equation in program_of(program).jaxpr.eqns:
+        yield equation
+        for inner in programs_within(equation):
+            yield from equations_of(inner)
+
+
+def count_of(function, *arrays):
+    return sum(1 for _ in equations_of(jax.make_jaxpr(function)(*arrays)))
+
+
+def held_arm(**options):
+    rod, state = arm(4, jnp.float64)
+    return jaxrod.make_scene(
+        rod, jaxrod.clamp(state), jaxrod.gravity(), **options
+    ), state
+
+
+def test_implicit_steps_leave_little_to_xla():
+    scene, state = held_arm(method=jaxrod.implicit(0.8))
+    count = count_of(lambda n: jaxrod.advance(scene, state, 1e-3, n), jnp.int32(2))
+    assert count < 1100  # 5327 without kernels
+
+
+def test_derivatives_of_equilibria_leave_little_to_xla():
+    scene, state = held_arm()
+
+    def tip(height):
+        load = jaxrod.end_load(jnp.array([0.0, 0.0, 1.0]) * height)
+        return jaxrod.equilibrium(scene.with_effect(load), state).state.tip
+
+    whole = count_of(tip, 0.1)
+    both = count_of(jax.jacfwd(tip), 0.1)
+    assert both - whole < 1600  # 7867 without kernels
+    assert whole < 2500  # 7010 without kernels
+
+
+@pytree
+class Counted(jaxrod.extend.Effect):
+    """An effect that counts how often its loads are traced."""
+
+    traces: ClassVar[list[int]] = []
+    push: jax.Array
+
+    def loads(self, rod, motion):
+        self.traces.append(1)
+        x, y, z = motion.position
+        return jaxrod.extend.Loads(forces=(self.push - x, 0 * y, 0 * z))
+
+
+def test_runs_and_their_derivatives_trace_a_step_once():
+    rod, state = arm(4, jnp.float64)
+    scene = jaxrod.make_scene(rod, jaxrod.clamp(state), Counted(jnp.asarray(1.0)))
+
+    def tip(dt, n):
+        return jaxrod.advance(scene, state, dt, n).tip[0]
+
+    jax.make_jaxpr(tip)(1e-4, jnp.int32(5))
+    before = len(Counted.traces)
+    assert before > 0
+    jax.make_jaxpr(lambda dt: tip(dt, 5))(1e-4)
+    jax.make_jaxpr(jax.grad(lambda dt: tip(dt, 7)))(1e-4)
+    jax.make_jaxpr(jax.vmap(lambda dt: tip(dt, 7)))(jnp.full(3, 1e-4))
+    assert len(Counted.traces) == before
+
+
+def test_the_columns_of_a_linear_model_are_no_batch():
+    """A batch would have kernels of lanes, whose code grows with the rod."""
+    scene, state = held_arm()
+    model = lambda dt: tangent_map(scene, state, dt, 2, 0, None, None)[1]
+    runs = [
+        equation.params["spec"]
+        for equation in equations_of(jax.make_jaxpr(model)(1e-4))
+        if equation.primitive.name.startswith("jaxrod_")
+    ]
+    assert len(runs) >= 3
+    assert all(spec.batch is None for spec in runs)
+
+
+def test_a_fit_is_one_program_and_compiled_once(compiled):
+    x = jnp.arange(5.0)
+    line = lambda p: p["slope"] * x
+    seen = jnp.array([0.1, 2.9, 6.1, 9.0, 11.9])
+    first = control.fit(line, seen, {"slope": 1.0}, noise=0.1)
+    assert 0 < len(compiled) < 30  # 90 if the search is not one program
+    twice = 2 * seen
+    compiled.clear()
+    second = control.fit(line, twice, {"slope": 1.5}, noise=0.2)
+    assert not compiled
+    assert float(second.values["slope"]) == pytest.approx(
+        2 * float(first.values["slope"]), rel=1e-5
+    )
+
+
+def test_the_stable_step_of_a_system_is_one_program_for_all_who_ask():
+    scene, state = held_arm()
+    system = jaxrod.make_system({"only": scene}, state={"only": state})
+    before = stable_system_dt._cache_size()
+    dt = jaxrod.stable_dt(system).dt
+    system.step_warning(dt, {"only": state})
+    assert stable_system_dt._cache_size() == before + 1
