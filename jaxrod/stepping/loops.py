@@ -128,8 +128,8 @@ def integrated(integrator: Any, state: Any, n_cycles: int | Array) -> Any:
 
     Args:
         integrator: A pytree with methods `begin`, `cycle` and `end`. If its attribute
-            `one_by_one` is true, batches on a CPU run one by one. It then also has a
-            method `renewed`, which is called before each block of `every` cycles.
+            `one_by_one` is true, batches on a CPU run one by one. It then has the methods
+            of `jaxrod.systems.stepping.stepper.ListingSystem` instead of `cycle`.
         state: Initial state.
         n_cycles: Number of cycles; an `int` for reverse-mode differentiation.
     """
@@ -145,13 +145,19 @@ def integrated(integrator: Any, state: Any, n_cycles: int | Array) -> Any:
 
 
 def _in_blocks(integrator: Any, state: Any, n_cycles: int | Array) -> Any:
-    """Final state of a run in blocks of cycles, each after a call of `renewed`."""
+    """Final state of a run in blocks of cycles, each after a call of `renewed`.
+
+    What the block's search found does not change in it, so it is no part of the carry
+    of the cycles.
+    """
     every = integrator.every
 
     def block(carry: Any, length: int | Array) -> Any:
         carry = integrator.renewed(carry)
-        made = try_cycles(integrator, carry, length)
-        return _looped(integrator, carry, length) if made is None else made
+        steps, now = integrator.between_searches(carry)
+        made = try_cycles(steps, now, length)
+        made = _looped(steps, now, length) if made is None else made
+        return integrator.after_steps(carry, made, length)
 
     carry = integrator.begin(state)
     # The last block is shorter than the others, and may be empty.
