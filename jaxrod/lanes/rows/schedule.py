@@ -18,6 +18,8 @@ from jaxrod.lanes.llvm.vector_code import BYTES
 from jaxrod.lanes.rows.packing import STORED, Packing
 from jaxrod.lanes.rows.row_graph import Dims, Piece, RowGraph
 
+LEAST_SKIPPED = 8
+"""Smallest number of operations under a mask for which vectors are skipped."""
 ALIGNMENT = 64
 """Default alignment of stored nodes [bytes]."""
 
@@ -191,9 +193,10 @@ class Schedule:
     def _masked(self) -> dict[int, int]:
         """Returns the mask of each node that matters only where the mask is true.
 
-        Such a node is used only by scatters under that mask and by other such nodes.
-        Indices of gathers are excluded, because they must be inside the array
-        everywhere. The masks are stored before the first loop.
+        Such a node is used only by scatters under that mask, by its conjunction with
+        that mask, and by other such nodes. Indices of gathers are excluded, because
+        they must be inside the array everywhere. The masks are stored before the first
+        loop.
         """
         graph = self.graph
         users: dict[int, list[tuple[int, int]]] = {}
@@ -218,14 +221,30 @@ class Schedule:
                     last = None
                 else:
                     last = masks.get(user)
+                    if last is None and self._is_conjunction(user):
+                        last = given[1 - position]
                 found.add(last)
             (mask,) = found if len(found) == 1 else (None,)
             if mask is None or graph.dims[mask] != dims:
                 continue
-            stored = graph.arguments[mask] if graph.operations[mask] == "view" else ()
-            if self.is_ready(stored[0] if stored else mask):
+            if self._is_stored_first(mask):
                 masks[node] = mask
-        return masks
+        work: dict[int, int] = {}
+        for node, mask in masks.items():
+            work[mask] = work.get(mask, 0) + (graph.operations[node] != "iota")
+        return {n: mask for n, mask in masks.items() if work[mask] >= LEAST_SKIPPED}
+
+    def _is_stored_first(self, mask: int) -> bool:
+        """Whether a mask is stored before the first loop."""
+        graph = self.graph
+        stored = graph.arguments[mask] if graph.operations[mask] == "view" else ()
+        return self.is_ready(stored[0] if stored else mask)
+
+    def _is_conjunction(self, node: int) -> bool:
+        """Whether a node is the conjunction of two masks in a table."""
+        graph = self.graph
+        table = graph.kinds[node] == "b1" and len(graph.dims[node]) == 2
+        return graph.operations[node] == "and" and table
 
     def _after(self, node: int) -> int:
         """Returns the first level at which all numbers of a node are available."""
