@@ -29,7 +29,7 @@ from jaxrod.jax_internals.primitives import (
     unknown_rules,
 )
 from jaxrod.jax_internals.scans import scan
-from jaxrod.lanes.steps import try_cycles, try_lanes
+from jaxrod.lanes.steps import by_kernel, try_cycles, try_lanes
 
 
 @dataclass(frozen=True, eq=False)
@@ -128,8 +128,9 @@ def integrated(integrator: Any, state: Any, n_cycles: int | Array) -> Any:
 
     Args:
         integrator: A pytree with methods `begin`, `cycle` and `end`. If its attribute
-            `one_by_one` is true, batches on a CPU run one by one. It then has the methods
-            of `jaxrod.systems.stepping.stepper.ListingSystem` instead of `cycle`.
+            `one_by_one` is true, batches on a CPU run one by one. It then has a method
+            `searched` instead of `cycle` and `end`, which returns the integrator of the
+            next `every` cycles.
         state: Initial state.
         n_cycles: Number of cycles; an `int` for reverse-mode differentiation.
     """
@@ -145,28 +146,27 @@ def integrated(integrator: Any, state: Any, n_cycles: int | Array) -> Any:
 
 
 def _in_blocks(integrator: Any, state: Any, n_cycles: int | Array) -> Any:
-    """Final state of a run in blocks of cycles, each after a call of `renewed`.
+    """Final state of a run in blocks of cycles, each after a search.
 
-    What the block's search found does not change in it, so it is no part of the carry
-    of the cycles.
+    What the search found does not change in a block, so it is no part of the carry.
     """
     every = integrator.every
 
     def block(carry: Any, length: int | Array) -> Any:
-        carry = integrator.renewed(carry)
-        steps, now = integrator.between_searches(carry)
-        made = try_cycles(steps, now, length)
-        made = _looped(steps, now, length) if made is None else made
-        return integrator.after_steps(carry, made, length)
+        steps = integrator.searched(carry)
+        made = try_cycles(steps, carry, length)
+        return steps, _looped(steps, carry, length) if made is None else made
 
     carry = integrator.begin(state)
     # The last block is shorter than the others, and may be empty.
     if isinstance(n_cycles, int):
         blocks, rest = divmod(n_cycles, every)
-        carry = repeat(lambda carry: block(carry, every), carry, blocks)
-        return integrator.end(block(carry, rest))
-    each = lambda i, carry: block(carry, jnp.clip(n_cycles - i * every, 0, every))
-    return integrator.end(lax.fori_loop(0, n_cycles // every + 1, each, carry))
+        carry = repeat(lambda carry: block(carry, every)[1], carry, blocks)
+    else:
+        blocks, rest = jnp.divmod(jnp.maximum(n_cycles, 0), every)
+        carry = repeat_traced(lambda carry: block(carry, every)[1], carry, blocks)
+    steps, carry = block(carry, rest)
+    return by_kernel(steps, "end", carry)
 
 
 def _looped(integrator: Any, carry: Any, n_cycles: int | Array) -> Any:

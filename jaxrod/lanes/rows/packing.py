@@ -17,11 +17,13 @@ from jaxrod.lanes.rows.row_graph import Dims, RowGraph, row_major
 STORED = frozenset({"joined", "scatter", "recurrence", "reduce", "input", "data"})
 """Operations whose results are arrays in memory. The results of other operations are
 values within the loop that computes them."""
-LEAST_ENTRIES = 64
+LEAST_ENTRIES = 8
 """Smallest number of entries of a mask for which a loop is packed."""
 LEAST_WORK = 60
-"""Smallest work that is left out where the mask is false for which a loop is packed, in
-additions of each entry."""
+"""Smallest work per entry that is left out where the mask is false for which a loop is
+packed, in additions."""
+LEAST_IN_ALL = 8000
+"""Smallest work of all entries for which a loop is packed, in additions."""
 _WORK = {"div": 8, "sqrt": 10, "rsqrt": 16, "view": 0, "iota": 0, "constant": 0}
 _ARITHMETIC = frozenset({"add", "sub", "mul", "min", "max", "neg", "select", "convert"})
 _ELEMENTARY = 20
@@ -70,7 +72,9 @@ class Packing:
                 self._trace(node, one)
                 found.setdefault(one.mask, {})[node] = one
         for mask, sums in found.items():
-            if self._saved(mask, sums.values()) >= LEAST_WORK:
+            saved = self._saved(mask, sums.values())
+            entries = math.prod(graph.dims[mask])
+            if saved >= LEAST_WORK and saved * entries >= LEAST_IN_ALL:
                 self.sums.update(sums)
 
     def computed(self, goals: Iterable[int]) -> set[int]:

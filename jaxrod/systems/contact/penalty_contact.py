@@ -10,7 +10,6 @@ from __future__ import annotations
 from typing import Any, Protocol
 
 import jax
-import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from jaxrod.contacts.contact_law import PenaltyLaw

@@ -5,10 +5,7 @@ positions of attached and tied nodes; loads of all members and couplings at this
 configuration; kicks; exchange of impulses between attached members; half a drift.
 
 A system may change during a run: through schedules, memory of effects, or neighbour
-lists. Lists are carried from step to step together with the motions and the age of the
-lists in steps. This age does not depend on the numbers of a system. So under `jax.vmap`
-it is the same for all systems, and the search stays a branch that is taken only when it
-is due.
+lists. Lists are made before each block of steps, in which they are constants.
 """
 
 from __future__ import annotations
@@ -244,20 +241,6 @@ class EvolvingSystem:
 
 
 @pytree
-class Listing:
-    """Motions of a system between two steps, its neighbour lists and their age."""
-
-    motions: Any
-    """Motions of the members: the loop carry of the stepper that this one wraps."""
-    found: tuple[Any, ...]
-    """Results of the last search of each coupling that searches."""
-    age: Int[Array, ""]
-    """Number of steps since the last search."""
-    record: NeighbourRecord
-    """Worst shortage and age of the lists since the run began."""
-
-
-@pytree
 class ListedSystem:
     """Steps of a system between two searches, whose lists are constants."""
 
@@ -309,46 +292,18 @@ class ListingSystem:
     every: int = static()
     """Steps between searches."""
 
-    def begin(self, state: Mapping[str, Any]) -> Listing:
-        """Motions in the middle of the first step; a search is due immediately."""
-        motions = by_kernel(self.stepper, "begin", state)
-        like = jax.eval_shape(self.search, motions)
-        found = jax.tree.map(lambda leaf: jnp.zeros(leaf.shape, leaf.dtype), like)
-        return Listing(motions, found, jnp.int32(self.every), state[RECORD])
+    def begin(self, state: Mapping[str, Any]) -> tuple[Any, NeighbourRecord]:
+        """Motions in the middle of the first step, and the record of the lists."""
+        return by_kernel(self.stepper, "begin", state), state[RECORD]
 
     def search(self, motions: Any) -> tuple[Any, ...]:
         """Results of the searches of all couplings, without derivatives."""
         motions = jax.lax.stop_gradient(motions)
         return searched(self.stepper.couplings, self.stepper.seen(motions))
 
-    def renewed(self, carry: Listing) -> Listing:
-        """The carry with new lists if they are `every` steps old; else unchanged."""
-        found = jax.lax.cond(
-            carry.age >= self.every,
-            lambda _: by_kernel(self, "search", carry.motions),
-            lambda found: found,
-            carry.found,
-        )
-        age = jnp.where(carry.age >= self.every, 0, carry.age)
-        return replace(carry, found=found, age=age)
-
-    def between_searches(
-        self, carry: Listing
-    ) -> tuple[ListedSystem, tuple[Any, NeighbourRecord]]:
-        """Integrator of the steps until the next search, and its loop carry."""
-        return ListedSystem(self.stepper, carry.found), (carry.motions, carry.record)
-
-    def after_steps(
-        self, carry: Listing, made: tuple[Any, NeighbourRecord], length: int | Array
-    ) -> Listing:
-        """The carry after `length` steps of `between_searches`, which made `made`."""
-        motions, record = made
-        return replace(carry, motions=motions, record=record, age=carry.age + length)
-
-    def end(self, carry: Listing) -> dict[str, Any]:
-        """State at the end of the last step, with the record of the lists."""
-        listed, now = self.between_searches(carry)
-        return by_kernel(listed, "end", now)
+    def searched(self, carry: tuple[Any, NeighbourRecord]) -> ListedSystem:
+        """Integrator of the steps until the next search, with new lists."""
+        return ListedSystem(self.stepper, by_kernel(self, "search", carry[0]))
 
 
 def system_stepper(
