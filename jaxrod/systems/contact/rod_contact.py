@@ -164,9 +164,7 @@ class RodContact(TouchingRods):
             way = vectors.subtract(apart, vectors.scale(fraction, other.edge))
             yield contact_pair(way, (None, fraction), weight, radii, self.onset)
 
-    def touching(
-        self, own: ContactPoints, other: Elements, weights: Array
-    ) -> Array:
+    def touching(self, own: ContactPoints, other: Elements, weights: Array) -> Array:
         """Mask of point-segment pairs whose surfaces are nearer than the onset.
 
         The second node of a segment is no nearer than the closest point.

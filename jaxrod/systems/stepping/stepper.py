@@ -249,9 +249,7 @@ class ListedSystem:
     found: tuple[Any, ...]
     """Results of the last search of each coupling that searches."""
 
-    def cycle(
-        self, carry: tuple[Any, NeighbourRecord]
-    ) -> tuple[Any, NeighbourRecord]:
+    def cycle(self, carry: tuple[Any, NeighbourRecord]) -> tuple[Any, NeighbourRecord]:
         """Motions in the middle of the next step, and the record of the lists."""
         motions, record = carry
         return self._with_lists().cycle(motions), self._recorded(motions, record)
