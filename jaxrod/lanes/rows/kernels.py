@@ -198,7 +198,8 @@ class RowPlan:
         """
         graph = self.graph
         self.know_data()
-        nodes = hoisted(graph, [goal.node for goal in goals], self.ready)
+        ends = [goal.node for goal in goals]
+        nodes = hoisted(graph, ends, self.ready, packs=self.packs)
         for node in nodes:
             self.ready[node] = self.room_for(node, self.fixed)
         self.function("fixed", [], ["%fixed"], nodes)

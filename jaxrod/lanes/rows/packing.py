@@ -85,10 +85,12 @@ class Packing:
         graph, found, stack = self._graph, set(), list(goals)
         while stack:
             node = stack.pop()
-            if node not in found:
-                found.add(node)
-                one = self.sums.get(node)
-                stack += graph.arguments[node] if one is None else one.leaves
+            if node in found:
+                continue
+            found.add(node)
+            one = self.sums.get(node)
+            given = graph.arguments[node] if one is None else one.leaves
+            stack += [argument for argument in given if argument not in self._ready]
         return found
 
     def independent(self, order: Sequence[int]) -> dict[int, list[int]]:

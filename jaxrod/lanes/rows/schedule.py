@@ -534,15 +534,20 @@ class Schedule:
         return node in self._kept
 
 
-def hoisted(graph: RowGraph, goals: Iterable[int], given: Iterable[int]) -> list[int]:
+def hoisted(
+    graph: RowGraph, goals: Iterable[int], given: Iterable[int], *, packs: bool = False
+) -> list[int]:
     """Returns the nodes to compute once before all steps, for use at every step.
 
     They do not vary between steps. Each is a goal, or is read by a node that varies.
+    Tables that packed loops alone read are not among them, but the rows are from which
+    those loops compute a few of their entries.
 
     Args:
         graph: The graph of rows.
         goals: Nodes that are to be computed in a step.
         given: Nodes that are stored already.
+        packs: Whether sums under a mask may be computed by packed loops.
     """
     known: set[int] = set(given)
     found: dict[int, None] = {}
@@ -559,8 +564,20 @@ def hoisted(graph: RowGraph, goals: Iterable[int], given: Iterable[int]) -> list
         found[node] = None
 
     goals = list(goals)
-    for node in graph.needed(goals):
-        if graph.rates[node] >= VARYING:
+    order = graph.needed(goals)
+    packing = Packing(graph, order if packs else (), known)
+    computed = packing.computed(goals)
+    for node in order:
+        if node not in computed:
+            continue
+        if node in packing.sums:
+            one = packing.sums[node]
+            for leaf in one.leaves:
+                keep(leaf)
+            for inside in one.inside:
+                if len(graph.dims[inside]) < 2:
+                    keep(inside)
+        elif graph.rates[node] >= VARYING:
             for argument in graph.arguments[node]:
                 keep(argument)
     for node in goals:

@@ -267,7 +267,6 @@ class CandidateList:
             column, found = jnp.minimum(column, found), jnp.maximum(column, found)
         return NeighbourList(column, found, there)
 
-
     def all_of_them(self) -> NeighbourList:
         """Element indices of all candidates in order, up to `size`."""
         if self.near is None or jax.default_backend() != "cpu":
