@@ -128,9 +128,8 @@ def integrated(integrator: Any, state: Any, n_cycles: int | Array) -> Any:
 
     Args:
         integrator: A pytree with methods `begin`, `cycle` and `end`. If its attribute
-            `one_by_one` is true, batches on a CPU run one by one. It then has a method
-            `searched` instead of `cycle` and `end`, which returns the integrator of the
-            next `every` cycles.
+            `one_by_one` is true, batches on a CPU run one by one. It then also has a
+            method `searched`, which returns an integrator for the next `every` cycles.
         state: Initial state.
         n_cycles: Number of cycles; an `int` for reverse-mode differentiation.
     """

@@ -376,6 +376,7 @@ class RowWriter(Writer):
         self.call_fill(number, place, graph.kinds[node], fill)
 
     def call_fill(self, number: str, place: Place, kind: str, fill: Fill) -> None:
+        """Appends a call that writes one number, of type `kind`, to many entries."""
         one = TYPES[kind]
         if kind == "b1":
             number, one = self.new(f"zext i1 {number} to i8"), "i8"

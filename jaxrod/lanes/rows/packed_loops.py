@@ -222,7 +222,8 @@ class _PackedLoop:
         The last vector ends with the rows. `write` appends the lines of one vector, for
         the group and the name of the first row; `mark` is the label of the loop.
         """
-        lines, body = self.writer.lines, []
+        lines: Lines = self.writer.lines
+        body: Lines = []
         self.writer.lines = body
         write(group, f"%i_{mark}")
         self.writer.lines = lines
@@ -306,12 +307,14 @@ class _PackedLoop:
                     continue
                 a, b = old[i], old[i + step]
                 for to, high in ((i, 0), (i + step, step)):
+                    from_b = width - step
                     lanes = ", ".join(
-                        f"i32 {width + lane - step + high if lane & step else lane + high}"
+                        f"i32 {lane + high + (from_b if lane & step else 0)}"
                         for lane in range(width)
                     )
                     made[to] = writer.new(
-                        f"shufflevector {many} {a}, {many} {b}, <{width} x i32> <{lanes}>"
+                        f"shufflevector {many} {a}, {many} {b}, "
+                        f"<{width} x i32> <{lanes}>"
                     )
             step *= 2
         return made
@@ -370,7 +373,8 @@ class _PackedLoop:
             f"%any_{mark} = icmp ne i64 %bs_{mark}, 0",
             f"br i1 %any_{mark}, label %{mark}_b, label %{mark}_cend",
             f"{mark}_b:",
-            f"%bits_{mark} = phi i64 [%bs_{mark}, %{mark}_c], [%less_{mark}, %{mark}_b]",
+            f"%bits_{mark} = phi i64 [%bs_{mark}, %{mark}_c], "
+            f"[%less_{mark}, %{mark}_b]",
             f"%nb_{mark} = phi i64 [%na_{mark}, %{mark}_c], [%nn_{mark}, %{mark}_b]",
             f"%z_{mark} = call i64 @llvm.cttz.i64(i64 %bits_{mark}, i1 true)",
             f"%j_{mark} = add i64 %c_{mark}, %z_{mark}",

@@ -299,6 +299,14 @@ class ListingSystem:
         motions = jax.lax.stop_gradient(motions)
         return searched(self.stepper.couplings, self.stepper.seen(motions))
 
+    def cycle(self, carry: tuple[Any, NeighbourRecord]) -> Any:
+        """Motions in the middle of the next step, and the record, with new lists."""
+        return self.searched(carry).cycle(carry)
+
+    def end(self, carry: tuple[Any, NeighbourRecord]) -> dict[str, Any]:
+        """State at the end of the last step, and the record, with new lists."""
+        return self.searched(carry).end(carry)
+
     def searched(self, carry: tuple[Any, NeighbourRecord]) -> ListedSystem:
         """Integrator of the steps until the next search, with new lists."""
         return ListedSystem(self.stepper, by_kernel(self, "search", carry[0]))
