@@ -241,10 +241,9 @@ class Schedule:
         return self.is_ready(stored[0] if stored else mask)
 
     def _is_conjunction(self, node: int) -> bool:
-        """Whether a node is the conjunction of two masks in a table."""
+        """Whether a node is the conjunction of two masks."""
         graph = self.graph
-        table = graph.kinds[node] == "b1" and len(graph.dims[node]) == 2
-        return graph.operations[node] == "and" and table
+        return graph.operations[node] == "and" and graph.kinds[node] == "b1"
 
     def _after(self, node: int) -> int:
         """Returns the first level at which all numbers of a node are available."""
