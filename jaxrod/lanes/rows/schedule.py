@@ -20,6 +20,8 @@ from jaxrod.lanes.rows.row_graph import Dims, Piece, RowGraph
 
 LEAST_SKIPPED = 8
 """Smallest number of operations under a mask for which vectors are skipped."""
+MOST_STORED = 16_384
+"""Largest table that is stored for packed loops alone [numbers]."""
 ALIGNMENT = 64
 """Default alignment of stored nodes [bytes]."""
 
@@ -539,8 +541,8 @@ def hoisted(
     """Returns the nodes to compute once before all steps, for use at every step.
 
     They do not vary between steps. Each is a goal, or is read by a node that varies.
-    Tables that packed loops alone read are not among them, but the rows are from which
-    those loops compute a few of their entries.
+    Large tables that packed loops alone read are not among them, but the rows are from
+    which those loops compute a few of their entries.
 
     Args:
         graph: The graph of rows.
@@ -565,6 +567,11 @@ def hoisted(
     goals = list(goals)
     order = graph.needed(goals)
     packing = Packing(graph, order if packs else (), known)
+    packing.sums = {
+        node: one
+        for node, one in packing.sums.items()
+        if math.prod(graph.dims[one.mask]) > MOST_STORED
+    }
     computed = packing.computed(goals)
     for node in order:
         if node not in computed:
