@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from dataclasses import replace
 from typing import Any
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, ArrayLike, Float
@@ -120,7 +121,7 @@ class Scene(LoadedRod, Model):
         if not is_traced(self, state, step, first):
             now = self.recalling(state)
             if first is not None:
-                now = now.at(Clock(first, jnp.zeros_like(step), step))
+                now = _at(now, Clock(first, jnp.zeros_like(step), step))
             self.method.check_state(now, state)
             if self.evolves:
                 # Values that are zero now may leave the plane or act about the axis
@@ -274,6 +275,12 @@ def make_scene(rod: Rod, *effects: Effect, method: Method | None = None) -> Scen
         # Values that are zero now may leave the plane or act about the axis later.
         method.check(scene.stirred)
     return scene
+
+
+@jax.jit
+def _at(scene: Scene, clock: Clock) -> Scene:
+    # Compiled, because schedules of waves take a hundred operations.
+    return scene.at(clock)
 
 
 def _check_evolution(scene: Scene) -> None:

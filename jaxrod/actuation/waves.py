@@ -110,8 +110,12 @@ class Wave(Schedule):
 
         They are as exact after a million periods as in the first.
         """
-        turns = clock.phase(self.period) + self.phases
-        values = self.amplitudes * jnp.sin(2 * jnp.pi * turns)
+        now, there = (
+            2 * jnp.pi * turns for turns in (clock.phase(self.period), self.phases)
+        )
+        # The sine of a sum: what varies along the rod does not change with time.
+        wave = jnp.sin(now) * jnp.cos(there) + jnp.cos(now) * jnp.sin(there)
+        values = self.amplitudes * wave
         if self.ramp_up is None:
             return values
         return jnp.clip(clock.time / self.ramp_up, 0, 1) * values

@@ -68,10 +68,12 @@ def normal_force(
     """
     touches, depth = _started(depth, width)
     full = depth >= width
-    spring = jnp.where(full, depth - 0.5 * width, depth * depth / (2 * width))
+    over_width = 1 / width
+    onset = (0.5 * depth) * (depth * over_width)
+    spring = jnp.where(full, depth - 0.5 * width, onset)
     force = stiffness * spring
     if damping is not None:
-        share = jnp.where(full, 1, depth / width)
+        share = jnp.where(full, 1, depth * over_width)
         # Spring depth divided by the dashpot's share. The ratio of spring force to
         # dashpot force is this length over the distance moved in the time damping /
         # stiffness.

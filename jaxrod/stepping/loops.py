@@ -29,7 +29,7 @@ from jaxrod.jax_internals.primitives import (
     unknown_rules,
 )
 from jaxrod.jax_internals.scans import scan
-from jaxrod.lanes.steps import try_cycles, try_lanes
+from jaxrod.lanes.steps import by_kernel, try_cycles, try_lanes
 
 
 @dataclass(frozen=True, eq=False)
@@ -129,7 +129,7 @@ def integrated(integrator: Any, state: Any, n_cycles: int | Array) -> Any:
     Args:
         integrator: A pytree with methods `begin`, `cycle` and `end`. If its attribute
             `one_by_one` is true, batches on a CPU run one by one. It then also has a
-            method `renewed`, which is called before each block of `every` cycles.
+            method `searched`, which returns an integrator for the next `every` cycles.
         state: Initial state.
         n_cycles: Number of cycles; an `int` for reverse-mode differentiation.
     """
@@ -145,22 +145,27 @@ def integrated(integrator: Any, state: Any, n_cycles: int | Array) -> Any:
 
 
 def _in_blocks(integrator: Any, state: Any, n_cycles: int | Array) -> Any:
-    """Final state of a run in blocks of cycles, each after a call of `renewed`."""
+    """Final state of a run in blocks of cycles, each after a search.
+
+    What the search found does not change in a block, so it is no part of the carry.
+    """
     every = integrator.every
 
     def block(carry: Any, length: int | Array) -> Any:
-        carry = integrator.renewed(carry)
-        made = try_cycles(integrator, carry, length)
-        return _looped(integrator, carry, length) if made is None else made
+        steps = integrator.searched(carry)
+        made = try_cycles(steps, carry, length)
+        return steps, _looped(steps, carry, length) if made is None else made
 
     carry = integrator.begin(state)
     # The last block is shorter than the others, and may be empty.
     if isinstance(n_cycles, int):
         blocks, rest = divmod(n_cycles, every)
-        carry = repeat(lambda carry: block(carry, every), carry, blocks)
-        return integrator.end(block(carry, rest))
-    each = lambda i, carry: block(carry, jnp.clip(n_cycles - i * every, 0, every))
-    return integrator.end(lax.fori_loop(0, n_cycles // every + 1, each, carry))
+        carry = repeat(lambda carry: block(carry, every)[1], carry, blocks)
+    else:
+        blocks, rest = jnp.divmod(jnp.maximum(n_cycles, 0), every)
+        carry = repeat_traced(lambda carry: block(carry, every)[1], carry, blocks)
+    steps, carry = block(carry, rest)
+    return by_kernel(steps, "end", carry)
 
 
 def _looped(integrator: Any, carry: Any, n_cycles: int | Array) -> Any:

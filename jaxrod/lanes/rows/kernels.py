@@ -85,6 +85,9 @@ class RowPlan:
 
     alignment = ALIGNMENT
     """Alignment of arrays in memory [bytes]."""
+    packs = True
+    """Whether sums under a mask may be computed at the entries alone where it is
+    true."""
 
     def __init__(self, body: LoopBody, batched: Sequence[bool]) -> None:
         """Translates a step to a graph, and allocates its constants and carry.
@@ -195,7 +198,8 @@ class RowPlan:
         """
         graph = self.graph
         self.know_data()
-        nodes = hoisted(graph, [goal.node for goal in goals], self.ready)
+        ends = [goal.node for goal in goals]
+        nodes = hoisted(graph, ends, self.ready, packs=self.packs)
         for node in nodes:
             self.ready[node] = self.room_for(node, self.fixed)
         self.function("fixed", [], ["%fixed"], nodes)
@@ -241,7 +245,13 @@ class RowPlan:
         """
         lasting = self.lasting_place if goals else None
         schedule = Schedule(
-            self.graph, goals, self.ready, stored, lasting, self.alignment
+            self.graph,
+            goals,
+            self.ready,
+            stored,
+            lasting,
+            self.alignment,
+            packs=self.packs,
         )
         writer = self.writer(schedule)
         self.texts.append(writer.text(name, ["%scratch", *pointers]))

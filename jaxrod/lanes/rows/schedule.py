@@ -15,11 +15,13 @@ import numpy as np
 
 from jaxrod.lanes.graph import VARYING
 from jaxrod.lanes.llvm.vector_code import BYTES
+from jaxrod.lanes.rows.packing import STORED, Packing
 from jaxrod.lanes.rows.row_graph import Dims, Piece, RowGraph
 
-STORED = frozenset({"joined", "scatter", "recurrence", "reduce", "input", "data"})
-"""Operations whose results are arrays in memory. The results of other operations are
-values within the loop that computes them."""
+LEAST_SKIPPED = 8
+"""Smallest number of operations under a mask for which vectors are skipped."""
+MOST_STORED = 16_384
+"""Largest table that is stored for packed loops alone [numbers]."""
 ALIGNMENT = 64
 """Default alignment of stored nodes [bytes]."""
 
@@ -83,6 +85,9 @@ class Loop:
     mask: int | None = None
     """Node of a mask; vectors in which it is false everywhere are skipped. `None` if
     all vectors are computed."""
+    packed: list[int] = field(default_factory=list)
+    """Nodes of sums that the loop computes at the entries alone where its mask is true;
+    empty in other loops."""
 
 
 class Schedule:
@@ -99,6 +104,8 @@ class Schedule:
         stored: Iterable[int] = (),
         lasting: Callable[[int], Place] | None = None,
         alignment: int = ALIGNMENT,
+        *,
+        packs: bool = False,
     ) -> None:
         """Assigns nodes to loops, and memory to the nodes that loops store.
 
@@ -112,6 +119,7 @@ class Schedule:
                 pieces, with a constant in the gaps. The constant is written there once,
                 not at every step.
             alignment: Alignment of the nodes that the loops store [bytes].
+            packs: Whether sums under a mask may be computed by packed loops.
         """
         self.alignment = alignment
         self.graph, self.ready = graph, dict(ready)
@@ -131,13 +139,21 @@ class Schedule:
         self._read: dict[int, int] = {}
         self._goals = list(goals)
         self.order = self._needed()
+        self.packing = Packing(graph, self.order if packs else (), self.ready)
+        self._floors: dict[int, int] = {}
+        if self.packing.sums:
+            ends = [*(goal.node for goal in self._goals), *self.fresh]
+            computed = self.packing.computed(ends)
+            whole, self.order = self.order, [n for n in self.order if n in computed]
         self._masks = self._masked()
-        for node in self.order:
-            self._level(node)
+        self._levels()
+        if self.packing.sums:
+            self._join_sums(whole)
         for goal in goals:
             self._write(goal)
         for node in self.order:
             self._use(node)
+        self._read_by_packed()
         self.loops = [self._loops[key] for key in sorted(self._loops, key=_key)]
         rank = {node: i for i, node in enumerate(self.order)}
         for loop in self.loops:
@@ -179,16 +195,20 @@ class Schedule:
     def _masked(self) -> dict[int, int]:
         """Returns the mask of each node that matters only where the mask is true.
 
-        Such a node is used only by scatters under that mask and by other such nodes.
-        Indices of gathers are excluded, because they must be inside the array
-        everywhere. The masks are stored before the first loop.
+        Such a node is used only by scatters under that mask, by its conjunction with
+        that mask, and by other such nodes. Indices of gathers are excluded, because
+        they must be inside the array everywhere. The masks are stored before the first
+        loop.
         """
         graph = self.graph
         users: dict[int, list[tuple[int, int]]] = {}
         for node in self.order:
+            if node in self.packing.sums:
+                continue
             for position, argument in enumerate(graph.arguments[node]):
                 users.setdefault(argument, []).append((node, position))
         apart = {goal.node for goal in self._goals} | self.fresh
+        apart.update(n for one in self.packing.sums.values() for n in one.leaves)
         masks: dict[int, int] = {}
         for node in reversed(self.order):
             operation, dims = graph.operations[node], graph.dims[node]
@@ -203,14 +223,29 @@ class Schedule:
                     last = None
                 else:
                     last = masks.get(user)
+                    if last is None and self._is_conjunction(user):
+                        last = given[1 - position]
                 found.add(last)
             (mask,) = found if len(found) == 1 else (None,)
             if mask is None or graph.dims[mask] != dims:
                 continue
-            stored = graph.arguments[mask] if graph.operations[mask] == "view" else ()
-            if self.is_ready(stored[0] if stored else mask):
+            if self._is_stored_first(mask):
                 masks[node] = mask
-        return masks
+        work: dict[int, int] = {}
+        for node, mask in masks.items():
+            work[mask] = work.get(mask, 0) + (graph.operations[node] != "iota")
+        return {n: mask for n, mask in masks.items() if work[mask] >= LEAST_SKIPPED}
+
+    def _is_stored_first(self, mask: int) -> bool:
+        """Whether a mask is stored before the first loop."""
+        graph = self.graph
+        stored = graph.arguments[mask] if graph.operations[mask] == "view" else ()
+        return self.is_ready(stored[0] if stored else mask)
+
+    def _is_conjunction(self, node: int) -> bool:
+        """Whether a node is the conjunction of two masks."""
+        graph = self.graph
+        return graph.operations[node] == "and" and graph.kinds[node] == "b1"
 
     def _after(self, node: int) -> int:
         """Returns the first level at which all numbers of a node are available."""
@@ -231,7 +266,34 @@ class Schedule:
             return self._at[node]
         return self._after(node)
 
+    def _levels(self) -> None:
+        for node in self.order:
+            self._level(node)
+
+    def _join_sums(self, order: Sequence[int]) -> None:
+        """Raises the levels of sums under one mask, so that one loop computes them.
+
+        `order` has all nodes, also those inside of packed loops.
+        """
+        groups = self.packing.independent(order)
+        for _ in range(len(groups) + 1):
+            floors = {
+                node: max(self._at[other] for other in nodes)
+                for nodes in groups.values()
+                for node in nodes
+            }
+            if floors == self._floors:
+                break
+            self._floors = floors
+            self._levels()
+
     def _level(self, node: int) -> None:
+        if node in self.packing.sums:
+            leaves = self.packing.sums[node].leaves
+            level = max(self._after(leaf) for leaf in leaves)
+            level = max(level, self._floors.get(node, 0))
+            self._at[node] = self._done[node] = level
+            return
         graph = self.graph
         operation, arguments = graph.operations[node], graph.arguments[node]
         dims = graph.dims[node]
@@ -306,6 +368,9 @@ class Schedule:
         graph = self.graph
         operation, arguments = graph.operations[node], graph.arguments[node]
         level, dims = self._at[node], graph.dims[node]
+        if node in self.packing.sums:
+            self._use_packed(node)
+            return
         if node in self.fresh and operation not in STORED:
             self._kept.add(node)
         if operation == "view":
@@ -352,6 +417,30 @@ class Schedule:
             return
         for argument in arguments:
             self._take(argument, loop)
+
+    def _use_packed(self, node: int) -> None:
+        """Adds a sum to its packed loop, and marks what that loop reads as stored."""
+        one, level = self.packing.sums[node], self._at[node]
+        dims = self.graph.dims[one.mask]
+        loop = self._loop(level, dims, f"packed under {one.mask}")
+        loop.mask = one.mask
+        loop.packed.append(node)
+        self._kept.add(node)
+        for leaf in one.leaves:
+            if self.graph.operations[leaf] == "view" and self.graph.dims[leaf]:
+                (leaf,) = self.graph.arguments[leaf]
+            if self.graph.dims[leaf]:
+                self._keep(leaf, level)
+            else:
+                self._read[leaf] = max(self._read.get(leaf, 0), level)
+
+    def _read_by_packed(self) -> None:
+        """Records that packed loops read what other loops store anyway."""
+        for node, one in self.packing.sums.items():
+            level = self._at.get(node, 0)
+            for inside in one.inside:
+                if self.is_stored_before(inside, level):
+                    self._keep(inside, level)
 
     def _read_as_stored(self, node: int) -> None:
         """Marks the input rows and the result of a scatter or recurrence as stored.
@@ -417,6 +506,15 @@ class Schedule:
                 last = max(self._read.get(node, level), self._done[node])
                 ends.setdefault(last, []).append((size, offset))
 
+    def room(self, size: int) -> Place:
+        """Allocates memory that only one loop uses, and returns its location.
+
+        `size` is in bytes.
+        """
+        place = Place("%scratch", self.size)
+        self.size += -(-size // self.alignment) * self.alignment
+        return place
+
     def goal_place(self, goal: Goal) -> Place:
         """Returns the memory location of the array to which a goal is written."""
         word, _, number = goal.place.pointer.partition(" ")
@@ -426,20 +524,31 @@ class Schedule:
         assert place is not None
         return place
 
+    def is_stored_before(self, node: int, level: int) -> bool:
+        """Whether a node is in memory before the loops of a level begin."""
+        if node in self.ready and node not in self.fresh:
+            return True
+        return node in self._kept and self._done[node] < level
+
     def is_kept(self, node: int) -> bool:
         """Whether the loop that computes a node also stores it."""
         return node in self._kept
 
 
-def hoisted(graph: RowGraph, goals: Iterable[int], given: Iterable[int]) -> list[int]:
+def hoisted(
+    graph: RowGraph, goals: Iterable[int], given: Iterable[int], *, packs: bool = False
+) -> list[int]:
     """Returns the nodes to compute once before all steps, for use at every step.
 
     They do not vary between steps. Each is a goal, or is read by a node that varies.
+    Large tables that packed loops alone read are not among them, but the rows are from
+    which those loops compute a few of their entries.
 
     Args:
         graph: The graph of rows.
         goals: Nodes that are to be computed in a step.
         given: Nodes that are stored already.
+        packs: Whether sums under a mask may be computed by packed loops.
     """
     known: set[int] = set(given)
     found: dict[int, None] = {}
@@ -456,8 +565,25 @@ def hoisted(graph: RowGraph, goals: Iterable[int], given: Iterable[int]) -> list
         found[node] = None
 
     goals = list(goals)
-    for node in graph.needed(goals):
-        if graph.rates[node] >= VARYING:
+    order = graph.needed(goals)
+    packing = Packing(graph, order if packs else (), known)
+    packing.sums = {
+        node: one
+        for node, one in packing.sums.items()
+        if math.prod(graph.dims[one.mask]) > MOST_STORED
+    }
+    computed = packing.computed(goals)
+    for node in order:
+        if node not in computed:
+            continue
+        if node in packing.sums:
+            one = packing.sums[node]
+            for leaf in one.leaves:
+                keep(leaf)
+            for inside in one.inside:
+                if len(graph.dims[inside]) < 2:
+                    keep(inside)
+        elif graph.rates[node] >= VARYING:
             for argument in graph.arguments[node]:
                 keep(argument)
     for node in goals:

@@ -83,6 +83,8 @@ class WarpPlan(RowPlan):
     alignment = 16
     """Alignment of arrays in memory [bytes]. It is smaller than for rows, because
     threads load single numbers, and less memory is lost."""
+    packs = False
+    """Packed loops are not for warps: a list is made by one thread."""
 
     def __init__(self, body: LoopBody, batched: Sequence[bool]) -> None:
         """Translates a step; the arguments are those of `RowPlan`."""

@@ -41,7 +41,12 @@ from jaxrod.effects.base import StabilityBound
 from jaxrod.geometry import vectors
 from jaxrod.geometry.vectors import Vec3
 from jaxrod.structure import pytree
-from jaxrod.systems.contact.element_pairs import Bounds, Elements, bulge_shares
+from jaxrod.systems.contact.element_pairs import (
+    Bounds,
+    Elements,
+    bulge_shares,
+    farthest_from_chord,
+)
 from jaxrod.systems.contact.neighbour_lists import NeighbourLists
 from jaxrod.systems.contact.penalty_contact import (
     ContactPair,
@@ -157,6 +162,16 @@ class CrossingContact(TouchingRods):
         ):
             between = apart(way, own, other, places)
             yield contact_pair(between, places, weight, radii, self.onset)
+
+    def touching(self, own: Elements, other: Elements, weights: Array) -> Array:
+        """Mask of the pairs whose chords are near enough for their axes to touch."""
+        way = vectors.subtract(own.first, other.first)
+        square = nearest_places(way, own.edge, other.edge)[2]
+        reach = (1 + 0.25 * self.onset) * (own.radii + other.radii)
+        for one in (own, other):
+            if one.bulges is not None:
+                reach = reach + farthest_from_chord(one.bulges)
+        return (square < reach * reach) & (weights != 0)
 
     def pair_loads(
         self, own: Elements, other: Elements, weights: Array

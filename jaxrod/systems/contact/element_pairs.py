@@ -323,7 +323,7 @@ def sums_over_all(on_own: Any, on_other: Any) -> tuple[Any, Any]:
 
 
 def sums_over_list(
-    work: Callable[[Elements, Elements, Array], tuple[Any, Any]],
+    work: Callable[[Elements, Elements, Array], tuple[Array, tuple[Any, Any]]],
     own: Elements,
     other: Elements,
     listed: NeighbourList,
@@ -332,7 +332,8 @@ def sums_over_list(
 
     Args:
         work: Function from first elements, second elements and the mask of entries in
-            use to pair values for the first elements and for the second.
+            use to the mask of pairs with values, and pair values for the first elements
+            and for the second.
         own: All elements of the first member.
         other: All elements of the second member.
         listed: Pairs of elements to sum over.
@@ -345,10 +346,10 @@ def sums_over_list(
     def worked(some: NeighbourList) -> tuple[Any, Any]:
         one = unpack(tables[0][some.own], own)
         two = unpack(tables[1][some.other], other)
-        return work(one, two, some.there)
+        return where(*work(one, two, some.there))
 
     if entries <= LEAST or lanes_wanted():
-        on_own, on_other = _where(listed.there, worked(listed))
+        on_own, on_other = worked(listed)
         return (
             scatter_add(on_own, listed.own, sizes[0]),
             scatter_add(on_other, listed.other, sizes[1]),
@@ -388,8 +389,8 @@ def sums_over_list(
     return unpack(on_own, like[0]), unpack(on_other, like[1])
 
 
-def _where(there: Array, tree: Any) -> Any:
-    """Copy of a tree with zeros where `there`, the mask of entries in use, is false."""
+def where(there: Array, tree: Any) -> Any:
+    """Copy of a tree of pair values, with zeros where the mask `there` is false."""
     return jax.tree.map(lambda field: jnp.where(there, field, 0), tree)
 
 

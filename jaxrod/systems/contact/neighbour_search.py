@@ -11,8 +11,9 @@ Pairs from these stretches are candidates if their midpoints are near enough for
 lengths. The exact distance is computed for candidates only. The k-th candidate of an
 element is where its running count reaches k, found by bisection. Candidates are
 processed in blocks, and the pairs that remain of a block are written after those of
-earlier blocks. There is no scatter, no sort except by cell, and no loop over empty rows
-or blocks.
+earlier blocks. There is no sort except by cell, and no loop over empty rows or blocks.
+On CPUs, where one processor writes entries one after another, candidates of a search
+over all pairs and the pairs that remain are scattered to their places, not bisected.
 """
 
 from __future__ import annotations
@@ -23,7 +24,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import lax
-from jaxtyping import Array, Float, Int
+from jaxtyping import Array, Bool, Float, Int
 
 from jaxrod.geometry import vectors
 from jaxrod.geometry.vectors import Vec3
@@ -245,6 +246,8 @@ class CandidateList:
     once: bool = static()
     """Whether both elements are of one member and each pair is listed once, the lower
     index first."""
+    near: Bool[Array, "rows own"] | None = None
+    """Mask of the candidates, if all rows were tested together."""
 
     @property
     def count(self) -> Array:
@@ -263,6 +266,34 @@ class CandidateList:
         if self.once:
             column, found = jnp.minimum(column, found), jnp.maximum(column, found)
         return NeighbourList(column, found, there)
+
+    def all_of_them(self) -> NeighbourList:
+        """Element indices of all candidates in order, up to `size`."""
+        if self.near is None or jax.default_backend() != "cpu":
+            return self.named(jnp.arange(self.size, dtype=jnp.int32))
+        # One processor writes each candidate to its place faster than it bisects.
+        width = self.near.shape[1]
+        place = (self.until - self.running[-1])[None] + self.running - 1
+        number = numbers_at(self.near.reshape(-1), place.reshape(-1), self.size)
+        there = jnp.arange(self.size, dtype=jnp.int32) < self.count
+        number = jnp.where(there, number, 0)
+        found, column = number // width, number % width
+        if self.once:
+            column, found = jnp.minimum(column, found), jnp.maximum(column, found)
+        return NeighbourList(column, found, there)
+
+
+def numbers_at(chosen: Array, place: Array, size: int) -> Array:
+    """Indices of the chosen entries of a row, written to their places in a list.
+
+    Args:
+        chosen: Mask of the entries.
+        place: Place of each entry in the list; entries beyond the list are left out.
+        size: Length of the list; it is zero where nothing is written.
+    """
+    number = jnp.arange(place.shape[0], dtype=jnp.int32)
+    place = jnp.where(chosen, jnp.minimum(place, size), size)
+    return jnp.zeros(size, jnp.int32).at[place].set(number, mode="drop")
 
 
 def candidates(
@@ -303,7 +334,8 @@ def candidates(
         near = square <= (reach + farther) ** 2
         near = near & (number < fellow) if once else near
         running = jnp.cumsum(near.astype(jnp.int32), axis=0)
-        return CandidateList(rows, running, jnp.cumsum(running[-1]), size, once)
+        until = jnp.cumsum(running[-1])
+        return CandidateList(rows, running, until, size, once, near)
     none = jnp.zeros(x.shape, jnp.int32)
     running = jnp.zeros((rows.room, *x.shape), jnp.int32)
     total, running = lax.fori_loop(0, rows.count, counted, (none, running))
@@ -330,12 +362,16 @@ def pairs_within(
 
     def worked(carry: tuple[Array, Array, Array]) -> tuple[Array, Array, Array]:
         begin, taken, kept = carry
-        listed = some.named(begin + within)
+        whole = block == some.size
+        listed = some.all_of_them() if whole else some.named(begin + within)
         near = listed.there & near_each_other(
             gather(own, listed.own), gather(other, listed.other), allowed
         )
         running = jnp.cumsum(near.astype(jnp.int32))
-        place = jnp.minimum(_count(running, within), block - 1)
+        if jax.default_backend() == "cpu":
+            place = numbers_at(near, running - 1, block)
+        else:
+            place = jnp.minimum(_count(running, within), block - 1)
         # Both indices are in one array: XLA's CPU compiler aborts the process for two
         # updates of a batch at the same index.
         pairs = jnp.stack([listed.own, listed.other], axis=-1)[place]

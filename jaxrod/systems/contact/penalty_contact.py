@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from typing import Any, Protocol
 
-import jax.numpy as jnp
+import jax
 from jaxtyping import Array, Float
 
 from jaxrod.contacts.contact_law import PenaltyLaw
@@ -169,10 +169,12 @@ def contact_pair(
     """
     together = radii[0] + radii[1]
     rounded = (ROUNDED * together) * (ROUNDED * together)
-    distance = jnp.sqrt(vectors.dot(way, way) + rounded)
+    square = vectors.dot(way, way) + rounded
+    over_distance = jax.lax.rsqrt(square)
+    distance = square * over_distance
     return ContactPair(
         places=places,
-        normal=vectors.scale(1 / distance, way),
+        normal=vectors.scale(over_distance, way),
         weight=weight,
         depth=together - distance,
         width=0.5 * onset * together,

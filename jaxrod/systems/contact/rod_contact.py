@@ -155,9 +155,7 @@ class RodContact(TouchingRods):
         Pairs with second nodes have negative weights (inclusion-exclusion), or zero
         where no other segment follows.
         """
-        apart = vectors.subtract(own.position, other.first)
-        square = vectors.dot(other.edge, other.edge)
-        closest = jnp.clip(vectors.dot(apart, other.edge) / square, 0, 1)
+        apart, closest = nearest_on_segment(own, other)
         radii = own.radii, other.radii
         for fraction, weight in (
             (closest, weights),
@@ -165,6 +163,16 @@ class RodContact(TouchingRods):
         ):
             way = vectors.subtract(apart, vectors.scale(fraction, other.edge))
             yield contact_pair(way, (None, fraction), weight, radii, self.onset)
+
+    def touching(self, own: ContactPoints, other: Elements, weights: Array) -> Array:
+        """Mask of point-segment pairs whose surfaces are nearer than the onset.
+
+        The second node of a segment is no nearer than the closest point.
+        """
+        apart, closest = nearest_on_segment(own, other)
+        way = vectors.subtract(apart, vectors.scale(closest, other.edge))
+        reach = (1 + 0.25 * self.onset) * (own.radii + other.radii)
+        return (vectors.dot(way, way) < reach * reach) & (weights != 0)
 
     def pair_loads(
         self, own: ContactPoints, other: Elements, weights: Array
@@ -319,6 +327,19 @@ def rod_contact(
     )
     per = () if points_per_element is None else (points_per_element,)
     return RodContact(**law, points_per_element=per)
+
+
+def nearest_on_segment(own: ContactPoints, other: Elements) -> tuple[Vec3, Array]:
+    """Vectors from segments' first nodes to points; fractions of closest points.
+
+    Returns:
+        Vectors from the first nodes of segments `other` to the points `own` [m], and
+        the fractions along the segments at which these are closest to the points [1].
+    """
+    apart = vectors.subtract(own.position, other.first)
+    over_square = 1 / vectors.dot(other.edge, other.edge)
+    along = vectors.dot(apart, other.edge) * over_square
+    return apart, jnp.clip(along, 0, 1)
 
 
 def points_on(own: Elements, per_element: int) -> ContactPoints:

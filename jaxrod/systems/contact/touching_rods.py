@@ -39,6 +39,7 @@ from jaxrod.systems.contact.element_pairs import (
     row_vector,
     sums_over_all,
     sums_over_list,
+    where,
 )
 from jaxrod.systems.contact.neighbour_lists import NeighbourLists, with_spare
 from jaxrod.systems.contact.neighbour_search import FoundNeighbours, found_by
@@ -131,6 +132,14 @@ class TouchingRods(PenaltyContact):
     ) -> tuple[SegmentLoads, SegmentLoads]:
         """Loads on the first and the second element of each pair, times `weights`."""
         raise _without(self, "pair_loads")
+
+    def touching(self, own: Any, other: Elements, weights: Array) -> Array:
+        """Mask of the pairs that may have loads; those of all others are zero.
+
+        By default they are those with a weight. A law that tests the distance spares
+        kernels of rows the arithmetic of all other pairs.
+        """
+        return weights != 0
 
     def bound(self, own: Parts, every: list[Parts]) -> StabilityBound:
         """Bounds of stiffness and drag of `own` if `max_contacts` rods touch it.
@@ -328,7 +337,9 @@ class TouchingRods(PenaltyContact):
         elements = self._elements(seen, moves=True)
         if self.found is None:
             for a, others, *pairs in self._rows(elements, seen):
-                on_own, on_others = sums_over_all(*self.pair_loads(*pairs))
+                touch = self.touching(*pairs)
+                loads = where(touch, self.pair_loads(*pairs))
+                on_own, on_others = sums_over_all(*loads)
                 add(a, on_own)
                 start = 0
                 for b in others:
@@ -342,9 +353,13 @@ class TouchingRods(PenaltyContact):
 
                 def work(
                     own: Elements, other: Elements, there: Array, a: int = a, b: int = b
-                ) -> tuple[SegmentLoads, SegmentLoads]:
+                ) -> tuple[Array, tuple[SegmentLoads, SegmentLoads]]:
                     pairs = self._listed(a, b, own, other, there)
-                    return self.collected(pairs[0], *self.pair_loads(*pairs))
+                    touch = self.touching(*pairs)
+                    loads = where(touch, self.pair_loads(*pairs))
+                    # Over the contact points of elements, if there are any.
+                    some = jnp.any(touch.reshape(-1, there.shape[0]), axis=0)
+                    return some, self.collected(pairs[0], *loads)
 
                 on_own, on_other = sums_over_list(
                     work, elements[a], elements[b], listed

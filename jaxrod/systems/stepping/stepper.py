@@ -5,10 +5,7 @@ positions of attached and tied nodes; loads of all members and couplings at this
 configuration; kicks; exchange of impulses between attached members; half a drift.
 
 A system may change during a run: through schedules, memory of effects, or neighbour
-lists. Lists are carried from step to step together with the motions and the age of the
-lists in steps. This age does not depend on the numbers of a system. So under `jax.vmap`
-it is the same for all systems, and the search stays a branch that is taken only when it
-is due.
+lists. Lists are made before each block of steps, in which they are constants.
 """
 
 from __future__ import annotations
@@ -244,17 +241,40 @@ class EvolvingSystem:
 
 
 @pytree
-class Listing:
-    """Loop carry: motions of a system, its neighbour lists and their age."""
+class ListedSystem:
+    """Steps of a system between two searches, whose lists are constants."""
 
-    motions: Any
-    """Motions of the members: the loop carry of the stepper that this one wraps."""
+    stepper: SystemStepper | EvolvingSystem
+    """The stepper of the system, without lists."""
     found: tuple[Any, ...]
     """Results of the last search of each coupling that searches."""
-    age: Int[Array, ""]
-    """Number of steps since the last search."""
-    record: NeighbourRecord
-    """Worst shortage and age of the lists since the run began."""
+
+    def cycle(self, carry: tuple[Any, NeighbourRecord]) -> tuple[Any, NeighbourRecord]:
+        """Motions in the middle of the next step, and the record of the lists."""
+        motions, record = carry
+        return self._with_lists().cycle(motions), self._recorded(motions, record)
+
+    def end(self, carry: tuple[Any, NeighbourRecord]) -> dict[str, Any]:
+        """State at the end of the last step, with the record of the lists."""
+        motions, record = carry
+        state = self._with_lists().end(motions)
+        return {**state, RECORD: self._recorded(motions, record)}
+
+    def _recorded(self, motions: Any, record: NeighbourRecord) -> NeighbourRecord:
+        """Updates the record with the lists and the motions; no derivatives."""
+        own, motions, record = jax.lax.stop_gradient((self, motions, record))
+        couplings = own._with_lists().couplings
+        seen = own.stepper.seen(motions)
+        moved = record.moved
+        for coupling in couplings:
+            if coupling.refresh_every is not None:
+                moved = jnp.maximum(moved, coupling.moved(seen))
+        return with_shortage(replace(record, moved=moved), couplings)
+
+    def _with_lists(self) -> SystemStepper | EvolvingSystem:
+        """The stepper, with the lists in its couplings."""
+        couplings = with_found(self.stepper.couplings, self.found)
+        return replace(self.stepper, couplings=couplings)
 
 
 @pytree
@@ -270,63 +290,26 @@ class ListingSystem:
     every: int = static()
     """Steps between searches."""
 
-    def begin(self, state: Mapping[str, Any]) -> Listing:
-        """Loop carry in the middle of the first step; a search is due immediately."""
-        motions = by_kernel(self.stepper, "begin", state)
-        like = jax.eval_shape(self.search, motions)
-        found = jax.tree.map(lambda leaf: jnp.zeros(leaf.shape, leaf.dtype), like)
-        return Listing(motions, found, jnp.int32(self.every), state[RECORD])
+    def begin(self, state: Mapping[str, Any]) -> tuple[Any, NeighbourRecord]:
+        """Motions in the middle of the first step, and the record of the lists."""
+        return by_kernel(self.stepper, "begin", state), state[RECORD]
 
     def search(self, motions: Any) -> tuple[Any, ...]:
         """Results of the searches of all couplings, without derivatives."""
         motions = jax.lax.stop_gradient(motions)
-        return searched(self.stepper.couplings, self._seen(motions))
+        return searched(self.stepper.couplings, self.stepper.seen(motions))
 
-    def renewed(self, carry: Listing) -> Listing:
-        """The carry with new lists if they are `every` steps old; else unchanged."""
-        found = jax.lax.cond(
-            carry.age >= self.every,
-            lambda _: by_kernel(self, "search", carry.motions),
-            lambda found: found,
-            carry.found,
-        )
-        age = jnp.where(carry.age >= self.every, 0, carry.age)
-        return replace(carry, found=found, age=age)
+    def cycle(self, carry: tuple[Any, NeighbourRecord]) -> Any:
+        """Motions in the middle of the next step, and the record, with new lists."""
+        return self.searched(carry).cycle(carry)
 
-    def cycle(self, carry: Listing) -> Listing:
-        """Loop carry in the middle of the next step, with the same lists."""
-        carry = replace(carry, record=self._recorded(carry))
-        moved = self._listed(carry).cycle(carry.motions)
-        return replace(carry, motions=moved, age=carry.age + 1)
+    def end(self, carry: tuple[Any, NeighbourRecord]) -> dict[str, Any]:
+        """State at the end of the last step, and the record, with new lists."""
+        return self.searched(carry).end(carry)
 
-    def end(self, carry: Listing) -> dict[str, Any]:
-        """State at the end of the last step, with the record of the lists."""
-        return by_kernel(self, "ended", carry)
-
-    def ended(self, carry: Listing) -> dict[str, Any]:
-        """State at the end of the last step; `end` calls it in a kernel."""
-        state = self._listed(carry).end(carry.motions)
-        return {**state, RECORD: self._recorded(carry)}
-
-    def _recorded(self, carry: Listing) -> NeighbourRecord:
-        """Updates the record with the current lists and motions; no derivatives."""
-        carry = jax.lax.stop_gradient(carry)
-        couplings = self._listed(carry).couplings
-        seen = self._seen(carry.motions)
-        moved = carry.record.moved
-        for coupling in couplings:
-            if coupling.refresh_every is not None:
-                moved = jnp.maximum(moved, coupling.moved(seen))
-        return with_shortage(replace(carry.record, moved=moved), couplings)
-
-    def _listed(self, carry: Listing) -> SystemStepper | EvolvingSystem:
-        """The stepper, with the lists of the carry in its couplings."""
-        couplings = with_found(self.stepper.couplings, carry.found)
-        return replace(self.stepper, couplings=couplings)
-
-    def _seen(self, motions: Any) -> Any:
-        """Constants and motion of all members, as couplings read them."""
-        return self.stepper.seen(motions)
+    def searched(self, carry: tuple[Any, NeighbourRecord]) -> ListedSystem:
+        """Integrator of the steps until the next search, with new lists."""
+        return ListedSystem(self.stepper, by_kernel(self, "search", carry[0]))
 
 
 def system_stepper(
