@@ -175,7 +175,7 @@ def test_a_second_process_writes_no_kernel_for_a_gradient(folder, monkeypatch):
     def written(*given):
         raise AssertionError("a kernel is written again")
 
-    monkeypatch.setattr(kernels, "_of_rows", written)
-    monkeypatch.setattr(kernels, "_of_lanes", written)
+    for way in ("_written_out", "_in_loops", "_of_rows"):
+        monkeypatch.setattr(kernels, way, written)
     assert slope() == first
     assert jaxrod.lane_choices()[-1].taken
