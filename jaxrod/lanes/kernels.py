@@ -98,7 +98,8 @@ def lowered_by_lanes(
         kernel, words, way = None, "", ""
         for way in wanted:
             make = partial(ways[way], name, spec)
-            kind = f"{way} of {vector_bytes()} bytes, {mode}"
+            limits = MOST_OPERATIONS, MOST_MEMORY
+            kind = f"{way} of {vector_bytes()} bytes, {mode}, {limits}"
             kernel, words = kept(kind, name, spec, make)
             if kernel is not None:
                 break
