@@ -115,6 +115,16 @@ FACTORIES = {
     "sphere": [{"centre": (1.0, 2.0, 3.0), "radius": 0.5}],
     "capsule": [{"start": (1.0, 2.0, 3.0), "end": (0.0, 0.0, 1.0), "radius": 0.5}],
     "cylinder": [{"start": (1.0, 2.0, 3.0), "end": (0.0, 0.0, 1.0), "radius": 0.5}],
+    "sticking_contact": [
+        {
+            "contact": jaxrod.contact(
+                jaxrod.shapes.plane(), stiffness=10.0, damping=1.0, friction=0.5
+            ),
+            "rod": ROD,
+            "state": STATE,
+            "stick_stiffness": 3.0,
+        }
+    ],
     "pipe": [
         {
             "start": (1.0, 2.0, 3.0),
