@@ -110,7 +110,7 @@ def test_a_critic_predicts_what_it_sees():
     assert errors[True] < 0.2 * errors[False]
 
 
-@pytest.mark.fast_sets(1)
+@pytest.mark.slow
 @pytest.mark.parametrize("units", [4, 0])
 def test_a_run_leaves_a_policy_of_the_task_itself(tmp_path, units):
     varied = {"parameters": {"stride": {"uniform": (0.1, 0.3)}}, "noise": 0.05}
