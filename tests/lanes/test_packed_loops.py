@@ -24,17 +24,22 @@ def packed_wherever_possible(monkeypatch):
 
 
 def compared(step, given, n_constants, dtype, *, packs=True, steps=3):
-    """Checks that rows and XLA come to the same numbers, twice to the same bits."""
+    """Checks that rows and XLA come to the same numbers, twice to the same bits.
+
+    XLA computes one operation after another: with the fusion of `configure_cpu` its
+    compiler (0.10.1) aborts on some of these programs.
+    """
     body = LoopBody(jax.make_jaxpr(step)(*given), n_constants)
     kernel = cycles_kernel(body, (False,) * n_constants, checkpoints=False)
     assert ("_listed:" in kernel.text) == packs
-    found = []
-    for mode in ("rows", "rows", "never"):
-        use_lanes(mode)
-        run = jax.jit(lambda *a: cycles_p.bind(*a, spec=RunSpec(body, None)))
-        found.append(run(jnp.int32(steps), *given))
-        assert mode == "never" or lane_choices()[-1].taken
-    for ours, again, theirs in zip(*found, strict=True):
+    use_lanes("rows")
+    run = jax.jit(lambda *a: cycles_p.bind(*a, spec=RunSpec(body, None)))
+    found = [run(jnp.int32(steps), *given) for _ in range(2)]
+    assert lane_choices()[-1].taken
+    constants, carry = given[:n_constants], given[n_constants:]
+    for _ in range(steps):
+        carry = step(*constants, *carry)
+    for ours, again, theirs in zip(*found, carry, strict=True):
         assert np.array_equal(ours, again)
         scale = max(1.0, float(np.max(np.abs(theirs))))
         limit = TOLERANCES[dtype] * scale
