@@ -44,6 +44,7 @@ def test_names_are_programs_and_tasks():
         parser.parse_args(["nonsense"])
 
 
+@pytest.mark.slow
 def test_the_system_is_that_of_the_page():
     call = programs.system_advance()
     assert set(call()) == {"trunk", "branch", "ball"}

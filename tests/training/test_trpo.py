@@ -83,6 +83,7 @@ def test_trivial_task_is_learned_to_its_known_optimum(learned):
     assert learned.summary["final_score"] > env.optimal_return - 1
 
 
+@pytest.mark.slow
 @pytest.mark.default_precision
 def test_every_step_keeps_the_bound_and_improves_the_surrogate(learned):
     bounds = [row["max_kl"] for row in learned.progress]
