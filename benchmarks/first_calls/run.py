@@ -69,7 +69,7 @@ def compiling(task: str, cache: str) -> float:
             "--out",
             f"{folder}/run",
         ]
-        return float(json.loads(_said(words, cache).splitlines()[-1])["compile_s"])
+        return float(json.loads(_said(words, cache))["compile_s"])
 
 
 def _said(words: Sequence[str], cache: str) -> str:
