@@ -1,4 +1,4 @@
-"""What first calls trace and compile, counted so that it cannot creep back."""
+"""First calls: programs and equations are counted, so that they cannot creep back."""
 
 from typing import ClassVar
 

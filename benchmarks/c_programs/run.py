@@ -117,7 +117,7 @@ class Problem:
 
 
 def lists_of(model: Any) -> dict[str, int]:
-    """What a C program is told of neighbour lists; nothing for models without."""
+    """Sizes of neighbour lists, as definitions for a C compiler; none without lists."""
     for coupling in getattr(model, "couplings", ()):
         if coupling.refresh_every is not None:
             return settings_of_lists(coupling)

@@ -29,7 +29,7 @@ class Compared(NamedTuple):
     source: str
     """Name of the C program."""
     settings: dict[str, int]
-    """Numbers that the C program is compiled for, besides those of lists."""
+    """Numbers that the C program is compiled for, except those of lists."""
     build: Callable[[str], Built]
     """Function from a type to the scene in it."""
     constants: Callable[[Any, Any, float, str], np.ndarray]

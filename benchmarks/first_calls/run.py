@@ -73,7 +73,7 @@ def compiling(task: str, cache: str) -> float:
 
 
 def _said(words: Sequence[str], cache: str) -> str:
-    """What a Python process prints."""
+    """Standard output of a Python process."""
     done = subprocess.run(
         [sys.executable, *words],
         env={**os.environ, "JAXROD_CACHE": cache},

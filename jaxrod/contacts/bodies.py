@@ -324,10 +324,7 @@ class Cylinder(Body):
 
     def surface(self, points: Vec3) -> tuple[Array, Vec3]:
         """Distance and normal, from the distances to curved side and nearer end."""
-        axis, length = _unit(self.end - self.start)
-        relative = _from_point(0.5 * (self.start + self.end), points)
-        along = vectors.dot(relative, axis)
-        across = vectors.subtract(relative, vectors.scale(along, axis))
+        axis, length, along, across = _about_axis(self.start, self.end, points)
         beside, outwards = _round(across, self.radius)
         end_face = jnp.abs(along) - 0.5 * length
         size = jnp.minimum(self.radius, 0.5 * length)
@@ -398,10 +395,7 @@ class Pipe(Body):
 
     def surface(self, points: Vec3) -> tuple[Array, Vec3]:
         """Distance and normal, from the distances to bore, mantle and nearer end."""
-        axis, length = _unit(self.end - self.start)
-        relative = _from_point(0.5 * (self.start + self.end), points)
-        along = vectors.dot(relative, axis)
-        across = vectors.subtract(relative, vectors.scale(along, axis))
+        axis, length, along, across = _about_axis(self.start, self.end, points)
         half = 0.5 * self.thickness
         beyond, outwards = _round(across, self.radius + half)
         beside = jnp.abs(beyond) - half
@@ -628,6 +622,20 @@ def _unit(vector: Float[Array, "3"]) -> tuple[Vec3, Array]:
     components = vectors.split(vector)
     length = jnp.sqrt(vectors.dot(components, components))
     return vectors.scale(1 / length, components), length
+
+
+def _about_axis(
+    start: Array, end: Array, points: Vec3
+) -> tuple[Vec3, Array, Array, Vec3]:
+    """Unit vector and length of an axis, and parts of points along it and across it.
+
+    The parts are measured from the middle of the axis [m].
+    """
+    axis, length = _unit(end - start)
+    relative = _from_point(0.5 * (start + end), points)
+    along = vectors.dot(relative, axis)
+    across = vectors.subtract(relative, vectors.scale(along, axis))
+    return axis, length, along, across
 
 
 def _round(relative: Vec3, radius: Array) -> tuple[Array, Vec3]:

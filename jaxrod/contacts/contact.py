@@ -239,7 +239,7 @@ class Contact(Effect):
             distance, normal = body.surface(place)
             density = self._density(radii, distance)
             if grip is not None:
-                density = density + self._grip_density(radii, distance, normal, grip)
+                density = density + grip.density(radii, distance, normal)
             total = jnp.sum(points.lengths * density)
             if points.ends is None:
                 return total
@@ -317,7 +317,7 @@ class Contact(Effect):
             own, own_radii = ends.of_points(distance), ends.of_points(radii)
             density = self._density(own_radii, own)
             if grip is not None:
-                held = self._grip_density(radii, distance, normal, grip)
+                held = grip.density(radii, distance, normal)
                 density = density + ends.of_points(held)
             lengths, change, pulls = ends.counted_and_changes(
                 own, beside, self._depth(own_radii), density
@@ -357,16 +357,6 @@ class Contact(Effect):
     def _density(self, radii: Array, distance: Array) -> Array:
         """Spring energy per length at a rod axis's `distance` from a body [J/m]."""
         return energy_density(radii - distance, self.onset * radii, self.stiffness)
-
-    def _grip_density(
-        self, radii: Array, distance: Array, normal: Vec3, grip: Any
-    ) -> Array:
-        """Energy per length of the springs of static friction [J/m].
-
-        `radii` are those of the rod, `distance` and `normal` those of its axis from a
-        body.
-        """
-        raise NotImplementedError  # Without memory nothing asks for it.
 
     def _friction(
         self,

@@ -55,12 +55,44 @@ from jaxrod.validation import Numbers, as_array, check_kind
 class _Grip(NamedTuple):
     """Springs of a group of contact points on one body, and how the points moved."""
 
+    contact: StickingContact
+    """The contact, with its stiffnesses and its friction."""
     elongation: Vec3
     """Elongation of the spring at each point after the last step [m]."""
     displacement: Vec3
     """Displacement of each centre since then [m]."""
     rotation: Vec3
     """Rotation vector of each section since then, world frame [rad]."""
+
+    def elongated(self, normal: Vec3, arm: Vec3) -> Vec3:
+        """Elongation of springs that hold, along a surface with unit normals [m].
+
+        `arm` leads from the centre of a section to the place that it touches [m].
+        """
+        moved = vectors.add(self.displacement, vectors.cross(self.rotation, arm))
+        whole = vectors.add(self.elongation, moved)
+        inwards = vectors.scale(vectors.dot(whole, normal), normal)
+        return vectors.subtract(whole, inwards)
+
+    def held(self, radii: Array, distance: Array, normal: Vec3) -> Vec3:
+        """Elongation of each spring after it has slipped as far as it must [m].
+
+        Args:
+            radii: Radii of the rod [m].
+            distance: Distance of its axis from the body [m].
+            normal: Unit normal of the body's surface.
+        """
+        law, still = self.contact, jnp.zeros_like(distance)
+        push = normal_force(radii - distance, still, law.onset * radii, law.stiffness)
+        assert law.friction is not None
+        most = law.friction * push / law.stick_stiffness
+        arm = vectors.scale(-radii, normal)
+        return _at_most(most, self.elongated(normal, arm))
+
+    def density(self, radii: Array, distance: Array, normal: Vec3) -> Array:
+        """Energy of the springs per length [J/m]; arguments are those of `held`."""
+        held = self.held(radii, distance, normal)
+        return 0.5 * self.contact.stick_stiffness * vectors.dot(held, held)
 
 
 @pytree
@@ -113,7 +145,7 @@ class StickingContact(Contact):
             held = []
             for body, grip in zip(bodies, grips, strict=True):
                 distance, normal = body.surface(place)
-                held.append(vectors.join(self._held(radii, distance, normal, grip)))
+                held.append(vectors.join(grip.held(radii, distance, normal)))
             kept.append(jnp.stack(held))
         return dataclasses.replace(
             self,
@@ -154,15 +186,9 @@ class StickingContact(Contact):
             x, y, z = (points.of_elements(component) for component in turned)
             way = points.of_nodes(moved)
             grips.append(
-                [_Grip(vectors.split(one), way, (x, y, z)) for one in elongations]
+                [_Grip(self, vectors.split(one), way, (x, y, z)) for one in elongations]
             )
         return grips
-
-    def _grip_density(
-        self, radii: Array, distance: Array, normal: Vec3, grip: _Grip
-    ) -> Array:
-        held = self._held(radii, distance, normal, grip)
-        return 0.5 * self.stick_stiffness * vectors.dot(held, held)
 
     def _friction(
         self,
@@ -174,32 +200,9 @@ class StickingContact(Contact):
         grip: _Grip,
     ) -> Vec3:
         assert self.friction is not None and self.friction_drag is not None
-        pull = vectors.scale(self.stick_stiffness, _elongated(normal, arm, grip))
+        pull = vectors.scale(self.stick_stiffness, grip.elongated(normal, arm))
         pull = vectors.add(pull, vectors.scale(self.friction_drag, slip))
         return vectors.scale(-1, _at_most(self.friction * push, pull))
-
-    def _held(self, radii: Array, distance: Array, normal: Vec3, grip: _Grip) -> Vec3:
-        """Elongation of each spring after it has slipped as far as it must [m].
-
-        `radii` are those of the rod, `distance` and `normal` those of its axis from a
-        body.
-        """
-        still = jnp.zeros_like(distance)
-        push = normal_force(radii - distance, still, self.onset * radii, self.stiffness)
-        assert self.friction is not None
-        arm = vectors.scale(-radii, normal)
-        most = self.friction * push / self.stick_stiffness
-        return _at_most(most, _elongated(normal, arm, grip))
-
-
-def _elongated(normal: Vec3, arm: Vec3, grip: _Grip) -> Vec3:
-    """Elongation of springs that hold, along a surface with unit normals [m].
-
-    `arm` leads from the centre of a section to the place that it touches [m].
-    """
-    moved = vectors.add(grip.displacement, vectors.cross(grip.rotation, arm))
-    whole = vectors.add(grip.elongation, moved)
-    return vectors.subtract(whole, vectors.scale(vectors.dot(whole, normal), normal))
 
 
 def _at_most(limit: Array, vector: Vec3) -> Vec3:
