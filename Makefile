@@ -1,4 +1,4 @@
-# make setup | demo | test | test-oldest | test-slow | lint | docs | clean
+# make setup | setup-oldest | demo | test | test-oldest | test-slow | lint | docs | clean
 # PYTHON=... EXTRAS=... VENV=... to choose
 SHELL := /bin/sh
 VENV := .venv
@@ -13,7 +13,7 @@ DEMO := runs/demo
 # Enough to learn the task in about two minutes on two cores.
 DEMO_STEPS ?= 6000000
 
-.PHONY: setup demo test test-oldest test-oldest-here test-slow lint typecheck format docs clean
+.PHONY: setup setup-oldest demo test test-oldest test-oldest-here test-slow lint typecheck format docs clean
 
 setup: $(INSTALLED)
 
@@ -58,8 +58,13 @@ OLDEST_TESTS := tests/jax_internals tests/lanes tests/test_compiled_once.py \
     tests/envs/test_stable_baselines.py tests/envs/test_torch_env.py \
     tests/training/test_contract.py
 
+OLDEST := VENV=build/oldest PYTHON=$(OLDEST_PYTHON)
+
+setup-oldest:
+	$(MAKE) setup $(OLDEST)
+
 test-oldest:
-	$(MAKE) test-oldest-here VENV=build/oldest PYTHON=$(OLDEST_PYTHON)
+	$(MAKE) test-oldest-here $(OLDEST)
 
 test-oldest-here: $(INSTALLED)
 	$(BIN)/python -m pytest $(PYTEST_FLAGS) -m "not slow" $(OLDEST_TESTS)
