@@ -15,7 +15,7 @@ import jax
 import numpy as np
 
 from jaxrod.control.identification.result import VAGUE, Fit
-from jaxrod.validation import check_array
+from jaxrod.validation import check_array, check_count
 
 KINDS = ("uniform", "log_uniform", "normal", "log_normal")
 """Kinds of distributions."""
@@ -80,6 +80,12 @@ class Randomisation:
     correlation: Mapping[str, Any] = dataclasses.field(default_factory=dict, hash=False)
     """Correlation of `normal` and `log_normal` draws: `names`, a list of keys of
     `parameters`, and `matrix`."""
+    widening: Mapping[str, Any] = dataclasses.field(default_factory=dict, hash=False)
+    """Rule by which `training.train` widens the randomisation from the nominal task to
+    its full size, as returns allow: `above` (required) and `below`, mean returns that
+    widen and narrow it; `start`, the share of the full size at the start (0); `step`,
+    the change of the share (0.1); `episodes`, the number of training episodes of a mean
+    (64)."""
 
     def __post_init__(self) -> None:
         """Checks all numbers, and converts them to lists and floats."""
@@ -113,6 +119,7 @@ class Randomisation:
         put("saturation", _range("saturation", self.saturation, "", at_most=1.0))
         put("rate", _range("rate", self.rate, "per control step"))
         put("correlation", _correlation(self.correlation, self.parameters))
+        put("widening", _widening(self.widening))
 
     @classmethod
     def from_record(cls, record: Mapping[str, Any]) -> Randomisation:
@@ -323,3 +330,39 @@ def _correlation(given: Any, rules: Mapping[str, Any]) -> dict[str, Any]:
             "negative eigenvalue, for distinct names"
         )
     return {"names": names, "matrix": matrix.tolist()}
+
+
+def _widening(given: Any) -> dict[str, Any]:
+    """Validates a rule of widening and returns it, with all of its numbers."""
+    if not _mapping("widening", given):
+        return {}
+    for name in given:
+        if name not in ("above", "below", "episodes", "start", "step"):
+            raise ValueError(
+                f"widening has no option {name!r}; there are above, below, episodes, "
+                "start, step"
+            )
+    if "above" not in given:
+        raise ValueError("widening needs above, the mean return that widens")
+    rule = {
+        name: float(check_array(f"{name} of widening", given[name], [()], ""))
+        for name in ("above", "below")
+        if name in given
+    }
+    if rule.get("below", -math.inf) >= rule["above"]:
+        raise ValueError(
+            f"below of widening must be less than above, got {rule['below']:g} and "
+            f"{rule['above']:g}"
+        )
+    for name, usual in (("start", 0.0), ("step", 0.1)):
+        number = given.get(name, usual)
+        rule[name] = float(
+            check_array(
+                f"{name} of widening", number, [()], "", non_negative=True, at_most=1.0
+            )
+        )
+    if rule["step"] == 0:
+        raise ValueError("step of widening must be above 0, got 0")
+    return rule | {
+        "episodes": check_count("episodes of widening", given.get("episodes", 64), 1)
+    }

@@ -42,6 +42,8 @@ _OWN = 0x52414E44
 """Number that is folded into a key for the draws of the wrapper."""
 _SHORTEST_LAG = 1e-3
 """Time constant below which there is no lag: exp(-1000) is 0 [control steps]."""
+_FAULTLESS = {"delay": 0.0, "lag": 0.0, "rate": 2.0, "saturation": 1.0}
+"""Numbers of an actuator without faults; the units are those of `Randomisation`."""
 _FORWARDED = ("action_channels", "control_period", "variant")
 """Optional attributes that a randomised environment has if its task has them."""
 
@@ -80,6 +82,9 @@ class RandomisedParams:
     """Standard deviation of the noise of each entry; None without noise."""
     dropout: Float[Array, " keys"] | None
     """Probability of drop-out of each key; None without drop-out."""
+    share: Float[Array, ""] | None = None
+    """Share of the randomisation that episodes get: 0 is the nominal task, 1 the full
+    randomisation. None without `Randomisation.widening`, which means 1."""
 
 
 @pytree
@@ -107,6 +112,8 @@ class RandomisedState:
     """Last seen value of every entry; None without drop-out."""
     clean: Float[Array, " entries"]
     """Observation of the task, without noise and drop-out."""
+    share: Float[Array, ""] | None = None
+    """Share of the randomisation in this episode; None without widening."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -223,6 +230,7 @@ class Randomised(EnvironmentWrapper):
             actuator=actuator,
             noise=None if noise is None else jnp.asarray(noise, float),
             dropout=jnp.asarray(chances, float) if chances else None,
+            share=jnp.ones(()) if given.widening else None,
         )
 
     def reset(
@@ -230,8 +238,8 @@ class Randomised(EnvironmentWrapper):
     ) -> tuple[Float[Array, " observation"], RandomisedState]:
         """Draws the parameters and the actuators of an episode, and starts it."""
         own = jax.random.fold_in(key, _OWN)
-        drawn = self._draw(jax.random.fold_in(own, 0), params)
-        observation, task = self.env.reset(key, self._with(drawn, params.task))
+        drawn, share = self._draw(jax.random.fold_in(own, 0), params), params.share
+        observation, task = self.env.reset(key, self._with(drawn, params.task, share))
         actuator = {}
         uniform = jax.random.uniform(jax.random.fold_in(own, 1), (4,))
         for number, (name, (low, high)) in enumerate(sorted(params.actuator.items())):
@@ -242,9 +250,13 @@ class Randomised(EnvironmentWrapper):
             # Rounding may have reached the end of the range.
             most = jnp.minimum(params.actuator["delay"][1], longest)
             actuator["delay"] = jnp.minimum(jnp.floor(actuator["delay"]), most)
+        if share is not None:
+            actuator = {k: _part(share, v, _FAULTLESS[k]) for k, v in actuator.items()}
+        if "delay" in actuator:
+            actuator["delay"] = jnp.floor(actuator["delay"])
         rest = jnp.zeros(self.action_size)
         clean = observation
-        seen, observation = self._sensed(own, clean, params, None)
+        seen, observation = self._sensed(own, clean, params, None, share)
         state = RandomisedState(
             task=task,
             drawn=drawn,
@@ -255,6 +267,7 @@ class Randomised(EnvironmentWrapper):
             position=rest if {"lag", "rate"} & set(actuator) else None,
             seen=seen,
             clean=clean,
+            share=share,
         )
         return observation, state
 
@@ -271,24 +284,26 @@ class Randomised(EnvironmentWrapper):
         clean, task, reward, terminated, truncated, info = self.env.step(
             key, state.task, command, self.task_params(state, params)
         )
-        seen, observation = self._sensed(own, clean, params, state.seen)
+        seen, observation = self._sensed(own, clean, params, state.seen, state.share)
         state = dataclasses.replace(state, task=task, seen=seen, clean=clean)
         return observation, state, reward, terminated, truncated, info
 
     def task_params(self, state: RandomisedState, params: RandomisedParams) -> Any:
         """Parameters of the task in the running episode: the nominal and the drawn."""
-        return self._with(state.drawn, params.task)
+        return self._with(state.drawn, params.task, state.share)
 
     def privileged_observation(
         self, state: RandomisedState, params: RandomisedParams
     ) -> Float[Array, " privileged"]:
         """Returns what sensors do not show, see `jaxrod.envs.Privileged`.
 
-        It is the observation without noise and drop-out, all drawn values, and the
-        actions that are still on their way.
+        It is the observation without noise and drop-out, all drawn values, the actions
+        that are still on their way, and the share of the randomisation if it widens.
         """
         del params
-        hidden = (state.drawn, state.actuator, state.pending, state.position)
+        hidden = (
+            state.drawn, state.actuator, state.pending, state.position, state.share
+        )  # fmt: skip
         return jnp.concatenate(
             [
                 jnp.ravel(leaf).astype(state.clean.dtype)
@@ -372,8 +387,11 @@ class Randomised(EnvironmentWrapper):
             for name, rule in rules.items()
         }
 
-    def _with(self, drawn: Mapping[str, Array], task: Any) -> Any:
-        """Parameters of the task, with the drawn ones scaled or replaced."""
+    def _with(self, drawn: Mapping[str, Array], task: Any, share: Array | None) -> Any:
+        """Parameters of the task, with the drawn ones scaled or replaced.
+
+        With a `share`, they are that part of the way from the nominal ones.
+        """
         rules = {
             path: (rule.get("scaled", False), drawn[key])
             for key, rule in self.randomisation.parameters.items()
@@ -385,7 +403,9 @@ class Randomised(EnvironmentWrapper):
             if value is None:
                 return leaf
             wide = jnp.broadcast_to(value, jnp.shape(leaf))
-            return (leaf * wide if scaled else wide).astype(jnp.result_type(leaf))
+            wide = leaf * wide if scaled else wide
+            wide = wide if share is None else _part(share, wide, leaf)
+            return wide.astype(jnp.result_type(leaf))
 
         return jax.tree_util.tree_map_with_path(chosen, task)
 
@@ -424,6 +444,7 @@ class Randomised(EnvironmentWrapper):
         observation: Array,
         params: RandomisedParams,
         last: Array | None,
+        share: Array | None,
     ) -> tuple[Array | None, Array]:
         """Last seen entries, and the observation with noise, drop-out and flags.
 
@@ -432,17 +453,18 @@ class Randomised(EnvironmentWrapper):
             observation: Observation of the task.
             params: Parameters.
             last: Last seen entries; None at the start, when everything is seen.
+            share: Factor of noise and of probabilities of drop-out; None for 1.
         """
-        dtype = observation.dtype
+        dtype, part = observation.dtype, 1 if share is None else share
         if params.noise is not None:
             key = jax.random.fold_in(own, 2)
             drawn = jax.random.normal(key, observation.shape, dtype)
-            observation = observation + params.noise.astype(dtype) * drawn
+            observation = observation + (part * params.noise).astype(dtype) * drawn
         if params.dropout is None:
             return None, observation
         groups = self._groups("dropout")[0]
         chances = jax.random.uniform(jax.random.fold_in(own, 3), params.dropout.shape)
-        lost = (chances < params.dropout) & (last is not None)
+        lost = (chances < part * params.dropout) & (last is not None)
         if last is not None:
             held = jnp.any(jnp.asarray(groups) & lost[:, None], axis=0)
             observation = jnp.where(held, last, observation)
@@ -469,6 +491,11 @@ class Randomised(EnvironmentWrapper):
             twice = int(np.argmax(np.sum(masks, axis=0)))
             raise ValueError(f"{option} names entry {twice} of the observation twice")
         return np.stack(masks), list(given.values())
+
+
+def _part(share: Array, value: Array, nominal: Any) -> Array:
+    """Value that is `share` of the way from `nominal` to `value`; exact at 0 and 1."""
+    return share * value + (1 - share) * nominal
 
 
 def _root(matrix: np.ndarray) -> np.ndarray:

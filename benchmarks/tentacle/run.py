@@ -47,6 +47,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--report", type=Path, metavar="FILE", help="HTML page to write"
     )
     parser.add_argument("--dry", action="store_true", help="leave the page as it is")
+    parser.add_argument(
+        "--leave-out",
+        action="store_true",
+        help="only forecast each of the eight poses from the other seven, without any "
+        "other recording: to choose the unknowns of arm.toml",
+    )
 
 
 def torques(name: str) -> tuple[float, float]:
@@ -97,11 +103,24 @@ def _row(title: str, compared: Sequence[twin.Comparison]) -> str:
     return f"| {title} | {cells} | {np.sqrt(np.mean(errors**2)):.1f} |"
 
 
+def _left_out(poses: Sequence[twin.Recording]) -> list[twin.Comparison]:
+    """Forecast of each pose by a twin of all others."""
+    arm, found = twin.read_arm(ARM), []
+    for one in poses:
+        others = [pose for pose in poses if pose is not one]
+        found += twin.identify(arm, others).compare([one])
+    return found
+
+
 def run(args: argparse.Namespace) -> int:
     """Fits, forecasts, prints and writes the table."""
     every = recordings(args.folder)
     poses = [one for one in every if one.name in FITTED]
     others = [one for one in every if one.name not in FITTED]
+    if args.leave_out:
+        with jax.enable_x64(True):
+            print(_row("each pose from the seven others", _left_out(poses)))
+        return 0
     with jax.enable_x64(True):
         wall, busy = time.perf_counter(), time.process_time()
         found = twin.identify(twin.read_arm(ARM), poses)

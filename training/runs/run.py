@@ -39,6 +39,7 @@ from jaxrod.training.runs.hosts import (
 )
 from jaxrod.training.runs.interruption import Interruption
 from jaxrod.training.runs.resuming import Stored, facts_of, restore, stored
+from jaxrod.training.runs.widening import check_holds_params, widening_of
 from jaxrod.training.settings import check_steps
 
 _STORED = "stored"
@@ -125,8 +126,13 @@ class Run:
         # Static, because 32 bits cannot hold the control steps of a very long run.
         start = jax.jit(learner.init, static_argnums=(1, 4))
         key = jax.random.key(requested["seed"])
-        state = start(key, env, config, env_params, self.total * self.per_update)
+        self.widening = widening_of(env)
+        # The evaluation at the end keeps the full randomisation of `self.env_params`.
+        narrow = self.widening.put(env_params) if self.widening else env_params
+        state = start(key, env, config, narrow, self.total * self.per_update)
         check_state(learner, state, env)
+        if self.widening:
+            check_holds_params(state, learner.name)
         if folder and resume:
             state = self._restore(state)
         elif folder:
@@ -248,6 +254,10 @@ class Run:
             "episode_return_mean": recent,
             "flagged_fraction": self.episodes.flagged_fraction,
         }
+        if self.widening:
+            self.widening.take([row["episode_return"] for row in new])
+            self.state = self.widening.put(self.state)
+            row["randomisation_share"] = self.widening.share
         row |= {
             name: float(np.mean(values[:count]))
             for name, values in sorted(metrics.scalars.items())
@@ -315,6 +325,8 @@ class Run:
             return template
         kept, facts, episodes = found
         self.episodes.restore(episodes)
+        if self.widening:
+            self.widening.take_again(episodes)
         self.done = facts["updates"]
         self.wall_s = self.wall_before = facts["wall_s"]
         return kept.learner
@@ -352,6 +364,7 @@ class Run:
             "flagged_fraction": self.episodes.flagged_fraction,
             "jax_version": jax.__version__,
             "device": f"{len(self.devices)} x {self.devices[0].device_kind}",
+            **({"randomisation_share": self.widening.share} if self.widening else {}),
         }
 
 
