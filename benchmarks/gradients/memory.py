@@ -1,6 +1,6 @@
 """Peak memory of a process that computes a gradient, beyond what it had before.
 
-Each case runs in a process of its own, and the numbers are those that Linux keeps of it.
+Each case runs in a separate process. The numbers are those that Linux keeps of it.
 """
 
 from __future__ import annotations
@@ -62,7 +62,6 @@ def measured(rods: int, steps: int, mode: str, elements: int) -> dict[str, Any]:
     analysis = compiled.memory_analysis()
     return {
         "finite": bool(all(jnp.all(jnp.isfinite(m)) for m in made)),
-        "why": sorted({choice.why for choice in jaxrod.lane_choices()}),
         "compiling": most_before,
         "beyond": _status("VmHWM") - before,
         "temporary": 0 if analysis is None else int(analysis.temp_size_in_bytes),
@@ -77,35 +76,29 @@ def _status(name: str) -> int:
     return int(line.split()[1]) * 1024
 
 
-def table(elements: int, modes: tuple[str, ...] = ("auto", "never")) -> list[str]:
-    """Measures all cases, each in a process; returns the lines of a table."""
-    lines = [
-        "| gradient, 20 elements, float32 | by | beyond the process before [MB] "
-        "| working memory of the program [MB] | states of all rods "
-        "| peak of compiling [MB] |",
-        "|---|---|---:|---:|---:|---:|",
-    ]
-    lines[0] = lines[0].replace("20 elements", f"{elements} elements")
+def table(elements: int) -> None:
+    """Measures all cases by kernels and by XLA, and prints a table."""
+    print(
+        f"| gradient, {elements} elements, float32 | by | beyond the process before "
+        "[MB] | working memory of the program [MB] | states of each rod | peak of "
+        "compiling [MB] |\n|---|---|---:|---:|---:|---:|"
+    )
     for name, (rods, steps) in CASES.items():
-        for mode in modes:
+        for mode, way in (("auto", "kernels"), ("never", "XLA")):
             words = json.dumps([rods, steps, mode, elements])
             done = subprocess.run(
                 [sys.executable, "-m", "benchmarks.gradients.memory", words],
-                capture_output=True,
+                stdout=subprocess.PIPE,
                 text=True,
                 check=True,
             )
             found = json.loads(done.stdout.splitlines()[-1])
             assert found["finite"], name
-            way = "XLA" if mode == "never" else "kernels"
             states = found["temporary"] / (rods * found["state"])
-            lines.append(
-                f"| {name} | {way} | {found['beyond'] / 1e6:.3g} | "
-                f"{found['temporary'] / 1e6:.3g} | {states:.3g} | "
-                f"{found['compiling'] / 1e6:.0f} |"
-            )
-            print(lines[-1], found["why"], flush=True)
-    return lines
+            sizes = (found[k] / 1e6 for k in ("beyond", "temporary", "compiling"))
+            beyond, temporary, compiling = (f"{size:.3g}" for size in sizes)
+            cells = (name, way, beyond, temporary, f"{states:.0f}", compiling)
+            print(f"| {' | '.join(cells)} |", flush=True)
 
 
 if __name__ == "__main__":

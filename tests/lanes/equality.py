@@ -1,6 +1,7 @@
 """Random scenes and systems: rows and XLA come to the same states and gradients.
 
-    PYTHONPATH=tests python tests/lanes/equality.py --scenes 100 --systems 100
+    PYTHONPATH=tests:. python tests/lanes/equality.py --scenes 100 --systems 100
+    PYTHONPATH=tests:. python tests/lanes/equality.py --named plectoneme --steps 150
 
 Each is run for 100 steps in float64, by rows (forced) and by XLA. Scenes and systems
 are those of `tests/extremes`: all methods, supports and effects of one rod; all joints,
@@ -13,8 +14,8 @@ Rounding grows in runs, and in some of them exponentially. So XLA also runs from
 whose numbers are all off by one unit in the last place. What rows and XLA are apart is
 compared with what that makes.
 
-The record has a line for each scene and system. The same command goes on where another
-stopped, and prints a summary of all lines.
+The record has a line for each scene and system. The same command goes on after the
+kinds that the record has, and prints a summary of all lines.
 """
 
 from __future__ import annotations
@@ -33,6 +34,7 @@ import jax.numpy as jnp
 import numpy as np
 
 import jaxrod
+from benchmarks.c_programs.scenes import SCENES
 from extremes.pair_cases import COMPILING, STRUCTURES, limit
 from extremes.views import View
 from jaxrod.lanes.choice import lane_choices, use_lanes
@@ -100,12 +102,12 @@ def nudged(state: Any, seed: int) -> Any:
 class Programs:
     """The compiled programs of one kind in one mode, and whether a kernel runs each."""
 
-    def __init__(self, mode: str):
+    def __init__(self, mode: str, steps: int = STEPS):
         """Compiles nothing yet: programs are compiled in `mode` as they are called."""
         self.mode, self.reasons = mode, {}
 
         def run(model: Any, state: Any, dt: Any) -> Any:
-            return jaxrod.advance(model, state, dt, STEPS)
+            return jaxrod.advance(model, state, dt, steps)
 
         def loss(moved: Any, put: Any, dt: Any, weights: Any) -> Any:
             model, state = put(moved)
@@ -186,27 +188,30 @@ def compared(what: str, seed: int, draw: int, programs: Any, *, slopes: bool) ->
     except ValueError as refused:
         return line | {"refused": " ".join(str(refused).split())[:100]}
     state = jaxrod.with_memory(model, state)
-    model, state = jax.tree.map(jnp.asarray, (model, state))
     implicit = structure.kind.method == "implicit"
-    dt = jnp.asarray(float(limit(model)) * (10 if implicit else 0.5))
+    dt = float(limit(model)) * (10 if implicit else 0.5)
+    found = numbers(model, state, dt, programs, slopes=slopes)
+    if not found:
+        return line | {"refused": "the state is not finite"}
+    return line | {"names": sorted(names_of(what, seed))} | found
+
+
+def numbers(model: Any, state: Any, dt: float, programs: Any, *, slopes: bool) -> Any:
+    """What rows and XLA are apart after a run; empty if the state is not finite."""
+    model, state, dt = jax.tree.map(jnp.asarray, (model, state, dt))
     rows, xla = programs
     found = rows.state(model, state, dt)
     expected = xla.state(model, state, dt)
     floats, _ = floats_and_others(expected)
     if not all(np.all(np.isfinite(x)) for x in floats):
-        return line | {"refused": "the state is not finite"}
+        return {}
     apart, where = states_apart(found, expected, state)
     rounding = max(
         states_apart(xla.state(model, nudged(state, n), dt), expected, state)[0]
         for n in (1, 2)
     )
-    line |= {
-        "names": sorted(names_of(what, seed)),
-        "left": rows.left("state"),
-        "apart": apart,
-        "where": where,
-        "one_ulp": rounding,
-    }
+    line = {"left": rows.left("state"), "apart": apart, "where": where}
+    line["one_ulp"] = rounding
     if slopes:
         expected = xla.gradient(model, state, dt)
         line |= {
@@ -217,6 +222,14 @@ def compared(what: str, seed: int, draw: int, programs: Any, *, slopes: bool) ->
             ),
         }
     return line
+
+
+def named(name: str, steps: int) -> Any:
+    """The line of a scene of `benchmarks/c_programs`, such as the plectoneme."""
+    model, state, dt = SCENES[name].build("float64")
+    programs = Programs("rows", steps), Programs("never", steps)
+    found = numbers(model, state, dt, programs, slopes=False)
+    return {"what": name, "steps": steps} | found
 
 
 def read(record: Path) -> list[dict[str, Any]]:
@@ -282,10 +295,15 @@ def main(arguments: list[str]) -> int:
         help="every so many kinds of scenes and of systems",
     )
     parser.add_argument("--record", type=Path, default=RECORD)
+    parser.add_argument("--named", choices=SCENES, help="a single scene, not recorded")
+    parser.add_argument("--steps", type=int, default=150, help="of a named scene")
     options = parser.parse_args(arguments)
     jaxrod.configure_cpu(1)
     jax.config.update("jax_enable_x64", True)
     warnings.simplefilter("ignore")
+    if options.named:
+        print(json.dumps(named(options.named, options.steps)))
+        return 0
     wanted = {"scene": options.scenes, "system": options.systems}
     every = dict(zip(wanted, options.gradients, strict=True))
     kinds = {what: chosen_seeds(what, n) for what, n in wanted.items()}
@@ -294,20 +312,19 @@ def main(arguments: list[str]) -> int:
         for what, count in wanted.items():
             lines = read(options.record)
             mine = [x for x in lines if x["what"] == what]
-            known = {(x["seed"], x["draw"]) for x in mine}
             if turn >= len(kinds[what]) or sum("apart" in x for x in mine) >= count:
                 continue
-            programs = Programs("rows"), Programs("never")
+            seed = kinds[what][turn]
+            if any(x["seed"] == seed for x in mine):
+                continue
+            programs, own = (Programs("rows"), Programs("never")), []
             for draw in range(options.draws):
-                seed = kinds[what][turn]
-                if (seed, draw) in known:
-                    continue
                 slopes = draw == 0 and turn % every[what] == every[what] - 1
-                line = compared(what, seed, draw, programs, slopes=slopes)
-                with options.record.open("a") as file:
-                    file.write(json.dumps(line) + "\n")
-                words = "" if equal(line) else "DIFFERS "
-                print(words + json.dumps(line | {"names": None}), flush=True)
+                own.append(compared(what, seed, draw, programs, slopes=slopes))
+                words = "" if equal(own[-1]) else "DIFFERS "
+                print(words + json.dumps(own[-1] | {"names": None}), flush=True)
+            with options.record.open("a") as file:
+                file.writelines(json.dumps(line) + "\n" for line in own)
             jax.clear_caches()
     lines = read(options.record)
     print("\n".join(summary(lines)))
