@@ -227,6 +227,7 @@ def numbers(model: Any, state: Any, dt: float, programs: Any, *, slopes: bool) -
 def named(name: str, steps: int) -> Any:
     """The line of a scene of `benchmarks/c_programs`, such as the plectoneme."""
     model, state, dt = SCENES[name].build("float64")
+    state = jaxrod.with_memory(model, state)
     programs = Programs("rows", steps), Programs("never", steps)
     found = numbers(model, state, dt, programs, slopes=False)
     return {"what": name, "steps": steps} | found
