@@ -48,9 +48,15 @@ OF_ROUNDING = 100.0
 
 
 @cache
+def kind_of(what: str, seed: int) -> Any:
+    """All of a random scene or system that is chosen by name."""
+    return STRUCTURES[what](seed).kind
+
+
+@cache
 def names_of(what: str, seed: int) -> frozenset[str]:
     """All that a random scene or system has, by name."""
-    kind = STRUCTURES[what](seed).kind
+    kind = kind_of(what, seed)
     if what == "scene":
         own = {f"method {kind.method}", f"support {kind.support}"}
         return frozenset(own | {f"section {kind.section}", *kind.effects})
@@ -62,11 +68,19 @@ def names_of(what: str, seed: int) -> frozenset[str]:
 
 
 def chosen_seeds(what: str, count: int, span: int = 1500) -> list[int]:
-    """Seeds of kinds, of which each brings what the ones before have least often."""
+    """Seeds of kinds, of which each brings what the ones before have least often.
+
+    Of systems those of few members come first, because they compile faster.
+    """
     had: collections.Counter[str] = collections.Counter()
     seeds, chosen = list(range(5001, 5001 + span)), []
+
+    def value(seed: int) -> float:
+        members = getattr(kind_of(what, seed), "members", ())
+        new = sum(4.0 ** -had[name] for name in names_of(what, seed))
+        return new / max(len(members), 1) ** 2
+
     for _ in range(count):
-        value = lambda seed: sum(4.0 ** -had[name] for name in names_of(what, seed))
         best = max(seeds, key=value)
         seeds.remove(best)
         chosen.append(best)
