@@ -67,6 +67,12 @@ def names_of(what: str, seed: int) -> frozenset[str]:
     return frozenset(own | {f"held {kind.held}"})
 
 
+@cache
+def all_names(what: str) -> frozenset[str]:
+    """All names that random scenes or systems have."""
+    return frozenset().union(*(names_of(what, seed) for seed in range(1, 300)))
+
+
 def chosen_seeds(what: str, count: int, span: int = 1500) -> list[int]:
     """Seeds of kinds, of which each brings what the ones before have least often.
 
@@ -88,29 +94,30 @@ def chosen_seeds(what: str, count: int, span: int = 1500) -> list[int]:
     return chosen
 
 
-def floats_and_others(tree: Any) -> tuple[list[Any], Any]:
-    """Float leaves of a pytree, and a function that puts others in their place."""
+def parted(tree: Any) -> tuple[list[Any], list[Any], Any]:
+    """Float leaves of a pytree, its other leaves, and a function that joins them."""
     leaves, structure = jax.tree.flatten(tree)
-    where = [i for i, x in enumerate(leaves) if jnp.issubdtype(x.dtype, jnp.floating)]
+    is_float = [jnp.issubdtype(x.dtype, jnp.floating) for x in leaves]
 
-    def put(floats: list[Any]) -> Any:
-        made = list(leaves)
-        for i, x in zip(where, floats, strict=True):
-            made[i] = x
-        return jax.tree.unflatten(structure, made)
+    def joined(floats: list[Any], others: list[Any]) -> Any:
+        rest = {True: iter(floats), False: iter(others)}
+        return jax.tree.unflatten(structure, [next(rest[which]) for which in is_float])
 
-    return [leaves[i] for i in where], put
+    of = lambda wanted: [
+        x for x, which in zip(leaves, is_float, strict=True) if which == wanted
+    ]
+    return of(True), of(False), joined
 
 
 def nudged(state: Any, seed: int) -> Any:
     """A state whose floats are all off by one unit in the last place, at random."""
     rng = np.random.default_rng(seed)
-    floats, put = floats_and_others(state)
+    floats, others, joined = parted(state)
     off = [
         jnp.asarray(x * (1 + 2.0**-52 * rng.choice((-1.0, 1.0), np.shape(x))))
         for x in floats
     ]
-    return put(off)
+    return joined(off, others)
 
 
 class Programs:
@@ -123,14 +130,8 @@ class Programs:
         def run(model: Any, state: Any, dt: Any) -> Any:
             return jaxrod.advance(model, state, dt, steps)
 
-        def loss(moved: Any, put: Any, dt: Any, weights: Any) -> Any:
-            model, state = put(moved)
-            after = jaxrod.advance(model, state, dt, GRADIENT_STEPS)
-            floats, _ = floats_and_others(after)
-            return sum(jnp.sum(w * x) for w, x in zip(weights, floats, strict=True))
-
         self._run = jax.jit(run, compiler_options=COMPILING)
-        self._slope = loss
+        self._slope: Any = None
 
     def _called(self, name: str, program: Any, *given: Any) -> Any:
         use_lanes(self.mode)
@@ -146,15 +147,20 @@ class Programs:
 
     def gradient(self, model: Any, state: Any, dt: Any) -> Any:
         """The slopes of a weighted sum of the state a few steps later."""
-        floats, put = floats_and_others((model, state))
-        ends, _ = floats_and_others(state)
+        floats, others, joined = parted((model, state))
+        ends, *_ = parted(state)
         rng = np.random.default_rng(0)
         weights = [rng.normal(size=np.shape(x)) for x in ends]
-        slope = jax.jit(
-            jax.grad(lambda moved: self._slope(moved, put, dt, weights)),
-            compiler_options=COMPILING,
-        )
-        return self._called("gradient", slope, floats)
+
+        def loss(floats: Any, others: Any, dt: Any) -> Any:
+            model, state = joined(floats, others)
+            after = jaxrod.advance(model, state, dt, GRADIENT_STEPS)
+            ends, *_ = parted(after)
+            return sum(jnp.sum(w * x) for w, x in zip(weights, ends, strict=True))
+
+        if self._slope is None:
+            self._slope = jax.jit(jax.grad(loss), compiler_options=COMPILING)
+        return self._called("gradient", self._slope, floats, others, dt)
 
     def left(self, name: str) -> str:
         """The reason why XLA runs a program; empty if kernels run all of it."""
@@ -216,7 +222,7 @@ def numbers(model: Any, state: Any, dt: float, programs: Any, *, slopes: bool) -
     rows, xla = programs
     found = rows.state(model, state, dt)
     expected = xla.state(model, state, dt)
-    floats, _ = floats_and_others(expected)
+    floats, *_ = parted(expected)
     if not all(np.all(np.isfinite(x)) for x in floats):
         return {}
     apart, where = states_apart(found, expected, state)
@@ -279,8 +285,9 @@ def summary(lines: list[dict[str, Any]]) -> list[str]:
     slopes = [[x for x in part if not x["gradient_left"]] for part in slopes]
     row("gradients by rows", map(len, slopes))
     row("gradients most apart", (most(p, lambda x: x["gradient"]) for p in slopes))
-    own = [{name for x in part for name in x["names"]} for part in taken]
-    row("names of methods, effects, couplings", map(len, own))
+    own = [{name for x in part for name in x["names"]} for part in ran]
+    row("different methods, effects, couplings and others", map(len, own))
+    row("... of all that are drawn", (len(all_names(what)) for what in STRUCTURES))
     return out
 
 
@@ -334,7 +341,7 @@ def main(arguments: list[str]) -> int:
                 continue
             programs, own = (Programs("rows"), Programs("never")), []
             for draw in range(options.draws):
-                slopes = draw == 0 and turn % every[what] == every[what] - 1
+                slopes = turn % every[what] == every[what] - 1
                 own.append(compared(what, seed, draw, programs, slopes=slopes))
                 words = "" if equal(own[-1]) else "DIFFERS "
                 print(words + json.dumps(own[-1] | {"names": None}), flush=True)
