@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from lanes.equality import (
+    CHAOTIC,
     GRADIENT,
     RECORD,
     STATE,
@@ -49,11 +50,10 @@ def test_the_record_has_no_difference():
     lines = read(RECORD)
     for what in ("scene", "system"):
         own = [x for x in lines if x["what"] == what and "apart" in x]
-        assert len(own) >= 60
+        own = [x for x in own if x["one_ulp"] <= CHAOTIC]
+        assert len(own) >= 100
         assert all(map(equal, own))
-        left = [x for x in own if x["left"]]
-        assert all("method implicit" in x["names"] for x in left)
-        assert {name for x in own for name in x["names"]} <= all_names(what)
+        assert {name for x in own for name in x["names"]} == all_names(what)
 
 
 @pytest.mark.slow
