@@ -5,6 +5,8 @@ with and without the contact; rope: a thin arm), differentiates the end of the r
 respect to couples over time and the stiffness, and compares with central differences
 for a range of step sizes, in float64 and float32. Prints two tables; with --out, also
 writes report.md, report.json and gradients.png. Takes a minute or two for each scene.
+"memory" measures something else: the peak memory of processes that compute gradients of
+long runs and of large batches (Linux only).
 
 Exits with 0 if the derivative in float64 is right to 1e-6, and with 1 if not.
 
@@ -12,6 +14,7 @@ For example:
   python -m benchmarks gradients swing
   python -m benchmarks gradients slam --out runs/gradients   with and without contact
   python -m benchmarks gradients rope --elements 10 --duration 0.1 --json
+  python -m benchmarks gradients memory
 """
 
 from __future__ import annotations
@@ -26,6 +29,7 @@ from typing import Any
 import jax
 
 import jaxrod
+from benchmarks.gradients import memory
 from benchmarks.gradients.report import (
     GradientReport,
     gradient_report,
@@ -42,7 +46,7 @@ INK, BLUE, ORANGE = "#1f2937", "#2563eb", "#ea580c"
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declares the scene and its sizes."""
-    parser.add_argument("scene", choices=SCENES)
+    parser.add_argument("scene", choices=(*SCENES, "memory"))
     parser.add_argument(
         "--elements", type=int, default=20, metavar="N", help="(default: 20)"
     )
@@ -63,6 +67,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Measures, prints, writes."""
+    if args.scene == "memory":
+        memory.table(args.elements)
+        return 0
     jaxrod.configure_cpu(1)
     reports = _reports(args)
     text = markdown(reports)

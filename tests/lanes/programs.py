@@ -1,6 +1,11 @@
 """Random small programs: each is run by lanes and by XLA, and the results compared.
 
     PYTHONPATH=tests python tests/lanes/programs.py --count 10000 [--first SEED]
+        [--mode rows] [--log FILE]
+
+With `--log`, processes run 100 programs each, and the outcome of each program is a line
+of FILE. The same command goes on where another stopped. A program that ends its process
+counts as such.
 
 A program takes constants and a carry of random shapes through some operations picked
 at random among all that lanes know, and makes a carry of the same shapes of what comes
@@ -9,7 +14,9 @@ It is repeated a few times over a batch that is no multiple of the lanes.
 """
 
 import argparse
+import subprocess
 import sys
+from pathlib import Path
 
 import jax
 import jax.numpy as jnp
@@ -354,7 +361,8 @@ def difference(seed, mode="always"):
         )
         for c in carry
     ]
-    own = jnp.stack([constants[1] * (1 + 0.1 * r) for r in range(RODS)])
+    own = np.stack([np.asarray(constants[1]) * (1 + 0.1 * r) for r in range(RODS)])
+    own = jnp.asarray(own, dtype)
     spec = RunSpec(LoopBody(closed, n), None)
 
     def run(own, *carry):
@@ -377,25 +385,73 @@ def difference(seed, mode="always"):
     return worst, str(closed)
 
 
+def outcomes(seeds, mode):
+    """Yields each seed with `same`, its difference, or the reason why XLA runs it."""
+    jax.config.update("jax_enable_x64", True)
+    for n, seed in enumerate(seeds):
+        if n and n % 200 == 0:
+            jax.clear_caches()
+        worst, program = difference(seed, mode)
+        if worst is None:
+            yield seed, f"left: {program}"
+        else:
+            yield seed, f"{worst:.3g}" if worst > 1 else "same"
+
+
+def logged(log):
+    """The outcomes in a log by mode and seed, and the seed that began last."""
+    found, last = {}, None
+    for line in log.read_text().splitlines() if log.exists() else ():
+        mode, seed, *outcome = line.split(" ", 2)
+        last = int(seed)
+        if outcome:
+            found[mode, last] = outcome[0]
+    return found, last
+
+
+def add_to_log(log, seeds, mode):
+    """Writes each seed into a log as it begins, and again with its outcome."""
+    with log.open("a", buffering=1) as file:
+        for seed in seeds:
+            file.write(f"{mode} {seed}\n")
+            ((_, outcome),) = outcomes([seed], mode)
+            file.write(f"{mode} {seed} {outcome}\n")
+
+
+def run_logged(log, seeds, mode):
+    """Runs the seeds that a log lacks, in processes of 100; returns all outcomes."""
+    program = [sys.executable, __file__, "--mode", mode, "--log", str(log), "--part"]
+    while True:
+        known, _ = logged(log)
+        todo = [str(seed) for seed in seeds if (mode, seed) not in known][:100]
+        if not todo:
+            return {seed: known[mode, seed] for seed in seeds}
+        done = subprocess.run([*program, *todo], check=False)
+        if done.returncode:
+            with log.open("a") as file:
+                file.write(f"{mode} {logged(log)[1]} ended with {done.returncode}\n")
+
+
 def main(arguments):
     """Compares programs and prints those that differ."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--count", type=int, default=100)
     parser.add_argument("--first", type=int, default=0)
     parser.add_argument("--mode", default="always", choices=LENGTHS)
+    parser.add_argument("--log", type=Path)
+    parser.add_argument("--part", type=int, nargs="*", help="seeds to add to the log")
     options = parser.parse_args(arguments)
-    jax.config.update("jax_enable_x64", True)
-    bad = left = 0
-    for seed in range(options.first, options.first + options.count):
-        if seed % 200 == 0:
-            jax.clear_caches()
-        worst, program = difference(seed, options.mode)
-        if worst is None:
-            left += 1
-            print(f"{seed}: left to XLA: {program}", flush=True)
-        elif worst > 1:
-            bad += 1
-            print(f"{seed}: {worst:.3g}", flush=True)
+    mode, log = options.mode, options.log
+    if options.part:
+        return add_to_log(log, options.part, mode)
+    seeds = range(options.first, options.first + options.count)
+    found = run_logged(log, seeds, mode) if log else dict(outcomes(seeds, mode))
+    left = bad = 0
+    for seed, outcome in found.items():
+        left += outcome.startswith("left")
+        bad += outcome != "same" and not outcome.startswith("left")
+        if outcome != "same":
+            print(f"{seed}: {outcome}", flush=True)
     print(f"{options.count} programs, {bad} differ, {left} left to XLA")
     return bad
 

@@ -7,7 +7,8 @@ import pytest
 
 import jaxrod
 from jaxrod.lanes.choice import lane_choices
-from lanes.scenes import arm, random_batch, shaken
+from jaxrod.lanes.llvm.machine_code import vector_bytes
+from lanes.scenes import arm, forced, random_batch, shaken
 from lanes.test_runs import RODS, apart, both, hanging
 
 
@@ -166,3 +167,22 @@ def test_optimising_through_lanes_needs_no_memory_that_grows_with_steps():
     # Kept are about twice the root of the number of steps.
     assert lots < 20 * few
     np.testing.assert_array_less(few, lots)
+
+
+@pytest.mark.slow
+def test_memory_of_a_gradient_grows_with_the_root_of_the_number_of_steps():
+    """Checkpoints are kept, and the steps after one of them.
+
+    Lanes keep those steps for each lane, also where there is a single rod.
+    """
+    scene, state, dt = hanging()
+    own = sum(leaf.nbytes for leaf in jax.tree.leaves(state))
+    lanes = 1 if forced() == "rows" else vector_bytes() // 8
+    sizes = []
+    for steps in (400, 40_000):
+        end = lambda s, n=steps: jnp.sum(jaxrod.advance(scene, s, dt, n).tip ** 2)
+        compiled = jax.jit(jax.grad(end)).lower(state).compile()
+        assert all(choice.taken for choice in lane_choices()[-2:])
+        sizes.append(compiled.memory_analysis().temp_size_in_bytes)
+        assert sizes[-1] < (3 + 2 * lanes) * own * np.sqrt(steps) + 1e5
+    assert sizes[1] < 12 * sizes[0]

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from lanes.programs import difference
+from lanes.programs import difference, logged
 from lanes.scenes import forced
 
 
@@ -15,6 +15,13 @@ from lanes.scenes import forced
 def test_a_random_program_is_the_same(seed):
     worst, _ = difference(seed, forced())
     assert worst is not None and worst <= 1
+
+
+def test_a_program_that_only_began_has_no_outcome_in_a_log(tmp_path):
+    log = tmp_path / "log"
+    assert logged(log) == ({}, None)
+    log.write_text("rows 3\nrows 3 same\nloops 3 left: no\nrows 4\n")
+    assert logged(log) == ({("rows", 3): "same", ("loops", 3): "left: no"}, 4)
 
 
 @pytest.mark.slow

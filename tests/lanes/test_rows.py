@@ -115,3 +115,34 @@ def test_a_scan_of_pairs_is_a_loop(length, dtype, way):
         assert mode == "never" or lane_choices()[-1].taken
     tolerance = {"float32": 1e-4, "float64": 1e-12}[dtype]
     np.testing.assert_allclose(*found, rtol=tolerance, atol=tolerance)
+
+
+@LOOPS
+@pytest.mark.parametrize("shape", [(1,), (1, 7)])
+def test_scans_keep_axes_of_length_one(shape, way):
+    """Their results have the shapes of JAX, for a carry and rows of any shape."""
+    rng = np.random.default_rng(0)
+    a, b = (jnp.asarray(rng.normal(size=shape)) for _ in "ab")
+
+    def turn(carry, row):
+        carry = 0.5 * carry + row * row
+        return carry, carry * row
+
+    def step(a, b, *_):
+        made = []
+        for length in (1, 2, 3):
+            rows = jnp.stack([b * k for k in range(length)])
+            made += jax.lax.scan(turn, a, rows, reverse=length == 2)
+        made += jax.lax.scan(lambda c, row: (row, c), a, jnp.stack([a, b]))
+        return [*made, *jax.lax.scan(turn, b[0], a)]
+
+    expected = step(a, b)
+    slots = [jnp.zeros_like(array) for array in expected]
+    body = LoopBody(jax.make_jaxpr(step)(a, b, *slots), 2)
+    use_lanes(way)
+    run = jax.jit(lambda *given: cycles_p.bind(*given, spec=RunSpec(body, None)))
+    found = run(jnp.int32(1), a, b, *slots)
+    assert lane_choices()[-1].taken, lane_choices()[-1].why
+    for ours, theirs in zip(found, expected, strict=True):
+        assert ours.shape == theirs.shape
+        np.testing.assert_allclose(ours, theirs, rtol=1e-13, atol=1e-13)

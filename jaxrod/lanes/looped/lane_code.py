@@ -11,19 +11,18 @@ from collections.abc import Callable, Sequence
 
 from jaxrod.lanes.llvm.vector_code import BYTES, TYPES, Writer, literal
 from jaxrod.lanes.looped.streams import Member, Stream, flows, reads_of
+from jaxrod.lanes.rows.loop_writer import LoopWriter
 from jaxrod.lanes.rows.recurrences import Recurrence
 from jaxrod.lanes.rows.row_graph import Dims, RowGraph, identity, row_major
-from jaxrod.lanes.rows.schedule import Fill, Goal, Loop, Place, Schedule
+from jaxrod.lanes.rows.schedule import Fill, Loop, Place, Schedule
 
 Lines = list[str]
 SINGLE = ("%uniform", "@data")
 """Beginnings of the names of pointers to memory in which all scenes share numbers."""
 
 
-class LaneWriter(Writer):
+class LaneWriter(LoopWriter):
     """Writer of an LLVM function that runs the loops of a schedule for many scenes."""
-
-    graph: RowGraph
 
     def __init__(self, graph: RowGraph, schedule: Schedule, lanes: int) -> None:
         """Begins an LLVM function without lines.
@@ -33,23 +32,13 @@ class LaneWriter(Writer):
             schedule: Loops of the function.
             lanes: Number of lanes of a vector, one for each scene.
         """
-        super().__init__(graph, lanes, lambda writer, node: None)
-        self.schedule, self.lanes = schedule, lanes
-        self.count = 0
-        self.numbers: dict[int, str] = {}
-        """LLVM names of nodes without rows, by node; they can be used in all later
-        loops."""
+        super().__init__(graph, schedule, lanes)
+        self.lanes = lanes
         self.head: Lines = []
         """Lines before the next loop."""
         self.before: list[Lines] = [self.head]
         """Lines before each loop of a nest, from the outermost loop on; then the body
         of the innermost."""
-        self.behind: list[Lines] = [[]]
-        """Lines after each loop of a nest, from the outermost loop on."""
-        self.dims: Dims = ()
-        self.indices: list[str] = []
-        self.fills: set[str] = set()
-        """Types of numbers for which a fill function is needed."""
 
     def text(self, name: str, pointers: Sequence[str]) -> str:
         """Returns the LLVM function with all loops; `pointers` are its arguments."""
@@ -74,13 +63,6 @@ class LaneWriter(Writer):
         words = "noinline nounwind alignstack(64)"
         head = f"define internal void @{name}({given}) {words} {{"
         return "\n".join([head, "entry:", *whole, "ret void", "}", ""])
-
-    def new(self, text: str) -> str:
-        """Appends a line that computes the expression `text`; returns its name."""
-        self.count += 1
-        name = f"%v{self.count}"
-        self.lines.append(f"{name} = {text}")
-        return name
 
     def value(self, node: int) -> str:
         """Returns the name of a node's vector in the loop being written."""
@@ -350,19 +332,6 @@ class LaneWriter(Writer):
         self.fills.add(kind)
         self.lines.append(lane_fill_call(number, place, kind, fill, self.lanes))
 
-    def _computed(self, node: int) -> str:
-        operation = self.graph.operations[node]
-        if operation == "gather":
-            return self._gather(node)
-        if operation == "view":
-            return self._read(node)
-        return self.operation(node)
-
-    def _write(self, goal: Goal) -> None:
-        place = self.schedule.goal_place(goal)
-        kind, piece = self.graph.kinds[goal.node], goal.piece
-        self._store(self.value(goal.node), place, piece.base, piece.strides, kind)
-
     def _anywhere(self, mask: str) -> str:
         """Appends a test whether a mask is true in some lane; returns its name."""
         many = self.type("b1")
@@ -536,17 +505,6 @@ class LaneWriter(Writer):
                 self.lines = lines
 
         finish.append(ending)
-
-    def _combined(self, operation: str, a: str, b: str, kind: str) -> str:
-        """Appends a reduction's operation on two values; returns the result's name.
-
-        `a` and `b` are the names of the values, `kind` is their type.
-        """
-        if operation in ("min", "max"):
-            return self._extreme(operation, (-1, -1), [a, b], kind)
-        if kind[0] == "f":
-            return self._float(operation, [a, b], kind)
-        return self._whole(operation, [a, b], kind)
 
     def _scatters(self, number: int, loop: Loop) -> Lines:
         """Returns the lines of scatters with the same indices, entry by entry.

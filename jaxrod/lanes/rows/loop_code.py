@@ -14,21 +14,21 @@ from collections.abc import Callable, Sequence
 import numpy as np
 
 from jaxrod.lanes.graph import DTYPES
-from jaxrod.lanes.llvm.vector_code import BYTES, TYPES, Writer, literal
+from jaxrod.lanes.llvm.vector_code import BYTES, TYPES, literal
+from jaxrod.lanes.rows.loop_writer import LoopWriter
 from jaxrod.lanes.rows.packed_loops import write_packed
 from jaxrod.lanes.rows.recurrences import write_recurrence
 from jaxrod.lanes.rows.row_graph import Dims, RowGraph, identity, row_major
-from jaxrod.lanes.rows.schedule import Fill, Goal, Loop, Place, Schedule
+from jaxrod.lanes.rows.schedule import Fill, Loop, Place, Schedule
 
 Lines = list[str]
 WIDEST = 64
 """Size of the vector registers of processors with AVX-512 [bytes]."""
 
 
-class RowWriter(Writer):
+class RowWriter(LoopWriter):
     """Writer of an LLVM function that runs the loops of a schedule."""
 
-    graph: RowGraph
     attributes = "noinline nounwind alignstack(64)"
     """LLVM attributes of the function."""
     given = ""
@@ -43,24 +43,14 @@ class RowWriter(Writer):
             schedule: Loops of the function.
             vector_bytes: Size of a vector register [bytes].
         """
-        super().__init__(graph, 1, lambda writer, node: None)
-        self.schedule, self.vector_bytes = schedule, vector_bytes
-        self.count = 0
-        self.numbers: dict[int, str] = {}
-        """LLVM names of single numbers, by node; they can be used in all later
-        loops."""
+        super().__init__(graph, schedule, 1)
+        self.vector_bytes = vector_bytes
         self.spreads: dict[tuple[int, int], str] = {}
         """Names of vectors with one number in every lane, by node and width, in this
         loop."""
         self.before: list[Lines] = [[]]
         """Lines before each loop of a nest, from the outermost loop on; then the body
         of the innermost."""
-        self.behind: list[Lines] = [[]]
-        """Lines after each loop of a nest, from the outermost loop on."""
-        self.dims: Dims = ()
-        self.indices: list[str] = []
-        self.fills: set[str] = set()
-        """LLVM types of numbers for which a fill function is needed."""
 
     def text(self, name: str, pointers: Sequence[str]) -> str:
         """Returns the LLVM function with all loops; `pointers` are its arguments."""
@@ -87,13 +77,6 @@ class RowWriter(Writer):
         """
         del name
         write()
-
-    def new(self, text: str) -> str:
-        """Appends a line that computes the expression `text`; returns its name."""
-        self.count += 1
-        name = f"%v{self.count}"
-        self.lines.append(f"{name} = {text}")
-        return name
 
     def value(self, node: int) -> str:
         """Returns the name of a node's value (a vector) in the loop being written."""
@@ -383,19 +366,6 @@ class RowWriter(Writer):
         self.fills.add(one)
         self.lines.append(fill_call(number, place, kind, fill, self.given))
 
-    def _computed(self, node: int) -> str:
-        operation = self.graph.operations[node]
-        if operation == "gather":
-            return self._gather(node)
-        if operation == "view":
-            return self._read(node)
-        return self.operation(node)
-
-    def _write(self, goal: Goal) -> None:
-        place = self.schedule.goal_place(goal)
-        kind, piece = self.graph.kinds[goal.node], goal.piece
-        self._store(self.value(goal.node), place, piece.base, piece.strides, kind)
-
     def _width_of(self, loop: Loop) -> int:
         """Lanes of the vectors of a loop: as many as fit a register and the row."""
         kinds = {self.graph.kinds[node] for node in (*loop.nodes, *loop.reductions)}
@@ -668,17 +638,6 @@ class RowWriter(Writer):
         fresh = self.new(f"icmp sge {many} {lanes}, {first}")
         none = self.literal(identity(operation, kind), kind)
         return self._select([fresh, value, none], kind)
-
-    def _combined(self, operation: str, a: str, b: str, kind: str) -> str:
-        """Appends a reduction's operation on two values; returns the result's name.
-
-        `a` and `b` are the names of the values, `kind` is their type.
-        """
-        if operation in ("min", "max"):
-            return self._extreme(operation, (-1, -1), [a, b], kind)
-        if kind[0] == "f":
-            return self._float(operation, [a, b], kind)
-        return self._whole(operation, [a, b], kind)
 
     def across(self, operation: str, value: str, kind: str, rounds: int) -> str:
         """Appends the reduction of a vector to one number; returns its name.

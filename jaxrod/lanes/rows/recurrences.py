@@ -44,10 +44,16 @@ class Recurrence:
     """Number of rounds."""
     backwards: bool
     """Whether the loop begins with the last entries of the rows."""
-    lanes: int
-    """Length of the vectors that a round computes with; 1 for single numbers."""
+    shape: tuple[int, ...]
+    """Shape of everything that a round takes and returns: `()` for single numbers, and
+    `(n,)` for vectors of n numbers, of which n may be 1."""
     kind: str
     """Type of all numbers, such as `"f32"`."""
+
+    @property
+    def lanes(self) -> int:
+        """Length of the vectors that a round computes with; 1 for single numbers."""
+        return self.shape[0] if self.shape else 1
 
     def stored_at(self, output: int) -> int:
         """Flat index in the stored node at which an output begins.
@@ -78,7 +84,6 @@ def recurrence(unroller: Any, scan: Scan, arrays: Sequence[Rows]) -> list[Rows] 
     (shape,), (kind,) = shapes, kinds
     if len(shape) > 1 or shape == (0,) or long_axes(shape) or kind[0] != "f":
         return None
-    lanes = shape[0] if shape else 1
     inside = type(unroller)(RowGraph())
     inputs = [
         inside.graph.place("input", (), kind, shape, i, VARYING)
@@ -104,14 +109,14 @@ def recurrence(unroller: Any, scan: Scan, arrays: Sequence[Rows]) -> list[Rows] 
         scan.n_carry,
         scan.length,
         scan.backwards,
-        lanes,
+        shape,
         kind,
     )
     return _results(unroller, made, arrays)
 
 
 def _results(unroller: Any, made: Recurrence, arrays: Sequence[Rows]) -> list[Rows]:
-    layout, shape = unroller.layout, (made.lanes,) if made.lanes > 1 else ()
+    layout, shape = unroller.layout, made.shape
     first_row = made.n_constants + made.n_carry
     given = [
         _of_lane(layout, array, lane, int(i >= first_row))
