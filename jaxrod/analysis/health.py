@@ -200,7 +200,7 @@ def health(
         n_steps: Number of steps since then: round-off grows with it
             (`EnergyAccount`).
         before: An earlier state of a system; without it, rods that passed through each
-            other are not looked for.
+            other are not found.
 
     Returns:
         The flags and the values behind them, `Health` or `SystemHealth`. Values that

@@ -1,4 +1,4 @@
-"""Driven ends of rods: the node follows a path, and a wall may turn the element."""
+"""Driven nodes of rods: a node follows a path, and a wall may turn an end element."""
 
 from __future__ import annotations
 
@@ -15,9 +15,7 @@ from jaxrod.effects.ends import (
     End,
     Held,
     at_end,
-    check_end,
     check_made_for,
-    held_end,
     made_again_for,
     replace_end,
 )
@@ -29,6 +27,8 @@ from jaxrod.effects.supports import (
     distance_from,
     end_node,
     force_at,
+    node_of,
+    node_on,
     own_couple,
 )
 from jaxrod.effects.time import Schedule, Scheduled, is_schedule
@@ -52,7 +52,7 @@ from jaxrod.validation import Numbers, check_kind
 
 @pytree
 class Driven(Effect):
-    """An end of a rod that follows a path; a wall may turn its element.
+    """A node of a rod that follows a path; at an end a wall may turn the element.
 
     The wall acts through an elastic joint of half an element, as in a `Clamp`, or it
     holds the element rigidly, as a `FixedEnd` does. Without a wall the element turns
@@ -65,8 +65,8 @@ class Driven(Effect):
     turn: Scheduled
     """Orientation, angular velocity and acceleration of the wall: a `Turned`, or a
     schedule of it. `None` if the end element turns freely."""
-    end: End = static(default="base")
-    """End of the rod that is driven, "base" or "tip"."""
+    end: End | int = static(default="base")
+    """End of the rod that is driven, "base" or "tip", or the index of an inner node."""
     axes: Axes = static(default=(True, True, True))
     """World axes along which the node is driven; along the others it is free."""
     holds_element: bool = static(default=False)
@@ -195,13 +195,23 @@ class Driven(Effect):
 
     def held(self, rod: Rod) -> tuple[Held, ...]:
         """End node along the driven axes; also the end element if there is a wall."""
-        end = held_end(self.end, self.axes)
-        return (end if self.turn is not None else replace(end, element=None),)
+        node = end_node(rod, self.end)
+        element = None if self.turn is None else min(node, rod.n_elements - 1)
+        return (Held(node, self.axes, element),)
 
     def resampled(self, rod: Rod, new_rod: Rod) -> Driven:
-        """The same path and wall for `new_rod`; raises if the end is curved at rest."""
-        check_straight_end(rod, self.end)
-        return replace(self, made_for=made_again_for(self.made_for, new_rod))
+        """The same path and wall for `new_rod`.
+
+        Raises:
+            ValueError: If an end with a wall is curved at rest, or the new rod has no
+                node at the place of an inner one.
+        """
+        made = replace(self, made_for=made_again_for(self.made_for, new_rod))
+        if self.end not in ("base", "tip"):
+            node = node_on(new_rod, end_node(rod, self.end), rod)
+            return replace(made, end=node)
+        check_straight_end(rod, self.end)  # type: ignore[arg-type]
+        return made
 
     def check(self, rod: Rod) -> None:
         """Raises ValueError if the rod does not have `made_for` elements."""
@@ -252,7 +262,7 @@ class Driven(Effect):
 
 def driven(
     state: RodState,
-    end: End = "base",
+    end: End | int = "base",
     *,
     displacement: Schedule | Numbers = (0.0, 0.0, 0.0),
     axes: str = "xyz",
@@ -261,13 +271,14 @@ def driven(
     free_to_turn: bool = False,
     holds_element: bool = False,
 ) -> Driven:
-    """Moves an end of a rod along a path, and turns the wall that holds its element.
+    """Moves a node of a rod along a path, and turns the wall that holds an end element.
 
     `jaxrod.reactions` gives the force, couple and power that this takes.
 
     Args:
         state: The state of the rod, from which displacement and angle are measured.
-        end: The end that is driven.
+        end: The end that is driven; or the index of an inner node, from 1, where a
+            gripper holds the rod. Elements turn freely there: `free_to_turn=True`.
         displacement: Displacement of the end node, world frame: `(3,)`, or a schedule
             of it [m].
         axes: World axes along which it is driven; along the others it is free.
@@ -292,7 +303,15 @@ def driven(
     """
     check_kind("state", state, RodState)
     check_one(state)
-    index = 0 if check_end(end) == "base" else -1
+    index, last = node_of(state, end), state.positions.shape[-1] - 1
+    if end not in ("base", "tip") and index in (0, last):
+        end = "base" if index == 0 else "tip"
+    is_end = end in ("base", "tip")
+    if not is_end and not free_to_turn:
+        raise ValueError(
+            f"node {index} is inside the rod, where no wall holds an element: give "
+            "free_to_turn=True"
+        )
     path = Path(
         state.positions[:, index], schedule_of("displacement", displacement, "m", (3,))
     )
@@ -307,6 +326,6 @@ def driven(
     if not free_to_turn:
         about = unit_vector("axis", (0, 0, 1) if axis is None else axis)
         along = jnp.asarray(about, state.positions.dtype)
-        wall = Turning(state.orientations[:, index], along, turn)
-    made_for = state.positions.shape[-1] - 1
-    return Driven(path, wall, end, axes_named(axes), bool(holds_element), made_for)
+        wall = Turning(state.orientations[:, min(index, last - 1)], along, turn)
+    where: End | int = end if is_end else index
+    return Driven(path, wall, where, axes_named(axes), bool(holds_element), last)

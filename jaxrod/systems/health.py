@@ -102,7 +102,7 @@ class SystemHealth:
     limits: HealthLimits
     """The limits that were applied."""
     couplings: tuple[str, ...] = static(default=())
-    """Each coupling in words: its class, and the members that it joins."""
+    """Description of each coupling: its class, and the members that it joins."""
 
     @property
     def finite(self) -> Bool[Array, ""]:
