@@ -1,4 +1,4 @@
-"""Time of systems whose members move in a plane, over that of members in space.
+"""Time of systems with planar members, over that with members in space.
 
 Runs each scene with `consistent()` and with `planar("zx")` in turn, in float32 on one
 core, and compares medians of processor times. `operations` is the same ratio of the

@@ -148,13 +148,12 @@ class SystemHealth:
 def _flags(where: str, own: Any) -> list[tuple[str, str]]:
     """Flags that are set in the health of a member, with the rod that each is about."""
     found = []
-    named = {"finite": ~np.asarray(own.finite)} if hasattr(own, "finite") else {}
     for field in dataclasses.fields(own):
-        value = np.asarray(getattr(own, field.name))
-        if value.dtype == bool and field.name != "finite":
-            named[field.name] = value
-    for flag, values in named.items():
-        words = "not finite" if flag == "finite" else flag
+        values, words = np.asarray(getattr(own, field.name)), field.name
+        if values.dtype != bool:
+            continue
+        if words == "finite":
+            values, words = ~values, "not finite"
         if values.ndim == 0:
             found += [(where, words)] if values else []
         else:
