@@ -268,7 +268,9 @@ def scene_health(
     growth, allowed = zero, zero
     if energy_before is not None:
         growth, allowed = energy_account(scene, state, relative, dt).growth_since(
-            *(jnp.asarray(a, dtype) for a in (energy_before, work_input, n_steps)),
+            jnp.asarray(energy_before, dtype),
+            jnp.asarray(work_input, dtype),
+            jnp.asarray(n_steps, dtype),
             limits.largest_energy_growth,
         )
     # Each comparison is written so that NaN counts as wrong.

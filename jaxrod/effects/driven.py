@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import cast
 
 import jax.numpy as jnp
 import numpy as np
@@ -75,11 +76,16 @@ class Driven(Effect):
     """Number of elements that the rod must have, see `check`; `None` for any number."""
 
     @property
+    def _wall_end(self) -> End:
+        """End of the rod that is driven; only an end has a wall."""
+        return cast(End, self.end)
+
+    @property
     def _joint(self) -> Clamp | None:
         """Elastic joint between wall and end element; `None` without a joint."""
         if self.turn is None or self.holds_element:
             return None
-        return Clamp(self.turn.orientation, self.end)
+        return Clamp(self.turn.orientation, self._wall_end)
 
     def loads(self, rod: Rod, motion: Motion) -> Loads:
         """Couple on the end element, material frame, from the joint to the driven wall.
@@ -116,7 +122,7 @@ class Driven(Effect):
         """Puts the end node on its path and a held element in the frame of the wall."""
         if self.holds_element:
             w, x, y, z = (
-                replace_end(a, b, self.end)
+                replace_end(a, b, self._wall_end)
                 for a, b in zip(motion.orientation, self.turn.orientation, strict=True)
             )
             motion = replace(motion, orientation=(w, x, y, z))
@@ -136,7 +142,7 @@ class Driven(Effect):
             velocity, momentum = self._turning_element(rod)
             spin = velocity if motion.spin_is_velocity else momentum
             x, y, z = (
-                replace_end(a, b, self.end)
+                replace_end(a, b, self._wall_end)
                 for a, b in zip(motion.spin, spin, strict=True)
             )
             motion = replace(motion, spin=(x, y, z))
@@ -150,7 +156,7 @@ class Driven(Effect):
         """Gives the end node the path's acceleration, and a held element the wall's."""
         if self.holds_element:
             x, y, z = (
-                replace_end(a, b, self.end)
+                replace_end(a, b, self._wall_end)
                 for a, b in zip(change.spin, self._rate_of_momentum(rod), strict=True)
             )
             change = replace(change, spin=(x, y, z))
@@ -184,7 +190,7 @@ class Driven(Effect):
         node = end_node(rod, self.end)
         apart = distance_from(self.place.position, node, self.axes, rod, state)
         if self.holds_element:
-            actual = at_end(split_quaternion(state.orientations), self.end)
+            actual = at_end(split_quaternion(state.orientations), self._wall_end)
             held = split_quaternion(self.turn.orientation)
             _, x, y, z = multiply_quaternions(conjugate(held), actual)
             return apart + 2 * vectors.safe_norm((x, y, z))
@@ -210,7 +216,7 @@ class Driven(Effect):
         if self.end not in ("base", "tip"):
             node = node_on(new_rod, end_node(rod, self.end), rod)
             return replace(made, end=node)
-        check_straight_end(rod, self.end)  # type: ignore[arg-type]
+        check_straight_end(rod, self._wall_end)
         return made
 
     def check(self, rod: Rod) -> None:
@@ -235,7 +241,7 @@ class Driven(Effect):
         if self.holds_element:
             couple = self._couple_on_held(rod, motion, needed)
         else:
-            couple = own_couple(self, rod, motion, self.end)
+            couple = own_couple(self, rod, motion, self._wall_end)
         return Reaction.of(force, couple, power + vectors.dot(couple, turning))
 
     def _couple_on_held(self, rod: Rod, motion: Motion, needed: Loads) -> Vec3:
@@ -247,7 +253,7 @@ class Driven(Effect):
         assert needed.couples is not None
         index = 0 if self.end == "base" else -1
         a, b, c = (component[index] for component in needed.couples)
-        frame = directors(at_end(motion.orientation, self.end))
+        frame = directors(at_end(motion.orientation, self._wall_end))
         return vectors.add(to_world(frame, (a, b, c)), self._rate_of_momentum(rod))
 
     def _rate_of_momentum(self, rod: Rod) -> Vec3:

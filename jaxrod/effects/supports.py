@@ -44,7 +44,7 @@ from jaxrod.validation import Numbers, check_kind
 def end_node(rod: Rod, end: End | int) -> int:
     """Index of the node at an end of a rod; the given one if `end` is a number."""
     ends: dict[End | int, int] = {"base": 0, "tip": rod.n_elements}
-    return int(ends.get(end, end))  # type: ignore[arg-type]
+    return int(ends.get(end, end))
 
 
 def node_of(state: RodState, node: End | int) -> int:

@@ -234,7 +234,9 @@ def system_health(
     if energy_before is not None:
         account = _account(system, prepared, parts, state, jnp.asarray(dt, zero.dtype))
         growth, allowed = account.growth_since(
-            *(jnp.asarray(a, zero.dtype) for a in (energy_before, work_input, n_steps)),
+            jnp.asarray(energy_before, zero.dtype),
+            jnp.asarray(work_input, zero.dtype),
+            jnp.asarray(n_steps, zero.dtype),
             limits.largest_energy_growth,
         )
     passages = {} if before is None else _passages(prepared, before, state)
@@ -288,8 +290,8 @@ def _account(
     members = system.interfaces()
     mean = jnp.zeros(3, dt.dtype)
     if not _is_held(system, state):
-        mass = sum(jnp.sum(own.node_masses) for own in parts.values())
-        mean = sum(members[k].momentum(state[k]) for k in members) / mass
+        mass = sum((jnp.sum(p.node_masses) for p in parts.values()), 0 * mean[0])
+        mean = sum((members[k].momentum(state[k]) for k in members), mean) / mass
     each = [members[k].energy_account(state[k], mean, dt) for k in members]
     total = functools.reduce(EnergyAccount.__add__, each)
     if not prepared:

@@ -199,7 +199,8 @@ def _bodies_rates(
             moving = {k: _with_rates(s, free.get(k)) for k, s in seen.items()}
             push = added(push, coupling.exchange(still, moving)[name])
         one = jnp.ones((), system.dtype)
-        stepper = members[name].stepper(state[name], own.parts, together, one)
+        # Only rigid bodies are followed, and their stepper has this method.
+        stepper: Any = members[name].stepper(state[name], own.parts, together, one)
         found[name] = stepper.rates_of_change(stepper.enter(state[name]), push)
     return found
 

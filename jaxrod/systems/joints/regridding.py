@@ -94,7 +94,7 @@ class Regridding:
         return tuple(
             np.asarray(rods[points.member].rest_lengths, np.float64).reshape(-1)[index]
             for rods, index in ((self.old, old), (self.new, new))
-        )  # type: ignore[return-value]
+        )
 
     def turns(self, points: Any) -> Quaternion:
         """Rotations from the frames of old elements of `points` to those of new ones.

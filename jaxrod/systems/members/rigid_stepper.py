@@ -255,7 +255,7 @@ class RigidStepper:
             if more.couples is not None:
                 couple = vectors.add(couple, to_world(frame, more.couples))
         slowing, braking = _damping(self.bodies)
-        if slowing is not None:
+        if slowing is not None and braking is not None:
             drag = vectors.scale(-slowing * self.bodies.masses, own.velocity)
             force = vectors.add(force, drag)
             couple = vectors.subtract(couple, vectors.scale(braking, own.spin))
