@@ -101,6 +101,19 @@ class Model(ABC):
         """The model with other entries for named members; a scene's name is ""."""
 
     @abstractmethod
+    def check_state(self, state: Any) -> None:
+        """Raises unless this is one model, no batch, and a state fits it."""
+
+    def regridded(self, old: Self, state: Any) -> Self:
+        """Copy whose couplings fit members with other numbers of elements.
+
+        Args:
+            old: The model before its members changed.
+            state: State of the new members.
+        """
+        return self
+
+    @abstractmethod
     def contact_forces(self, state: Any) -> list[tuple[str, Vec3]]:
         """Contact forces on the nodes of members, world frame [N], for replays.
 
@@ -157,8 +170,13 @@ class Model(ABC):
         energy_before: ArrayLike | None = None,
         work_input: ArrayLike = 0.0,
         n_steps: ArrayLike = 1000,
+        before: Any = None,
     ) -> Any:
         """Result of `jaxrod.health`: flags of a state, and the values behind them."""
+
+    @abstractmethod
+    def reactions(self, state: Any) -> Any:
+        """Result of `jaxrod.reactions`: loads of supports, and of couplings."""
 
     @abstractmethod
     def equilibrium(

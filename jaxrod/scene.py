@@ -11,6 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, ArrayLike, Float
 
+from jaxrod.analysis.dynamics import scene_reactions
 from jaxrod.analysis.frequency import squared_frequencies
 from jaxrod.analysis.health import Health, HealthLimits, scene_health
 from jaxrod.analysis.stability import (
@@ -18,7 +19,7 @@ from jaxrod.analysis.stability import (
     scene_stable_step,
     scene_step_warning,
 )
-from jaxrod.effects.base import Effect, memory_fields, memory_of
+from jaxrod.effects.base import Effect, Reaction, memory_fields, memory_of
 from jaxrod.effects.ends import check_held_once
 from jaxrod.effects.own_classes import check_own_class, check_own_loads
 from jaxrod.effects.time import Clock, at_clock, clock_at, depends_on_time
@@ -107,6 +108,10 @@ class Scene(LoadedRod, Model):
         """The scene with one more effect."""
         return replace(self, effects=(*self.effects, effect))
 
+    def check_state(self, state: Any) -> None:
+        """Raises unless this is one scene, no batch, and a state fits its rod."""
+        check_scene_and_state(self, state)
+
     def check_run(self, state: Any, dt: ArrayLike, first: Array | None) -> Array:
         """Validates the arguments of a run; returns the step [s] in the rod's dtype."""
         check_scene_and_state(self, state)
@@ -163,8 +168,14 @@ class Scene(LoadedRod, Model):
         energy_before: ArrayLike | None = None,
         work_input: ArrayLike = 0.0,
         n_steps: ArrayLike = 1000,
+        before: Any = None,
     ) -> Health:
         """Result of `jaxrod.health`: flags of a state, and the values behind them."""
+        if before is not None:
+            raise ValueError(
+                "before is for systems, whose contact keeps rods apart: one rod passes "
+                "through itself freely, see jaxrod.topology.crossed"
+            )
         return scene_health(
             self,
             state,
@@ -174,6 +185,10 @@ class Scene(LoadedRod, Model):
             work_input=work_input,
             n_steps=n_steps,
         )
+
+    def reactions(self, state: Any) -> tuple[Reaction | None, ...]:
+        """Result of `jaxrod.reactions`: loads of all supports."""
+        return scene_reactions(self, state)
 
     def equilibrium(
         self,

@@ -804,6 +804,25 @@ def test_each_joint_pulls_two_rods_together_by_its_stiffness():
     close(pulled.power, 0)
 
 
+@runs("free_body", "HealthLimits")
+def test_a_rod_cut_free_has_the_force_of_its_joint_and_a_gap_is_flagged():
+    rod, of_one = straight(2)
+    _, of_two = straight(2, start=(1, 0, 0))
+    rest, ends = {"one": of_one, "two": of_two}, (("one", "tip"), ("two", "base"))
+    joint = jaxrod.systems.ball_joint(*ends, rest, stiffness=200.0)
+    loose = jaxrod.make_scene(rod)
+    system = jaxrod.make_system({"one": loose, "two": loose}, joint)
+    apart = replace(of_two, positions=of_two.positions.at[1].add(0.5 * RADIUS))
+    state = {**rest, "two": apart}
+    cut, own = jaxrod.systems.free_body(system, state, "one")
+    forces = cut.effects[-1].loads(cut.rod, cut.as_member().motion(own)).forces
+    close(np.stack(forces)[:, -1], (0, 200.0 * 0.5 * RADIUS, 0))
+    for largest, wrong in ((0.4, True), (0.6, False)):
+        limits = jaxrod.HealthLimits(largest_gap=jnp.asarray(largest))
+        seen = jaxrod.health(system, state, 1e-5, limits=limits)
+        assert bool(seen.joints) == bool(seen.flagged) == wrong
+
+
 TOUCHING = ("rods", "crossing", "body", "bodies")
 
 

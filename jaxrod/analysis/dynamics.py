@@ -9,6 +9,7 @@ loads required for this.
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any, overload
 
 import jax
 import jax.numpy as jnp
@@ -32,6 +33,7 @@ from jaxrod.loaded_rod import (
     external_loads,
     scene_of,
 )
+from jaxrod.model import Model, check_model
 from jaxrod.rods.elasticity import elastic_law, internal_loads
 from jaxrod.rods.motion import Loads, Motion, motion_of
 from jaxrod.rods.rod import RodState
@@ -95,7 +97,15 @@ def _turning(orientation: Quaternion, spin: Vec3) -> Quaternion:
     return multiply_quaternions((jnp.zeros_like(half[0]), *half), orientation)
 
 
-def reactions(scene: LoadedRod, state: RodState) -> tuple[Reaction | None, ...]:
+@overload
+def reactions(scene: LoadedRod, state: RodState) -> tuple[Reaction | None, ...]: ...
+
+
+@overload
+def reactions(scene: Model, state: Any) -> Any: ...
+
+
+def reactions(scene: Any, state: Any) -> Any:
     """Forces, couples and power of every support of a scene, in order of its effects.
 
     The force on a held node is its mass times its acceleration minus all other loads on
@@ -103,13 +113,18 @@ def reactions(scene: LoadedRod, state: RodState) -> tuple[Reaction | None, ...]:
     minus the power of damping. If two effects hold one node, each reports the whole
     force.
 
+    Supports of a system's rods also bear what joints, ties, attachments and contact put
+    on the rods. The result, a `SystemReactions`, has these loads too.
+
     Args:
-        scene: The scene, with the consistent law (any method but `pyelastica()`); if it
-            depends on time, the scene at the time of the state, `scene.at(time)`.
+        scene: The scene or the system, with the consistent law (any method but
+            `pyelastica()`); if it depends on time, the scene at the time of the state,
+            `scene.at(time)`.
         state: The state.
 
     Returns:
-        One reaction for each effect; `None` for effects that hold nothing.
+        One reaction for each effect; `None` for effects that hold nothing. For a system
+        a `SystemReactions`.
 
     Raises:
         ValueError: If the scene has PyElastica's law or depends on time, or the state
@@ -121,14 +136,21 @@ def reactions(scene: LoadedRod, state: RodState) -> tuple[Reaction | None, ...]:
         >>> round(float(wall.force[2]), 3)  # so far the weight of the first node [N]
         0.616
     """
+    check_model(scene)
+    return scene.reactions(state)
+
+
+def scene_reactions(scene: LoadedRod, state: RodState) -> tuple[Reaction | None, ...]:
+    """Reactions of the supports of one rod; see `reactions`."""
     scene = scene_of(scene, state)
     if not scene.method.has_energy:
         raise ValueError(f"reactions need the consistent law, got {scene.method!r}")
-    return _reactions(scene, state)
+    return reactions_of(scene, state)
 
 
 @jax.jit
-def _reactions(scene: LoadedRod, state: RodState) -> tuple[Reaction | None, ...]:
+def reactions_of(scene: LoadedRod, state: RodState) -> tuple[Reaction | None, ...]:
+    """Reactions of a scene; the caller has checked it and its state."""
     rod, motion = scene.rod, motion_of(state)
     total = total_loads(scene, motion)
     assert total.forces is not None and total.couples is not None

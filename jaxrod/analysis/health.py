@@ -14,7 +14,7 @@ The answer does not depend on the rod's place and orientation, nor on the units,
 round-off of its coordinates. Far from the origin round-off dominates: a coordinate near
 1000 m is a multiple of 6e-5 m in float32 (1e-13 m in float64). That strains an element
 of 5 cm by a thousandth, shakes the rod a little at every step (by an amount given in
-`energy_balance`), and loses motion of less than 6e-5 m per step.
+`EnergyAccount`), and loses motion of less than 6e-5 m per step.
 """
 
 from __future__ import annotations
@@ -71,6 +71,9 @@ class HealthLimits:
     """Largest violation of an effect's constraint (`Effect.violation`) divided by the
     radius [1]: distance of a held end from its prescribed position, or depth of a node
     in a body."""
+    largest_gap: Float[Array, ""] | float = 1.0
+    """Largest gap of a ball joint, hinge, fixed joint or glue of a system, divided by
+    the smaller radius, or the radius of gyration of a body [1]."""
     largest_energy_growth: Float[Array, ""] | float = 0.1
     """Largest unexplained growth of the total energy, relative to the rod's kinetic and
     elastic energy [1]. Valid steps gain up to 0.003 in free motion, and up to 0.1 in
@@ -156,7 +159,15 @@ def health(
 
 @overload
 def health(
-    scene: Model, state: Any, dt: ArrayLike, *, limits: HealthLimits | None = ...
+    scene: Model,
+    state: Any,
+    dt: ArrayLike,
+    *,
+    limits: HealthLimits | None = ...,
+    energy_before: ArrayLike | None = ...,
+    work_input: ArrayLike = ...,
+    n_steps: ArrayLike = ...,
+    before: Any = ...,
 ) -> Any: ...
 
 
@@ -169,6 +180,7 @@ def health(
     energy_before: ArrayLike | None = None,
     work_input: ArrayLike = 0.0,
     n_steps: ArrayLike = 1000,
+    before: Any = None,
 ) -> Any:
     """Tests whether a state can be trusted. It is cheap and works inside jit and vmap.
 
@@ -176,7 +188,7 @@ def health(
     energy are relative to its mean motion.
 
     Args:
-        scene: The scene, or a system, whose energy is not examined.
+        scene: The scene, or a system: then all members and couplings are examined.
         state: The state to examine.
         dt: The step size in use [s]. If it is traced and not positive, speed and spin
             are flagged.
@@ -186,14 +198,17 @@ def health(
         work_input: Work done on the rod since then by loads without a potential [J].
             Energy may grow by twice as much.
         n_steps: Number of steps since then: round-off grows with it
-            (`energy_balance`).
+            (`EnergyAccount`).
+        before: An earlier state of a system; without it, rods that passed through each
+            other are not found.
 
     Returns:
-        The flags and the values behind them. Values that are not finite are flagged.
+        The flags and the values behind them, `Health` or `SystemHealth`. Values that
+        are not finite are flagged.
 
     Raises:
         ValueError: If the state does not match the scene's rod, or `dt` or `n_steps` is
-            known and not positive.
+            known and not positive, or `before` is given for one rod.
 
     Example:
         >>> bool(jaxrod.health(scene, state, dt=1e-4).flagged)
@@ -211,6 +226,7 @@ def health(
         energy_before=energy_before,
         work_input=work_input,
         n_steps=n_steps,
+        before=before,
     )
 
 
@@ -251,11 +267,12 @@ def scene_health(
     finite = jnp.all(jnp.isfinite(measured))
     growth, allowed = zero, zero
     if energy_before is not None:
-        before, steps = jnp.asarray(energy_before, dtype), jnp.asarray(n_steps, dtype)
-        balance = energy_balance(scene, state, relative, before, dt, steps)
-        work = 2 * jnp.abs(jnp.asarray(work_input, dtype))
-        growth = balance.growth
-        allowed = work + limits.largest_energy_growth * balance.own + balance.rounding
+        growth, allowed = energy_account(scene, state, relative, dt).growth_since(
+            jnp.asarray(energy_before, dtype),
+            jnp.asarray(work_input, dtype),
+            jnp.asarray(n_steps, dtype),
+            limits.largest_energy_growth,
+        )
     # Each comparison is written so that NaN counts as wrong.
     travel = dt * _largest_travel(scene.rod, relative)
     return Health(
@@ -370,36 +387,17 @@ def freeze(flagged: Bool[Array, "*batch"], before: State, after: State) -> State
 
 
 @pytree
-class EnergyBalance:
-    """Energy of a rod in one state, compared with that in an earlier one."""
+class EnergyAccount:
+    r"""Energy of a rod or of a whole system in one state, and what round-off may add.
 
-    growth: Float[Array, ""]
-    """Growth of the total energy [J]."""
-    own: Float[Array, ""]
-    """Energy that does not depend on the origin: kinetic, elastic, of held ends and
-    contact [J]."""
-    rounding: Float[Array, ""]
-    """Largest growth that round-off can explain [J]."""
-
-
-def energy_balance(
-    scene: LoadedRod,
-    state: RodState,
-    relative: RodState,
-    before: Array,
-    dt: Array,
-    n_steps: Array,
-) -> EnergyBalance:
-    r"""Compares energies, and bounds the growth between two states.
-
-    The bound is the sum of three terms. The first is twice the work done. The second is
-    a fraction of the rod's own energy: kinetic, elastic, and that of held ends and of
-    contact, none of which depends on the origin of coordinates. The third is round-off.
-    In each of $N$ steps of size $h$ coordinates are rounded to multiples of $\delta$,
-    which shakes the springs between nodes. Velocities are rounded, too, and motion
-    slower than $\delta/h$ is lost. With the stiffness $k$ of the elements, the masses
-    $m$ of the nodes, the kinetic energy $T$ and the unit round-off $\epsilon$, that may
-    amount to
+    Energy grows by at most the sum of three terms. The first is twice the work done.
+    The second is a fraction of the model's own energy: kinetic, elastic, and that of
+    held ends and of contact, none of which depends on the origin of coordinates. The
+    third is round-off. In each of $N$ steps of size $h$ coordinates are rounded to
+    multiples of $\delta$, which shakes the springs between nodes. Velocities are
+    rounded, too, and motion slower than $\delta/h$ is lost. With the stiffness $k$ of
+    the elements, the masses $m$ of the nodes, the kinetic energy $T$ and the unit
+    round-off $\epsilon$, that may amount to
 
     $$N\left(\tfrac16\sum k\,\delta^2 + \epsilon T\right)
       + \tfrac12\sum m\,(\delta/h)^2$$
@@ -410,15 +408,53 @@ def energy_balance(
     10 MPa, with 20 elements. In float32 and 1000 steps the round-off is 20 J at a
     height of 1000 m (4 J were measured), and 13 microjoules at the origin (5 were
     measured).
+    """
+
+    total: Float[Array, ""]
+    """Total energy [J]."""
+    own: Float[Array, ""]
+    """Energy that does not depend on the origin: kinetic, elastic, of held ends and
+    contact [J]."""
+    per_step: Float[Array, ""]
+    """Largest growth that round-off can explain in one step [J]."""
+    lost: Float[Array, ""]
+    """Kinetic energy of motion that is too slow to change rounded positions [J]."""
+    weights: Float[Array, ""]
+    """Axial stiffness times length: the size of weights that cancel [J]."""
+
+    def __add__(self, other: EnergyAccount) -> EnergyAccount:
+        """Account of two parts of a system together."""
+        both: EnergyAccount = jax.tree.map(jnp.add, self, other)
+        return both
+
+    def growth_since(
+        self, before: Array, work: Array, n_steps: Array, fraction: ArrayLike
+    ) -> tuple[Float[Array, ""], Float[Array, ""]]:
+        """Growth of the total energy, and the growth that is allowed [J].
+
+        Args:
+            before: Total energy earlier [J].
+            work: Work done since then by loads without a potential [J].
+            n_steps: Number of steps since then.
+            fraction: Allowed growth relative to the model's own energy [1].
+        """
+        unit = jnp.finfo(self.total.dtype).eps
+        sums = unit * (8 * (jnp.abs(self.total) + jnp.abs(before)) + self.weights)
+        rounding = n_steps * self.per_step + self.lost + sums
+        allowed = 2 * jnp.abs(work) + fraction * self.own + rounding
+        return self.total - before, allowed
+
+
+def energy_account(
+    scene: LoadedRod, state: RodState, relative: RodState, dt: Array
+) -> EnergyAccount:
+    """Account of the energy of one rod.
 
     Args:
         scene: The scene.
-        state: The state now.
-        relative: The state now, with the velocities that count for the rod's own
-            energy.
-        before: Total energy earlier [J].
+        state: The state.
+        relative: The state, with the velocities that count for the rod's own energy.
         dt: Step size [s].
-        n_steps: Number of steps since then.
     """
     rod = scene.rod
     elastic, kinetic = stored_energy(rod, state), rod.kinetic_energy(state)
@@ -429,13 +465,11 @@ def energy_balance(
         total = total + energy
         if effect.violation(rod, state) is not None:
             own = own + jnp.abs(energy)
-    unit = jnp.finfo(total.dtype).eps
     shaken, lost = _rounding_of_positions(rod, state, dt)
-    per_step = shaken + unit * kinetic
     # Weights on both sides of the origin cancel in the total, but not in its round-off.
     weights = jnp.sum(rod.shear_stretch_stiffness[2] * rod.rest_lengths)
-    sums = unit * (8 * (jnp.abs(total) + jnp.abs(before)) + weights)
-    return EnergyBalance(total - before, own, n_steps * per_step + lost + sums)
+    per_step = shaken + jnp.finfo(total.dtype).eps * kinetic
+    return EnergyAccount(total, own, per_step, lost, weights)
 
 
 def _rounding_of_positions(

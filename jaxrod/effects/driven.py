@@ -1,8 +1,9 @@
-"""Driven ends of rods: the node follows a path, and a wall may turn the element."""
+"""Driven nodes of rods: a node follows a path, and a wall may turn an end element."""
 
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import cast
 
 import jax.numpy as jnp
 import numpy as np
@@ -15,9 +16,7 @@ from jaxrod.effects.ends import (
     End,
     Held,
     at_end,
-    check_end,
     check_made_for,
-    held_end,
     made_again_for,
     replace_end,
 )
@@ -29,6 +28,8 @@ from jaxrod.effects.supports import (
     distance_from,
     end_node,
     force_at,
+    node_of,
+    node_on,
     own_couple,
 )
 from jaxrod.effects.time import Schedule, Scheduled, is_schedule
@@ -52,7 +53,7 @@ from jaxrod.validation import Numbers, check_kind
 
 @pytree
 class Driven(Effect):
-    """An end of a rod that follows a path; a wall may turn its element.
+    """A node of a rod that follows a path; at an end a wall may turn the element.
 
     The wall acts through an elastic joint of half an element, as in a `Clamp`, or it
     holds the element rigidly, as a `FixedEnd` does. Without a wall the element turns
@@ -65,8 +66,8 @@ class Driven(Effect):
     turn: Scheduled
     """Orientation, angular velocity and acceleration of the wall: a `Turned`, or a
     schedule of it. `None` if the end element turns freely."""
-    end: End = static(default="base")
-    """End of the rod that is driven, "base" or "tip"."""
+    end: End | int = static(default="base")
+    """End of the rod that is driven, "base" or "tip", or the index of an inner node."""
     axes: Axes = static(default=(True, True, True))
     """World axes along which the node is driven; along the others it is free."""
     holds_element: bool = static(default=False)
@@ -75,11 +76,16 @@ class Driven(Effect):
     """Number of elements that the rod must have, see `check`; `None` for any number."""
 
     @property
+    def _wall_end(self) -> End:
+        """End of the rod that is driven; only an end has a wall."""
+        return cast(End, self.end)
+
+    @property
     def _joint(self) -> Clamp | None:
         """Elastic joint between wall and end element; `None` without a joint."""
         if self.turn is None or self.holds_element:
             return None
-        return Clamp(self.turn.orientation, self.end)
+        return Clamp(self.turn.orientation, self._wall_end)
 
     def loads(self, rod: Rod, motion: Motion) -> Loads:
         """Couple on the end element, material frame, from the joint to the driven wall.
@@ -116,7 +122,7 @@ class Driven(Effect):
         """Puts the end node on its path and a held element in the frame of the wall."""
         if self.holds_element:
             w, x, y, z = (
-                replace_end(a, b, self.end)
+                replace_end(a, b, self._wall_end)
                 for a, b in zip(motion.orientation, self.turn.orientation, strict=True)
             )
             motion = replace(motion, orientation=(w, x, y, z))
@@ -136,7 +142,7 @@ class Driven(Effect):
             velocity, momentum = self._turning_element(rod)
             spin = velocity if motion.spin_is_velocity else momentum
             x, y, z = (
-                replace_end(a, b, self.end)
+                replace_end(a, b, self._wall_end)
                 for a, b in zip(motion.spin, spin, strict=True)
             )
             motion = replace(motion, spin=(x, y, z))
@@ -150,7 +156,7 @@ class Driven(Effect):
         """Gives the end node the path's acceleration, and a held element the wall's."""
         if self.holds_element:
             x, y, z = (
-                replace_end(a, b, self.end)
+                replace_end(a, b, self._wall_end)
                 for a, b in zip(change.spin, self._rate_of_momentum(rod), strict=True)
             )
             change = replace(change, spin=(x, y, z))
@@ -184,7 +190,7 @@ class Driven(Effect):
         node = end_node(rod, self.end)
         apart = distance_from(self.place.position, node, self.axes, rod, state)
         if self.holds_element:
-            actual = at_end(split_quaternion(state.orientations), self.end)
+            actual = at_end(split_quaternion(state.orientations), self._wall_end)
             held = split_quaternion(self.turn.orientation)
             _, x, y, z = multiply_quaternions(conjugate(held), actual)
             return apart + 2 * vectors.safe_norm((x, y, z))
@@ -195,13 +201,23 @@ class Driven(Effect):
 
     def held(self, rod: Rod) -> tuple[Held, ...]:
         """End node along the driven axes; also the end element if there is a wall."""
-        end = held_end(self.end, self.axes)
-        return (end if self.turn is not None else replace(end, element=None),)
+        node = end_node(rod, self.end)
+        element = None if self.turn is None else min(node, rod.n_elements - 1)
+        return (Held(node, self.axes, element),)
 
     def resampled(self, rod: Rod, new_rod: Rod) -> Driven:
-        """The same path and wall for `new_rod`; raises if the end is curved at rest."""
-        check_straight_end(rod, self.end)
-        return replace(self, made_for=made_again_for(self.made_for, new_rod))
+        """The same path and wall for `new_rod`.
+
+        Raises:
+            ValueError: If an end with a wall is curved at rest, or the new rod has no
+                node at the place of an inner one.
+        """
+        made = replace(self, made_for=made_again_for(self.made_for, new_rod))
+        if self.end not in ("base", "tip"):
+            node = node_on(new_rod, end_node(rod, self.end), rod)
+            return replace(made, end=node)
+        check_straight_end(rod, self._wall_end)
+        return made
 
     def check(self, rod: Rod) -> None:
         """Raises ValueError if the rod does not have `made_for` elements."""
@@ -225,7 +241,7 @@ class Driven(Effect):
         if self.holds_element:
             couple = self._couple_on_held(rod, motion, needed)
         else:
-            couple = own_couple(self, rod, motion, self.end)
+            couple = own_couple(self, rod, motion, self._wall_end)
         return Reaction.of(force, couple, power + vectors.dot(couple, turning))
 
     def _couple_on_held(self, rod: Rod, motion: Motion, needed: Loads) -> Vec3:
@@ -237,7 +253,7 @@ class Driven(Effect):
         assert needed.couples is not None
         index = 0 if self.end == "base" else -1
         a, b, c = (component[index] for component in needed.couples)
-        frame = directors(at_end(motion.orientation, self.end))
+        frame = directors(at_end(motion.orientation, self._wall_end))
         return vectors.add(to_world(frame, (a, b, c)), self._rate_of_momentum(rod))
 
     def _rate_of_momentum(self, rod: Rod) -> Vec3:
@@ -252,7 +268,7 @@ class Driven(Effect):
 
 def driven(
     state: RodState,
-    end: End = "base",
+    end: End | int = "base",
     *,
     displacement: Schedule | Numbers = (0.0, 0.0, 0.0),
     axes: str = "xyz",
@@ -261,13 +277,14 @@ def driven(
     free_to_turn: bool = False,
     holds_element: bool = False,
 ) -> Driven:
-    """Moves an end of a rod along a path, and turns the wall that holds its element.
+    """Moves a node of a rod along a path, and turns the wall that holds an end element.
 
     `jaxrod.reactions` gives the force, couple and power that this takes.
 
     Args:
         state: The state of the rod, from which displacement and angle are measured.
-        end: The end that is driven.
+        end: The end that is driven; or the index of an inner node, from 1, where a
+            gripper holds the rod. Elements turn freely there: `free_to_turn=True`.
         displacement: Displacement of the end node, world frame: `(3,)`, or a schedule
             of it [m].
         axes: World axes along which it is driven; along the others it is free.
@@ -292,7 +309,15 @@ def driven(
     """
     check_kind("state", state, RodState)
     check_one(state)
-    index = 0 if check_end(end) == "base" else -1
+    index, last = node_of(state, end), state.positions.shape[-1] - 1
+    if end not in ("base", "tip") and index in (0, last):
+        end = "base" if index == 0 else "tip"
+    is_end = end in ("base", "tip")
+    if not is_end and not free_to_turn:
+        raise ValueError(
+            f"node {index} is inside the rod, where no wall holds an element: give "
+            "free_to_turn=True"
+        )
     path = Path(
         state.positions[:, index], schedule_of("displacement", displacement, "m", (3,))
     )
@@ -307,6 +332,6 @@ def driven(
     if not free_to_turn:
         about = unit_vector("axis", (0, 0, 1) if axis is None else axis)
         along = jnp.asarray(about, state.positions.dtype)
-        wall = Turning(state.orientations[:, index], along, turn)
-    made_for = state.positions.shape[-1] - 1
-    return Driven(path, wall, end, axes_named(axes), bool(holds_element), made_for)
+        wall = Turning(state.orientations[:, min(index, last - 1)], along, turn)
+    where: End | int = end if is_end else index
+    return Driven(path, wall, where, axes_named(axes), bool(holds_element), last)

@@ -339,3 +339,17 @@ def exponential_damping(
         as_array("translational_rate", translational_rate, "1/s", non_negative=True),
         as_array("rotational_rate", rotational_rate, "1/s", non_negative=True),
     )
+
+
+@pytree
+class GivenLoads(Effect):
+    """Loads on one rod that do not depend on its state."""
+
+    forces: Float[Array, "3 n+1"]
+    """Forces on nodes, world frame [N]."""
+    couples: Float[Array, "3 n"]
+    """Couples on elements, material frame [N m]."""
+
+    def loads(self, rod: Rod, motion: Motion) -> Loads:
+        """The given loads, for any motion."""
+        return Loads(vectors.split(self.forces), vectors.split(self.couples))

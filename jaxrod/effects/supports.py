@@ -36,14 +36,48 @@ from jaxrod.geometry.rotations import (
 )
 from jaxrod.geometry.vectors import Vec3
 from jaxrod.rods.motion import Loads, Motion
-from jaxrod.rods.rod import Rod, RodState, check_one
+from jaxrod.rods.rod import Rod, RodState, check_one, node_places
 from jaxrod.structure import pytree, static
 from jaxrod.validation import Numbers, check_kind
 
 
-def end_node(rod: Rod, end: End) -> int:
-    """Index of the node at an end of a rod."""
-    return 0 if end == "base" else rod.n_elements
+def end_node(rod: Rod, end: End | int) -> int:
+    """Index of the node at an end of a rod; the given one if `end` is a number."""
+    ends: dict[End | int, int] = {"base": 0, "tip": rod.n_elements}
+    return int(ends.get(end, end))
+
+
+def node_of(state: RodState, node: End | int) -> int:
+    """Index of a node of a state, from an end or a number.
+
+    Raises:
+        ValueError: If there is no such node.
+    """
+    nodes = state.positions.shape[-1]
+    if isinstance(node, str):
+        return 0 if check_end(node) == "base" else nodes - 1
+    if isinstance(node, bool) or not isinstance(node, int | np.integer):
+        raise ValueError(f'node must be "base", "tip" or a number, got {node!r}')
+    if not 0 <= node < nodes:
+        raise ValueError(f"node must be from 0 to {nodes - 1}, got {node}")
+    return int(node)
+
+
+def node_on(new_rod: Rod, node: int, rod: Rod) -> int:
+    """Index of the node of `new_rod` at the same rest arc length as a node of `rod`.
+
+    Raises:
+        ValueError: If there is none.
+    """
+    share = node_places(rod)[node] / node_places(rod)[-1]
+    places = node_places(new_rod) / node_places(new_rod)[-1]
+    found = int(np.argmin(np.abs(places - share)))
+    if abs(float(places[found] - share)) * new_rod.n_elements > 1e-6:
+        raise ValueError(
+            f"a support of node {node} has no place on a rod of {new_rod.n_elements} "
+            "elements: choose a number that gives a node there"
+        )
+    return found
 
 
 def at_node(field: Vec3, value: Array, node: int, axes: Axes) -> Vec3:
@@ -146,14 +180,9 @@ class Pin(Effect):
             )
 
     def resampled(self, rod: Rod, new_rod: Rod) -> Pin:
-        """Pin at the same end of `new_rod`; raises if the node is not an end node."""
-        if self.node not in (0, rod.n_elements):
-            raise ValueError(
-                f"a pin at node {self.node} has no place on a rod of "
-                f"{new_rod.n_elements} elements"
-            )
+        """Pin at the same point of `new_rod`; raises if that has no node there."""
         made_for = made_again_for(self.made_for, new_rod)
-        node = new_rod.n_elements if self.node else 0
+        node = node_on(new_rod, self.node, rod)
         return replace(self, node=node, made_for=made_for)
 
 
@@ -268,15 +297,7 @@ def pin_support(state: RodState, node: End | int = "base", *, axes: str = "xyz")
     """
     check_kind("state", state, RodState)
     check_one(state)
-    nodes = state.positions.shape[-1]
-    if isinstance(node, str):
-        which = 0 if check_end(node) == "base" else nodes - 1
-    elif isinstance(node, bool) or not isinstance(node, int | np.integer):
-        raise ValueError(f'node must be "base", "tip" or a number, got {node!r}')
-    else:
-        which = int(node)
-    if not 0 <= which < nodes:
-        raise ValueError(f"node must be from 0 to {nodes - 1}, got {node}")
+    which, nodes = node_of(state, node), state.positions.shape[-1]
     return Pin(state.positions[:, which], which, axes_named(axes), nodes - 1)
 
 

@@ -9,6 +9,7 @@ from jaxrod.systems.contact.neighbour_lists import (
 )
 from jaxrod.systems.contact.rigid_contact import RigidContact, rigid_contact
 from jaxrod.systems.contact.rod_contact import RodContact, rod_contact
+from jaxrod.systems.health import SystemHealth
 from jaxrod.systems.joints.glue import Glue, glue
 from jaxrod.systems.joints.hinges import fixed_joint, hinge_joint
 from jaxrod.systems.joints.pose_springs import (
@@ -23,6 +24,7 @@ from jaxrod.systems.joints.welds import attach, weld
 from jaxrod.systems.members.rigid_bodies import RigidBodies, rigid_body, stacked_bodies
 from jaxrod.systems.members.rigid_stepper import BodyState
 from jaxrod.systems.neighbour_counts import Neighbours, neighbours
+from jaxrod.systems.reactions import SystemReactions, free_body
 from jaxrod.systems.settling import Settled, settled
 
 __all__ = [
@@ -38,11 +40,14 @@ __all__ = [
     "RigidContact",
     "RodContact",
     "Settled",
+    "SystemHealth",
+    "SystemReactions",
     "attach",
     "ball_joint",
     "body_contact",
     "crossing_contact",
     "fixed_joint",
+    "free_body",
     "glue",
     "hinge_joint",
     "neighbour_lists",

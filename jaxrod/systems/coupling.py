@@ -8,7 +8,7 @@ second, and so on. A rigid body is one node and one element.
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import replace
+from dataclasses import fields, replace
 from typing import Any
 
 import jax.numpy as jnp
@@ -181,6 +181,22 @@ class Coupling:
         """
         return self
 
+    def regridded(self, grids: Any) -> Coupling:
+        """Copy for rods with other numbers of elements; `jaxrod.resample` calls it.
+
+        By default every field with a method `regridded`, such as `Anchors`, is moved. A
+        coupling with other numbers per node or element must override this.
+
+        Args:
+            grids: The rods before and after, a `Regridding`.
+        """
+        moved = {
+            field.name: _regridded(getattr(self, field.name), grids)
+            # A coupling is a dataclass by its decorator.
+            for field in fields(self)  # type: ignore[arg-type]
+        }
+        return replace(self, **moved)  # type: ignore[type-var]
+
     def joined_nodes(self) -> Iterable[tuple[str, int]]:
         """Nodes tied to other nodes or attached to bodies, as `(member, node)`."""
         return ()
@@ -224,6 +240,20 @@ class Coupling:
     def is_contact(self) -> bool:
         """Whether its forces are contact forces, which a replay can show."""
         return False
+
+    @property
+    def acts_from_outside(self) -> bool:
+        """Whether its forces are not in pairs: it holds or drives the system."""
+        return False
+
+    @property
+    def kept_apart(self) -> tuple[tuple[str, str, bool], ...]:
+        """Pairs of members whose rods it keeps from passing through each other.
+
+        The third entry, for a member with itself, says whether each rod is also kept
+        from passing through itself. `prepared` has been called.
+        """
+        return ()
 
     @property
     def lists(self) -> Any:
@@ -326,6 +356,19 @@ class Coupling:
         """
         return {}
 
+    def constraint_loads(
+        self, seen: AllSeen, rates: Mapping[str, Motion]
+    ) -> dict[str, Loads]:
+        """Loads that keep tied or attached nodes together at this moment.
+
+        Args:
+            seen: The members.
+            rates: For each rod the accelerations of its nodes if nothing were tied or
+                attached, as velocities. For bodies that carry nodes, their actual
+                accelerations, and angular accelerations as spins.
+        """
+        return {}
+
     def stability_bounds(self, parts: AllParts) -> dict[str, StabilityBound]:
         """Bounds on the stiffness and drag of `loads`, by name of the member.
 
@@ -341,6 +384,22 @@ class Coupling:
         `health` flags it above a limit, which is one by default.
         """
         return None
+
+    def gap(self, seen: AllSeen) -> Array | None:
+        """Largest distance of points that springs of a joint hold together [1].
+
+        It is divided by the radius of the rods. `None` for a coupling that is no such
+        joint. `health` flags it above `HealthLimits.largest_gap`.
+        """
+        return None
+
+
+def _regridded(value: Any, grids: Any) -> Any:
+    """The value of a field of a coupling for other grids, if it knows its points."""
+    if isinstance(value, tuple):
+        return tuple(_regridded(one, grids) for one in value)
+    move = getattr(value, "regridded", None)
+    return value if move is None else move(grids)
 
 
 def refresh_every(couplings: Sequence[Coupling]) -> int | None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import functools
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Any
@@ -10,7 +9,7 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, ArrayLike, Bool, Float
+from jaxtyping import Array, ArrayLike, Float
 
 from jaxrod.analysis.health import HealthLimits
 from jaxrod.effects.own_classes import check_own_class
@@ -19,15 +18,13 @@ from jaxrod.lanes.steps import by_kernel
 from jaxrod.model import Model, Stepper
 from jaxrod.statics.equilibrium import Equilibrium, search_limits
 from jaxrod.structure import pytree
-from jaxrod.systems.contact.neighbour_lists import (
-    RECORD,
-    NeighbourRecord,
-    no_record,
-    with_shortage,
-)
+from jaxrod.systems.contact.neighbour_lists import RECORD
 from jaxrod.systems.coupling import AllParts, Coupling
 from jaxrod.systems.equilibrium import system_equilibrium
+from jaxrod.systems.health import CouplingEnergy, SystemHealth, system_health
+from jaxrod.systems.joints.regridding import Regridding
 from jaxrod.systems.members.member import Member
+from jaxrod.systems.reactions import SystemReactions, system_reactions
 from jaxrod.systems.reductions import check_reduced
 from jaxrod.systems.static_problem import squared_frequencies
 from jaxrod.systems.stepping.assembly import (
@@ -50,7 +47,13 @@ from jaxrod.systems.stepping.stepper import (
     stepper_at,
     system_stepper,
 )
-from jaxrod.validation import as_array, in_type, is_traced, knows_constants
+from jaxrod.validation import (
+    as_array,
+    check_array,
+    in_type,
+    is_traced,
+    knows_constants,
+)
 
 
 @pytree
@@ -109,6 +112,21 @@ class System(Assembly, Model):
         """Copy of the state in which the named members have the given states."""
         return {**state, **changed}
 
+    def check_state(self, state: Any) -> None:
+        """Raises unless this is one system, no batch, and a state fits it."""
+        check_system_state(self, state)
+
+    def regridded(self, old: System, state: Any) -> System:
+        """Copy whose couplings fit rods with other numbers of elements."""
+        rods = [
+            {k: own.rod for k, own in model.interfaces().items() if own.rod is not None}
+            for model in (old, self)
+        ]
+        changed = [k for k in rods[0] if rods[0][k].n_elements != rods[1][k].n_elements]
+        grids = Regridding(*({k: each[k] for k in changed} for each in rods))
+        joined = tuple(coupling.regridded(grids) for coupling in old.couplings)
+        return make_system(self.members, joined, state=state)
+
     def check_run(self, state: Any, dt: ArrayLike, first: Array | None) -> Array:
         """Validates state and step of a run; returns `dt` [s] in the system's dtype."""
         check_system_state(self, state)
@@ -162,15 +180,24 @@ class System(Assembly, Model):
         energy_before: ArrayLike | None = None,
         work_input: ArrayLike = 0.0,
         n_steps: ArrayLike = 1000,
+        before: Any = None,
     ) -> SystemHealth:
-        """Flags of numerical faults in a state, and the values behind them.
-
-        Energies are not examined: `energy_before`, `work_input` and `n_steps` are
-        ignored.
-        """
+        """Flags of numerical faults in a state, and the values behind them."""
         check_system_state(self, state)
+        if before is not None:
+            check_system_state(self, before)
         self.check_moment()
-        return system_health(self, state, dt, limits=limits)
+        for name, value, unit in (("dt", dt, "s"), ("n_steps", n_steps, "")):
+            if not is_traced(value):
+                check_array(name, value, [()], unit, positive=True)
+        return system_health(
+            self, state, dt, limits, energy_before, work_input, n_steps, before
+        )
+
+    def reactions(self, state: Any) -> SystemReactions:
+        """Result of `jaxrod.reactions`: loads of all supports and couplings."""
+        self._check_statics(state)
+        return system_reactions(self, state)
 
     def equilibrium(
         self,
@@ -422,20 +449,7 @@ def system_potential_energy(system: Assembly, state: SystemState) -> Float[Array
     if not system.couplings:
         return total
     # A kernel, because XLA takes many seconds to compile contact with lists.
-    return total + by_kernel(_CouplingEnergy(system), "energy", state)
-
-
-@pytree
-class _CouplingEnergy:
-    """Potential energy of all couplings, as a pytree with a method for `by_kernel`."""
-
-    system: Assembly
-    """The system whose couplings are summed."""
-
-    def energy(self, state: SystemState) -> Float[Array, ""]:
-        """Sum of the potential energies of all couplings in a state [J]."""
-        seen, prepared = seen_at_rest(self.system, state)
-        return _total(coupling.energy(seen) for coupling in prepared)
+    return total + by_kernel(CouplingEnergy(system), "energy", state)
 
 
 @jax.jit
@@ -457,86 +471,3 @@ def _total(values: Any) -> Any:
     for value in values:
         total = value if total is None else total + value
     return total
-
-
-@pytree
-class SystemHealth:
-    """Flags of numerical faults in a system's state, and the values behind them."""
-
-    members: dict[str, Any]
-    """`Health` of each rod, with a leading axis for equal rods, or `BodyHealth` of
-    rigid bodies, by name of the member."""
-    violation: Bool[Array, ""]
-    """Flag: tied or attached nodes have come apart, or a contact is too deep."""
-    largest_violation: Float[Array, ""]
-    """Largest violation of all couplings, such as the distance of tied nodes or the
-    depth of a contact, divided by the radius [1]."""
-    overflow: Bool[Array, ""]
-    """Flag: neighbour lists have too few entries, now or earlier in the run."""
-    stale: Bool[Array, ""]
-    """Flag: a run used lists after a node had moved by more than half their skin, the
-    gap up to which pairs of elements are listed."""
-    neighbours: NeighbourRecord
-    """Counts and displacements behind `overflow` and `stale`; all zero without lists.
-    """
-
-    @property
-    def flagged(self) -> Bool[Array, ""]:
-        """Whether any flag is set, of a member or of the couplings."""
-        each = [jnp.any(own.flagged) for own in self.members.values()]
-        own = self.violation | self.overflow | self.stale
-        return functools.reduce(jnp.logical_or, each, own)
-
-
-@pytree
-class _CouplingHealth:
-    """Violations of all couplings of a system, as a method for `by_kernel`."""
-
-    system: Assembly
-    """The system whose couplings are examined."""
-
-    def examined(self, state: SystemState) -> tuple[Array, NeighbourRecord]:
-        """Largest violation of all couplings [1], and the record of neighbour lists."""
-        seen, couplings = seen_at_rest(self.system, state)
-        found = [coupling.violation(seen) for coupling in couplings]
-        zero = jnp.zeros((), self.system.dtype)
-        worst = functools.reduce(
-            jnp.maximum, [value for value in found if value is not None], zero
-        )
-        record = state.get(RECORD, no_record(self.system.dtype))
-        return worst, with_shortage(record, couplings)
-
-
-@jax.jit
-def system_health(
-    system: Assembly,
-    state: SystemState,
-    dt: ArrayLike,
-    *,
-    limits: HealthLimits | None = None,
-) -> SystemHealth:
-    """Flags of numerical faults in a system's state. Works inside jit and vmap.
-
-    Args:
-        system: The system, without schedules (`system.at(time)`).
-        state: The state to examine.
-        dt: The step size in use [s].
-        limits: Limits beyond which a state is flagged.
-    """
-    limits = HealthLimits() if limits is None else limits
-    system = system.recalling(state)
-    members = {
-        name: member.health(state[name], dt, limits)
-        for name, member in system.interfaces().items()
-    }
-    # A kernel, because XLA takes many seconds to compile contact with lists.
-    worst, record = by_kernel(_CouplingHealth(system), "examined", state)
-    # Written so that NaN counts as wrong.
-    return SystemHealth(
-        members,
-        ~(worst <= limits.largest_violation),
-        worst,
-        record.overflow,
-        record.stale,
-        record,
-    )

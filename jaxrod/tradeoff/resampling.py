@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Mapping, Sequence
+from typing import Any, TypeVar, overload
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
@@ -16,36 +19,54 @@ from jaxrod.geometry.rotations import (
     rotation_exp,
     split_quaternion,
 )
-from jaxrod.loaded_rod import check_scene_and_state
+from jaxrod.model import Model, check_model
 from jaxrod.rods.elasticity import joint_rotations
 from jaxrod.rods.factories import MOST_ELEMENTS
 from jaxrod.rods.rod import Rod, RodState, interpolated, neighbours
 from jaxrod.scene import Scene
 from jaxrod.validation import check_count, is_traced
 
+AnyModel = TypeVar("AnyModel", bound=Model)
 
-def resample(scene: Scene, state: RodState, n_elements: int) -> tuple[Scene, RodState]:
+
+@overload
+def resample(
+    scene: Scene, state: RodState, n_elements: int
+) -> tuple[Scene, RodState]: ...
+
+
+@overload
+def resample(
+    scene: AnyModel, state: Any, n_elements: int | Mapping[str, int]
+) -> tuple[AnyModel, Any]: ...
+
+
+def resample(scene: Any, state: Any, n_elements: Any) -> tuple[Any, Any]:
     """Converts a scene and a state to another number of equally long elements.
 
     Interpolation is in rest arc length. Logarithms of properties are interpolated
     linearly between element midpoints, rest curvatures between joints, positions
     and velocities between nodes, and orientations along the rotation from each element
     to the next. Effects define their counterparts on the new rod (`Effect.resampled`).
+    Couplings of a system stay at the same points of their rods, and neighbour lists are
+    sized again.
 
     The result is exact for uniform straight rods; otherwise its error is second order
     in the element length. It cannot be traced: it is computed on the host.
 
     Args:
-        scene: The scene.
-        state: State of the rod of the scene.
-        n_elements: Number of elements of the new rod, at least 2.
+        scene: The scene, or a system.
+        state: State of its rods and bodies.
+        n_elements: Number of elements of the new rod, at least 2. For a system, that of
+            all rods, or of the named ones: `{"arm": 20}`.
 
     Returns:
-        The new scene and state; the given ones if the number does not change.
+        The new scene and state; the given ones if no number changes.
 
     Raises:
-        ValueError: If `n_elements` is out of range, an argument is traced, or an effect
-            has memory or belongs to certain elements (a tendon).
+        ValueError: If `n_elements` is out of range, an argument is traced, an effect
+            has memory or belongs to certain elements (a tendon), or a coupling is at a
+            point where the new rod has no node or belongs to certain elements (glue).
         TypeError: If `scene` or `state` has the wrong type.
 
     Example:
@@ -53,18 +74,55 @@ def resample(scene: Scene, state: RodState, n_elements: int) -> tuple[Scene, Rod
         >>> finer.rod.n_elements, its_state.positions.shape
         (40, (3, 41))
     """
-    check_scene_and_state(scene, state)
+    check_model(scene)
+    scene.check_state(state)
     scene.check_moment()
     if scene.remembers:
         raise ValueError("resample needs a scene whose effects have no memory")
-    n = check_count("n_elements", n_elements, 2, MOST_ELEMENTS)
+    members = scene.interfaces()
+    asked = _asked(n_elements, [k for k, own in members.items() if own.rod is not None])
     if is_traced(scene, state):
         raise ValueError(
             "resample needs numbers that are known, not traced by jax.jit, grad or vmap"
         )
-    rod = scene.rod
-    if n == rod.n_elements:
+    states = scene.states_by_name(state)
+    changed, moved = {}, {}
+    for name, n in asked.items():
+        if members[name].rod.n_elements != n:
+            rods = members[name].one_by_one(states[name])
+            pairs = [_resampled_scene(one, own, n) for one, own in rods]
+            changed[name], moved[name] = jax.tree.map(
+                lambda *leaves, own=states[name]: (
+                    jnp.stack(leaves) if own.layout.is_stacked else leaves[0]
+                ),
+                *pairs,
+            )
+    if not changed:
         return scene, state
+    after = scene.with_states(state, moved)
+    return scene.with_members(changed).regridded(scene, after), after
+
+
+def _asked(n_elements: Any, rods: Sequence[str]) -> dict[str, int]:
+    """Number of elements that each named rod is to have."""
+    if not isinstance(n_elements, Mapping):
+        n = check_count("n_elements", n_elements, 2, MOST_ELEMENTS)
+        return dict.fromkeys(rods, n)
+    for name in n_elements:
+        if name not in rods:
+            raise ValueError(
+                f"n_elements: no rod is called {name!r}; there are "
+                + ", ".join(map(repr, rods))
+            )
+    return {
+        name: check_count(f"n_elements of {name!r}", n, 2, MOST_ELEMENTS)
+        for name, n in n_elements.items()
+    }
+
+
+def _resampled_scene(scene: Any, state: RodState, n: int) -> tuple[Any, RodState]:
+    """One rod, its effects and its state with `n` elements."""
+    rod = scene.rod
     new = _resampled_rod(rod, n)
     effects = tuple(effect.resampled(rod, new) for effect in scene.effects)
     return (

@@ -72,6 +72,44 @@ def test_gradients_through_driven_ends_agree_with_differences(method, dt, turn, 
     )
 
 
+def test_a_gripped_inner_node_moves_and_bears_the_rod():
+    """A rod is gripped a quarter along: the grip bears its weight, and more if lifted.
+
+    The rod falls freely otherwise, so nothing is strained.
+    """
+    rod, state = along_x()
+    n = rod.n_elements
+    node = n // 4
+    weight = (0.0, 0.0, -9.81)
+    lift = jaxrod.schedules.sine((0.0, 0.0, 0.3), period=2.0)
+    grip = jaxrod.driven(state, node, displacement=lift, free_to_turn=True)
+    assert grip.held(rod)[0].node == node and grip.held(rod)[0].element is None
+    scene = jaxrod.make_scene(rod, grip, jaxrod.gravity(weight))
+    moment = scene.at(MOMENT)
+    place = moment.effects[0].place
+    held = jaxrod.reactions(moment, state)[0]
+    # Unstrained, elements push nothing: the grip accelerates its node alone.
+    mass = rod.node_masses[node]
+    expected = mass * (np.asarray(place.acceleration) - np.asarray(weight))
+    np.testing.assert_allclose(held.force, expected, rtol=1e-10, atol=1e-12)
+    np.testing.assert_allclose(held.power, held.force @ place.velocity, rtol=1e-12)
+    dt = 1e-5
+    after = jaxrod.advance(scene, state, dt, 50)
+    there = scene.at(50 * dt).effects[0].place
+    np.testing.assert_allclose(after.positions[:, node], there.position, atol=1e-12)
+    np.testing.assert_allclose(after.velocities[:, node], there.velocity, atol=1e-12)
+    finer = grip.resampled(
+        rod, jaxrod.resample(jaxrod.make_scene(rod), state, 3 * n)[0].rod
+    )
+    assert finer.end == 3 * node
+    # An end by its number is that end, which a wall may hold.
+    assert jaxrod.driven(state, n).end == "tip"
+    with pytest.raises(ValueError, match="node must be from 0"):
+        jaxrod.driven(state, n + 1, free_to_turn=True)
+    with pytest.raises(ValueError, match="free_to_turn=True"):
+        jaxrod.driven(state, node)
+
+
 def driven_and_standing(held):
     """A scene with a driven end at a moment, and what stands where it is then."""
     rod, state = along_x()

@@ -5,14 +5,22 @@
 Two to six rods and bodies in a random tree of joints of all kinds, which move, fall,
 hit each other, and have drag and dashpots or not. All systems of a structure, whose
 numbers are drawn one by one, run as one batch for 400 steps of the length that
-`stable_dt` gives, and as long at half of it. Exits with 1 if one system fails.
+`stable_dt` gives, and as long at half of it. Exits with 1 if one system fails: if a
+number is not finite and `health` does not flag it.
+
+With `--wide`, densities and moduli are drawn over so many decades that members differ
+by up to 1e6 in mass and in stiffness. `--safety 1` steps at the bound itself instead of
+0.8 of it. `--record FILE` adds a line of JSON for each structure and leaves out those
+that have one.
 """
 
 from __future__ import annotations
 
 import argparse
+import json
 import sys
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
 from typing import Any
 
 import jax
@@ -26,9 +34,26 @@ BODY_JOINTS = ("attach", "attach turning", "ball", "hinge", "rigid", "spring")
 SHAPES = ("sphere", "box", "capsule", "cylinder")
 LOSSES = ("none", "damping", "stokes", "quadratic", "internal")
 SAMPLES = 40
-"""Moments at which energy is looked at."""
+"""Moments at which energy is looked at, by default."""
 STEPS = 10
 """Steps from one to the next, at the step of `stable_dt`."""
+
+
+@dataclass(frozen=True)
+class Ranges:
+    """Decades from which numbers are drawn, and the share of the bound in a step."""
+
+    density: tuple[float, float] = (2.5, 3.5)
+    youngs_modulus: tuple[float, float] = (5.5, 7.0)
+    safety: float = 0.8
+
+    def drawn(self, name: str, random: np.random.Generator) -> float:
+        """A number that is as likely in each decade."""
+        return float(10 ** random.uniform(*getattr(self, name)))
+
+
+USUAL = Ranges()
+WIDE = Ranges(density=(1.0, 7.0), youngs_modulus=(4.0, 10.0))
 
 
 @dataclass(frozen=True)
@@ -172,7 +197,9 @@ def shape_at(kind: str, start: np.ndarray, way: np.ndarray) -> Any:
     return make(start, start + 0.08 * way, 0.025)
 
 
-def build(structure: Structure, random: np.random.Generator) -> tuple[Any, Any]:
+def build(
+    structure: Structure, random: np.random.Generator, ranges: Ranges = USUAL
+) -> tuple[Any, Any]:
     """A system of a structure, with random numbers, and its state."""
     starts, ways, lengths = places(structure, random)
     names = [f"m{k}" for k in range(len(starts))]
@@ -189,8 +216,8 @@ def build(structure: Structure, random: np.random.Generator) -> tuple[Any, Any]:
                 kind,
                 length=lengths[k],
                 radius=random.uniform(0.008, 0.02),
-                density=10 ** random.uniform(2.5, 3.5),
-                youngs_modulus=10 ** random.uniform(5.5, 7),
+                density=ranges.drawn("density", random),
+                youngs_modulus=ranges.drawn("youngs_modulus", random),
                 start=starts[k],
                 direction=ways[k],
                 dtype=jnp.float32,
@@ -205,7 +232,7 @@ def build(structure: Structure, random: np.random.Generator) -> tuple[Any, Any]:
         else:
             members[name], state = jaxrod.systems.rigid_body(
                 shape_at(kind, starts[k], ways[k]),
-                density=10 ** random.uniform(2.5, 3.5),
+                density=ranges.drawn("density", random),
                 effects=tuple(effects),
                 velocity=0.3 * random.normal(size=3),
                 angular_velocity=3 * random.normal(size=3),
@@ -299,8 +326,15 @@ def contacts_of(
 
 
 @jax.jit
-def _limits(systems: Any) -> Any:
-    return jax.vmap(lambda system: jaxrod.stable_dt(system).dt)(systems)
+def _limits(systems: Any, safety: Any) -> Any:
+    return jax.vmap(lambda system: jaxrod.stable_dt(system, safety).dt)(systems)
+
+
+@jax.jit
+@jax.vmap
+def _flags(system: Any, state: Any, dt: Any, before: Any, n_steps: Any) -> Any:
+    seen = jaxrod.health(system, state, dt, energy_before=before, n_steps=n_steps)
+    return {"any": seen.flagged, "energy": seen.energy, "joints": seen.joints}
 
 
 def energies(system: Any, state: Any) -> Any:
@@ -321,34 +355,43 @@ def _later(system: Any, state: Any, dt: Any) -> Any:
     return after, energies(system, after)
 
 
-def run(systems: Any, states: Any, dt: Any, share: int) -> Any:
+def run(systems: Any, states: Any, dt: Any, share: int, samples: int) -> Any:
     """Energies [J] of a batch of systems, kinetic and total, `(systems, samples)`.
 
-    One program for steps of `dt` and of a `share` of it.
+    One program for steps of `dt` and of a `share` of it. Also returns the last states.
     """
     seen = [_started(systems, states)]
-    for sample in range(SAMPLES * share):
+    for sample in range(samples * share):
         states, energy = _later(systems, states, dt / share)
         if (sample + 1) % share == 0:
             seen.append(energy)
-    return jax.tree.map(lambda *leaves: np.stack(leaves, axis=1), *seen)
+    return *jax.tree.map(lambda *leaves: np.stack(leaves, axis=1), *seen), states
 
 
-def examined(structure: Structure, each: int, seed: int) -> dict[str, np.ndarray]:
+def examined(
+    structure: Structure,
+    each: int,
+    seed: int,
+    ranges: Ranges = USUAL,
+    samples: int = SAMPLES,
+) -> dict[str, np.ndarray]:
     """What becomes of systems of a structure.
 
     Returns:
         Of each system: `finite`, `drift` of the energy over the largest kinetic energy
         at the step of `stable_dt`, `finer` at half of it, `gain` of energy where it
-        must fall.
+        must fall; and which flags `health` raises at the end.
     """
     random = np.random.default_rng(seed)
-    made = [build(structure, random) for _ in range(each)]
+    made = [build(structure, random, ranges) for _ in range(each)]
     systems, states = jax.tree.map(lambda *leaves: jnp.stack(leaves), *made)
-    dt = _limits(systems)
+    dt = _limits(systems, ranges.safety)
     found = {}
     for name, share in (("drift", 1), ("finer", 2)):
-        kinetic, total = map(np.asarray, run(systems, states, dt, share))
+        kinetic, total, last = run(systems, states, dt, share, samples)
+        steps = jnp.full(each, float(samples * STEPS * share), dt.dtype)
+        flags = _flags(systems, last, dt / share, total[:, 0], steps)
+        found |= {f"{k} flagged at {name}": np.asarray(v) for k, v in flags.items()}
         size = np.max(kinetic, axis=1)
         found[f"finite at {name}"] = np.all(np.isfinite(total), axis=1)
         rise = np.maximum.accumulate(total[:, ::-1], axis=1)[:, ::-1] - total
@@ -363,32 +406,70 @@ def main() -> int:
     parser.add_argument("--structures", type=int, default=50)
     parser.add_argument("--each", type=int, default=20)
     parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--steps", type=int, default=SAMPLES * STEPS)
+    parser.add_argument("--safety", type=float, default=USUAL.safety)
+    parser.add_argument("--wide", action="store_true", help="members differ by 1e6")
+    parser.add_argument("--record", type=Path, metavar="FILE", help="lines of JSON")
     options = parser.parse_args()
-    failures, systems, worst = 0, 0, []
+    ranges = replace(WIDE if options.wide else USUAL, safety=options.safety)
+    rows = _recorded(options.record)
+    done = {(row["seed"], row["number"]) for row in rows}
     for k in range(options.structures):
+        if (options.seed, k) in done:
+            continue
         structure = random_structure(np.random.default_rng([options.seed, k]))
         try:
-            found = examined(structure, options.each, k)
+            found = examined(
+                structure, options.each, k, ranges, max(options.steps // STEPS, 1)
+            )
         except RuntimeError as crowded:
             print(f"{k}: {crowded}")
             continue
-        figure = "finer gain" if structure.loses else "finer"
-        bad = ~(found["finite at drift"] & found["finite at finer"])
-        failures += int(np.sum(bad))
-        systems += len(bad)
-        worst.append(float(np.max(found[figure])))
-        print(
-            f"{k}: {int(np.sum(bad))} of {options.each} not finite; {figure} "
-            f"{np.median(found[figure]):.1e}, at most {worst[-1]:.1e}; at the step of "
-            f"stable_dt at most {np.max(found[figure.replace('finer', 'drift')]):.1e}; "
-            f"{structure}",
-            flush=True,
-        )
+        row = {"seed": options.seed, "number": k, **_row(structure, found, ranges)}
+        rows.append(row)
+        print(json.dumps(row), flush=True)
+        if options.record is not None:
+            with options.record.open("a") as file:
+                file.write(json.dumps(row) + "\n")
+    silent = sum(row["not finite without a flag"] for row in rows)
     print(
-        f"{systems} systems, {failures} not finite, energy "
-        f"off by at most {max(worst):.1e} of the largest kinetic energy"
+        f"{sum(row['systems'] for row in rows)} systems, "
+        f"{sum(row['not finite'] for row in rows)} not finite, {silent} of them "
+        f"without a flag; energy off by at most {max(r['finer'] for r in rows):.1e} of "
+        "the largest kinetic energy at half the step, and by at most "
+        f"{max(r['drift'] for r in rows):.1e} at the step"
     )
-    return 1 if failures else 0
+    return 1 if silent else 0
+
+
+def _recorded(file: Path | None) -> list[dict[str, Any]]:
+    """Rows that a file has; none if there is no file."""
+    if file is None or not file.exists():
+        return []
+    return [json.loads(line) for line in file.read_text().splitlines()]
+
+
+def _row(
+    structure: Structure, found: dict[str, np.ndarray], ranges: Ranges
+) -> dict[str, Any]:
+    """Counts and largest figures of the systems of a structure, for JSON."""
+    words = " gain" if structure.loses else ""
+    row: dict[str, Any] = {"systems": len(found["drift"])}
+    bad = {name: ~found[f"finite at {name}"] for name in ("drift", "finer")}
+    row["not finite"] = int(np.sum(bad["drift"] | bad["finer"]))
+    row["not finite without a flag"] = int(
+        sum(np.sum(bad[k] & ~found[f"any flagged at {k}"]) for k in bad)
+    )
+    for name in bad:
+        values = np.where(bad[name], np.inf, found[f"{name}{words}"])
+        row[name] = float(np.max(values))
+        row[f"median {name}"] = float(np.median(values))
+        row[f"above 1e-3 at {name}"] = int(np.sum(values > 1e-3))
+        for flag in ("any", "energy", "joints"):
+            row[f"{flag} flagged at {name}"] = int(
+                np.sum(found[f"{flag} flagged at {name}"])
+            )
+    return row | {"ranges": asdict(ranges), "structure": str(structure)}
 
 
 if __name__ == "__main__":

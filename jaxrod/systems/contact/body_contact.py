@@ -12,6 +12,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import replace
+from typing import Any
 
 import jax.numpy as jnp
 from jaxtyping import Array, Float
@@ -98,6 +99,12 @@ class BodyContact(PenaltyContact):
         # At most a radius apart.
         needed = points_needed("body_contact", self.rod, parts[self.rod], 1.0)
         return replace(self, points_per_element=needed)
+
+    def regridded(self, grids: Any) -> BodyContact:
+        """Copy with contact points as dense on the new elements as on the old ones."""
+        assert self.points_per_element is not None
+        per = grids.points_per_element(self.rod, self.points_per_element)
+        return replace(self, points_per_element=per)
 
     def with_free_ends(self, free: Mapping[str, Array]) -> BodyContact:
         """Copy with the flags of free ends of its rods; `free` has them by member.

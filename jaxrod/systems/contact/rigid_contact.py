@@ -166,6 +166,11 @@ class RigidContact(PenaltyContact):
                     ),
                 )
 
+    @property
+    def acts_from_outside(self) -> bool:
+        """Whether there are fixed bodies."""
+        return bool(self.fixed)
+
     def loads(self, seen: AllSeen) -> dict[str, Loads]:
         """Contact forces and couples on the rigid bodies of each member."""
         total: dict[int, tuple[Vec3, Vec3]] = {}

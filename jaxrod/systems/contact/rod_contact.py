@@ -73,12 +73,23 @@ class RodContact(TouchingRods):
     def fitted(self, parts: AllParts, tied: tuple[TiedPair, ...]) -> RodContact:
         """The coupling with the number of contact points and the tied nodes set."""
         fitted: Any = self.with_ties(parts, tied)
-        given = self.points_per_element * len(self.members)
+        given = self.points_per_element
+        # One number from the factory; one for each member if this was fitted before.
+        given = given * len(self.members) if len(given) == 1 else given
         per = given or tuple(
             points_needed("rod_contact", name, parts[name], SPACING)
             for name in self.members
         )
         return replace(fitted, points_per_element=per)
+
+    def regridded(self, grids: Any) -> RodContact:
+        """Copy with contact points as dense on the new elements as on the old ones."""
+        made: Any = super().regridded(grids)
+        per = tuple(
+            grids.points_per_element(name, count)
+            for name, count in zip(self.members, self.points_per_element, strict=True)
+        )
+        return replace(made, points_per_element=per)
 
     def prepared(self, parts: AllParts) -> RodContact:
         """The coupling with `segments` set: the segments and points of members."""

@@ -247,6 +247,22 @@ class TouchingRods(PenaltyContact):
             if a != b or self.self_contact or self.segments[a].count > 1
         ]
 
+    def regridded(self, grids: Any) -> TouchingRods:
+        """Copy whose neighbour lists are sized again by `make_system`."""
+        if self.lists is None or not any(map(grids.changes, self.members)):
+            return self
+        unsized = replace(self.lists, pairs=None, candidates=None, cell_slots=None)
+        return replace(self, lists=unsized)
+
+    @property
+    def kept_apart(self) -> tuple[tuple[str, str, bool], ...]:
+        """Pairs of members that are tested, and whether each rod is with itself."""
+        return tuple(
+            (self.members[a], self.members[b], self.self_contact and a == b)
+            for a, b in self.member_pairs()
+            if a <= b
+        )
+
     def share(self, a: int, b: int, own: Any, other: Elements) -> Array | None:
         """Weight 0..1 of each pair of members `a` and `b`; `None` if all are 1.
 

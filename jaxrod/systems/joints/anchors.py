@@ -54,6 +54,11 @@ class Anchors:
     """Vectors from the node, or the body's origin, to the anchor, in the frame of the
     element or body [m]."""
 
+    def regridded(self, grids: Any) -> Anchors:
+        """The same points on rods with other numbers of elements."""
+        offsets = grids.turned_back(self.points, self.offsets)
+        return Anchors(self.points.regridded(grids), offsets)
+
     def check(self, parts: AllParts) -> None:
         """Raises ValueError if the member is missing or has too few nodes."""
         self.points.check(parts)
@@ -71,6 +76,14 @@ class Anchors:
     def positions(self, seen: Seen) -> Vec3:
         """Positions of the anchors, world frame [m]."""
         return vectors.add(self.nodes(seen), self.arms(seen))
+
+    def sizes(self, parts: Parts) -> Array:
+        """Radius of the rod at each anchor, or of gyration of a body [m]."""
+        if parts.radii is not None:
+            return parts.radii[self.points.elements.values]
+        index = self.points.elements.values
+        gyration = jnp.max(parts.inertias, axis=0) / parts.node_masses
+        return jnp.sqrt(gyration[index])
 
     def velocities(self, seen: Seen, point: Vec3) -> Vec3:
         """Velocity of each element's material at a point, v + w x r [m/s]."""

@@ -20,6 +20,7 @@ from dataclasses import replace
 from typing import Any
 
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Float
 
 from jaxrod.effects.base import StabilityBound, added_bounds
@@ -84,6 +85,29 @@ class ElasticJoint(Coupling):
         """Raises ValueError if a member is missing or has too few nodes."""
         self.a.check(parts)
         self.b.check(parts)
+
+    def regridded(self, grids: Any) -> ElasticJoint:
+        """Copy for rods with other numbers of elements.
+
+        The rotation at rest between the elements is that of the old ones, carried to
+        the middles of the new ones. The joint of a ring is bent at rest, like those
+        between all its elements, in proportion to their length.
+        """
+        made = replace(self, a=self.a.regridded(grids), b=self.b.regridded(grids))
+        if np.any(np.asarray(self.rest_rotations) != 0):
+            was, now = (
+                sum(lengths)
+                for lengths in zip(
+                    *(grids.lengths(side) for side in (self.a, self.b)), strict=True
+                )
+            )
+            bent = jnp.asarray(now / was)[None] * self.rest_rotations
+            return replace(made, rest_rotations=bent.astype(self.rest_rotations.dtype))
+        frame = conjugate(grids.turns(self.a))
+        for turn in (split_quaternion(self.rest_frames), grids.turns(self.b)):
+            frame = multiply_quaternions(frame, turn)
+        frames = join_quaternion(frame).astype(self.rest_frames.dtype)
+        return replace(made, rest_frames=frames)
 
     def prepared(self, parts: AllParts) -> ElasticJoint:
         """Copy with the stiffness of its rods, unless a stiffness was given."""

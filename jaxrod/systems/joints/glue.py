@@ -194,6 +194,16 @@ class Glue(Coupling):
     """Length of glue of each pair, the mean rest length of both elements [m]; `None`
     before `prepared`."""
 
+    def regridded(self, grids: Any) -> Glue:
+        """Raises a ValueError: glue is between certain elements."""
+        for side in (self.a, self.b):
+            if grids.changes(side.points.member):
+                raise ValueError(
+                    f"glue joins certain elements of {side.points.member!r}, which "
+                    "cannot get another number of elements: glue the new rods again"
+                )
+        return self
+
     def check(self, parts: AllParts) -> None:
         """Raises ValueError if a member is missing, rigid or has too few nodes."""
         for side in (self.a, self.b):
@@ -272,6 +282,13 @@ class Glue(Coupling):
         if self.turning_stiffness is None:
             return stored
         return stored + self.joint.energy(seen)
+
+    def gap(self, seen: AllSeen) -> Array:
+        """Largest gap of the glue, divided by the smallest radius of both rods [1]."""
+        way, _ = self._gap(seen)
+        radii = [seen[side.points.member].parts.radii for side in (self.a, self.b)]
+        thin = jnp.min(jnp.stack([jnp.min(r) for r in radii if r is not None]))
+        return jnp.max(vectors.safe_norm(way)) / thin
 
     def stability_bounds(self, parts: AllParts) -> dict[str, StabilityBound]:
         """Stability bounds on nodes and elements of both rods, by member."""

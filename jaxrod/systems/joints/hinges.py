@@ -62,6 +62,16 @@ class AxisSprings(Coupling):
     """Couple on `b` about the mean axis, and its opposite on `a` [N m]; if `None`,
     there is no motor."""
 
+    def regridded(self, grids: Any) -> AxisSprings:
+        """The same axes on rods with other numbers of elements."""
+        return replace(
+            self,
+            a=self.a.regridded(grids),
+            b=self.b.regridded(grids),
+            axes_a=grids.turned_back(self.a, self.axes_a),
+            axes_b=grids.turned_back(self.b, self.axes_b),
+        )
+
     def check(self, parts: AllParts) -> None:
         """Raises ValueError if a member is missing or has too few nodes."""
         self.a.check(parts)

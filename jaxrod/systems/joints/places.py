@@ -96,6 +96,14 @@ class Points:
     elements: Indices = static()
     """Indices of the elements that turn with these nodes; or of bodies."""
 
+    def regridded(self, grids: Any) -> Points:
+        """The same points on rods with other numbers of elements."""
+        if not grids.changes(self.member):
+            return self
+        nodes = grids.nodes(self.member, self.nodes.values)
+        elements = grids.elements(self.member, nodes)
+        return Points(self.member, Indices(nodes), Indices(elements))
+
     def check(self, parts: AllParts) -> None:
         """Raises a `ValueError` if the member is missing or has too few nodes."""
         check_named(self.member, parts)

@@ -15,6 +15,7 @@ and $c_t |\omega^* - \omega|^2$; the rest goes into the system and the spring.
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 from typing import Any, cast
 
 import jax.numpy as jnp
@@ -91,6 +92,26 @@ class PoseSpring(Coupling):
     def check(self, parts: AllParts) -> None:
         """Raises ValueError if the member is missing or has too few nodes."""
         self.anchor.check(parts)
+
+    def regridded(self, grids: Any) -> PoseSpring:
+        """The same point on a rod with another number of elements.
+
+        Raises:
+            ValueError: If it holds the orientation of an element of a rod that is
+                curved at rest.
+        """
+        _, *turn = grids.turns(self.anchor.points)
+        if self.turning_stiffness is not None and np.any(np.asarray(turn) != 0):
+            raise ValueError(
+                "a pose spring that turns an element of a rod that is curved at rest "
+                "cannot be resampled: make a new one for the new rod"
+            )
+        return replace(self, anchor=self.anchor.regridded(grids))
+
+    @property
+    def acts_from_outside(self) -> bool:
+        """True: the target is no part of the system."""
+        return True
 
     @property
     def _placed(self) -> Placed:

@@ -83,6 +83,15 @@ class Springs(Coupling):
         longer = vectors.safe_norm(gap) - self.rest_lengths
         return 0.5 * self.stiffness * jnp.sum(longer * longer)
 
+    def gap(self, seen: AllSeen) -> Array | None:
+        """Largest distance of two anchors, in radii; `None` for springs of a length."""
+        if self.rest_lengths is not None:
+            return None
+        one, two = seen[self.a.points.member], seen[self.b.points.member]
+        way = vectors.subtract(self.b.positions(two), self.a.positions(one))
+        size = jnp.minimum(self.a.sizes(one.parts), self.b.sizes(two.parts))
+        return jnp.max(vectors.safe_norm(way) / size)
+
     def stability_bounds(self, parts: AllParts) -> dict[str, StabilityBound]:
         """Stability bounds on nodes and elements at both ends, by member."""
         # Dashpots act halfway between the anchors.

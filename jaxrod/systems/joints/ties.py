@@ -17,7 +17,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
 
-from jaxrod.rods.motion import Motion
+from jaxrod.rods.motion import Loads, Motion
 from jaxrod.structure import pytree, static
 from jaxrod.systems.coupling import AllParts, AllSeen, Coupling, TiedPair
 from jaxrod.systems.joints.places import (
@@ -31,6 +31,7 @@ from jaxrod.systems.joints.places import (
     resolved,
     scatter_add,
     scatter_set,
+    sum_of_loads,
 )
 from jaxrod.validation import is_traced
 
@@ -150,6 +151,56 @@ class Tie(Coupling):
         led = total(fast * speed) / jnp.where(count > 0, count, 1)
         shared = jnp.where(count > 0, led, free)
         return [gather(shared, groups) for groups in self.groups]
+
+    def constraint_loads(
+        self, seen: AllSeen, rates: Mapping[str, Motion]
+    ) -> dict[str, Loads]:
+        """Forces that give the nodes of a group one acceleration; their sum is zero.
+
+        Held nodes of a group share what balances the forces on the others.
+        """
+        moving = {
+            points.member: replace(
+                seen[points.member],
+                motion=replace(
+                    seen[points.member].motion, velocity=rates[points.member].velocity
+                ),
+            )
+            for points in self.points
+        }
+        group = self._group()
+        masses = [
+            gather(seen[p.member].parts.node_masses, p.nodes) for p in self.points
+        ]
+        mass = jnp.concatenate(masses)
+        sizes = np.cumsum([len(points.nodes) for points in self.points])[:-1]
+        pulls = []
+        for axis in range(3):
+            shared = jnp.concatenate(self._shared(moving, "velocity", axis))
+            own, held = [], []
+            for points in self.points:
+                at = moving[points.member]
+                own.append(gather(at.motion.velocity[axis], points.nodes))
+                flags = at.parts.held
+                none = jnp.zeros_like(own[-1])
+                held.append(
+                    none if flags is None else gather(flags[axis], points.nodes)
+                )
+            is_held = jnp.concatenate(held) > 0
+            free = jnp.where(is_held, 0, mass * (shared - jnp.concatenate(own)))
+            left = gather(scatter_add(free, group, self.n_groups), group)
+            count = gather(
+                scatter_add(is_held.astype(free.dtype), group, self.n_groups), group
+            )
+            pull = jnp.where(is_held, -left / jnp.where(count > 0, count, 1), free)
+            pulls.append(jnp.split(pull, sizes))
+        return sum_of_loads(
+            *(
+                (points, Loads((pulls[0][k], pulls[1][k], pulls[2][k])))
+                for k, points in enumerate(self.points)
+            ),
+            seen=seen,
+        )
 
     def _group(self) -> Indices:
         """Index of the group of every tied node, with all members concatenated."""

@@ -248,6 +248,31 @@ class Attachment(Coupling):
         couple = vectors.cross(self._arms(before[self.bodies.member]), (x, y, z))
         return sum_of_loads((self.bodies, Loads((x, y, z), couple)), seen=before)
 
+    def constraint_loads(
+        self, seen: AllSeen, rates: Mapping[str, Motion]
+    ) -> dict[str, Loads]:
+        """Forces that make the nodes follow the bodies, and their opposites there."""
+        body, own = seen[self.bodies.member], seen[self.points.member]
+        arms, spin = self._arms(body), spin_at(body, self.bodies)
+        led, turned = rates[self.bodies.member].velocity, rates[self.bodies.member].spin
+        x, y, z = (gather(c, self.bodies.nodes) for c in led)
+        a, b, c = (gather(c, self.bodies.elements) for c in turned)
+        swing = vectors.add(
+            vectors.cross((a, b, c), arms),
+            vectors.cross(spin, vectors.cross(spin, arms)),
+        )
+        needed = vectors.add((x, y, z), swing)
+        free = rates[self.points.member].velocity
+        u, v, w = (gather(c, self.points.nodes) for c in free)
+        masses = gather(own.parts.node_masses, self.points.nodes)
+        pull = vectors.scale(masses, vectors.subtract(needed, (u, v, w)))
+        back = vectors.scale(-1.0, pull)
+        frame = directors(orientation_at(body, self.bodies))
+        couple = to_material(frame, vectors.cross(arms, back))
+        return sum_of_loads(
+            (self.points, Loads(pull)), (self.bodies, Loads(back, couple)), seen=seen
+        )
+
     def violation(self, seen: AllSeen) -> Array:
         """Largest distance of a node from its point on the body, in rod radii [1].
 

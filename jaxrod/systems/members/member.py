@@ -18,11 +18,11 @@ from typing import Any
 import jax.numpy as jnp
 from jaxtyping import Array, ArrayLike
 
-from jaxrod.analysis.health import HealthLimits
-from jaxrod.effects.base import Effect, StabilityBound
+from jaxrod.analysis.health import EnergyAccount, HealthLimits
+from jaxrod.effects.base import Effect, Reaction, StabilityBound
 from jaxrod.geometry.vectors import Vec3
 from jaxrod.loaded_rod import Method
-from jaxrod.rods.motion import Motion
+from jaxrod.rods.motion import Loads, Motion
 from jaxrod.rods.rod import Rod
 from jaxrod.systems.coupling import Carried, Parts
 from jaxrod.systems.members.steppers import MemberStepper
@@ -242,6 +242,49 @@ class Member(ABC):
     @abstractmethod
     def health(self, state: Any, dt: ArrayLike, limits: HealthLimits) -> Any:
         """Flags of numerical faults in a state: a pytree with an entry `flagged`."""
+
+    def energy_account(self, state: Any, mean: Array, dt: Array) -> EnergyAccount:
+        """Energy of the member, and what round-off may add to it, for `health`.
+
+        Args:
+            state: State of the member.
+            mean: Velocity `(3,)` relative to which kinetic energy is its own [m/s].
+            dt: Step size [s].
+        """
+        velocities, spins = state.rates
+        shifted = state.with_rates(velocities - mean[:, None], spins)
+        kinetic = self.kinetic_energy(state)
+        masses = self.parts().node_masses
+        spacings = jnp.sum(jnp.spacing(state.positions) ** 2, axis=0)
+        return EnergyAccount(
+            total=kinetic + self.potential_energy(state),
+            own=self.kinetic_energy(shifted),
+            per_step=jnp.finfo(kinetic.dtype).eps * kinetic,
+            lost=0.5 * jnp.sum(masses * spacings) / dt**2,
+            weights=jnp.zeros_like(kinetic),
+        )
+
+    def loaded(self, loads: Loads) -> Any:
+        """Copy of the member's entry with loads of couplings as one more effect."""
+        # Not abstract: it is called for members with a rod alone.
+        raise NotImplementedError(f"{type(self).__name__} has no rod")
+
+    def rates_of_change(self, state: Any, loads: Loads) -> Motion | None:
+        """Rates of change of a state: `velocity` are accelerations of its nodes.
+
+        Args:
+            state: State of the member.
+            loads: Loads of couplings.
+
+        Returns:
+            Nodes of all rods are in one flat array. `None` for members whose nodes
+            cannot be tied or attached.
+        """
+        return None
+
+    def reactions(self, state: Any, loads: Loads) -> tuple[Reaction | None, ...]:
+        """Reaction of each effect, under the `loads` of couplings."""
+        return ()
 
     def contact_forces(self, state: Any) -> list[Vec3]:
         """Contact forces of fixed bodies on the nodes, one entry per contact [N]."""

@@ -234,6 +234,46 @@ class RigidStepper:
         )
         return self.pushed(motion, gained)
 
+    def rates_of_change(self, motion: Motion, push: Loads) -> Motion:
+        """Accelerations of the bodies' origins and angular accelerations.
+
+        Args:
+            motion: Motion of the centres of mass, as `enter` returns it.
+            push: Loads of couplings and of the carried nodes: forces [N], and couples
+                about the bodies' origins [N m], both in the world frame.
+
+        Returns:
+            A motion whose velocities are accelerations [m/s^2], and whose spins are
+            angular accelerations [rad/s^2], in the world frame.
+        """
+        own, frame = self._alone(motion), directors(motion.orientation)
+        none = mapped_zero(motion.position)
+        force, couple = accumulate(none, push.forces), accumulate(none, push.couples)
+        for effect in self.bodies.effects:
+            more = effect.loads(self.bodies, own)
+            force = accumulate(force, more.forces)
+            if more.couples is not None:
+                couple = vectors.add(couple, to_world(frame, more.couples))
+        slowing, braking = _damping(self.bodies)
+        if slowing is not None and braking is not None:
+            drag = vectors.scale(-slowing * self.bodies.masses, own.velocity)
+            force = vectors.add(force, drag)
+            couple = vectors.subtract(couple, vectors.scale(braking, own.spin))
+        turn = self._about_centre(frame, force, couple)
+        spin = self.seen(motion).angular_velocities
+        turn = vectors.subtract(turn, vectors.cross(spin, motion.spin))
+        turning = replace(motion, spin=turn)
+        faster = Seen(self.parts, turning, self.inverse_inertia).angular_velocities
+        moved = vectors.scale(1 / self.mass, force)
+        if self.centre is not None:
+            arm = to_world(frame, self.centre)
+            swing = vectors.add(
+                vectors.cross(faster, arm),
+                vectors.cross(spin, vectors.cross(spin, arm)),
+            )
+            moved = vectors.subtract(moved, swing)
+        return replace(own, velocity=moved, spin=faster)
+
     def _alone(self, motion: Motion) -> Motion:
         """Motion of the bodies' origins, with the spin of the bodies alone."""
         seen = self.seen(motion)

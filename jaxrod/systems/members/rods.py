@@ -10,9 +10,17 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, ArrayLike
 
-from jaxrod.analysis.health import HealthLimits, scene_health
+from jaxrod.analysis.dynamics import rates_of_change, reactions_of
+from jaxrod.analysis.health import (
+    EnergyAccount,
+    HealthLimits,
+    energy_account,
+    scene_health,
+)
 from jaxrod.analysis.stability import scene_stable_step
-from jaxrod.effects.base import Effect, StabilityBound, memory_of
+from jaxrod.effects.base import Effect, Reaction, StabilityBound, memory_of
+from jaxrod.effects.loads import GivenLoads
+from jaxrod.geometry import vectors
 from jaxrod.geometry.vectors import Vec3
 from jaxrod.loaded_rod import (
     LoadedRod,
@@ -22,7 +30,7 @@ from jaxrod.loaded_rod import (
     memory_in,
     remembering_rest,
 )
-from jaxrod.rods.motion import Motion, motion_of
+from jaxrod.rods.motion import Loads, Motion, motion_of
 from jaxrod.rods.rod import Rod, RodState
 from jaxrod.structure import pytree
 from jaxrod.systems.coupling import Carried, Parts
@@ -252,6 +260,38 @@ class OneRod(Member):
         """Flags of numerical faults and the values behind them, for each rod."""
         return self.each(lambda s, own: scene_health(s, own, dt, limits=limits), state)
 
+    def loaded(self, loads: Loads) -> Any:
+        """Copy of the scene with loads of couplings as one more effect."""
+        return self.each(_with_loads, self.rows(loads))
+
+    def rates_of_change(self, state: Any, loads: Loads) -> Motion:
+        """Rates of change under the loads of couplings and all others."""
+
+        def one(scene: LoadedRod, own: RodState, more: Loads) -> Motion:
+            return rates_of_change(_with_loads(scene, more), motion_of(own))
+
+        rates: Motion = self.row(self.each(one, state, self.rows(loads)))
+        return rates
+
+    def reactions(self, state: Any, loads: Loads) -> tuple[Reaction | None, ...]:
+        """Reaction of each effect; with a leading axis for equal rods."""
+
+        def one(scene: LoadedRod, own: RodState, more: Loads) -> Any:
+            return reactions_of(_with_loads(scene, more), own)[:-1]
+
+        found: tuple[Reaction | None, ...] = self.each(one, state, self.rows(loads))
+        return found
+
+    def energy_account(self, state: Any, mean: Array, dt: Array) -> EnergyAccount:
+        """Energy of all rods together, and what round-off may add to it."""
+
+        def one(scene: LoadedRod, own: RodState) -> EnergyAccount:
+            relative = replace(own, velocities=own.velocities - mean[:, None])
+            return energy_account(scene, own, relative, dt)
+
+        account: EnergyAccount = jax.tree.map(jnp.sum, self.each(one, state))
+        return account
+
     def stable_step(self, bound: StabilityBound, safety: ArrayLike) -> tuple[Any, Any]:
         """Largest step that is stable for every rod, times the factor `safety` [s].
 
@@ -330,6 +370,13 @@ class EqualRods(OneRod):
     def total(self, function: Callable[[Any, Any], Array], state: Any) -> Array:
         """Sum over all rods of a function of the scene and the state of a rod."""
         return jnp.sum(self.each(function, state), axis=0)
+
+
+def _with_loads(scene: LoadedRod, loads: Loads) -> LoadedRod:
+    """Scene with loads on its nodes and elements as one more effect."""
+    assert loads.forces is not None and loads.couples is not None
+    given = GivenLoads(vectors.join(loads.forces), vectors.join(loads.couples))
+    return replace(scene, effects=(*scene.effects, given))
 
 
 @pytree

@@ -243,6 +243,10 @@ class BodiesStepper(MemberStepper):
         """Motion after impulses at the bodies' origins have changed its rates."""
         return self.rigid.pushed(motion, impulses)
 
+    def rates_of_change(self, motion: Motion, push: Loads) -> Motion:
+        """Accelerations of the bodies' origins, and angular accelerations."""
+        return self.rigid.rates_of_change(motion, push)
+
     def at(self, model: Any, memory: Any, clock: Clock) -> BodiesStepper:
         """Copy with the effects' schedules evaluated at the given time.
 
