@@ -18,6 +18,8 @@ with the floor and with itself, in radii, over the run and at its end.
 
 from __future__ import annotations
 
+import functools
+from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import jax.numpy as jnp
@@ -143,7 +145,7 @@ def held() -> Any:
     """PyElastica's constraint of some nodes that move as told, and of elements."""
     import elastica as ea
 
-    class Held(ea.ConstraintBase):  # type: ignore[misc, name-defined]
+    class Held(ea.ConstraintBase):
         """Nodes at places, which move down at a speed until a time."""
 
         def __init__(
@@ -207,6 +209,12 @@ def their_rope(collection: Any, state: Any, radius: float, dt: float) -> Any:
     return rod
 
 
+def repeated(step: Callable[[], None], steps: int) -> None:
+    """Calls a function again and again."""
+    for _ in range(steps):
+        step()
+
+
 def crossing(sizes: tuple[int, ...], their_sizes: tuple[int, ...]) -> None:
     """Prints the table of the ropes that cross."""
     import elastica as ea
@@ -253,7 +261,7 @@ def crossing(sizes: tuple[int, ...], their_sizes: tuple[int, ...]) -> None:
         collection.detect_contact_between(*rods).using(ea.RodRodContact, k=1e4, nu=0.5)
         step = stepping(collection, dt)
         step()
-        seconds = processor(lambda: [step() for _ in range(round(SECONDS / dt))])  # noqa: B023 - called at once
+        seconds = processor(functools.partial(repeated, step, round(SECONDS / dt)))
         shape, lift = crossing_errors([rod.position_collection for rod in rods], exact)
         print(
             f"| PyElastica | {n} | {1e6 * dt:.1f} | {shape:.2e} | {lift:.2e} | "
@@ -398,8 +406,7 @@ def heap(n: int, their_share: float) -> None:
 
     def move_theirs() -> None:
         for _ in range(20):
-            for _ in range(steps):
-                step()
+            repeated(step, steps)
             their_paths.append(rod.position_collection.copy())
 
     seconds = processor(move_theirs) * all_steps / (20 * steps)
