@@ -89,7 +89,8 @@ def test_a_rod_at_rest_sinks_in_by_a_hundredth_of_its_radius_or_less(name):
     rest = jaxrod.systems.settled(scene, state).state
     radius = MATERIALS[name]["radius"]
     depth = 1 - float(jnp.min(rest.positions[2])) / radius
-    assert 0 < depth < 0.01 + 1e-6
+    # Contact begins half the onset width, 0.005 radii, before surfaces touch.
+    assert -0.005 < depth < 0.01 + 1e-6
 
 
 def test_given_numbers_stay():
