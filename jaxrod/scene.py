@@ -280,6 +280,8 @@ def make_scene(rod: Rod, *effects: Effect, method: Method | None = None) -> Scen
             f"got {method!r}"
         )
     method = in_type(dtype, "method", method)
+    if any(effect.lacks_numbers for effect in listed):
+        listed = _with_numbers(rod, listed, method)
     scene = Scene(rod, listed, method)
     for effect in scene.at(0.0).effects:
         check_own_loads(effect, rod)
@@ -290,6 +292,13 @@ def make_scene(rod: Rod, *effects: Effect, method: Method | None = None) -> Scen
         # Values that are zero now may leave the plane or act about the axis later.
         method.check(scene.stirred)
     return scene
+
+
+def _with_numbers(rod: Rod, effects: Any, method: Method) -> Any:
+    """Effects with the numbers that they lack, from the step that the others allow."""
+    others = tuple(effect for effect in effects if not effect.lacks_numbers)
+    step = scene_stable_step(Scene(rod, others, method), 1.0).dt
+    return tuple(effect.with_numbers(rod, step) for effect in effects)
 
 
 @jax.jit

@@ -20,6 +20,7 @@ import numpy as np
 
 import jaxrod
 from benchmarks.shared.arguments import add_names
+from benchmarks.system_accuracy.ropes import crossing, heap
 from benchmarks.system_speed.run import Scene, joint, on_one_core, processor, snake
 
 SHARE = 0.01
@@ -181,12 +182,29 @@ def measure(name: str) -> None:
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declares the scenes."""
-    add_names(parser, "scenes", CASES, "SCENE")
+    add_names(parser, "scenes", (*CASES, "crossing", "heap"), "SCENE")
+    parser.add_argument(
+        "--n", type=int, nargs="+", default=[50, 51, 100], help="of our crossing ropes"
+    )
+    parser.add_argument(
+        "--their-n", type=int, nargs="+", default=[50, 51], help="of PyElastica's"
+    )
+    parser.add_argument(
+        "--their-share",
+        type=float,
+        default=1.0,
+        help="of the heap that PyElastica runs; its whole time is estimated from this",
+    )
 
 
 def run(args: argparse.Namespace) -> int:
     """Measures the scenes that are named, or all."""
     on_one_core()
     for name in args.scenes:
-        measure(name)
+        if name == "crossing":
+            crossing(tuple(args.n), tuple(args.their_n))
+        elif name == "heap":
+            heap(100, args.their_share)
+        else:
+            measure(name)
     return 0

@@ -48,6 +48,13 @@ from jaxrod.contacts.contact_law import (
     friction_force,
     normal_force,
 )
+from jaxrod.contacts.default_law import (
+    GRAVITY,
+    OVERLAP,
+    added_rates,
+    left_out,
+    with_default_law,
+)
 from jaxrod.contacts.points import Points, check_spacing, contact_points
 from jaxrod.effects.base import Effect, Reach, StabilityBound
 from jaxrod.geometry import vectors
@@ -95,7 +102,31 @@ class Contact(Effect):
     """Flags of the two ends: 1 if free, 0 if the rod continues in another rod. Both are
     free by default."""
 
+    left_out: tuple[str, ...] = static(default=())
+    """Names of the numbers that `make_scene` chooses; until then the stiffness is
+    NaN."""
+
     reach: ClassVar[Reach] = "neighbours"
+
+    @property
+    def lacks_numbers(self) -> bool:
+        """Whether its stiffness is left out."""
+        return bool(self.left_out)
+
+    def with_numbers(self, rod: Rod, step: Array) -> Contact:
+        """Copy with the numbers that are left out, by `jaxrod.contacts.default_law`.
+
+        Args:
+            rod: The rod.
+            step: Largest stable step of the scene without this contact [s].
+        """
+
+        def fastest(contact: Contact) -> tuple[Array, Array]:
+            bound = contact.stability_bound(rod)
+            return added_rates(bound, rod.node_masses, jnp.min(rod.inertias, axis=0))
+
+        least = GRAVITY / OVERLAP * jnp.max(rod.linear_density / rod.radii)
+        return with_default_law(self, step, least, fastest)
 
     @property
     def obstacle(self) -> tuple[Body, int | None]:
@@ -460,8 +491,8 @@ program, so a larger number must be a mistake."""
 def contact(
     bodies: Body | Sequence[Body],
     *,
-    stiffness: Numbers,
-    damping: Numbers = 0.0,
+    stiffness: Numbers | None = None,
+    damping: Numbers | None = None,
     friction: Numbers = 0.0,
     friction_drag: Numbers | None = None,
     stick_ratio: Numbers = 1.0,
@@ -486,8 +517,12 @@ def contact(
             sequence, or as one body whose numbers have a leading axis (from `jax.vmap`
             of a factory). Each adds to the compiled program; a dozen bodies cost more
             than the rod itself, and then `jaxrod.near_contact` helps.
-        stiffness: Force per length of rod and penetration [N/m^2].
-        damping: Force per length of rod and normal speed [kg/(m s)].
+        stiffness: Force per length of rod and penetration [N/m^2]. If it is left out,
+            `make_scene` chooses it, and the damping and the friction drag if they are
+            left out too, so that `stable_dt` is half of what it is without this contact
+            (`jaxrod.contacts.default_law`).
+        damping: Force per length of rod and normal speed [kg/(m s)]; with a given
+            stiffness none by default.
         friction: Coefficient of Coulomb friction, or three coefficients, such as those
             of scales and bristles: for slip forward (along d3, from the first node to
             the last), backward and sideways [1].
@@ -527,7 +562,7 @@ def contact(
         10.0
     """
     body, n_bodies = _gathered(bodies)
-    damps = _or_none("damping", damping, "kg/(m s)")
+    damps = None if damping is None else _or_none("damping", damping, "kg/(m s)")
     rubs = _or_none("friction", friction, "", [(), (3,)])
     sticks = None
     if is_traced(stick_ratio) or np.any(np.asarray(stick_ratio) != 1.0):
@@ -537,15 +572,21 @@ def contact(
         if rubs is not None and rubs.ndim == 0:
             rubs = jnp.stack([rubs, rubs, rubs])
     drag = damping if friction_drag is None else friction_drag
-    drags = _or_none("friction_drag", drag, "kg/(m s)")
-    if rubs is not None and drags is None:
+    drags = None if drag is None else _or_none("friction_drag", drag, "kg/(m s)")
+    missing = left_out(stiffness, damping, rubs, friction_drag)
+    if rubs is not None and drags is None and "friction_drag" not in missing:
         raise ValueError(
             "friction needs friction_drag > 0 kg/(m s), its resistance per length and "
             "speed at the onset of slip (by default the damping), got 0"
         )
     return Contact(
         body=body,
-        stiffness=as_array("stiffness", stiffness, "N/m^2", positive=True),
+        stiffness=(
+            jnp.asarray(jnp.nan, jnp.result_type(float))
+            if stiffness is None
+            else as_array("stiffness", stiffness, "N/m^2", positive=True)
+        ),
+        left_out=missing,
         onset=as_array("onset", onset, "", positive=True),
         damping=damps,
         friction=rubs,

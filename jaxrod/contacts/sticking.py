@@ -263,6 +263,8 @@ def sticking_contact(
         raise ValueError(f"static friction needs a contact with friction, got {kind}")
     if contact.near is not None:
         raise ValueError("static friction needs all bodies, got a near_contact")
+    if contact.lacks_numbers:
+        raise ValueError("static friction needs a contact with a stiffness, got none")
     dtype = contact.stiffness.dtype
     stiffness = (
         0.5 * contact.stiffness

@@ -329,6 +329,20 @@ class Effect:
         """
         return None
 
+    @property
+    def lacks_numbers(self) -> bool:
+        """Whether `make_scene` must choose some of its numbers."""
+        return False
+
+    def with_numbers(self, rod: Rod, step: Array) -> Effect:
+        """Copy with the numbers that it lacks.
+
+        Args:
+            rod: The rod.
+            step: Largest stable step of the scene without such effects [s].
+        """
+        return self
+
     def stability_bound(self, rod: Rod) -> StabilityBound | None:
         """Upper bounds of the stiffness and drag in `loads`, for `stable_dt`.
 

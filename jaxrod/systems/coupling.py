@@ -281,6 +281,20 @@ class Coupling:
         """Mass and moments of nodes attached to bodies, by name of the bodies."""
         return {}
 
+    @property
+    def lacks_numbers(self) -> bool:
+        """Whether `make_system` must choose some of its numbers."""
+        return False
+
+    def with_numbers(self, parts: AllParts, step: Array) -> Coupling:
+        """Copy with the numbers that it lacks.
+
+        Args:
+            parts: Constants of the members.
+            step: Largest stable step of the system without such couplings [s].
+        """
+        return self
+
     def prepared(self, parts: AllParts) -> Coupling:
         """Copy with constants computed once, before the first step."""
         return self

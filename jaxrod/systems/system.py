@@ -316,6 +316,8 @@ def make_system(
     fitted = tuple(
         coupling.fitted(parts, tied).with_free_ends(free) for coupling in ordered
     )
+    if any(coupling.lacks_numbers for coupling in fitted):
+        fitted = _with_numbers(system, fitted, parts)
     if any(coupling.refresh_every is not None for coupling in fitted):
         fitted = _sized(system, fitted, state)
     typed = tuple(in_type(system.dtype, type(c).__name__, c) for c in fitted)
@@ -374,6 +376,19 @@ def _free_ends(
             if place in (0, last):
                 free[name][rod, int(place == last)] = 0.0
     return {name: jnp.asarray(flags, dtype) for name, flags in free.items()}
+
+
+def _with_numbers(
+    system: System, couplings: tuple[Coupling, ...], parts: AllParts
+) -> tuple[Coupling, ...]:
+    """Couplings with the numbers that they lack, from the step that others allow."""
+    others = tuple(
+        in_type(system.dtype, type(c).__name__, c)
+        for c in couplings
+        if not c.lacks_numbers
+    )
+    step = stable_system_dt(replace(system, couplings=others), 1.0).dt
+    return tuple(c.with_numbers(parts, step) for c in couplings)
 
 
 def _sized(

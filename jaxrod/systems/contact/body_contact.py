@@ -26,7 +26,11 @@ from jaxrod.geometry.vectors import Vec3
 from jaxrod.rods.motion import Loads
 from jaxrod.structure import pytree, static
 from jaxrod.systems.contact.collision_bodies import Posed, posed, surface_mobility
-from jaxrod.systems.contact.penalty_contact import PenaltyContact, law_numbers
+from jaxrod.systems.contact.penalty_contact import (
+    PenaltyContact,
+    law_numbers,
+    weight_over_overlap,
+)
 from jaxrod.systems.contact.rod_segments import (
     ContactPoints,
     RodSegments,
@@ -250,6 +254,10 @@ class BodyContact(PenaltyContact):
             worst = jnp.maximum(worst, jnp.max(1 - distance / segments.point_radii))
         return worst
 
+    def least_stiffness(self, parts: AllParts) -> Array:
+        """Stiffness with which the rod carries its own weight [N/m^2]."""
+        return weight_over_overlap([parts[self.rod]])
+
     def stability_bounds(self, parts: AllParts) -> dict[str, StabilityBound]:
         """Bounds of stiffness and drag with each rod's whole length on every body.
 
@@ -330,7 +338,7 @@ def body_contact(
     rod: str,
     body: str,
     *,
-    stiffness: Numbers,
+    stiffness: Numbers | None = None,
     damping: Numbers | None = None,
     friction: Numbers | None = None,
     friction_drag: Numbers | None = None,
@@ -345,8 +353,12 @@ def body_contact(
     Args:
         rod: Name of a rod, or of equal rods.
         body: Name of rigid bodies with a shape.
-        stiffness: Force per length of rod and penetration [N/m^2].
-        damping: Force per length and normal speed [kg/(m s)].
+        stiffness: Force per length of rod and penetration [N/m^2]. If it is left out,
+            `make_system` chooses it, and the damping and the friction drag if they are
+            left out too, so that `stable_dt` is half of what it is without this contact
+            (`jaxrod.contacts.default_law`).
+        damping: Force per length and normal speed [kg/(m s)]; with a given stiffness
+            none by default.
         friction: Coefficient of Coulomb friction [1].
         friction_drag: Largest friction per length and slip speed [kg/(m s)]; by default
             equal to `damping`.

@@ -52,6 +52,7 @@ from jaxrod.systems.contact.penalty_contact import (
     ContactPair,
     contact_pair,
     pair_forces,
+    weight_over_overlap,
 )
 from jaxrod.systems.contact.rod_segments import (
     SegmentLoads,
@@ -246,6 +247,15 @@ class CrossingContact(TouchingRods):
         (slopes,) = pulled((weight * (second - first), along))
         return from_products(slopes, *lines)
 
+    def least_stiffness(self, parts: AllParts) -> Array:
+        """Stiffness with which one crossing carries a whole rod [N/m]."""
+        members = [parts[name] for name in self.members]
+        lengths = []
+        for own in members:
+            assert own.rest_lengths is not None
+            lengths.append(jnp.sum(own.rest_lengths) / own.count)
+        return weight_over_overlap(members) * jnp.max(jnp.stack(lengths))
+
     def bound(self, own: Parts, every: list[Parts]) -> StabilityBound:
         """Bounds of stiffness and drag as if `max_contacts` rods crossed every element.
 
@@ -336,7 +346,7 @@ def _summed(a: Tree, b: Tree) -> Tree:
 
 def crossing_contact(
     *members: str,
-    stiffness: Numbers,
+    stiffness: Numbers | None = None,
     damping: Numbers | None = None,
     friction: Numbers | None = None,
     friction_drag: Numbers | None = None,
@@ -353,8 +363,11 @@ def crossing_contact(
 
     Args:
         *members: Names of members; a member is one rod or several equal rods.
-        stiffness: Force per penetration of a crossing [N/m].
-        damping: Force per normal speed [kg/s].
+        stiffness: Force per penetration of a crossing [N/m]. If it is left out,
+            `make_system` chooses it, and the damping and the friction drag if they are
+            left out too, so that `stable_dt` is half of what it is without this contact
+            (`jaxrod.contacts.default_law`).
+        damping: Force per normal speed [kg/s]; with a given stiffness none by default.
         friction: Coefficient of Coulomb friction [1].
         friction_drag: Largest friction per slip speed [kg/s]; by default equal to
             `damping`.

@@ -7,17 +7,28 @@ turns both elements.
 
 from __future__ import annotations
 
-from typing import Any, Protocol
+from collections.abc import Iterable
+from typing import Any, Protocol, TypeVar
 
 import jax
+import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from jaxrod.contacts.contact_law import PenaltyLaw
+from jaxrod.contacts.default_law import (
+    GRAVITY,
+    OVERLAP,
+    added_rates,
+    left_out,
+    with_default_law,
+)
 from jaxrod.geometry import vectors
 from jaxrod.geometry.vectors import Vec3
-from jaxrod.structure import pytree
-from jaxrod.systems.coupling import Coupling
+from jaxrod.structure import pytree, static
+from jaxrod.systems.coupling import AllParts, Coupling, Parts
 from jaxrod.validation import Numbers, as_array
+
+C = TypeVar("C", bound="PenaltyContact")
 
 
 @pytree
@@ -37,6 +48,39 @@ class PenaltyContact(Coupling):
     friction_drag: Float[Array, ""] | None = None
     """Largest friction force per slip speed: [kg/(m s)] if per unit length, else
     [kg/s]."""
+    left_out: tuple[str, ...] = static(default=())
+    """Names of the numbers above that `make_system` chooses; until then the stiffness
+    is NaN."""
+
+    @property
+    def lacks_numbers(self) -> bool:
+        """Whether its stiffness is left out."""
+        return bool(self.left_out)
+
+    def with_numbers(self: C, parts: AllParts, step: Array) -> C:
+        """Copy with the numbers that are left out, by `jaxrod.contacts.default_law`.
+
+        Args:
+            parts: Constants of the members.
+            step: Largest stable step of the system without this contact [s].
+        """
+
+        def fastest(contact: C) -> tuple[Array, Array]:
+            bounds = contact.prepared(parts).stability_bounds(parts)
+            found = [
+                added_rates(
+                    bound, parts[k].node_masses, jnp.min(parts[k].inertias, axis=0)
+                )
+                for k, bound in bounds.items()
+            ]
+            squares, rates = (jnp.stack(each) for each in zip(*found, strict=True))
+            return jnp.max(squares), jnp.max(rates)
+
+        return with_default_law(self, step, self.least_stiffness(parts), fastest)
+
+    def least_stiffness(self, parts: AllParts) -> Array:
+        """Smallest stiffness that `make_system` chooses [N/m^2] or [N/m]."""
+        raise NotImplementedError(f"{type(self).__name__} has no default stiffness")
 
     @property
     def twists(self) -> str | None:
@@ -51,8 +95,20 @@ class PenaltyContact(Coupling):
         )
 
 
+def weight_over_overlap(members: Iterable[Parts]) -> Array:
+    """Largest ratio of a rod's weight per length to the overlap it may cause [N/m^2].
+
+    The overlap is a hundredth of the rod's radius.
+    """
+    ratios = []
+    for own in members:
+        assert own.linear_density is not None and own.radii is not None
+        ratios.append(jnp.max(own.linear_density / own.radii))
+    return GRAVITY / OVERLAP * jnp.max(jnp.stack(ratios))
+
+
 def law_numbers(
-    stiffness: Numbers,
+    stiffness: Numbers | None,
     damping: Numbers | None,
     friction: Numbers | None,
     friction_drag: Numbers | None,
@@ -63,7 +119,8 @@ def law_numbers(
     """Validates the parameters of the law; returns the fields of `PenaltyContact`.
 
     Args:
-        stiffness: Normal force per penetration [N/m^2] or [N/m].
+        stiffness: Normal force per penetration [N/m^2] or [N/m]; `None` to leave it,
+            and the next numbers that are not given, to `make_system`.
         damping: Dashpot force per normal speed [kg/(m s)] or [kg/s].
         friction: Coefficient of Coulomb friction [1].
         friction_drag: Largest friction per slip speed [kg/(m s)] or [kg/s]; by default
@@ -77,7 +134,8 @@ def law_numbers(
     """
     rigidity, rate = ("N/m^2", "kg/(m s)") if per_length else ("N/m", "kg/s")
     drag = damping if friction_drag is None else friction_drag
-    if friction is not None and drag is None:
+    missing = left_out(stiffness, damping, friction, friction_drag)
+    if friction is not None and drag is None and not missing:
         raise ValueError(
             f"friction needs friction_drag > 0 {rate}, its resistance per "
             f"{'length and ' if per_length else ''}speed at the onset of slip (by "
@@ -88,7 +146,12 @@ def law_numbers(
         return None if value is None else as_array(name, value, unit, positive=True)
 
     return {
-        "stiffness": as_array("stiffness", stiffness, rigidity, positive=True),
+        "stiffness": (
+            jnp.asarray(jnp.nan, jnp.result_type(float))
+            if stiffness is None
+            else as_array("stiffness", stiffness, rigidity, positive=True)
+        ),
+        "left_out": missing,
         "onset": as_array("onset", onset, "", positive=True),
         "damping": number("damping", damping, rate),
         "friction": number("friction", friction, ""),

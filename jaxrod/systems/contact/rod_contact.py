@@ -39,6 +39,7 @@ from jaxrod.systems.contact.penalty_contact import (
     ContactPair,
     contact_pair,
     pair_forces,
+    weight_over_overlap,
 )
 from jaxrod.systems.contact.rod_segments import (
     ContactPoints,
@@ -239,6 +240,10 @@ class RodContact(TouchingRods):
         # The force on the segment is opposite to that on the points: one sum is enough.
         return one, replace(two, forces=vectors.scale(-1.0, one.forces))
 
+    def least_stiffness(self, parts: AllParts) -> Array:
+        """Stiffness with which rods carry their own weight [N/m^2]."""
+        return weight_over_overlap(parts[name] for name in self.members)
+
     def bound(self, own: Parts, every: list[Parts]) -> StabilityBound:
         """Bounds of stiffness and drag with `max_contacts` rods along the whole rod.
 
@@ -276,7 +281,7 @@ def _ease(own: Parts) -> Array:
 
 def rod_contact(
     *members: str,
-    stiffness: Numbers,
+    stiffness: Numbers | None = None,
     damping: Numbers | None = None,
     friction: Numbers | None = None,
     friction_drag: Numbers | None = None,
@@ -290,8 +295,12 @@ def rod_contact(
 
     Args:
         *members: Names of members; a member is one rod or several equal rods.
-        stiffness: Force per length of contact and penetration [N/m^2].
-        damping: Force per length and normal speed [kg/(m s)].
+        stiffness: Force per length of contact and penetration [N/m^2]. If it is left
+            out, `make_system` chooses it, and the damping and the friction drag if they
+            are left out too, so that `stable_dt` is half of what it is without this
+            contact (`jaxrod.contacts.default_law`).
+        damping: Force per length and normal speed [kg/(m s)]; with a given stiffness
+            none by default.
         friction: Coefficient of Coulomb friction [1].
         friction_drag: Largest friction per length and slip speed [kg/(m s)]; by default
             equal to `damping`.
