@@ -38,7 +38,7 @@ STEPS = 10_000_000
 
 EXAMPLES = """\
 examples:
-  jaxrod train tracking                                    the paper's task, a few minutes
+  jaxrod train tracking                                    the paper's task: minutes
   jaxrod train tracking --variant clean --steps 5M --seed 1 --out runs/clean
   jaxrod train tracking --resume --out runs/clean          continue after a stop
   jaxrod train tracking --like runs/clean --seed 2 --out runs/clean-2
