@@ -67,7 +67,8 @@ def draw(name, replay, look):
     path = DOCS / "gallery" / f"{name}.png"
     size = {"width": 720, "height": 480, "small": True}
     jaxrod.viz.picture(replay, path=path, **size, **look)
-    page = jaxrod.viz.html(replay, frames_per_second=30)
+    rate = WORDS[name].get("frames_per_second", 30)
+    page = jaxrod.viz.html(replay, frames_per_second=rate)
     found = re.findall(r'id="(header|data)">(.*?)</script>', page, re.DOTALL)
     path.with_suffix(".json").write_text(json.dumps(dict(found)) + "\n")
 
@@ -78,7 +79,7 @@ def changed(name):
     if source.count(old) != 1:
         raise ValueError(f"{old!r} is not once in examples/{name}.py")
     module = types.ModuleType(name)
-    exec(compile(source.replace(old, new), name, "exec"), module.__dict__)
+    exec(compile(source.replace(old, new), name, "exec"), vars(module))
     return module
 
 
@@ -90,7 +91,8 @@ def measure(name):
     draw(name, replay, scene.LOOK)
     found = {"measured": measured, "reference": reference, "step_ms": 1e3 * dt}
     found["steps_per_second"] = rate(model, state, dt)
-    found["changed"] = changed(name).run()[1]
+    if "{changed}" in WORDS[name]["then"]:
+        found["changed"] = changed(name).run()[1]
     return {key: float(f"{number:.4g}") for key, number in found.items()}
 
 

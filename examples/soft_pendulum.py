@@ -14,14 +14,13 @@ import jaxrod
 LENGTH, LIMIT, PUSH = 0.5, 2.3, 0.4  # [m], [N m], [m/s]
 N_INTERVALS, INTERVAL, PERIOD, STEPS = 60, 0.03, 1.2, 40  # [1], [s], [s], [1]
 NUMBER = "height of the tip at the end, and the length of the rod [m]"
-LOOK = {"frame": (36, 40, 44, 48, 52, -1), "azimuth": -90, "elevation": 8}
+LOOK = {"frame": (10, 18, 22, 26, 31, -1), "azimuth": -90, "elevation": 8}
 
 
 def move(data, state, couple, k):
     """The rod after an interval under a couple about y on its first element."""
     motor = jaxrod.EndLoad(jnp.zeros(3), couple * jnp.array([0.0, 1.0, 0.0]), "base")
-    effects = (*data["scene"].effects, motor)
-    scene = dataclasses.replace(data["scene"], effects=effects)
+    scene = dataclasses.replace(data["scene"], effects=(*data["scene"].effects, motor))
     return jaxrod.advance(scene, state, INTERVAL / STEPS, STEPS)
 
 
@@ -41,9 +40,8 @@ def pendulum():
     rod, state = jaxrod.straight_rod(
         4, **size, youngs_modulus=2.2e6, direction=(0, 0, -1), normal=(0, 1, 0)
     )
-    loads = jaxrod.gravity(), jaxrod.exponential_damping(0.2)
-    support, plane = jaxrod.pin_support(state), jaxrod.planar("zx")
-    scene = jaxrod.make_scene(rod, support, *loads, method=plane)
+    loads = jaxrod.pin_support(state), jaxrod.gravity(), jaxrod.exponential_damping(0.2)
+    scene = jaxrod.make_scene(rod, *loads, method=jaxrod.planar("zx"))
     data = {"scene": scene, "hanging": state.positions}
     costs = {"running": running, "final": final, "lower": -LIMIT, "upper": LIMIT}
     time = {"n_intervals": N_INTERVALS, "interval": INTERVAL, "n_controls": 1}
@@ -72,8 +70,10 @@ def build():
 def run(share=1.0):
     """A replay of the pushed rod, the final height of its tip, and its length."""
     found = swing_up()
-    motion = jaxrod.control.rolled_out(found.problem, found.policy, pushed)
-    return motion.replay("Soft pendulum"), float(motion.states.tip[-1, 2]), LENGTH
+    states = jaxrod.control.rolled_out(found.problem, found.policy, pushed).states
+    times, model = INTERVAL * jnp.arange(N_INTERVALS + 1), found.problem.data["scene"]
+    replay = jaxrod.viz.Replay.from_states(model, states, times, title="Soft pendulum")
+    return replay, float(states.tip[-1, 2]), LENGTH
 
 
 if __name__ == "__main__":
