@@ -9,7 +9,9 @@ from __future__ import annotations
 
 import dataclasses
 import inspect
+import json
 import re
+import shutil
 import sys
 from pathlib import Path
 from typing import Any
@@ -20,6 +22,7 @@ from sphinx.ext.napoleon import Config, GoogleDocstring
 from sphinx.util.inspect import stringify_signature
 
 import jaxrod
+from jaxrod.viz.page import page_of
 
 ROOT = Path(__file__).resolve().parent.parent
 
@@ -38,7 +41,7 @@ include_patterns = [
     "benchmarks/*.md",
     "benchmarks/**/*.md",
 ]
-exclude_patterns = ["docs/conf.py", "docs/reference_pages.py"]
+exclude_patterns = ["docs/conf.py", "docs/reference_pages.py", "docs/static/**"]
 
 extensions = [
     "myst_nb",
@@ -61,6 +64,9 @@ html_theme = "sphinx_book_theme"
 html_title = "jaxrod"
 html_math_renderer = "mathml"
 html_extra_path = ["site"]
+html_static_path = ["static"]
+html_css_files = ["gallery.css"]
+html_js_files = ["gallery.js"]
 html_theme_options = {
     "show_navbar_depth": 1,
     "use_download_button": False,
@@ -145,12 +151,37 @@ def display_math(translator: Any, node: nodes.Element) -> None:
     raise nodes.SkipNode
 
 
+def pictures_that_play(app: Any, page: str, source: list[str]) -> None:
+    """Makes each large picture of the gallery a place for its replay."""
+    if page == "docs/gallery":
+        source[0] = re.sub(
+            r"^!\[(.*)\]\(gallery/(\w+)\.png\)$",
+            r'<a class="replay" href="gallery/\2.html" title="Open the replay alone">'
+            r'<img src="gallery/\2.png" alt="\1"></a>',
+            source[0],
+            flags=re.MULTILINE,
+        )
+
+
+def players(app: Any, failure: Exception | None) -> None:
+    """Writes the players of the gallery, and the pictures beside them."""
+    folder = Path(app.outdir) / "docs" / "gallery"
+    if failure is None and app.builder.format == "html":
+        folder.mkdir(parents=True, exist_ok=True)
+        for path in sorted((ROOT / "docs" / "gallery").glob("*.png")):
+            shutil.copy(path, folder)
+            recording = json.loads(path.with_suffix(".json").read_text())
+            (folder / f"{path.stem}.html").write_text(page_of(**recording))
+
+
 def setup(app: Any) -> None:
     """Writes the pages of the reference before anything is read."""
     sys.path.insert(0, str(ROOT / "docs"))
     from reference_pages import write_reference
 
     write_reference(ROOT / "docs" / "reference")
+    app.connect("source-read", pictures_that_play)
+    app.connect("build-finished", players)
     app.add_html_math_renderer("mathml", (inline_math, None), (display_math, None))
     app.connect("autodoc-process-signature", signature_as_written)
     app.connect("autodoc-process-docstring", google_docstring)

@@ -6,32 +6,36 @@ in gallery.toml. `python examples/gallery.py --help` lists what it can run.
 """
 
 import argparse
+import ast
 import importlib
 import json
 import pathlib
+import re
+import textwrap
 import time
 import tomllib
+import types
 
 import jax
 
 import jaxrod
 
-SCENES = tuple(
-    "octopus snake plectoneme flagella cilia tendon_arm pneumatic_arm gripper knot "
-    "nest catheter".split()
-)
+HERE = pathlib.Path(__file__).parent
+DOCS = HERE.parent / "docs"
+RECORDS = DOCS / "gallery" / "records.json"
+WORDS = tomllib.loads((HERE / "gallery.toml").read_text())
+LESSONS = WORDS.pop("lessons")
+SCENES = tuple(name for names in LESSONS.values() for name in names)
 HEAD = """\
 # Gallery
 
 Each scene is a program of at most 80 lines. It checks one number against a known value.
-Run it from a checkout: it writes a picture and a replay to the folder `runs`. Open the
-replay in any browser, and turn, stop and slow the motion there.
+Run it from a checkout: it writes a picture and a replay to the folder `runs`. Change it
+as suggested, and run it again. On the site each picture moves: it is a
+[replay](pictures.md) that you can turn, stop and slow.
 
 `python examples/gallery.py` wrote this page. Speeds are per second of processor time.
-
 """
-DOCS = pathlib.Path(__file__).parents[1] / "docs"
-RECORDS = DOCS / "gallery" / "records.json"
 
 
 def show(file, run, number, look):
@@ -58,16 +62,71 @@ def rate(model, state, dt):
     return steps / spent
 
 
+def draw(name, replay, look):
+    """Writes the picture of a scene and its recording, from which the site plays."""
+    path = DOCS / "gallery" / f"{name}.png"
+    size = {"width": 720, "height": 480, "small": True}
+    jaxrod.viz.picture(replay, path=path, **size, **look)
+    rate = WORDS[name].get("frames_per_second", 30)
+    page = jaxrod.viz.html(replay, frames_per_second=rate)
+    found = re.findall(r'id="(header|data)">(.*?)</script>', page, re.DOTALL)
+    path.with_suffix(".json").write_text(json.dumps(dict(found)) + "\n")
+
+
+def changed(name):
+    """The program of a scene, after the change that the page suggests."""
+    source, (old, new) = (HERE / f"{name}.py").read_text(), WORDS[name]["change"]
+    if source.count(old) != 1:
+        raise ValueError(f"{old!r} is not once in examples/{name}.py")
+    module = types.ModuleType(name)
+    exec(compile(source.replace(old, new), name, "exec"), vars(module))
+    return module
+
+
 def measure(name):
-    """Runs a scene, draws its picture and returns its numbers."""
+    """Runs a scene, draws it and returns its numbers."""
     scene = importlib.import_module(name)
     model, state, dt = scene.build()
     replay, measured, reference = scene.run()
-    picture, look = DOCS / "gallery" / f"{name}.png", scene.LOOK
-    jaxrod.viz.picture(replay, path=picture, width=720, height=480, small=True, **look)
+    draw(name, replay, scene.LOOK)
     found = {"measured": measured, "reference": reference, "step_ms": 1e3 * dt}
     found["steps_per_second"] = rate(model, state, dt)
+    if "{changed}" in WORDS[name]["then"]:
+        found["changed"] = changed(name).run()[1]
     return {key: float(f"{number:.4g}") for key, number in found.items()}
+
+
+def lines(name):
+    """The lines of a scene's program that show its idea."""
+    source = (HERE / f"{name}.py").read_text()
+    function, *wanted = WORDS[name]["code"]
+    (body,) = [
+        f.body for f in ast.parse(source).body if vars(f).get("name") == function
+    ]
+
+    def makes(line):
+        targets = line.targets if isinstance(line, ast.Assign) else ()
+        names = {ast.unparse(target).strip("()") for target in targets}
+        return names | ({"return"} if isinstance(line, ast.Return) else set())
+
+    kept = [line for line in body[1:] if not wanted or makes(line) & {*wanted}]
+    if wanted and {name for line in kept for name in makes(line)} != {*wanted}:
+        raise ValueError(f"{function} in examples/{name}.py lacks some of {wanted}")
+    whole = source.splitlines()
+    shown = [part for k in kept for part in whole[k.lineno - 1 : k.end_lineno]]
+    return textwrap.dedent("\n".join(shown))
+
+
+def title(name):
+    """The heading of a scene."""
+    return WORDS[name].get("title", name.replace("_", " ").capitalize())
+
+
+def thumbnail(name):
+    """A small picture of a scene that leads to its part of the page."""
+    anchor = title(name).lower().replace(" ", "-")
+    picture = f'<img src="gallery/{name}.png" width="200" alt="{WORDS[name]["alt"]}">'
+    return f'<a href="#{anchor}">{picture}</a>'
 
 
 def entry(name, words, numbers):
@@ -75,29 +134,38 @@ def entry(name, words, numbers):
     steps, step = numbers["steps_per_second"], numbers["step_ms"]
     motion = float(f"{1e-3 * steps * step:.2g}")
     shown = {key: f"{number:g}" for key, number in numbers.items()}
-    return f"""\
-## {name.replace("_", " ").capitalize()}
+    return f"""
+### {title(name)}
+
+{words["caption"]}
 
 ![{words["alt"]}](gallery/{name}.png)
 
-{words["moves"]}
+**Idea.** {words["idea"]}
 
-**Idea.** {words["learn"]}
+```python
+{lines(name)}
+```
 
 **Check.** {words["number"].format(**shown)}
 
+**Change it.** {words["then"].format(**shown)}
+
 `python examples/{name}.py` ([program](../examples/{name}.py)). {steps:,.0f} steps of
 {step:.3g} ms per second: {motion:g} s of motion.
-
 """
 
 
 def page():
     """The page, from the words and the records."""
-    words = tomllib.loads(pathlib.Path(__file__).with_name("gallery.toml").read_text())
     records = json.loads(RECORDS.read_text())
-    parts = [entry(name, words[name], records[name]) for name in SCENES]
-    return (HEAD + "".join(parts)).rstrip() + "\n"
+    parts = [HEAD]
+    for lesson, names in LESSONS.items():
+        parts.append(f"\n{lesson}:\n\n" + "\n".join(map(thumbnail, names)) + "\n")
+    for lesson, names in LESSONS.items():
+        parts.append(f"\n## {lesson}\n")
+        parts += [entry(name, WORDS[name], records[name]) for name in names]
+    return "".join(parts)
 
 
 if __name__ == "__main__":

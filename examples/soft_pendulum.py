@@ -1,32 +1,31 @@
 """A soft pendulum swings up and stands: iLQR, and its feedback against a push.
 
-A rod hangs from a pivot whose couple is too weak to lift it straight up, and bends as
-it swings. iLQR finds the couple over time, and feedback of the whole rod. After a push
-near the top the rod still stands with feedback, and falls without it. Run it with
-`python examples/soft_pendulum.py`.
+A rod hangs from a pivot whose couple is too weak to lift it straight up. iLQR finds the
+couple over time, and feedback of the whole rod, which catches a push near the top.
 """
 
 import dataclasses
 
+import gallery
 import jax.numpy as jnp
 
 import jaxrod
 
 LENGTH, LIMIT, PUSH = 0.5, 2.3, 0.4  # [m], [N m], [m/s]
-SECONDS, INTERVAL, PERIOD, STEPS = 1.8, 0.03, 1.2, 40  # [s], [s], [s], [1]
-N_INTERVALS = round(SECONDS / INTERVAL)
+N_INTERVALS, INTERVAL, PERIOD, STEPS = 60, 0.03, 1.2, 40  # [1], [s], [s], [1]
+NUMBER = "height of the tip at the end, and the length of the rod [m]"
+LOOK = {"frame": (10, 18, 22, 26, 31, -1), "azimuth": -90, "elevation": 8}
 
 
 def move(data, state, couple, k):
     """The rod after an interval under a couple about y on its first element."""
     motor = jaxrod.EndLoad(jnp.zeros(3), couple * jnp.array([0.0, 1.0, 0.0]), "base")
-    effects = (*data["scene"].effects, motor)
-    scene = dataclasses.replace(data["scene"], effects=effects)
+    scene = dataclasses.replace(data["scene"], effects=(*data["scene"].effects, motor))
     return jaxrod.advance(scene, state, INTERVAL / STEPS, STEPS)
 
 
 def running(data, state, couple, k):
-    """Running residuals: distance from standing, speed, and effort."""
+    """Residuals: distance from standing, speed, and effort."""
     return state.positions + data["hanging"], 0.05 * state.velocities, 0.05 * couple
 
 
@@ -41,27 +40,18 @@ def pendulum():
     rod, state = jaxrod.straight_rod(
         4, **size, youngs_modulus=2.2e6, direction=(0, 0, -1), normal=(0, 1, 0)
     )
-    loads = jaxrod.gravity(), jaxrod.exponential_damping(0.2)
-    plane = jaxrod.planar("zx")
-    scene = jaxrod.make_scene(rod, jaxrod.pin_support(state), *loads, method=plane)
-    time = {"n_intervals": N_INTERVALS, "interval": INTERVAL}
-    return jaxrod.control.make_problem(
-        state,
-        move,
-        **time,
-        n_controls=1,
-        running=running,
-        final=final,
-        data={"scene": scene, "hanging": state.positions},
-        lower=-LIMIT,
-        upper=LIMIT,
-    )
+    loads = jaxrod.pin_support(state), jaxrod.gravity(), jaxrod.exponential_damping(0.2)
+    scene = jaxrod.make_scene(rod, *loads, method=jaxrod.planar("zx"))
+    data = {"scene": scene, "hanging": state.positions}
+    costs = {"running": running, "final": final, "lower": -LIMIT, "upper": LIMIT}
+    time = {"n_intervals": N_INTERVALS, "interval": INTERVAL, "n_controls": 1}
+    return jaxrod.control.make_problem(state, move, data=data, **costs, **time)
 
 
 def swing_up():
     """The solution; its first guess oscillates at the pace of small swings."""
-    phases = 2 * jnp.pi * INTERVAL / PERIOD * jnp.arange(N_INTERVALS)
-    first = 0.6 * LIMIT * jnp.sin(phases)[:, None]
+    times = INTERVAL * jnp.arange(N_INTERVALS)[:, None]
+    first = 0.6 * LIMIT * jnp.sin(2 * jnp.pi / PERIOD * times)
     return jaxrod.control.ilqr(pendulum(), initial_controls=first, tolerance=1e-3)
 
 
@@ -71,9 +61,20 @@ def pushed(state, k):
     return dataclasses.replace(state, velocities=state.velocities.at[0, 1:].add(push))
 
 
-if __name__ == "__main__":
-    jaxrod.configure_cpu()
+def build():
+    """The hanging rod, its state and the time step."""
+    problem = pendulum()
+    return problem.data["scene"], problem.start, INTERVAL / STEPS
+
+
+def run(share=1.0):
+    """A replay of the pushed rod, the final height of its tip, and its length."""
     found = swing_up()
-    for name, policy in (("gains", found.policy), ("plan alone", found.open_loop)):
-        motion = jaxrod.control.rolled_out(found.problem, policy, pushed)
-        print(f"pushed, {name}: the tip ends at {motion.states.tip[-1]} m")
+    states = jaxrod.control.rolled_out(found.problem, found.policy, pushed).states
+    times, model = INTERVAL * jnp.arange(N_INTERVALS + 1), found.problem.data["scene"]
+    replay = jaxrod.viz.Replay.from_states(model, states, times, title="Soft pendulum")
+    return replay, float(states.tip[-1, 2]), LENGTH
+
+
+if __name__ == "__main__":
+    gallery.show(__file__, run, NUMBER, LOOK)

@@ -29,7 +29,7 @@ from typing import Any
 
 from jaxrod.installation.jax_version import require_sound_jax
 
-__version__ = "0.2.0"
+__version__ = "0.3.0"
 
 
 def _module_of_each_name() -> dict[str, str]:

@@ -5,6 +5,7 @@ import os
 import re
 import subprocess
 import sys
+import tarfile
 import tomllib
 import zipfile
 from pathlib import Path
@@ -13,6 +14,7 @@ import pytest
 
 ROOT = Path(__file__).parents[1]
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text())
+RECIPE = (ROOT / "conda" / "meta.yaml").read_text()
 FOLDERS = PROJECT["tool"]["setuptools"]["package-dir"]
 
 
@@ -61,6 +63,38 @@ def test_requirements_and_run_time_refuse_the_same_releases():
     for name in ("cuda12", "cuda13"):
         assert extras[name] == [need.replace("jax>", f"jax[{name}]>")]
         assert name not in extras["all"][0]
+
+
+def test_all_places_name_the_same_version():
+    from jaxrod import __version__
+
+    changes = (ROOT / "CHANGELOG.md").read_text()
+    places = {
+        "pyproject.toml": PROJECT["project"]["version"],
+        "CITATION.cff": re.search(
+            r"^version: (.*)$", (ROOT / "CITATION.cff").read_text(), re.MULTILINE
+        )[1],
+        "CHANGELOG.md": re.search(r"^## ([\d.]+)", changes, re.MULTILINE)[1],
+        "conda/meta.yaml": re.search(r'version: "(.*)"', RECIPE)[1],
+    }
+    assert places == dict.fromkeys(places, __version__)
+
+
+def test_classifiers_name_the_supported_pythons():
+    named = set(
+        re.findall(r"Python :: (3\.\d+)", str(PROJECT["project"]["classifiers"]))
+    )
+    assert named == {"3.11", "3.12", "3.13"}
+    assert PROJECT["project"]["requires-python"] == ">=3.11"
+
+
+def test_the_conda_recipe_needs_what_the_wheel_needs():
+    run = RECIPE.partition("  run:\n")[2].partition("\n\n")[0]
+    needs = [line.strip(" -").replace(" ", "") for line in run.splitlines()]
+    python = f"python{PROJECT['project']['requires-python']}"
+    assert needs == [python, *PROJECT["project"]["dependencies"]]
+    (script,) = PROJECT["project"]["scripts"].items()
+    assert " = ".join(script) in RECIPE
 
 
 def test_constraints_pin_one_version_for_each_supported_python():
@@ -112,6 +146,37 @@ def test_wheel_holds_every_file_of_the_packages(wheel):
     }
     missing = expected - set(wheel.namelist())
     assert not missing
+
+
+@pytest.mark.slow
+def test_a_wheel_of_the_source_distribution_is_that_of_the_checkout(wheel, tmp_path):
+    """Built from committed files, in a copy, without anything from the network."""
+    source, out = tmp_path / "source", tmp_path / "out"
+    tracked = subprocess.run(
+        ["git", "ls-files", "-z"], cwd=ROOT, capture_output=True, text=True, check=True
+    )
+    for name in filter(None, tracked.stdout.split("\0")):
+        if (ROOT / name).is_file():
+            (source / name).parent.mkdir(parents=True, exist_ok=True)
+            (source / name).write_bytes((ROOT / name).read_bytes())
+
+    def build(kind, folder):
+        program = (
+            f"from setuptools import build_meta as b\nb.build_{kind}({str(out)!r})"
+        )
+        command = [sys.executable, "-c", program]
+        done = subprocess.run(command, cwd=folder, capture_output=True, text=True)
+        assert done.returncode == 0, done.stderr
+
+    build("sdist", source)
+    (packed,) = out.glob("*.tar.gz")
+    with tarfile.open(packed) as archive:
+        archive.extractall(tmp_path / "unpacked", filter="data")
+    (unpacked,) = (tmp_path / "unpacked").iterdir()
+    build("wheel", unpacked)
+    (again,) = out.glob("*.whl")
+    with zipfile.ZipFile(again) as archive:
+        assert set(archive.namelist()) == set(wheel.namelist())
 
 
 @pytest.mark.parametrize("command", ["reproduce", "tradeoff", "benchmark"])

@@ -2,6 +2,7 @@
 
 import importlib.util
 import inspect
+import json
 import re
 import sys
 from pathlib import Path
@@ -73,6 +74,32 @@ def test_the_front_page_takes_its_numbers_from_the_readme():
     prose = re.sub(r"^```.*?^```", "", page, flags=re.S | re.M)
     sentences = [one.strip() for one in re.findall(r"[^.|\n]{40,}", prose)]
     assert [one for one in sentences if one in readme] == [], "said twice"
+
+
+def pictures(text):
+    """Alternative texts of the pictures in Markdown; of those in HTML, too."""
+    yield from re.findall(r"!\[([^\]]*)\]", text)
+    for tag in re.findall(r"<img\b[^>]*>", text):
+        yield "".join(re.findall(r'\balt="([^"]*)"', tag))
+
+
+def test_every_picture_has_a_text_for_those_who_cannot_see_it():
+    pages = {page.name: page.read_text() for page in DOCS.glob("*.md")}
+    pages |= {name: (ROOT / name).read_text() for name in ("README.md", "CHANGELOG.md")}
+    for page in (ROOT / "benchmarks").rglob("*.md"):
+        pages[str(page.relative_to(ROOT))] = page.read_text()
+    for page in (ROOT / "notebooks").glob("*.ipynb"):
+        cells = json.loads(page.read_text())["cells"]
+        texts = ["".join(c["source"]) for c in cells if c["cell_type"] == "markdown"]
+        pages[page.name] = "\n".join(texts)
+    described = [(name, alt) for name in pages for alt in pictures(pages[name])]
+    assert len(described) > 30
+    assert [pair for pair in described if len(pair[1].split()) < 3] == []
+
+
+def test_pictures_without_a_text_are_seen():
+    text = '![](a.png) ![An arm](b.png) <img src="c.png"> <img alt="d" src="d.png">'
+    assert list(pictures(text)) == ["", "An arm", "", "d"]
 
 
 def test_types_of_signatures_are_explained():

@@ -10,10 +10,11 @@ import numpy as np
 
 from benchmarks.shared.files import ROOT
 from jaxrod.files import read_json, write_atomically
+from jaxrod.viz.style import BLUE, GREEN, ORANGE, charts
 
 RECORDS = ROOT / "benchmarks" / "first_order" / "records"
 CASES = {"tracking": 1, "reaching": 2}
-COLOURS = {"ppo": "tab:orange", "dagger": "tab:blue", "shac": "tab:green"}
+COLOURS = {"ppo": ORANGE, "dagger": BLUE, "shac": GREEN}
 BASELINE = "ppo"
 
 HEADER = """\
@@ -170,13 +171,11 @@ def _spread(values: Iterable[float], *, least: bool = True) -> str:
 
 def picture(cells: dict[tuple[str, str], list[dict[str, Any]]]) -> None:
     """Score against control steps and processor time, every seed."""
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.figure import Figure
-
     tasks = [task for task in CASES if any(cell[0] == task for cell in cells)]
-    figure = Figure(figsize=(9, 3.2 * len(tasks)), layout="constrained")
-    FigureCanvasAgg(figure)
-    panels = figure.subplots(len(tasks), 2, squeeze=False, sharey="row")
+    figure, panels = charts(9, 3.2 * len(tasks), len(tasks), 2)
+    for left, right in panels:
+        right.sharey(left)
+        right.tick_params(labelleft=False)
     axes_of = {"control_steps": "control steps", "processor_s": "processor time [s]"}
     for (task, name), runs in cells.items():
         for axes, (key, words) in zip(
@@ -192,8 +191,7 @@ def picture(cells: dict[tuple[str, str], list[dict[str, Any]]]) -> None:
                 )
             axes.set_xscale("log" if key == "control_steps" else "linear")
             axes.set_xlabel(words)
-            axes.grid(alpha=0.3)
     for task, row in zip(tasks, panels, strict=True):
         row[0].set_ylabel(f"{task}: return without noise")
         row[0].legend()
-    figure.savefig(RECORDS / "first_order.png", dpi=120, metadata={"Software": None})
+    figure.savefig(RECORDS / "first_order.png", metadata={"Software": None})

@@ -37,11 +37,11 @@ from benchmarks.gradients.report import (
 )
 from jaxrod.files import write_atomically
 from jaxrod.tradeoff.workload import SCENES as PROBLEMS
+from jaxrod.viz.style import BLUE, INK, ORANGE, charts
 
 SCENES = ("swing", "slam", "rope")
 RIGHT = 1e-6
 """Largest relative error of a derivative in float64."""
-INK, BLUE, ORANGE = "#1f2937", "#2563eb", "#ea580c"
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -148,12 +148,7 @@ def markdown(reports: list[GradientReport]) -> str:
 
 def picture(reports: list[GradientReport]) -> bytes:
     """Plot of errors against step size, and of singular values against the horizon."""
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.figure import Figure
-
-    figure = Figure(figsize=(9, 3.8), dpi=130, layout="constrained")
-    FigureCanvasAgg(figure)
-    left, right = figure.subplots(1, 2)
+    figure, ((left, right),) = charts(9, 3.8, columns=2)
     first = reports[0]
     steps = first.step_sizes
     left.loglog(steps, first.reverse_errors, color=BLUE, marker=".", label="float64")
@@ -183,9 +178,6 @@ def picture(reports: list[GradientReport]) -> bytes:
     right.set_xlabel("horizon [s]")
     right.set_ylabel("singular values of d tip / d controls [m]")
     right.legend(frameon=False, fontsize=9)
-    for axes in (left, right):
-        axes.grid(color="#d5dbe4", linewidth=0.6)
-        axes.spines[["top", "right"]].set_visible(False)
     made = io.BytesIO()
     figure.savefig(made, format="png")
     return made.getvalue()

@@ -25,10 +25,10 @@ import numpy as np
 import jaxrod
 from jaxrod import materials, schedules
 from jaxrod.files import write_atomically
+from jaxrod.viz.style import BLUE, GREEN, INK, ORANGE, charts
 
 BAR = 0.01
 """Largest difference from a closed form [1]."""
-INK, BLUE, ORANGE, GREEN = "#1f2937", "#2563eb", "#ea580c", "#059669"
 RATIO, TIME = 1.5, 8.0
 STICKING, SLIP = 80.0, 8.0
 YIELD, HARDENING = 10.0, 0.1
@@ -305,15 +305,7 @@ def picture_of_set(curves: list[Curve], shapes: list[np.ndarray]) -> bytes:
 
 def _figure() -> tuple[Any, Any]:
     """Figure with two pairs of axes."""
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.figure import Figure
-
-    figure = Figure(figsize=(9, 3.6), dpi=130, layout="constrained")
-    FigureCanvasAgg(figure)
-    pair = figure.subplots(1, 2)
-    for axes in pair:
-        axes.grid(color="#d5dbe4", linewidth=0.6)
-        axes.spines[["top", "right"]].set_visible(False)
+    figure, (pair,) = charts(9, 3.6, columns=2)
     return figure, pair
 
 

@@ -10,6 +10,7 @@ from benchmarks.best_learners.page import section
 from benchmarks.same_episodes.page import same_episodes
 from benchmarks.shared.files import ROOT
 from jaxrod.files import read_json, write_atomically
+from jaxrod.viz import style
 
 RECORDS = ROOT / "benchmarks" / "optimum" / "records"
 LEARNERS = ROOT / "benchmarks" / "best_learners" / "records"
@@ -154,23 +155,18 @@ def _shown(value: Any) -> str:
 
 def picture(records: list[dict[str, Any]]) -> None:
     """Bars of the shares of the ceiling."""
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.figure import Figure
-
-    figure = Figure(figsize=(8, 3.6), layout="constrained")
-    FigureCanvasAgg(figure)
-    axes = figure.subplots()
+    figure, ((axes,),) = style.charts(8, 3.6)
     own = {(r["task"], r["plan"]): r for r in records}
     tasks = [task for task in CASES if any(r["task"] == task for r in records)]
     some = [next(r for r in records if r["task"] == task) for task in tasks]
     kinds: list[tuple[str, str, list[float]]] = [
-        ("random", "0.75", [_share(r, np.mean(r["random"])) for r in some]),
+        ("random", style.GRID, [_share(r, np.mean(r["random"])) for r in some]),
         *(
             (f"learned {words}", colour, [_share(r, _learned(r, words)) for r in some])
-            for words, colour in (("(paper)", "tab:orange"), ("(clean)", "tab:red"))
+            for words, colour in (("(paper)", style.ORANGE), ("(clean)", style.PURPLE))
         ),
     ]
-    for plan, colour in zip(PLANS, ("tab:blue", "tab:cyan"), strict=True):
+    for plan, colour in zip(PLANS, (style.BLUE, style.GREEN), strict=True):
         found = [own.get((task, plan)) for task in tasks]
         shares = [_share(r, np.mean(r["mpc"])) if r else np.nan for r in found]
         kinds.append(("planned" + _spaced(plan), colour, shares))
@@ -189,7 +185,8 @@ def picture(records: list[dict[str, Any]]) -> None:
     axes.set_ylim(0, 112)
     axes.axhline(100, color="black", linewidth=0.8)
     axes.legend(ncols=5, fontsize=8, loc="lower center", bbox_to_anchor=(0.5, 1.0))
-    figure.savefig(RECORDS / "optimum.png", dpi=120, metadata={"Software": None})
+    axes.grid(visible=False, axis="x")
+    figure.savefig(RECORDS / "optimum.png", metadata={"Software": None})
 
 
 def _share(record: dict[str, Any], earned: Any) -> float:

@@ -7,20 +7,21 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
 from jaxrod.files import write_atomically
+from jaxrod.viz import style
 from jaxrod.viz.curves import need_matplotlib
 
 if TYPE_CHECKING:
     from benchmarks.tradeoff.grid import Row
     from jaxrod.viz.curves import FilePath
 
-_QUIET = "#5a6676"
+_QUIET = style.QUIET
 _KINDS = (
     # simulator, mode, integrator: label, colour, marker
-    (("pyelastica", "pyelastica", "explicit"), "PyElastica", "#b45309", "s"),
-    (("mujoco", "consistent", "explicit"), "MuJoCo's cable", "#7c3aed", "v"),
-    (("jaxrod", "pyelastica", "explicit"), "PyElastica's law", "#d99a5b", "^"),
-    (("jaxrod", "consistent", "implicit"), "implicit", "#15803d", "D"),
-    (("jaxrod", "consistent", "explicit"), "explicit", "#2563c9", "o"),
+    (("pyelastica", "pyelastica", "explicit"), "PyElastica", style.ORANGE, "s"),
+    (("mujoco", "consistent", "explicit"), "MuJoCo's cable", style.PURPLE, "v"),
+    (("jaxrod", "pyelastica", "explicit"), "PyElastica's law", style.INK, "^"),
+    (("jaxrod", "consistent", "implicit"), "implicit", style.GREEN, "D"),
+    (("jaxrod", "consistent", "explicit"), "explicit", style.BLUE, "o"),
 )
 
 
@@ -49,12 +50,12 @@ def work_precision(
 
 def _draw(rows: list[Row], title: str, floor: float) -> bytes:
     need_matplotlib()
-    from matplotlib.figure import Figure
-
     batches = sorted({row.batch for row in rows})
-    figure = Figure(figsize=(4.2 * len(batches) + 3.0, 4.6), dpi=130)
-    figure.set_layout_engine("constrained")
-    panels = figure.subplots(1, len(batches), sharex=True, sharey=True, squeeze=False)
+    figure, panels = style.charts(4.2 * len(batches) + 3.0, 4.6, columns=len(batches))
+    for axes in panels[0][1:]:
+        axes.sharex(panels[0][0])
+        axes.sharey(panels[0][0])
+        axes.tick_params(labelleft=False)
     for axes, batch in zip(panels[0], batches, strict=True):
         _panel(axes, [row for row in rows if row.batch == batch], floor)
         many = "one rod" if batch == 1 else f"{batch:,} rods at once"
@@ -107,7 +108,7 @@ def _panel(axes: Any, rows: list[Row], floor: float) -> None:
     axes.plot(
         [row.wall_s_per_sim_s for row in front],
         [row.error for row in front],
-        color="#2563c9",
+        color=style.BLUE,
         linewidth=1.2,
         alpha=0.6,
         label="best of jaxrod",
@@ -130,6 +131,4 @@ def _panel(axes: Any, rows: list[Row], floor: float) -> None:
         linestyle=(0, (4, 3)),
         label="1 % of the length",
     )
-    axes.grid(color="#d5dbe4", linewidth=0.6)
-    axes.spines[["top", "right"]].set_visible(False)
-    axes.tick_params(colors=_QUIET, labelcolor="black", labelsize=8)
+    axes.tick_params(labelsize=8)

@@ -29,7 +29,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.epilog = EXAMPLES
     runs.add_run(parser)
     parser.add_argument(
-        "--episodes", type=int, default=32, metavar="N", help="how many (default: 32)"
+        "--episodes",
+        type=int,
+        default=32,
+        metavar="N",
+        help="number of episodes (default: 32)",
     )
     parser.add_argument(
         "--seed", type=int, default=1, help="seed of the episodes (default: 1)"

@@ -7,7 +7,7 @@ has both). An arm that rests gives a pose, one that moves a motion.
 
 The folder gets twin.json (the parameters with their standard deviations, and the errors
 of all recordings) and report.html. With --forecast, recordings that are not fitted are
-predicted, which is the test that counts.
+predicted. Judge the result by these predictions.
 
 Exits with 1 when the search did not converge.
 """
@@ -66,7 +66,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         type=float,
         metavar="M",
         help="noise of a coordinate of a frame, or of the median of a pose [m] "
-        "(default: the residuals)",
+        "(default: estimated from the residuals)",
     )
     parser.add_argument(
         "--robust",

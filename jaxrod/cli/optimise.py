@@ -336,12 +336,9 @@ def _knot_times(result: Solution) -> Any:
 
 
 def _draw(result: Solution) -> bytes:
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.figure import Figure
+    from jaxrod.viz.style import charts
 
-    figure = Figure(figsize=(8, 3.6), dpi=130, layout="constrained")
-    FigureCanvasAgg(figure)
-    left, right = figure.subplots(1, 2)
+    figure, ((left, right),) = charts(8, 3.6, columns=2)
     for name, values in result.history.items():
         left.semilogy(values, label=name.replace("_", " "))
     left.set_xlabel("iteration")
@@ -349,9 +346,6 @@ def _draw(result: Solution) -> bytes:
     right.plot(_knot_times(result), result.knots, marker=".", linewidth=1)
     right.set_xlabel("time [s]")
     right.set_ylabel("control value")
-    for axes in (left, right):
-        axes.grid(color="#d5dbe4", linewidth=0.6)
-        axes.spines[["top", "right"]].set_visible(False)
     picture = io.BytesIO()
     figure.savefig(picture, format="png")
     return picture.getvalue()

@@ -62,7 +62,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         nargs="+",
         default=[0, 1, 2],
         metavar="N",
-        help="(default: 0 1 2)",
+        help="random seeds (default: 0 1 2)",
     )
     parser.add_argument(
         "--set",

@@ -38,7 +38,7 @@ STEPS = 10_000_000
 
 EXAMPLES = """\
 examples:
-  jaxrod train tracking                                    the paper's, a few minutes
+  jaxrod train tracking                                    the paper's task: minutes
   jaxrod train tracking --variant clean --steps 5M --seed 1 --out runs/clean
   jaxrod train tracking --resume --out runs/clean          continue after a stop
   jaxrod train tracking --like runs/clean --seed 2 --out runs/clean-2
@@ -79,7 +79,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="distributions of parameters, noise, delays and faults: a TOML file "
         "(docs/randomisation.md), whose content config.json keeps",
     )
-    parser.add_argument("--variant", help="paper or clean (default: the first it has)")
+    parser.add_argument("--variant", help="paper or clean (default: the task's first)")
     parser.add_argument(
         "--algorithm",
         metavar="NAME",

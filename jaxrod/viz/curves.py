@@ -12,19 +12,20 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from jaxrod.files import read_csv, reading, write_atomically
+from jaxrod.viz import style
 
 _COLUMNS = ("env_steps", "wall_s", "episode_return_mean")
 RETURN = "episode return"
 REWARD = "mean reward of an action (no episode has ended)"
 _GROUP_COLOURS = {
-    "PPO": "#2563c9",
-    "TRPO": "#b45309",
-    "SAC": "#15803d",
-    "TD3": "#a21caf",
-    "DDPG": "#5a6676",
+    "PPO": style.BLUE,
+    "TRPO": style.ORANGE,
+    "SAC": style.GREEN,
+    "TD3": style.PURPLE,
+    "DDPG": style.GREY,
 }
-"""Colours of curves by name of their group; other groups get matplotlib's colours."""
-_RUN_COLOUR, _REFERENCE_COLOUR, _QUIET = "#2563c9", "#b45309", "#5a6676"
+"""Colours of curves by name of their group; other groups get those of the style."""
+_RUN_COLOUR, _REFERENCE_COLOUR, _QUIET = style.BLUE, style.ORANGE, style.QUIET
 
 FilePath = str | os.PathLike[str]
 
@@ -132,8 +133,6 @@ def grid_curves(
         ValueError: A file lacks the columns or has no finished episode.
     """
     need_matplotlib()
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.figure import Figure
     from matplotlib.ticker import (
         EngFormatter,
         LogLocator,
@@ -141,17 +140,15 @@ def grid_curves(
         StrMethodFormatter,
     )
 
-    figure = Figure(figsize=(11, 4.8), dpi=130, layout="constrained")
-    FigureCanvasAgg(figure)
-    steps_axes, clock_axes = np.ravel(
-        np.asarray(figure.subplots(1, 2, sharey=True), dtype=object)
-    )
+    figure, ((steps_axes, clock_axes),) = style.charts(11, 4.8, columns=2)
+    clock_axes.sharey(steps_axes)
+    clock_axes.tick_params(labelleft=False)
     runs = {
         name: [read_curve(Path(f)) for f in files] for name, files in curves.items()
     }
     last = max(run.steps[-1] for some in runs.values() for run in some)
     for k, (name, some) in enumerate(runs.items()):
-        colour = _GROUP_COLOURS.get(name, f"C{k % 10}")
+        colour = _GROUP_COLOURS.get(name, style.COLOURS[k % len(style.COLOURS)])
         steps = common_steps(some)
         values = np.array([np.interp(steps, r.steps, r.returns) for r in some])
         wall = np.mean([np.interp(steps, r.steps, r.wall) for r in some], axis=0)
@@ -181,9 +178,6 @@ def grid_curves(
     clock_axes.xaxis.set_major_formatter(StrMethodFormatter("{x:g}"))
     clock_axes.xaxis.set_minor_formatter(NullFormatter())
     clock_axes.set_xlabel("wall-clock time [h]")
-    for axes in (steps_axes, clock_axes):
-        axes.grid(color="#d5dbe4", linewidth=0.6)
-        axes.spines[["top", "right"]].set_visible(False)
     steps_axes.legend(loc="best", frameon=True, edgecolor="none", fontsize=8)
     if title:
         figure.suptitle(title, fontsize=12, fontweight="bold")
@@ -233,13 +227,9 @@ def _draw(
     runs: list[Curve], reference: ReferenceScore | None, title: str, label: str
 ) -> bytes:
     need_matplotlib()
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.figure import Figure
     from matplotlib.ticker import EngFormatter, FuncFormatter
 
-    figure = Figure(figsize=(8, 4.8), dpi=130, layout="constrained")
-    FigureCanvasAgg(figure)
-    axes: Any = figure.add_subplot()
+    figure, ((axes,),) = style.charts(8, 4.8)
     last_step = max(run.steps[-1] for run in runs)
 
     if reference is not None:
@@ -276,9 +266,6 @@ def _draw(
     axes.yaxis.set_major_formatter(
         FuncFormatter(lambda y, _: _shown(runs, y).replace("-", "−"))
     )
-    axes.grid(color="#d5dbe4", linewidth=0.6)
-    axes.spines[["top", "right"]].set_visible(False)
-    axes.tick_params(colors=_QUIET, labelcolor="black")
     axes.legend(loc="best", frameon=True, framealpha=0.9, edgecolor="none", fontsize=9)
     _clock(axes, runs, last_step)
     if title:

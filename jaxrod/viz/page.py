@@ -67,14 +67,24 @@ def html(
     """
     header, data = encode(replay.thinned(frames_per_second))
     header["autoplay"] = bool(autoplay)
+    return page_of(json.dumps(header), base64.b64encode(data).decode("ascii"))
+
+
+def page_of(header: str, data: str) -> str:
+    """Returns the page that plays a recording.
+
+    Args:
+        header: The header of `encode` as JSON, with `autoplay`.
+        data: The bytes of `encode` in base64.
+    """
     program = "\n".join(_asset(f"{name}.js") for name in _SCRIPTS)
     parts = {
-        "TITLE": markup.escape(replay.title or "Rod replay"),
+        "TITLE": markup.escape(json.loads(header)["title"] or "Rod replay"),
         "STYLE": _asset("page.css"),
         # "</script" would end the surrounding element, and "<!--<script" would hide its
         # end.
-        "HEADER": json.dumps(header).replace("<", "\\u003c"),
-        "DATA": base64.b64encode(data).decode("ascii"),
+        "HEADER": header.replace("<", "\\u003c"),
+        "DATA": data,
         "PROGRAM": f'(() => {{\n"use strict";\n{program}\n}})();',
     }
     return re.sub(r"%%([A-Z]+)%%", lambda m: parts[m[1]], _asset("page.html"))

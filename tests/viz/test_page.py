@@ -90,6 +90,21 @@ def test_the_page_asks_for_nothing_from_outside():
     assert "%%" not in page
 
 
+def test_words_of_the_user_wrap_and_are_never_cut():
+    style = re.search(r"<style>(.*?)</style>", html(swinging_arm(num_frames=5)), re.S)[
+        1
+    ]
+    rules = re.findall(r"([^{}/]+)\{([^{}]*)\}", style)
+    for place in ("h1", "#legend li", "#readouts dt"):
+        applied = " ".join(
+            body for names, body in rules if place in map(str.strip, names.split(","))
+        )
+        assert "overflow-wrap: anywhere" in applied
+        assert not re.search(r"ellipsis|nowrap|overflow: hidden", applied)
+    # A column of a grid is else as wide as its longest word.
+    assert "grid-template-columns: minmax(0, 1fr) auto" in style
+
+
 def test_text_from_the_user_cannot_break_the_page():
     # After "<!--<script" the page's own "</script>" would not end the element.
     hostile = "<!--<script></script><script>%%DATA%%&\"'"

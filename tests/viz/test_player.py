@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import dataclasses
+
 import numpy as np
 import pytest
 
@@ -113,7 +115,7 @@ def test_axes_are_labelled_in_metres_and_time_in_seconds(opened):
         "[...document.querySelectorAll('#labels span:not([hidden])')]"
         ".map(s => s.textContent)"
     )
-    assert {"x [m]", "y [m]", "z [m]", "1.0"} <= set(labels)
+    assert {"x [m]", "y [m]", "z [m]", "0.8"} <= set(labels)
     assert opened.run("document.querySelector('#clock').innerText").endswith(" s")
 
 
@@ -165,6 +167,41 @@ def test_the_page_follows_colour_scheme_and_size(browser, page, size, dark):
         " || e.getBoundingClientRect().left < 0)).length"
     )
     assert overflow == 0
+
+
+@pytest.mark.parametrize("size", [DESKTOP, PHONE], ids=["desktop", "phone"])
+def test_long_names_are_shown_whole(browser, tmp_path, size):
+    name = "a_name_" * 9
+    replay = swinging_arm(num_frames=5)
+    rods = tuple(dataclasses.replace(rods, name=name) for rods in replay.rods)
+    numbers = {"distance to target [m]": np.ones(5), name: np.full(5, 1e-9)}
+    replay = dataclasses.replace(replay, title=name, rods=rods, readouts=numbers)
+    save_html(replay, tmp_path / "page.html")
+    browser.look(**size, dark=False)
+    browser.open((tmp_path / "page.html").as_uri())
+    assert (
+        browser.run(
+            "[...document.querySelectorAll('h1, #legend li, #readouts dt')]"
+            ".filter(e => e.scrollWidth > e.clientWidth + 1 || "
+            "e.getBoundingClientRect().right > innerWidth).map(e => e.textContent)"
+        )
+        == []
+    )
+
+
+def test_a_page_scrolls_over_a_player_until_it_is_clicked(browser, page):
+    browser.look(**DESKTOP, dark=False)
+    browser.open(page)
+    zooms = (
+        "(() => { const e = new WheelEvent('wheel', {deltaY: 9, cancelable: true});"
+        "document.querySelector('#view').dispatchEvent(e); "
+        "return e.defaultPrevented })()"
+    )
+    assert browser.run(zooms)
+    inside = f"Object.defineProperty(window, 'parent', {{value: {{}}}}); {zooms}"
+    assert not browser.run(inside)
+    browser.run("document.querySelector('#view').focus()")
+    assert browser.run(zooms)
 
 
 def test_it_starts_by_itself_unless_the_reader_wants_stillness(browser, page):

@@ -172,6 +172,8 @@ class Camera {
     canvas.addEventListener("contextmenu", (event) => event.preventDefault());
     canvas.addEventListener("dblclick", () => this.fit());
     canvas.addEventListener("wheel", (event) => {
+      // As a part of a page, it leaves the wheel to the page until it is clicked.
+      if (window.parent !== window && document.activeElement !== canvas) return;
       event.preventDefault();
       const pixels = event.deltaY * (event.deltaMode === 1 ? 16 : 1);
       this.zoom(Math.exp(clamp(pixels, -200, 200) * 0.0015));

@@ -2,6 +2,8 @@
 
 const $ = (id) => document.getElementById(id);
 const TRAIL_NODES = 40;
+// Long names may break after an underscore: a space of no width says so.
+const breakable = (name) => name.replaceAll("_", "_\u200b");
 
 class Player {
   constructor(recording) {
@@ -204,7 +206,7 @@ class Player {
 
   writeLegend() {
     const { rodLegend, otherLegend, ramp, title } = this.recording;
-    $("title").textContent = title;
+    $("title").textContent = breakable(title);
     const colours = `linear-gradient(90deg, ${ramp})`;
     const entries = [...rodLegend, ...otherLegend];
     const named = (words) => entries.splice(0, rodLegend.length, [colours, words, "ramp"]);
@@ -219,7 +221,7 @@ class Player {
       const swatch = item.appendChild(document.createElement("i"));
       swatch.style.background = fill;
       if (kind) swatch.className = kind;
-      item.append(text);
+      item.append(breakable(text));
       return item;
     }));
     const shown = entries.map(([, text]) => text).join(", ");
@@ -235,7 +237,7 @@ class Player {
       sides: narrow ? 34 : 60,
     };
     this.camera.refit();
-    this.axes.reserved = [heading, $("presets"), $("controls")].map((element) => {
+    this.axes.reserved = [...heading.children, $("presets"), $("controls")].map((element) => {
       const { left, top, width, height } = element.getBoundingClientRect();
       return [left + width / 2, top + height / 2, width / 2, height / 2];
     });

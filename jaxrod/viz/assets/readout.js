@@ -3,7 +3,7 @@ class Readout {
   constructor({ name, values }, { times, duration }) {
     this.values = values;
     const title = $("readouts").appendChild(document.createElement("dt"));
-    title.textContent = name;
+    title.textContent = breakable(name);
     title.title = name;
     this.number = $("readouts").appendChild(document.createElement("dd"));
     const chart = $("readouts").appendChild(document.createElement("dd"));
