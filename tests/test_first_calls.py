@@ -90,9 +90,10 @@ def test_runs_and_their_derivatives_trace_a_step_once():
     def tip(dt, n):
         return jaxrod.advance(scene, state, dt, n).tip[0]
 
+    Counted.traces.clear()
     jax.make_jaxpr(tip)(1e-4, jnp.int32(5))
     before = len(Counted.traces)
-    assert before > 0
+    assert before == 1  # 2 if the last step of a run is a program of its own
     jax.make_jaxpr(lambda dt: tip(dt, 5))(1e-4)
     jax.make_jaxpr(jax.grad(lambda dt: tip(dt, 7)))(1e-4)
     jax.make_jaxpr(jax.vmap(lambda dt: tip(dt, 7)))(jnp.full(3, 1e-4))

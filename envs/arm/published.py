@@ -26,6 +26,7 @@ from jaxrod.geometry import vectors
 from jaxrod.methods.planar import Planar
 from jaxrod.methods.planar_verlet import PlaneName
 from jaxrod.methods.pyelastica import PyElastica
+from jaxrod.methods.strides import Strides, drift_time
 from jaxrod.stepping.loops import integrated
 from jaxrod.structure import pytree
 
@@ -86,7 +87,7 @@ class PublishedArm:
             return state, muscles, ~jnp.all(jnp.isfinite(state.positions))
 
         driven = _DrivenArm(self, stepper, controls)
-        state, muscles = integrated(driven, (state, muscles), n_steps - 1)
+        state, muscles = integrated(driven, (state, muscles), n_steps)
         return state, muscles, ~jnp.all(jnp.isfinite(state.positions))
 
     def scene(self, couples: Float[Array, "3 n"] | None = None) -> Scene:
@@ -105,7 +106,7 @@ class PublishedArm:
 
 
 @pytree
-class _DrivenArm:
+class _DrivenArm(Strides):
     """Stepper of an arm whose muscles change at every step (position Verlet).
 
     A step is half a drift, a kick and half a drift. A cycle joins the two half drifts:
@@ -126,32 +127,27 @@ class _DrivenArm:
         state, muscles = given
         return self.stepper.begin(state), muscles, jnp.ones((), bool)
 
-    def cycle(self, carry: tuple[Any, Muscles, Array]) -> tuple[Any, Muscles, Array]:
+    def stride(
+        self, carry: tuple[Any, Muscles, Array], last: bool | Bool[Array, ""]
+    ) -> tuple[Any, Muscles, Array]:
         """Updates the muscles, kicks, and drifts one time step to the next kick.
 
-        `carry` is the result of `begin` or of the previous cycle; the result has the
-        same form.
+        The last drift is half as long. `carry` is the result of `begin` or of the
+        previous stride; the result has the same form.
         """
-        kicked, muscles = self._kicked(carry)
-        moved = self.stepper.drift(kicked, self.stepper.dt)
-        return moved, muscles, jnp.zeros((), bool)
-
-    def end(self, carry: tuple[Any, Muscles, Array]) -> tuple[RodState, Muscles]:
-        """Updates the muscles, kicks, and drifts half a time step to the end.
-
-        `carry` is the result of the last cycle; returns the states of arm and muscles.
-        """
-        kicked, muscles = self._kicked(carry)
-        moved = self.stepper.drift(kicked, 0.5 * self.stepper.dt)
-        return self.stepper.leave(moved), muscles
-
-    def _kicked(self, carry: tuple[Any, Muscles, Array]) -> tuple[Any, Muscles]:
         motion, muscles, renewed = carry
         muscles = contract(
             muscles, self.controls, motion.lengths, renewed, self.arm.muscles
         )
         driven = replace(self.stepper, scene=self.arm.scene(muscles.couples))
-        return driven.kick(motion), muscles
+        time = drift_time(self.stepper.dt, last)
+        moved = self.stepper.drift(driven.kick(motion), time)
+        return moved, muscles, jnp.zeros((), bool)
+
+    def finished(self, carry: tuple[Any, Muscles, Array]) -> tuple[RodState, Muscles]:
+        """States of arm and muscles at the end of the last step."""
+        motion, muscles, _ = carry
+        return self.stepper.leave(motion), muscles
 
 
 def published_arm(

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Float
 
 from jaxrod.effects.base import Effect, Reaction, StabilityBound
@@ -40,7 +41,7 @@ from jaxrod.rods.elasticity import joint_couples, turned_joint
 from jaxrod.rods.motion import Loads, Motion
 from jaxrod.rods.rod import Rod, RodState, check_one
 from jaxrod.structure import pytree, static
-from jaxrod.validation import check_kind
+from jaxrod.validation import check_kind, is_traced
 
 _LARGEST_ANGLE = 2.5
 """Angle above which a wall joint counts as folded, as in `HealthLimits` [rad]."""
@@ -300,7 +301,14 @@ def clamp(state: RodState, end: End = "base") -> Clamp:
     check_one(state)
     index = 0 if check_end(end) == "base" else -1
     count = state.orientations.shape[1]
-    return Clamp(state.orientations[:, index], end, state.positions[:, index], count)
+    frame, place = (_entry(a, index) for a in (state.orientations, state.positions))
+    return Clamp(frame, end, place, count)
+
+
+def _entry(array: Array, index: int) -> Array:
+    """Last-axis entry of an array; a known one is read without a compiled program."""
+    known = array if is_traced(array) else np.asarray(array)
+    return jnp.asarray(known[:, index])
 
 
 def fixed_end(state: RodState, end: End = "base") -> FixedEnd:

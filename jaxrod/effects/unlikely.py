@@ -39,12 +39,13 @@ def warn_of_weight(rod: Rod, acceleration: Array) -> None:
         rod: The rod.
         acceleration: Gravitational acceleration `(3,)` [m/s^2].
     """
-    masses, stretching = rod.element_masses, rod.shear_stretch_stiffness
-    known = not is_traced(masses, stretching, acceleration)
-    if not known or rod.batch_shape:
+    lines, lengths = rod.linear_density, rod.rest_lengths
+    stretching = rod.shear_stretch_stiffness
+    if is_traced(lines, lengths, stretching, acceleration) or rod.batch_shape:
         return
     g = np.asarray(acceleration, np.float64)
-    weight = float(np.sum(np.asarray(masses))) * float(np.sqrt(np.sum(g * g)))
+    mass = float(np.sum(np.asarray(lines) * np.asarray(lengths)))
+    weight = mass * float(np.sqrt(np.sum(g * g)))
     stiffness = float(np.min(np.asarray(stretching)[2]))
     if weight > MOST_STRETCH * stiffness:
         _warn(

@@ -5,11 +5,12 @@ A kick changes rates by loads and damping over one step.
 
 from __future__ import annotations
 
-from abc import ABC, abstractmethod
+from abc import abstractmethod
 from dataclasses import replace
-from typing import Any, ClassVar
+from typing import Any
 
-from jaxtyping import Array, Int
+import jax.numpy as jnp
+from jaxtyping import Array, ArrayLike, Bool, Int
 
 from jaxrod.loaded_rod import (
     LoadedRod,
@@ -19,6 +20,7 @@ from jaxrod.loaded_rod import (
     remembering,
     scene_at,
 )
+from jaxrod.methods.strides import Strides, drift_time
 from jaxrod.rods.drag import mean_decay
 from jaxrod.rods.motion import Loads, Motion
 from jaxrod.rods.rod import RodState
@@ -64,14 +66,13 @@ class Kick:
 
 
 @pytree
-class Verlet(ABC):
+class Verlet(Strides):
     """Position Verlet, with the drift and kick that a subclass defines.
 
     A cycle goes from the middle of one step, where its kick acts, to the middle of
     the next.
     """
 
-    steps_of_end: ClassVar[int] = 1
     scene: LoadedRod
     """Scene that is stepped."""
     dt: Array
@@ -124,13 +125,13 @@ class Verlet(ABC):
         """Motion after half a drift, in the middle of the first step."""
         return self.drift(self.enter(state), 0.5 * self.dt)
 
-    def cycle(self, motion: Any) -> Any:
-        """Advances from the middle of a step to the middle of the next."""
-        return self.drift(self.kick(motion), self.dt)
+    def stride(self, motion: Any, last: bool | Bool[Array, ""]) -> Any:
+        """Motion after a kick and a drift, which is half as long in the last step."""
+        return self.drift(self.kick(motion), drift_time(self.dt, last))
 
-    def end(self, motion: Any) -> RodState:
-        """Final state: the last kick, then half a drift, from the middle of a step."""
-        return self.leave(self.drift(self.kick(motion), 0.5 * self.dt))
+    def finished(self, motion: Any) -> RodState:
+        """Final state, from the motion at the end of the last step."""
+        return self.leave(motion)
 
     def evolving(self, scene: LoadedRod, first: Array) -> EvolvingVerlet:
         """Stepper for a scene with schedules or memory, from step number `first` on."""
@@ -138,14 +139,13 @@ class Verlet(ABC):
 
 
 @pytree
-class EvolvingVerlet:
+class EvolvingVerlet(Strides):
     """Position Verlet of a scene that depends on time or has memory.
 
     Loads and prescribed rates are evaluated in the middle of a step, where the kick
     acts. Positions of driven supports are evaluated at the end of a drift.
     """
 
-    steps_of_end: ClassVar[int] = 1
     verlet: Verlet
     """Stepper of the scene in its initial form, whose `scene` is replaced in each
     step."""
@@ -159,16 +159,21 @@ class EvolvingVerlet:
         now = Now(self.first, memory_in(self.scene, state))
         return self._at(now, 0.5).begin(state), now
 
-    def cycle(self, carry: tuple[Any, Now]) -> tuple[Any, Now]:
-        """Advances motion, step number and memory to the middle of the next step."""
-        kicked, now = self._kick(carry)
-        return self._at(now, 0.5).drift(kicked, self.verlet.dt), now
+    def stride(
+        self, carry: tuple[Any, Now], last: bool | Bool[Array, ""]
+    ) -> tuple[Any, Now]:
+        """Motion, step number and memory in the middle of the next step.
 
-    def end(self, carry: tuple[Any, Now]) -> RodState:
-        """Final state, with the memory, from the middle of the last step."""
+        After the last step they are those of its end.
+        """
         kicked, now = self._kick(carry)
+        there = self._at(now, jnp.where(last, 0.0, 0.5))
+        return there.drift(kicked, drift_time(self.verlet.dt, last)), now
+
+    def finished(self, carry: tuple[Any, Now]) -> RodState:
+        """Final state, with the memory."""
+        moved, now = carry
         last = self._at(now, 0.0)
-        moved = last.drift(kicked, 0.5 * self.verlet.dt)
         if self.scene.depends_on_time:
             # Driven supports get their current rates, not those of half a step ago.
             moved = last.constrain_rates(moved)
@@ -183,7 +188,7 @@ class EvolvingVerlet:
         seen = present.view(kicked)
         return kicked, remembering(present.scene, seen, self.verlet.dt, now)
 
-    def _at(self, now: Now, fraction: float) -> Verlet:
+    def _at(self, now: Now, fraction: ArrayLike) -> Verlet:
         """Stepper whose scene is at the time `(now.step + fraction) * dt`."""
         scene = scene_at(self.scene, now, fraction, self.verlet.dt)
         return replace(self.verlet, scene=scene)

@@ -8,6 +8,7 @@ are one number or one per element. Shear factors are those of Kaneko and of Hutc
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
@@ -279,12 +280,14 @@ def rod_of_section(
     else:
         shear = per_element("shear_modulus", shear_modulus, "Pa")
 
-    def check(formula: str, value: Any, unit: str) -> None:
-        if not is_traced(value):
-            check_held(formula, np.asarray(value), unit, dtype, each=True)
+    def check(formula: str, unit: str, value: Callable[..., Any], *given: Any) -> None:
+        # If something is traced, each operation would be a program to compile.
+        if not is_traced(given):
+            held = np.asarray(value(*given))
+            check_held(formula, held, unit, dtype, each=True)
 
     def leaf(formula: str, value: Any, unit: str) -> Any:
-        check(formula, value, unit)
+        check(formula, unit, np.asarray, value)
         # Known numbers are converted without a program, which would be compiled.
         arrays = jnp if is_traced(value) else np
         return arrays.broadcast_to(arrays.asarray(value, dtype), (n,))
@@ -295,27 +298,32 @@ def rod_of_section(
     area, moments = section.area, section.second_moments
     axes = 1 if section.is_round else 2
     with np.errstate(all="ignore"):
-        line, squared = densities * area, rest_lengths**2
+        line = densities * area
         twisting = shear * section.torsion_constant
         # Checked because every step computes them, though they are not stored: squares
         # of lengths, masses and inertias of elements, stiffnesses of joints, squares of
         # frequencies.
-        check("element length^2", squared, "m^2")
-        check(f"density {words.area} element length", line * rest_lengths, "kg")
-        for formula, moment in zip(words.moments[:axes], moments, strict=False):
-            inertia, bending = densities * moment, young * moment
-            check(f"density {formula} element length", inertia * rest_lengths, "kg m^2")
+        h, rho = rest_lengths, densities
+        check("element length^2", "m^2", lambda h: h**2, h)
+        named = f"density {words.area} element length"
+        check(named, "kg", lambda m, h: m * h, line, h)
+        for formula, i in zip(words.moments[:axes], moments, strict=False):
+            named = f"density {formula} element length"
+            check(named, "kg m^2", lambda rho, i, h: rho * i * h, rho, i, h)
             bends = f"youngs_modulus {formula}"
-            check(f"{bends} / element length", bending / rest_lengths, "N m")
-            check(f"{bends} element length", bending * rest_lengths, "N m^3")
-            rate = shear / densities * (area / moment)
+            named = f"{bends} / element length"
+            check(named, "N m", lambda e, i, h: e * i / h, young, i, h)
+            named = f"{bends} element length"
+            check(named, "N m^3", lambda e, i, h: e * i * h, young, i, h)
+            rate = lambda g, rho, a, i: g / rho * (a / i)
             named = f"shear_modulus / density {words.area} / ({formula})"
-            check(named, rate, "1/s^2")
+            check(named, "1/s^2", rate, shear, rho, area, i)
         twists = f"shear_modulus {words.torsion}"
-        check(f"{twists} / element length", twisting / rest_lengths, "N m")
-        check(f"{twists} element length", twisting * rest_lengths, "N m^3")
-        stretch = young / densities / squared
-        check("youngs_modulus / density / element length^2", stretch, "1/s^2")
+        check(f"{twists} / element length", "N m", lambda c, h: c / h, twisting, h)
+        check(f"{twists} element length", "N m^3", lambda c, h: c * h, twisting, h)
+        stretch = lambda e, rho, h: e / rho / h**2
+        named = "youngs_modulus / density / element length^2"
+        check(named, "1/s^2", stretch, young, rho, h)
         polar = densities * (moments[0] + moments[1])
         return Rod(
             rest_lengths=jnp.asarray(leaf("element length", rest_lengths, "m")),

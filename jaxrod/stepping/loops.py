@@ -123,49 +123,57 @@ def _jvp(primals: Any, tangents: Any, *, body: _Body) -> Any:
 Carry = TypeVar("Carry")
 
 
-def integrated(integrator: Any, state: Any, n_cycles: int | Array) -> Any:
-    """Final state of a run: `begin`, then `n_cycles` times `cycle`, then `end`.
+def integrated(stepper: Any, state: Any, n_steps: int | Array) -> Any:
+    """Final state of a run of a stepper, see `jaxrod.model.Stepper`.
 
     Args:
-        integrator: A pytree with methods `begin`, `cycle` and `end`. If its attribute
-            `one_by_one` is true, batches on a CPU run one by one. It then also has a
-            method `searched`, which returns an integrator for the next `every` cycles.
+        stepper: A stepper. If its attribute `one_by_one` is true, batches on a CPU run
+            one by one. It then also has a method `searched`, which returns a stepper
+            for the next `every` steps.
         state: Initial state.
-        n_cycles: Number of cycles; an `int` for reverse-mode differentiation.
+        n_steps: Number of steps, at least 1; an `int` for reverse-mode differentiation.
     """
-    if getattr(integrator, "one_by_one", False):
-        if isinstance(n_cycles, int):
-            whole = lambda own, state: _in_blocks(own, state, n_cycles)
-            return one_by_one(whole, integrator, state)
-        return one_by_one(_in_blocks, integrator, state, n_cycles)
-    by_lanes = try_lanes(integrator, state, n_cycles)
+    count = getattr(stepper, "counted", None)
+    if count is None:
+        return _run(stepper, state, n_steps - stepper.steps_of_end)
+    counted = count(n_steps)
+    if not getattr(stepper, "one_by_one", False):
+        return _run(counted, state, n_steps)
+    if isinstance(n_steps, int):
+        whole = lambda own, state: _in_blocks(own, state, n_steps)
+        return one_by_one(whole, counted, state)
+    return one_by_one(_in_blocks, counted, state, n_steps)
+
+
+def _run(stepper: Any, state: Any, n_cycles: int | Array) -> Any:
+    """Final state of a run: `begin`, then `n_cycles` times `cycle`, then `end`."""
+    by_lanes = try_lanes(stepper, state, n_cycles)
     if by_lanes is not None:
         return by_lanes
-    return integrator.end(_looped(integrator, integrator.begin(state), n_cycles))
+    return stepper.end(_looped(stepper, stepper.begin(state), n_cycles))
 
 
-def _in_blocks(integrator: Any, state: Any, n_cycles: int | Array) -> Any:
-    """Final state of a run in blocks of cycles, each after a search.
+def _in_blocks(counted: Any, state: Any, n_steps: int | Array) -> Any:
+    """Final state of a run in blocks of steps, each after a search.
 
     What the search found does not change in a block, so it is no part of the carry.
     """
-    every = integrator.every
+    every = counted.stepper.every
 
     def block(carry: Any, length: int | Array) -> Any:
-        steps = integrator.searched(carry)
+        steps = counted.searched(carry)
         made = try_cycles(steps, carry, length)
-        return steps, _looped(steps, carry, length) if made is None else made
+        return _looped(steps, carry, length) if made is None else made
 
-    carry = integrator.begin(state)
-    # The last block is shorter than the others, and may be empty.
-    if isinstance(n_cycles, int):
-        blocks, rest = divmod(n_cycles, every)
-        carry = repeat(lambda carry: block(carry, every)[1], carry, blocks)
+    carry = counted.begin(state)
+    # The last block may be shorter than the others, and has at least one step.
+    if isinstance(n_steps, int):
+        blocks, rest = divmod(n_steps - 1, every)
+        carry = repeat(lambda carry: block(carry, every), carry, blocks)
     else:
-        blocks, rest = jnp.divmod(jnp.maximum(n_cycles, 0), every)
-        carry = repeat_traced(lambda carry: block(carry, every)[1], carry, blocks)
-    steps, carry = block(carry, rest)
-    return by_kernel(steps, "end", carry)
+        blocks, rest = jnp.divmod(jnp.maximum(n_steps - 1, 0), every)
+        carry = repeat_traced(lambda carry: block(carry, every), carry, blocks)
+    return by_kernel(counted, "end", block(carry, rest + 1))
 
 
 def _looped(integrator: Any, carry: Any, n_cycles: int | Array) -> Any:

@@ -324,8 +324,8 @@ def _run(
     scene: Model, state: Any, dt: Array, n_steps: int | Array, first: Array | None
 ) -> Any:
     """State after `n_steps` steps, at least one, from step number `first` on."""
-    integrator = scene.run_stepper(state, dt, first)
-    return integrated(integrator, state, n_steps - integrator.steps_of_end)
+    stepper = scene.run_stepper(state, dt, first)
+    return integrated(stepper, state, n_steps)
 
 
 # Within another jit these change nothing. Under other transformations without jit they

@@ -8,7 +8,8 @@ import pytest
 from jaxrod.lanes.choice import lane_choices, use_lanes
 from jaxrod.lanes.primitives import cycles_p
 from jaxrod.lanes.rows import packing
-from jaxrod.lanes.rows.kernels import cycles_kernel
+from jaxrod.lanes.rows.kernels import RowPlan, cycles_kernel, next_carry
+from jaxrod.lanes.rows.schedule import Schedule
 from jaxrod.lanes.run_spec import LoopBody, RunSpec
 
 TOLERANCES = {"float32": 3e-5, "float64": 1e-12}
@@ -135,6 +136,32 @@ def test_a_sum_that_depends_on_another_under_the_same_mask(dtype):
 
     given = [jnp.asarray(rng.normal(size=100), dtype) for _ in "bx"]
     compared(step, given, 1, dtype)
+
+
+@pytest.mark.parametrize("how", ["none", "all", "last", "some"])
+def test_a_sum_under_different_masks_is_packed_in_parts(how):
+    """Reverse passes of contact add up numbers under a mask for each guarded branch."""
+    rng = np.random.default_rng(3)
+    shape = (9, 16)
+    bounds = jnp.asarray(np.where(mask_of(how, shape, rng), 9.0, -9.0), "float64")
+
+    def step(bounds, x, y):
+        near, far = x * 0.1 < bounds, jnp.sin(y) < 0.3 * bounds
+        one = jnp.where(near, law(x, y, bounds), 0)
+        other = jnp.where(far, law(y, bounds, x), 0)
+        more = jnp.where(near, law(bounds, x, y), 0)
+        every = jnp.sum(one - (other - more))
+        along = jnp.sum(-(one + other) * y, axis=1, keepdims=True)
+        open_end = jnp.sum(one + other + x, axis=1, keepdims=True)
+        return [jnp.tanh(x + along / 9 + every / 99), jnp.cos(y + open_end / 9)]
+
+    given = [jnp.asarray(rng.normal(size=shape), "float64") for _ in "xy"]
+    compared(step, (bounds, *given), 1, "float64")
+    body = LoopBody(jax.make_jaxpr(step)(bounds, *given), 1)
+    plan = RowPlan(body, (False,))
+    schedule = Schedule(plan.graph, next_carry(plan), plan.ready, packs=True)
+    masks = {one.mask for one in schedule.packing.sums.values()}
+    assert len(masks) == 2  # without the parts there are none
 
 
 @pytest.mark.parametrize("dtype", ["float32", "float64"])

@@ -85,6 +85,8 @@ def spaced(count: int, lanes: int) -> int:
 class LanePlan(RowPlan):
     """A kernel with a scene in each lane, under construction: memory and functions."""
 
+    splits = False
+
     def __init__(self, body: LoopBody, batched: Sequence[bool], lanes: int) -> None:
         """Translates a step; the arguments are those of `RowPlan`.
 

@@ -21,6 +21,7 @@ from jaxrod.lanes.llvm.machine_code import vector_bytes
 from jaxrod.lanes.llvm.vector_code import BYTES, TYPES, literal
 from jaxrod.lanes.rows.arrays import Rows
 from jaxrod.lanes.rows.loop_code import RowWriter, fill_call, fill_text
+from jaxrod.lanes.rows.packing import Packing
 from jaxrod.lanes.rows.row_graph import Piece, RowGraph, row_major
 from jaxrod.lanes.rows.row_unroller import RowUnroller
 from jaxrod.lanes.rows.schedule import Goal, Place, Schedule, fills_of, hoisted
@@ -88,6 +89,9 @@ class RowPlan:
     packs = True
     """Whether sums under a mask may be computed at the entries alone where it is
     true."""
+    splits = True
+    """Whether a sum of numbers under different masks is computed in parts, so that each
+    can be packed."""
 
     def __init__(self, body: LoopBody, batched: Sequence[bool]) -> None:
         """Translates a step to a graph, and allocates its constants and carry.
@@ -100,6 +104,8 @@ class RowPlan:
         self.body = body
         self.graph = RowGraph()
         self.unroller = RowUnroller(self.graph)
+        if self.splits:
+            self.unroller.addends = Packing(self.graph, (), ()).addends
         avals = operand_types(body.closed)
         n = self.n_constants = body.n_constants
         self.constants, self.carry = avals[:n], avals[n:]

@@ -24,6 +24,8 @@ LEAST_WORK = 60
 packed, in additions."""
 LEAST_IN_ALL = 8000
 """Smallest work of all entries for which a loop is packed, in additions."""
+MOST_MASKS = 4
+"""Largest number of masks for which a sum is computed in parts."""
 _WORK = {"div": 8, "sqrt": 10, "rsqrt": 16, "view": 0, "iota": 0, "constant": 0}
 _ARITHMETIC = frozenset({"add", "sub", "mul", "min", "max", "neg", "select", "convert"})
 _ELEMENTARY = 20
@@ -177,6 +179,35 @@ class Packing:
             and graph.extras[mask] == ("or", (0,))
             and graph.arguments[mask] == (over,)
         )
+
+    def addends(self, node: int) -> list[int]:
+        """Returns a sum of numbers under different masks as its parts, one for each.
+
+        The parts add up to the node. If a part is under no mask, or if there are more
+        than a few masks, the node itself is returned: it has to be computed everywhere.
+        """
+        graph = self._graph
+        if math.prod(graph.dims[node]) * LEAST_WORK < LEAST_IN_ALL:
+            return [node]
+        parts: dict[int, int] = {}
+        stack = [(1, node)]
+        while stack:
+            sign, now = stack.pop()
+            mask = self._mask(now)
+            operation, given = graph.operations[now], graph.arguments[now]
+            if mask is None and operation in ("add", "sub"):
+                stack.append((sign, given[0]))
+                stack.append((-sign if operation == "sub" else sign, given[1]))
+            elif mask is None and operation == "neg":
+                stack.append((-sign, given[0]))
+            elif mask is None or graph.dims[now] != graph.dims[node]:
+                return [node]
+            else:
+                kind = graph.kinds[now]
+                one = now if sign == 1 else graph.add("neg", (now,), kind)
+                old = parts.get(mask)
+                parts[mask] = one if old is None else graph.add("add", (old, one), kind)
+        return list(parts.values()) if len(parts) <= MOST_MASKS else [node]
 
     def _mask(self, node: int) -> int | None:
         """Returns a mask outside of which a node's numbers are zero, or `None`."""

@@ -64,6 +64,9 @@ class RowUnroller(Unroller):
         super().__init__(graph)
         self.rules = ROW_RULES
         self.layout = Layout(graph)
+        self.addends: Callable[[int], list[int]] = lambda node: [node]
+        """Function that returns the nodes whose sums are computed one by one instead of
+        the sum of a node."""
 
     def as_array(self, result: Any) -> Any:
         """Returns the result of a rule unchanged, because it is a `Rows` already."""
@@ -278,7 +281,11 @@ def _reduced(
         if not along:
             return node
         if graph.dims[node]:
-            return graph.reduced(node, operation, along)
+            parts = unroller.addends(node) if operation == "add" else [node]
+            total, *rest = (graph.reduced(part, operation, along) for part in parts)
+            for part in rest:
+                total = graph.add("add", (total, part), kind)
+            return total
         if operation == "add":
             return graph.add("mul", (node, graph.constant(count, kind)), kind)
         if operation in ("mul", "xor"):

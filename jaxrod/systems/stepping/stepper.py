@@ -16,10 +16,11 @@ from typing import Any, ClassVar
 
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Int
+from jaxtyping import Array, ArrayLike, Bool, Int
 
 from jaxrod.effects.time import Clock, at_clock
 from jaxrod.lanes.steps import by_kernel
+from jaxrod.methods.strides import Strides, drift_time
 from jaxrod.model import Stepper
 from jaxrod.rods.motion import Loads, Motion, added
 from jaxrod.structure import pytree, static
@@ -45,10 +46,9 @@ Motions = dict[str, Motion]
 
 
 @pytree
-class SystemStepper:
+class SystemStepper(Strides):
     """Position Verlet of all members and their couplings, with constants of a run."""
 
-    steps_of_end: ClassVar[int] = 1
     members: Mapping[str, MemberStepper]
     """Steppers of the members, by name."""
     couplings: tuple[Coupling, ...]
@@ -99,13 +99,13 @@ class SystemStepper:
         """Loop carry in the middle of the first step, from the initial state."""
         return self.drift(self.enter(state), 0.5 * self.dt)
 
-    def cycle(self, motions: Motions) -> Motions:
-        """Loop carry in the middle of the next step: a kick, then a whole drift."""
-        return self.drift(self.kick(motions), self.dt)
+    def stride(self, motions: Motions, last: bool | Bool[Array, ""]) -> Motions:
+        """Motions after a kick and a drift, which is half as long in the last step."""
+        return self.drift(self.kick(motions), drift_time(self.dt, last))
 
-    def end(self, motions: Motions) -> dict[str, Any]:
-        """State at the end of the last step, from the carry in the middle of it."""
-        return self.leave(self.drift(self.kick(motions), 0.5 * self.dt))
+    def finished(self, motions: Motions) -> dict[str, Any]:
+        """State at the end of the last step."""
+        return self.leave(motions)
 
     def supported(self, motions: Motions) -> Motions:
         """Motions with the velocities that supports, ties and attachments impose.
@@ -169,14 +169,13 @@ class SystemNow:
 
 
 @pytree
-class EvolvingSystem:
+class EvolvingSystem(Strides):
     """Position Verlet of a system that depends on time or has memory.
 
     As for a scene, loads and rates are those of the middle of a step. Driven supports
     have their positions at the end of a drift.
     """
 
-    steps_of_end: ClassVar[int] = 1
     stepper: SystemStepper
     """The stepper of the system at the beginning of the run."""
     system: Assembly
@@ -199,16 +198,21 @@ class EvolvingSystem:
         now = SystemNow(self.first, memories)
         return self._at(now, 0.5).begin(state), now
 
-    def cycle(self, carry: tuple[Motions, SystemNow]) -> tuple[Motions, SystemNow]:
-        """Loop carry in the middle of the next step: a kick, then a whole drift."""
-        kicked, now = self._kick(carry)
-        return self._at(now, 0.5).drift(kicked, self.stepper.dt), now
+    def stride(
+        self, carry: tuple[Motions, SystemNow], last: bool | Bool[Array, ""]
+    ) -> tuple[Motions, SystemNow]:
+        """Motions, step number and memories in the middle of the next step.
 
-    def end(self, carry: tuple[Motions, SystemNow]) -> dict[str, Any]:
-        """State at the end of the last step, from the carry in the middle of it."""
+        After the last step they are those of its end.
+        """
         kicked, now = self._kick(carry)
+        there = self._at(now, jnp.where(last, 0.0, 0.5))
+        return there.drift(kicked, drift_time(self.stepper.dt, last)), now
+
+    def finished(self, carry: tuple[Motions, SystemNow]) -> dict[str, Any]:
+        """State at the end of the last step."""
+        moved, now = carry
         last = self._at(now, 0.0)
-        moved = last.drift(kicked, 0.5 * self.stepper.dt)
         if self.system.depends_on_time:
             moved = last.supported(moved)
         state = last.leave(moved)
@@ -228,7 +232,7 @@ class EvolvingSystem:
         }
         return kicked, SystemNow(now.step + 1, after)
 
-    def _at(self, now: SystemNow, fraction: float) -> SystemStepper:
+    def _at(self, now: SystemNow, fraction: ArrayLike) -> SystemStepper:
         """Stepper with schedules at `fraction` of a step after step `now.step`."""
         dt = self.stepper.dt
         clock = Clock(now.step, jnp.asarray(fraction, dt.dtype), dt)
@@ -241,7 +245,7 @@ class EvolvingSystem:
 
 
 @pytree
-class ListedSystem:
+class ListedSystem(Strides):
     """Steps of a system between two searches, whose lists are constants."""
 
     stepper: SystemStepper | EvolvingSystem
@@ -249,16 +253,18 @@ class ListedSystem:
     found: tuple[Any, ...]
     """Results of the last search of each coupling that searches."""
 
-    def cycle(self, carry: tuple[Any, NeighbourRecord]) -> tuple[Any, NeighbourRecord]:
-        """Motions in the middle of the next step, and the record of the lists."""
+    def stride(
+        self, carry: tuple[Any, NeighbourRecord], last: bool | Bool[Array, ""]
+    ) -> tuple[Any, NeighbourRecord]:
+        """Motions after a kick and a drift, and the record of the lists."""
         motions, record = carry
-        return self._with_lists().cycle(motions), self._recorded(motions, record)
+        moved = self._with_lists().stride(motions, last)
+        return moved, self._recorded(motions, record)
 
-    def end(self, carry: tuple[Any, NeighbourRecord]) -> dict[str, Any]:
+    def finished(self, carry: tuple[Any, NeighbourRecord]) -> dict[str, Any]:
         """State at the end of the last step, with the record of the lists."""
         motions, record = carry
-        state = self._with_lists().end(motions)
-        return {**state, RECORD: self._recorded(motions, record)}
+        return {**self.stepper.finished(motions), RECORD: record}
 
     def _recorded(self, motions: Any, record: NeighbourRecord) -> NeighbourRecord:
         """Updates the record with the lists and the motions; no derivatives."""
@@ -278,10 +284,9 @@ class ListedSystem:
 
 
 @pytree
-class ListingSystem:
+class ListingSystem(Strides):
     """Position Verlet of a system with neighbour lists."""
 
-    steps_of_end: ClassVar[int] = 1
     one_by_one: ClassVar[bool] = True
     """Whether the systems of a batch are stepped one after another, so that branches
     on the contents of lists stay branches."""
@@ -299,13 +304,16 @@ class ListingSystem:
         motions = jax.lax.stop_gradient(motions)
         return searched(self.stepper.couplings, self.stepper.seen(motions))
 
-    def cycle(self, carry: tuple[Any, NeighbourRecord]) -> Any:
-        """Motions in the middle of the next step, and the record, with new lists."""
-        return self.searched(carry).cycle(carry)
+    def stride(
+        self, carry: tuple[Any, NeighbourRecord], last: bool | Bool[Array, ""]
+    ) -> Any:
+        """Motions after a kick and a drift, and the record, with new lists."""
+        return self.searched(carry).stride(carry, last)
 
-    def end(self, carry: tuple[Any, NeighbourRecord]) -> dict[str, Any]:
-        """State at the end of the last step, and the record, with new lists."""
-        return self.searched(carry).end(carry)
+    def finished(self, carry: tuple[Any, NeighbourRecord]) -> dict[str, Any]:
+        """State at the end of the last step, with the record of the lists."""
+        motions, record = carry
+        return {**self.stepper.finished(motions), RECORD: record}
 
     def searched(self, carry: tuple[Any, NeighbourRecord]) -> ListedSystem:
         """Integrator of the steps until the next search, with new lists."""
