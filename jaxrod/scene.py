@@ -106,7 +106,10 @@ class Scene(LoadedRod, Model):
 
     def with_effect(self, effect: Effect) -> Scene:
         """The scene with one more effect."""
-        return replace(self, effects=(*self.effects, effect))
+        listed = (*self.effects, effect)
+        if effect.lacks_numbers:
+            listed = _with_numbers(self.rod, listed, self.method)
+        return replace(self, effects=listed)
 
     def check_state(self, state: Any) -> None:
         """Raises unless this is one scene, no batch, and a state fits its rod."""

@@ -57,7 +57,8 @@ def test_contact_at_most_halves_the_step_or_just_carries_the_weight(name, fricti
         assert share > 0.5 - 1e-6
 
 
-@pytest.mark.parametrize("law", ["rod_contact", "crossing_contact"])
+@pytest.mark.fast_sets(2)
+@pytest.mark.parametrize("law", ["crossing_contact", "rod_contact"])
 @pytest.mark.parametrize("name", ["slender", "soft"])
 def test_contact_between_rods_carries_a_rod(law, name):
     """Side by side by the line law, on one crossing by the other."""
@@ -103,6 +104,7 @@ def test_given_numbers_stay():
     assert math.isfinite(float(floor.stiffness))
 
 
+@pytest.mark.slow
 def test_numbers_are_traced():
     """Under `vmap` they are those of a loop, and have derivatives."""
 
@@ -129,3 +131,12 @@ def test_contact_that_no_scene_has_completed_has_no_force():
     rough = jaxrod.contact(jaxrod.shapes.plane(), friction=0.3)
     with pytest.raises(ValueError, match="needs a contact with a stiffness"):
         jaxrod.sticking_contact(rough, rod, rolling)
+
+
+def test_an_effect_that_is_added_later_gets_its_numbers():
+    floor = jaxrod.contact(jaxrod.shapes.plane())
+    rod, _ = lying(SLENDER)
+    whole = jaxrod.make_scene(rod, jaxrod.gravity(), floor)
+    later = jaxrod.make_scene(rod, jaxrod.gravity()).with_effect(floor)
+    for one, two in zip(jax.tree.leaves(whole), jax.tree.leaves(later), strict=True):
+        np.testing.assert_array_equal(one, two)
