@@ -353,7 +353,7 @@ def test_what_is_known_of_one_rod_alone_says_so(given):
     with pytest.raises(
         TypeError, match="got System: this is available for one rod only"
     ):
-        jaxrod.reactions(system, state)
+        jaxrod.highest_frequency(system, state)
 
 
 @jaxrod.extend.pytree
