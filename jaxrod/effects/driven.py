@@ -309,10 +309,13 @@ def driven(
     """
     check_kind("state", state, RodState)
     check_one(state)
-    index, last = node_of(state, end), state.positions.shape[-1] - 1
-    if end not in ("base", "tip") and index in (0, last):
-        end = "base" if index == 0 else "tip"
+    index, last = node_of(state, end, "end"), state.positions.shape[-1] - 1
     is_end = end in ("base", "tip")
+    if not is_end and index in (0, last):
+        raise ValueError(
+            f'end must be "base", "tip" or the number of an inner node, 1 to '
+            f"{last - 1}, got {end}"
+        )
     if not is_end and not free_to_turn:
         raise ValueError(
             f"node {index} is inside the rod, where no wall holds an element: give "

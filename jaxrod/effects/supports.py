@@ -47,8 +47,8 @@ def end_node(rod: Rod, end: End | int) -> int:
     return int(ends.get(end, end))
 
 
-def node_of(state: RodState, node: End | int) -> int:
-    """Index of a node of a state, from an end or a number.
+def node_of(state: RodState, node: End | int, name: str = "node") -> int:
+    """Index of a node of a state, from an end or a number; messages call it `name`.
 
     Raises:
         ValueError: If there is no such node.
@@ -57,9 +57,9 @@ def node_of(state: RodState, node: End | int) -> int:
     if isinstance(node, str):
         return 0 if check_end(node) == "base" else nodes - 1
     if isinstance(node, bool) or not isinstance(node, int | np.integer):
-        raise ValueError(f'node must be "base", "tip" or a number, got {node!r}')
+        raise ValueError(f'{name} must be "base", "tip" or a number, got {node!r}')
     if not 0 <= node < nodes:
-        raise ValueError(f"node must be from 0 to {nodes - 1}, got {node}")
+        raise ValueError(f"{name} must be from 0 to {nodes - 1}, got {node}")
     return int(node)
 
 

@@ -102,9 +102,10 @@ def test_a_gripped_inner_node_moves_and_bears_the_rod():
         rod, jaxrod.resample(jaxrod.make_scene(rod), state, 3 * n)[0].rod
     )
     assert finer.end == 3 * node
-    # An end by its number is that end, which a wall may hold.
-    assert jaxrod.driven(state, n).end == "tip"
-    with pytest.raises(ValueError, match="node must be from 0"):
+    for end in (0, n):
+        with pytest.raises(ValueError, match="the number of an inner node, 1 to"):
+            jaxrod.driven(state, end, free_to_turn=True)
+    with pytest.raises(ValueError, match="end must be from 0"):
         jaxrod.driven(state, n + 1, free_to_turn=True)
     with pytest.raises(ValueError, match="free_to_turn=True"):
         jaxrod.driven(state, node)
