@@ -12,7 +12,7 @@ from benchmarks.c_programs.scenes import SCENES, rods
 STEPS = 34
 """Steps with two searches for neighbours where lists are rebuilt every 32."""
 COMPARED = {"rod": rods(20), **SCENES}
-SLOW = ("rod", "crossing", "coil", "plectoneme")
+SLOW = ("line", "rod", "crossing", "coil", "plectoneme")
 
 
 @pytest.fixture(scope="module")

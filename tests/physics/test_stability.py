@@ -373,6 +373,7 @@ def test_the_highest_frequency_is_that_of_the_tangent_stiffness(record):
     )
 
 
+@pytest.mark.slow
 def test_the_fastest_vibration_is_an_eigenvector():
     n = 3
     rod, state = random_rod(2, n)

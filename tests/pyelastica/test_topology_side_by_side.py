@@ -31,7 +31,7 @@ def test_writhe(ribbon, ends):
     np.testing.assert_allclose(ours, theirs, atol=1e-13)
 
 
-@pytest.mark.fast_sets(2)
+@pytest.mark.fast_sets(1)
 @pytest.mark.parametrize("ends", ["next_tangent", "end_to_end", "net_tangent"])
 def test_link(ribbon, ends):
     """Their arcsines lose half of the digits where elements are close."""
