@@ -219,7 +219,7 @@ def compared(what: str, seed: int, draw: int, programs: Any, *, slopes: bool) ->
 
 
 def numbers(model: Any, state: Any, dt: float, programs: Any, *, slopes: bool) -> Any:
-    """What rows and XLA are apart after a run; empty if the state is not finite."""
+    """Differences of rows and XLA after a run; empty if the state is not finite."""
     model, state, dt = jax.tree.map(jnp.asarray, (model, state, dt))
     rows, xla = programs
     found = rows.state(model, state, dt)
@@ -263,7 +263,7 @@ def read(record: Path) -> list[dict[str, Any]]:
 
 
 def summary(lines: list[dict[str, Any]]) -> list[str]:
-    """What a record says, as lines of a table."""
+    """Lines of a table, from a record."""
     out = ["| | scenes | systems |", "|---|---:|---:|"]
     parts = [[x for x in lines if x["what"] == what] for what in STRUCTURES]
     whole = [[x for x in part if "apart" in x] for part in parts]

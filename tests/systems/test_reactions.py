@@ -138,7 +138,7 @@ def momenta(system, state):
 
 @pytest.mark.slow
 def test_loads_of_couplings_are_the_rates_of_momentum_of_each_member():
-    """Of rods welded and tied, of a body that carries a node, of a hinged ball."""
+    """Rods welded and tied, a body that carries a node, a hinged ball."""
     system, state = free_system()
     state = jaxrod.advance(system, state, jaxrod.stable_dt(system).dt, 40)
     found = jaxrod.reactions(system, state)
