@@ -2,6 +2,7 @@
 
 import itertools
 
+import matplotlib as mpl
 import numpy as np
 import pytest
 
@@ -68,8 +69,7 @@ def test_curves_are_dark_enough_for_white(colour):
 
 
 def test_charts_are_white_and_quiet_whatever_the_settings_of_the_reader():
-    matplotlib = pytest.importorskip("matplotlib")
-    with matplotlib.rc_context({"figure.facecolor": "black"}):
+    with mpl.rc_context({"figure.facecolor": "black"}):
         figure, panels = style.charts(6, 3, rows=2, columns=3)
     assert figure.get_facecolor() == (1, 1, 1, 1)
     assert panels.shape == (2, 3)
