@@ -95,6 +95,7 @@ for name in chosen:
 """
 
 
+@pytest.mark.fast_sets(1)
 @pytest.mark.parametrize(
     "program", [EVERY_MODULE, EVERY_FUNCTION], ids=["modules", "functions"]
 )

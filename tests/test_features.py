@@ -1027,6 +1027,7 @@ def went(system, start, factor=1.0):
     return {name: state[name] for name in start}
 
 
+@pytest.mark.slow
 def test_systems_with_lists_run_within_vmap(listed):
     system, start, state = listed
     factors = jnp.asarray([1.0, 0.5])

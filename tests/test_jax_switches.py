@@ -111,7 +111,7 @@ def names_of(programs):
     ]
 
 
-@pytest.mark.fast_sets(4)
+@pytest.mark.fast_sets(1)
 @pytest.mark.default_precision
 @pytest.mark.parametrize("name", names_of(WITHOUT_JIT))
 def test_without_jit_it_is_the_same(name):
@@ -134,7 +134,7 @@ MADE_OUTSIDE = {
 }
 
 
-@pytest.mark.fast_sets(1)
+@pytest.mark.slow
 @pytest.mark.default_precision
 @pytest.mark.parametrize("name", MADE_OUTSIDE)
 def test_a_scene_of_what_was_made_outside_may_be_made_within_jit(name):
@@ -160,6 +160,7 @@ def test_bad_values_are_seen_within_jit():
         jax.make_jaxpr(lambda: jaxrod.make_scene(bent, method=untwisted))()
 
 
+@pytest.mark.slow
 def test_structure_that_follows_from_known_numbers_is_found_within_jit():
     """Frequencies, and points of contact from lengths that the scenes were given."""
     made, state = rod()
@@ -170,6 +171,7 @@ def test_structure_that_follows_from_known_numbers_is_found_within_jit():
     np.testing.assert_allclose(got[0], wanted)
 
 
+@pytest.mark.slow
 @pytest.mark.default_precision
 def test_a_system_of_what_was_made_outside_may_be_made_within_jit():
     one, of_one = rod()
@@ -231,7 +233,7 @@ SOUND = {
 }
 
 
-@pytest.mark.fast_sets(4)
+@pytest.mark.fast_sets(1)
 @pytest.mark.default_precision
 @pytest.mark.parametrize("name", names_of(SOUND))
 def test_nothing_stops_being_finite_on_the_way(name):

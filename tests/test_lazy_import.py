@@ -41,7 +41,7 @@ def test_every_name_resolves_to_what_its_module_defines(name):
     assert name in dir(jaxrod)
 
 
-@pytest.mark.fast_sets(2)
+@pytest.mark.fast_sets(1)
 @pytest.mark.parametrize("name", sorted(jaxrod._NAMESPACES))
 def test_namespaces_are_attributes_of_a_plain_import(name):
     done = python(f"import jaxrod; print(jaxrod.{name}.__name__)")
@@ -92,6 +92,7 @@ def test_a_name_of_a_namespace_is_found_by_its_message():
         _ = jaxrod.sphere
 
 
+@pytest.mark.slow
 def test_a_submodule_that_lacks_an_optional_package_is_no_attribute():
     program = (
         "import sys; sys.modules['optax'] = None\n"
@@ -108,6 +109,7 @@ def test_a_submodule_that_lacks_an_optional_package_is_no_attribute():
     assert done.returncode == 0, done.stderr
 
 
+@pytest.mark.fast_sets(1)
 @pytest.mark.parametrize(
     "words", [["--help"], ["--version"], ["train", "--help"], ["benchmark", "--help"]]
 )
@@ -124,6 +126,7 @@ def test_the_command_line_answers_without_loading_jax(words):
     assert done.returncode == 0, done.stderr
 
 
+@pytest.mark.slow
 def test_the_doctor_reports_on_a_jax_that_is_refused():
     program = REFUSED_JAX + (
         "import sys\nfrom jaxrod import cli\nsys.exit(cli.main(['doctor']))"
@@ -137,6 +140,7 @@ def test_the_doctor_reports_on_a_jax_that_is_refused():
     assert done.stderr == ""
 
 
+@pytest.mark.fast_sets(1)
 @pytest.mark.parametrize(
     "use", ["jaxrod.advance", "jaxrod.configure_cpu", "jaxrod.envs", "jaxrod.training"]
 )

@@ -179,6 +179,7 @@ def test_a_wheel_of_the_source_distribution_is_that_of_the_checkout(wheel, tmp_p
         assert set(archive.namelist()) == set(wheel.namelist())
 
 
+@pytest.mark.fast_sets(1)
 @pytest.mark.parametrize("command", ["reproduce", "tradeoff", "benchmark"])
 def test_wheel_says_where_the_programs_of_a_checkout_are(command, wheel, tmp_path):
     wheel.extractall(tmp_path / "site")
@@ -199,12 +200,14 @@ def test_wheel_says_where_the_programs_of_a_checkout_are(command, wheel, tmp_pat
         assert done.stderr.count("\n") == 1
 
 
+@pytest.mark.slow
 def test_importing_jaxrod_loads_only_what_jax_numpy_and_jaxtyping_load():
     loaded = modules_after("import jax, numpy, jaxtyping")
     with_jaxrod = modules_after("import jax, numpy, jaxtyping, jaxrod")
     assert with_jaxrod - loaded == {"jaxrod"}
 
 
+@pytest.mark.slow
 def test_importing_the_tasks_needs_no_optional_package():
     assert not modules_after("import jaxrod.envs") & {
         "brax", "flax", "gymnasium", "matplotlib", "optax", "orbax",

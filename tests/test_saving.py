@@ -56,6 +56,7 @@ SLOW = {"spline_couples", "scale_inertia", "stable_dt", "writhe", "twist", "link
 """Functions that compute for long; of what they make, other cases have all."""
 
 
+@pytest.mark.fast_sets(1)
 @pytest.mark.parametrize(
     "name",
     [
@@ -166,6 +167,7 @@ def swinging():
     return scene, state
 
 
+@pytest.mark.slow
 def test_a_loaded_scene_takes_the_same_steps(tmp_path):
     scene, state = swinging()
     other, start = check_kept((scene, state), tmp_path)

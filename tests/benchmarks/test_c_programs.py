@@ -22,6 +22,7 @@ def folder(tmp_path_factory):
     return tmp_path_factory.mktemp("programs")
 
 
+@pytest.mark.fast_sets(1)
 @pytest.mark.parametrize(
     "name",
     [

@@ -95,6 +95,7 @@ def rows(out):
         return list(csv.DictReader(file))
 
 
+@pytest.mark.slow
 def test_a_grid_leaves_a_row_per_cell_and_is_not_run_twice(grid):
     code, _, err = grid(1, 0)
     assert code == 0, err

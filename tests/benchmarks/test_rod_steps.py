@@ -79,6 +79,7 @@ def test_a_busy_machine_is_mentioned(load, pyelastica, instant, run, monkeypatch
     assert ("The machine was busy" in out) == (load > 0)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("batch", "dtype", "mode"),
     [

@@ -92,6 +92,7 @@ def test_a_damaged_run_is_not_evaluated(name, what, said, spoilt, run):
     assert not (folder / "policy" / "unpickled").exists()
 
 
+@pytest.mark.fast_sets(1)
 @pytest.mark.default_precision
 @pytest.mark.parametrize(("name", "what", "said"), ON_RESUMING)
 def test_a_damaged_run_is_not_resumed(name, what, said, spoilt, run):

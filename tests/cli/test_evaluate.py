@@ -83,6 +83,7 @@ def change_the_task(folder):
     (folder / "config.json").write_text(text)
 
 
+@pytest.mark.fast_sets(1)
 @pytest.mark.parametrize(
     ("break_it", "sentence"),
     [
@@ -122,6 +123,7 @@ def test_impossible_numbers_are_named(words, sentence, trained, run):
     assert sentence in err
 
 
+@pytest.mark.slow
 def test_noise_costs_something(trained, run, run_json):
     words = ("evaluate", trained[0], "--episodes", 64)
     quiet, noisy = (run_json(*words, *more, "--json") for more in ([], ["--noisy"]))

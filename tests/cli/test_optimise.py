@@ -71,6 +71,7 @@ def test_ctrl_c_before_anything_was_found_writes_nothing(run, tmp_path, monkeypa
     assert not (tmp_path / "none").exists()
 
 
+@pytest.mark.fast_sets(1)
 @pytest.mark.parametrize(
     ("words", "message"),
     [

@@ -192,6 +192,7 @@ def test_what_a_replay_cannot_show_is_refused_in_words():
             recording.record(env, idle)
 
 
+@pytest.mark.slow
 def test_obstacles_are_drawn_where_the_task_has_some():
     def seen(name):
         env = make(name)
@@ -249,6 +250,7 @@ def test_the_arm_of_the_tracking_task_is_drawn_as_it_moves(tracking_run):
     )
 
 
+@pytest.mark.slow
 def test_render_writes_both_pictures_while_a_run_goes_on(tracking_run, run):
     folder = tracking_run.folder
     code, out, err = run("render", folder, "--seconds", "0.1")

@@ -86,6 +86,7 @@ def test_a_run_that_is_there_is_refused_and_left_alone(trained, run):
     assert contents(folder) == before
 
 
+@pytest.mark.slow
 @pytest.mark.default_precision
 def test_resuming_takes_over_what_the_run_was_started_with(trained, run_json, tmp_path):
     folder = tmp_path / "run"
@@ -124,6 +125,7 @@ def test_overwriting_makes_a_new_run_with_new_pictures(trained, run_json, tmp_pa
     assert (folder / "notes.txt").read_text() == "mine"
 
 
+@pytest.mark.slow
 def test_a_run_does_not_go_on_in_another_precision(trained, run):
     code, _, err = run("train", "trivial", "--resume", "--out", trained[0])
     assert code == 2
@@ -153,6 +155,7 @@ def test_ctrl_c_saves_and_says_how_to_go_on(run, run_json, tmp_path, monkeypatch
     assert finished["env_steps"] >= 40_000
 
 
+@pytest.mark.slow
 def test_no_more_devices_than_cores_are_made_of_them(tmp_path):
     # In a process of its own: devices are made before JAX starts.
     words = ["train", "trivial", "--devices", "99", "--num-envs", "99"]
@@ -291,6 +294,7 @@ def test_a_run_is_found_again_where_it_was_put(words, folder):
     assert train._folder(args, None) == Path(folder)
 
 
+@pytest.mark.slow
 def test_a_run_is_resumed_by_the_words_that_began_it(run, tmp_path):
     """Its stored steps are less than one update of the default settings."""
     words = ["train", "trivial", *TINY, "--out", tmp_path / "run", "--no-replay"]

@@ -23,6 +23,7 @@ def noise(seed, shape=TIMES.shape):
     return SD * np.random.default_rng(seed).normal(size=shape)
 
 
+@pytest.mark.slow
 def test_parameters_are_found_exactly_without_noise():
     fit = control.fit(ring, ring(TRUTH), START, noise=SD, tolerance=1e-14)
     assert bool(fit.converged)

@@ -73,6 +73,7 @@ def test_a_linear_problem_is_solved_in_a_step_and_its_gains_are_those_of_riccati
     np.testing.assert_allclose(made, gains[::-1], rtol=1e-6, atol=1e-8)
 
 
+@pytest.mark.slow
 def test_bounds_hold_and_the_rest_is_best_within_them():
     from scipy.optimize import lsq_linear
 

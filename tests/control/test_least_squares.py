@@ -15,6 +15,7 @@ def rosenbrock(point):
 START = {"a": jnp.asarray(-1.2), "b": jnp.asarray(1.0)}
 
 
+@pytest.mark.fast_sets(1)
 @pytest.mark.parametrize("mode", ["forward", "reverse"])
 def test_a_known_minimum_is_found(mode):
     found = least_squares(rosenbrock, START, iterations=200, mode=mode)
@@ -25,7 +26,7 @@ def test_a_known_minimum_is_found(mode):
     assert np.all(np.diff(costs) <= 0)
 
 
-@pytest.mark.fast_sets(1)
+@pytest.mark.slow
 @pytest.mark.parametrize("batched", [False, True])
 def test_an_iteration_whose_first_damping_would_be_rejected_is_not_lost(dtype, batched):
     start = jnp.asarray([-1.0, 1.0], dtype)
@@ -112,6 +113,7 @@ def test_points_that_are_not_finite_are_never_taken():
     assert float(found.solution[0]) == pytest.approx(1, abs=1e-6)
 
 
+@pytest.mark.slow
 def test_many_problems_at_once_are_each_alone():
     starts = jnp.linspace(-1.5, 1.5, 5)
 
@@ -139,6 +141,7 @@ def test_bad_arguments_are_refused():
         least_squares(lambda z: z, jnp.zeros(0))
 
 
+@pytest.mark.fast_sets(1)
 @pytest.mark.parametrize("unit", [1.0, 1e12])
 def test_units_of_one_unknown_do_not_end_the_search_of_another(unit):
     """A double root is come near to by a half a step: slowly, but to the end."""

@@ -84,6 +84,7 @@ def test_steps_from_knot_to_knot():
     np.testing.assert_allclose(shift_weights(1, 4, 2, "steps") @ [1, 3], [3, 3])
 
 
+@pytest.mark.slow
 def test_a_plan_of_one_step_is_the_best_action_that_is_held():
     env = make("trivial")
     params, effort, hold = env.default_params(), 1e-4, 2

@@ -36,7 +36,7 @@ def problem(bound=5.0, goal=0.6):
     )
 
 
-@pytest.mark.fast_sets(1)
+@pytest.mark.slow
 @pytest.mark.parametrize("name", SOLVERS)
 def test_a_mass_is_brought_to_rest_elsewhere(name):
     found = SOLVERS[name](problem(), n_knots=3, iterations=30)
@@ -50,6 +50,7 @@ def test_a_mass_is_brought_to_rest_elsewhere(name):
     assert name in repr(found) and "30 times 64 samples" in found.reason
 
 
+@pytest.mark.fast_sets(1)
 @pytest.mark.parametrize("name", SOLVERS)
 def test_bounds_hold(name):
     found = SOLVERS[name](problem(bound=0.2), n_knots=3, iterations=30)

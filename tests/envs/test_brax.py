@@ -79,6 +79,7 @@ def check_same(env, num_envs, steps, rounding=0.0):
     return terminations, truncations
 
 
+@pytest.mark.slow
 def test_batch_is_the_functional_one_to_the_last_bit_over_many_episodes():
     assert min(check_same(TRIVIAL, 3, 60)) > 0
 
@@ -154,7 +155,7 @@ def test_an_episode_asked_to_be_longer_than_it_is_ends_all_the_same():
     assert ends == ([False] * 20 + [True]) * 2
 
 
-@pytest.mark.fast_sets(3)
+@pytest.mark.fast_sets(1)
 @pytest.mark.parametrize("repeat", [1, 2, 3])
 @pytest.mark.parametrize("length", [5, 6])
 def test_a_repeated_action_ends_with_the_episode(length, repeat):
@@ -230,6 +231,7 @@ def test_contract_with_brax():
     assert np.all(np.abs(end.obs) <= 2)
 
 
+@pytest.mark.fast_sets(1)
 @pytest.mark.parametrize(("task", "truncation"), [(Failing, 1), (Touching, 0)])
 def test_an_early_end_among_repeats_is_not_run_past(task, truncation):
     env = adapter.BraxEnv(task(episode_length=50))

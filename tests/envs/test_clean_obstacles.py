@@ -39,6 +39,7 @@ def test_clean_arm_is_pushed_the_published_way_at_a_limited_rate(name):
     )
 
 
+@pytest.mark.fast_sets(1)
 @NAMES
 def test_clean_obstacles_are_where_they_are_seen(name):
     env = make(name, variant="clean")
@@ -56,6 +57,7 @@ def test_clean_obstacles_are_where_they_are_seen(name):
         np.testing.assert_allclose(depth, -obstacles.radii[j], rtol=1e-5)
 
 
+@pytest.mark.slow
 @MAZE_FIRST
 def test_an_unhealthy_clean_arm_is_frozen_and_truncated_not_punished(name):
     env = make(name, variant="clean")
@@ -155,7 +157,7 @@ def test_gradient_through_contact_is_that_of_finite_differences(name, towards, r
     )
 
 
-@pytest.mark.fast_sets(1)
+@pytest.mark.slow
 @NAMES
 @pytest.mark.parametrize(
     "limit",
@@ -176,6 +178,7 @@ def test_an_arm_at_the_limits_of_stretch_is_stepped_stably(name, limit):
     assert params.dt < 0.6 * 2 / jaxrod.highest_frequency(free, state)
 
 
+@pytest.mark.slow
 @MAZE_FIRST
 def test_the_step_is_a_stable_one_with_every_obstacle_in_view_touching(name):
     env = make(name, variant="clean")

@@ -27,6 +27,7 @@ LONG = ("gripper", "octopus")
 CLOCKS = [pytest.param(n, marks=pytest.mark.slow) if n in LONG else n for n in names()]
 
 
+@pytest.mark.fast_sets(3)
 @pytest.mark.parametrize("name", CLOCKS)
 def test_the_clock_counts_control_steps(name):
     """Nothing else is compiled."""

@@ -26,7 +26,7 @@ def weightless(arm):
     return dataclasses.replace(arm, weight=jaxrod.gravity((0.0, 0.0, 0.0)))
 
 
-@pytest.mark.fast_sets(1)
+@pytest.mark.slow
 @pytest.mark.parametrize("n", [5, 12, 20])
 def test_angles_of_all_segments_are_the_bend_of_the_arm(n):
     """The integral of the rest curvature is the sum of the angles."""
@@ -110,6 +110,7 @@ def test_rewards_are_those_of_the_distance():
         assert info["distance"] == pytest.approx(gone, rel=1e-9)
 
 
+@pytest.mark.slow
 def test_the_observation_says_where_the_arm_and_the_target_are():
     env = make("following", n_elements=10)
     params, state = start(env)
@@ -255,6 +256,7 @@ def test_bad_options_are_named(options, said):
         make("following", **options)
 
 
+@pytest.mark.slow
 def test_an_action_that_is_no_number_leaves_the_last_sound_state():
     env = make("following", n_elements=5, substeps=90)
     params = env.default_params()

@@ -30,7 +30,7 @@ def played(env, steps=4):
     return seen, np.array(rewards)
 
 
-@pytest.mark.fast_sets(1)
+@pytest.mark.slow
 @TASKS
 def test_rewards_are_those_of_the_goals_and_all_numbers_those_of_the_task(name):
     plain = GymnasiumEnv(name, **SHORT)

@@ -106,6 +106,7 @@ def check_one_is_a_batch_of_one(env, envs, steps):
         assert data_equivalence(ours, theirs, exact=True)
 
 
+@pytest.mark.slow
 def test_vector_environment_is_the_functional_one_to_the_last_bit():
     envs = GymnasiumVectorEnv("trivial", 3)
     terminated, truncated = check_same(make("trivial"), envs, 60)
@@ -139,6 +140,7 @@ def observation_of_seed(seed):
     return functional_reset(batch, jax.random.key(seed), 1, params).observation[0, 0]
 
 
+@pytest.mark.fast_sets(1)
 @pytest.mark.parametrize("mode", [AutoresetMode.NEXT_STEP, AutoresetMode.DISABLED])
 def test_episodes_begin_when_the_mode_says(mode):
     """Gymnasium's own batch of three environments ends and starts at the same steps."""
@@ -194,6 +196,7 @@ def test_some_environments_begin_anew_and_others_go_on():
 
 
 # Gymnasium compares the bounds of two types as it makes the new space.
+@pytest.mark.fast_sets(1)
 @pytest.mark.filterwarnings("ignore:overflow encountered:RuntimeWarning")
 @pytest.mark.parametrize(
     ("mode", "names"),
@@ -224,7 +227,7 @@ def test_wrappers_of_gymnasium_go_over_it(mode, names):
         assert 0.5 < np.std(rows) < 2
 
 
-@pytest.mark.fast_sets(1)
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("before", "flags", "holds"),
     [
@@ -383,6 +386,7 @@ def test_films_in_real_time_have_a_rate_that_players_show(period, fps, steps):
         assert found["render_fps"] * steps * period == pytest.approx(1, rel=0.01)
 
 
+@pytest.mark.slow
 def test_a_window_shows_the_pictures_of_a_film():
     env = GymnasiumEnv(Leaning(control_period=0.016), render_mode="human")
     twin = GymnasiumEnv(Leaning(control_period=0.016), render_mode="rgb_array")
@@ -443,6 +447,7 @@ def test_the_checker_has_nothing_to_say_about_what_can_be_drawn():
         del gymnasium.registry["tests/Leaning-v0"]
 
 
+@pytest.mark.slow
 def test_pictures_are_those_of_the_running_episode():
     env = GymnasiumEnv(Leaning(), render_mode="rgb_array")
     envs = GymnasiumVectorEnv(Leaning(), 2, render_mode="rgb_array")

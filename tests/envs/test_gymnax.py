@@ -76,6 +76,7 @@ def test_numbers_that_are_not_finite_end_the_episode_unseen():
     assert all(np.isfinite(leaf).all() for leaf in jax.tree.leaves(after))
 
 
+@pytest.mark.fast_sets(1)
 @pytest.mark.parametrize("given", [True, False], ids=["params", "None"])
 def test_a_learner_scans_a_batch_under_jit(given):
     """Types and structures stay. Keys may be raw or typed, and parameters left out."""
@@ -146,6 +147,7 @@ def test_bad_input_is_refused_in_words():
         env.step(jax.random.key(0), state, jnp.zeros(2))
 
 
+@pytest.mark.slow
 def test_nothing_is_imported_from_gymnax():
     program = (
         "import sys, jaxrod.envs.gymnax_env\n"

@@ -200,7 +200,7 @@ def test_random_nests_lie_as_the_released_generator_puts_them():
     np.testing.assert_array_equal(params.arm.contact.cylinders.starts, starts[3])
 
 
-@pytest.mark.fast_sets(1)
+@pytest.mark.slow
 @NAMES
 @pytest.mark.parametrize(
     ("distance", "bonus"), [(0.04, 2.0), (0.06, 0.5), (0.099, 0.5), (0.11, 0.0)]
@@ -226,6 +226,7 @@ def test_doing_nothing_scores_what_was_published(name, score):
     assert not np.any(terminated) and not np.any(truncated)
 
 
+@pytest.mark.fast_sets(1)
 @NAMES
 def test_a_broken_arm_costs_a_hundred_and_shows_what_was_last_finite(name):
     env = make(name)
@@ -270,6 +271,7 @@ def test_held_corners_crash_in_the_nest_when_and_at_what_was_published(
     assert abs(total - score) < 1.5
 
 
+@pytest.mark.fast_sets(1)
 @pytest.mark.parametrize("controls", [2, 4, 6, 8])
 def test_supplement_has_equidistant_control_points(controls):
     env = make("structured", controls=controls)
@@ -288,6 +290,7 @@ def test_vmap_is_a_loop_numbers_are_single_and_nothing_recompiles(name, variant)
     check_vmap_is_a_loop(make(name, variant=variant))
 
 
+@pytest.mark.fast_sets(1)
 @pytest.mark.parametrize(
     ("name", "options", "message"),
     [

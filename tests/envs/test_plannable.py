@@ -69,7 +69,7 @@ def stepped(env, params, state, actions, seed=1):
     )
 
 
-@pytest.mark.fast_sets(1)
+@pytest.mark.slow
 @pytest.mark.parametrize("name", each(ALL))
 def test_a_prediction_is_a_step_where_nothing_random_falls(name):
     env = task(name)
@@ -148,7 +148,7 @@ def test_the_cost_grows_with_the_distance_and_has_a_slope_where_bonuses_have_non
     assert jax.grad(cost)(0.3) == pytest.approx(float(differences), rel=1e-7)
 
 
-@pytest.mark.fast_sets(3)
+@pytest.mark.fast_sets(1)
 @pytest.mark.parametrize("name", each(ALL, cheap=tuple(ALL)))
 def test_the_cost_is_the_residuals_squares(name):
     env = task(name)

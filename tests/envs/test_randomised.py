@@ -102,6 +102,7 @@ def same(a, b):
         np.testing.assert_array_equal(one, other)
 
 
+@pytest.mark.slow
 @pytest.mark.default_precision
 @pytest.mark.parametrize(
     "name",
@@ -139,6 +140,7 @@ def test_a_delayed_action_is_a_shifted_one():
     same((seen, reward), (plainly, plain_reward))
 
 
+@pytest.mark.slow
 def test_delays_are_whole_uniform_and_at_most_the_largest():
     env, params = randomised(delay=(0, 3))
     keys = jax.random.split(jax.random.key(1), DRAWS)
@@ -181,7 +183,7 @@ LAWS = {
 }
 
 
-@pytest.mark.fast_sets(5)
+@pytest.mark.fast_sets(1)
 @pytest.mark.parametrize("kind", LAWS)
 @pytest.mark.parametrize("scaled", [False, True])
 def test_draws_have_the_stated_distribution(scaled, kind):
@@ -301,6 +303,7 @@ EVERYTHING = {
 }
 
 
+@pytest.mark.slow
 def test_a_batch_equals_a_loop():
     env, params = randomised(**EVERYTHING)
     actions = actions_of(env, 12)

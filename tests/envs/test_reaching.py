@@ -58,7 +58,7 @@ def test_paper_arm_moves_as_an_independent_implementation_says(paper):
     np.testing.assert_allclose(obs[-1, 37:41], quaternion(arm.Q[-1]), atol=1e-10)
 
 
-@pytest.mark.fast_sets(1)
+@pytest.mark.slow
 @VARIANTS
 def test_observation_is_nodes_tip_velocity_tip_frame_and_goal(variant):
     env = make("reaching", variant=variant)
@@ -167,6 +167,7 @@ def test_doing_nothing_scores_what_was_published(paper):
     assert abs(1428 * rewards.mean() + 654) < 10
 
 
+@pytest.mark.fast_sets(1)
 @VARIANTS
 def test_positive_actions_push_to_minus_x_to_plus_z_and_twist(variant):
     env = make("reaching", variant=variant)
@@ -229,6 +230,7 @@ def test_gradient_of_the_return_is_that_of_finite_differences(variant):
     assert gradient_error(env, smooth_actions(30, 18, 0.3)) < 1e-6
 
 
+@pytest.mark.slow
 @pytest.mark.default_precision
 @pytest.mark.parametrize(
     "variant", ["paper", pytest.param("clean", marks=pytest.mark.slow)]

@@ -144,6 +144,7 @@ class Wide:
         return state[:1], state, jnp.mean(state**2), no, no, {}
 
 
+@pytest.mark.slow
 def test_memory_grows_as_the_root_of_the_number_of_steps():
     env, start = Wide(), (jnp.zeros(1), jnp.linspace(0.0, 1.0, 2000))
 

@@ -113,6 +113,7 @@ def test_steps_are_stable_and_the_body_is_the_published_one():
     np.testing.assert_allclose(np.sum(rod.node_masses), mass, rtol=1e-12)
 
 
+@pytest.mark.slow
 def test_observations_are_of_the_heading_s_frame():
     """Turning body and heading together changes nothing but rounding."""
     env = make("snake", turn=1.0)

@@ -41,6 +41,7 @@ def smooth_actions(steps, amplitude, seed=0):
     )
 
 
+@pytest.mark.slow
 def test_paper_arm_moves_as_an_independent_implementation_says():
     # Some are held: their couples stay as they are, whatever the arm does.
     actions = jnp.repeat(smooth_actions(100, 1.0)[::10], 10, axis=0)
@@ -56,6 +57,7 @@ def test_paper_arm_moves_as_an_independent_implementation_says():
     np.testing.assert_allclose(states.arm.velocities[-1].T, arm.v, rtol=0, atol=1e-7)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "variant", ["paper", pytest.param("clean", marks=pytest.mark.slow)]
 )
@@ -153,6 +155,7 @@ def test_heading_changes_every_500_control_steps_at_the_same_speed():
     np.testing.assert_allclose(np.linalg.norm(after.target.velocity), 0.5, rtol=1e-12)
 
 
+@pytest.mark.slow
 def test_doing_nothing_scores_what_was_published():
     # Minus 3100 on average, spread 1060, over the targets of an episode; the arm at
     # rest stays where it is, so the target alone decides.
@@ -246,6 +249,7 @@ def test_gradient_of_the_return_is_that_of_finite_differences(variant):
     np.testing.assert_allclose(slope, secant, rtol=1e-6)
 
 
+@pytest.mark.slow
 @pytest.mark.default_precision
 @pytest.mark.parametrize(
     "variant", [pytest.param("paper", marks=pytest.mark.slow), "clean"]
@@ -268,6 +272,7 @@ def test_vmap_is_a_loop_and_numbers_are_single(variant):
             assert a.dtype in (jnp.float32, jnp.int32, jnp.bool_)
 
 
+@pytest.mark.slow
 def test_changing_every_number_recompiles_nothing():
     env = make("tracking", variant="clean")
     params = env.default_params()

@@ -56,6 +56,7 @@ class Breaking(Trivial):
         )
 
 
+@pytest.mark.slow
 def test_batch_equals_environments_run_one_by_one():
     env = Trivial(episode_length=6)
     params = env.default_params()
@@ -117,6 +118,7 @@ def test_episode_records_hold_return_and_length():
             begin = end + 1
 
 
+@pytest.mark.slow
 def test_spread_phases_end_early_once_and_do_not_count():
     env = Trivial(episode_length=10)
     params = env.default_params()
@@ -250,6 +252,7 @@ def test_episodes_that_start_in_mid_course_end_earlier_and_do_not_count():
     assert lengths == [(3, False), (4, False), (10, True)]
 
 
+@pytest.mark.slow
 def test_first_episodes_are_spread_over_what_is_left_of_them():
     env = Trivial(episode_length=10)
     state = VectorEnvironment(env).reset(
@@ -262,6 +265,7 @@ def test_first_episodes_are_spread_over_what_is_left_of_them():
 STRIDES = jnp.array([0.1, 0.2, 0.3])
 
 
+@pytest.mark.slow
 def test_parameters_of_a_batch_equal_separate_batches():
     env = Trivial(episode_length=4)
     params = dataclasses.replace(env.default_params(), stride=STRIDES)

@@ -13,6 +13,7 @@ own_coupling, own_method = load("own_coupling"), load("own_method")
 own_shape = load("own_shape")
 
 
+@pytest.mark.slow
 def test_a_tether_lets_fall_catches_and_keeps_energy_and_momentum():
     system, state = own_coupling.dropped(slack=0.1)
     dt = float(jaxrod.stable_dt(system, 0.2).dt)
@@ -29,6 +30,7 @@ def test_a_tether_lets_fall_catches_and_keeps_energy_and_momentum():
     assert abs(after - before) < 1e-3 * mass * 9.81 * fell
 
 
+@pytest.mark.slow
 def test_a_taut_tether_passes_momentum_on_and_makes_none():
     system, state = own_coupling.dropped(slack=-0.02)
     members = {
@@ -52,6 +54,7 @@ def test_symplectic_euler_is_of_first_order():
     assert 1.8 < errors[0] / errors[1] < 2.3
 
 
+@pytest.mark.slow
 def test_a_rod_lies_on_a_torus_and_is_shown_with_it():
     scene, states, times = own_shape.laid()
     crossing = jnp.argmin(jnp.abs(states.positions[-1, 0] - 0.15))

@@ -8,6 +8,7 @@ from examples.loading import load
 own_effect = load("own_effect")
 
 
+@pytest.mark.slow
 def test_the_muscle_swings_the_arm_and_tires():
     tips, freshness = own_effect.simulate(seconds=0.2)
     assert jnp.max(jnp.abs(tips[:, 1])) > 0.02

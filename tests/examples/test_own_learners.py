@@ -82,6 +82,7 @@ def whole_and_interrupted(folder, algorithm, steps, config):
     return whole, settings
 
 
+@pytest.mark.slow
 def test_an_algorithm_of_ones_own_learns_and_resumes_bit_by_bit(tmp_path, example):
     search, env = example("own_algorithm").RANDOM_SEARCH, make("trivial")
     whole, settings = whole_and_interrupted(tmp_path, search, 32_000, None)
@@ -97,6 +98,7 @@ def test_an_algorithm_of_ones_own_learns_and_resumes_bit_by_bit(tmp_path, exampl
     assert evaluate(env, whole.policy, episodes=200).mean > env.optimal_return - 0.4
 
 
+@pytest.mark.slow
 def test_an_algorithm_of_ones_own_is_found_by_its_import_path(
     tmp_path, example, command
 ):

@@ -32,6 +32,7 @@ def stable_step(dtype, **properties):
     return float(jaxrod.stable_dt(scene).dt)
 
 
+@pytest.mark.slow
 @pytest.mark.filterwarnings("ignore::jaxrod.effects.unlikely.UnlikelyWarning")
 def test_a_rod_of_any_size_is_refused_or_steps_as_in_double_precision():
     """Sizes, densities and stiffnesses over dozens of powers of ten."""

@@ -34,6 +34,7 @@ def check(what, seed, pairs, record):
     )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", [117])
 def test_a_scene_is_the_same_in_every_view(seed, record):
     """Moved, turned, in other units, in two runs."""

@@ -24,7 +24,7 @@ def test_weak_damping_is_not_biased_in_single_precision(record):
     )
 
 
-@pytest.mark.fast_sets(1)
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "steps",
     [100_000, pytest.param(10_000_000, marks=pytest.mark.slow)],

@@ -69,6 +69,7 @@ def fallen(scene, state, dt):
     return after.velocities[0], jaxrod.health(scene, after, dt).flagged
 
 
+@pytest.mark.fast_sets(1)
 @pytest.mark.parametrize("exponent", [0.0, 1e-6, 0.1, 1.0, 10.0, 50.0])
 def test_damping_from_none_to_fifty_per_step(exponent, dtype):
     """Terminal velocity is right and nothing overflows; g h is the exponent."""

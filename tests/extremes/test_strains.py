@@ -32,6 +32,7 @@ def softest(scene, state):
     return np.linalg.eigvalsh((matrix + matrix.T) / 2)[0]
 
 
+@pytest.mark.slow
 def test_the_stretch_at_which_directors_tip_over(record):
     rod, state = arm(4, radius=0.002)
     scene = jaxrod.make_scene(rod)

@@ -170,7 +170,7 @@ def test_every_rule_belongs_to_a_primitive_with_known_parameters():
 # Runs with equations that lanes do not know ---------------------------------------
 
 
-@pytest.mark.fast_sets(1)
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", ["primitive", "parameter", "lost parameter"])
 def test_xla_takes_the_whole_run(kind, monkeypatch, mode):
     rod, start = jaxrod.straight_rod(
@@ -301,6 +301,7 @@ def with_unknown_header(program):
     )
 
 
+@pytest.mark.slow
 def test_an_unknown_header_is_reported_in_one_line_and_xla_runs():
     done = with_unknown_header("""
 import jax, jax.numpy as jnp, numpy as np
@@ -324,6 +325,7 @@ print(jaxrod.lane_choices()[-1].why)
     assert "XLA_FFI_Buffer" in done.stdout
 
 
+@pytest.mark.slow
 def test_the_doctor_and_the_benchmark_say_why_batches_are_slower():
     done = with_unknown_header("""
 from jaxrod import cli

@@ -24,6 +24,7 @@ def advanced(rods):
     return lane_choices()
 
 
+@pytest.mark.fast_sets(1)
 @pytest.mark.parametrize("vector", [16, 32, 64])
 def test_a_batch_that_fills_half_a_vector_takes_lanes_and_fewer_rows(
     monkeypatch, vector
@@ -37,6 +38,7 @@ def test_a_batch_that_fills_half_a_vector_takes_lanes_and_fewer_rows(
         assert made.taken and made.why.startswith(word), (rods, made)
 
 
+@pytest.mark.slow
 def test_never_means_never():
     use_lanes("never")
     assert advanced(64) == []
@@ -96,6 +98,7 @@ def test_a_long_step_is_a_loop_and_a_large_one_is_left_to_rows(monkeypatch):
     assert taken.taken and taken.why.startswith("rows")
 
 
+@pytest.mark.slow
 def test_reverse_passes_of_batches_are_lanes_in_loops():
     scene, state, dt = hanging(4)
     choice._choices.clear()

@@ -62,6 +62,7 @@ def test_the_gradient_of_a_mean_over_the_batch():
     assert apart(taken, expected) < 1e-11
 
 
+@pytest.mark.fast_sets(1)
 def test_gradients_agree_with_differences():
     scene, state, dt = hanging(5)
     many = shaken(state, RODS, 0)

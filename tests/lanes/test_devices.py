@@ -54,6 +54,7 @@ def test_each_device_has_lanes_within_shard_map_and_none_without():
     assert made.returncode == 0, made.stderr[-3000:]
 
 
+@pytest.mark.slow
 def test_a_program_to_be_exported_has_no_kernels_in_it():
     scene, state, dt = hanging(3)
     run = jax.jit(jax.vmap(lambda s: jaxrod.advance(scene, s, dt, 3)))

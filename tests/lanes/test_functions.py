@@ -31,6 +31,7 @@ def units(found, expected, dtype):
     return np.max(np.abs(found.astype(float) - np.asarray(expected)) / spacing)
 
 
+@pytest.mark.fast_sets(1)
 @pytest.mark.parametrize("dtype", ["float32", "float64"])
 @pytest.mark.parametrize(
     ("name", "reference", "largest", "most"),
@@ -51,6 +52,7 @@ def test_a_function_is_right_over_its_whole_range(
     assert units(found, exact, dtype) <= most
 
 
+@pytest.mark.fast_sets(1)
 @pytest.mark.parametrize("dtype", ["float32", "float64"])
 @pytest.mark.parametrize("name", ["sin", "cos", "exp", "tanh", "log", "sqrt", "rsqrt"])
 def test_what_is_not_finite_goes_through_as_in_the_c_library(name, dtype):

@@ -13,7 +13,7 @@ from lanes.scenes import forced
 from physics.test_histories import LAWS, swinging
 
 
-@pytest.mark.fast_sets(1)
+@pytest.mark.slow
 @pytest.mark.parametrize("mode", ["always", "loops", "rows"])
 @pytest.mark.parametrize("law", LAWS.values(), ids=LAWS)
 def test_kernels_take_materials_with_memory(law, mode):

@@ -61,6 +61,7 @@ def distant(x, y):
     return [0.3 * c + jnp.max(c), jnp.tanh(c[np.arange(SIZE) * 5 % SIZE])]
 
 
+@pytest.mark.fast_sets(1)
 @pytest.mark.parametrize("rods", [1, 5, 19])
 @pytest.mark.parametrize("step", [neighbours, distant])
 def test_a_step_of_rows_that_need_each_other_is_that_of_xla(step, rods):

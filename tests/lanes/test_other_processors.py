@@ -88,7 +88,7 @@ def expected():
     return moved("never")
 
 
-@pytest.mark.fast_sets(3)
+@pytest.mark.fast_sets(1)
 @WAYS
 @pytest.mark.parametrize("name", run_here())
 def test_kernels_for_older_processors_give_the_same_numbers(name, way, expected, as_on):
@@ -102,7 +102,7 @@ def test_kernels_for_older_processors_give_the_same_numbers(name, way, expected,
     assert apart(found, expected) < ROUNDING
 
 
-@pytest.mark.fast_sets(1)
+@pytest.mark.slow
 @WAYS
 def test_kernels_compile_for_other_processors(way, as_on):
     llvm.initialize_all_targets()

@@ -64,7 +64,7 @@ def mask_of(how, shape, rng):
     return mask
 
 
-@pytest.mark.fast_sets(12)
+@pytest.mark.fast_sets(1)
 @pytest.mark.parametrize("dtype", ["float32", "float64"])
 @pytest.mark.parametrize("how", ["none", "all", "last", "some"])
 @pytest.mark.parametrize("entries", [65, 200, 64, 9])
@@ -91,7 +91,7 @@ def test_sums_of_a_list_at_both_elements(entries, how, dtype):
     compared(step, (own, other, bounds, *rows), 3, dtype)
 
 
-@pytest.mark.fast_sets(12)
+@pytest.mark.fast_sets(1)
 @pytest.mark.parametrize("dtype", ["float32", "float64"])
 @pytest.mark.parametrize("how", ["none", "all", "last", "some"])
 @pytest.mark.parametrize("entries", [67, 150, 64, 5])
@@ -123,6 +123,7 @@ def test_sums_over_points_and_pairs(entries, how, dtype):
     compared(step, (own, bounds, fractions, *rows), 3, dtype)
 
 
+@pytest.mark.fast_sets(1)
 @pytest.mark.parametrize("dtype", ["float32", "float64"])
 def test_a_sum_that_depends_on_another_under_the_same_mask(dtype):
     """They are computed in two loops."""
@@ -164,6 +165,7 @@ def test_a_sum_under_different_masks_is_packed_in_parts(how):
     assert len(masks) == 2  # without the parts there are none
 
 
+@pytest.mark.fast_sets(1)
 @pytest.mark.parametrize("dtype", ["float32", "float64"])
 def test_a_scatter_into_numbers_keeps_them(dtype):
     rng = np.random.default_rng(0)
@@ -190,7 +192,7 @@ def test_little_work_is_not_packed(monkeypatch):
     compared(step, given, 1, "float32", packs=False, steps=1)
 
 
-@pytest.mark.fast_sets(5)
+@pytest.mark.fast_sets(1)
 @pytest.mark.parametrize("seed", range(12))
 def test_random_masked_sums(seed):
     """Programs of random shapes, masks, sums and gathers."""

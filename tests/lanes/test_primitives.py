@@ -181,7 +181,7 @@ def primitives(jaxpr):
     return names
 
 
-@pytest.mark.fast_sets(2)
+@pytest.mark.fast_sets(1)
 @pytest.mark.parametrize(
     "dtype", ["float32", pytest.param("float64", marks=pytest.mark.slow)]
 )
@@ -237,6 +237,7 @@ FUNCTIONS = (
 )
 
 
+@pytest.mark.fast_sets(1)
 @pytest.mark.parametrize("function", FUNCTIONS)
 def test_derivatives_of_functions_contain_known_primitives_alone(function):
     """A new JAX may differentiate by a primitive that it had not before."""
@@ -245,6 +246,7 @@ def test_derivatives_of_functions_contain_known_primitives_alone(function):
         assert supported(jax.make_jaxpr(program)(0.5)) is None
 
 
+@pytest.mark.fast_sets(1)
 @pytest.mark.parametrize("kind", ["float32", "int32", "bool"])
 def test_a_table_that_all_rods_share_is_read_at_computed_places(kind):
     """Beyond its ends the last number counts; one index is the same for all rods."""

@@ -11,6 +11,7 @@ from lanes.programs import difference, logged
 from lanes.scenes import forced
 
 
+@pytest.mark.fast_sets(1)
 @pytest.mark.parametrize("seed", range(6))
 def test_a_random_program_is_the_same(seed):
     worst, _ = difference(seed, forced())

@@ -21,6 +21,7 @@ def gathered_and_scattered(table, places, there, total):
     return [total + jnp.zeros(SIZE, table.dtype).at[places].add(more)]
 
 
+@pytest.mark.fast_sets(1)
 @LOOPS
 @pytest.mark.parametrize("used", [0, 1, 16, 36, 37, "scattered"])
 @pytest.mark.parametrize("dtype", ["float32", "float64"])
@@ -56,6 +57,7 @@ def windows(places, table, rows):
     ]
 
 
+@pytest.mark.fast_sets(1)
 @LOOPS
 @pytest.mark.parametrize("dtype", ["float32", "float64"])
 def test_gathers_of_pieces_are_those_of_xla(dtype, way):
@@ -95,6 +97,7 @@ def falling(above, below, backwards):
     return [found[:, 0] + found[::-1, 1] * last[1][0], below]
 
 
+@pytest.mark.fast_sets(1)
 @LOOPS
 @pytest.mark.parametrize("length", [1, 2, 7, 100])
 @pytest.mark.parametrize("dtype", ["float32", "float64"])
@@ -117,6 +120,7 @@ def test_a_scan_of_pairs_is_a_loop(length, dtype, way):
     np.testing.assert_allclose(*found, rtol=tolerance, atol=tolerance)
 
 
+@pytest.mark.fast_sets(1)
 @LOOPS
 @pytest.mark.parametrize("shape", [(1,), (1, 7)])
 def test_scans_keep_axes_of_length_one(shape, way):

@@ -56,7 +56,7 @@ def test_a_random_scene_moves_the_same_by_lanes(seed, record):
     record("lanes: " + name, "XLA, 100 steps", apart(taken, expected), at_most=1e-11)
 
 
-@pytest.mark.fast_sets(1)
+@pytest.mark.slow
 @pytest.mark.parametrize("rods", [1, 9])
 def test_a_batch_of_any_size_is_the_same(rods):
     scene, state, dt = hanging()
@@ -92,7 +92,7 @@ def test_numbers_of_steps_that_differ_from_rod_to_rod():
     assert apart(taken, expected) < ROUNDING
 
 
-@pytest.mark.fast_sets(1)
+@pytest.mark.slow
 def test_parameters_of_each_rod_and_rows_of_rows():
     rod, state = arm(5)
 
@@ -113,7 +113,7 @@ def test_parameters_of_each_rod_and_rows_of_rows():
     assert apart(taken, expected) < ROUNDING
 
 
-@pytest.mark.fast_sets(1)
+@pytest.mark.slow
 def test_records_on_the_way_are_the_same():
     scene, state, dt = hanging()
     many = shaken(state, RODS, 2)
@@ -145,6 +145,7 @@ def test_a_system_of_rods_and_bodies_is_the_same():
     assert apart(taken, expected) < ROUNDING
 
 
+@pytest.mark.fast_sets(1)
 def test_nothing_is_compiled_again_for_other_numbers_counts_or_batches():
     scene, state, dt = hanging()
     run = jax.jit(

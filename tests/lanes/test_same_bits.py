@@ -58,6 +58,7 @@ def same(one, other):
     )
 
 
+@pytest.mark.fast_sets(1)
 @WAYS
 @pytest.mark.parametrize("dtype", ["float32", "float64"])
 def test_bits_do_not_depend_on_places_neighbours_pauses_or_alignment(dtype, way):

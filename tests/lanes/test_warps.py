@@ -95,6 +95,7 @@ def slopes(cycle, gains, numbers):
     return found
 
 
+@pytest.mark.slow
 def test_derivatives_of_a_cycle_are_those_of_xla(threads):
     numbers = jnp.asarray(np.random.default_rng(4).normal(size=(2, 40)))
     cycle = lambda gain, x: [jnp.tanh(gain * x) + jnp.mean(x[::-1]) * x]
@@ -155,6 +156,7 @@ def test_numbers_added_at_equal_places_are_all_counted(threads):
     close(*repeated(cycle, numbers, places))
 
 
+@pytest.mark.fast_sets(1)
 @pytest.mark.parametrize("shared", [0, 3_000, 232_448])
 def test_warps_of_many_blocks_keep_to_their_own_memory(threads, monkeypatch, shared):
     """In workspace, one warp of a block in shared memory, and two."""
@@ -165,6 +167,7 @@ def test_warps_of_many_blocks_keep_to_their_own_memory(threads, monkeypatch, sha
     close(*slopes(cycle, jnp.linspace(0.5, 0.9, 7), numbers))
 
 
+@pytest.mark.fast_sets(1)
 @pytest.mark.parametrize("n", [20, 31, 32, 33, 64, 65])
 def test_memory_is_used_again_only_after_a_wait(threads, n):
     """A row of as many numbers as a warp has threads needs no loop."""

@@ -111,6 +111,7 @@ def test_a_named_fault_that_is_gone_is_an_error_in_words(monkeypatch):
         program.trials(ROOT, 1, 1)
 
 
+@pytest.mark.slow
 def test_files_that_speak_of_a_module_come_first():
     likely = Likely(ROOT)
     assert (

@@ -13,6 +13,7 @@ from physics.rods import arm
 ROUND = {"radius": 0.05, "density": 1e3, "youngs_modulus": 1e6}
 
 
+@pytest.mark.fast_sets(1)
 @pytest.mark.parametrize(
     "controls", [2, 3, 6, [0.1, 0.2, 0.7], [0.05, 0.3, 0.35, 0.8, 1.1]]
 )
@@ -76,6 +77,7 @@ def test_the_load_does_not_depend_on_the_number_of_elements(record):
     )
 
 
+@pytest.mark.fast_sets(1)
 @pytest.mark.parametrize("dtype", [jnp.float32, jnp.float64])
 @pytest.mark.parametrize("controls", [2, 6, [0.1, 0.2, 0.9]])
 def test_a_spline_for_another_length_is_refused(controls, dtype):
@@ -125,6 +127,7 @@ def schedules(shape, size):
     )
 
 
+@pytest.mark.slow
 def test_controls_and_density_may_depend_on_time():
     rod, _ = arm(4, dtype=jnp.float64)
     spline = jaxrod.actuation.control_spline(3, float(rod.length), dtype=jnp.float64)
@@ -187,6 +190,7 @@ def test_applied_values_follow_commands_no_faster_than_allowed():
     np.testing.assert_allclose(after, commanded)
 
 
+@pytest.mark.fast_sets(1)
 @pytest.mark.parametrize("mode", ["consistent", "pyelastica"])
 def test_a_couple_turns_its_element_about_the_material_axis(mode):
     """One element of a free arm, couple about each axis: P grows by c dt."""

@@ -53,6 +53,7 @@ def balance(rod, effect, curvature, strain):
     return float(unbalanced(jaxrod.make_scene(rod, at_once(effect)), state))
 
 
+@pytest.mark.slow
 def test_one_longitudinal_muscle_bends_and_shortens(bar, record):
     rod, _ = bar
     muscle = jaxrod.actuation.muscle(
@@ -153,6 +154,7 @@ def test_a_wound_chamber_counts_twist_from_that_of_the_unstressed_rod(bar):
     assert abs(float(chamber.stored(rod, strains))) < 1e-9 * load * radius
 
 
+@pytest.mark.fast_sets(1)
 @pytest.mark.parametrize("anchored", [False, True])
 def test_a_tendons_friction_is_by_how_fast_it_slips_at_each_eyelet(anchored):
     """T_j = T_(j-1) exp(-mu theta_j tanh(v_j / v_s)), by loops over the eyelets.
@@ -240,6 +242,7 @@ def test_a_pose_that_friction_holds_stays_when_it_is_advanced():
     assert float(jnp.max(jnp.abs(poses[0] - poses[1]))) > 1e-3
 
 
+@pytest.mark.slow
 def test_the_bound_of_a_tendon_is_above_all_that_its_energy_is_curved_by():
     """On the elements that have its eyelets, the last of them included."""
     n, held = 3, (1, 2)
@@ -255,6 +258,7 @@ def test_the_bound_of_a_tendon_is_above_all_that_its_energy_is_curved_by():
     assert min(left) > -1e-8 * max(left)
 
 
+@pytest.mark.fast_sets(1)
 @pytest.mark.parametrize("across", [False, True])
 def test_the_bound_of_a_muscle_is_above_all_that_its_energy_is_curved_by(across):
     """A constant pull on the axis. Only stiffness counts, and no lack of it."""

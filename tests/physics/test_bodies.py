@@ -78,6 +78,7 @@ def nearest(body, samples):
     return difference(jnp.abs(surface(body, points)[0]), exact)
 
 
+@pytest.mark.slow
 def test_distances_are_those_of_the_nearest_of_many_points_of_the_surface():
     grid = np.linspace(-1, 1, 101)
     first, second = (jnp.asarray(a.ravel()) for a in np.meshgrid(grid, grid))
@@ -113,7 +114,7 @@ def test_distances_are_those_of_the_nearest_of_many_points_of_the_surface():
     assert nearest(body, jnp.concatenate([*walls, *rims], axis=1)) < 2e-3
 
 
-@pytest.mark.fast_sets(6)
+@pytest.mark.fast_sets(1)
 def test_everything_is_finite_everywhere(body, dtype):
     """Values, and their gradients with respect to places and numbers."""
     body = jax.tree.map(lambda leaf: leaf.astype(dtype), body)

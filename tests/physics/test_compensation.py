@@ -61,6 +61,7 @@ def test_float32_agrees_with_float64(damping, plane, record):
     )
 
 
+@pytest.mark.slow
 def test_displacements_below_rounding_add_up():
     """Without compensation a node at 1 m moving at 1e-5 m/s never moves."""
     rod, state = arm(3, jnp.float32, youngs_modulus=10.0)

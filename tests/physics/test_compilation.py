@@ -126,7 +126,7 @@ RUNS = {
 }
 
 
-@pytest.mark.fast_sets(9)
+@pytest.mark.fast_sets(1)
 @pytest.mark.parametrize(
     ("run", "kind"),
     [
@@ -273,6 +273,7 @@ class Nothing(jaxrod.extend.Effect):
         return 0.0
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("compiled_for_cpus")
 def test_an_effect_costs_only_what_it_does(record, request):
     # XLA counts its own operations, not those of kernels.

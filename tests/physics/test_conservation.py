@@ -12,6 +12,7 @@ from jaxrod.methods.laws import IN_SPACE
 from physics.rods import arm, deformed, largest, random_rod
 
 
+@pytest.mark.slow
 def test_momentum_of_a_spinning_bent_twisting_rod(record):
     rod, _ = random_rod(5, n_elements=8)
     scene = jaxrod.make_scene(rod)

@@ -33,7 +33,7 @@ from physics.touching import (
 )
 
 
-@pytest.mark.fast_sets(1)
+@pytest.mark.slow
 @pytest.mark.parametrize("per_element", [1, 3])
 def test_a_weight_rests_at_the_penetration_weight_over_stiffness(per_element):
     rod, state = random_rod(2, 6)
@@ -47,6 +47,7 @@ def test_a_weight_rests_at_the_penetration_weight_over_stiffness(per_element):
     assert difference(forces[::2], jnp.zeros_like(forces[::2])) == 0
 
 
+@pytest.mark.slow
 def test_forces_are_minus_the_gradient_of_the_energy():
     rod, _ = random_rod(4, 6, length=0.6)
     state = deformed(rod, 1, speed=0.0)
@@ -91,6 +92,7 @@ def test_a_dashpot_never_pulls_and_is_no_stiffer_than_stated():
     assert -jnp.min(drag) == pytest.approx(RATE * LINE)
 
 
+@pytest.mark.fast_sets(1)
 @pytest.mark.parametrize("name", ["capsule", "box"])
 def test_loads_turn_with_rod_and_body(name, record):
     rotation, shift = jnp.asarray([0.3, -1.2, 0.7]), jnp.asarray([1.0, -2.0, 0.5])
@@ -127,6 +129,7 @@ def turned_orientations(rotation, orientations):
     return jnp.stack(both)
 
 
+@pytest.mark.slow
 def test_friction_takes_energy_and_neither_force_nor_moment_from_nowhere():
     """About any point: its couples are those of forces at the surface."""
     rod, state = moving_arm()
@@ -155,6 +158,7 @@ def test_friction_takes_energy_and_neither_force_nor_moment_from_nowhere():
     assert power < -1e-3
 
 
+@pytest.mark.slow
 def test_a_batch_of_bodies_is_a_loop_and_several_bodies_are_their_sum():
     rod, state = moving_arm()
     centres = np.random.default_rng(1).normal(scale=0.1, size=(3, 3))

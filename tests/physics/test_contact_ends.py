@@ -58,7 +58,7 @@ FINEST = pytest.param(160, 8, marks=pytest.mark.slow)
 GRIDS = [(10, 1), (10, 4), (40, 2), (160, 1), FINEST]
 
 
-@pytest.mark.fast_sets(1)
+@pytest.mark.slow
 @pytest.mark.parametrize(("n", "points"), GRIDS)
 def test_a_standing_rod_is_pushed_alike_on_every_grid(n, points):
     for name, make in BELOW.items():
@@ -70,7 +70,7 @@ def test_a_standing_rod_is_pushed_alike_on_every_grid(n, points):
                 assert found == pytest.approx(law(depth), rel=0.02), (name, depth)
 
 
-@pytest.mark.fast_sets(2)
+@pytest.mark.fast_sets(1)
 @pytest.mark.parametrize(("n", "points"), GRIDS)
 def test_a_moving_body_is_pushed_as_a_fixed_one(n, points):
     rod, state = standing(n, 1e-3)
@@ -96,6 +96,7 @@ def test_a_moving_body_is_pushed_as_a_fixed_one(n, points):
     assert float(pushed(system)) == pytest.approx(law(1e-3), rel=0.02)
 
 
+@pytest.mark.fast_sets(1)
 @pytest.mark.parametrize(("n", "points"), GRIDS)
 def test_a_lying_rod_rests_at_the_weight_over_stiffness_and_length(n, points):
     depth = 1e-3
@@ -120,6 +121,7 @@ def test_a_lying_rod_rests_at_the_weight_over_stiffness_and_length(n, points):
     assert forces[2] == pytest.approx(share * STIFFNESS * LENGTH * depth, rel=1e-9)
 
 
+@pytest.mark.slow
 def test_a_leaning_rod_is_pushed_alike_on_every_grid():
     angle, depth = np.deg2rad(40.0), 1e-3
     rise = np.sin(angle)
@@ -142,7 +144,7 @@ def test_a_leaning_rod_is_pushed_alike_on_every_grid():
         assert np.max(np.abs(forces[:2])) < 1e-12
 
 
-@pytest.mark.fast_sets(1)
+@pytest.mark.slow
 @pytest.mark.parametrize("per", [1, 3])
 def test_loads_at_an_end_are_minus_the_gradient_of_the_energy(per):
     """At a sphere, aslant, so that the two normals differ; near ones, too."""
@@ -208,7 +210,7 @@ def test_ends_that_are_tied_have_no_face():
     assert float(jnp.sum(free[2])) == pytest.approx(expected, rel=0.02)
 
 
-@pytest.mark.fast_sets(1)
+@pytest.mark.slow
 @pytest.mark.parametrize("n", [2, 3, 12])
 def test_the_bound_of_the_stiffness_holds_for_ends_at_any_angle(n):
     """On a coarse grid and on one whose elements are thinner than the rod is thick."""

@@ -56,6 +56,7 @@ def test_an_arm_rolls_down_a_slope_at_two_thirds_of_free_sliding(mode, record):
     assert spin == pytest.approx(-float(second) / np.cos(slope) / RADIUS, rel=0.03)
 
 
+@pytest.mark.fast_sets(1)
 @pytest.mark.parametrize("mode", ["consistent", "pyelastica"])
 def test_an_arm_that_slides_is_braked_by_friction_until_it_rolls(mode, record):
     scene, state = on_the_floor(mode=mode)
@@ -165,6 +166,7 @@ def bounce(dt, damping=0.0):
     return bounced(jaxrod.make_scene(rod, floor), start, dt)
 
 
+@pytest.mark.slow
 def test_a_bounce_keeps_its_energy_to_second_order(record):
     errors = []
     for dt in (6e-4, 3e-4):
@@ -222,6 +224,7 @@ def test_in_a_plane_contact_is_what_it_is_in_space():
     assert difference(flat.velocities, free.velocities) < 1e-9
 
 
+@pytest.mark.slow
 def test_a_body_that_pushes_out_of_the_plane_is_refused_in_words():
     scene, state = thrown_in_a_plane("xy")
     tilted = jaxrod.shapes.capsule((0.0, -9.0, -1.0), (0.0, -9.0, 2.0), 0.1)

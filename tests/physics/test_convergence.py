@@ -43,7 +43,7 @@ SCENES = {
 }
 
 
-@pytest.mark.fast_sets(2)
+@pytest.mark.fast_sets(1)
 @pytest.mark.parametrize("name", SCENES)
 def test_the_consistent_step_is_of_second_order_in_dt(name, record):
     rod, rest = jaxrod.straight_rod(

@@ -70,6 +70,7 @@ def test_signs_are_right_at_acute_edges_and_corners():
     assert np.array_equal(found.reshape(-1) < -1e-12, inside)
 
 
+@pytest.mark.slow
 def test_ten_thousand_triangles_have_the_distances_of_the_smooth_ring(ring, record):
     points, _ = around((-0.035, 0.055))
     exact, outward = meshes.from_torus(points)
@@ -86,6 +87,7 @@ def test_ten_thousand_triangles_have_the_distances_of_the_smooth_ring(ring, reco
     record("normal of this ring", "closed form", tilt, at_most=0.063)
 
 
+@pytest.mark.slow
 def test_the_normal_is_the_gradient_everywhere(ring, block):
     """JAX and differences agree inside the grid, outside, and for the complement."""
     points = np.random.default_rng(2).uniform(-0.4, 0.4, (3, 200))
@@ -113,6 +115,7 @@ def test_the_gradient_is_continuous_from_cell_to_cell(ring):
         assert difference(one, two) < 1e-6
 
 
+@pytest.mark.slow
 def test_the_spline_has_the_given_distances_and_any_linear_one():
     values = np.random.default_rng(4).normal(size=(5, 3, 7))
     body = shapes.signed_distance_grid(values, 0.1, (0.2, 0.3, -0.1))
@@ -130,6 +133,7 @@ def test_the_spline_has_the_given_distances_and_any_linear_one():
     assert difference(normal, np.broadcast_to(slope[:, None], (3, 50))) < 1e-14
 
 
+@pytest.mark.slow
 def test_outside_the_grid_the_distance_grows_with_that_from_the_grid(block):
     """It is never less than the true one, and never less than that from the grid."""
     points = np.random.default_rng(6).uniform(-2, 2, (3, 300))
@@ -193,6 +197,7 @@ def fallen(body, steps=400, **touch):
     return scene, state, jaxrod.advance(scene, state, 1e-4, steps)
 
 
+@pytest.mark.slow
 def test_a_rod_on_a_mesh_moves_as_on_a_plane():
     """The distance above the middle of a face is linear, which the spline keeps."""
     table = surfaces.box(np.array([0.3, 0.3, 0.15]))
@@ -320,7 +325,7 @@ def test_a_batch_is_its_members_and_numbers_change_without_compiling(block):
     assert near.n_bodies == 3
 
 
-@pytest.mark.fast_sets(1)
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", [np.float32, np.float64])
 def test_everything_is_finite_everywhere(block, kind):
     body = jaxrod.astype(block, kind)
@@ -342,6 +347,7 @@ def test_everything_is_finite_everywhere(block, kind):
     assert difference(single, double) < 1e-6
 
 
+@pytest.mark.slow
 def test_volume_and_inertia_are_those_of_the_closed_form(ring, block):
     exact = shapes.box((0, 0, 0), HALF).solid()
     solid = block.solid()
@@ -429,6 +435,7 @@ def two_that_share_an_edge(mesh):
     return corners, np.concatenate([mesh[1], mesh[1] + len(mesh[0])])
 
 
+@pytest.mark.fast_sets(1)
 @pytest.mark.parametrize(
     ("mesh", "options", "words"),
     [

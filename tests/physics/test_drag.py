@@ -81,6 +81,7 @@ def test_sedimentation_is_exact_and_twice_as_fast_along(dt, record):
     assert speeds[1] / speeds[0] == 2.0
 
 
+@pytest.mark.fast_sets(1)
 @pytest.mark.parametrize(
     "section",
     [

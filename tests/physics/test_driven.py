@@ -72,6 +72,7 @@ def test_gradients_through_driven_ends_agree_with_differences(method, dt, turn, 
     )
 
 
+@pytest.mark.slow
 def test_a_gripped_inner_node_moves_and_bears_the_rod():
     """A rod is gripped a quarter along: the grip bears its weight, and more if lifted.
 
@@ -190,6 +191,7 @@ def test_an_end_that_is_driven_faster_takes_its_mass_times_acceleration():
     assert float(reaction.power) == pytest.approx(expected @ velocity, rel=1e-9)
 
 
+@pytest.mark.fast_sets(1)
 @pytest.mark.parametrize("turns", [0.3, 0.9, 1.1, 2.5, -7.2])
 def test_a_wall_turns_more_than_once(turns):
     _, state = along_x()

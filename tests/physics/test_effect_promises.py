@@ -155,13 +155,13 @@ def scene_with(effect, dtype):
     return jaxrod.make_scene(rod, jaxrod.gravity(), effect)
 
 
-@pytest.mark.fast_sets(4)
+@pytest.mark.fast_sets(1)
 @pytest.mark.parametrize("name", HONEST)
 def test_what_is_so_is_accepted(name, dtype):
     check_declared_properties(scene_with(HONEST[name](), dtype))
 
 
-@pytest.mark.fast_sets(8)
+@pytest.mark.fast_sets(1)
 @pytest.mark.parametrize("name", BROKEN)
 def test_what_is_not_so_is_refused_in_words(name, dtype):
     with pytest.raises(ValueError, match=name):

@@ -61,7 +61,7 @@ def test_internal_loads_are_minus_the_gradient_of_the_stored_energy(record):
     )
 
 
-@pytest.mark.fast_sets(1)
+@pytest.mark.slow
 @pytest.mark.parametrize("end", ["base", "tip"])
 def test_effects_with_an_energy_load_the_rod_by_minus_its_gradient(end, record):
     rod, rest = random_rod(1, n_elements=6)

@@ -73,7 +73,7 @@ def is_sound(scene, state):
     return not any(report.flagged for report in examined(scene, state))
 
 
-@pytest.mark.fast_sets(7)
+@pytest.mark.fast_sets(1)
 def test_a_held_rod_that_is_let_go_is_sound(world):
     assert is_sound(*falling(world, *readme_rod(), held=True))
 
@@ -119,6 +119,7 @@ def check_63_joules(world, held):
     assert not report_on(after, work_input=report.energy_growth).energy
 
 
+@pytest.mark.fast_sets(1)
 def test_63_joules_from_nowhere_are_flagged_in_a_held_rod(world):
     check_63_joules(world, held=True)
 
@@ -141,6 +142,7 @@ def test_rounding_is_what_it_is_said_to_be(record):
     )
 
 
+@pytest.mark.fast_sets(1)
 @pytest.mark.parametrize("n_steps", [0, -1, float("nan")])
 def test_a_count_of_steps_is_positive(n_steps):
     scene, state = falling(HERE, *readme_rod(), held=False)

@@ -26,6 +26,7 @@ def bending(rod):
     return float(rod.bend_twist_stiffness[0, 0])
 
 
+@pytest.mark.slow
 def test_a_small_load_bends_a_cantilever_as_timoshenko_says(record):
     force = 1e-3
     exact = force * LENGTH**3 / (3 * BENDING) + force * LENGTH / SHEARING

@@ -22,6 +22,7 @@ def filtered(rod, state, rate):
     return state_of(effect.dissipate(scene, motion_of(state), jnp.asarray(DT)))
 
 
+@pytest.mark.slow
 def test_what_a_filter_keeps(record):
     """Momenta, and rigid motion; energy falls, at any rate."""
     rod, state = random_rod(4, n_elements=8)

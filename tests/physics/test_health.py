@@ -49,7 +49,7 @@ def spinning(state, rate):
     return jaxrod.with_angular_velocities(arm(5)[0], state, spins)
 
 
-@pytest.mark.fast_sets(4)
+@pytest.mark.fast_sets(1)
 @pytest.mark.parametrize(
     ("change", "wrong", "fine", "flag"),
     [
@@ -197,6 +197,7 @@ def test_energy_from_nowhere_is_flagged_and_work_is_not():
     assert raised(report) == set()
 
 
+@pytest.mark.fast_sets(1)
 @pytest.mark.parametrize(
     "field", ["positions", "orientations", "velocities", "angular_momenta"]
 )
@@ -234,6 +235,7 @@ def test_one_bad_rod_in_a_batch_leaves_the_others_alone():
         np.testing.assert_array_equal(good.positions[i], bad.positions[i])
 
 
+@pytest.mark.slow
 def test_a_flagged_rod_is_frozen_and_the_others_go_on_to_the_last_bit():
     """Of 4096 rods one gets a not-a-number load after a while; in float32."""
     bad, steps, fails = 1234, 6, 3

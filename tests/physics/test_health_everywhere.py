@@ -46,18 +46,19 @@ def report(world, case, tie):
     return examine(scene, world.state(state), world.cast(DT * world.time))
 
 
-@pytest.mark.fast_sets(7)
+@pytest.mark.fast_sets(1)
 def test_unsound_states_are_flagged(world):
     for name, (case, tie, flag) in UNSOUND.items():
         assert flag in raised(report(world, case, tie)), name
 
 
+@pytest.mark.fast_sets(1)
 def test_sound_states_are_not_flagged(world):
     for name, (case, tie) in SOUND.items():
         assert raised(report(world, case, tie)) == set(), name
 
 
-@pytest.mark.fast_sets(7)
+@pytest.mark.fast_sets(1)
 def test_the_numbers_are_the_same_everywhere(world):
     """To the rounding of coordinates, which 1 km away is a thousandth of an element."""
     tolerance = 1e-9

@@ -42,6 +42,7 @@ def swinging(law, scale=1.0, method=None, dtype=None):
     return scene, state, 0.8 * jaxrod.stable_dt(scene).dt
 
 
+@pytest.mark.fast_sets(1)
 @every_law
 def test_loads_are_minus_the_gradient_of_the_energy(law):
     """This holds while nothing relaxes, slips or yields."""
@@ -62,7 +63,7 @@ def test_loads_are_minus_the_gradient_of_the_energy(law):
     np.testing.assert_allclose(found, -slope, atol=1e-9 * (1 + np.max(np.abs(slope))))
 
 
-@pytest.mark.fast_sets(1)
+@pytest.mark.slow
 @every_law
 def test_runs_go_on_where_they_ended(law, tmp_path):
     """Half by half, through a file: as in one run."""
@@ -107,7 +108,7 @@ def test_a_member_of_a_system_remembers(law):
     np.testing.assert_allclose(within["two"].positions[1], alone.positions, atol=1e-12)
 
 
-@pytest.mark.fast_sets(1)
+@pytest.mark.slow
 @every_law
 def test_gradients_agree_with_differences(law):
     _, state, dt = swinging(law)
@@ -124,6 +125,7 @@ def test_gradients_agree_with_differences(law):
     assert slope == pytest.approx(difference, rel=1e-5)
 
 
+@pytest.mark.fast_sets(1)
 @every_law
 def test_new_numbers_do_not_compile_again(law):
     scene, state, dt = swinging(law)

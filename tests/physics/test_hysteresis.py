@@ -33,6 +33,7 @@ def followed(rod, state, curvatures, about=(0.0, 1.0)):
     return np.asarray(moments)
 
 
+@pytest.mark.fast_sets(1)
 @pytest.mark.parametrize("steps", [4, 100])
 @pytest.mark.parametrize("largest", [0.1, 0.5])
 def test_loops_have_the_closed_form(largest, steps, record):

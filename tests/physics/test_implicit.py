@@ -55,7 +55,7 @@ def explicit_limit(scene):
 SLOW = pytest.mark.slow
 
 
-@pytest.mark.fast_sets(1)
+@pytest.mark.slow
 @pytest.mark.parametrize("radius", [pytest.param(0.0, marks=SLOW), 0.5, 1.0])
 @pytest.mark.parametrize(
     "name",

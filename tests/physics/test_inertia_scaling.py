@@ -136,6 +136,7 @@ def test_a_free_rod_has_six_rigid_motions():
     assert np.all(every[:6] < 1e-4 * every[6])
 
 
+@pytest.mark.slow
 def test_natural_frequencies_refuse_what_they_cannot_do():
     rod, state = arm(3)
     with pytest.raises(ValueError, match="not the gradient of an energy"):

@@ -63,6 +63,7 @@ def test_an_axial_mode_decays(share, record):
     )
 
 
+@pytest.mark.fast_sets(1)
 @pytest.mark.parametrize("end", ["base", "tip"])
 def test_a_wall_is_one_more_joint_of_an_element_that_turns(end):
     """Its stiffness times the angular velocity about the element's own axes."""
@@ -162,7 +163,7 @@ HELD = {
 }
 
 
-@pytest.mark.fast_sets(2)
+@pytest.mark.fast_sets(1)
 @pytest.mark.parametrize("held", HELD)
 def test_it_is_the_dense_equation(held, record):
     """Odd and even numbers of elements; weights below and above the inertia."""

@@ -55,7 +55,7 @@ def muscled(rod, state, method=None, command=0.8):
     )
 
 
-@pytest.mark.fast_sets(2)
+@pytest.mark.fast_sets(1)
 @pytest.mark.parametrize("name", METHODS)
 def test_what_an_effect_remembers_goes_on_in_every_method(name, rod_and_state):
     rod, state = rod_and_state
@@ -121,6 +121,7 @@ def test_memory_that_is_not_of_the_scene_is_refused(rod_and_state):
     jaxrod.advance(without, replace(after, memory=None), DT, 1)
 
 
+@pytest.mark.slow
 def test_energies_and_health_see_what_is_remembered(rod_and_state):
     rod, state = rod_and_state
 
@@ -157,6 +158,7 @@ class Bender(jaxrod.extend.Effect):
         return replace(self, activation=self.activation + dt)
 
 
+@pytest.mark.slow
 def test_what_is_zero_at_first_is_refused_where_it_may_not_become_something(
     rod_and_state,
 ):
@@ -220,6 +222,7 @@ def test_a_loop_of_ones_own_begins_with_memory(rod_and_state):
     np.testing.assert_array_equal(frozen.positions, state.positions)
 
 
+@pytest.mark.slow
 def test_a_stiffness_that_has_grown_is_warned_of(rod_and_state):
     @jaxrod.extend.pytree
     class Stiffening(jaxrod.extend.Effect):

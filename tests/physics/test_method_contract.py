@@ -87,7 +87,7 @@ def slow_if(condition):
     return [pytest.mark.slow] if condition else []
 
 
-@pytest.mark.fast_sets(4)
+@pytest.mark.fast_sets(1)
 @pytest.mark.parametrize(
     ("method", "kind"),
     [
@@ -143,7 +143,7 @@ def one_step(method, *effects):
     return lambda scene, state: jaxrod.step(scene, state, DT), (scene, state)
 
 
-@pytest.mark.fast_sets(2)
+@pytest.mark.fast_sets(1)
 @pytest.mark.parametrize(
     "method",
     [pytest.param(method, marks=slow_if(method == "implicit")) for method in METHODS],
@@ -182,7 +182,7 @@ def kept(hook):
     return {"wall": hook.wall} if "wall" in vars(hook) else {}
 
 
-@pytest.mark.fast_sets(3)
+@pytest.mark.fast_sets(1)
 @pytest.mark.usefixtures("compiled_for_cpus")
 @pytest.mark.parametrize("method", METHODS)
 def test_an_effect_that_overrides_no_hook_is_free_in_every_method(method):
@@ -211,7 +211,7 @@ class Stiff(jaxrod.extend.Effect):
         )
 
 
-@pytest.mark.fast_sets(3)
+@pytest.mark.fast_sets(1)
 @pytest.mark.parametrize("method", METHODS)
 def test_energy_and_resistance_count_in_every_method(method):
     rod, state = moving(jnp.dtype("float64"))

@@ -79,6 +79,7 @@ def test_loads_are_those_of_all_bodies_while_few_are_touched(kind):
         assert difference(found, wanted) < 1e-12 * jnp.max(jnp.abs(wanted))
 
 
+@pytest.mark.slow
 def test_what_is_not_among_the_nearest_is_not_felt():
     rod, state = thick_arm()
     sphere = BODIES["sphere"]()

@@ -102,6 +102,7 @@ def test_the_travel_of_a_node_counts_in_its_own_radii():
     assert found.tolist() == [False, True, True]
 
 
+@pytest.mark.fast_sets(1)
 @pytest.mark.parametrize("held", [True, False])
 def test_frequencies_in_a_plane_are_those_in_space_that_stay_in_it(held):
     """A strip that is bent in its plane, with frames turned about the axis."""

@@ -65,6 +65,7 @@ def in_space(scene):
     return replace(scene, method=scene.method.of)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("plane", "mode"),
     [
@@ -149,6 +150,7 @@ def test_gradients_are_those_in_space(mode):
         )
 
 
+@pytest.mark.slow
 def test_batches_and_numbers_do_not_recompile():
     check_one_program(*swinging("xy"), rtol=1e-13)
 
@@ -214,6 +216,7 @@ def test_an_end_held_out_of_the_plane_is_refused():
         jaxrod.advance(held, state, 1e-4, 5)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("plane", ["yz"])
 def test_effects_see_what_rounding_has_added_to_the_positions(plane):
     scene, state = swinging(plane, dtype=jnp.float32)

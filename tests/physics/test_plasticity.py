@@ -28,6 +28,7 @@ def followed(rod, state, curvatures, hardening, about=(0.0, 1.0)):
     return np.asarray(added) + elastic, np.asarray(after.set)[:, :2, 1]
 
 
+@pytest.mark.fast_sets(1)
 @pytest.mark.parametrize("hardening", [0.0, 0.2])
 def test_a_single_bend_has_the_closed_form(hardening, record):
     """The moment while it bends, and the set when the moment is zero again."""
@@ -97,6 +98,7 @@ def test_a_cantilever_keeps_its_set(record):
     )
 
 
+@pytest.mark.slow
 def test_energy_lost_is_that_of_yielding(record):
     rod, state = straight(3)
     wall = jaxrod.clamp(state)

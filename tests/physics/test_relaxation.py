@@ -77,6 +77,7 @@ def test_steps_are_of_second_order(method, record):
     record(f"Order of {method} steps of a relaxing rod", "2", order, between=(1.9, 2.1))
 
 
+@pytest.mark.fast_sets(1)
 @pytest.mark.parametrize("turns", [0.3, 1.0, 4.0])
 def test_cycles_have_the_storage_and_loss_moduli(turns, record):
     """A bend that oscillates, with `turns` radians in a relaxation time."""
@@ -101,6 +102,7 @@ def test_cycles_have_the_storage_and_loss_moduli(turns, record):
         )
 
 
+@pytest.mark.slow
 def test_a_cantilever_creeps(record):
     """The deflection under a load that comes at once and stays."""
     rod, state = straight(4, radius=0.1)
@@ -144,6 +146,7 @@ def energies(scene, state, dt, steps):
     return jax.jit(jax.vmap(one))(states)
 
 
+@pytest.mark.slow
 def test_energy_lost_is_that_of_the_dashpots(record):
     rod, state = straight(3)
     wall = jaxrod.clamp(state)

@@ -68,6 +68,7 @@ def test_a_tube_bends_as_a_rod_of_the_same_stiffness(record):
     )
 
 
+@pytest.mark.slow
 def test_a_free_asymmetric_element_tumbles(record):
     """Euler's top in Jacobi's elliptic functions: d2 turns over again and again."""
     rod, state = strip(2)

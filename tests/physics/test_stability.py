@@ -126,7 +126,7 @@ TABLE = {
 }
 
 
-@pytest.mark.fast_sets(1)
+@pytest.mark.slow
 @pytest.mark.parametrize("name", TABLE)
 def test_the_limit_of_well_known_rods(name, record):
     radius, modulus, n, published = TABLE[name]
@@ -167,6 +167,7 @@ def test_stable_below_the_measured_limit_and_not_above(mode, rates):
     assert not excursion(scene, state, 1.03 * limit) < 1e-4
 
 
+@pytest.mark.fast_sets(1)
 @pytest.mark.parametrize("run", [jaxrod.advance, jaxrod.rollout])
 def test_a_step_above_the_bound_is_warned_of(run):
     rod, state = arm(5)
@@ -357,6 +358,7 @@ def test_deformed_rods_stay_within_the_safety_factor(record):
     )
 
 
+@pytest.mark.slow
 def test_the_highest_frequency_is_that_of_the_tangent_stiffness(record):
     n, errors = 10, []
     for seed in range(5):

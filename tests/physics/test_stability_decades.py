@@ -68,7 +68,7 @@ def steps_along(name, values, dtype=jnp.float64, method=None, faces=True, **numb
     return jax.jit(jax.vmap(step))(jnp.asarray(values, dtype))
 
 
-@pytest.mark.fast_sets(1)
+@pytest.mark.slow
 @pytest.mark.parametrize("dtype", [jnp.float32, jnp.float64])
 @pytest.mark.parametrize("name", ["stiffness", "damping", "drag"])
 def test_more_stiffness_or_drag_never_allows_a_larger_step(name, dtype):
@@ -107,6 +107,7 @@ def test_more_damping_never_asks_for_a_smaller_step(method):
             assert np.max(found.uncertainty) < 1e-12
 
 
+@pytest.mark.slow
 def test_what_drag_allows_is_its_quadratic_equation():
     """With all inertia and drag alike: k h^2 + 2 c h = 4 m."""
     drag = np.geomspace(1e-3, 1e3, 13)
@@ -135,6 +136,7 @@ def shares(n, method, cases):
     return np.asarray(found)
 
 
+@pytest.mark.slow
 def test_the_step_is_safe_and_close_with_much_friction_and_damping():
     cases = [
         {"drag": 1.0},
@@ -200,6 +202,7 @@ def hanging_over_a_cylinder(drag, n=100):
     )
 
 
+@pytest.mark.slow
 def test_more_drag_of_a_ropes_friction_asks_for_a_smaller_step_in_proportion(record):
     steps = [
         float(jaxrod.stable_dt(hanging_over_a_cylinder(drag), 1.0).dt) for drag in DRAGS
@@ -241,6 +244,7 @@ FIELDS = {
 }
 
 
+@pytest.mark.fast_sets(1)
 @pytest.mark.parametrize("name", FIELDS)
 def test_a_step_is_the_same_if_a_scheduled_field_is_turned(name):
     rod, _ = arm(4)

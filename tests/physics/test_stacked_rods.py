@@ -47,6 +47,7 @@ def in_stack(trees, shape):
     )
 
 
+@pytest.mark.fast_sets(1)
 @pytest.mark.parametrize("changed", [lambda rod: rod, flat, series])
 @pytest.mark.parametrize("shape", STACKS)
 def test_each_of_stacked_rods_has_its_own_numbers(shape, changed):

@@ -98,6 +98,7 @@ def test_the_reference_elastica_is_the_tabulated_one():
     np.testing.assert_allclose(elastica(5.0), (0.713792, 1 - 0.387628), atol=1e-6)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("n", "bar"),
     [

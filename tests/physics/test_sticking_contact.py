@@ -60,7 +60,7 @@ METHODS = {
 }
 
 
-@pytest.mark.fast_sets(1)
+@pytest.mark.slow
 @pytest.mark.parametrize("method", METHODS)
 def test_a_rod_on_a_slope_holds_by_the_elongation_of_its_springs(method, record):
     scene, state = lying(0.5, method=METHODS[method], points=2)
@@ -78,6 +78,7 @@ def test_a_rod_on_a_slope_holds_by_the_elongation_of_its_springs(method, record)
     )
 
 
+@pytest.mark.slow
 def test_a_rod_on_a_steep_slope_slides_by_coulombs_law(record):
     scene, state = lying(0.2)
     first = run(scene, state, 0.5)
@@ -161,6 +162,7 @@ def test_runs_in_two_calls_are_one_run():
             np.testing.assert_allclose(a, b, atol=1e-14)
 
 
+@pytest.mark.fast_sets(1)
 @pytest.mark.parametrize("friction", [0.5, 0.2])
 def test_gradients_agree_with_differences(friction):
     scene, state = lying(friction)

@@ -43,7 +43,7 @@ def passes(rod, state, touch):
     return bool(jnp.mean(after.positions[1, middle : middle + 2]) < -RADIUS - WIRE)
 
 
-@pytest.mark.fast_sets(1)
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("spacing", "points", "slips"), [(1.8, 1, True), (1.8, 2, False), (1.0, 1, False)]
 )

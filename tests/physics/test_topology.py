@@ -296,6 +296,7 @@ def test_frames_of_a_batch_are_those_of_a_loop():
     np.testing.assert_allclose(passed, jnp.stack(alone), atol=1e-12)
 
 
+@pytest.mark.fast_sets(1)
 @pytest.mark.parametrize(
     ("call", "words"),
     [

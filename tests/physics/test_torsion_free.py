@@ -236,6 +236,7 @@ def test_the_angle_between_directions_is_exact(dtype, record):
     assert np.isfinite(opposite(jnp.ones((), dtype)))
 
 
+@pytest.mark.slow
 def test_frames_have_their_direction_as_third_axis():
     random = np.random.default_rng(0).normal(size=(3, 50))
     random[:, :6] = np.concatenate([np.eye(3), -np.eye(3)], axis=1)

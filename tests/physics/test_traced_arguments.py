@@ -88,7 +88,7 @@ def slope_of(name, case, argument):
     return total
 
 
-@pytest.mark.fast_sets(120)
+@pytest.mark.fast_sets(1)
 @pytest.mark.parametrize(("name", "case", "argument"), CASES)
 def test_every_number_may_be_traced(name, case, argument):
     """Alone, beside numbers that are known, and under a gradient; nothing compiled."""

@@ -12,7 +12,7 @@ DT = 1e-6
 RATES = 2e5, 7e5
 
 
-@pytest.mark.fast_sets(2)
+@pytest.mark.fast_sets(1)
 @pytest.mark.parametrize(
     "method",
     [

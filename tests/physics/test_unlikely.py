@@ -54,6 +54,7 @@ def test_scenes_are_made_where_a_program_is_traced():
     )
 
 
+@pytest.mark.fast_sets(1)
 @pytest.mark.parametrize(
     "hold",
     [

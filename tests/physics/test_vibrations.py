@@ -86,6 +86,7 @@ def test_bending_and_shear_vibrations(bend, about, record):
     )
 
 
+@pytest.mark.slow
 def test_the_arm_s_first_frequency(record):
     """At n = 20 within 0.3 % of the continuous clamped beam's."""
     rod, state = arm(N)

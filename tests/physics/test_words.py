@@ -60,6 +60,7 @@ def seen_in(transformation):
     return said
 
 
+@pytest.mark.fast_sets(1)
 @pytest.mark.parametrize(
     "transformation",
     [

@@ -112,6 +112,7 @@ class OneStep:
         return x, Q, v, w
 
 
+@pytest.mark.fast_sets(1)
 @pytest.mark.parametrize("seed", range(8))
 def test_one_step_is_what_the_documentation_says(seed):
     scene = scenes.random_scene(seed)

@@ -175,6 +175,7 @@ def test_loads_of_a_rod_that_touches_itself(record):
     )
 
 
+@pytest.mark.fast_sets(1)
 @pytest.mark.parametrize(
     ("members", "numbers", "words"),
     [

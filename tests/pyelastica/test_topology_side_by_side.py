@@ -22,7 +22,7 @@ def ribbon():
     return nodes, random.normal(size=(3, 20)), random.uniform(0.05, 0.1, 20)
 
 
-@pytest.mark.fast_sets(1)
+@pytest.mark.slow
 @pytest.mark.parametrize("ends", ["next_tangent", "net_tangent"])
 def test_writhe(ribbon, ends):
     nodes, _, _ = ribbon
@@ -31,7 +31,7 @@ def test_writhe(ribbon, ends):
     np.testing.assert_allclose(ours, theirs, atol=1e-13)
 
 
-@pytest.mark.fast_sets(1)
+@pytest.mark.slow
 @pytest.mark.parametrize("ends", ["next_tangent", "end_to_end", "net_tangent"])
 def test_link(ribbon, ends):
     """Their arcsines lose half of the digits where elements are close."""

@@ -31,7 +31,7 @@ def drawn():
     )
 
 
-@pytest.mark.fast_sets(1)
+@pytest.mark.slow
 @pytest.mark.parametrize("steps", [1, 100])
 def test_waves_of_couples_are_those_of_pyelastica(drawn, steps, record, monkeypatch):
     scene, state = same_scene(drawn)

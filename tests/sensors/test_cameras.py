@@ -23,6 +23,7 @@ def test_a_pin_hole_projects_by_similar_triangles():
     )
 
 
+@pytest.mark.slow
 def test_markers_turn_with_their_section():
     rod, state = straight(**ALONG_X)
     scene = jaxrod.make_scene(rod)

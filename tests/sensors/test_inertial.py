@@ -15,6 +15,7 @@ G = jaxrod.gravity((0.0, 0.0, -9.81))
 STATIONS = [0.0, 0.3, 1.0]
 
 
+@pytest.mark.slow
 def test_a_rod_in_free_fall_feels_nothing():
     rod, state = straight()
     found = sensors.accelerometer(STATIONS, (0.01, 0.02)).read(
@@ -23,6 +24,7 @@ def test_a_rod_in_free_fall_feels_nothing():
     np.testing.assert_allclose(found, 0, atol=1e-10)
 
 
+@pytest.mark.slow
 def test_a_pendulum_feels_centripetal_acceleration_and_gravity():
     rod, state = straight()
     spin = 3.0
@@ -61,6 +63,7 @@ def test_a_clamped_rod_at_rest_feels_gravity_upwards():
     np.testing.assert_allclose(found, [9.81, 0, 0], atol=1e-12)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "holds_element", [True, pytest.param(False, marks=pytest.mark.slow)]
 )

@@ -132,6 +132,7 @@ POWERS = {
 """Powers of the unit of length in readings, with mass and time as they are."""
 
 
+@pytest.mark.slow
 def test_every_sensor_is_here_and_says_its_shape():
     scene, _, kinds = arm()
     listed = {type(sensor).__name__ for sensor in kinds}

@@ -3,6 +3,7 @@
 from types import SimpleNamespace
 
 import numpy as np
+import pytest
 
 from jaxrod.systems.contact.rod_segments import rod_segments
 from jaxrod.systems.contact.touching_rods import (
@@ -44,6 +45,7 @@ def test_the_way_from_a_place_to_a_stretch_is_none_within_it():
     np.testing.assert_allclose(from_node(stretch, 0.25), [0.05, 0, 0.15])
 
 
+@pytest.mark.slow
 def test_points_and_segments_count_by_their_ways_from_a_tie():
     """From a point, and from the nearer end of a segment that has not got the node."""
     one, two = (

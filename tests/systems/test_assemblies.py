@@ -56,6 +56,7 @@ def test_cilia_stand_as_they_are_told(way):
     np.testing.assert_allclose(frames[0, :, 0], d1 / np.linalg.norm(d1), atol=1e-12)
 
 
+@pytest.mark.fast_sets(1)
 @pytest.mark.parametrize("arms", [1, 5, 8])
 def test_arms_of_an_octopus_are_evenly_spread_around_its_head(arms):
     _, state = assemblies.octopus(arms, 3, head_radius=0.1, length=0.4, **SOFT)
@@ -66,6 +67,7 @@ def test_arms_of_an_octopus_are_evenly_spread_around_its_head(arms):
         np.testing.assert_allclose(nodes[:, :, node], distance * ways, atol=1e-12)
 
 
+@pytest.mark.fast_sets(1)
 @pytest.mark.parametrize("branches", [1, 3, 5])
 def test_branches_of_a_fork_lean_alike_and_are_evenly_spread(branches):
     _, state = assemblies.tree(

@@ -29,6 +29,7 @@ def given():
     return members, {"one": of_one, "two": of_two, "far": of_far, "ball": of_ball}
 
 
+@pytest.mark.fast_sets(1)
 @pytest.mark.parametrize(
     ("couple", "words"),
     [
@@ -221,6 +222,7 @@ def test_rods_without_mass():
         rod(4, 0.3, density=0.0)
 
 
+@pytest.mark.slow
 def test_a_batch_of_systems_is_no_system_of_groups(given):
     """Nothing numeric in a tie says so: it would be enforced in the first one alone."""
     members, state = given

@@ -56,6 +56,7 @@ def test_a_collision_keeps_momenta_and_spins_the_ball(record):
     assert not jaxrod.health(system, after, dt).flagged
 
 
+@pytest.mark.slow
 def test_loads_are_minus_the_gradient_of_the_energy():
     system, state = pair(rod(6, 0.3), ball((0.14, 0.01, 0.06)))
 

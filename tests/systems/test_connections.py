@@ -328,6 +328,7 @@ def on_a_box(*effects):
     return scenes, joint, state
 
 
+@pytest.mark.slow
 def test_what_is_damped_at_one_rate_loses_momentum_at_that_rate():
     """Also where the nodes of a rod are part of a body: each is damped once."""
     rate, dt = 3.0, 0.1
@@ -587,6 +588,7 @@ class Push(jaxrod.extend.Coupling):
         return {"one": jaxrod.extend.Loads((nodes, nodes, force), (couples,) * 3)}
 
 
+@pytest.mark.slow
 def test_couplings_know_what_is_held_in_systems_that_depend_on_time():
     """A schedule of a load that vanishes changes nothing."""
     one, state = rod(2, 0.3)

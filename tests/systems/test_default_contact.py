@@ -42,7 +42,7 @@ def weight(scene):
     return 9.81 * float(jnp.sum(scene.rod.node_masses))
 
 
-@pytest.mark.fast_sets(4)
+@pytest.mark.fast_sets(1)
 @pytest.mark.parametrize("name", ["soft", "slender", "thick", "stiff"])
 @pytest.mark.parametrize("friction", [0.3, 0.0])
 def test_contact_at_most_halves_the_step_or_just_carries_the_weight(name, friction):
@@ -58,7 +58,7 @@ def test_contact_at_most_halves_the_step_or_just_carries_the_weight(name, fricti
         assert share > 0.5 - 1e-6
 
 
-@pytest.mark.fast_sets(1)
+@pytest.mark.slow
 @pytest.mark.parametrize("law", ["crossing_contact", "rod_contact"])
 @pytest.mark.parametrize("name", ["slender", "soft"])
 def test_contact_between_rods_carries_a_rod(law, name):
@@ -122,6 +122,7 @@ def test_numbers_are_traced():
     np.testing.assert_allclose(slope, many[0] / 1e6, rtol=1e-6)
 
 
+@pytest.mark.slow
 def test_contact_that_no_scene_has_completed_has_no_force():
     """It is NaN, not a number that looks right."""
     rod, state = lying(SLENDER)
@@ -134,6 +135,7 @@ def test_contact_that_no_scene_has_completed_has_no_force():
         jaxrod.sticking_contact(rough, rod, rolling)
 
 
+@pytest.mark.slow
 def test_an_effect_that_is_added_later_gets_its_numbers():
     floor = jaxrod.contact(jaxrod.shapes.plane())
     rod, _ = lying(SLENDER)

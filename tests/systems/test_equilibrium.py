@@ -256,6 +256,7 @@ def test_frequencies_of_two_halves_are_those_of_the_whole(record):
         jaxrod.natural_frequencies(system, state, found.size + 1)
 
 
+@pytest.mark.slow
 def test_frequencies_of_a_ball_on_a_spring_are_its_own():
     """The ball carries the mass of the node that is attached to it."""
     system, state = pendulum(2, mass=5.0)

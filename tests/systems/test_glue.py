@@ -326,6 +326,7 @@ def test_glue_of_equal_rods_may_be_made_where_its_numbers_are_traced(listed):
     np.testing.assert_allclose(slope, [0, 0.5 * 0.5 * LENGTH * 0.005**2], rtol=1e-9)
 
 
+@pytest.mark.fast_sets(1)
 @pytest.mark.parametrize(
     ("names", "options", "words"),
     [

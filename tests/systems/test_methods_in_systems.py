@@ -118,7 +118,7 @@ def gap(one, other):
     return np.max(beyond / np.maximum(size, 0.1 * np.max(size)))
 
 
-@pytest.mark.fast_sets(len(FIRST))
+@pytest.mark.fast_sets(1)
 @pytest.mark.parametrize(
     ("method", "coupling"), [*FIRST, *(pair for pair in PAIRS if pair not in FIRST)]
 )

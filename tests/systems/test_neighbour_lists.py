@@ -406,6 +406,7 @@ def test_a_list_is_old_once_a_node_has_moved_by_half_the_skin():
         np.testing.assert_allclose(moved(far), abs(far) / half, rtol=1e-12)
 
 
+@pytest.mark.slow
 def test_rods_near_each_other_are_found_wherever_they_are():
     found = []
     for x in (0.0, 20.0):

@@ -59,6 +59,7 @@ def summed(way):
     return total
 
 
+@pytest.mark.fast_sets(1)
 @pytest.mark.parametrize("order", ["batch of slopes", "slope of a batch", "forward"])
 def test_derivatives_are_those_of_the_function(order):
     found, expected = (

@@ -164,6 +164,7 @@ def test_a_point_on_a_spring_oscillates():
     assert "'point'" in jaxrod.stable_dt(system).limiting_mode
 
 
+@pytest.mark.slow
 def test_a_point_hangs_on_a_rod_by_a_spring():
     point, start = made()
     rod, arm = jaxrod.straight_rod(

@@ -87,6 +87,7 @@ def test_coupled_planar_rods_have_one_plane():
         two_rods(jaxrod.planar("xy"), jaxrod.planar("zx"))
 
 
+@pytest.mark.slow
 def test_a_spring_beside_the_axis_leaves_the_plane_and_twists():
     aside = ((0.1, 0.0, 0.005), (0.2, 0.0, 0.0))
     with pytest.raises(ValueError, match="of Springs of 'a' in it"):
@@ -106,6 +107,7 @@ class Wind(jaxrod.extend.Coupling):
         return {"a": jaxrod.extend.Loads(couples=(0 * turn, 0 * turn, turn))}
 
 
+@pytest.mark.slow
 def test_a_coupling_of_ones_own_is_tested_too():
     system, state = two_rods(jaxrod.torsion_free(), jaxrod.torsion_free())
     winding = (*system.couplings, Wind(jnp.asarray(1.0)))

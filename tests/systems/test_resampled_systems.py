@@ -66,6 +66,7 @@ def moved(own, bent, speed):
     return replace(changed, orientations=jnp.stack(frames))
 
 
+@pytest.mark.slow
 def test_a_resampled_system_is_the_one_that_is_built_so():
     """Straight rods: every number of members, couplings and state, to round-off."""
     coarse, state = frame_of_rods(4)
@@ -84,6 +85,7 @@ def test_a_resampled_system_is_the_one_that_is_built_so():
     assert jaxrod.resample(made, found, {"beam": 8})[0] is made
 
 
+@pytest.mark.slow
 def test_there_and_back_is_the_same():
     system, state = frame_of_rods(4, bent=0.02, speed=0.3)
     there, finer = jaxrod.resample(system, state, {"post": 12, "beam": 8})

@@ -62,7 +62,7 @@ def from_its_other_end(state):
     )
 
 
-@pytest.mark.fast_sets(1)
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "beside",
     [

@@ -47,6 +47,7 @@ def test_the_bound_on_balls_is_that_of_springs_between_all_or_to_the_worst(
         assert bounds[one].elements is None
 
 
+@pytest.mark.slow
 def test_a_body_that_touches_several_feels_what_each_would_do_to_it():
     """Three balls that touch each other and the ground: sums of pairs of them."""
     centres = {"a": (0.0, 0.0, 0.09), "b": (0.18, 0.0, 0.095), "c": (0.07, 0.16, 0.09)}

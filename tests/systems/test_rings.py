@@ -96,6 +96,7 @@ def squares_of_frequencies(system, state):
     return found * line * RADIUS**4 / bending(rod)
 
 
+@pytest.mark.fast_sets(1)
 @pytest.mark.parametrize(
     ("straight", "turns"), [(False, 0.0), (True, 0.0), (True, 0.3)]
 )
@@ -367,6 +368,7 @@ def test_bad_input(options, words):
         jaxrod.systems.ring(given.pop("n", 10), **given)
 
 
+@pytest.mark.fast_sets(1)
 @pytest.mark.parametrize("n", [3, 8])
 def test_contact_knows_that_a_ring_is_closed_and_a_rod_is_not(n):
     rod, state, closure = made(n)

@@ -47,7 +47,7 @@ def test_the_bounds_of_springs_and_dashpots_are_those_of_as_much_length():
         assert bounds[name].element_drag is None
 
 
-@pytest.mark.fast_sets(1)
+@pytest.mark.slow
 @pytest.mark.parametrize(("n", "m"), [(7, 20), (20, 53)])
 def test_parallel_rods_press_alike_on_any_grids(n, m, record):
     """The force is stiffness times depth times length, spread as the grid is."""
@@ -166,6 +166,7 @@ def test_contact_of_three_rods_is_that_of_every_two():
             )
 
 
+@pytest.mark.slow
 def test_loads_are_minus_the_gradient_of_the_energy():
     system, state = touching(
         rod(5, 0.3), rod(4, 0.3, (0.1, -0.1, 0.01), (0.1, 1, 0.2)), points_per_element=2

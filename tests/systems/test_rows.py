@@ -27,6 +27,7 @@ REPEATED = {
 ROW = jnp.asarray(np.random.default_rng(2).normal(size=SIZE))
 
 
+@pytest.mark.fast_sets(1)
 @pytest.mark.parametrize("name", [*INDICES, *REPEATED])
 def test_picked(name: str) -> None:
     """What numpy picks, bit for bit, of one row and of a batch."""
@@ -38,6 +39,7 @@ def test_picked(name: str) -> None:
     np.testing.assert_array_equal(both, np.asarray(batch)[:, index])
 
 
+@pytest.mark.fast_sets(1)
 @pytest.mark.parametrize("name", INDICES)
 def test_replaced(name: str) -> None:
     """What numpy assigns, bit for bit."""
@@ -49,6 +51,7 @@ def test_replaced(name: str) -> None:
     np.testing.assert_array_equal(found, expected)
 
 
+@pytest.mark.fast_sets(1)
 @pytest.mark.parametrize("name", [*INDICES, *REPEATED])
 def test_summed(name: str) -> None:
     """What numpy adds up, also where entries are named several times."""
@@ -60,7 +63,7 @@ def test_summed(name: str) -> None:
     np.testing.assert_allclose(found, expected, rtol=0, atol=1e-14)
 
 
-@pytest.mark.fast_sets(5)
+@pytest.mark.fast_sets(1)
 @pytest.mark.parametrize("name", [*INDICES, *REPEATED])
 def test_transposed(name: str) -> None:
     """Picking and adding up are each other's transpose."""

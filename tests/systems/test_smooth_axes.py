@@ -53,7 +53,7 @@ def test_elements_of_a_bent_rod_are_pieces_of_one_spline():
             np.testing.assert_allclose(np.transpose(found), expected, atol=1e-13)
 
 
-@pytest.mark.fast_sets(3)
+@pytest.mark.fast_sets(1)
 @pytest.mark.parametrize("n", [3, 7, 12, 13, 20])
 def test_the_stiffest_springs_are_those_of_cubic_splines(n):
     """Sums of stiffness entries of each node, with each spring at its worst place."""

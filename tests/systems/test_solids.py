@@ -68,6 +68,7 @@ def test_a_box_is_its_sides():
     assert jnp.all(solid.shape.centre == 0)
 
 
+@pytest.mark.fast_sets(1)
 @pytest.mark.parametrize(
     "shape",
     [

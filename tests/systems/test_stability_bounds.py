@@ -337,6 +337,7 @@ LEVERS = {
 }
 
 
+@pytest.mark.fast_sets(1)
 @pytest.mark.parametrize("name", LEVERS)
 def test_bounds_of_long_levers_are_safe_and_not_far_off(name, record):
     build, far = LEVERS[name]
@@ -357,6 +358,7 @@ SHAPES = {
 }
 
 
+@pytest.mark.fast_sets(1)
 @pytest.mark.parametrize("name", SHAPES)
 @pytest.mark.parametrize("density", [{"density": 1e3}, {"mass": 2.0}])
 def test_no_point_of_a_surface_moves_more_easily_than_the_bound(name, density):
@@ -459,6 +461,7 @@ class Tethers(jaxrod.extend.Coupling):
         return {"ropes": jaxrod.extend.StabilityBound(nodes=self.stiffness)}
 
 
+@pytest.mark.fast_sets(1)
 @pytest.mark.parametrize("count", [1, 3])
 def test_one_bound_for_all_nodes_is_that_of_each(count):
     made = [rod(N, 0.3, (0.0, 0.2 * k, 0.0))[0] for k in range(count)]

@@ -121,7 +121,7 @@ def joints():
     }
 
 
-@pytest.mark.fast_sets(1)
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", joints())
 def test_a_joint_that_is_pulled_apart_is_flagged_and_named(kind):
     one, left = rod(4)
@@ -255,6 +255,7 @@ def test_flags_of_a_batch_of_states_are_their_own():
     np.testing.assert_array_equal(asked(pair), [False, True])
 
 
+@pytest.mark.slow
 def test_bad_arguments_are_refused():
     system, state = crossing(0.1)
     with pytest.raises(ValueError, match="n_steps"):

@@ -124,6 +124,7 @@ def test_a_slammed_arm_hits_its_post_and_converges():
     assert errors[1] < 0.5 * errors[0] < 0.01
 
 
+@pytest.mark.slow
 def test_the_rope_is_slender_and_the_arm_is_not():
     assert prepare(rope(), Setting(20, reductions=("inertia",))).substeps < 40
     scene = prepare(swing(), Setting(20, reductions=("inertia",))).scene

@@ -27,6 +27,7 @@ def by_definition(reward, value, last, final, terminated, done, gamma, decay):
     return advantage
 
 
+@pytest.mark.fast_sets(1)
 @pytest.mark.parametrize(("gamma", "decay"), [(0.99, 0.95), (0.9, 0.0), (1.0, 1.0)])
 def test_equals_the_definition_with_truncation_and_termination(gamma, decay, dtype):
     random = np.random.default_rng(0)

@@ -57,7 +57,7 @@ def test_another_structure_is_refused_by_name(checkpoints, now, said):
 ARMS = ("tracking", "reaching", "structured", "unstructured")
 
 
-@pytest.mark.fast_sets(4)
+@pytest.mark.fast_sets(1)
 @pytest.mark.parametrize(
     ("name", "variant"),
     [

@@ -103,6 +103,7 @@ def told_otherwise(**changes):
     return changed
 
 
+@pytest.mark.fast_sets(1)
 @pytest.mark.parametrize(
     ("changes", "words"),
     [
@@ -231,7 +232,7 @@ class Normalised(nn.Module):
         return nn.Dense(self.outputs)(nn.BatchNorm(use_running_average=True)(inputs))
 
 
-@pytest.mark.fast_sets(2)
+@pytest.mark.fast_sets(1)
 @pytest.mark.parametrize(
     ("name", "dtype", "network"),
     [
@@ -305,6 +306,7 @@ def test_a_network_that_is_not_found_is_named(text):
     assert configure(chosen, {"network": None}, []).network is None
 
 
+@pytest.mark.slow
 def test_a_policy_without_a_framework_is_written_as_it_was(tmp_path):
     learner = find_algorithm("ppo")
     state = learner.init(jax.random.key(0), Trivial(), learner.config_type(num_envs=4))

@@ -55,6 +55,7 @@ def test_trivial_task_is_learned_to_its_known_optimum():
     assert int(result.state.advice.written) * 16 == result.summary["env_steps"]
 
 
+@pytest.mark.slow
 def test_the_planner_says_the_best_action_within_its_bounds():
     env = Trivial()
     params = env.default_params()

@@ -130,6 +130,7 @@ def test_a_run_that_began_without_gets_its_whole_history(tmp_path):
     assert scalars(tmp_path)[:-1] == rows(tmp_path)
 
 
+@pytest.mark.slow
 def test_an_event_file_of_somebody_else_stays(tmp_path):
     trained(tmp_path)
     other = tmp_path / "tensorboard" / "events.out.tfevents.1.somewhere"

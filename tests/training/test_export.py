@@ -106,7 +106,7 @@ def assert_same(policy, folder, env, seen, atol=1e-6):
     return wanted
 
 
-@pytest.mark.fast_sets(3)
+@pytest.mark.fast_sets(1)
 @pytest.mark.parametrize(("activation", "output"), KINDS)
 def test_a_perceptron_acts_as_in_jax(tmp_path, activation, output):
     policy = perceptron(activation, output)
@@ -259,6 +259,7 @@ def convolutions(weights, seen):
     return last.mean((2, 3)).reshape(*seen.shape[:-1], 2)
 
 
+@pytest.mark.fast_sets(1)
 @pytest.mark.parametrize(
     "network",
     [attention, activations, layer_norm, moved_about, rounds, convolutions],
@@ -379,7 +380,7 @@ def test_a_policy_with_memory_acts_as_in_jax_over_episodes(tmp_path, by_observat
     np.testing.assert_allclose(found, wanted, rtol=0, atol=1e-6)
 
 
-@pytest.mark.fast_sets(1)
+@pytest.mark.slow
 @pytest.mark.parametrize("double", [False, True])
 def test_a_recurrent_policy_of_ppo_acts_as_in_jax_over_episodes(tmp_path, double):
     config = PPOConfig(num_envs=4, gru_units=24, hidden_sizes=(16, 16))

@@ -161,6 +161,7 @@ def test_interrupted_run_finishes_its_chunk_saves_and_resumes(
     assert_same_run(resumed, whole_run)
 
 
+@pytest.mark.slow
 @pytest.mark.default_precision
 def test_second_interruption_stops_at_once(tmp_path):
     def interrupt(row):
@@ -271,6 +272,7 @@ def test_exported_policy_earns_the_evaluation_score(whole_run):
     assert evaluation.mean == whole_run.summary["evaluation_score"]
 
 
+@pytest.mark.slow
 @pytest.mark.default_precision
 def test_evaluation_of_a_plain_function_counts_whole_episodes():
     env = Trivial()
@@ -318,6 +320,7 @@ def test_folder_with_a_run_is_neither_mixed_nor_lost_by_accident(tmp_path):
     assert len(RunFolder(tmp_path).progress.read()) == 1
 
 
+@pytest.mark.slow
 @pytest.mark.default_precision
 def test_a_run_may_have_more_steps_than_32_bits_count():
     def interrupt(row):

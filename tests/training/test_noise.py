@@ -31,7 +31,7 @@ SMALL = {
 }
 
 
-@pytest.mark.fast_sets(1)
+@pytest.mark.slow
 @pytest.mark.parametrize("name", SMALL)
 def test_the_bound_of_the_noise_falls_linearly(name):
     bounds = {"max_log_std": -1.0, "final_max_log_std": -3.0}
@@ -97,6 +97,7 @@ def test_noise_is_added_before_actions_are_bounded(output):
     assert (acted(policy, 1) != actions).any()
 
 
+@pytest.mark.slow
 def test_a_noisy_policy_keeps_what_the_quiet_one_has():
     config = PPOConfig(**SMALL["ppo"], gru_units=4, action_repeat=3)
     policy = ppo.PPO.policy(ppo.init(jax.random.key(0), Trivial(), config))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import jax
 import numpy as np
+import pytest
 
 from jaxrod.training.normalisation import (
     batch_moments,
@@ -13,6 +14,7 @@ from jaxrod.training.normalisation import (
 )
 
 
+@pytest.mark.fast_sets(1)
 def test_merged_batches_have_the_moments_of_all_samples(dtype):
     random = np.random.default_rng(1)
     # Means far from zero compared with the spread: where naive sums fail.

@@ -22,6 +22,7 @@ def some_state():
     return ppo.init(jax.random.key(0), Trivial(), config)
 
 
+@pytest.mark.slow
 def test_policy_is_the_mean_of_the_learners_distribution():
     state = some_state()
     policy = ppo.PPO.policy(state)
@@ -33,7 +34,7 @@ def test_policy_is_the_mean_of_the_learners_distribution():
     np.testing.assert_allclose(policy(observation), jnp.clip(mean, -1, 1), rtol=1e-12)
 
 
-@pytest.mark.fast_sets(3)
+@pytest.mark.fast_sets(1)
 @pytest.mark.parametrize("activation", ["tanh", "relu", "elu"])
 @pytest.mark.parametrize("output", ["clip", "tanh"])
 def test_files_hold_exactly_the_policy(tmp_path, activation, output):

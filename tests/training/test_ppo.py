@@ -43,6 +43,7 @@ def test_learning_in_float64_stays_in_float64():
     assert set(floating) == {jnp.dtype("float64")}
 
 
+@pytest.mark.slow
 def test_changed_numbers_recompile_nothing():
     env = Trivial()
     # Functions of this test alone: equal ones share a cache.
@@ -67,6 +68,7 @@ def test_changed_numbers_recompile_nothing():
     assert update._cache_size() == 1
 
 
+@pytest.mark.slow
 def test_start_may_be_traced_although_factories_look_at_their_numbers():
     class Checking(Trivial):
         def default_params(self):
@@ -94,6 +96,7 @@ def test_learning_rate_falls_linearly_to_its_end():
     np.testing.assert_allclose(rates, expected, rtol=1e-6)
 
 
+@pytest.mark.slow
 def test_first_minibatch_has_ratio_one():
     config = dataclasses.replace(SMALL, epochs=1, minibatches=1)
     state = ppo.init(jax.random.key(0), Trivial(), config)

@@ -73,7 +73,7 @@ class Luck:
         return params.scale * jnp.stack([state.luck, state.luck**2, state.luck])
 
 
-@pytest.mark.fast_sets(1)
+@pytest.mark.slow
 @pytest.mark.parametrize("units", [4, 0])
 def test_the_policy_depends_on_nothing_privileged(units):
     config = dataclasses.replace(SMALL, gru_units=units)
@@ -125,6 +125,7 @@ def test_a_run_leaves_a_policy_of_the_task_itself(tmp_path, units):
     assert again.summary == result.summary
 
 
+@pytest.mark.slow
 def test_changed_parameters_recompile_nothing():
     update = jax.jit(lambda state: ppo.update(state))
     state = ppo.init(jax.random.key(0), Luck(), SMALL)

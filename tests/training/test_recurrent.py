@@ -59,6 +59,7 @@ def along(network, weights, inputs, memory, starts=None):
     return network.apply({"params": weights}, inputs, memory, starts)
 
 
+@pytest.mark.slow
 def test_a_sequence_equals_step_by_step():
     network, weights = some_network()
     inputs = jax.random.normal(jax.random.key(2), (7, 4, 3), jnp.float64)
@@ -85,6 +86,7 @@ def test_the_unit_is_that_of_the_formula():
     np.testing.assert_allclose(found, (1 - z) * n + z * np.asarray(memory), rtol=1e-12)
 
 
+@pytest.mark.slow
 def test_an_episode_that_begins_inside_a_sequence_remembers_nothing():
     network, weights = some_network()
     inputs = jax.random.normal(jax.random.key(2), (7, 2, 3), jnp.float64)
@@ -194,7 +196,7 @@ class Cue:
 
 
 @pytest.mark.default_precision
-@pytest.mark.fast_sets(1)
+@pytest.mark.slow
 @pytest.mark.parametrize("units", [8, 0])
 def test_a_cue_is_remembered_by_a_recurrent_policy_alone(units):
     config = PPOConfig(
@@ -260,6 +262,7 @@ def test_vectorised_seeds_equal_separate_runs():
         np.testing.assert_allclose(states.memory["policy"][i], state.memory["policy"])
 
 
+@pytest.mark.slow
 def test_changed_numbers_recompile_nothing():
     update = jax.jit(lambda state: ppo.update(state))
     state = ppo.init(jax.random.key(0), Trivial(), SMALL)
@@ -303,7 +306,7 @@ def counting_policy(role, outputs):
     return Counting(outputs) if role == "policy" else nn.Dense(outputs)
 
 
-@pytest.mark.fast_sets(1)
+@pytest.mark.slow
 @pytest.mark.parametrize("network", [counting, counting_policy])
 def test_networks_with_a_memory_of_your_own(tmp_path, network):
     config = dataclasses.replace(SMALL, network=network, gru_units=0, action_repeat=2)

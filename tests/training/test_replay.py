@@ -55,6 +55,7 @@ def test_a_block_that_would_run_over_the_end_is_refused():
         append(replay, steps_from(0, 5))
 
 
+@pytest.mark.slow
 def test_fields_of_a_transition_stay_together():
     replay = ring_after(5)
     keys = jax.random.split(jax.random.key(0), ENVS)

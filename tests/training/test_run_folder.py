@@ -140,6 +140,7 @@ def test_no_name_is_no_folder(out, tmp_path, monkeypatch):
     assert not list(tmp_path.iterdir())
 
 
+@pytest.mark.slow
 def test_overwriting_removes_the_run_file_by_file_and_nothing_else(copy):
     strange = ("policy/thesis.txt", "checkpoints/my_model.pt", "checkpoints/5/x", "a")
     for name in strange:
@@ -177,6 +178,7 @@ def test_what_cannot_start_costs_nothing(copy):
     assert not new.exists()
 
 
+@pytest.mark.fast_sets(1)
 @pytest.mark.parametrize("how", [{}, {"resume": True}, {"overwrite": True}])
 def test_a_second_run_in_the_folder_is_refused(copy, whole, how):
     refused = []
@@ -237,6 +239,7 @@ def test_where_all_checkpoints_are_damaged_nothing_is_begun_anew(copy):
     assert contents(copy.path) == before
 
 
+@pytest.mark.slow
 def test_a_run_killed_before_its_first_checkpoint_is_begun_anew(tmp_path, whole):
     folder = RunFolder(tmp_path / "run")
     train_until_stopped(folder.path, checkpoint_seconds=60)
@@ -269,6 +272,7 @@ def test_parts_of_another_run_are_not_taken(copy, tmp_path):
         resume(copy)
 
 
+@pytest.mark.slow
 def test_a_full_disk_is_named_and_the_run_goes_on_when_it_is_no_longer(
     copy, whole, monkeypatch
 ):

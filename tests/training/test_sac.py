@@ -312,6 +312,7 @@ def test_noise_stays_as_similar_as_was_asked_for(correlation):
     assert np.mean(noise[29] * fresh[29]) == pytest.approx(0, abs=0.4)
 
 
+@pytest.mark.fast_sets(1)
 @pytest.mark.parametrize(
     ("name", "value"),
     [

@@ -75,6 +75,7 @@ def test_trivial_task_is_learned_to_its_known_optimum(changes):
     assert all(row["skipped"] == 0 for row in result.progress)
 
 
+@pytest.mark.slow
 def test_the_policy_climbs_what_the_batch_earns_and_differences_agree():
     config = dataclasses.replace(CONFIG, num_envs=3, rollout_steps=5, minibatches=1)
     # Some episodes of four steps end within the window.

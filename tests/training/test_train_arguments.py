@@ -15,6 +15,7 @@ SMALL = PPOConfig(
 QUIET = {"progress": False, "evaluation_episodes": 0}
 
 
+@pytest.mark.slow
 @pytest.mark.default_precision
 def test_numbers_of_numpy_are_recorded_as_numbers(tmp_path):
     env = make("trivial", episode_length=np.int64(7))

@@ -46,6 +46,7 @@ def some_policy(hidden=8, limit=0.7, **more):
     )
 
 
+@pytest.mark.fast_sets(1)
 @pytest.mark.parametrize(
     ("algorithm", "config", "output"),
     [

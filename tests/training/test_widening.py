@@ -47,6 +47,7 @@ def run_of(env, params, steps=6):
     return found, state
 
 
+@pytest.mark.slow
 def test_a_share_of_zero_is_the_nominal_task_and_of_one_the_full_one():
     wide = task(above=0.0)
     params = wide.default_params()
@@ -86,6 +87,7 @@ def test_draws_are_that_share_of_the_way_from_the_nominal(share):
             np.testing.assert_allclose(some.actuator[name], expected, rtol=1e-6)
 
 
+@pytest.mark.slow
 def test_noise_and_dropout_shrink_with_the_share():
     sensors = {name: VARIED[name] for name in ("noise", "dropout")}
     wide = envs.make("trivial", randomise=sensors | {"widening": {"above": 0.0}})

@@ -72,6 +72,7 @@ def test_the_scale_of_all_forces_is_left_open(arm):
     assert "known from the drawing alone: " + words in str(found)
 
 
+@pytest.mark.slow
 def test_couples_of_weights_of_markers_are_those_of_their_energy():
     arm = drawing(marker_masses=0.01)
     masses = jnp.asarray([0.004, 0.008, 0.002, 0.006])

@@ -20,6 +20,7 @@ def swing():
     return scene, jaxrod.rollout(scene, start, 1e-4, 100, 20)
 
 
+@pytest.mark.slow
 def test_a_script_gets_a_page(swing, tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     replay = viz.show(*swing, 2e-3, title="Swing")
