@@ -35,8 +35,9 @@ $(INSTALLED): pyproject.toml constraints.txt
 	    echo "Name one with: make setup PYTHON=/path/to/python3" >&2; exit 1; fi; \
 	echo "Setting up $(VENV) with $$("$$found" -V) (a few minutes, once)"; \
 	"$$found" -m venv --clear $(VENV)
+	@# Python compiles what it imports. All files at once would take longer.
 	@$(BIN)/python -m pip install -qq --disable-pip-version-check --no-input \
-	    -e ".[$(EXTRAS)]" -c constraints.txt
+	    --no-compile -e ".[$(EXTRAS)]" -c constraints.txt
 	@touch $@
 
 demo: $(INSTALLED)
