@@ -1,8 +1,8 @@
-"""Settings of the learners beside the reference's: docs/algorithms.md.
+"""Settings of the learners compared with the reference's: docs/algorithms.md.
 
-What the reference had, and why ours is another, is `reference.csv`; our values are
-those of the code: the defaults of the learners, and `benchmarks.paper.settings` by
-case. A setting that is missing there, or told otherwise than it is, is an error.
+`reference.csv` has the settings of the reference and the reasons for ours. Our values
+come from the code: the defaults of the learners, and `benchmarks.paper.settings` for
+each case. A setting that `reference.csv` lacks or states wrongly is an error.
 """
 
 from __future__ import annotations
@@ -140,7 +140,7 @@ class Row:
             for name in self.named()
         ]
         if any(value != values[0] for value in values):
-            raise ValueError(f"{self} is told of several values: {values}")
+            raise ValueError(f"{self} has several values: {values}")
         return values[0]
 
 
