@@ -48,22 +48,23 @@ with their rewards summed. All step counts are control steps. An exported policy
 its `action_repeat`; evaluations and replays apply it.
 
 Off-policy learners alternate `num_envs * rollout_steps` decisions and `gradient_steps`
-gradient steps. By default that is 1024 control steps and 64 gradient steps on 256
-transitions: one gradient step for every 16 control steps, and 16 transitions learned
-from for every one seen. The reference makes one gradient step for each control step
-(DDPG: one for two) on 64 (SAC) or 128 transitions: 64 to 128 for one. A gradient step
-costs as much as dozens of control steps of an arm. If samples are scarcer than time,
-change this ratio first. Change `num_envs` second: the first episodes end after
-`num_envs` times the episode length, so scarce samples call for few environments.
+gradient steps. By default these are 1024 control steps, and 64 gradient steps on 256
+transitions each. That is one gradient step for every 16 control steps, and each new
+transition is used 16 times. The reference makes one gradient step for each control step
+(DDPG: one for two) on 64 (SAC) or 128 transitions, so it uses each transition 64 to 128
+times. A gradient step costs as much as dozens of control steps of an arm. If samples
+are scarcer than time, change this ratio first. Change `num_envs` second: the first
+episodes end after `num_envs` times the episode length, so scarce samples call for few
+environments.
 
 ## Differences from the reference
 
 The table lists every deviation of the published grid from the paper. Rows of a single
 case replace those of all cases there. `jaxrod reproduce` runs every case with these
-settings, the same for all seeds (`benchmarks/paper/settings.py`), and with the whole
-updates that fit into its control steps. [Reproducing the benchmark](reproduce.md)
-explains the reasons, [what was tried](../benchmarks/paper/tried.md) has the runs by
-which settings were chosen, and [the results](../benchmarks/paper/records/results.md)
+settings, the same for all seeds (`benchmarks/paper/settings.py`), and makes as many
+whole updates as fit into its control steps. [Reproducing the benchmark](reproduce.md)
+explains the reasons. [What was tried](../benchmarks/paper/tried.md) lists the runs with
+which we chose the settings, and [the results](../benchmarks/paper/records/results.md)
 show the outcome. A semicolon separates values in the order of the algorithms named.
 """
 IN_OUR_PHYSICS = """\
