@@ -63,9 +63,9 @@ The table lists every deviation of the published grid from the paper. Rows of a 
 case replace those of all cases there. `jaxrod reproduce` runs every case with these
 settings, the same for all seeds (`benchmarks/paper/settings.py`), and makes as many
 whole updates as fit into its control steps. [Reproducing the benchmark](reproduce.md)
-explains the reasons. [What was tried](../benchmarks/paper/tried.md) lists the runs with
-which we chose the settings, and [the results](../benchmarks/paper/records/results.md)
-show the outcome. A semicolon separates values in the order of the algorithms named.
+explains the reasons. [All trials](../benchmarks/paper/tried.md) are the runs with which
+we chose the settings, and [the results](../benchmarks/paper/records/results.md) show
+the outcome. A semicolon separates values in the order of the algorithms named.
 """
 IN_OUR_PHYSICS = """\
 ## Differences in the `clean` obstacle tasks
