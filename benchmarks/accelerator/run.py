@@ -1,4 +1,4 @@
-"""Numbers and speed of a GPU: kernels of warps compared with XLA and with the CPU.
+"""Numbers and speed of a GPU: warps compared with XLA and the CPU.
 
 Every section prints both programs, measured one after another on the same device.
 Compiling is not counted, but its time is printed.

@@ -70,12 +70,11 @@ the outcome. A semicolon separates values in the order of the algorithms named.
 IN_OUR_PHYSICS = """\
 ## Differences in the `clean` obstacle tasks
 
-In the variant `clean` a control step of the same two tasks takes a twelfth
-(`structured`) and a ninth of the time ([how fast the tasks are](environments.md)). No
-published number of control steps applies. These runs use more environments, two to six
-million control steps, and actions held for 4 or 7 ms. With `--variant clean`, `jaxrod
-reproduce` uses these settings instead of the rows of these cases above. TRPO and DDPG
-were not tried there and keep those rows.
+In the variant `clean` a control step of the same two tasks takes less time ([how fast
+the tasks are](environments.md)), and no published number of control steps applies.
+These runs use more environments, two to six million control steps, and actions held for
+4 or 7 ms. With `--variant clean`, `jaxrod reproduce` uses these settings instead of the
+rows of these cases above. TRPO and DDPG were not tried there and keep those rows.
 """
 
 BY_GRADIENTS = """\

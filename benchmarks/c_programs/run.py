@@ -1,4 +1,4 @@
-"""Rods and systems in rows and by XLA, compared with C programs of the same laws.
+"""Rods and systems in rows compared with C programs of the same laws.
 
 Each C program is compiled for its numbers of elements and one type, with vectors of 256
 and of 512 bits; the faster one counts. All programs start from the same state. Their
