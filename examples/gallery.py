@@ -151,8 +151,9 @@ def entry(name, words, numbers):
 
 **Change it.** {words["then"].format(**shown)}
 
-`python examples/{name}.py` ([program](../examples/{name}.py)). A second of processor time
-makes {steps:,.0f} steps of {step:.3g} ms, which is {motion:g} s of motion.
+`python examples/{name}.py` ([program](../examples/{name}.py)). A second of
+processor time makes {steps:,.0f} steps of {step:.3g} ms, which is {motion:g} s of
+motion.
 """
 
 

@@ -60,7 +60,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         type=count,
         metavar="N",
         help="control steps of every cell (default: those of "
-        "benchmarks/paper/settings.py, which for --variant paper are at most the paper's)",
+        "benchmarks/paper/settings.py; for --variant paper at most the paper's)",
     )
     length.add_argument(
         "--steps-fraction",
