@@ -116,9 +116,9 @@ def check_trusted(where: str, trust: Collection[str]) -> None:
         if any(_is_file(one) and str(Path(one).resolve()) == place for one in trust):
             return
     raise UntrustedError(
-        f"{where!r} is not of jaxrod itself and is not run because a file names it. If "
-        f"you trust {place}, say so: --trust {shlex.quote(place)}, in Python "
-        f"trust=({place!r},)"
+        f"{where!r} is not part of jaxrod, and jaxrod does not run code only because a "
+        f"file names it. If you trust {place}, pass --trust {shlex.quote(place)}, in "
+        f"Python trust=({place!r},)"
     )
 
 
@@ -144,9 +144,9 @@ def check_home(
     home = getattr(found, "__module__", None) or "builtins"
     if home.partition(".")[0] != module.__name__.partition(".")[0]:
         raise UntrustedError(
-            f"{where!r} is not run because a file names it: it is of {home}, and the "
-            f"trusted module has only imported it. If you mean it, say so: --trust "
-            f"{shlex.quote(where)}, in Python trust=({where!r},)"
+            f"jaxrod does not run {where!r} only because a file names it: it is part "
+            f"of {home}, and the trusted module has only imported it. If you trust it, "
+            f"pass --trust {shlex.quote(where)}, in Python trust=({where!r},)"
         )
 
 

@@ -339,7 +339,7 @@ def _widening(given: Any) -> dict[str, Any]:
     for name in given:
         if name not in ("above", "below", "episodes", "start", "step"):
             raise ValueError(
-                f"widening has no option {name!r}; there are above, below, episodes, "
+                f"widening has no option {name!r}; it has above, below, episodes, "
                 "start, step"
             )
     if "above" not in given:

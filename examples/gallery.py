@@ -34,7 +34,7 @@ Run it from a checkout: it writes a picture and a replay to the folder `runs`. C
 as suggested, and run it again. On the site each picture moves: it is a
 [replay](pictures.md) that you can turn, stop and slow.
 
-`python examples/gallery.py` wrote this page. Speeds are per second of processor time.
+`python examples/gallery.py` wrote this page.
 """
 
 
@@ -151,8 +151,9 @@ def entry(name, words, numbers):
 
 **Change it.** {words["then"].format(**shown)}
 
-`python examples/{name}.py` ([program](../examples/{name}.py)). {steps:,.0f} steps of
-{step:.3g} ms per second: {motion:g} s of motion.
+`python examples/{name}.py` ([program](../examples/{name}.py)). A second of
+processor time makes {steps:,.0f} steps of {step:.3g} ms, which is {motion:g} s of
+motion.
 """
 
 

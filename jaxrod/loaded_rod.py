@@ -248,7 +248,7 @@ def check_scene(scene: Any) -> None:
             f"scene must be a jaxrod.Scene, got {type(scene).__name__}: this is "
             "available for one rod only, not for a system. A system can be stepped "
             "(advance, rollout) and has stable_dt, health and energies; "
-            "jaxrod.systems.settled finds where they come to rest"
+            "jaxrod.systems.settled finds its state of rest"
         )
     shape = scene.rod.batch_shape
     if shape:

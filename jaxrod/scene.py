@@ -146,7 +146,7 @@ class Scene(LoadedRod, Model):
         if not isinstance(constants, Evolvable):
             raise ValueError(
                 f"{type(self.method).__name__} has no steps for a scene that depends "
-                "on time or remembers: its stepper needs a method `evolving`"
+                "on time or has memory: its stepper needs a method `evolving`"
             )
         return constants.evolving(self, first)
 

@@ -1,7 +1,7 @@
-"""Numbers and speed of a GPU: kernels of warps beside XLA, and the CPU.
+"""Numbers and speed of a GPU: warps compared with XLA and the CPU.
 
-Every section prints both programs, measured one after the other on the same device.
-Compiling is not counted, but stated.
+Every section prints both programs, measured one after another on the same device.
+Compiling is not counted, but its time is printed.
 """
 
 from __future__ import annotations

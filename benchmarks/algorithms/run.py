@@ -1,8 +1,8 @@
-"""Settings of the learners beside the reference's: docs/algorithms.md.
+"""Settings of the learners compared with the reference's: docs/algorithms.md.
 
-What the reference had, and why ours is another, is `reference.csv`; our values are
-those of the code: the defaults of the learners, and `benchmarks.paper.settings` by
-case. A setting that is missing there, or told otherwise than it is, is an error.
+`reference.csv` has the settings of the reference and the reasons for ours. Our values
+come from the code: the defaults of the learners, and `benchmarks.paper.settings` for
+each case. A setting that `reference.csv` lacks or states wrongly is an error.
 """
 
 from __future__ import annotations
@@ -48,33 +48,33 @@ with their rewards summed. All step counts are control steps. An exported policy
 its `action_repeat`; evaluations and replays apply it.
 
 Off-policy learners alternate `num_envs * rollout_steps` decisions and `gradient_steps`
-gradient steps. By default that is 1024 control steps and 64 gradient steps on 256
-transitions: one gradient step for every 16 control steps, and 16 transitions learned
-from for every one seen. The reference makes one gradient step for each control step
-(DDPG: one for two) on 64 (SAC) or 128 transitions: 64 to 128 for one. A gradient step
-costs as much as dozens of control steps of an arm. If samples are scarcer than time,
-change this ratio first. Change `num_envs` second: the first episodes end after
-`num_envs` times the episode length, so scarce samples call for few environments.
+gradient steps. By default these are 1024 control steps, and 64 gradient steps on 256
+transitions each. That is one gradient step for every 16 control steps, and each new
+transition is used 16 times. The reference makes one gradient step for each control step
+(DDPG: one for two) on 64 (SAC) or 128 transitions, so it uses each transition 64 to 128
+times. A gradient step costs as much as dozens of control steps of an arm. If samples
+are scarcer than time, change this ratio first. Change `num_envs` second: the first
+episodes end after `num_envs` times the episode length, so scarce samples call for few
+environments.
 
 ## Differences from the reference
 
 The table lists every deviation of the published grid from the paper. Rows of a single
 case replace those of all cases there. `jaxrod reproduce` runs every case with these
-settings, the same for all seeds (`benchmarks/paper/settings.py`), and with the whole
-updates that fit into its control steps. [Reproducing the benchmark](reproduce.md)
-explains the reasons, [what was tried](../benchmarks/paper/tried.md) has the runs by
-which settings were chosen, and [the results](../benchmarks/paper/records/results.md)
-show the outcome. A semicolon separates values in the order of the algorithms named.
+settings, the same for all seeds (`benchmarks/paper/settings.py`), and makes as many
+whole updates as fit into its control steps. [Reproducing the benchmark](reproduce.md)
+explains the reasons. [All trials](../benchmarks/paper/tried.md) are the runs with which
+we chose the settings, and [the results](../benchmarks/paper/records/results.md) show
+the outcome. A semicolon separates values in the order of the algorithms named.
 """
 IN_OUR_PHYSICS = """\
 ## Differences in the `clean` obstacle tasks
 
-In the variant `clean` a control step of the same two tasks takes a twelfth
-(`structured`) and a ninth of the time ([how fast the tasks are](environments.md)). No
-published number of control steps applies. These runs use more environments, two to six
-million control steps, and actions held for 4 or 7 ms. With `--variant clean`, `jaxrod
-reproduce` uses these settings instead of the rows of these cases above. TRPO and DDPG
-were not tried there and keep those rows.
+In the variant `clean` a control step of the same two tasks takes less time ([how fast
+the tasks are](environments.md)), and no published number of control steps applies.
+These runs use more environments, two to six million control steps, and actions held for
+4 or 7 ms. With `--variant clean`, `jaxrod reproduce` uses these settings instead of the
+rows of these cases above. TRPO and DDPG were not tried there and keep those rows.
 """
 
 BY_GRADIENTS = """\
@@ -140,7 +140,7 @@ class Row:
             for name in self.named()
         ]
         if any(value != values[0] for value in values):
-            raise ValueError(f"{self} is told of several values: {values}")
+            raise ValueError(f"{self} has several values: {values}")
         return values[0]
 
 

@@ -1,6 +1,6 @@
 """Returns of random actions and of a task's script.
 
-Random: actions drawn anew and evenly from [-1, 1] in every control step, 256 episodes.
+Random: actions drawn uniformly from [-1, 1] in every control step, 256 episodes.
 Scripted: the task's `scripted_action`, 16 episodes. In single precision, as trained.
 """
 

@@ -1,4 +1,4 @@
-"""Tables of what the best learners earn, a section of docs/optimum.md."""
+"""Tables of the returns of the best learners, a section of docs/optimum.md."""
 
 from __future__ import annotations
 
@@ -18,19 +18,19 @@ Where two are named, the second starts from the first one's policy
 (`jaxrod.training.warm_start`). The resulting policy is evaluated without noise on
 {episodes} episodes in `tracking` and `reaching` (seed {seed} of `evaluate`). In
 `structured` and `unstructured` nothing is random and all episodes are identical, so a
-few suffice. Settings were chosen by runs of seed 100 on other episodes (seed 1).
+few suffice. Settings were chosen with runs of seed 100 on other episodes (seed 1).
 Exceptions are the earlier settings of `dagger` ([seed 0](first_order.md)) and of PPO in
 the obstacle tasks ([seed 10](../benchmarks/clean/tried.md)), and those listed below.
 
 | column | meaning |
 |---|---|
-| share | mean reward over mean ceiling, of the same episodes |
+| share | mean return divided by mean ceiling, of the same episodes |
 | from the mean | largest deviation of a seed from the mean of all seeds |
-| least share | smallest share of an episode, of all seeds |
+| least share | smallest share of any episode of any seed |
 | below half | episodes with a return below half of their ceiling |
 
-Episodes without a positive ceiling, with targets far out of reach, count only in the
-scores. Times are those of training, including compiling.
+If a target is so far out of reach that the ceiling is not positive, the episode counts
+in the scores but in no share. Times are those of training, including compiling.
 
 | task | learners | seeds | score | share | of a seed | from the mean | least share \
 | below half | processor [s] |
@@ -50,19 +50,21 @@ Other runs of the same kind, on the 64 episodes of seed 1 unless noted:
   table: 12,591 (12,275 to 12,872), 91.8% of their ceilings; 22 of 1,275 episodes below
   half. After 600,000 control steps of `dagger` and 10,000,000 of PPO, the same seeds:
   12,440 (12,227 to 12,523), 90.7%.
-- `tracking`, seed 100: `dagger` reaches 11,482, and 5,000,000 further control steps of
-  PPO 12,753; 10,000,000 with four `epochs` instead of eight reach 12,642. With episodes
-  of 1500 control steps for both (`short_length`), more targets are stuck in an axis.
-  `dagger` then reaches 11,015 and PPO, after 6,000,000, 12,646.
+- `tracking`, seed 100: `dagger` reaches 11,482. From there PPO reaches 12,753 after
+  5,000,000 control steps, and 12,642 after 10,000,000 with four `epochs` instead of
+  eight. With episodes of 1500 control steps for both (`short_length`), more targets
+  start so close to a wall that they never move along its axis. `dagger` then reaches
+  11,015, and PPO 12,646 after 6,000,000.
 - `tracking` with PPO alone, seed 100, `action_repeat` 4, `rollout_steps` 64, `discount`
   0.97 and two layers of 128, reaches 11,599 after 4,000,000 of 20,000,000 control steps
   and 67 s of processor time. The run was stopped there.
 - `reaching` after 600,000 control steps of `dagger` and 6,000,000 of PPO with
-`learning_rate` 3e-4, seed 0, on the episodes of the table: 6,055. `dagger` alone,
-1,500,000 control steps, [reaches 6,295](first_order.md) in the mean of five seeds on
-the 64 episodes; the table above shows the gain by PPO for each. - `reaching`, seed 100:
-`dagger` reaches 5,401, and 5,000,000 further control steps of PPO 6,546. PPO loses at
-first, with 4,726 after a third of its steps, because its value function is untrained.
+  `learning_rate` 3e-4, seed 0, on the episodes of the table: 6,055. `dagger` alone,
+  with 1,500,000 control steps, [reaches 6,295](first_order.md) in the mean of five
+  seeds on the 64 episodes. The table above shows the gain by PPO for each seed.
+- `reaching`, seed 100: `dagger` reaches 5,401, and 5,000,000 further control steps of
+  PPO 6,546. At first PPO loses, to 4,726 after a third of its steps, because its value
+  function is untrained.
 - `structured` and `unstructured`, seed 100, 3,000,000 control steps: 6,990 and 6,981.
 """
 

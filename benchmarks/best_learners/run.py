@@ -1,9 +1,9 @@
-"""Shares of the ceiling that the best learners of the arm earn.
+"""Shares of the ceiling that the best learners of the arm reach.
 
-Trains the recipe of every task (variant "clean"), or of those named, a seed at a time,
-in float32 on one core, and lets the policy that is left act 256 episodes without noise,
-each beside its own ceiling (`optimum`). Writes a record of every run into records, then
-docs/optimum.md from all records there are.
+Trains the recipe of every task (variant "clean"), or of the tasks named, with one seed
+after another, in float32 on one core. Evaluates each final policy without noise on 256
+episodes, and compares every return with the ceiling of its episode (`optimum`). Writes
+a record of every run into records, then docs/optimum.md from all records.
 """
 
 from __future__ import annotations

@@ -1,7 +1,8 @@
 """Cases 3 and 4 of the published grid in the library's own physics.
 
-`jaxrod reproduce` with the variant `clean` of both, SAC and TD3 and five seeds, by
-default. Writes into benchmarks/clean/records what `paper` writes into its records.
+Runs `jaxrod reproduce` for the `clean` variants of both cases, by default with SAC, TD3
+and five seeds. Writes the same files into benchmarks/clean/records as `paper` writes
+into its records.
 """
 
 from __future__ import annotations

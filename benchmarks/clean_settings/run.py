@@ -1,7 +1,7 @@
 """Accuracy of the `clean` tasks' settings: docs/clean_settings.md.
 
-Measures every task's own elements and steps against a converged reference, under
-recorded actions of three seeds, and asks `jaxrod.tune` what it would take for 1 %.
+Compares every task's elements and steps with a converged reference, under recorded
+actions of three seeds, and asks `jaxrod.tune` for the cheapest setting within 1 %.
 """
 
 from __future__ import annotations

@@ -1,11 +1,11 @@
 """Solvers of trajectories, their iterations and time: docs/control.md.
 
-`reach`: the tip of an arm of 20 elements to a point 0.6 m away in 1 s, in float32, by
-each solver. `swing`: a soft pendulum and a soft pole on a cart swing up, and are pushed
-with feedback and without. What is not measured keeps its rows.
+`reach`: every solver moves the tip of an arm of 20 elements to a point 0.6 m away in
+1 s, in float32. `swing`: a soft pendulum and a soft pole on a cart swing up, and are
+pushed with feedback and without. Rows that are not measured do not change.
 
-Counted is processor time of one core; the first call, which compiles, and the next are
-apart.
+Times are processor time of one core. The first call, which compiles, and the next call
+are listed separately.
 """
 
 from __future__ import annotations

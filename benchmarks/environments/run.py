@@ -1,8 +1,8 @@
 """Control steps per second of every task: docs/environments.md.
 
-All tasks, or those named: other rows stay as they are. Steps a batch of every task and
-variant in float32 under random actions, spread over all cores as training spreads it,
-restarts and scores included, without a policy.
+Measures all tasks, or the tasks named; other rows do not change. Steps a batch of every
+task and variant in float32 under random actions, without a policy. The batch is spread
+over all cores as in training. Restarts and scores are included.
 """
 
 from __future__ import annotations

@@ -1,9 +1,9 @@
 """Processor time before the first answer, in a first and in a second process.
 
-Each program runs in a process of its own. "First process" keeps no programs on disk.
+Each program runs in a separate process. "First process" keeps no programs on disk.
 "Second process" finds those that an earlier process has kept. A call that is repeated
 in the same process compiles nothing (`again`). Tasks are trained for a few control
-steps, of which the time until all is compiled counts, on the clock.
+steps, and the wall-clock time until everything is compiled counts.
 """
 
 from __future__ import annotations

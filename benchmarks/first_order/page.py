@@ -62,9 +62,9 @@ COLUMNS = (
 REACHED = """
 ## Cost of PPO's final score
 
-The table describes the first evaluation of each seed at or above the mean of PPO's
-final scores. Shares are relative to the mean of PPO's runs. Values are means over the
-seeds that reach the score, with the largest in brackets.
+For each seed, the table describes the first evaluation whose score reaches the mean of
+PPO's final scores. Shares are relative to the mean of PPO's runs. Values are means over
+the seeds that reach the score, with the largest in brackets.
 
 """
 REACHED_COLUMNS = (

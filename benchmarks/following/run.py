@@ -1,9 +1,9 @@
 """Returns of learners, planners and a script in the task `following`.
 
-Learners (`dagger`, `ppo`) are trained, a seed at a time; `random` acts at random;
-planners (`held-3`, `line-10` and others, `planned` for all) know the arm and plan with
-it; `script` goes straight for the target. In float32 on one core, on the same episodes.
-Writes a record of every run into records, but for the script's.
+Learners (`dagger`, `ppo`) are trained with one seed after another. `random` draws
+random actions. Planners (`held-3`, `line-10` and others, `planned` for all) plan with a
+model of the arm. `script` goes straight for the target. All run in float32 on one core,
+on the same episodes. Writes a record of every run except the script's into records.
 """
 
 from __future__ import annotations

@@ -1,16 +1,16 @@
-"""Control steps per second of one environment behind Gymnasium.
+"""Control steps per second of one environment through Gymnasium.
 
-Each id made by `gymnasium.make`, with Gymnasium's usual wrappers, under random actions,
-on one core and with `configure_cpu(1)`. Ids of other packages are `module:id`. Best and
-median of many short bursts: other work on the machine is no property of an environment.
-Compiling is not counted. A burst that is longer than the system's slices of time is
-interrupted where the machine is busy; the steps in a second of processor time are not.
+`gymnasium.make` makes each id, with Gymnasium's usual wrappers. It runs under random
+actions, on one core and with `configure_cpu(1)`. Ids of other packages are `module:id`.
+The result is the best and the median of many short bursts, because other work on the
+machine is no property of an environment. Compiling is not counted. On a busy machine
+the system interrupts long bursts; steps per second of processor time are not affected.
 
-`--softrobot` names a Python that has gym-softrobot, of an environment of its own, say
-(`python -m venv x; x/bin/pip install gym-softrobot`). Its `SoftArmTracking-v0`,
-PyElastica's arm in much the same task, is measured by the same function on the same
-core: half of the time before ours, half behind. The two differ in what a control step
-is, so steps of the rod and seconds of its motion stand beside.
+`--softrobot` names a Python that has gym-softrobot, for example of a separate
+environment (`python -m venv x; x/bin/pip install gym-softrobot`). The same function
+measures its `SoftArmTracking-v0`, PyElastica's arm in a similar task, on the same core:
+one half before ours, one half after. The control steps of the two differ, so steps of
+the rod and seconds of its motion are printed too.
 """
 
 from __future__ import annotations

@@ -1,15 +1,15 @@
 """Identification and inverse design: docs/identification.md.
 
-`dropped`: an arm that is let go, from noisy positions; 100 draws of the noise; what
-positions alone do not say. `forced`: the same with a force sensor at the clamp.
-`buckling`: four parameters of a rod that buckles, in windows whose starts are sought.
-`poses`: eight poses at rest. `shapes`: rest curvatures that make an arm take a shape.
-All by default; what is not measured keeps its rows.
+`dropped`: a released arm, from noisy positions; 100 draws of the noise; parameters that
+positions alone do not determine. `forced`: the same with a force sensor at the clamp.
+`buckling`: four parameters of a rod that buckles, in windows with unknown starts.
+`poses`: eight poses at rest. `shapes`: rest curvatures with which an arm takes a shape.
+All by default; rows that are not measured do not change.
 
-float32 on one core. Seconds are of processor time; compiling, with the first run,
-apart. Every observation is simulated with the model that is fitted, and noise is added:
-what is measured is the search and its standard deviations, not whether a model is
-right.
+float32 on one core. Seconds are processor time; compiling with the first run is listed
+separately. Every observation is simulated with the model that is fitted, and noise is
+added. This measures the search and its standard deviations, not whether a model is
+correct.
 """
 
 from __future__ import annotations

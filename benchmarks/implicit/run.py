@@ -1,8 +1,9 @@
-"""Implicit steps, where they pay and where they do not: docs/implicit.md.
+"""Implicit steps, and when they are worthwhile: docs/implicit.md.
 
-Each scene is a rod clamped at one end and let go under a lateral acceleration, in
-float64 on one core. Errors are the largest distance of the tip from an implicit
-reference, extrapolated from two step sizes, over the distance it travels.
+Each scene is a rod that is clamped at one end and released under a lateral
+acceleration, in float64 on one core. Errors are the largest distance of the tip from an
+implicit reference, extrapolated from two step sizes, divided by the distance that the
+tip travels.
 """
 
 from __future__ import annotations

@@ -1,7 +1,8 @@
 """Programs that show why releases of JAX are refused.
 
-Each runs in a process of its own, which a faulty release may kill. They need JAX and
-NumPy, not jaxrod: run this with the Python of an environment that has the release.
+Each program runs in a separate process, because a faulty release may kill it. The
+programs need JAX and NumPy, but not jaxrod. Run this with the Python of an environment
+that has the release.
 """
 
 from __future__ import annotations

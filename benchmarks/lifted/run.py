@@ -1,9 +1,10 @@
 """Share of episodes in which policies of `gripper` lift the ball.
 
-For the task's script and for each policy, 64 episodes with the wrist at its highest at
-the start and 64 with it anywhere on its way down, as in training: mean return, and the
-share of episodes at whose end the ball is at least 0.07 m above where it lay. The
-episodes are the same for all. In single precision, as trained.
+Plays the task's script and each policy for 64 episodes in which the wrist starts at its
+highest position, and for 64 in which it starts anywhere on its way down, as in
+training. Prints the mean return, and the share of episodes that end with the ball at
+least 0.07 m above its first position. The episodes are the same for all. In single
+precision, as trained.
 """
 
 from __future__ import annotations

@@ -1,10 +1,10 @@
 """Accuracy and cost of three rods in jaxrod and MuJoCo 4.
 
-MuJoCo 4's rods are flexes. `--mujoco PYTHON` names an interpreter of an environment
-with MuJoCo 4, which cannot be in the one of this project's tests (`python -m venv x;
-x/bin/pip install "mujoco>=4"`). It runs `flex.py`; jaxrod and PyElastica run in this
-process. All are on the same core. Writes records/mujoco_rods.md; without `--mujoco`
-only the other rows are printed.
+MuJoCo 4's rods are flexes. `--mujoco PYTHON` names the interpreter of an environment
+with MuJoCo 4, which must be separate from that of this project's tests
+(`python -m venv x; x/bin/pip install "mujoco>=4"`). It runs `flex.py`; jaxrod and
+PyElastica run in this process. All are on the same core. Writes records/mujoco_rods.md;
+without `--mujoco` it only prints the other rows.
 """
 
 from __future__ import annotations

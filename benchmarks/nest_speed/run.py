@@ -1,10 +1,10 @@
-"""Steps of settling nests of rods, and the cost of lists of neighbours.
+"""Steps of settling nests of rods, and the cost of neighbour lists.
 
-Nests are those of examples/nest.py, 8 elements a rod, in float32. Prints for each size
-wall-clock and processor time per step, processor time per element and step relative to
-the smallest nest, the same without contact, and pairs listed per element. Processor
-time is what counts on a machine that does other things too. PyElastica steps nests of
-tens of rods with its own contact of every two rods.
+Nests are those of examples/nest.py, with 8 elements per rod, in float32. Prints for
+each size wall-clock and processor time per step, processor time per element and step
+relative to the smallest nest, the same without contact, and listed pairs per element.
+Compare processor times if the machine is busy with other work. PyElastica steps nests
+of tens of rods, with its contact between every two rods.
 """
 
 from __future__ import annotations

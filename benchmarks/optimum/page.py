@@ -1,4 +1,4 @@
-"""Page and picture of what tasks can earn, from the records."""
+"""Page and picture of the ceilings of tasks, from the records."""
 
 from __future__ import annotations
 
@@ -50,15 +50,15 @@ duration of actions), except the learners:
 - **ceiling**: the reward with the tip on the target, or as close to it as the arm's
   length from its base allows, and in `reaching` with the goal's orientation. It is
   computed for each episode. It ignores the way to the target, the clamp at the base and
-  the strength of muscles; no known policy reaches it. It also ignores that an arm
-  stretches by a few percent when it is swung, so it is not a strict bound.
+  the strength of muscles; no known policy reaches it. It is not a strict bound, because
+  it also ignores that an arm stretches by a few percent when it swings.
 - **planned**: `jaxrod.control.mpc`, without training. It plans with the rod itself and
-  does not know random events in advance. *Held* is a plan of one action only (`python
-  -m benchmarks optimum TASK_held`).
+  does not know random events in advance. *Held* is a plan of one action only
+  (`python -m benchmarks optimum TASK_held`).
 - **learned**: the best learner of each recorded grid by the mean over its seeds, with
-  policies without exploration noise. They were measured on other episodes; those of the
+  policies without exploration noise. They were measured on other episodes, and in the
   `paper` variant also under the published physics. Their shares are relative to the
-  mean ceiling here.
+  mean ceiling in this table.
 - **random**: random actions, redrawn as often as the planner acts.
 
 ![Shares of the ceiling](../benchmarks/optimum/records/optimum.png)

@@ -1,17 +1,16 @@
-"""Ceilings of the arm's four tasks, and what a planner earns of them.
+"""Ceilings of the arm's four tasks, and returns of a planner.
 
-For each task (variant "clean") and plan, or those named (`PLANS`), on the same
-episodes: the ceiling by construction, what model-predictive control earns and takes,
-and what random actions earn. Writes a record for each into records, then
-docs/optimum.md and its picture from all records there are, with those of the learners
-beside them. In float32 on one core. `--pages` measures nothing and writes the pages
-from the records.
+For each task (variant "clean") and plan, or those named (`PLANS`), measures on the same
+episodes: the ceiling by construction, the return and the time of model-predictive
+control, and the return of random actions. Writes a record of each into records, then
+docs/optimum.md and its picture from all records, including those of the learners. In
+float32 on one core. `--pages` measures nothing and writes the pages from the records.
 
-The ceiling of an episode is its reward with the tip in the best place there is: on the
+The ceiling of an episode is its reward with the tip in the best position: on the
 target, or as near as the arm's length from its base allows. In "reaching" the
-orientation is the goal's. It is not known to be within reach: it leaves out the way
-there, that the base is clamped, and how strong the muscles are; and that an arm can be
-stretched, which adds to its length.
+orientation is the goal's. The arm may be unable to reach the ceiling, because it
+ignores the way to the target, the clamp at the base and the limited strength of
+muscles. It also ignores that an arm can be stretched, which adds to its length.
 """
 
 from __future__ import annotations

@@ -1,16 +1,16 @@
 """Run the published benchmark: a grid of cases, algorithms and seeds.
 
 CASES are `tracking`, `reaching`, `structured` and `unstructured`, or as in the paper
-Case1 to Case4 (default: all four); `trivial` tries things out in a minute. Every cell
-is trained by `jaxrod train` with its control steps and settings of
-benchmarks/paper/settings.py, in a process of its own: one after the other on all cores,
-or with --jobs a few side by side, each on its share of them.
+Case1 to Case4 (default: all four); `trivial` tries things out in a minute. `jaxrod
+train` trains every cell in a separate process, with the control steps and settings of
+benchmarks/paper/settings.py. Cells run one after another on all cores. With --jobs
+several run in parallel, each on its share of the cores.
 
-OUT gets results.csv (a row per seed), results.md (beside the paper), a figure per
-case, cells/ (how every cell was run) and curves/, all written after every cell and
-meant to be kept; and runs/, the run folders, which need not be. Ctrl-C saves and
-stops; the same command goes on, after a kill too. What has ended is not run again.
-A cell that diverges is recorded as failed and the grid goes on.
+OUT gets results.csv (a row per seed), results.md (compared with the paper), a figure
+per case, cells/ (settings and result of every cell) and curves/. All are written after
+every cell and meant to be kept. OUT/runs has the run folders, which you may delete.
+Ctrl-C saves and stops. The same command continues, also after a kill, and skips
+finished cells. If a cell diverges, it is recorded as failed and the grid continues.
 """
 
 from __future__ import annotations
@@ -60,13 +60,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         type=count,
         metavar="N",
         help="control steps of every cell (default: those of "
-        "benchmarks/paper/settings.py; of --variant paper the paper's or fewer)",
+        "benchmarks/paper/settings.py; for --variant paper at most the paper's)",
     )
     length.add_argument(
         "--steps-fraction",
         type=float,
         metavar="F",
-        help="this share of the control steps",
+        help="fraction of the control steps to run",
     )
     parser.add_argument(
         "--out",
@@ -80,7 +80,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         type=count,
         default=1,
         metavar="N",
-        help="cells that run side by side, each on its share of the cores (default: 1)",
+        help="cells in parallel, each on its share of the cores (default: 1)",
     )
     parser.add_argument(
         "--overwrite",

@@ -50,7 +50,7 @@ def run_grid(
         records: what has ended before; gets what ends now.
         overwrite: whether to run again what was run otherwise than now asked.
         stream: where to show progress.
-        jobs: how many cells run side by side, each on its share of the cores.
+        jobs: how many cells run in parallel, each on its share of the cores.
 
     Returns:
         Exit code: 0 all cells came to their end, 1 some failed, 130 interrupted.
@@ -107,7 +107,7 @@ def run_grid(
                 ["--checkpoint-seconds", str(CHECKPOINT_SECONDS), "--no-replay"],
             )
         if interruption.requested:
-            view.say("stopped; the same command goes on")
+            view.say("stopped; the same command continues")
             return 130
     return 1 if broken else 0
 

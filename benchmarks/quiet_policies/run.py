@@ -1,9 +1,10 @@
 """Returns of TRPO without the noise of its training.
 
-TRPO on `tracking` (variant "paper") with the settings of the published grid. The bound
-on the logarithm of the standard deviation falls from 0 to a number, or is so large that
-it does not matter (`none`). Each policy then acts the same episodes without noise, and
-with the noise that it had at the end. Writes a record of every run into records.
+Trains TRPO on `tracking` (variant "paper") with the settings of the published grid. The
+bound on the logarithm of the standard deviation falls from 0 to a number, or is too
+large to matter (`none`). Each policy is then evaluated on the same episodes without
+noise, and with the noise that it had at the end. Writes a record of every run into
+records.
 """
 
 from __future__ import annotations

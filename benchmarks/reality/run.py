@@ -1,12 +1,12 @@
-"""Returns of learners on an arm with bad sensors, as real ones are.
+"""Returns of learners on an arm with the faults of real arms and sensors.
 
 The task is `tracking` (variant "clean"). The arm is up to 30 % stiffer or softer than
-its model, another one in every episode. Commands arrive 20 ms late. Positions have
-noise of 5 mm, and each marker on the arm is missing half of the time. Four learners
-train on this: PPO without memory (`mlp`), with a recurrent policy (`recurrent`), each
-of them also with a critic that sees everything (`mlp-privileged`,
-`recurrent-privileged`). `ideal` is PPO without memory and without any of the trouble.
-Each policy then acts episodes without noise in its actions, on the task on which it
+its model, drawn for every episode. Commands arrive 20 ms late. Positions have noise of
+5 mm, and each marker on the arm is missing half of the time. Four learners train on
+this: PPO without memory (`mlp`), with a recurrent policy (`recurrent`), and each of
+them also with a critic that sees everything (`mlp-privileged`,
+`recurrent-privileged`). `ideal` is PPO without memory and without any of these faults.
+Each policy is then evaluated without noise in its actions, on the task on which it was
 trained. Writes a record of every run into records.
 """
 

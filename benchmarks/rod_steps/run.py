@@ -1,11 +1,11 @@
-"""Measure rod-steps per second on this machine, beside PyElastica's.
+"""Measure rod-steps per second on this machine, compared with PyElastica.
 
-The arm has 20 elements and is clamped, damped and actuated. Batches of it are
-stepped in float32 and float64, with both elastic laws, spread over the CPU cores
-(a single arm runs on one). PyElastica steps the same arm in the same run, before,
-between and after: on a busy machine compare ratios, not rates. Compiling is not
-counted. A rate is the median over at least five windows; before a batch is timed,
-its arms are checked against a single one.
+The arm has 20 elements and is clamped, damped and actuated. Batches of it are stepped
+in float32 and float64, with both elastic laws, spread over the CPU cores. (A single arm
+runs on one core.) PyElastica steps the same arm in the same run, before, between and
+after. On a busy machine, compare ratios instead of rates. Compiling is not counted. A
+rate is the median of at least five windows. Before a batch is timed, its arms are
+compared with a single one.
 """
 
 from __future__ import annotations

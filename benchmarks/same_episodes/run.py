@@ -1,8 +1,8 @@
-"""Returns of a planner in the episodes that the best learners acted.
+"""Returns of a planner in the episodes of the best learners.
 
-The planner of `optimum` that plans one action holds it as long as the learners hold
-theirs, for the randomness of an episode depends on that. Writes a record for each task
-into records, then docs/optimum.md. In float32 on one core.
+The planner of `optimum` that plans one action holds it for as long as the learners hold
+theirs, because the randomness of an episode depends on that time. Writes a record for
+each task into records, then docs/optimum.md. In float32 on one core.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 """Batches, learners and a nest over several devices: docs/scaling.md.
 
-Devices are the processor's: JAX makes eight of it, and as many as there are cores work
-at the same time. Prints every row as it is measured.
+Devices are emulated: JAX divides the processor into eight. At most as many devices work
+at the same time as there are cores. Prints every row as it is measured.
 """
 
 from __future__ import annotations

@@ -1,13 +1,13 @@
-"""Cost of accuracy where there is more than one arm, on one core.
+"""Cost of accuracy in systems of several rods, on one core.
 
 Both libraries run the scenes of `system_speed` with more and fewer elements, in
-float64, each with steps as large as it takes: ours `stable_dt`; PyElastica's those of
-its example, and twice and four times that as long as the motion stays what it is. Each
-library is compared with itself with many elements (PyElastica's snake with a quarter of
-the step), for their laws of friction and of joints are not the same; how far apart the
-two limits are is printed too. Errors: of the snake's speed in its fourth and fifth
-period; of the way of the free end of the two rods over a second. Root mean squares,
-relative.
+float64, each with the largest possible steps: `stable_dt` in jaxrod; in PyElastica the
+step of its example, and twice and four times that step if the motion stays the same.
+Each library is compared with itself with many elements (PyElastica's snake with a
+quarter of the step), because their laws of friction and of joints differ. The
+difference of the two limits is printed too. Errors are relative root mean squares: of
+the snake's speed in its fourth and fifth period, and of the motion of the free end of
+the two rods over a second.
 """
 
 from __future__ import annotations

@@ -1,11 +1,11 @@
-"""Steps of systems and scenes with contact, and PyElastica's beside them.
+"""Steps of systems and scenes with contact, compared with PyElastica.
 
-Each scene is built in both libraries with the same rods and equally many elements, in
-float64; ours in float32 where that is asked for. Printed for both: processor time of a
-step; the step that each is run with (PyElastica's as its examples have it, ours
-`stable_dt`); and seconds of motion per second of processor time. Ours alone and as one
-of 64 under `jax.vmap`, on one core. Processor time is what counts on a machine that
-does other things too: windows of all alternate, and the least of five is taken.
+Each scene is built in both libraries with the same rods and numbers of elements, in
+float64, or in float32 for jaxrod if you ask for it. Prints for both the processor time
+of a step, the step (PyElastica's is that of its examples, ours `stable_dt`), and
+seconds of motion per second of processor time. jaxrod runs one scene, and 64 under
+`jax.vmap`, on one core. Windows of all programs alternate, and the shortest of five
+counts, because the machine may be busy with other work.
 """
 
 from __future__ import annotations

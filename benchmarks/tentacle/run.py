@@ -5,10 +5,10 @@ markers whose order differs from file to file, named after the torques on the tw
 pulleys (m1_u015: 0.15 N m on the first). They are those of the folder
 paper_results/secVa_system_identification/data of tud-phi/soromox on GitHub.
 
-Eight poses, one tendon pulled, are fitted, as their makers did; all others are
-forecast. Labels are found, not read. Where FOLDER has markers.csv, which knows them,
-they are compared with it. Writes a table into docs/twin.md, and with --report the page
-of the twin.
+The fit uses eight poses with one tendon pulled, like that of the makers, and forecasts
+all others. It finds the labels of the markers itself. If FOLDER has markers.csv with
+the true labels, they are compared. Writes a table into docs/twin.md, and with --report
+the page of the twin.
 """
 
 from __future__ import annotations

@@ -1,17 +1,17 @@
 """Measure what accuracy costs, and find the cheapest setting.
 
-SCENE is `swing` (an arm let go when it is horizontal), `tracking` (the tracking task's
-arm under recorded actions of a trained policy), `rope` (4 mm thick, 1 m long, let
-go) or `slam` (an arm that falls onto a post). A grid of settings (elements, step,
+SCENE is `swing` (a horizontal arm that is released), `tracking` (the tracking task's
+arm under recorded actions of a trained policy), `rope` (4 mm thick, 1 m long, released)
+or `slam` (an arm that falls onto a post). A grid of settings (elements, step,
 precision, law, integrator, reductions) is compared with a converged reference (160
-elements, an eighth of the stable step, float64) and timed per simulated second and rod,
-one rod and many at once, on one core. PyElastica runs the same scene in the same run,
-and so does MuJoCo's cable where nothing drives the arm; neither where there is contact,
-whose laws are their own. Then the cheapest setting that keeps the tolerance is looked
-for, with steps between those of the grid.
+elements, an eighth of the stable step, float64). Each setting is timed on one core,
+for a single rod and for many at once. PyElastica runs the same scene in the same run,
+and so does MuJoCo's cable if nothing drives the arm. Neither runs scenes with contact,
+because the contact laws differ. A search then finds the cheapest setting within the
+tolerance, also with steps between those of the grid.
 
 DIR gets tradeoff.csv (a line per setting and batch), tradeoff.png (error against cost)
-and tradeoff.md (what was found).
+and tradeoff.md (the results).
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 """Training runs of PPO on four tasks, a folder for each seed.
 
-Each is a call of `jaxrod train` in a process of its own, which is printed first. Runs
-that are there are not replaced: `--out` names another folder.
+Each run is a call of `jaxrod train` in a separate process, and its command is printed
+first. Existing runs are not replaced; `--out` names another folder.
 """
 
 from __future__ import annotations

@@ -1,15 +1,15 @@
-"""Values that the tests measured, and their bars: docs/validation.md.
+"""Values that the tests measured, and their limits: docs/validation.md.
 
 Runs the tests of the physics and of the comparison with PyElastica and tabulates the
-values they recorded, so that the table cannot say anything the tests do not assert.
+values they recorded, so the table has only values that the tests assert.
 
-  python -m benchmarks validation                   all tests, the slow ones included
+  python -m benchmarks validation                   all tests, with the slow ones
   python -m benchmarks validation -- -m "not slow"  in some ten minutes
   python -m benchmarks validation --from a.xml      a run with --junitxml=a.xml
   python -m benchmarks validation --update a.xml    the same, for its files alone
 
-With `--update` sections that the runs have no rows of stay as they are; files of the
-same name in two folders share a section, and are run together.
+With `--update`, sections without rows in these runs do not change. Files of the same
+name in two folders share a section, and are run together.
 """
 
 from __future__ import annotations

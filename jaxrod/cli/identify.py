@@ -3,7 +3,7 @@
 The arm is a TOML file: its rod, tendons and markers as drawn, and a standard deviation
 of each parameter that is not known exactly. Recordings are CSV files with a time, the
 inputs of the tendons, and the coordinates of the markers, in any order (docs/twin.md
-has both). An arm that rests gives a pose, one that moves a motion.
+has both). A recording at rest gives a pose, and one of a moving arm gives a motion.
 
 The folder gets twin.json (the parameters with their standard deviations, and the errors
 of all recordings) and report.html. With --forecast, recordings that are not fitted are

@@ -66,8 +66,8 @@ class PlasticBending(Material):
         """Raises ValueError if the sections of the rod are not round."""
         if not rod.is_round:
             raise ValueError(
-                "plastic_bending needs round sections: a rod that is stiffer about one "
-                "axis than about the other yields in another way"
+                "plastic_bending needs round sections: its law does not hold for a rod "
+                "that is stiffer about one axis than about the other"
             )
 
     def stored(self, rod: Rod, strains: SectionStrains) -> Array:

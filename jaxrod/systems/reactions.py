@@ -253,7 +253,7 @@ def free_body(system: Any, state: Mapping[str, Any], name: str) -> tuple[Any, An
     recalled = system.recalling(state)
     member = recalled.interfaces()[name]
     if member.rod is None:
-        raise ValueError(f"free_body needs a rod, and {name!r} is none")
+        raise ValueError(f"free_body needs a rod, and {name!r} is not one")
     loads = _total(*coupling_loads(recalled, state))[name]
     return member.loaded(loads), state[name]
 

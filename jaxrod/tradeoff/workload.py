@@ -107,8 +107,8 @@ def workload_of(
     check_array("duration", duration, [()], "s", positive=True)
     if not scene.method.has_energy:
         raise ValueError(
-            "a scene of PyElastica's law has no setting to choose: its clamp and its "
-            "law are wrong by more than its steps are"
+            "a scene of PyElastica's law cannot be tuned: the errors of its clamp and "
+            "its law are larger than those of its steps"
         )
     scene.method.check_state(scene, state)
     with jax.enable_x64(True):

@@ -354,8 +354,8 @@ def _fitted(
         raise ValueError("no marker was seen in any recording")
     if noise is None and count <= len(drawn):
         raise ValueError(
-            f"{count} coordinates do not show the noise beside {len(drawn)} unknowns: "
-            "give noise in m"
+            f"{count} coordinates are too few to estimate the noise and {len(drawn)} "
+            "unknowns: give noise in m"
         )
 
     def residuals(point: np.ndarray, sigma: float) -> _Residuals:

@@ -134,7 +134,7 @@ def test_a_task_is_trained_resumed_and_evaluated_by_its_import_path(
     assert config["env_options"] == {"length": 7, "start": [1, 2]}
     for command in ("evaluate", "render"):
         code, _, err = run(command, folder)
-        assert code == 2 and "say so: --trust package_of_mine.tasks, in" in err
+        assert code == 2 and "pass --trust package_of_mine.tasks, in" in err
     trust = ("--trust", "package_of_mine.tasks")
     found = run_json("evaluate", folder, "--episodes", 2, "--json", *trust)
     assert found["task"] == task and max(found["lengths"]) <= 7

@@ -245,7 +245,7 @@ def test_a_batch_of_systems_is_no_system_of_groups(given):
     [
         (jaxrod.uniform_load((0.0, 0.0, 1.0)), "'ball': UniformLoad.*rest_lengths"),
         (jaxrod.end_load((0.0, 0.0, 1.0)), r"'ball': EndLoad.*shape \(2,\)"),
-        (jaxrod.fluids.stokes_drag(0.1, 0.2), "'ball': StokesDrag.*bodies have not"),
+        (jaxrod.fluids.stokes_drag(0.1, 0.2), "'ball': StokesDrag.*bodies do not use"),
         (
             jaxrod.contact(jaxrod.shapes.plane(), stiffness=1.0),
             "'ball': Contact",

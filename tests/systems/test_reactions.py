@@ -75,7 +75,7 @@ def test_reactions_at_rest_are_the_weights_of_what_hangs_below():
     np.testing.assert_allclose(found.on("two", "tip").force, -ball * up, **near)
     np.testing.assert_allclose(found.on("ball").force, ball * up, **near)
     np.testing.assert_allclose(found.on("ball").couple, 0, atol=1e-12)
-    with pytest.raises(ValueError, match="'ball' is none"):
+    with pytest.raises(ValueError, match="'ball' is not one"):
         jaxrod.systems.free_body(system, state, "ball")
     with pytest.raises(ValueError, match="no member is called 'three'"):
         found.on("three", "tip")

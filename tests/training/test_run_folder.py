@@ -217,7 +217,7 @@ def test_lost_rows_are_told_and_nothing_is_changed(copy, name):
 def test_the_checkpoint_before_a_damaged_one_is_taken_and_it_is_said(copy, whole):
     newest, before = (copy.checkpoints / f"000000000{k}.npz" for k in (5, 4))
     newest.write_bytes(newest.read_bytes()[:-200])
-    said = r"0000000005\.npz is damaged: .* Going on from 0000000004\.npz"
+    said = r"0000000005\.npz is damaged: .* Continuing from 0000000004\.npz"
     with pytest.warns(DamagedCheckpointWarning, match=said) as warned:
         resume(copy, log=lambda row: None)
     assert [one.filename for one in warned] == [__file__]

@@ -319,7 +319,7 @@ def test_twenty_logs_with_motions_are_calibrated():
 @pytest.mark.slow
 def test_too_few_coordinates_show_no_noise(arm):
     film = filmed(arm, arm.start, pose(1.5, 0.0))
-    with pytest.raises(ValueError, match="12 coordinates do not show the noise beside"):
+    with pytest.raises(ValueError, match="12 coordinates are too few"):
         twin.identify(arm, [film])
     film.points[:] *= 1000
     with pytest.raises(ValueError, match="is the scale of the frame wrong"):

@@ -162,8 +162,8 @@ def validate(config: DAggerConfig, num_devices: int = 1) -> None:
         given, usual = float(getattr(config, name)), getattr(LearnerConfig(), name)
         if given != usual:
             raise ValueError(
-                f"{name} has no effect in dagger, which learns from no reward: leave "
-                f"it at {usual}, got {given}"
+                f"{name} has no effect in dagger, which uses no rewards: leave it at "
+                f"{usual}, got {given}"
             )
     check_memory(config)
     check_positive(config, "effort", "learning_rate", "final_learning_rate")

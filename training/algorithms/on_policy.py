@@ -648,8 +648,8 @@ def warm_start(algorithm: Algorithm, policy: MLPPolicy) -> Algorithm:
             raise ValueError("network must be None to begin with an MLPPolicy")
         if state.actor_size < state.env.observation_size:
             raise ValueError(
-                "privileged_critic must be false to begin with an MLPPolicy, which "
-                "knows no moments of what its critic saw"
+                "privileged_critic must be false to begin with an MLPPolicy, which has "
+                "no moments of the critic's observations"
             )
         own = algorithm.policy(state)
         if not isinstance(own, MLPPolicy):

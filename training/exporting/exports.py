@@ -336,9 +336,8 @@ def _check_replaceable(path: Path, contract: Path, overwrite: bool) -> None:
         )
     if not ours:
         raise ValueError(
-            f"{there[0]} is there already, and {contract.name} does not say that "
-            "jaxrod exported it as it is: nothing is replaced. Choose another name, "
-            "or move it away"
+            f"{there[0]} exists, and by {contract.name} jaxrod did not export it in "
+            "this form, so it is not replaced. Choose another name, or move it away"
         )
     if not overwrite:
         raise ValueError(

@@ -98,7 +98,7 @@ def _take(file: Path) -> int:
                 ) from None
             warnings.warn(
                 f"the file system of {file.parent} has no locks "
-                f"({error.strerror}): see to it that no two processes train there",
+                f"({error.strerror}): make sure that no two processes train there",
                 UnlockedFolderWarning,
                 stacklevel=2,
             )

@@ -140,7 +140,7 @@ def restore(
     folder.remove_temporary(but=(LEARNING_CURVE, REPLAY))
     if damaged:
         warn(
-            f"{'; '.join(damaged)}. Going on from {file.name}, the one before",
+            f"{'; '.join(damaged)}. Continuing from {file.name}, the one before",
             DamagedCheckpointWarning,
         )
     return found

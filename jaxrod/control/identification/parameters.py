@@ -153,8 +153,8 @@ def make_parameters(
             raise ValueError(f"start of {name} must be finite, got {start[name]!r}")
         if name in names and not np.all(np.asarray(value) > 0):
             raise ValueError(
-                f"start of {name} must be positive to be sought by its logarithm, got "
-                f"{start[name]!r}: leave it out of logarithmic"
+                f"start of {name} must be positive if the search uses its logarithm, "
+                f"got {start[name]!r}: leave it out of logarithmic"
             )
     sizes = jax.tree.map(lambda a: jnp.where(a == 0, 1, jnp.abs(a)), first)
     for name, scale in (scales or {}).items():

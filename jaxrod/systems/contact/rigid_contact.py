@@ -311,7 +311,7 @@ def rigid_contact(
     unknown = set(points or {}) - set(members)
     if unknown:
         raise ValueError(
-            f"points are given of {sorted(unknown)}, not among the members"
+            f"points names {sorted(unknown)}, which are not among the members"
         )
 
     def listed(name: str, value: Any) -> Array:

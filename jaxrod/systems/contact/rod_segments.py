@@ -411,7 +411,7 @@ def points_needed(coupling: str, name: str, own: Parts, spacing: float) -> int:
     """
     if is_traced(own.rest_lengths, own.radii):
         raise ValueError(
-            f"{coupling}: of {name!r} the lengths or radii are traced: give "
+            f"{coupling}: lengths or radii of {name!r} are traced: give "
             "points_per_element"
         )
     ratio = np.asarray(own.rest_lengths) / np.asarray(own.radii)

@@ -163,12 +163,12 @@ def resolved(
     own = layouts[member]
     if not own.is_rod:
         if len(rest) > 1:
-            raise ValueError(f"{name}: a body is named alone, got {place!r}")
+            raise ValueError(f"{name}: a body has no ends or nodes, got {place!r}")
         body = _of_many(name, f"of {member!r}", rest, own.count)
         return member, body, body
     if len(rest) not in (1, 2):
         raise ValueError(
-            f'{name}: of a rod an end ("base", "tip") or a node is needed, '
+            f'{name}: a place on a rod is an end ("base", "tip") or a node, '
             f"got {place!r}"
         )
     rod = _of_many(name, f"of {member!r}", rest[:-1], own.count)
@@ -182,7 +182,7 @@ def _of_many(name: str, where: str, given: Sequence[Any], count: int) -> int:
     """Index of one of `count` rods or bodies; it may be omitted if `count` is one."""
     if not given:
         if count > 1:
-            raise ValueError(f"{name}: {where} there are {count}, say which")
+            raise ValueError(f"{name}: there are {count} {where}, say which")
         return 0
     which = check_count(f"{name}: the number {where}", given[0], 0, count - 1)
     return int(which)

@@ -351,8 +351,8 @@ def _inertia(
         largest = float(np.max(checked))
         if largest > (1 + 1e-6) * (float(np.sum(checked)) - largest):
             raise ValueError(
-                "inertia must be of a body: no moment above the sum of the two others, "
-                f"got {np.asarray(checked).tolist()} kg m^2"
+                "inertia must be that of a body, with no moment above the sum of the "
+                f"two others, got {np.asarray(checked).tolist()} kg m^2"
             )
     return total.astype(dtype), jnp.asarray(checked, dtype)
 
@@ -468,7 +468,7 @@ def check_body_effects(name: str, bodies: Any) -> None:
         kind = type(effect)
         for hook in _OF_RODS:
             if getattr(kind, hook) is not getattr(Effect, hook):
-                raise _unfit(name, effect, f"it has {hook}, which bodies have not")
+                raise _unfit(name, effect, f"it has {hook}, which bodies do not use")
         if remembers((effect,)):
             raise _unfit(
                 name, effect, "it has memory, which effects on bodies cannot have"
