@@ -409,7 +409,7 @@ def _product(vector: Vec2, by: Vec2) -> Vec2:
 
 
 def _turned(vector: Vec2, by: Vec2) -> Vec2:
-    """Unit vectors rotated by angles, given by cosine and sine; they keep length one."""
+    """Unit vectors rotated by angles, given by cosine and sine; of length one."""
     x, y = _product(vector, by)
     # One step of Newton's method towards unit length.
     length = 1.5 - 0.5 * (x * x + y * y)
