@@ -29,6 +29,7 @@ continuous.
 
 from __future__ import annotations
 
+import math
 from abc import ABC, abstractmethod
 from dataclasses import replace
 from typing import ClassVar
@@ -96,6 +97,25 @@ class ConstantForce(ForceLength):
         return 0.0
 
 
+@jax.custom_jvp
+def _error_function(x: Array) -> Array:
+    """Error function of real numbers.
+
+    JAX computes the exponential in its derivative from the bits of numbers, which
+    kernels cannot do.
+    """
+    return erf(x)
+
+
+@_error_function.defjvp
+def _error_function_jvp(
+    primals: tuple[Array], tangents: tuple[Array]
+) -> tuple[Array, Array]:
+    (x,), (change,) = primals, tangents
+    slope = 2 / math.sqrt(math.pi) * jnp.exp(-x * x)
+    return _error_function(x), slope * change
+
+
 @pytree
 class GaussianForce(ForceLength):
     r"""Gaussian force fraction, $f = \exp(-(\lambda - 1)^2/2w^2)$."""
@@ -105,8 +125,8 @@ class GaussianForce(ForceLength):
 
     def energy(self, stretch: Array) -> Array:
         """Integral of the force fraction from stretch 1 to `stretch` [1]."""
-        scale = self.width * np.sqrt(np.pi / 2)
-        return scale * erf((stretch - 1) / (np.sqrt(2) * self.width))
+        scale = math.sqrt(math.pi / 2) * self.width
+        return scale * _error_function((stretch - 1) / (math.sqrt(2) * self.width))
 
     @property
     def largest(self) -> float:
@@ -116,7 +136,7 @@ class GaussianForce(ForceLength):
     @property
     def steepest(self) -> Array:
         """Largest slope $e^{-1/2}/w$, at one width from the maximum [1]."""
-        return np.exp(-0.5) / self.width
+        return math.exp(-0.5) / self.width
 
 
 _CUBIC = np.polynomial.Polynomial([-6.44, 18.01, -13.64, 3.06])
@@ -157,8 +177,8 @@ class CubicForce(ForceLength):
         # The integral of a parabola from v at the cubic's end to zero is v w / 3.
         low = jnp.clip((stretch - first) / _RUN_OUT + 1, 0, 1)
         high = jnp.clip((last - stretch) / _RUN_OUT + 1, 0, 1)
-        held = _RUN_OUT / 3 * _CUBIC(np.asarray(self._ends))
-        return total - held[0] * (1 - low**3) + held[1] * (1 - high**3)
+        before, after = (_RUN_OUT / 3 * float(_CUBIC(end)) for end in self._ends)
+        return total - before * (1 - low**3) + after * (1 - high**3)
 
     @property
     def largest(self) -> float:

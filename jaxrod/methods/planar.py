@@ -77,9 +77,23 @@ class Planar(Method):
 
     def stepper(self, scene: LoadedRod, state: RodState, dt: Array) -> PlanarVerlet:
         """Stepper in the plane for a scene, a first state and steps of `dt` [s]."""
-        if isinstance(self.of, PyElastica):
-            return PlanarPyElasticaStepper.create(scene, self.plane, state, dt)
-        return PlanarConsistentStepper.create(scene, self.plane, state, dt)
+        return self._stepper(scene, state, dt, seen=bool(scene.effects))
+
+    def stepper_in_system(
+        self, scene: LoadedRod, state: RodState, dt: Array
+    ) -> PlanarVerlet:
+        """Stepper in the plane of a rod that couplings may look at."""
+        return self._stepper(scene, state, dt, seen=True)
+
+    def _stepper(
+        self, scene: LoadedRod, state: RodState, dt: Array, *, seen: bool
+    ) -> PlanarVerlet:
+        kind = (
+            PlanarPyElasticaStepper
+            if isinstance(self.of, PyElastica)
+            else PlanarConsistentStepper
+        )
+        return kind.create(scene, self.plane, state, dt, seen=seen)
 
     def loads(self, scene: LoadedRod, motion: Motion) -> Loads:
         """All loads, computed by the law's method in three dimensions."""

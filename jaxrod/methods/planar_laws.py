@@ -56,9 +56,12 @@ class PlanarPyElasticaStepper(PlanarVerlet):
 
     @staticmethod
     def create(
-        scene: LoadedRod, plane: PlaneName, state: RodState, dt: Array
+        scene: LoadedRod, plane: PlaneName, state: RodState, dt: Array, *, seen: bool
     ) -> PlanarPyElasticaStepper:
-        """Computes the constants for a scene, plane, first state and step `dt` [s]."""
+        """Computes the constants for a scene, plane, first state and step `dt` [s].
+
+        `seen`: whether effects or couplings look at the motion in space.
+        """
         rod = scene.rod
         constants = PlanarRod.create(rod, state, plane)
         transverse = inertia_about_normal(rod, constants)
@@ -66,6 +69,7 @@ class PlanarPyElasticaStepper(PlanarVerlet):
         return PlanarPyElasticaStepper(
             scene=scene,
             plane=plane,
+            seen=seen,
             dt=dt,
             start=state,
             constants=constants,
@@ -154,9 +158,12 @@ class PlanarConsistentStepper(PlanarVerlet):
 
     @staticmethod
     def create(
-        scene: LoadedRod, plane: PlaneName, state: RodState, dt: Array
+        scene: LoadedRod, plane: PlaneName, state: RodState, dt: Array, *, seen: bool
     ) -> PlanarConsistentStepper:
-        """Computes the constants for a scene, plane, first state and step `dt` [s]."""
+        """Computes the constants for a scene, plane, first state and step `dt` [s].
+
+        `seen`: whether effects or couplings look at the motion in space.
+        """
         rod = scene.rod
         constants = PlanarRod.create(rod, state, plane)
         transverse = inertia_about_normal(rod, constants)
@@ -164,6 +171,7 @@ class PlanarConsistentStepper(PlanarVerlet):
         return PlanarConsistentStepper(
             scene=scene,
             plane=plane,
+            seen=seen,
             dt=dt,
             start=state,
             constants=constants,

@@ -58,9 +58,9 @@ class PlanarMotion:
     """In-plane components of the node positions [m]."""
     turn: Array
     """Angle by which each element has rotated since the start of the run [rad]."""
-    half: Vec2
+    half: Vec2 | None
     """Cosine and sine of half that angle, carried along so that no step computes them.
-    """
+    `None` where nothing looks at orientations in a run."""
     direction: Vec2
     """In-plane components of the unit vectors d3."""
     velocity: Vec2
@@ -74,14 +74,17 @@ class PlanarMotion:
 
     def turned(self, angle: Array) -> PlanarMotion:
         """Motion whose elements have rotated further about the normal [rad]."""
-        half = 0.5 * angle
-        sine_ratio, cosine = sine_ratio_and_cosine(half * half)
-        by = cosine, half * sine_ratio
+        turn = self.turn + angle
+        if self.half is None:
+            by = _cosine_and_sine(angle)
+            return replace(self, turn=turn, direction=_turned(self.direction, by))
+        by = _cosine_and_sine(0.5 * angle)
         return replace(
             self,
-            turn=self.turn + angle,
+            turn=turn,
             half=_turned(self.half, by),
-            direction=_turned(self.direction, _turned(by, by)),
+            # Its length is one to rounding already.
+            direction=_turned(self.direction, _product(by, by)),
         )
 
     @property
@@ -183,6 +186,8 @@ class PlanarVerlet(Verlet):
     """Constants of the rod in the plane."""
     inverse_inertia: Array
     """Inverse rotary inertia of the elements about the normal [1/(kg m^2)]."""
+    seen: bool = static()
+    """Whether effects, or the couplings of a system, look at the motion in space."""
 
     @abstractmethod
     def angle_turned(self, spin: Array, dt: Array) -> Array:
@@ -212,7 +217,7 @@ class PlanarVerlet(Verlet):
         motion = PlanarMotion(
             position=(state.positions[a], state.positions[b]),
             turn=jnp.zeros_like(d3[a]),
-            half=(jnp.ones_like(d3[a]), jnp.zeros_like(d3[a])),
+            half=(jnp.ones_like(d3[a]), jnp.zeros_like(d3[a])) if self.seen else None,
             direction=(d3[a], d3[b]),
             velocity=(state.velocities[a], state.velocities[b]),
             spin=self.spin_from_momentum(state.angular_momenta[out]),
@@ -308,7 +313,7 @@ class PlanarVerlet(Verlet):
         return replace(
             motion,
             turn=jnp.where(is_held, motion.turn + back, motion.turn),
-            half=chosen(_turned(motion.half, half), motion.half),
+            half=motion.half and chosen(_turned(motion.half, half), motion.half),
             direction=chosen((d3[a], d3[b]), motion.direction),
         )
 
@@ -375,7 +380,9 @@ class PlanarVerlet(Verlet):
         """Orientations of the first state, rotated about the normal by `turn`."""
         zero = jnp.zeros_like(motion.turn)
         turn = [zero, zero, zero]
-        cosine, turn[PLANES[self.plane][2]] = motion.half
+        half = 0.5 * motion.turn
+        cosine, sine = motion.half or (jnp.cos(half), jnp.sin(half))
+        turn[PLANES[self.plane][2]] = sine
         turned = (cosine, turn[0], turn[1], turn[2])
         start = split_quaternion(self.start.orientations)
         return normalise(multiply_quaternions(turned, start))
@@ -389,10 +396,21 @@ def spread(a: Array) -> Array:
     return vectors.pad(a, 0, 1) - vectors.pad(a, 1, 0)
 
 
-def _turned(vector: Vec2, by: Vec2) -> Vec2:
-    """Unit vectors rotated by angles, given by cosine and sine, as complex products."""
+def _cosine_and_sine(angle: Array) -> Vec2:
+    """Cosine and sine of an angle [rad], the sine to full relative accuracy."""
+    sine_ratio, cosine = sine_ratio_and_cosine(angle * angle)
+    return cosine, angle * sine_ratio
+
+
+def _product(vector: Vec2, by: Vec2) -> Vec2:
+    """Product of complex numbers: unit vectors rotated by angles."""
     (x, y), (c, s) = vector, by
-    x, y = x * c - y * s, y * c + x * s
+    return x * c - y * s, y * c + x * s
+
+
+def _turned(vector: Vec2, by: Vec2) -> Vec2:
+    """Unit vectors rotated by angles, given by cosine and sine; of length one."""
+    x, y = _product(vector, by)
     # One step of Newton's method towards unit length.
     length = 1.5 - 0.5 * (x * x + y * y)
     return x * length, y * length

@@ -11,6 +11,7 @@ import jaxrod
 from jaxrod.actuation.section_load import cross_bound, fibre_bound, transport_bound
 from jaxrod.effects.time import Clock
 from jaxrod.geometry import vectors
+from jaxrod.lanes.jaxpr.unroll import supported
 from jaxrod.rods.motion import motion_of
 from physics.actuators import N, actuators, at_once, strained, uneven_rod
 from physics.rods import (
@@ -293,8 +294,35 @@ def test_a_slack_tendon_pulls_nothing():
         assert float(jnp.sum(jnp.abs(forces[2]))) == pytest.approx(2 * pull, abs=1e-9)
 
 
+@pytest.mark.parametrize("dtype", [jnp.float32, jnp.float64])
+def test_the_gaussian_curve_and_its_slopes(dtype):
+    """Force and slope have their closed forms, and programs that kernels can run."""
+    width = 0.2
+    curve = jaxrod.actuation.gaussian_force(width)
+    curve = replace(curve, width=curve.width.astype(dtype))
+    force = jax.grad(curve.energy)
+    slope = jax.grad(force)
+    values = jax.jit(jax.vmap(lambda s: (curve.energy(s), force(s), slope(s))))
+    stretch = np.linspace(0.3, 1.9, 17, dtype=dtype)
+    found = values(stretch)
+    assert {one.dtype for one in found} == {jnp.dtype(dtype)}
+    away = (np.linspace(0.3, 1.9, 17) - 1) / width
+    gaussian = np.exp(-(away**2) / 2)
+    eps = float(jnp.finfo(dtype).eps)
+    np.testing.assert_allclose(found[1], gaussian, rtol=20 * eps, atol=20 * eps)
+    np.testing.assert_allclose(found[2], -away / width * gaussian, atol=200 * eps)
+    if dtype == jnp.float64:
+        up, down = values(stretch + 1e-4), values(stretch - 1e-4)
+        for i in (0, 1):
+            differences = np.subtract(up[i], down[i]) / 2e-4
+            np.testing.assert_allclose(found[i + 1], differences, atol=2e-6)
+    assert supported(jax.make_jaxpr(slope)(stretch[0])) is None
+
+
 @pytest.mark.slow
 def test_curves_of_muscles_are_smooth_and_integrate_their_slope():
+    single = jnp.float32(0.9)
+    assert jaxrod.actuation.cubic_force().energy(single).dtype == single.dtype
     stretch = jnp.linspace(0.3, 2.2, 4001)
     for curve in (jaxrod.actuation.cubic_force(), jaxrod.actuation.gaussian_force(0.2)):
         share = jax.vmap(jax.grad(curve.energy))(stretch)

@@ -296,17 +296,22 @@ def test_an_effect_costs_only_what_it_does(record, request):
     assert flops(jaxrod.gravity()) > bare
 
 
-@pytest.mark.fast_sets(2)
 @pytest.mark.usefixtures("compiled_for_cpus")
 @pytest.mark.parametrize(
     ("kind", "figure"),
-    [("consistent", 7828), ("compensated", 8137), ("pyelastica", 6944), ("xy", 1688)],
+    [("consistent", 7872), ("compensated", 8181), ("pyelastica", 6947), ("xy", 1711)],
 )
 def test_a_bare_rod_costs_what_it_did_before_there_were_other_features(kind, figure):
     """Operations of one step of 20 elements, as written, before XLA has seen them.
 
     The figures are those of a scene without effects when this was first measured. A
     feature that raises them is paid for by everyone who does not use it.
+
+    Since then the last step of a run is a cycle like the others, so that it is compiled
+    once. Its drift is half as long, so each step chooses its time: 3 operations. The
+    angle that it turns elements by per spin is no constant any more. This takes one
+    product for each element and axis: 40 in space, 20 in a plane. PyElastica's law has
+    none. The choice saves half of what is compiled.
     """
     rod, state = arm(20, dtype=jnp.float32)
     if kind == "compensated":
@@ -314,5 +319,6 @@ def test_a_bare_rod_costs_what_it_did_before_there_were_other_features(kind, fig
     methods = {"pyelastica": jaxrod.pyelastica(), "xy": jaxrod.planar("xy")}
     scene = jaxrod.make_scene(rod, method=methods.get(kind))
     integrator = scene.method.stepper(scene, state, jnp.asarray(1e-4, jnp.float32))
-    cycle = jax.jit(integrator.cycle).lower(integrator.begin(state))
+    run = integrator.counted(5)
+    cycle = jax.jit(run.cycle).lower(run.begin(state))
     assert cycle.cost_analysis()["flops"] <= figure

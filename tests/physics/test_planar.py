@@ -155,6 +155,33 @@ def test_batches_and_numbers_do_not_recompile():
     check_one_program(*swinging("xy"), rtol=1e-13)
 
 
+def test_orientations_of_a_bare_rod_come_from_its_angles():
+    """A member of a system carries them along; both are equal after whole turns."""
+    rod, state = arm(3, direction=(1.0, 0.0, 0.0), normal=(0.0, 0.0, 1.0))
+    spins = state.angular_momenta.at[2].set(rod.inertias[0])
+    state = replace(state, angular_momenta=spins)
+    method = jaxrod.planar("xy")
+    scene = jaxrod.make_scene(rod, method=method)
+    twice = (method.stepper, False), (method.stepper_in_system, True)
+
+    @jax.jit
+    def ends(state):
+        orientations = []
+        for make, carried in twice:
+            stepper = make(scene, state, jnp.asarray(0.4))
+            motion = stepper.enter(state)
+            assert (motion.half is not None) == carried
+            drifted = lambda _, motion, own=stepper: own.drift(motion, own.dt)
+            motion = jax.lax.fori_loop(0, 40, drifted, motion)
+            orientations.append(stepper.leave(motion).orientations)
+        return orientations
+
+    # Two whole turns leave the sign of a quaternion as it is.
+    turned = turn(state.orientations, (16.0 - 4 * np.pi) * state.directors[:, 2])
+    for end in ends(state):
+        assert difference(end, turned) < 1e-14 * 16
+
+
 @pytest.mark.slow
 def test_it_costs_less_than_two_fifths_of_the_arithmetic(record):
     record(
