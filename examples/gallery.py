@@ -11,6 +11,7 @@ import importlib
 import json
 import pathlib
 import re
+import sys
 import textwrap
 import time
 import tomllib
@@ -79,6 +80,8 @@ def changed(name):
     if source.count(old) != 1:
         raise ValueError(f"{old!r} is not once in examples/{name}.py")
     module = types.ModuleType(name)
+    # Scenes import this file by its name, also where another program has loaded it.
+    sys.modules.setdefault("gallery", sys.modules[__name__])
     exec(compile(source.replace(old, new), name, "exec"), vars(module))
     return module
 
