@@ -18,10 +18,12 @@ import csv
 import time
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 import jax
 import numpy as np
 
+import jaxrod
 from benchmarks.shared.files import ROOT
 from benchmarks.shared.page_tables import measured_table
 from jaxrod import twin
@@ -52,6 +54,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         action="store_true",
         help="only forecast each of the eight poses from the other seven, without any "
         "other recording: to choose the unknowns of arm.toml",
+    )
+    parser.add_argument(
+        "--poses",
+        action="store_true",
+        help="only find the pose of each recording for the arm as drawn, from the "
+        "straight one, and print how long it takes",
     )
 
 
@@ -112,11 +120,42 @@ def _left_out(poses: Sequence[twin.Recording]) -> list[twin.Comparison]:
     return found
 
 
+def _time_poses(every: Sequence[twin.Recording], rounds: int = 9) -> None:
+    """Prints the processor time of the equilibrium of each recording, as drawn.
+
+    It is the median of `rounds` calls, each from the straight arm.
+    """
+    arm = twin.read_arm(ARM)
+
+    def made(inputs: jax.Array) -> tuple[Any, Any]:
+        pulls = arm.tensions(arm.start, inputs)
+        return arm.scene(arm.start, lambda numbers: pulls[numbers])
+
+    def found(scene: Any, state: Any) -> tuple[Any, float]:
+        began = time.process_time()
+        rest = jax.block_until_ready(jaxrod.equilibrium(scene, state))
+        return rest, time.process_time() - began
+
+    scenes = [made(jax.numpy.asarray(one.inputs[0])) for one in every]
+    print(f"first call: {found(*scenes[0])[1]:.1f} s of processor time")
+    for recording, scene in zip(every, scenes, strict=True):
+        rest, _ = found(*scene)
+        took = np.median([found(*scene)[1] for _ in range(rounds)])
+        print(
+            f"{recording.name:>16}  {1000 * took:5.1f} ms, {int(rest.iterations):2d} "
+            f"corrections{'' if rest.converged else ', not converged'}"
+        )
+
+
 def run(args: argparse.Namespace) -> int:
     """Fits, forecasts, prints and writes the table."""
     every = recordings(args.folder)
     poses = [one for one in every if one.name in FITTED]
     others = [one for one in every if one.name not in FITTED]
+    if args.poses:
+        with jax.enable_x64(True):
+            _time_poses(every)
+        return 0
     if args.leave_out:
         with jax.enable_x64(True):
             print(_row("each pose from the seven others", _left_out(poses)))

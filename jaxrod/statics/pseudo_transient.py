@@ -35,6 +35,10 @@ LITTLE = 0.1
 the accepted one [1]."""
 STALLED = 10
 """Multiple of the tolerance below which a stalled search counts as converged [1]."""
+STIFFER = 5
+"""Smallest inertia after a correction that was not accepted, as a multiple of the
+stiffness that the loads have along it [1]. With less, several trials follow that are
+not accepted either."""
 FASTEST, SLOWEST = 0.1, 0.75
 """Smallest and largest factor by which inertia shrinks after a correction [1]."""
 
@@ -157,7 +161,7 @@ def find_rest(
         slower = jnp.minimum(jnp.sqrt(search.shrinking), SLOWEST)
         faster = jnp.maximum(search.shrinking**2, FASTEST)
         shrinking = jnp.where(taken, jnp.where(fast, faster, search.shrinking), slower)
-        higher = jnp.maximum(search.inertia / shrinking, resisted / own)
+        higher = jnp.maximum(search.inertia / shrinking, STIFFER * resisted / own)
         # Below the tolerance the ratio may be round-off alone. More inertia would make
         # the correction smaller still, so the full correction is tried next.
         higher = jnp.where(largest <= tolerance, 0, higher)

@@ -117,6 +117,32 @@ def test_a_perceptron_acts_as_in_jax(tmp_path, activation, output):
     assert re.findall(r"#include .*", text) == ["#include <math.h>"]
 
 
+def exactly(policy, seen):
+    """Actions of a policy evaluated in float64."""
+    with jax.enable_x64(True):
+        wide = lambda array: jnp.asarray(np.asarray(array, np.float64))
+        return np.asarray(jax.tree.map(wide, policy)(wide(seen)))
+
+
+def steep():
+    """A policy like those of TD3: its actions change four times as fast as others'."""
+    policy = perceptron("relu", "tanh", sizes=(7, 64, 64, 2))
+    *hidden, (kernel, bias) = policy.layers
+    layers = (*hidden, (4 * kernel, 4 * bias))
+    return dataclasses.replace(policy, layers=layers)
+
+
+def test_exported_policies_are_no_farther_from_float64_than_in_jax(tmp_path):
+    policy = steep()
+    seen = observations(policy, 3000)
+    wanted = exactly(policy, seen)
+    rms = lambda actions: float(np.sqrt(np.mean((actions - wanted) ** 2)))
+    own = rms(jax.jit(policy)(seen))
+    assert 5e-8 < own < 5e-7
+    for act in in_both(policy, tmp_path, Sized()):
+        assert rms(np.stack([act(one) for one in seen])) < 1.25 * own
+
+
 def test_all_algorithms_make_such_policies():
     env = Trivial()
     made = [untrained_policy(env, algorithm) for algorithm in algorithm_names()]
@@ -162,12 +188,22 @@ def test_the_policy_of_every_algorithm_acts_as_in_jax(tmp_path, algorithm):
     train(env, algorithm, steps=12_000, config=config, **settings)
     policy = restore_policy(run, env)
     seen = observations(policy)
-    with jax.enable_x64(True):
-        wide = lambda array: jnp.asarray(np.asarray(array, np.float64))
-        exact = np.asarray(jax.tree.map(wide, policy)(wide(seen)))
+    exact = exactly(policy, seen)
     # A steep policy makes more of the round-off that JAX has itself.
     own = float(np.max(np.abs(policy(seen) - exact)))
     actions = assert_same(policy, tmp_path, env, seen, atol=1e-6 + 2 * own)
+    off = lambda act: np.max(np.abs(np.stack([act(one) for one in seen]) - exact))
+    in_c = off(compiled(tmp_path / "policy.h"))
+    by_session = onnx_session(tmp_path / "policy.onnx")
+    by_onnx = off(lambda one: by_session.run(None, {"observation": one})[0])
+    # What the last bit of a sensor changes.
+    nearby = exactly(policy, np.nextafter(seen, np.float32(np.inf)))
+    rounded = np.max(np.abs(nearby - exact))
+    print(
+        f"{algorithm}, from float64: JAX {own:.1e}, C {in_c:.1e}, ONNX {by_onnx:.1e}; "
+        f"the last bit of the observation changes {rounded:.1e}"
+    )
+    assert in_c < 1e-6 + 1.5 * own and by_onnx < 1e-6 + 1.5 * own
     assert own < 1e-5 and np.ptp(actions) > 0.2
     act = compiled(tmp_path / "policy.h", "-O3")
     many, took = observations(policy, 1000), []
