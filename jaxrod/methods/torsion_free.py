@@ -139,7 +139,13 @@ def _holds_elements(effect: Effect, rod: Rod) -> bool:
         )
         touched.append(any(one is not other for one, other in pairs))
 
-    jax.eval_shape(lambda: look(trial_motion(rod)))
+    # Shapes alone: this is asked at each call of `advance`, whose numbers play no part.
+    dtype = rod.rest_lengths.dtype
+    node, element = (
+        (jax.ShapeDtypeStruct((rod.n_elements + k,), dtype),) * 3 for k in (1, 0)
+    )
+    orientation = (*element, element[0])
+    jax.eval_shape(look, Motion(node, orientation, node, element))
     return touched[0]
 
 
