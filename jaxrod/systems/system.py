@@ -157,7 +157,7 @@ class System(Assembly, Model):
         """Warning if the step `dt` is above the stability bound; `None` below it.
 
         The second entry, whether compression could make the step unstable later, is
-        always `False`: the bound holds for any state.
+        always `False`: the bound is that of unstressed shapes.
         """
         return unstable_step(self, dt), False
 
@@ -165,7 +165,7 @@ class System(Assembly, Model):
         """Largest stable step times the factor `safety`, and what limits it."""
         if state is not None:
             raise ValueError(
-                "state must be None: the bound of a system holds for any state"
+                "state must be None: the bound of a system is that of unstressed shapes"
             )
         factor = as_array("safety", safety, "", positive=True, at_most=1)
         check_single(self)
