@@ -11,7 +11,6 @@ import importlib
 import json
 import pathlib
 import re
-import sys
 import textwrap
 import time
 import tomllib
@@ -80,8 +79,6 @@ def changed(name):
     if source.count(old) != 1:
         raise ValueError(f"{old!r} is not once in examples/{name}.py")
     module = types.ModuleType(name)
-    # Scenes import this file by its name, also where another program has loaded it.
-    sys.modules.setdefault("gallery", sys.modules[__name__])
     exec(compile(source.replace(old, new), name, "exec"), vars(module))
     return module
 
@@ -154,9 +151,8 @@ def entry(name, words, numbers):
 
 **Change it.** {words["then"].format(**shown)}
 
-`python examples/{name}.py` ([program](../examples/{name}.py)). A second of
-processor time makes {steps:,.0f} steps of {step:.3g} ms, which is {motion:g} s of
-motion.
+`python examples/{name}.py` ([program](../examples/{name}.py)). A second of processor
+time makes {steps:,.0f} steps of {step:.3g} ms, which is {motion:g} s of motion.
 """
 
 

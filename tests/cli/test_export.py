@@ -67,5 +67,5 @@ def test_somebody_elses_file_stays(trained, run, tmp_path):
     file.write_text("mine")
     code, _, err = run("export", trained[0], "--c", file, "--overwrite")
     assert code == 2
-    assert "nothing is replaced" in err and err.count("\n") == 1
+    assert "it is not replaced" in err and err.count("\n") == 1
     assert file.read_text() == "mine" and list(tmp_path.iterdir()) == [file]

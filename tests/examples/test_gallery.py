@@ -78,7 +78,9 @@ def test_the_suggested_change_is_a_change_of_the_program(name):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", SCENES)
-def test_a_changed_scene_does_what_the_page_says(name):
+def test_a_changed_scene_does_what_the_page_says(name, monkeypatch):
+    # Scenes import the gallery by its name.
+    monkeypatch.syspath_prepend(FOLDER)
     recorded = json.loads(GALLERY.RECORDS.read_text())[name].get("changed")
     measured = GALLERY.changed(name).run()[1]
     if recorded is None:

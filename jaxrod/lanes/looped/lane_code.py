@@ -231,7 +231,7 @@ class LaneWriter(LoopWriter):
             self.width = self.lanes
             return self.spread(name, kind)
         ats = self._pointers(at, self.value(index), one, beside)
-        return self._gathered(ats, kind)
+        return self.entries(ats, kind)
 
     def _pointers(self, at: str, index: str, one: str, beside: int) -> str:
         """Appends the addresses of each lane's entry; returns the vector's name.
@@ -250,21 +250,6 @@ class LaneWriter(LoopWriter):
             index = self.new(f"mul nsw {many} {index}, <{times}>")
             index = self.new(f"add nsw {many} {index}, <{own}>")
         return self.new(f"getelementptr {one}, ptr {at}, <{w} x i32> {index}")
-
-    def _gathered(self, ats: str, kind: str) -> str:
-        w, one = self.lanes, memory_type(kind)
-        suffix = {"f32": "f32", "f64": "f64"}.get(kind, f"i{8 * BYTES[kind]}")
-        name = f"@llvm.masked.gather.v{w}{suffix}.v{w}p0"
-        many, truth = f"<{w} x {one}>", f"<{w} x i1>"
-        self.declared.add(f"declare {many} {name}(<{w} x ptr>, i32, {truth}, {many})")
-        every = "<" + ", ".join(["i1 true"] * w) + ">"
-        found = self.new(
-            f"call {many} {name}(<{w} x ptr> {ats}, i32 {BYTES[kind]}, "
-            f"{truth} {every}, {many} poison)"
-        )
-        if kind == "b1":
-            found = self.new(f"icmp ne {many} {found}, zeroinitializer")
-        return found
 
     def _flow(self, member: Member, loop: Loop, mark: str) -> None:
         """Writes a loop as a member of a stream; its labels begin with `mark`."""
@@ -555,7 +540,7 @@ class LaneWriter(LoopWriter):
             ats = self._pointers(at, places, one, self.lanes)
             made = update
             if operation != "set":
-                old = self._gathered(ats, kind)
+                old = self.entries(ats, kind)
                 made = self._combined(operation, old, update, kind)
             self._scattered(made, ats, kind, there)
         # Numbers loaded in a round that may be skipped are undefined after it.

@@ -302,20 +302,10 @@ class RowWriter(LoopWriter):
         if self.width == 1:
             at = self.new(f"getelementptr {one}, ptr {at}, i32 {places}")
             return self._load_one(at, kind)
-        w = self.width
-        ats = self.new(f"getelementptr {one}, ptr {at}, <{w} x i32> {places}")
-        suffix = {"f32": "f32", "f64": "f64"}.get(kind, f"i{8 * BYTES[kind]}")
-        name = f"@llvm.masked.gather.v{w}{suffix}.v{w}p0"
-        many, truth = f"<{w} x {one}>", f"<{w} x i1>"
-        self.declared.add(f"declare {many} {name}(<{w} x ptr>, i32, {truth}, {many})")
-        every = "<" + ", ".join(["i1 true"] * w) + ">"
-        found = self.new(
-            f"call {many} {name}(<{w} x ptr> {ats}, i32 {BYTES[kind]}, "
-            f"{truth} {every}, {many} poison)"
+        many = f"<{self.width} x i32>"
+        return self.entries(
+            self.new(f"getelementptr {one}, ptr {at}, {many} {places}"), kind
         )
-        if kind == "b1":
-            found = self.new(f"icmp ne {many} {found}, zeroinitializer")
-        return found
 
     def _loop(self, number: int, loop: Loop) -> Lines:
         if loop.scatters:
