@@ -314,7 +314,9 @@ def test_a_trusted_module_does_not_lend_what_it_has_only_imported(place):
     (place / "evil_module.py").write_text("from os import system\n")
     command = {"command": f"touch {place}/mark"}
     write(place / "run", task="evil_module:system", env_options=command)
-    with pytest.raises(UntrustedError, match=r"it is part of posix, .*evil_module:system"):
+    with pytest.raises(
+        UntrustedError, match=r"it is part of posix, .*evil_module:system"
+    ):
         open_run(place / "run", ("evil_module",))
     assert not (place / "mark").exists()
 
