@@ -141,9 +141,8 @@ def _holds_elements(effect: Effect, rod: Rod) -> bool:
 
     # Shapes alone: this is asked at each call of `advance`, whose numbers play no part.
     dtype = rod.rest_lengths.dtype
-    node, element = (
-        (jax.ShapeDtypeStruct((rod.n_elements + k,), dtype),) * 3 for k in (1, 0)
-    )
+    node: Any = (jax.ShapeDtypeStruct((rod.n_elements + 1,), dtype),) * 3
+    element: Any = (jax.ShapeDtypeStruct((rod.n_elements,), dtype),) * 3
     orientation = (*element, element[0])
     jax.eval_shape(look, Motion(node, orientation, node, element))
     return touched[0]
