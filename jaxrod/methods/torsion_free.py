@@ -19,7 +19,7 @@ limit of `jaxrod.methods.consistent` for vanishing polar inertia.
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import jax
 import jax.numpy as jnp
