@@ -176,19 +176,30 @@ class Writer:
             at = self.new(f"getelementptr {one}, ptr {table}, i32 {index}")
             found = self.new(f"load {one}, ptr {at}, align {BYTES[kind]}")
             return self.new(f"icmp ne i8 {found}, 0") if kind == "b1" else found
+        many = f"<{self.width} x i32>"
+        return self.entries(
+            self.new(f"getelementptr {one}, ptr {table}, {many} {index}"), kind
+        )
+
+    def entries(self, pointers: str, kind: str) -> str:
+        """Appends the load of a number in each lane; returns the vector's name.
+
+        Args:
+            pointers: Name of the vector of pointers to the numbers.
+            kind: Type of the numbers, such as `"f32"`.
+        """
         w = self.width
-        ats = self.new(f"getelementptr {one}, ptr {table}, <{w} x i32> {index}")
-        read, every = f"<{w} x {one}>", f"<{w} x i1>"
-        suffix = kind if kind[0] == "f" else f"i{8 * BYTES[kind]}"
+        suffix = {"f32": "f32", "f64": "f64"}.get(kind, f"i{8 * BYTES[kind]}")
         name = f"@llvm.masked.gather.v{w}{suffix}.v{w}p0"
-        self.declared.add(f"declare {read} {name}(<{w} x ptr>, i32, {every}, {read})")
-        mask = "<" + ", ".join(["i1 true"] * w) + ">"
+        many, truth = f"<{w} x {'i8' if kind == 'b1' else TYPES[kind]}>", f"<{w} x i1>"
+        self.declared.add(f"declare {many} {name}(<{w} x ptr>, i32, {truth}, {many})")
+        every = "<" + ", ".join(["i1 true"] * w) + ">"
         found = self.new(
-            f"call {read} {name}(<{w} x ptr> {ats}, i32 {BYTES[kind]}, {every} {mask}, "
-            f"{read} poison)"
+            f"call {many} {name}(<{w} x ptr> {pointers}, i32 {BYTES[kind]}, "
+            f"{truth} {every}, {many} poison)"
         )
         if kind == "b1":
-            return self.new(f"icmp ne {read} {found}, zeroinitializer")
+            found = self.new(f"icmp ne {many} {found}, zeroinitializer")
         return found
 
     def _float(self, operation: str, names: list[str], kind: str) -> str:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from jaxrod.lanes.llvm.vector_code import BYTES, TYPES, Writer
+from jaxrod.lanes.llvm.vector_code import Writer
 from jaxrod.lanes.rows.row_graph import Dims, RowGraph
 from jaxrod.lanes.rows.schedule import Goal, Place, Schedule
 
@@ -68,27 +68,6 @@ class LoopWriter(Writer):
         if kind[0] == "f":
             return self._float(operation, [a, b], kind)
         return self._whole(operation, [a, b], kind)
-
-    def entries(self, pointers: str, kind: str) -> str:
-        """Appends the load of a number in each lane; returns the vector's name.
-
-        Args:
-            pointers: Name of the vector of pointers to the numbers.
-            kind: Type of the numbers, such as `"f32"`.
-        """
-        w = self.width
-        suffix = {"f32": "f32", "f64": "f64"}.get(kind, f"i{8 * BYTES[kind]}")
-        name = f"@llvm.masked.gather.v{w}{suffix}.v{w}p0"
-        many, truth = f"<{w} x {'i8' if kind == 'b1' else TYPES[kind]}>", f"<{w} x i1>"
-        self.declared.add(f"declare {many} {name}(<{w} x ptr>, i32, {truth}, {many})")
-        every = "<" + ", ".join(["i1 true"] * w) + ">"
-        found = self.new(
-            f"call {many} {name}(<{w} x ptr> {pointers}, i32 {BYTES[kind]}, "
-            f"{truth} {every}, {many} poison)"
-        )
-        if kind == "b1":
-            found = self.new(f"icmp ne {many} {found}, zeroinitializer")
-        return found
 
     def _gather(self, node: int) -> str:
         """Appends the read of a stored node at computed indices; returns its name."""
