@@ -147,6 +147,26 @@ def _time_poses(every: Sequence[twin.Recording], rounds: int = 9) -> None:
         )
 
 
+def _apart_from_named(found: twin.Twin, every: Sequence[twin.Recording]) -> float:
+    """Largest distance between the tips of the fitted twin and of `twin.tentacle` [m].
+
+    Both are at rest under the torques of each recording.
+    """
+    arm, values, apart = found.arm, found.values, 0.0
+    for recording in every:
+        pulls = arm.tensions(values, jax.numpy.asarray(recording.inputs[0]))
+        tips = []
+        for scene, state in (
+            arm.scene(values, lambda numbers, pulls=pulls: pulls[numbers]),
+            twin.tentacle(pulls),
+        ):
+            rest = jaxrod.equilibrium(scene, state)
+            assert rest.converged, recording.name
+            tips.append(np.asarray(rest.state.tip))
+        apart = max(apart, float(np.linalg.norm(tips[1] - tips[0])))
+    return apart
+
+
 def run(args: argparse.Namespace) -> int:
     """Fits, forecasts, prints and writes the table."""
     every = recordings(args.folder)
@@ -176,6 +196,9 @@ def run(args: argparse.Namespace) -> int:
     ]
     print(f"labels: {len(orders) - len(wrong)} of {len(orders)} right")
     print(f"first call: {wall:.1f} s, {busy:.1f} s of processor time")
+    with jax.enable_x64(True):
+        apart = 1000 * _apart_from_named(found, every)
+    print(f"tips of twin.tentacle: at most {apart:.2f} mm from those of this twin")
     one = [c for c in forecasts if not c.recording.name.startswith("m12")]
     two = [c for c in forecasts if c.recording.name.startswith("m12")]
     theirs = " | ".join(f"{e:.1f}" for e in THEIRS)

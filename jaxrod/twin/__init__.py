@@ -2,6 +2,7 @@
 
 from jaxrod.twin.arm import UNKNOWNS, Arm, Frame, Marker, TendonDrawing, read_arm
 from jaxrod.twin.identification import Comparison, Twin, identify
+from jaxrod.twin.named_arms import tentacle
 from jaxrod.twin.recordings import Recording, read_recording
 from jaxrod.twin.registration import Registration, register
 
@@ -19,4 +20,5 @@ __all__ = [
     "read_arm",
     "read_recording",
     "register",
+    "tentacle",
 ]

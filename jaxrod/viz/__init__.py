@@ -1,9 +1,10 @@
-"""Visualisation of rods: an offline 3-D player, stills, films, learning curves.
+"""Visualisation of rods: 3-D player, live page, stills, films, learning curves.
 
 It imports NumPy only. The functions that draw with matplotlib, which brings Pillow,
 import it themselves. Those that evaluate a scene or a system import JAX.
 """
 
+from importlib import import_module
 from typing import Any
 
 from jaxrod.viz.curves import ReferenceScore, learning_curve
@@ -16,17 +17,21 @@ from jaxrod.viz.shapes import Arrows, Cylinder, Mesh, Sphere
 __all__ = [
     "Arrows",
     "Cylinder",
+    "Live",
     "Mesh",
     "ReferenceScore",
     "Replay",
     "Rods",
+    "Slider",
     "Sphere",
+    "Target",
     "animation",
     "bending",
     "film",
     "frame",
     "html",
     "learning_curve",
+    "live",
     "picture",
     "save_html",
     "show",
@@ -35,13 +40,16 @@ __all__ = [
     "twist_rate",
 ]
 
-_MEASURES = ("bending", "speed", "stretch", "twist_rate")
+_MODULE_OF = {
+    **dict.fromkeys(("bending", "speed", "stretch", "twist_rate"), "recorded"),
+    **dict.fromkeys(("Slider", "Target"), "handles"),
+    **dict.fromkeys(("Live", "live"), "interactive"),
+}
+"""Modules of the names that need JAX, which are imported on use."""
 
 
 def __getattr__(name: str) -> Any:
-    """Imports `bending`, `speed`, `stretch` or `twist_rate` on use: they need JAX."""
-    if name in _MEASURES:
-        from jaxrod.viz import recorded
-
-        return getattr(recorded, name)
+    """Imports a name that needs JAX on use."""
+    if name in _MODULE_OF:
+        return getattr(import_module(f"jaxrod.viz.{_MODULE_OF[name]}"), name)
     raise AttributeError(f"module 'jaxrod.viz' has no attribute {name!r}")

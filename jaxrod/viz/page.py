@@ -41,6 +41,7 @@ _SCRIPTS = (
     "readout",
     "player",
 )
+"""Scripts of every page; those that start one come after them."""
 _STEPS = 65535
 
 
@@ -77,7 +78,26 @@ def page_of(header: str, data: str) -> str:
         header: The header of `encode` as JSON, with `autoplay`.
         data: The bytes of `encode` in base64.
     """
-    program = "\n".join(_asset(f"{name}.js") for name in _SCRIPTS)
+    return _filled("page.html", ("start",), header, data)
+
+
+def filled(
+    page: str, start: tuple[str, ...], header: dict[str, Any], data: bytes
+) -> str:
+    """Returns a page with the program of the player.
+
+    Args:
+        page: Name of the page among the assets.
+        start: Names of the scripts that start it.
+        header: The header of `encode`.
+        data: The bytes of `encode`.
+    """
+    packed = base64.b64encode(data).decode("ascii")
+    return _filled(page, start, json.dumps(header), packed)
+
+
+def _filled(page: str, start: tuple[str, ...], header: str, data: str) -> str:
+    program = "\n".join(_asset(f"{name}.js") for name in (*_SCRIPTS, *start))
     parts = {
         "TITLE": markup.escape(json.loads(header)["title"] or "Rod replay"),
         "STYLE": _asset("page.css"),
@@ -87,7 +107,7 @@ def page_of(header: str, data: str) -> str:
         "DATA": data,
         "PROGRAM": f'(() => {{\n"use strict";\n{program}\n}})();',
     }
-    return re.sub(r"%%([A-Z]+)%%", lambda m: parts[m[1]], _asset("page.html"))
+    return re.sub(r"%%([A-Z]+)%%", lambda m: parts[m[1]], _asset(page))
 
 
 def save_html(

@@ -34,7 +34,7 @@ _FLAGS = (
     "--no-first-run",
     "--disable-background-networking",
     "--disable-dev-shm-usage",
-    "--host-resolver-rules=MAP * ~NOTFOUND",
+    "--host-resolver-rules=MAP * ~NOTFOUND, EXCLUDE 127.0.0.1",
 )
 
 

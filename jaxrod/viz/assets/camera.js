@@ -179,6 +179,7 @@ class Camera {
       this.zoom(Math.exp(clamp(pixels, -200, 200) * 0.0015));
     }, { passive: false });
     canvas.addEventListener("pointerdown", (event) => {
+      if (this.grab?.(event)) return; // what is under the pointer moves, not the view
       canvas.setPointerCapture(event.pointerId);
       pointers.set(event.pointerId, [event.clientX, event.clientY]);
     });

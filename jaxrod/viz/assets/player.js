@@ -256,6 +256,10 @@ class Player {
       for (const tube of this.trailTubes) tube.visible = event.target.checked;
       this.invalidate();
     });
+    this.connectView();
+  }
+
+  connectView() {
     for (const button of document.querySelectorAll("[data-preset]")) {
       button.addEventListener("click", () => this.camera.show(button.dataset.preset));
     }
@@ -280,9 +284,16 @@ class Player {
     if (tagName === "SELECT") return;
     const onButton = tagName === "BUTTON" || tagName === "SUMMARY" || type === "checkbox";
     if (event.key === " " && onButton) return;
+    const action = this.actionsOf(event)[event.key.length === 1 ? event.key.toLowerCase() : event.key];
+    if (!action) return;
+    event.preventDefault();
+    action();
+  }
+
+  actionsOf(event) {
     const frames = event.shiftKey ? 10 : 1;
-    const presets = ["free", "front", "side", "top"];
-    const actions = {
+    return {
+      ...this.viewActions(),
       " ": () => this.toggle(),
       ArrowLeft: () => this.stepFrames(-frames),
       ArrowRight: () => this.stepFrames(frames),
@@ -290,6 +301,13 @@ class Player {
       ArrowDown: () => this.changeSpeed(-1),
       Home: () => this.seek(0),
       End: () => this.seek(this.recording.duration),
+    };
+  }
+
+  viewActions() {
+    const presets = ["free", "front", "side", "top"];
+    return {
+      ...Object.fromEntries(presets.map((name, k) => [k + 1, () => this.camera.show(name)])),
       "+": () => this.camera.zoom(0.9),
       "=": () => this.camera.zoom(0.9),
       "-": () => this.camera.zoom(1 / 0.9),
@@ -298,25 +316,5 @@ class Player {
       w: () => this.camera.turn(0, 0.1),
       s: () => this.camera.turn(0, -0.1),
     };
-    presets.forEach((name, k) => (actions[k + 1] = () => this.camera.show(name)));
-    const action = actions[event.key.length === 1 ? event.key.toLowerCase() : event.key];
-    if (!action) return;
-    event.preventDefault();
-    action();
   }
 }
-
-async function main() {
-  try {
-    const header = JSON.parse($("header").textContent);
-    const recording = await unpackRecording(header, $("data").textContent);
-    const player = new Player(recording);
-    if (header.autoplay && !player.camera.still) player.play();
-  } catch (error) {
-    $("message").textContent = error.message;
-    $("message").hidden = false;
-    throw error;
-  }
-}
-
-main();

@@ -4,7 +4,8 @@ const NODE_FLOATS = 5; // x, y, z [m], radius [m], level of a field [1]
 
 class Renderer {
   constructor(canvas, tubes, bodies, sharpness) {
-    const gl = canvas.getContext("webgl2", { antialias: true, stencil: true });
+    this.detail = sharpness.detail ?? 1; // of the pixels of the view, along each side
+    const gl = canvas.getContext("webgl2", { antialias: this.detail === 1, stencil: true });
     if (!gl) throw new Error("This browser does not offer WebGL2, which the 3-D view needs.");
     this.canvas = canvas;
     this.gl = gl;
@@ -100,7 +101,7 @@ class Renderer {
   }
 
   resize() {
-    const ratio = Math.min(window.devicePixelRatio || 1, 2);
+    const ratio = this.detail * Math.min(window.devicePixelRatio || 1, 2);
     const width = Math.max(1, Math.round(this.canvas.clientWidth * ratio));
     const height = Math.max(1, Math.round(this.canvas.clientHeight * ratio));
     if (this.canvas.width !== width || this.canvas.height !== height) {
