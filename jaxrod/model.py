@@ -101,6 +101,14 @@ class Model(ABC):
         """The model with other entries for named members; a scene's name is ""."""
 
     @abstractmethod
+    def softened(self, share: ArrayLike) -> Self:
+        """The model whose contacts have a share of their stiffness."""
+
+    @abstractmethod
+    def thinned(self, share: float) -> Self:
+        """The model whose contacts have a share of their points, at least one each."""
+
+    @abstractmethod
     def check_state(self, state: Any) -> None:
         """Raises unless this is one model, no batch, and a state fits it."""
 
@@ -112,6 +120,14 @@ class Model(ABC):
             state: State of the new members.
         """
         return self
+
+    def joined_nodes(self) -> dict[str, set[int]]:
+        """Nodes of rods that couplings are fixed to, by member, counted in each rod."""
+        return {}
+
+    def missed_contact(self, state: Any) -> Any:
+        """Flag of a state: neighbour lists had too few entries since the run began."""
+        return False
 
     @abstractmethod
     def contact_forces(self, state: Any) -> list[tuple[str, Vec3]]:

@@ -100,6 +100,14 @@ class Scene(LoadedRod, Model):
         scene: Scene = changed.get("", self)
         return scene
 
+    def softened(self, share: ArrayLike) -> Scene:
+        """The scene whose contacts have a share of their stiffness."""
+        return replace(self, effects=tuple(e.softened(share) for e in self.effects))
+
+    def thinned(self, share: float) -> Scene:
+        """The scene whose contacts have a share of their points, at least one each."""
+        return replace(self, effects=tuple(e.thinned(share) for e in self.effects))
+
     def contact_forces(self, state: Any) -> list[tuple[str, Vec3]]:
         """Contact forces of fixed bodies on the nodes [N], one entry per effect."""
         return [("", forces) for forces in self.as_member().contact_forces(state)]

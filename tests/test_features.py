@@ -18,7 +18,7 @@ import pytest
 import jaxrod
 from jaxrod.geometry import surfaces
 from jaxrod.tradeoff import tuning
-from jaxrod.tradeoff.measure import reference
+from jaxrod.tradeoff.measure import Reference, Setting, prepare, tips_of
 from physics.bending import arc
 from public_names import PUBLIC
 
@@ -533,14 +533,33 @@ def test_a_saved_arm_takes_the_same_step(tmp_path):
 
 
 @runs("tune")
-def test_tune_returns_a_setting_within_the_tolerance(monkeypatch):
+def test_tune_states_the_error_of_the_worst_point(monkeypatch):
     scene, state = arm()
-    monkeypatch.setattr(tuning, "reference", lambda problem: reference(problem, 12))
-    found = jaxrod.tune(
-        scene, state, max_error=0.03, duration=0.02, elements=(4,), seconds=0.001
+    ball, of_ball = jaxrod.systems.rigid_body(
+        jaxrod.shapes.sphere((2.0, 0.5, 0), 0.1), density=100.0, dtype=jnp.float64
     )
-    assert found.met and 0 < found.error <= 0.03
-    assert found.setting.n_elements == 4
+    system = jaxrod.make_system({"arm": scene, "ball": ball})
+
+    def shifted(problem, *, enough):
+        """The motion itself, but for the ball, which is the last point."""
+        setting = Setting(scene.rod.n_elements, dtype="float64")
+        tips = tips_of(problem, prepare(problem, setting))
+        away = np.zeros(tips.shape)
+        away[:, -1, 1] = 0.02
+        return Reference(tips + away, 1.0, 1e-3, 8, 1e-3)
+
+    monkeypatch.setattr(tuning, "reference", shifted)
+    monkeypatch.setattr(tuning, "_kinds", lambda workload, n_elements: [()])
+    found = jaxrod.tune(
+        system,
+        {"arm": state, "ball": of_ball},
+        max_error=0.03,
+        duration=0.02,
+        elements=(scene.rod.n_elements,),
+        seconds=0.001,
+    )
+    assert found.met
+    close(found.error, 0.02, rtol=1e-3)
     assert found.wall_s_per_sim_s > 0
 
 

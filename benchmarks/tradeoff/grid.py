@@ -16,8 +16,8 @@ from jaxrod.tradeoff.measure import (
     Reduction,
     Reference,
     Setting,
-    may_be_untwisted,
     measure,
+    members_for,
 )
 from jaxrod.tradeoff.workload import Workload
 
@@ -86,7 +86,7 @@ def settings_of(
     kinds: list[tuple[Reduction, ...]] = [(), ("inertia",), ("compensated",)]
     if problem.plane is not None:
         kinds += [("planar",), ("planar", "inertia")]
-    if may_be_untwisted(problem):
+    if members_for(problem, "untwisted"):
         kinds += [("untwisted",)]
     for n in elements:
         for kind in kinds:

@@ -37,7 +37,7 @@ from typing import Any, ClassVar, NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Array, ArrayLike, Float
 
 from jaxrod.contacts.bodies import Body
 from jaxrod.contacts.contact_law import (
@@ -53,9 +53,10 @@ from jaxrod.contacts.default_law import (
     OVERLAP,
     added_rates,
     left_out,
+    softened_law,
     with_default_law,
 )
-from jaxrod.contacts.points import Points, check_spacing, contact_points
+from jaxrod.contacts.points import Points, check_spacing, contact_points, fewer_points
 from jaxrod.effects.base import Effect, Reach, StabilityBound
 from jaxrod.geometry import vectors
 from jaxrod.geometry.rotations import directors, to_material
@@ -224,6 +225,15 @@ class Contact(Effect):
     def resampled(self, rod: Rod, new_rod: Rod) -> Contact:
         """The contact for `new_rod`, with all its points tested against all bodies."""
         return dataclasses.replace(self, near=None, n_near=None)
+
+    def softened(self, share: ArrayLike) -> Contact:
+        """Copy with a share of the stiffness that bounces as before."""
+        return softened_law(self, share)
+
+    def thinned(self, share: float) -> Contact:
+        """Copy with a share of the contact points per element, at least one."""
+        per = fewer_points(self.points_per_element, share)
+        return dataclasses.replace(self, points_per_element=per)
 
     def with_free_ends(self, free: Float[Array, "2"]) -> Contact:
         """The contact with flags of free ends; only free ends have an end face."""

@@ -23,7 +23,7 @@ from dataclasses import replace
 from typing import Any, TypeVar
 
 import jax.numpy as jnp
-from jaxtyping import Array
+from jaxtyping import Array, ArrayLike
 
 from jaxrod.effects.base import StabilityBound
 
@@ -96,6 +96,28 @@ def with_default_law(
             chosen[name] = (rate / fastest(probe)[1]).astype(one.dtype)
     found: C = replace(law, left_out=(), **chosen)
     return found
+
+
+def softened_law(contact: C, share: ArrayLike) -> C:
+    """The contact with a share of its stiffness, and with rates that fit.
+
+    Damping and friction drag get the square root of the share: the fraction of the
+    energy that a collision takes is then the same.
+    """
+    law: Any = contact
+    numbers: tuple[tuple[str, ArrayLike], ...] = (
+        ("stiffness", share),
+        ("damping", jnp.sqrt(share)),
+        ("friction_drag", jnp.sqrt(share)),
+    )
+    given = {name: getattr(law, name) for name, _ in numbers}
+    changed = {
+        name: (given[name] * factor).astype(given[name].dtype)
+        for name, factor in numbers
+        if given[name] is not None
+    }
+    softer: C = replace(law, **changed)
+    return softer
 
 
 def added_rates(

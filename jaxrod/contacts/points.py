@@ -148,6 +148,11 @@ class ThinBodyWarning(UserWarning):
     """Warning that a body fits between neighbouring contact points of a rod."""
 
 
+def fewer_points(per_element: int, share: float) -> int:
+    """A share of the contact points per element, at least one."""
+    return max(1, round(share * per_element))
+
+
 def check_spacing(inradius: Array | None, rod: Rod, per_element: int) -> None:
     """Warns where points are farther apart than rod radius plus body inradius.
 

@@ -14,7 +14,7 @@ from typing import Any, ClassVar, Literal, get_args
 
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Float
+from jaxtyping import Array, ArrayLike, Float
 
 from jaxrod.effects.ends import Held, Wall
 from jaxrod.geometry import vectors
@@ -401,6 +401,18 @@ class Effect:
 
         An effect with numbers per node or element must override this hook.
         """
+        return self
+
+    def softened(self, share: ArrayLike) -> Effect:
+        """The same effect, if it is contact with a share of its stiffness.
+
+        `tune` searches for the softest contact that is accurate enough. Dashpots and
+        friction get the square root of the share, so that a rod bounces as before.
+        """
+        return self
+
+    def thinned(self, share: float) -> Effect:
+        """The same effect, if it is contact with a share of its points, for `tune`."""
         return self
 
     def with_free_ends(self, free: Float[Array, "2"]) -> Effect:

@@ -12,7 +12,7 @@ from dataclasses import fields, replace
 from typing import Any
 
 import jax.numpy as jnp
-from jaxtyping import Array, Float
+from jaxtyping import Array, ArrayLike, Float
 
 from jaxrod.contacts.bodies import Body
 from jaxrod.effects.base import Reaction, StabilityBound
@@ -196,6 +196,18 @@ class Coupling:
             for field in fields(self)  # type: ignore[arg-type]
         }
         return replace(self, **moved)  # type: ignore[type-var]
+
+    def softened(self, share: ArrayLike) -> Coupling:
+        """Copy, if it is contact with a share of its stiffness, for `tune`.
+
+        Dashpots and friction get the square root of the share, so that what collides
+        bounces as before.
+        """
+        return self
+
+    def thinned(self, share: float) -> Coupling:
+        """Copy, if it is contact with a share of its points, for `tune`."""
+        return self
 
     def joined_nodes(self) -> Iterable[tuple[str, int]]:
         """Nodes tied to other nodes or attached to bodies, as `(member, node)`."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -22,7 +22,7 @@ from jaxrod.systems.contact.neighbour_lists import RECORD
 from jaxrod.systems.coupling import AllParts, Coupling
 from jaxrod.systems.equilibrium import system_equilibrium
 from jaxrod.systems.health import CouplingEnergy, SystemHealth, system_health
-from jaxrod.systems.joints.regridding import Regridding
+from jaxrod.systems.joints.regridding import AskedNodes, Regridding
 from jaxrod.systems.members.member import Member
 from jaxrod.systems.reactions import SystemReactions, system_reactions
 from jaxrod.systems.reductions import check_reduced
@@ -86,6 +86,37 @@ class System(Assembly, Model):
     def with_members(self, changed: Mapping[str, Any]) -> System:
         """Copy of the system in which named members have other entries."""
         return replace(self, members={**self.members, **changed})
+
+    def joined_nodes(self) -> dict[str, set[int]]:
+        """Nodes of rods that couplings are fixed to, by member, counted in each rod."""
+        every = self.interfaces().items()
+        rods = {k: own.rod for k, own in every if own.rod is not None}
+        grids = AskedNodes(rods, rods)
+        for coupling in self.couplings:
+            coupling.regridded(grids)
+        return grids.asked
+
+    def missed_contact(self, state: Any) -> Any:
+        """Flag of a state: neighbour lists had too few entries since the run began."""
+        return state[RECORD].overflow if RECORD in state else False
+
+    def softened(self, share: ArrayLike) -> System:
+        """Copy of the system whose contacts have a share of their stiffness."""
+        return self._with_contact(lambda thing: thing.softened(share))
+
+    def thinned(self, share: float) -> System:
+        """Copy whose contacts have a share of their points, at least one each."""
+        return self._with_contact(lambda thing: thing.thinned(share))
+
+    def _with_contact(self, change: Callable[[Any], Any]) -> System:
+        """Copy of the system with all scenes and all couplings changed."""
+        scenes = {
+            name: own.each(change)
+            for name, own in self.interfaces().items()
+            if own.rod is not None
+        }
+        couplings = tuple(change(coupling) for coupling in self.couplings)
+        return replace(self.with_members(scenes), couplings=couplings)
 
     def contact_forces(self, state: Any) -> list[tuple[str, Vec3]]:
         """Contact forces on the nodes of members, world frame [N].

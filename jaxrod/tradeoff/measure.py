@@ -9,9 +9,10 @@ import dataclasses
 import math
 import statistics
 import time
+from collections.abc import Callable
 from dataclasses import dataclass
-from functools import partial
-from typing import Literal
+from functools import lru_cache, partial
+from typing import Any, Literal
 
 import jax
 import jax.numpy as jnp
@@ -19,19 +20,28 @@ import numpy as np
 from jax import lax
 from jaxtyping import Array, Float
 
-from jaxrod.analysis.inertia_scaling import scale_inertia
 from jaxrod.analysis.stability import stable_dt
-from jaxrod.methods.implicit import implicit
-from jaxrod.methods.laws import IN_SPACE, Law
-from jaxrod.methods.planar import planar
-from jaxrod.methods.torsion_free import torsion_free
-from jaxrod.rods.rod import RodState, compensated
-from jaxrod.scene import Scene
+from jaxrod.methods.laws import Law
+from jaxrod.rods.rod import compensated
 from jaxrod.stepping.runs import advance
+from jaxrod.tradeoff.reductions import (
+    allowed,
+    planar_by,
+    unlimited,
+    untwisted,
+    with_scaled_inertia,
+)
 from jaxrod.tradeoff.workload import Workload
+from jaxrod.validation import astype, check_count
 
 REFERENCE_ELEMENTS = 160
 REFERENCE_REFINEMENT = 8
+FEWEST = 10
+"""Smallest number of elements of a run that a reference is judged by."""
+TINY = 1e-300
+LEVELS = 3
+"""Smallest number of runs, each with twice the elements of the one before, from which
+the order of convergence is measured."""
 WINDOWS = 5
 TIMED_PERIODS = 1280
 """Number of control periods, summed over a batch of rods, that one timed call runs: at
@@ -51,7 +61,7 @@ class Setting:
     """
 
     n_elements: int
-    """Number of elements of the rod."""
+    """Number of elements of the rod; in a system, of the rod that has most."""
     dt: float | None = None
     """Step size [s], reduced so that it divides the control period; `None` for `safety`
     times the largest stable step."""
@@ -67,12 +77,22 @@ class Setting:
     (positions with compensated summation)."""
     safety: float = 0.9
     """Step size as a fraction of the stability limit, if `dt` is `None` [1]."""
+    contact: float = 1.0
+    """Stiffness of all contacts, divided by the given one [1]. Softer contact permits
+    larger steps."""
+    points: float = 1.0
+    """Number of contact points per element, divided by the given one [1]; an element
+    keeps at least one."""
 
     def __str__(self) -> str:
         """Describes the setting on one line."""
         words = [f"n = {self.n_elements}", self.integrator, self.dtype, self.mode]
         if self.dt is not None:
             words.insert(1, f"dt = {self.dt:.3g} s")
+        if self.contact != 1:
+            words.append(f"contact {self.contact:.3g} times as stiff")
+        if self.points != 1:
+            words.append(f"{self.points:.3g} of the contact points")
         return ", ".join([*words, *self.reductions])
 
 
@@ -82,16 +102,16 @@ class Prepared:
 
     setting: Setting
     """The setting, with the step size used."""
-    scene: Scene
-    """The scene, in the setting's floating-point type."""
-    state: RodState
+    scene: Any
+    """The scene or system, in the setting's floating-point type."""
+    state: Any
     """The initial state."""
     substeps: int
     """Number of time steps per control period."""
 
 
 def prepare(workload: Workload, setting: Setting) -> Prepared:
-    """Builds the scene and initial state of a workload for a setting.
+    """Builds the scene or system and the initial state of a workload for a setting.
 
     Args:
         workload: The workload.
@@ -99,7 +119,7 @@ def prepare(workload: Workload, setting: Setting) -> Prepared:
 
     Raises:
         ValueError: If the setting does not fit the workload: "planar" without a plane,
-            "untwisted" although a load twists the rod, or implicit steps without a step
+            "untwisted" although loads twist all rods, or implicit steps without a step
             size.
 
     Example:
@@ -108,14 +128,21 @@ def prepare(workload: Workload, setting: Setting) -> Prepared:
         >>> ready.scene.rod.n_elements, round(ready.substeps * ready.setting.dt, 6)
         (5, 0.01)
     """
+    if "planar" in setting.reductions and workload.plane is None:
+        raise ValueError(f"{workload.name} has no plane that it stays in")
     with jax.enable_x64(True):
         scene, state = workload.build(setting.n_elements, setting.mode)
-        if "untwisted" in setting.reductions:
-            scene = dataclasses.replace(scene, method=torsion_free())
-            scene.method.check(scene)
-        if "inertia" in setting.reductions:
-            scene = scale_inertia(scene).scene
+        if setting.contact != 1:
+            scene = scene.softened(setting.contact)
+        if setting.points != 1:
+            scene = scene.thinned(setting.points)
+        for reduction in ("inertia", "untwisted"):
+            if reduction in setting.reductions:
+                scene = _reduced(workload, scene, reduction)
         limit = float(stable_dt(scene, 1.0).dt)
+        for reduction in ("planar", "implicit"):
+            if reduction in (*setting.reductions, setting.integrator):
+                scene = _reduced(workload, scene, reduction)
     dt = setting.dt
     if setting.integrator == "implicit":
         if dt is None:
@@ -124,58 +151,94 @@ def prepare(workload: Workload, setting: Setting) -> Prepared:
         dt = setting.safety * limit
     substeps = max(1, math.ceil(workload.period / dt - 1e-9))
     with jax.enable_x64(setting.dtype == "float64"):
-        kind = jnp.dtype(setting.dtype)
-        scene, state = jax.tree.map(
-            lambda leaf: jnp.asarray(np.asarray(leaf), kind), (scene, state)
-        )
-        if "planar" in setting.reductions:
-            if workload.plane is None:
-                raise ValueError(f"{workload.name} has no plane that it stays in")
-            method = planar(workload.plane, IN_SPACE[setting.mode])
-            scene = dataclasses.replace(scene, method=method)
-        if setting.integrator == "implicit":
-            scene = dataclasses.replace(scene, method=implicit())
+        scene, state = astype((scene, state), setting.dtype)
         if "compensated" in setting.reductions:
-            state = compensated(state)
+            state = _compensated(scene, state)
     chosen = dataclasses.replace(setting, dt=workload.period / substeps)
     return Prepared(chosen, scene, state, substeps)
 
 
-def may_be_untwisted(workload: Workload) -> bool:
-    """Whether no load or control of a workload twists its rod."""
+def _reduced(workload: Workload, scene: Any, reduction: str) -> Any:
+    """The scene or system with the reduction for all members that allow it.
+
+    Raises:
+        ValueError: If none allows it.
+    """
+    names = members_for(workload, reduction)
+    if not names:
+        raise ValueError(f"no rod of {workload.name} can be stepped {reduction!r}")
+    change = _change(workload, reduction)
+    members = scene.interfaces()
+    return scene.with_members({name: change(members[name]) for name in names})
+
+
+def _change(workload: Workload, reduction: str) -> Callable[[Any], Any]:
+    """Function that makes a member of a workload one with a reduction."""
+    if reduction == "planar" and workload.plane is not None:
+        return planar_by(workload.plane)
+    changes: dict[str, Callable[[Any], Any]] = {
+        "inertia": with_scaled_inertia,
+        "untwisted": untwisted,
+        "implicit": unlimited,
+    }
+    return changes[reduction]
+
+
+@lru_cache(maxsize=64)
+def members_for(workload: Workload, reduction: str) -> tuple[str, ...]:
+    """Names of the members of a workload that allow a reduction.
+
+    They are asked once, with few elements, because each question is compiled.
+    """
     with jax.enable_x64(True):
-        scene, _ = workload.build(4, "consistent")
+        scene, state = workload.build(workload.fits(4), "consistent")
         acted = workload.act(scene)(jnp.asarray(workload.controls[0]))
-        try:
-            torsion_free().check(acted)
-        except ValueError:
-            return False
-    return True
+        return tuple(allowed(acted, state, _change(workload, reduction)))
+
+
+def _compensated(scene: Any, state: Any) -> Any:
+    """State whose rods have positions with compensated summation."""
+    states = scene.states_by_name(state)
+    rods = (k for k, own in states.items() if own.layout.is_rod)
+    return scene.with_states(state, {k: compensated(states[k]) for k in rods})
+
+
+def longest(scene: Any) -> float:
+    """Rest length of the longest rod of a scene or system [m]."""
+    rods = (own.rod for own in scene.interfaces().values())
+    return max(
+        float(np.max(np.sum(np.asarray(rod.rest_lengths), axis=-1)))
+        for rod in rods
+        if rod is not None
+    )
 
 
 @dataclass(frozen=True, eq=False)
 class Reference:
-    """Path of the tip from a fine simulation, from which errors are measured.
+    """Path of the recorded points in a fine simulation, to measure errors from.
 
     Example:
         >>> work = tradeoff.workload_of(scene, state, duration=0.05, periods=5)
         >>> exact = tradeoff.reference(work, n_elements=20)
-        >>> exact.tips.shape, exact.error < 1e-3
-        ((5, 3), True)
+        >>> exact.tips.shape, exact.error < 1e-3  # both ends and the middle
+        ((5, 3, 3), True)
     """
 
     tips: np.ndarray
-    """Positions of the tip at the ends of control periods `(periods, 3)` [m]."""
+    """Positions of the tip, or of the recorded points of a workload, at the ends of
+    control periods, `(periods, 3)` or `(periods, points, 3)` [m]."""
     length: float
-    """Length of the rod [m]."""
+    """Length of the longest rod [m]."""
     error: float
-    """Estimated error of `tips`: root mean square over time, divided by the rod's
-    length [1]. It is a quarter of the difference from a run with half the elements: the
-    change that another refinement would cause, for a second-order method."""
+    """Estimated error of `tips`, as that of a setting [1]. It is the change that all
+    further refinements would cause, if the run converges in the measured order."""
     n_elements: int
     """Number of elements of the fine simulation."""
     dt: float
     """Step size of the fine simulation [s]."""
+    order: float = 2.0
+    """Order of convergence that the error is estimated with: the measured one, between
+    1 and 2."""
 
 
 @dataclass(frozen=True)
@@ -193,55 +256,80 @@ class Measurement:
     setting: Setting
     """The setting, with the step size that was used."""
     error: float
-    """Root mean square over time of the tip's distance from the reference, divided by
-    the rod's length [1]; infinite if the run was not finite."""
+    """Root mean square over time of the distance from the reference, of the recorded
+    point where it is largest, divided by the length of the longest rod [1]; infinite if
+    the run was not finite."""
     wall_s_per_sim_s: dict[int, float]
     """Wall-clock time per simulated second and rod [1], by batch size."""
 
 
-def reference(workload: Workload, n_elements: int = REFERENCE_ELEMENTS) -> Reference:
+def reference(
+    workload: Workload, n_elements: int = REFERENCE_ELEMENTS, *, enough: float = 0.0
+) -> Reference:
     """Simulates a workload finely in float64, and estimates the error of the result.
+
+    Elements and steps are halved together in at least three runs. The ratio of the
+    changes gives the order p of convergence, and the last change divided by 2^p - 1
+    the error. Joints and contact with dashpots can make it first order.
 
     Args:
         workload: The workload.
-        n_elements: Number of elements of the reference; its step is an eighth of the
-            stable one. Its error follows from a run with half the elements, at a
-            quarter of the stable step of that run.
+        n_elements: Largest number of elements of the reference; its step is an eighth
+            of the stable one.
+        enough: Error at which fewer elements suffice [1].
 
     Raises:
-        ValueError: If `n_elements` is below 4.
+        ValueError: If `n_elements` is below 8, or a run is not finite.
 
     Example:
         >>> work = tradeoff.workload_of(scene, state, duration=0.05, periods=5)
         >>> exact = tradeoff.reference(work, n_elements=20)
         >>> exact.n_elements, exact.tips.shape, exact.error < 1e-3
-        (20, (5, 3), True)
+        (20, (5, 3, 3), True)
     """
-    runs = []
-    for n, refinement in (
-        (n_elements // 2, REFERENCE_REFINEMENT // 2),
-        (n_elements, REFERENCE_REFINEMENT),
-    ):
-        fine = Setting(n, dtype="float64", safety=1 / refinement)
-        prepared = prepare(workload, fine)
-        runs.append((prepared, tips_of(workload, prepared)))
-    (_, coarse), (prepared, tips) = runs
-    length = float(np.sum(np.asarray(prepared.scene.rod.rest_lengths)))
-    assert prepared.setting.dt is not None
+    n_elements = check_count("n_elements", n_elements, 8)
+    levels = LEVELS
+    if enough > 0:
+        levels = max(levels, int(math.log2(n_elements / FEWEST)) + 1)
+    coarsest = workload.fits(-(-n_elements // 2 ** (levels - 1)))
+    finest = Setting(
+        coarsest * 2 ** (levels - 1), dtype="float64", safety=1 / REFERENCE_REFINEMENT
+    )
+    steps = -(-prepare(workload, finest).substeps // 2 ** (levels - 1))
+    runs: list[np.ndarray] = []
+    for level in range(levels):
+        n, dt = coarsest * 2**level, workload.period / (steps * 2**level)
+        prepared = prepare(workload, Setting(n, dt, "float64"))
+        runs.append(tips_of(workload, prepared))
+        if not np.all(np.isfinite(runs[-1])):
+            raise ValueError(
+                f"the reference of {n} elements is not finite, or its neighbour lists "
+                "became too short: see jaxrod.health, and give lists more room"
+            )
+        if level + 1 < LEVELS:
+            continue
+        length = longest(prepared.scene)
+        before = tip_error(runs[-3], runs[-2], length)
+        change = tip_error(runs[-2], runs[-1], length)
+        order = float(np.clip(np.log2(before / max(change, TINY)), 1, 2))
+        error = change / (2**order - 1)
+        if error <= enough:
+            break
     return Reference(
-        tips=tips,
+        tips=runs[-1],
         length=length,
-        error=tip_error(coarse, tips, length) / 4,
-        n_elements=n_elements,
-        dt=prepared.setting.dt,
+        error=error,
+        n_elements=n,
+        dt=dt,
+        order=order,
     )
 
 
 def tips_of(workload: Workload, prepared: Prepared) -> np.ndarray:
-    """Simulates a workload; returns the tip at the end of every control period.
+    """Simulates a workload; returns points recorded at the end of every control period.
 
-    `prepared` has the scene and the steps of a setting. The result is `(periods, 3)`
-    [m].
+    `prepared` has the scene and the steps of a setting. The result is `(periods, 3)`,
+    or `(periods, points, 3)` [m].
     """
     with jax.enable_x64(prepared.setting.dtype == "float64"):
         args = _arguments(workload, prepared)
@@ -251,10 +339,10 @@ def tips_of(workload: Workload, prepared: Prepared) -> np.ndarray:
 def tip_error(tips: np.ndarray, exact: np.ndarray, length: float) -> float:
     """Root mean square over time of |tips - exact|, divided by `length` [1].
 
-    It is infinite if the tips are not all finite.
+    It is that of the worst point, and infinite if points are not all finite.
     """
-    squares = np.sum((tips - exact) ** 2, axis=1)
-    error = float(np.sqrt(np.mean(squares))) / length
+    squares = np.sum((tips - exact) ** 2, axis=-1)
+    error = float(np.sqrt(np.max(np.mean(squares, axis=0)))) / length
     return error if np.isfinite(error) else float("inf")
 
 
@@ -337,11 +425,11 @@ def _repeated(batch: int, leaf: Array) -> Array:
 
 def _arguments(
     workload: Workload, prepared: Prepared
-) -> tuple[Scene, RodState, Array, Array, Array]:
-    kind = prepared.state.positions.dtype
+) -> tuple[Any, Any, Array, Array, Array]:
+    kind = jnp.dtype(prepared.setting.dtype)
     return (
         prepared.scene,
-        prepared.state,
+        prepared.scene.with_memory(prepared.state),
         jnp.asarray(workload.controls, kind),
         jnp.asarray(prepared.setting.dt, kind),
         jnp.asarray(prepared.substeps),
@@ -352,21 +440,21 @@ def _arguments(
 def _run(
     workload: Workload,
     batched: bool,
-    scene: Scene,
-    state: RodState,
+    scene: Any,
+    state: Any,
     controls: Float[Array, "periods *batch controls"],
     dt: Array,
     substeps: Array,
-) -> Float[Array, "periods *batch 3"]:
-    """Positions of the tip after each control period [m]; if `batched`, of many rods.
+) -> Float[Array, "periods *batch *points 3"]:
+    """Recorded points after each control period [m]; if `batched`, of many rods.
 
     Leaves of `state` then have a leading batch axis. `controls` has the controls of
     each period, `substeps` is the number of time steps of length `dt` in a period.
     """
     act = workload.act(scene)
 
-    def period(state: RodState, control: Array) -> tuple[RodState, Array]:
+    def period(state: Any, control: Array) -> tuple[Any, Array]:
         state = advance(act(control), state, dt, substeps)
-        return state, state.tip
+        return state, workload.watch(scene, state)
 
     return lax.scan(jax.vmap(period) if batched else period, state, controls)[1]

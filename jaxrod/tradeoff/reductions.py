@@ -16,8 +16,9 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxrod.analysis.inertia_scaling import scale_inertia
+from jaxrod.methods.implicit import implicit
 from jaxrod.methods.planar import planar
-from jaxrod.methods.planar_verlet import PLANES
+from jaxrod.methods.planar_verlet import PLANES, PlaneName
 from jaxrod.methods.torsion_free import torsion_free
 from jaxrod.model import Model, check_model
 from jaxrod.validation import is_traced
@@ -96,7 +97,7 @@ def reductions(model: Model, state: Any) -> tuple[Reduction, ...]:
     before = _operations(model, state)
     found = []
     for name, neglects, method in _methods(model, state):
-        changed = _allowed(model, state, partial(_with_method, method))
+        changed = allowed(model, state, partial(with_method, method))
         if changed:
             reduced = model.with_members(changed)
             saving = 1 - _operations(reduced, state) / before
@@ -104,7 +105,7 @@ def reductions(model: Model, state: Any) -> tuple[Reduction, ...]:
             found.append(
                 Reduction(name, not neglects, neglects, saving, names, reduced)
             )
-    scaled = _allowed(model, state, _with_scaled_inertia)
+    scaled = allowed(model, state, with_scaled_inertia)
     reduced = model.with_members(scaled)
     gain = float(reduced.stable_step(1.0).dt / model.stable_step(1.0).dt)
     if gain > WORTHWHILE:
@@ -118,13 +119,20 @@ def reductions(model: Model, state: Any) -> tuple[Reduction, ...]:
 
 def _methods(model: Model, state: Any) -> Iterator[tuple[str, str, Any]]:
     """Yields names of methods, what they neglect, and the methods for each law."""
+    for plane in planes_of(model, state):
+        yield f"planar({plane!r})", "", partial(planar, plane)
+    yield "torsion_free()", "polar inertia", lambda law: torsion_free()
+
+
+def planes_of(model: Model, state: Any) -> list[PlaneName]:
+    """Planes that a rod lies in; others need no compiled check."""
     states = model.states_by_name(state)
     places = [np.asarray(states[name].positions) for name in _rods(model)]
-    for plane, (_, _, out) in PLANES.items():
-        # Planes that no rod lies in need no compiled check.
-        if any(np.ptp(x[..., out, :]) <= LEVEL * np.ptp(x) for x in places):
-            yield f"planar({plane!r})", "", partial(planar, plane)
-    yield "torsion_free()", "polar inertia", lambda law: torsion_free()
+    return [
+        plane
+        for plane, (_, _, out) in PLANES.items()
+        if any(np.ptp(x[..., out, :]) <= LEVEL * np.ptp(x) for x in places)
+    ]
 
 
 def _rods(model: Model) -> dict[str, Any]:
@@ -138,9 +146,22 @@ def _rods(model: Model) -> dict[str, Any]:
     }
 
 
-def _allowed(model: Model, state: Any, change: Callable[[Any], Any]) -> dict[str, Any]:
+def allowed(model: Model, state: Any, change: Callable[[Any], Any]) -> dict[str, Any]:
     """Members that may be changed together, by name: all rods, or one after another."""
-    rods = _rods(model)
+    states = model.states_by_name(state)
+
+    def fits(name: str, own: Any) -> bool:
+        # Each rod alone first: this compiles less than a system.
+        try:
+            changed = change(own).as_member()
+            changed.check_for(changed.method, name, states[name])
+        except (ValueError, TypeError):
+            return False
+        return True
+
+    rods = {name: own for name, own in _rods(model).items() if fits(name, own)}
+    if not rods:
+        return {}
 
     def accepted(names: list[str]) -> dict[str, Any]:
         try:
@@ -162,12 +183,27 @@ def _allowed(model: Model, state: Any, change: Callable[[Any], Any]) -> dict[str
     return accepted(kept) if kept else {}
 
 
-def _with_method(method: Callable[[Any], Any], member: Any) -> Any:
+def planar_by(plane: PlaneName) -> Callable[[Any], Any]:
+    """Function that makes a member planar, for `allowed`."""
+    return partial(with_method, partial(planar, plane))
+
+
+def untwisted(member: Any) -> Any:
+    """Scene or equal scenes of a member, without twist."""
+    return member.with_method(lambda law: torsion_free())
+
+
+def unlimited(member: Any) -> Any:
+    """Scene or equal scenes of a member, with implicit steps."""
+    return member.with_method(lambda law: implicit())
+
+
+def with_method(method: Callable[[Any], Any], member: Any) -> Any:
     """Scene or equal scenes of a member, with the method that `method` makes."""
     return member.with_method(method)
 
 
-def _with_scaled_inertia(member: Any) -> Any:
+def with_scaled_inertia(member: Any) -> Any:
     """Scene or equal scenes of a member, with scaled inertia."""
     return member.each(lambda scene: scale_inertia(scene).scene)
 

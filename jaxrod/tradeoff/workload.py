@@ -6,8 +6,11 @@ The trade-off of speed and accuracy is measured on them.
 from __future__ import annotations
 
 import dataclasses
+import functools
+import math
 from collections.abc import Callable
 from importlib import resources
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -19,22 +22,32 @@ from jaxrod.effects.actuation import control_spline, spline_couples
 from jaxrod.effects.base import Effect
 from jaxrod.effects.clamps import clamp, fixed_end
 from jaxrod.effects.loads import exponential_damping, gravity
-from jaxrod.loaded_rod import check_scene_and_state
 from jaxrod.methods.consistent import Consistent
 from jaxrod.methods.laws import IN_SPACE, Law
 from jaxrod.methods.planar_verlet import PlaneName
+from jaxrod.model import Model, check_model
 from jaxrod.rods.factories import straight_rod
 from jaxrod.rods.rod import Rod, RodState
 from jaxrod.scene import Scene, make_scene
+from jaxrod.tradeoff.reductions import allowed, planar_by, planes_of
 from jaxrod.tradeoff.resampling import resample
-from jaxrod.validation import check_array
+from jaxrod.validation import astype, check_array
 
-Build = Callable[[int, Law], tuple[Scene, RodState]]
-Act = Callable[[Scene], Callable[[jax.Array], Scene]]
+Build = Callable[[int, Law], tuple[Any, Any]]
+Act = Callable[[Any], Callable[[jax.Array], Any]]
 
 
-def _unchanged(scene: Scene) -> Callable[[jax.Array], Scene]:
+def _unchanged(scene: Model) -> Callable[[jax.Array], Model]:
     return lambda control: scene
+
+
+def _same(n_elements: int) -> int:
+    return n_elements
+
+
+def _tip(scene: Model, state: Any) -> jax.Array:
+    tip: jax.Array = state.tip
+    return tip
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -42,7 +55,8 @@ class Workload:
     """Simulation on which the error and the cost of settings are measured.
 
     Time is divided into control periods of a whole number of steps. `act` gives the
-    scene during each period. At the end of each period the tip's position is recorded.
+    scene during each period. At the end of each period the tip's position is recorded,
+    or the points that `watch` gives.
 
     Example:
         >>> work = tradeoff.swing()
@@ -53,8 +67,8 @@ class Workload:
     name: str
     """Name of the workload."""
     build: Build
-    """`(n_elements, law) -> (scene, state)`: the scene without controls and its initial
-    state, in float64."""
+    """`(n_elements, law) -> (scene, state)`: the scene or system without controls and
+    its initial state, in float64."""
     period: float
     """Length of a control period [s]."""
     controls: np.ndarray
@@ -63,7 +77,14 @@ class Workload:
     """`scene -> (controls -> scene)`: called once with the scene, it returns a function
     from a period's controls to the scene during that period."""
     plane: PlaneName | None = None
-    """Plane of all motion and loads; `None` if the motion is spatial."""
+    """Plane of all motion and loads, or of those of some members of a system; `None` if
+    the motion is spatial."""
+    fits: Callable[[int], int] = _same
+    """`n -> n_elements`: the nearest number of elements that it can be built with. In a
+    system this is the number of the rod that has most."""
+    watch: Callable[[Any, Any], jax.Array] = _tip
+    """`(scene, state) -> points`: positions that are recorded, `(3,)` or `(points, 3)`
+    [m]. By default it is the tip."""
 
     @property
     def duration(self) -> float:
@@ -72,61 +93,148 @@ class Workload:
 
 
 def workload_of(
-    scene: Scene,
-    state: RodState,
+    scene: Model,
+    state: Any,
     *,
     duration: float = 1.0,
     periods: int = 50,
     name: str = "scene",
 ) -> Workload:
-    """Makes a workload, on which `tune` measures, from a scene without controls.
+    """Makes a workload, on which `tune` measures, from a scene or a system.
+
+    It records the ends and the middle of each rod, and the position of each body. The
+    rods of a system have numbers of elements in the proportion of the given ones, and
+    nodes where something is joined to them.
 
     Args:
-        scene: The scene; it is resampled to other numbers of elements, so numbers
-            that vary along the rod are interpolated.
-        state: Initial state of the rod of the scene.
+        scene: The scene or the system, without controls. It is resampled to other
+            numbers of elements, so numbers that vary along a rod are interpolated.
+        state: Initial state of it.
         duration: Simulated time [s].
-        periods: Number of periods, at whose ends the tip is recorded; no step is longer
+        periods: Number of periods, at whose ends points are recorded; no step is longer
             than a period.
         name: Name of the workload.
 
     Raises:
-        ValueError: If `duration` is not positive, `scene` has PyElastica's law, `state`
-            does not match its rod or is not finite, or a part leaves the plane of a
-            planar scene.
-        TypeError: If `scene` is not a scene or `state` not a state.
+        ValueError: If `duration` is not positive, a rod has PyElastica's law, there is
+            no rod, `state` does not match or is not finite, or a part leaves the plane
+            of a planar rod.
+        TypeError: If `scene` is not a scene or a system, or `state` not a state.
 
     Example:
         >>> work = tradeoff.workload_of(scene, state, duration=0.5, periods=10)
         >>> len(work.controls), round(work.period, 6)
         (10, 0.05)
     """
-    check_scene_and_state(scene, state)
+    check_model(scene)
+    scene.check_state(state)
     if not all(np.all(np.isfinite(leaf)) for leaf in jax.tree.leaves(state)):
         raise ValueError("state must be finite")
     check_array("duration", duration, [()], "s", positive=True)
-    if not scene.method.has_energy:
+    rods = {k: own for k, own in scene.interfaces().items() if own.rod is not None}
+    if not rods:
         raise ValueError(
-            "a scene of PyElastica's law cannot be tuned: the errors of its clamp and "
-            "its law are larger than those of its steps"
+            "nothing is divided into elements here: give a scene, or a system that has "
+            "a rod"
         )
-    scene.method.check_state(scene, state)
+    for own in rods.values():
+        if not own.method.has_energy:
+            raise ValueError(
+                "a scene of PyElastica's law cannot be tuned: the errors of its clamp "
+                "and its law are larger than those of its steps"
+            )
+    scene.check_run(state, 1.0, jnp.int32(0) if scene.evolves else None)
     with jax.enable_x64(True):
-        scene, state = jax.tree.map(_double, (scene, state))
-        plain = dataclasses.replace(scene, method=Consistent())
+        scene, state = astype((scene, state), jnp.float64)
+        plain = scene.with_members(
+            {
+                k: own.with_method(lambda law: Consistent())
+                for k, own in scene.interfaces().items()
+                if k in rods
+            }
+        )
+        numbers = Numbers.of(plain)
+        plane = None
+        for one in planes_of(plain, state):
+            if allowed(plain, state, planar_by(one)):
+                plane = one
+                break
 
-    def build(n_elements: int, law: Law) -> tuple[Scene, RodState]:
+    @functools.cache
+    def build(n_elements: int, law: Law) -> tuple[Any, Any]:
         if law != "consistent":
             raise ValueError("a scene must have the consistent law to be tuned")
-        return resample(plain, state, n_elements)
+        return resample(plain, state, numbers.by_name(n_elements))
 
     controls = np.zeros((periods, 0))
-    plane = getattr(scene.method, "plane", None)
-    return Workload(name, build, duration / periods, controls, plane=plane)
+    return Workload(
+        name,
+        build,
+        duration / periods,
+        controls,
+        plane=plane,
+        fits=numbers.fitting,
+        watch=ends_and_middles,
+    )
 
 
-def _double(leaf: jax.Array) -> jax.Array:
-    return jax.numpy.asarray(np.asarray(leaf, np.float64))
+@dataclasses.dataclass(frozen=True)
+class Numbers:
+    """Numbers of elements of rods, in proportion, with nodes where they are joined."""
+
+    given: dict[str, int]
+    """Present number of each rod."""
+    units: dict[str, int]
+    """Number of which each rod must have a multiple."""
+
+    @staticmethod
+    def of(model: Model) -> Numbers:
+        """Numbers of a model's rods, and the units that its joints ask for."""
+        rods = {k: own.rod for k, own in model.interfaces().items()}
+        rods = {k: rod for k, rod in rods.items() if rod is not None}
+        given = {k: rod.n_elements for k, rod in rods.items()}
+        joined = model.joined_nodes()
+        units = {k: n // math.gcd(n, *joined.get(k, ())) for k, n in given.items()}
+        return Numbers(given, units)
+
+    def by_name(self, n_elements: int) -> dict[str, int]:
+        """Number of each rod, if that of the rod with most is about `n_elements`."""
+        most = max(self.given.values())
+        return {
+            k: self._multiple(k, n_elements * own / most)
+            for k, own in self.given.items()
+        }
+
+    def fitting(self, n_elements: int) -> int:
+        """Nearest number that the rod with most elements can have."""
+        most = max(self.given, key=lambda name: self.given[name])
+        return self._multiple(most, n_elements)
+
+    def _multiple(self, name: str, wanted: float) -> int:
+        unit = self.units[name]
+        return unit * max(round(wanted / unit), -(-2 // unit))
+
+
+def ends_and_middles(scene: Model, state: Any) -> jax.Array:
+    """Positions of the ends and the middle of all rods, and of all bodies [m].
+
+    They are `(points, 3)`. Between two nodes the middle is on a cubic curve. They are
+    NaN if contact may have been missed, because neighbour lists were too short.
+    """
+    found = []
+    for own in scene.states_by_name(state).values():
+        x = own.positions
+        if own.layout.is_rod:
+            half = own.layout.n_elements // 2
+            middle = x[..., half]
+            if own.layout.n_elements % 2:
+                near = x[..., half] + x[..., half + 1]
+                far = x[..., half - 1] + x[..., half + 2]
+                middle = (9 * near - far) / 16
+            x = jnp.stack([x[..., 0], middle, x[..., -1]], axis=-1)
+        found.append(jnp.moveaxis(x, -2, 0).reshape(3, -1))
+    points = jnp.concatenate(found, axis=1).T
+    return jnp.where(scene.missed_contact(state), jnp.nan, points)
 
 
 N_CONTROLS = 6

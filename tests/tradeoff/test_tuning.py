@@ -15,7 +15,11 @@ from jaxrod.tradeoff.workload import swing
 @pytest.fixture(autouse=True)
 def quick(monkeypatch):
     """A small reference: enough for tolerances of some per cent."""
-    monkeypatch.setattr(tuning, "reference", lambda workload: reference(workload, 24))
+
+    def coarse(workload, *, enough):
+        return reference(workload, 24)
+
+    monkeypatch.setattr(tuning, "reference", coarse)
 
 
 tune = partial(jaxrod.tune, elements=(4, 5, 7, 10), seconds=0.01)
@@ -46,11 +50,11 @@ def test_what_is_found_keeps_the_tolerance_and_is_the_coarsest():
 
 @pytest.mark.slow
 def test_it_says_so_when_nothing_keeps_the_tolerance():
-    found = tune(quarter_of_a_swing(), max_error=0.0006, elements=(4, 10))
+    found = tune(quarter_of_a_swing(), max_error=0.0008, elements=(4, 8))
     assert not found.met
-    assert found.error > 0.0006
+    assert found.error > 0.0008
     assert found.error == min(one.error for one in found.tried)
-    assert "no setting is within 0.0006" in str(found)
+    assert "no setting is within 0.0008" in str(found)
 
 
 @pytest.mark.slow
@@ -85,7 +89,9 @@ def test_bad_input_is_refused():
         jaxrod.tune(quarter_of_a_swing(), max_error=1e-6)
     with pytest.raises(ValueError, match="batch must be at least 1, got 0"):
         jaxrod.tune(scene, state, batch=0)
-    with pytest.raises(TypeError, match=r"scene must be a jaxrod\.Scene, got Rod"):
+    with pytest.raises(
+        TypeError, match=r"scene must be a jaxrod\.Scene or a jaxrod\.System"
+    ):
         jaxrod.tune(rod, state)
     _, longer = jaxrod.straight_rod(
         5, length=1.0, radius=0.05, density=1000.0, youngs_modulus=1e7

@@ -19,6 +19,7 @@ from jaxtyping import Array, Float
 
 from jaxrod.contacts.contact_law import depth_from_onset
 from jaxrod.contacts.ends import Ends
+from jaxrod.contacts.points import fewer_points
 from jaxrod.effects.base import StabilityBound
 from jaxrod.geometry import vectors
 from jaxrod.geometry.rotations import directors, to_material
@@ -108,6 +109,12 @@ class BodyContact(PenaltyContact):
         """Copy with contact points as dense on the new elements as on the old ones."""
         assert self.points_per_element is not None
         per = grids.points_per_element(self.rod, self.points_per_element)
+        return replace(self, points_per_element=per)
+
+    def thinned(self, share: float) -> BodyContact:
+        """Copy with a share of the contact points per element, at least one."""
+        assert self.points_per_element is not None
+        per = fewer_points(self.points_per_element, share)
         return replace(self, points_per_element=per)
 
     def with_free_ends(self, free: Mapping[str, Array]) -> BodyContact:

@@ -12,7 +12,7 @@ from typing import Any, Protocol, TypeVar
 
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Float
+from jaxtyping import Array, ArrayLike, Float
 
 from jaxrod.contacts.contact_law import PenaltyLaw
 from jaxrod.contacts.default_law import (
@@ -20,6 +20,7 @@ from jaxrod.contacts.default_law import (
     OVERLAP,
     added_rates,
     left_out,
+    softened_law,
     with_default_law,
 )
 from jaxrod.geometry import vectors
@@ -77,6 +78,10 @@ class PenaltyContact(Coupling):
             return jnp.max(squares), jnp.max(rates)
 
         return with_default_law(self, step, self.least_stiffness(parts), fastest)
+
+    def softened(self: C, share: ArrayLike) -> C:
+        """Copy with a share of the stiffness that bounces as before."""
+        return softened_law(self, share)
 
     def least_stiffness(self, parts: AllParts) -> Array:
         """Smallest stiffness that `make_system` chooses [N/m^2] or [N/m]."""

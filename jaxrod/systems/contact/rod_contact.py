@@ -29,6 +29,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
 
+from jaxrod.contacts.points import fewer_points
 from jaxrod.effects.base import StabilityBound
 from jaxrod.geometry import vectors
 from jaxrod.geometry.vectors import Vec3
@@ -91,6 +92,11 @@ class RodContact(TouchingRods):
             for name, count in zip(self.members, self.points_per_element, strict=True)
         )
         return replace(made, points_per_element=per)
+
+    def thinned(self, share: float) -> RodContact:
+        """Copy with a share of the contact points per element, at least one."""
+        per = tuple(fewer_points(count, share) for count in self.points_per_element)
+        return replace(self, points_per_element=per)
 
     def prepared(self, parts: AllParts) -> RodContact:
         """The coupling with `segments` set: the segments and points of members."""

@@ -9,7 +9,7 @@ and what is fixed in the element is turned back.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 import jax.numpy as jnp
@@ -126,3 +126,17 @@ class Regridding:
         frame = directors(conjugate(self.turns(points)))
         turned = vectors.join(to_world(frame, vectors.split(vector)))
         return turned.astype(vector.dtype)
+
+
+@dataclass(frozen=True)
+class AskedNodes(Regridding):
+    """Unchanged rods; it records the nodes that couplings ask for."""
+
+    asked: dict[str, set[int]] = field(default_factory=dict)
+    """Nodes by member, counted in each rod."""
+
+    def nodes(self, member: str, nodes: np.ndarray) -> np.ndarray:
+        """The given nodes."""
+        _, node = np.divmod(nodes, self.new[member].n_elements + 1)
+        self.asked.setdefault(member, set()).update(node.tolist())
+        return nodes
