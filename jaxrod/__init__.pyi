@@ -30,6 +30,7 @@ from jaxrod.analysis.inertia_scaling import scale_inertia as scale_inertia
 from jaxrod.analysis.stability import StableStep as StableStep
 from jaxrod.analysis.stability import stable_dt as stable_dt
 from jaxrod.contacts.contact import contact as contact
+from jaxrod.contacts.moving import moving_contact as moving_contact
 from jaxrod.contacts.near import near_contact as near_contact
 from jaxrod.contacts.points import ThinBodyWarning as ThinBodyWarning
 from jaxrod.contacts.sticking import sticking_contact as sticking_contact

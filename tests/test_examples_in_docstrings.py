@@ -41,6 +41,7 @@ SLOW = {
     "jaxrod.hinge_support",
     "jaxrod.internal_damping",
     "jaxrod.laplacian_filter",
+    "jaxrod.moving_contact",
     "jaxrod.natural_frequencies",
     "jaxrod.near_contact",
     "jaxrod.planar",

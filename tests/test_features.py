@@ -669,6 +669,21 @@ def test_what_sticks_stays_within_the_elongation_of_its_springs():
     close(state.velocities, 0, atol=1e-6)
 
 
+@runs("moving_contact")
+def test_a_plate_that_moves_takes_a_rod_along():
+    top = 9.81 * ROD.node_masses.sum() / ROD.length / 1e5 - RADIUS
+    plate = jaxrod.contact(ROOM["plane"](top), stiffness=1e5, damping=500, friction=1)
+    way = jaxrod.schedules.sine((0.02, 0, 0.01), 1.0, mean=(0.02, 0, 0.01), phase=-0.25)
+    holds = jaxrod.moving_contact(
+        jaxrod.sticking_contact(plate, ROD, REST), displacement=way
+    )
+    scene = jaxrod.make_scene(ROD, jaxrod.gravity(), holds)
+    state = jaxrod.advance(scene, REST, 1e-3, 500)
+    moved = state.positions - REST.positions
+    close(moved[0], 0.04, atol=5e-4)
+    close(moved[2], 0.02, atol=5e-4)
+
+
 # Systems. Equal rods are one member, so that their number does not matter.
 
 

@@ -59,12 +59,15 @@ from jaxrod.contacts.default_law import (
 from jaxrod.contacts.points import Points, check_spacing, contact_points, fewer_points
 from jaxrod.effects.base import Effect, Reach, StabilityBound
 from jaxrod.geometry import vectors
-from jaxrod.geometry.rotations import directors, to_material
+from jaxrod.geometry.rotations import Quaternion, directors, to_material
 from jaxrod.geometry.vectors import Vec3
 from jaxrod.rods.motion import Loads, Motion, accumulate, motion_of
 from jaxrod.rods.rod import Rod, RodState
 from jaxrod.structure import pytree, static
 from jaxrod.validation import Numbers, as_array, check_array, check_count, is_traced
+
+See = Callable[[Vec3, Quaternion], tuple[Vec3, Quaternion]]
+"""Function from positions and orientations to those seen from another frame."""
 
 
 @pytree
@@ -238,6 +241,17 @@ class Contact(Effect):
     def with_free_ends(self, free: Float[Array, "2"]) -> Contact:
         """The contact with flags of free ends; only free ends have an end face."""
         return dataclasses.replace(self, free_ends=free)
+
+    def seen_by(self, see: See) -> Contact:
+        """The same contact for bodies with a frame of their own; here itself.
+
+        Contact with memory returns a copy whose memory is seen from there.
+
+        Args:
+            see: Function from positions and orientations in the world to those in the
+                frame of the bodies.
+        """
+        return self
 
     def _grips(self, rod: Rod, motion: Motion) -> list[Sequence[Any]]:
         """Memory of friction at each group of points, one entry for each body.

@@ -33,7 +33,7 @@ from typing import NamedTuple
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from jaxrod.contacts.contact import Contact
+from jaxrod.contacts.contact import Contact, See
 from jaxrod.contacts.contact_law import normal_force
 from jaxrod.contacts.points import contact_points
 from jaxrod.effects.base import StabilityBound
@@ -158,6 +158,15 @@ class StickingContact(Contact):
     def stirred(self) -> StickingContact:
         """The contact itself: its springs lie in the plane of the motion."""
         return self
+
+    def seen_by(self, see: See) -> StickingContact:
+        """The contact whose last configuration is seen from a frame of the bodies."""
+        place, frame = see(
+            vectors.split(self.positions), split_quaternion(self.orientations)
+        )
+        return dataclasses.replace(
+            self, positions=vectors.join(place), orientations=join_quaternion(frame)
+        )
 
     def check(self, rod: Rod) -> None:
         """Raises ValueError if the springs are not those of these points and bodies."""

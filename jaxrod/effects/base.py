@@ -207,6 +207,14 @@ class Effect:
         """
         return None
 
+    @property
+    def obstacle_pose(self) -> tuple[Array, Array] | None:
+        """Displacement of the obstacle's origin [m] and its rotation, a quaternion.
+
+        `None` if the obstacle stands still.
+        """
+        return None
+
     def loads(self, rod: Rod, motion: Motion) -> Loads:
         """Forces on nodes and couples on elements at this configuration and rates."""
         return Loads()

@@ -20,7 +20,7 @@ from jaxrod.effects.ends import (
     made_again_for,
     replace_end,
 )
-from jaxrod.effects.paths import Path, Turning, schedule_of
+from jaxrod.effects.paths import Orbit, Path, Turning, schedule_of
 from jaxrod.effects.supports import (
     at_node,
     axes_named,
@@ -48,7 +48,7 @@ from jaxrod.geometry.vectors import Vec3
 from jaxrod.rods.motion import Loads, Motion
 from jaxrod.rods.rod import Rod, RodState, check_one
 from jaxrod.structure import pytree, static
-from jaxrod.validation import Numbers, check_kind
+from jaxrod.validation import Numbers, as_array, check_kind
 
 
 @pytree
@@ -274,6 +274,7 @@ def driven(
     axes: str = "xyz",
     axis: Numbers | None = None,
     angle: Schedule | Numbers = 0.0,
+    about: Numbers | None = None,
     free_to_turn: bool = False,
     holds_element: bool = False,
 ) -> Driven:
@@ -291,6 +292,9 @@ def driven(
         axis: Axis about which the wall turns, world frame, of any length `(3,)`; needed
             if `angle` is given.
         angle: Angle by which the wall turns, or a schedule of it [rad].
+        about: Point on the axis `(3,)`, which is displaced with the wall [m]: the end
+            is on a drum or a lever and moves on a circle about it. By default the axis
+            goes through the end, which then stays in place.
         free_to_turn: Whether the end element turns freely, as on a ball joint.
         holds_element: Whether the wall holds the end element itself, as `fixed_end`
             does, and not through an elastic joint of half an element, as `clamp` does.
@@ -321,20 +325,25 @@ def driven(
             f"node {index} is inside the rod, where no wall holds an element: give "
             "free_to_turn=True"
         )
-    path = Path(
-        state.positions[:, index], schedule_of("displacement", displacement, "m", (3,))
-    )
+    start = state.positions[:, index]
+    way = schedule_of("displacement", displacement, "m", (3,))
     turn = schedule_of("angle", angle, "rad", ())
-    if free_to_turn and (axis is not None):
+    if about is not None and axis is None:
+        raise ValueError("axis must be given with about: the end turns about it")
+    if free_to_turn and axis is not None and about is None:
         raise ValueError("an end that is free to turn is not turned about an axis")
     if free_to_turn and holds_element:
         raise ValueError("an end element that is free to turn is not held")
     if axis is None and (is_schedule(angle) or np.any(np.asarray(angle) != 0)):
         raise ValueError("axis must be given with angle: the wall turns about it")
+    unit = unit_vector("axis", (0, 0, 1) if axis is None else axis)
+    along = jnp.asarray(unit, state.positions.dtype)
+    path: Schedule = Path(start, way)
+    if about is not None:
+        centre = as_array("about", about, "m", [(3,)], dtype=state.positions.dtype)
+        path = Orbit(start, way, centre, along, turn)
     wall = None
     if not free_to_turn:
-        about = unit_vector("axis", (0, 0, 1) if axis is None else axis)
-        along = jnp.asarray(about, state.positions.dtype)
         wall = Turning(state.orientations[:, min(index, last - 1)], along, turn)
     where: End | int = end if is_end else index
     return Driven(path, wall, where, axes_named(axes), bool(holds_element), last)

@@ -50,17 +50,55 @@ class Path(Schedule):
         def place(clock: Clock) -> Array:
             return self.start + self.displacement(clock)
 
-        def rate(clock: Clock) -> Array:
-            return _rate(place, clock)[1]
-
-        position, velocity = _rate(place, clock)
-        return Placed(position, velocity, _rate(rate, clock)[1])
+        return _placed(place, clock)
 
     @property
     def largest(self) -> Placed:
         """Position with the largest displacement along every axis, and zero rates."""
         still = jnp.zeros_like(self.start)
         return Placed(self.start + self.displacement.largest, still, still)
+
+
+@pytree
+class Orbit(Schedule):
+    """Schedule of a position that turns about an axis, which itself is displaced."""
+
+    start: Float[Array, "3"]
+    """Position at zero displacement and angle, world frame [m]."""
+    displacement: Any
+    """Schedule of the displacement of the axis, world frame `(3,)` [m]."""
+    about: Float[Array, "3"]
+    """Point on the axis at zero displacement, world frame [m]."""
+    axis: Float[Array, "3"]
+    """Unit vector along the axis of rotation, world frame."""
+    angle: Any
+    """Schedule of the angle of rotation [rad]."""
+
+    def __call__(self, clock: Clock) -> Placed:
+        """Position, velocity and acceleration at the time of a clock."""
+
+        def place(clock: Clock) -> Array:
+            return self._at(self.displacement(clock), self.angle(clock))
+
+        return _placed(place, clock)
+
+    @property
+    def largest(self) -> Placed:
+        """Position for checks that motion stays in a plane, see `Turning.largest`."""
+        angle = _telling_angle(self.angle.largest)
+        still = jnp.zeros_like(self.start)
+        return Placed(self._at(self.displacement.largest, angle), still, still)
+
+    def _at(self, displacement: Array, angle: Array) -> Array:
+        axis = vectors.split(self.axis)
+        arm = vectors.split(self.start - self.about)
+        along = vectors.scale(vectors.dot(axis, arm), axis)
+        across = vectors.subtract(arm, along)
+        turned = vectors.add(
+            vectors.scale(jnp.cos(angle), across),
+            vectors.scale(jnp.sin(angle), vectors.cross(axis, across)),
+        )
+        return self.about + displacement + vectors.join(vectors.add(along, turned))
 
 
 @pytree
@@ -104,8 +142,7 @@ class Turning(Schedule):
         largest angle is not used, because it could be a whole turn, which looks like no
         rotation.
         """
-        largest = self.angle.largest
-        angle = jnp.where(largest == 0, 0, jnp.asarray(0.739, largest.dtype))
+        angle = _telling_angle(self.angle.largest)
         still = jnp.zeros_like(self.axis)
         return Turned(self._turned(angle), still, still)
 
@@ -136,6 +173,23 @@ def schedule_of(name: str, value: Any, unit: str, shape: tuple[int, ...]) -> Sch
     """Validates an argument and returns it as a schedule, even if it is constant."""
     checked = as_timed(name, value, unit, shape)
     return checked if is_schedule(checked) else _Constant(checked)
+
+
+def _telling_angle(largest: Array) -> Array:
+    """Zero if the largest angle is zero, else an angle that looks like no other."""
+    return jnp.where(largest == 0, 0, jnp.asarray(0.739, largest.dtype))
+
+
+def _placed(place: Any, clock: Clock) -> Placed:
+    """Value of a function of a clock, with its first and second time derivative."""
+
+    def rate(clock: Clock) -> Array:
+        # `_rate` returns a pair of anything.
+        change: Array = _rate(place, clock)[1]
+        return change
+
+    position, velocity = _rate(place, clock)
+    return Placed(position, velocity, _rate(rate, clock)[1])
 
 
 def _rate(schedule: Any, clock: Clock) -> tuple[Any, Any]:

@@ -6,6 +6,7 @@ Fixed bodies that rods touch, and rigid bodies that move, become triangles.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from dataclasses import replace
 from typing import Any, NamedTuple
 
 import jax
@@ -84,7 +85,7 @@ def recorded(
         if parts.shape is not None:
             mesh = _of_bodies(name, parts, own, colour)
             meshes.append(checked_mesh(len(meshes), mesh, times))
-    fixed, floor = _ground(model, *extent(rods, meshes), up)
+    fixed, floor = _ground(model, times, *extent(rods, meshes), up)
     meshes += [checked_mesh(k, mesh, times) for k, mesh in enumerate(fixed)]
     arrows = _contact_forces(model, states, times) if forces else ()
     return Recorded(tuple(rods), tuple(meshes), arrows, floor)
@@ -154,7 +155,7 @@ def _measured(
 
 
 def _ground(
-    model: Model, low: np.ndarray, high: np.ndarray, up: str
+    model: Model, times: np.ndarray, low: np.ndarray, high: np.ndarray, up: str
 ) -> tuple[list[Mesh], float | None]:
     """Meshes of the fixed bodies that rods may touch, and the height of a level plane.
 
@@ -163,16 +164,24 @@ def _ground(
     drawn only near the box from `low` to `high`.
     """
     fixed: dict[Any, Body] = {}
-    for member in _rods(model).values():
-        for effect in member.effects:
+    meshes: list[Mesh] = []
+    for name, member in _rods(model.at(times[0])).items():
+        stacked = len(member.rod.batch_shape)
+        for k, effect in enumerate(member.effects):
             if effect.obstacle is None:
                 continue
             body, count = effect.obstacle
-            for one in _single(body, count, len(member.rod.batch_shape)):
+            if _pose(effect, stacked) is not None:
+                poses = _poses(model, times, name, k)
+                for one, at in zip(
+                    _split(body, stacked), _split(poses, stacked), strict=True
+                ):
+                    meshes += _moving(one, count, at, low, high)
+                continue
+            for one in _split(body, stacked + int(count is not None)):
                 leaves = [np.asarray(leaf) for leaf in jax.tree.leaves(one)]
                 key = (type(one), *(leaf.tobytes() for leaf in leaves))
                 fixed.setdefault(key, one)
-    meshes: list[Mesh] = []
     floor, axis = None, "xyz".find(up)
     for body in fixed.values():
         if not body.is_half_space:
@@ -188,24 +197,56 @@ def _ground(
     return meshes, floor
 
 
-def _single(body: Body, count: int | None, stacked: int) -> list[Body]:
-    """Splits an obstacle with leading axes into a list of single bodies.
-
-    Args:
-        body: The obstacle; its leaves have the leading axes.
-        count: Number of bodies on the last of these axes; None if it has no such axis.
-        stacked: Number of axes before it, over the equal rods that have the obstacle;
-            they are split, too.
-    """
-    axes = stacked + int(count is not None)
-    bodies = [body]
+def _split(tree: Any, axes: int) -> list[Any]:
+    """Splits a body or an effect whose arrays have leading axes into single ones."""
+    found = [tree]
     for _ in range(axes):
-        bodies = [
+        found = [
             jax.tree.map(lambda leaf, k=k: leaf[k], one)
-            for one in bodies
+            for one in found
             for k in range(jax.tree.leaves(one)[0].shape[0])
         ]
-    return bodies
+    return found
+
+
+def _pose(effect: Any, stacked: int) -> Any:
+    """Pose of an effect's bodies, with leading axes for `stacked` axes of rods."""
+
+    def one(effect: Any) -> Any:
+        return effect.obstacle_pose
+
+    for _ in range(stacked):
+        one = jax.vmap(one)
+    return one(effect)
+
+
+def _poses(model: Model, times: np.ndarray, name: str, index: int) -> Any:
+    """Displacements and rotations of an effect's bodies at all times.
+
+    The times are the last but one axis, after those of equal rods.
+    """
+
+    def pose(time: Array) -> Any:
+        member = _rods(model.at(time))[name]
+        return _pose(member.effects[index], len(member.rod.batch_shape))
+
+    clock = jnp.asarray(times, model.interfaces()[name].dtype)
+    found = jax.jit(jax.vmap(pose))(clock)
+    return jax.tree.map(lambda leaf: np.moveaxis(np.asarray(leaf), 0, -2), found)
+
+
+def _moving(
+    body: Any, count: int | None, poses: Any, low: np.ndarray, high: np.ndarray
+) -> list[Mesh]:
+    """Meshes of bodies of one effect, of which `poses` are those at all times."""
+    shifts, turns = poses
+    meshes = []
+    for one in _split(body, int(count is not None)):
+        still = leaning_plane if one.is_half_space else solid_mesh
+        mesh = still(one, low, high)
+        if mesh is not None:
+            meshes.append(replace(mesh, positions=shifts, orientations=turns))
+    return meshes
 
 
 def _contact_forces(model: Model, states: Any, times: np.ndarray) -> tuple[Arrows, ...]:

@@ -110,6 +110,18 @@ FACTORIES = {
             "displacement": (0.0, 0.1, 0.0),
             "axis": (0.0, 2.0, 1.0),
             "angle": 0.3,
+            "about": (0.1, 0.2, 0.0),
+        }
+    ],
+    "moving_contact": [
+        {
+            "contact": jaxrod.contact(
+                jaxrod.shapes.plane(), stiffness=10.0, damping=1.0, friction=0.5
+            ),
+            "displacement": (0.0, 0.1, 0.0),
+            "axis": (0.0, 2.0, 1.0),
+            "angle": 0.3,
+            "about": (0.1, 0.2, 0.0),
         }
     ],
     "sphere": [{"centre": (1.0, 2.0, 3.0), "radius": 0.5}],
