@@ -25,8 +25,11 @@ SCHEDULES: dict[str, dict[str, float]] = {
     "none": {},
     "to-0.37": {"max_log_std": 0.0, "final_max_log_std": -1.0},
     "to-0.14": {"max_log_std": 0.0, "final_max_log_std": -2.0},
+    "late-to-0.37": {"max_log_std": 2.0, "final_max_log_std": -1.0},
 }
-"""Settings by schedule, named after the standard deviation at the end."""
+"""Settings by schedule, named after the standard deviation at the end.
+
+A late schedule does not matter before about three quarters of the training."""
 
 
 def trained(name: str, seed: int, steps: int) -> dict[str, Any]:
