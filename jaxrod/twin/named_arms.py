@@ -40,7 +40,7 @@ def tentacle(
 
     It is a real arm, of which poses under tensions up to 7.7 N have been recorded.
     Length, radii, Poisson's ratio and the course of the tendons are those of its
-    makers. `python -m benchmarks tentacle` has fitted Young's modulus (561 kPa),
+    makers. `python -m benchmarks tentacle FOLDER` has fitted Young's modulus (561 kPa),
     density (1000 kg/m^3), and the distances and angles of the tendons to eight of the
     recorded poses. Nothing is known of the damping.
 

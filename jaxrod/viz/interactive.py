@@ -40,6 +40,8 @@ _SHARE = 0.85
 """Largest share of the time between pictures that the simulation may take [1]."""
 _UNWATCHED = 3.0
 """Time without a request after which the simulation waits for one [s]."""
+_SLOWEST = 1e-3
+"""Smallest number of pictures per second [Hz]."""
 _FARTHEST = 1e6
 """Distance beyond which a simulation has broken down, in sizes of the view [1]."""
 _MOST_STEPS = 2**31 - 2**24
@@ -108,6 +110,7 @@ class Live:
 
         Raises:
             ValueError: It cannot be done.
+            RuntimeError: The page has ended.
         """
         return self._show.do(command)
 
@@ -127,10 +130,12 @@ class Live:
 
         Raises:
             TimeoutError: There is no such picture in time.
+            RuntimeError: The page has ended.
         """
         given = self._show.picture(after, patience)
         if not given:
             self._show.reraise()
+            self._show.require_running()
             raise TimeoutError(f"no picture after number {after} in {patience:g} s")
         return self._show.unpacked(given)
 
@@ -167,8 +172,10 @@ class Live:
 
     def _repr_html_(self) -> str:
         """HTML of the page in an iframe, which notebooks display."""
+        if self.url is None:
+            return f"<p>{markup.escape(repr(self))}</p>"
         return (
-            f'<iframe src="{markup.escape(self.url or "")}" title="Live simulation" '
+            f'<iframe src="{markup.escape(self.url)}" title="Live simulation" '
             'style="width:100%;height:560px;border:0;border-radius:8px"></iframe>'
         )
 
@@ -226,10 +233,15 @@ def live(
         True
     """
     check_model(model)
+    model.check_state(state)
     rate = float(checked("frames_per_second", frames_per_second, unit="Hz"))
     if not rate > 0:
         raise ValueError(f"frames_per_second must be positive, got {rate:g} Hz")
-    if port is not None and port not in range(65536):
+    if rate < _SLOWEST:
+        raise ValueError(
+            f"frames_per_second must be at least {_SLOWEST:g} Hz, got {rate:g} Hz"
+        )
+    if port is not None and not _is_index(port, 65536):
         raise ValueError(f"port must be an integer from 0 to 65535, got {port!r}")
     handles, values = controls_of(controls or {}, model)
     targets = [
@@ -249,8 +261,14 @@ def live(
     show = _Show(model, state, handles, values, law, dt, rate, replay)
     page = Live(show, port)
     if page.url is not None:
-        print(page.url)
+        print(page.url, flush=True)
     return page
+
+
+def _is_index(value: Any, count: int) -> bool:
+    """Whether a value is an integer from 0 to `count - 1`."""
+    whole = isinstance(value, int | np.integer) and not isinstance(value, bool)
+    return whole and 0 <= value < count
 
 
 def _radii(controls: Controls) -> dict[str, float]:
@@ -314,7 +332,7 @@ class _Show:
         self._news = threading.Condition()
         self._ended = threading.Event()
         self._picture = b""
-        self._watched = time.perf_counter()
+        self._watched, self._waiting = time.perf_counter(), 0
         self._past: deque[tuple[float, float, int]] = deque()
         self._cost = math.inf
         self._due_steps = 0.0
@@ -358,7 +376,12 @@ class _Show:
             self._watched = time.perf_counter()
             self._news.notify_all()
             ready = lambda: self._number > after or self._ended.is_set()
-            self._news.wait_for(ready, patience)
+            self._waiting += 1
+            try:
+                self._news.wait_for(ready, patience)
+            finally:
+                self._waiting -= 1
+                self._watched = time.perf_counter()
             return self._picture if self._number > after else b""
 
     def unpacked(self, picture: bytes) -> dict[str, Any]:
@@ -388,6 +411,7 @@ class _Show:
     def do(self, command: Any) -> int:
         """Checks a command and puts it in the queue; returns its number."""
         checked = self._checked(command)
+        self.require_running()
         with self._news:
             self._asked += 1
             self._commands.append((self._asked, checked))
@@ -430,10 +454,11 @@ class _Show:
             raise ValueError(f"pull must be a dict of node and point, got {given!r}")
         total = sum(self._rows.values())
         node, point = given["node"], checked("point", given["point"], (3,), "m")
-        if isinstance(node, bool) or node not in range(total):
+        if not _is_index(node, total):
             raise ValueError(
                 f"node must be an integer from 0 to {total - 1}, got {node!r}"
             )
+        node = int(node)
         return node, self._owner(node)[0], point
 
     def _owner(self, node: int) -> tuple[str, int]:
@@ -466,6 +491,11 @@ class _Show:
             self._ended.set()
             self._news.notify_all()
 
+    def require_running(self) -> None:
+        """Raises a RuntimeError after the end."""
+        if self.ended:
+            raise RuntimeError("the page has ended: viz.live makes a new one")
+
     def reraise(self) -> None:
         """Raises the error that has ended the simulation, if there was one."""
         if self._error is not None:
@@ -476,7 +506,9 @@ class _Show:
         self._ended.wait(max(0.0, due - time.perf_counter()))
         with self._news:
             looked = lambda: (
-                self._ended.is_set() or time.perf_counter() - self._watched < _UNWATCHED
+                self._ended.is_set()
+                or self._waiting > 0
+                or time.perf_counter() - self._watched < _UNWATCHED
             )
             if not looked():
                 self._news.wait_for(looked)

@@ -92,10 +92,12 @@ class _Handler(BaseHTTPRequestHandler):
             self._answer(self.shown.page().encode(), "text/html; charset=utf-8")
         elif asked.path == "/picture":
             after = parse_qs(asked.query).get("after", [""])[0]
-            if not after.lstrip("-").isdecimal():
-                self._refuse(f"after must be a number of a picture, got {after!r}")
+            number = _whole(after.removeprefix("-"))
+            if number is None:
+                self._refuse("after must be a number of a picture")
                 return
-            picture = self.shown.picture(int(after), _PATIENCE)
+            number = -number if after.startswith("-") else number
+            picture = self.shown.picture(number, _PATIENCE)
             if self.shown.ended:
                 self.close_connection = True
                 self._refuse("the simulation has ended", HTTPStatus.GONE)
@@ -106,9 +108,8 @@ class _Handler(BaseHTTPRequestHandler):
 
     def do_POST(self) -> None:
         """Takes a command; answers with its number."""
-        given = self.headers.get("Content-Length", "")
-        length = int(given) if given.isdecimal() else -1
-        if not 0 <= length <= _LONGEST:
+        length = _whole(self.headers.get("Content-Length", ""))
+        if length is None or length > _LONGEST:
             self.close_connection = True
             self._refuse(f"a command has at most {_LONGEST} bytes")
             return
@@ -121,16 +122,23 @@ class _Handler(BaseHTTPRequestHandler):
             return
         try:
             number = self.shown.do(json.loads(body))
+        except RecursionError:
+            self._refuse("a command is nested too deeply")
+            return
         except ValueError as error:
             self._refuse(str(error))
+            return
+        except RuntimeError as error:
+            self.close_connection = True
+            self._refuse(str(error), HTTPStatus.GONE)
             return
         self._answer(json.dumps({"number": number}).encode(), "application/json")
 
     def _allowed(self) -> bool:
         """Whether the request is from this machine's own page; answers if not."""
         origin = self.headers.get("Origin")
-        hosts = [urlsplit("//" + self.headers.get("Host", "")).hostname]
-        hosts += [] if origin is None else [urlsplit(origin).hostname]
+        hosts = [_host("//" + self.headers.get("Host", ""))]
+        hosts += [] if origin is None else [_host(origin)]
         if all(host in _NAMES for host in hosts):
             return True
         self._refuse("this page is for this machine only", HTTPStatus.FORBIDDEN)
@@ -152,3 +160,16 @@ class _Handler(BaseHTTPRequestHandler):
 
     def log_message(self, format: str, *args: Any) -> None:
         """Writes nothing."""
+
+
+def _whole(text: str) -> int | None:
+    """A number of at most 15 digits; `None` for any other text."""
+    return int(text) if text.isdecimal() and len(text) <= 15 else None
+
+
+def _host(address: str) -> str | None:
+    """Host of an address, `None` if it has none."""
+    try:
+        return urlsplit(address).hostname
+    except ValueError:
+        return None

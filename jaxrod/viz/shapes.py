@@ -208,7 +208,7 @@ def numbers(name: str, values: ArrayLike, unit: str) -> np.ndarray:
     """
     try:
         return np.array(values, dtype=np.float64)
-    except (TypeError, ValueError) as error:
+    except (TypeError, ValueError, OverflowError) as error:
         raise ValueError(
             f"{name} must be an array of numbers [{unit}], got {type(values).__name__}"
         ) from error

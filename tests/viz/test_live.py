@@ -152,7 +152,9 @@ def test_time_is_real_and_stands_still_when_paused(page):
     ("command", "words"),
     [
         ({"pull": {"node": 7, "point": POINT}}, "node must be .*6"),
+        ({"pull": {"node": 1.0, "point": POINT}}, "node must be an integer"),
         ({"pull": {"node": 1, "point": [0, 0]}}, "point must have shape"),
+        ({"pull": {"node": 1, "point": [0, 0, 10**400]}}, "array of numbers"),
         ({"pull": {"node": 1, "point": [0, 0, math.nan]}}, "finite"),
         ({"pull": {"node": 1}}, "a dict of node and point"),
         ({"set": {"load [N]": 0.2}}, "from -0.1 to 0.1, got 0.2"),
@@ -190,6 +192,12 @@ def test_the_server_gives_the_page_pictures_and_takes_commands(page):
         ("do", bytes(70000), kind, "at most 65536 bytes"),
         ("picture?after=x", None, {}, "number of a picture"),
         ("", None, {"Host": "elsewhere.org"}, "this machine only"),
+        ("", None, {"Host": "["}, "this machine only"),
+        ("do", b"{}", kind | {"Origin": "http://["}, "this machine only"),
+        ("do", b"[" * 60000, kind, "nested too deeply"),
+        ("do", b"", kind | {"Content-Length": "9" * 5000}, "at most 65536 bytes"),
+        ("picture?after=--1", None, {}, "number of a picture"),
+        ("picture?after=" + "9" * 5000, None, {}, "number of a picture"),
         ("secrets", None, {}, "no such page"),
     ):
         with pytest.raises(urllib.error.HTTPError) as refused:
@@ -231,12 +239,32 @@ def test_other_bad_arguments_are_refused():
     scene, state = arm()
     with pytest.raises(TypeError, match="scene must be"):
         viz.live(state, scene)
+    with pytest.raises(TypeError, match="state must be"):
+        viz.live(scene, None)
     with pytest.raises(ValueError, match="frames_per_second must be positive"):
         viz.live(scene, state, frames_per_second=0.0)
-    with pytest.raises(ValueError, match="port must be"):
-        viz.live(scene, state, port=70000)
+    for port in (70000, 8000.0, True):
+        with pytest.raises(ValueError, match="port must be an integer"):
+            viz.live(scene, state, port=port)
+    with pytest.raises(ValueError, match="frames_per_second must be at least"):
+        viz.live(scene, state, frames_per_second=1e-320)
     with pytest.raises(ValueError, match="dt must be positive, got -1 s"):
         viz.live(scene, state, dt=-1.0)
+
+
+def test_a_page_that_has_ended_says_so(monkeypatch):
+    # A client that waits for a rare picture is somebody who looks.
+    monkeypatch.setattr("jaxrod.viz.interactive._UNWATCHED", 0.05)
+    scene, state = arm()
+    with viz.live(scene, state, port=None, frames_per_second=5.0) as page:
+        first = page.picture()
+        assert page.picture(first["number"], patience=2.0)["time"] > first["time"]
+        assert "<iframe" not in page._repr_html_()
+    page.stop()
+    with pytest.raises(RuntimeError, match="the page has ended"):
+        page.picture(10**6)
+    with pytest.raises(RuntimeError, match="the page has ended"):
+        page.do({"paused": True})
 
 
 @pytest.mark.slow
