@@ -19,7 +19,7 @@ from jaxtyping import Array
 from jaxrod.viz.shapes import numbers, require_finite
 
 Where = Callable[[Any], Any]
-Box = tuple[np.ndarray, np.ndarray]
+Extent = tuple[np.ndarray, np.ndarray]
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -46,7 +46,7 @@ class Slider:
     radius: ClassVar[None] = None
     """A slider is not drawn as a ball."""
 
-    def ends(self, box: Box) -> Box:
+    def ends(self, box: Extent) -> Extent:
         """Lowest and highest value."""
         return np.asarray(self.low, float), np.asarray(self.high, float)
 
@@ -90,7 +90,7 @@ class Target:
     start: Any = None
     """Initial position [m], shape (3,); by default that of the model."""
 
-    def ends(self, box: Box) -> Box:
+    def ends(self, box: Extent) -> Extent:
         """Lowest and highest corner of the view, beyond which it may be dragged."""
         return box
 
