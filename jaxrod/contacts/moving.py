@@ -23,7 +23,7 @@ from typing import Any, ClassVar
 
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Array, ArrayLike, Float
 
 from jaxrod.contacts.bodies import IDENTITY, Body
 from jaxrod.contacts.contact import Contact
@@ -134,11 +134,13 @@ class MovingContact(Effect):
         """
         loads = self.loads(rod, motion)
         assert loads.forces is not None
-        force = _sum(loads.forces)
-        moment = _sum(vectors.cross(self._arm(motion.position), loads.forces))
+        force = vectors.mapped(jnp.sum, loads.forces)
+        moment = vectors.mapped(
+            jnp.sum, vectors.cross(self._arm(motion.position), loads.forces)
+        )
         if loads.couples is not None:
             couples = to_world(directors(motion.orientation), loads.couples)
-            moment = vectors.add(moment, _sum(couples))
+            moment = vectors.add(moment, vectors.mapped(jnp.sum, couples))
         power = vectors.dot(force, vectors.split(self.place.velocity))
         if self.turn is not None:
             turning = vectors.split(self.turn.angular_velocity)
@@ -175,6 +177,14 @@ class MovingContact(Effect):
     def resampled(self, rod: Rod, new_rod: Rod) -> MovingContact:
         """The same motion of the bodies, and the contact for `new_rod`."""
         return replace(self, contact=self.contact.resampled(rod, new_rod))
+
+    def softened(self, share: ArrayLike) -> MovingContact:
+        """The same motion of the bodies, and softer contact: see `Contact.softened`."""
+        return replace(self, contact=self.contact.softened(share))
+
+    def thinned(self, share: float) -> MovingContact:
+        """The same motion of the bodies, and fewer points: see `Contact.thinned`."""
+        return replace(self, contact=self.contact.thinned(share))
 
     def with_free_ends(self, free: Float[Array, "2"]) -> MovingContact:
         """The same with flags of free ends, see `Contact.with_free_ends`."""
@@ -319,11 +329,6 @@ def moving_contact(
     first = at_clock(made, clock_at(0.0, kind))
     seen = contact.seen_by(first.seen_configuration)
     return replace(made, contact=seen, kept=memory_of((seen,))[0])
-
-
-def _sum(field: Vec3) -> Vec3:
-    x, y, z = (jnp.sum(component) for component in field)
-    return x, y, z
 
 
 def _unit_or_zero(way: Vec3) -> Vec3:

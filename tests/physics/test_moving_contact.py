@@ -288,6 +288,16 @@ def test_a_belt_pulls_a_held_rod_by_its_friction():
     np.testing.assert_allclose(pulls.power, 30 * pulls.force[0], rtol=1e-12)
 
 
+def test_softer_and_thinner_contact_moves_as_before():
+    ground = rough(points_per_element=4)
+    way = schedules.ramp((0.0, 0.0, 0.0), (0.1, 0.0, 0.0), 0.5)
+    moving = jaxrod.moving_contact(ground, displacement=way)
+    softer, thinner = moving.softened(0.25), moving.thinned(0.5)
+    assert softer.contact.stiffness == ground.stiffness / 4
+    assert thinner.contact.points_per_element == 2
+    assert softer.place is thinner.place is moving.place
+
+
 @pytest.mark.slow
 def test_a_system_and_a_scene_are_the_same():
     rod, state = straight()
