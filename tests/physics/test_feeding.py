@@ -174,7 +174,6 @@ def test_a_drum_that_slips_pulls_by_eulers_law(way, record):
     )
 
 
-@pytest.mark.slow
 def test_an_end_on_a_drum_moves_on_a_circle():
     rod, state = rope(n=2)
     rate, way = 3.0, np.array([0.1, 0.0, 0.2])
