@@ -54,7 +54,7 @@ def held_arm(**options):
 def test_implicit_steps_leave_little_to_xla():
     scene, state = held_arm(method=jaxrod.implicit(0.8))
     count = count_of(lambda n: jaxrod.advance(scene, state, 1e-3, n), jnp.int32(2))
-    assert count < 1100  # 5327 without kernels
+    assert count < 100  # 5327 without kernels, 1080 if XLA runs Newton's method
 
 
 def test_derivatives_of_equilibria_leave_little_to_xla():
@@ -66,8 +66,8 @@ def test_derivatives_of_equilibria_leave_little_to_xla():
 
     whole = count_of(tip, 0.1)
     both = count_of(jax.jacfwd(tip), 0.1)
-    assert both - whole < 1600  # 7867 without kernels
-    assert whole < 2500  # 7010 without kernels
+    assert both - whole < 1300  # 7867 without kernels
+    assert whole < 500  # 7010 without kernels, 2400 if XLA runs the search
 
 
 @pytree

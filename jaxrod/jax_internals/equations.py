@@ -159,6 +159,14 @@ def programs_within(equation: Any) -> Iterator[Any]:
                 yield program_of(inner).jaxpr
 
 
+def n_equations(program: Any) -> int:
+    """Returns the number of equations of a program, with those of nested programs."""
+    return sum(
+        1 + sum(map(n_equations, programs_within(equation)))
+        for equation in program_of(program).jaxpr.eqns
+    )
+
+
 def _is_program(value: Any) -> bool:
     """Whether a value is a jaxpr, closed or not."""
     return hasattr(program_of(value).jaxpr, "eqns")

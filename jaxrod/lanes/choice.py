@@ -116,6 +116,14 @@ def lanes_wanted() -> bool:
     return lane_mode() != NEVER and no_kernels_here() is None
 
 
+def rows_wanted() -> bool:
+    """Whether rows may run a program for one scene, or for one after another.
+
+    Only rows have loops whose length depends on numbers.
+    """
+    return lane_mode() in (AUTO, ROWS) and jax.default_backend() == "cpu"
+
+
 def no_kernels_here() -> str | None:
     """Returns the reason why there are no kernels for the default device, or `None`."""
     device = jax.default_backend()

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from contextvars import ContextVar
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
 from typing import Any
@@ -14,6 +16,26 @@ import jax.numpy as jnp
 from jaxrod.jax_internals.equations import operand_types, result_types
 from jaxrod.jax_internals.mesh_axes import varying_shape
 from jaxrod.jax_internals.primitives import evaluate
+
+_in_one_kernel: ContextVar[bool] = ContextVar("in_one_kernel", default=False)
+
+
+@contextmanager
+def in_one_kernel() -> Iterator[None]:
+    """Context in which programs are traced that are to be one kernel each.
+
+    Parts of such a program have no kernels of their own.
+    """
+    before = _in_one_kernel.set(True)
+    try:
+        yield
+    finally:
+        _in_one_kernel.reset(before)
+
+
+def is_in_one_kernel() -> bool:
+    """Whether the program being traced is to be one kernel."""
+    return _in_one_kernel.get()
 
 
 @dataclass(frozen=True, eq=False)
@@ -124,7 +146,9 @@ def as_step(closed: Any, n_constants: int) -> LoopBody:
     def body(*arrays: Any) -> list[Any]:
         return [*arrays[n_constants:n], *evaluate(closed, *arrays[:n])]
 
-    whole = jax.make_jaxpr(body)(*map(varying_shape, [*given, *result_types(closed)]))
+    with in_one_kernel():
+        types = map(varying_shape, [*given, *result_types(closed)])
+        whole = jax.make_jaxpr(body)(*types)
     return LoopBody(whole, n_constants)
 
 
@@ -161,9 +185,10 @@ def tangent_body(spec: RunSpec) -> tuple[Any, int]:
         )
         return [*made, *after]
 
-    closed = jax.make_jaxpr(both)(
-        *map(varying_shape, [*constants, *rates, *carry, *tangents])
-    )
+    with in_one_kernel():
+        closed = jax.make_jaxpr(both)(
+            *map(varying_shape, [*constants, *rates, *carry, *tangents])
+        )
     return closed, len(constants) + len(rates)
 
 
@@ -195,7 +220,8 @@ def adjoint_body(spec: RunSpec) -> Any:
         return [*earlier, *sums]
 
     given = [*constants, *carry, *chosen(body.avals, floating)]
-    return jax.make_jaxpr(back)(*map(varying_shape, given))
+    with in_one_kernel():
+        return jax.make_jaxpr(back)(*map(varying_shape, given))
 
 
 def parted(arrays: Sequence[Any], *sizes: int) -> list[Sequence[Any]]:

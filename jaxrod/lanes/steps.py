@@ -17,10 +17,18 @@ from jaxrod.lanes.choice import (
     lane_mode,
     lanes_wanted,
     refused,
+    rows_wanted,
     say_if_slower,
 )
 from jaxrod.lanes.jaxpr.unroll import supported
-from jaxrod.lanes.run_spec import Ends, LoopBody, RunSpec, as_step
+from jaxrod.lanes.run_spec import (
+    Ends,
+    LoopBody,
+    RunSpec,
+    as_step,
+    in_one_kernel,
+    is_in_one_kernel,
+)
 
 MOST_PROGRAMS = 128
 """Number of traced methods that are remembered."""
@@ -47,7 +55,7 @@ def try_lanes(integrator: Any, given: Any, n_times: Any) -> Any:
     """
     if not _kernels_wanted():
         return None
-    if getattr(integrator, "iterates", False):
+    if getattr(integrator, "iterates", False) and not rows_wanted():
         refused("lanes have no loop whose length depends on numbers")
         return None
     from jaxrod.lanes.primitives import run_p
@@ -91,15 +99,19 @@ def try_cycles(integrator: Any, carry: Any, n_times: Any) -> Any:
     return jax.tree.unflatten(carried, made)
 
 
-def by_kernel(integrator: Any, name: str, given: Any) -> Any:
+def by_kernel(integrator: Any, name: str, given: Any, *, iterates: bool = False) -> Any:
     """Calls a method of an integrator, by a kernel if possible, and otherwise by XLA.
 
     Args:
         integrator: A pytree.
         name: Name of the method.
         given: Argument of the method.
+        iterates: Whether the method has loops whose length depends on numbers. Only
+            rows have them. In other kernels the parts of the method that call
+            `by_kernel` themselves are kernels.
     """
-    if not _kernels_wanted():
+    left_out = is_in_one_kernel() or (iterates and not rows_wanted())
+    if left_out or not _kernels_wanted():
         return getattr(integrator, name)(given)
     from jaxrod.lanes.primitives import run_once
 
@@ -162,7 +174,8 @@ class _Parts:
             result.append(made_tree)
             return pvary([_settled(leaf) for leaf in made], self.axes)
 
-        closed = jax.make_jaxpr(method)(*self.constants, *leaves)
+        with in_one_kernel():
+            closed = jax.make_jaxpr(method)(*self.constants, *leaves)
         known = program_of(closed).constants
         if any(isinstance(number, jax.core.Tracer) for number in known):
             # A function in the structure holds a number of this trace alone.

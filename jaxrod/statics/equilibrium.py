@@ -230,6 +230,18 @@ class _RodPlace:
 
 
 @pytree
+class _Rest:
+    """End of the search for the equilibrium of a rod."""
+
+    configuration: Motion
+    converged: Bool[Array, ""]
+    positive: Bool[Array, ""]
+    """Whether the tangent is positive definite, except for loose modes."""
+    loose: Bool[Array, ""]
+    iterations: Int[Array, ""]
+
+
+@pytree
 class _RodAtRest:
     """Static problem of one rod, to be solved by `find_rest` (a `RestProblem`)."""
 
@@ -255,6 +267,21 @@ class _RodAtRest:
         """Largest allowed scaled step, in rod lengths and in radians."""
         one = jnp.ones((), self.balance.scene.rod.rest_lengths.dtype)
         return _six(LARGEST_DISPLACEMENT * one, LARGEST_TURN)
+
+    def rest(self, given: tuple[Motion, Array, Array]) -> _Rest:
+        """End of the search from a configuration, for a kernel.
+
+        `given` are the configuration, the tolerance and the largest number of
+        corrections.
+        """
+        end = find_rest(self, *given)
+        return _Rest(
+            configuration=end.here.configuration,
+            converged=end.converged,
+            positive=end.here.tangent.is_positive(),
+            loose=end.here.loose,
+            iterations=end.iterations,
+        )
 
     def place(self, configuration: Motion) -> _RodPlace:
         """Loads, tangent and mass at a configuration."""
@@ -289,8 +316,9 @@ def _equilibrium(
     start = motion_of(state).at_rest
     start = constrain_rates(scene, constrain(scene, start))
     problem = _RodAtRest(_at_rest(scene, start))
-    end = find_rest(*lax.stop_gradient((problem, start, tolerance)), max_iterations)
-    found = end.here.configuration
+    problem, given = lax.stop_gradient((problem, (start, tolerance)))
+    end = by_kernel(problem, "rest", (*given, max_iterations), iterates=True)
+    found = end.configuration
     # Held components take their values from the state and the scene, with derivatives.
     balance = _at_rest(scene, _keep_held(scene, found, start))
     increment = implicit_solution(balance, _no_increment(found))
@@ -299,8 +327,8 @@ def _equilibrium(
     return Equilibrium(
         state=remembering_rest(scene, state_of(motion)),
         converged=end.converged,
-        stable=end.converged & end.here.tangent.is_positive(),
-        loose=end.here.loose,
+        stable=end.converged & end.positive,
+        loose=end.loose,
         iterations=end.iterations,
         force_residual=largest(force),
         couple_residual=largest(couple),

@@ -22,6 +22,7 @@ from __future__ import annotations
 
 import jax
 import jax.numpy as jnp
+from jax import lax
 from jaxtyping import Array, Bool, Float
 
 from jaxrod.geometry import vectors
@@ -35,6 +36,9 @@ _ROUNDINGS = 16
 """Multiple of the machine epsilon up to which a resistance counts as zero. Loose modes
 reach 3; modes resisted by pins exceed 3000 in float32 even for n = 100 and L/r =
 1000."""
+
+_SWEEPS = 8
+"""Number of rotations of each pair of vectors. Six make seven vectors orthogonal."""
 
 
 def loose_modes(
@@ -64,10 +68,62 @@ def loose_modes(
     resisted = (free / jnp.where(whole > 0, whole, 1))[None] * resisted
     broken = (1 - free)[None] * modes
     both = jnp.concatenate([resisted, broken], axis=1).reshape(len(modes), -1)
-    _, resistance, mixtures = jnp.linalg.svd(both.T, full_matrices=False)
+    resistance, mixtures = singular_mixtures(both)
     none = resistance <= _ROUNDINGS * jnp.finfo(resistance.dtype).eps
     mixtures = jnp.where(none[:, None], mixtures, 0)
     return jnp.sum(mixtures[:, :, None, None] * modes[None], axis=1)
+
+
+def singular_mixtures(
+    vectors: Float[Array, "k m"],
+) -> tuple[Float[Array, " k"], Float[Array, "k k"]]:
+    r"""Mixtures of a few vectors that are orthogonal to each other.
+
+    They are the singular values $\sigma_i$ and left singular vectors $u_i$ of the
+    matrix $A$ whose rows are the vectors: $|u_i^T A| = \sigma_i$. Orthogonalisation
+    reduces $A$ to a small triangle, and rotations of pairs of its rows (one-sided
+    Jacobi) make these orthogonal. The errors are a few roundings of the largest
+    singular value. LAPACK is not used, so that a kernel can run the whole search.
+
+    Returns:
+        The singular values, in no order, and the mixtures in rows.
+    """
+    count = len(vectors)
+    even = count + count % 2
+    triangle, left = [], vectors
+    for _ in range(count):
+        size = jnp.sqrt(jnp.sum(left[0] ** 2))
+        one = left[0] / jnp.where(size > 0, size, 1)
+        shares = jnp.sum(left * one[None], axis=1)
+        triangle.append(jnp.pad(shares, (count - len(left), even - count)))
+        left = (left - shares[:, None] * one[None])[1:]
+    begin = jnp.concatenate(
+        [jnp.stack(triangle, axis=1), jnp.eye(even, count, dtype=vectors.dtype)], axis=1
+    )
+    half = even // 2
+
+    def rotated(rows: Array, _: None) -> tuple[Array, None]:
+        above, below = rows[:half], rows[half:]
+        product = jnp.sum((above * below)[:, :count], axis=1)
+        twice = 2 * jnp.where(product == 0, 1, product)
+        gap = jnp.sum((below**2 - above**2)[:, :count], axis=1) / twice
+        tangent = jnp.where(gap < 0, -1, 1) / (jnp.abs(gap) + jnp.sqrt(1 + gap * gap))
+        tangent = jnp.where(product == 0, 0, tangent)
+        cosine = lax.rsqrt(1 + tangent * tangent)
+        c, s = cosine[:, None], (cosine * tangent)[:, None]
+        above, below = c * above - s * below, s * above + c * below
+        # The first row stays, and the others move on by one place on a circle.
+        above, last = (
+            jnp.concatenate([above[:1], below[:1], above[1:-1]]),
+            above[-1:],
+        )
+        return jnp.concatenate([above, below[1:], last]), None
+
+    rows, _ = lax.scan(rotated, begin, length=_SWEEPS * (even - 1))
+    # After whole sweeps all rows are where they began, the row of padding last.
+    rows = rows[:count]
+    resistance = jnp.sqrt(jnp.sum(rows[:, :count] ** 2, axis=1))
+    return resistance, rows[:, count:]
 
 
 def are_any(modes: Float[Array, "7 n+1 6"]) -> Bool[Array, ""]:

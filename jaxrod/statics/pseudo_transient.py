@@ -13,6 +13,7 @@ with a factor that is controlled by how well the linear model predicts the loads
 
 from __future__ import annotations
 
+from functools import partial
 from typing import Any, Protocol
 
 import jax
@@ -20,6 +21,7 @@ import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Array, Bool, Float, Int
 
+from jaxrod.lanes.run_spec import is_in_one_kernel
 from jaxrod.structure import pytree
 
 LARGEST_TURN = 1.0
@@ -126,6 +128,7 @@ def find_rest(
             lengths and radians.
         max_iterations: Largest number of corrections tried, accepted or not.
     """
+    in_kernel = is_in_one_kernel()
 
     def size(step: Array) -> Array:
         return jnp.sqrt(jnp.sum(step * step))
@@ -137,7 +140,7 @@ def find_rest(
 
     def improve(search: Search) -> Search:
         before, step, share = search.here, search.step, search.share
-        here = _place(problem, problem.moved(before, share * step))
+        here = _place(problem, problem.moved(before, share * step), in_kernel)
         momentum = before.momentum(step)
         expected = (1 - share) * before.loads + share * search.inertia * momentum
         left = before.solve(search.factors, here.loads - expected)
@@ -184,7 +187,7 @@ def find_rest(
         )
 
     def nothing() -> Any:
-        here = _place(problem, start)
+        here = _place(problem, start, in_kernel)
         return here, here.factors(jnp.zeros_like(tolerance))
 
     # The first trial is the start.
@@ -199,7 +202,11 @@ def find_rest(
     return lax.while_loop(unfinished, improve, begin)
 
 
-@jax.jit
-def _place(problem: RestProblem, configuration: Any) -> Any:
-    """Result of `problem.place`, compiled so that it is traced once for all calls."""
+@partial(jax.jit, static_argnames="in_kernel")
+def _place(problem: RestProblem, configuration: Any, in_kernel: bool) -> Any:
+    """Result of `problem.place`, compiled so that it is traced once for all calls.
+
+    The trace of a part of a kernel (`in_kernel`) has no kernels of its own.
+    """
+    del in_kernel
     return problem.place(configuration)

@@ -184,6 +184,10 @@ class LoadBalance:
         mass = self.mass() if self.at_rest else None
         return self.residual(increment), self.tangent(increment), mass
 
+    def stiffness(self, increment: Increment) -> Tangent:
+        """Tangent at an increment, in statics with springs that resist loose modes."""
+        return self.held(self.tangent(increment), increment)[0]
+
     def ended(self, increment: Increment) -> tuple[Array, Motion]:
         """Residual at an increment and the motion that goes with it.
 
@@ -367,11 +371,9 @@ def _implicit_solution_jvp(
 ) -> tuple[Increment, Increment]:
     balance, found = primals
     found = implicit_solution(balance, found)
-    # The tangent is that of the search, whose kernel is there already.
     unbalanced = lambda balance, found: by_kernel(balance, "residual", found)
     _, change = jax.jvp(unbalanced, (balance, found), tangents)
-    _, tangent, _ = by_kernel(balance, "about", found)
-    step = balance.held(tangent, found)[0].solve(-change)
+    step = by_kernel(balance, "stiffness", found).solve(-change)
     return found, jax.tree.map(jnp.add, tangents[1], balance.change(found, step))
 
 

@@ -194,6 +194,48 @@ def _loop(pool):
     return lax.fori_loop(0, count, lambda i, c: jnp.sin(c) + i, pool.some("f"))
 
 
+def _while(pool):
+    """A loop whose length depends on numbers."""
+    a, b, weight = pool.some("f"), pool.some("f"), pool.some("f")
+    flags, most = pool.some("b"), int(pool.rng.integers(1, 8))
+    rolled, rows = bool(pool.rng.integers(2)), fitted(b, (4, *a.shape))
+
+    def goes_on(carry):
+        x, _, count, flag = carry
+        left = jnp.sum(jnp.abs(x)) > 0.2 + 0.1 * jnp.mean(jnp.abs(weight))
+        return (left | jnp.any(flag)) & (count < most)
+
+    def once(carry):
+        x, y, count, flag = carry
+        if rolled:
+            x, _ = lax.scan(lambda c, row: (jnp.sin(c + row), None), x, rows)
+        x = 0.6 * jnp.tanh(x) + 0.05 * fitted(y, x.shape)
+        y = jnp.flip(jnp.cos(y), tuple(range(y.ndim))) * jnp.sum(x)
+        return x, jnp.tanh(y), count + 1, flag & (count < 2)
+
+    x, y, count, flag = lax.while_loop(goes_on, once, (a, b, 0, flags))
+    pool.arrays += [x, flag]
+    return y + count
+
+
+def _rounds(pool):
+    """A scan that is a loop of its own: it is long and mixes entries."""
+    a, b, c = pool.some("f"), pool.some("f"), pool.some("f")
+    count = int(pool.rng.choice((66, 70)))
+    rows = fitted(c, (count, 2)), fitted(pool.some("b"), (count,))
+
+    def turn(carry, row):
+        (x, n), (pair, flag) = carry, row
+        x = jnp.tanh(jnp.flip(x, tuple(range(x.ndim))) + pair[0] + jnp.mean(b))
+        x = jnp.where(flag, x, -x)
+        return (x, n + flag), (jnp.sum(x) * pair, n)
+
+    backwards = bool(pool.rng.integers(2))
+    (x, n), (made, counts) = lax.scan(turn, (a, 0), rows, reverse=backwards)
+    pool.arrays += [x, counts[::17]]
+    return jnp.tanh(made[::9]) + n
+
+
 def _branch(pool):
     a = pool.some("f")
     index = jnp.sum(pool.some("i")) % 3
@@ -297,6 +339,8 @@ OPERATIONS = (
 MOVING = (_gather_moving, _scatter_moving, _scatter_masked)
 """Operations at places that change, which loops have and unrolled lanes have not."""
 _ANY = (1, 2, 3, 4, 5, 7, 8, 9, 17, 20)
+NESTED = (_while, _rounds)
+"""Loops that are functions of their own, which only rows have."""
 LENGTHS = {"always": (1, 2, 3), "loops": _ANY, "rows": _ANY}
 """Lengths of axes, by mode: where there are loops, they begin at a length of five."""
 
@@ -320,6 +364,7 @@ def random_program(seed, mode="always"):
         jnp.asarray(rng.integers(0, 2, shape()), bool),
     ]
     known = OPERATIONS + (() if mode == "always" else 6 * MOVING)
+    known += 9 * NESTED if mode == "rows" else ()
     picks = rng.integers(0, len(known), rng.integers(3, 9))
     inner_seed = int(rng.integers(2**31))
 

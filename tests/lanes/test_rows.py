@@ -150,3 +150,116 @@ def test_scans_keep_axes_of_length_one(shape, way):
     for ours, theirs in zip(found, expected, strict=True):
         assert ours.shape == theirs.shape
         np.testing.assert_allclose(ours, theirs, rtol=1e-13, atol=1e-13)
+
+
+def shrunk(matrices, limit, x, count):
+    """A step with a loop whose length depends on numbers, and a scan in each round."""
+
+    def goes_on(carry):
+        y, rounds, _ = carry
+        return (jnp.sum(y * y) > limit[0]) & (rounds < 40)
+
+    def once(carry):
+        y, rounds, _ = carry
+
+        def turn(c, row):
+            matrix, flag = row
+            c = jnp.where(flag, 1, -1) * jnp.tanh(jnp.sum(matrix * c[None], axis=1))
+            return c, (jnp.sum(c), c[::-1])
+
+        signs = jnp.arange(len(matrices)) % 3 > 0
+        z, (sums, last) = jax.lax.scan(turn, y, (matrices, signs), reverse=True)
+        return 0.7 * y + 1e-4 * (z + sums[2] * last[1]), rounds + 1, y[0] > 0
+
+    y, rounds, flag = jax.lax.while_loop(goes_on, once, (x, 0, False))
+    return [x * 1.2 + jnp.where(flag, y, 2 * y), count + rounds]
+
+
+def given_to_shrunk(dtype, scale=1.0):
+    rng = np.random.default_rng(3)
+    matrices = jnp.asarray(rng.normal(size=(70, 6, 6)) / 2, dtype)
+    limit = jnp.full(1, 1e-3, dtype)
+    x = jnp.asarray(scale * rng.normal(size=6), dtype)
+    return matrices, limit, x, jnp.int32(0)
+
+
+def compared_with_xla(function, given, n_constants, batch=None):
+    """Results by rows and by XLA; `batch` is a function applied to the run."""
+    body = LoopBody(jax.make_jaxpr(function)(*given), n_constants)
+    kernel = cycles_kernel(body, (False,) * n_constants, checkpoints=False)
+    found = []
+    for mode in ("rows", "never"):
+        use_lanes(mode)
+        run = lambda *a: cycles_p.bind(jnp.int32(3), *a, spec=RunSpec(body, None))
+        found.append(jax.jit(run if batch is None else batch(run))(*given))
+        assert mode == "never" or lane_choices()[-1].taken
+    return kernel, *found
+
+
+@pytest.mark.fast_sets(1)
+@pytest.mark.parametrize("dtype", ["float64", "float32"])
+def test_a_loop_of_unknown_length_is_a_function_of_its_own(dtype):
+    given = given_to_shrunk(dtype)
+    kernel, rows, xla = compared_with_xla(shrunk, given, 2)
+    assert "@loop1_round" in kernel.text and "@loop1_loop1_round" in kernel.text
+    assert 3 < int(xla[1]) < 120
+    np.testing.assert_allclose(
+        rows[0], xla[0], rtol=1e-5 if dtype == "float32" else 1e-12
+    )
+    assert int(rows[1]) == int(xla[1])
+
+
+def test_a_loop_may_have_no_round_and_each_scene_its_own_number():
+    given = given_to_shrunk("float64")
+    many = lambda run: jax.vmap(run, in_axes=(None, None, 0, 0))
+    sizes = jnp.asarray([0.0, 1e-3, 1.0, 1e3])
+    spread = (*given[:2], sizes[:, None] * given[2][None], jnp.zeros(4, jnp.int32))
+    body = LoopBody(jax.make_jaxpr(shrunk)(*given), 2)
+    found = []
+    for mode in ("rows", "never"):
+        use_lanes(mode)
+        run = lambda *a: cycles_p.bind(jnp.int32(1), *a, spec=RunSpec(body, None))
+        found.append(jax.jit(many(run))(*spread))
+    (rows, counts), (xla, same) = found
+    assert same[0] == 0 and len(set(same.tolist())) > 2
+    assert counts.tolist() == same.tolist()
+    np.testing.assert_allclose(rows, xla, rtol=1e-12, atol=1e-15)
+
+
+def test_a_loop_that_ends_at_a_number_that_is_not_finite_ends():
+    matrices, limit, x, count = given_to_shrunk("float64")
+    _, rows, xla = compared_with_xla(shrunk, (matrices, limit, x * jnp.nan, count), 2)
+    assert np.isnan(rows[0]).all() and np.isnan(xla[0]).all()
+    assert int(rows[1]) == int(xla[1]) == 0
+
+
+def of_constants_alone(matrices, x):
+    """A step with a loop that only depends on constants, and one without results."""
+    mean = jnp.mean(matrices, axis=0)
+    halve = lambda c: 0.5 * (c + mean)
+    fixed = jax.lax.while_loop(
+        lambda c: jnp.max(jnp.abs(c - mean)) > 1e-3, halve, 0 * mean
+    )
+    jax.lax.while_loop(lambda c: jnp.any(c > 1), lambda c: 0.5 * c, x)
+    return [jnp.sin(x) + jnp.sum(fixed, axis=1)]
+
+
+def test_a_loop_over_constants_is_computed_once():
+    matrices, _, x, _ = given_to_shrunk("float64")
+    kernel, rows, xla = compared_with_xla(of_constants_alone, (matrices, x), 1)
+    step = kernel.text[kernel.text.index("define internal void @step") :]
+    step = step[: step.index("ret void")]
+    assert "@loop" not in step
+    np.testing.assert_allclose(rows[0], xla[0], rtol=1e-12)
+
+
+@pytest.mark.parametrize("way", ["always", "loops"])
+def test_lanes_leave_a_loop_of_unknown_length_to_xla(way):
+    given = given_to_shrunk("float64")
+    body = LoopBody(jax.make_jaxpr(shrunk)(*given), 2)
+    use_lanes(way)
+    run = lambda *a: cycles_p.bind(jnp.int32(1), *a, spec=RunSpec(body, None))
+    many = jax.vmap(run, in_axes=(None, None, 0, None))
+    jax.jit(many)(*given[:2], jnp.stack([given[2]] * 9), given[3])
+    choice = lane_choices()[-1]
+    assert not choice.taken and "length depends on numbers" in choice.why

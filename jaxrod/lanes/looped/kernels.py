@@ -27,7 +27,8 @@ from jaxrod.lanes.looped.lane_code import (
     lane_fill_text,
     vector_literal,
 )
-from jaxrod.lanes.rows.kernels import MOST_LINES, RowPlan, Storage, next_carry
+from jaxrod.lanes.rows.functions import MOST_LINES, Storage
+from jaxrod.lanes.rows.kernels import RowPlan, next_carry
 from jaxrod.lanes.rows.loop_code import RowWriter, fill_text
 from jaxrod.lanes.rows.schedule import Goal, Place, Schedule, fills_of, hoisted
 from jaxrod.lanes.run_spec import Ends, LoopBody
@@ -86,6 +87,7 @@ class LanePlan(RowPlan):
     """A kernel with a scene in each lane, under construction: memory and functions."""
 
     splits = False
+    nests = False
 
     def __init__(self, body: LoopBody, batched: Sequence[bool], lanes: int) -> None:
         """Translates a step; the arguments are those of `RowPlan`.

@@ -8,56 +8,25 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from functools import lru_cache
+from functools import lru_cache, partial
 from typing import Any, NamedTuple
 
 from jaxrod.jax_internals.equations import operand_types, result_types
 from jaxrod.lanes.graph import FIXED, VARYING
-from jaxrod.lanes.jaxpr.unroll import NotUnrolled, kind_of
+from jaxrod.lanes.jaxpr.unroll import kind_of
 from jaxrod.lanes.llvm.elementary import elementary_texts
 from jaxrod.lanes.llvm.kernel import Kernel, backward_loops, forward_loops
 from jaxrod.lanes.llvm.kernel_plan import entry_text
-from jaxrod.lanes.llvm.machine_code import vector_bytes
-from jaxrod.lanes.llvm.vector_code import BYTES, TYPES, literal
-from jaxrod.lanes.rows.arrays import Rows
-from jaxrod.lanes.rows.loop_code import RowWriter, fill_call, fill_text
-from jaxrod.lanes.rows.packing import Packing
-from jaxrod.lanes.rows.row_graph import Piece, RowGraph, row_major
-from jaxrod.lanes.rows.row_unroller import RowUnroller
-from jaxrod.lanes.rows.schedule import Goal, Place, Schedule, fills_of, hoisted
+from jaxrod.lanes.llvm.vector_code import BYTES
+from jaxrod.lanes.rows.functions import RowFunctions, Storage
+from jaxrod.lanes.rows.loop_code import fill_text
+from jaxrod.lanes.rows.nested import nested_loop
+from jaxrod.lanes.rows.schedule import Goal, Place
 from jaxrod.lanes.run_spec import Ends, LoopBody, RunSpec, adjoint_body
 
-ALIGNMENT = 64
-"""Alignment of regions and of stored nodes [bytes]."""
 GIVEN = "ptr %scratch, ptr %fixed"
 """LLVM text of the first arguments of `@step` and `@adjoint`: pointers to scratch
 memory, and to values that all steps share."""
-MOST_LINES = 400_000
-"""Largest number of LLVM lines of a kernel; a longer program is refused."""
-
-
-class Storage:
-    """A region of the workspace, in which arrays are allocated one after another."""
-
-    def __init__(self, pointer: str, alignment: int = ALIGNMENT) -> None:
-        """Creates an empty region.
-
-        Args:
-            pointer: Name of its pointer.
-            alignment: Alignment of its arrays [bytes].
-        """
-        self.pointer, self.alignment, self.size = pointer, alignment, 0
-
-    def give(self, kind: str, count: int) -> Place:
-        """Allocates `count` numbers of type `kind`; returns their location."""
-        place = Place(self.pointer, self.size)
-        size = max(count, 1) * BYTES[kind]
-        self.size += -(-size // self.alignment) * self.alignment
-        return place
-
-    def all(self, avals: Sequence[Any]) -> list[Place]:
-        """Allocates arrays of given types, and returns their memory locations."""
-        return [self.give(kind_of(aval), math.prod(aval.shape)) for aval in avals]
 
 
 class Reverse(NamedTuple):
@@ -81,17 +50,11 @@ class Reverse(NamedTuple):
     written."""
 
 
-class RowPlan:
+class RowPlan(RowFunctions):
     """A kernel for scenes one by one, under construction: memory and LLVM functions."""
 
-    alignment = ALIGNMENT
-    """Alignment of arrays in memory [bytes]."""
-    packs = True
-    """Whether sums under a mask may be computed at the entries alone where it is
-    true."""
-    splits = True
-    """Whether a sum of numbers under different masks is computed in parts, so that each
-    can be packed."""
+    nests = True
+    """Whether loops within a step may become functions of their own."""
 
     def __init__(self, body: LoopBody, batched: Sequence[bool]) -> None:
         """Translates a step to a graph, and allocates its constants and carry.
@@ -101,17 +64,15 @@ class RowPlan:
             batched: Whether each constant differs between scenes, and so has a leading
                 axis.
         """
+        super().__init__()
+        if self.nests:
+            self.unroller.nest = partial(nested_loop, self)
         self.body = body
-        self.graph = RowGraph()
-        self.unroller = RowUnroller(self.graph)
-        if self.splits:
-            self.unroller.addends = Packing(self.graph, (), ()).addends
         avals = operand_types(body.closed)
         n = self.n_constants = body.n_constants
         self.constants, self.carry = avals[:n], avals[n:]
         self.batched = list(batched)
-        self.fixed, self.now = self.storage("%fixed"), self.storage("%now")
-        self.ready: dict[int, Place] = {}
+        self.now = self.storage("%now")
         self.inputs = [
             self.input(i, aval, self.rate(i)) for i, aval in enumerate(avals)
         ]
@@ -119,23 +80,6 @@ class RowPlan:
         self.carry_places = self.now.all(self.carry)
         self.stand(0, [*self.constant_places, *self.carry_places])
         self.made = self.unroller.run(body.closed, self.inputs)
-        self.scratch = 0
-        self.lasting: dict[int, Place] = {}
-        """Locations of nodes that are assembled from pieces (`joined`) with a constant
-        in the gaps, which is written once for each scene."""
-        self.texts: list[str] = []
-        self.declared: set[str] = {
-            "declare i64 @llvm.smin.i64(i64, i64)",
-            "declare void @llvm.memcpy.p0.p0.i64(ptr, ptr, i64, i1)",
-            "declare void @llvm.memset.p0.i64(ptr, i8, i64, i1)",
-        }
-        self.needs: set[tuple[str, str, int]] = set()
-        self.fills: set[str] = set()
-        self.lines = 0
-
-    def storage(self, pointer: str) -> Storage:
-        """Returns an empty region of the workspace, with the name of its pointer."""
-        return Storage(pointer, self.alignment)
 
     def rate(self, which: int) -> int:
         """Returns the rate at which operand number `which` of the step changes.
@@ -147,33 +91,6 @@ class RowPlan:
     def places_of_constants(self) -> list[Place]:
         """Allocates the constants, and returns their memory locations."""
         return self.fixed.all(self.constants)
-
-    def input(self, which: int, aval: Any, rate: int) -> Rows:
-        """Adds input array number `which` to the graph, and returns it as rows.
-
-        `rate` is its rate of change: `UNIFORM`, `FIXED` or `VARYING`.
-        """
-        return self.unroller.input(which, aval, rate)
-
-    def stand(self, first: int, places: Sequence[Place]) -> None:
-        """Records the memory locations of input arrays, from number `first` on."""
-        for node, (which, _) in self.graph.places.items():
-            if first <= which < first + len(places):
-                self.ready[node] = places[which - first]
-
-    def goals(self, arrays: Sequence[Rows], places: Sequence[Place]) -> list[Goal]:
-        """Returns the nodes of arrays, each with the memory location for its numbers.
-
-        `places` has the location of each array, which is written in row-major order.
-        """
-        goals = []
-        for array, place in zip(arrays, places, strict=True):
-            strides = row_major(array.shape)
-            own = tuple(strides[axis] for axis in array.loops)
-            for index, node in array.entries():
-                base = sum(i * s for i, s in zip(index, strides, strict=True))
-                goals.append(Goal(node, place, Piece(base, own, array.dims)))
-        return goals
 
     def reverse(self, moving: Sequence[bool]) -> Reverse:
         """Translates the vector-Jacobian product of the step.
@@ -196,118 +113,6 @@ class RowPlan:
         ]
         back = self.goals([*made[:n_seeds], *totals], after.all(avals))
         return Reverse(avals, n_seeds, before, places, next_carry(self), back)
-
-    def hoist(self, goals: Sequence[Goal]) -> None:
-        """Writes the function `@fixed`, which computes values that all steps share.
-
-        Only values that the goals need are computed.
-        """
-        graph = self.graph
-        self.know_data()
-        ends = [goal.node for goal in goals]
-        nodes = hoisted(graph, ends, self.ready, packs=self.packs)
-        for node in nodes:
-            self.ready[node] = self.room_for(node, self.fixed)
-        self.function("fixed", [], ["%fixed"], nodes)
-
-    def room_for(self, node: int, storage: Storage) -> Place:
-        """Allocates memory for the numbers of a node, and returns its location.
-
-        A scatter gets one number more, to which dropped numbers are written.
-        """
-        graph = self.graph
-        more = 1 if graph.operations[node] == "scatter" else 0
-        return storage.give(graph.kinds[node], math.prod(graph.dims[node]) + more)
-
-    def know_data(self) -> None:
-        """Writes arrays of known numbers as constants of the LLVM module."""
-        graph = self.graph
-        for i, (node, numbers) in enumerate(graph.data.items()):
-            kind = graph.kinds[node]
-            one = "i8" if kind == "b1" else TYPES[kind]
-            entries = ", ".join(
-                f"{one} {int(v) if kind == 'b1' else literal(v, kind)}" for v in numbers
-            )
-            self.texts.append(
-                f"@data{i} = private constant [{len(numbers)} x {one}] [{entries}], "
-                f"align {ALIGNMENT}\n"
-            )
-            self.ready[node] = Place(f"@data{i}", 0)
-
-    def function(
-        self,
-        name: str,
-        goals: Sequence[Goal],
-        pointers: Sequence[str],
-        stored: Sequence[int] = (),
-    ) -> None:
-        """Writes an LLVM function that computes nodes and stores them.
-
-        They are the nodes of the goals, and those in `stored`, whose locations are
-        known. `pointers` are the arguments of the function.
-
-        Raises:
-            NotUnrolled: The kernel is too long.
-        """
-        lasting = self.lasting_place if goals else None
-        schedule = Schedule(
-            self.graph,
-            goals,
-            self.ready,
-            stored,
-            lasting,
-            self.alignment,
-            packs=self.packs,
-        )
-        writer = self.writer(schedule)
-        self.texts.append(writer.text(name, ["%scratch", *pointers]))
-        self.scratch = max(self.scratch, schedule.size)
-        self.declared |= writer.declared
-        self.needs |= writer.needs
-        self.fills |= writer.fills
-        self.lines += writer.count
-        if self.lines > MOST_LINES:
-            raise NotUnrolled(f"a program of more than {MOST_LINES} lines is too long")
-
-    def writer(self, schedule: Schedule) -> RowWriter:
-        """Returns the writer of an LLVM function that runs a schedule."""
-        return RowWriter(self.graph, schedule, vector_bytes())
-
-    def lasting_place(self, node: int) -> Place:
-        """Returns the location of a node assembled from pieces with constant gaps.
-
-        It is allocated at the first call. The constant is written to the gaps once for
-        each scene.
-        """
-        place = self.lasting.get(node)
-        if place is None:
-            place = self.room_for(node, self.fixed)
-            self.lasting[node] = place
-        return place
-
-    def lasting_fills(self) -> str:
-        """Returns LLVM IR of the function `@fills`, called once for each scene.
-
-        It writes the constants in the gaps of nodes that are assembled from pieces.
-        """
-        body = "\n".join(["entry:", *self.fill_calls(""), "ret void"])
-        return f"define internal void @fills(ptr %fixed) noinline {{\n{body}\n}}\n"
-
-    def fill_calls(self, given: str) -> list[str]:
-        """Returns LLVM calls that write constants to the gaps of assembled nodes.
-
-        `given` is the LLVM text of the first arguments of each call.
-        """
-        graph, lines = self.graph, []
-        for node, place in self.lasting.items():
-            kind, value = graph.kinds[node], graph.value(graph.arguments[node][-1])
-            self.fills.add("i8" if kind == "b1" else TYPES[kind])
-            number = str(int(value)) if kind == "b1" else literal(value, kind)
-            lines += [
-                fill_call(number, place, kind, fill, given)
-                for fill in fills_of(graph, node)
-            ]
-        return lines
 
     def module(self, per_scene: str, n_operands: int, n_results: int) -> str:
         """Returns the LLVM module of the kernel, without the handler that XLA calls.

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
+from typing import Any
 
 import numpy as np
 
@@ -48,6 +49,8 @@ class RowWriter(LoopWriter):
         self.spreads: dict[tuple[int, int], str] = {}
         """Names of vectors with one number in every lane, by node and width, in this
         loop."""
+        self.nested: list[Any] = []
+        """Loops that are functions of their own, which this function calls."""
         self.before: list[Lines] = [[]]
         """Lines before each loop of a nest, from the outermost loop on; then the body
         of the innermost."""
@@ -314,9 +317,25 @@ class RowWriter(LoopWriter):
             return write_packed(self, number, loop)
         if loop.recurrence is not None:
             return write_recurrence(self, number, loop.recurrence)
+        if loop.nested is not None:
+            return self._function_call(number, loop.nested)
         if not loop.dims:
             return self._straight(loop)
         return self._nest(number, loop)
+
+    def _function_call(self, number: int, node: int) -> Lines:
+        """Returns the lines of a loop whose rounds are calls of a function.
+
+        `number` distinguishes its labels; `node` is the node of the loop.
+        """
+        lines: Lines = []
+        self.width, self.dims, self.indices = 1, (), []
+        self.lines, self.before = lines, [lines]
+        self.names, self.spreads = {}, {}
+        nested = self.graph.extras[node]
+        nested.write(self, f"n{number}", self.graph.arguments[node])
+        self.nested.append(nested)
+        return lines
 
     def _straight(self, loop: Loop) -> Lines:
         """Returns the lines of all operations on single numbers in one level.

@@ -14,7 +14,9 @@ from dataclasses import dataclass, field
 
 from jaxrod.lanes.rows.row_graph import Dims, RowGraph, row_major
 
-STORED = frozenset({"joined", "scatter", "recurrence", "reduce", "input", "data"})
+STORED = frozenset(
+    {"joined", "scatter", "recurrence", "result", "reduce", "input", "data"}
+)
 """Operations whose results are arrays in memory. The results of other operations are
 values within the loop that computes them."""
 LEAST_ENTRIES = 8

@@ -7,11 +7,12 @@ here are for primitives that move numbers, or combine the numbers of one array.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
-from jaxrod.jax_internals.equations import scan_of
+from jaxrod.jax_internals.equations import n_equations, scan_of, while_of
 from jaxrod.lanes.jaxpr.arithmetic import as_kind
 from jaxrod.lanes.jaxpr.reductions import CUMULATIVE, REDUCTIONS
 from jaxrod.lanes.jaxpr.unroll import (
@@ -21,6 +22,7 @@ from jaxrod.lanes.jaxpr.unroll import (
     Unroller,
     kind_dtype,
     kind_of,
+    looped,
     rule,
 )
 from jaxrod.lanes.rows.arrays import Layout, Rows, long_axes
@@ -39,7 +41,7 @@ SHARED = (
         "is_finite",
     ),
     *("clamp", "select_n", "convert_element_type", "copy", "stop_gradient"),
-    *("optimization_barrier", "pvary", "reshard", "cond", "while", "platform_index"),
+    *("optimization_barrier", "pvary", "reshard", "cond", "platform_index"),
     *("custom_linear_solve", "closed_call", "custom_jvp_call", "custom_vjp_call"),
     *("jit", "remat2"),
 )
@@ -48,6 +50,34 @@ depend on the layout of arrays. All other rules of elementwise primitives are sh
 too."""
 MOST_UNROLLED = 64
 """Largest number of iterations for which a `scan` is unrolled."""
+MOST_EQUATIONS = 600
+"""Largest number of equations of all iterations for which a `scan` is unrolled, if it
+can be a loop."""
+
+
+@dataclass(frozen=True, eq=False)
+class Nested:
+    """A loop within a step that is not unrolled, as closed jaxprs.
+
+    Its operands are the constants of the condition, those of the body, the carry, and
+    arrays whose leading axis is scanned. Its results are the last carry and the arrays
+    of results of all rounds.
+    """
+
+    body: Any
+    """Program of a round: from constants, carry and entries of the scanned arrays to
+    the next carry and results."""
+    n_constants: int
+    """Number of constants of the body."""
+    n_carry: int
+    length: int | None = None
+    """Number of rounds; `None` if it depends on the condition."""
+    backwards: bool = False
+    """Whether the rounds begin with the last entries of the scanned arrays."""
+    condition: Any = None
+    """Program from its constants and the carry to whether another round follows."""
+    n_condition: int = 0
+    """Number of constants of the condition."""
 
 
 class RowUnroller(Unroller):
@@ -64,6 +94,9 @@ class RowUnroller(Unroller):
         super().__init__(graph)
         self.rules = ROW_RULES
         self.layout = Layout(graph)
+        self.nest: Callable[[Nested, Sequence[Rows]], list[Rows]] | None = None
+        """Function that returns the results of a loop as a function of its own; `None`
+        if such loops are not possible here."""
         self.addends: Callable[[int], list[int]] = lambda node: [node]
         """Function that returns the nodes whose sums are computed one by one instead of
         the sum of a node."""
@@ -392,9 +425,16 @@ def scanned(unroller: RowUnroller, equation: Any, *arrays: Rows) -> list[Rows]:
         NotUnrolled: The scan has no iterations, or too many to unroll.
     """
     scan = scan_of(equation)
-    looped = recurrence(unroller, scan, arrays)
-    if looped is not None:
-        return looped
+    along_rows = recurrence(unroller, scan, arrays)
+    if along_rows is not None:
+        return along_rows
+    if unroller.nest is not None and scan.length > 1:
+        work = scan.length * n_equations(scan.body)
+        if scan.length > MOST_UNROLLED or work > MOST_EQUATIONS:
+            program = Nested(
+                scan.body, scan.n_constants, scan.n_carry, scan.length, scan.backwards
+            )
+            return unroller.nest(program, arrays)
     if scan.length > MOST_UNROLLED or not scan.length:
         raise NotUnrolled(f"rows have no loop of {scan.length} rounds")
     n_carry, first_row = scan.n_carry, scan.n_constants + scan.n_carry
@@ -408,6 +448,30 @@ def scanned(unroller: RowUnroller, equation: Any, *arrays: Rows) -> list[Rows]:
         carry, rows[i] = made[:n_carry], made[n_carry:]
     made = [_stacked(unroller, column, 0) for column in zip(*rows, strict=True)]
     return [*carry, *made]
+
+
+@row_rule("while")
+def repeated(unroller: RowUnroller, equation: Any, *arrays: Rows) -> list[Rows]:
+    """Translates a `while` loop, whose length depends on numbers.
+
+    It is unrolled if the condition is a known number in every round.
+    """
+    loop = while_of(equation)
+    n_constants = loop.n_condition + loop.n_body
+    carry = arrays[n_constants:]
+    if unroller.nest is not None:
+        given = [*arrays[: loop.n_condition], *carry]
+        (goes_on,) = unroller.run(loop.condition, given)
+        if unroller.graph.value(goes_on.scalar) is None:
+            program = Nested(
+                loop.body,
+                loop.n_body,
+                len(carry),
+                condition=loop.condition,
+                n_condition=loop.n_condition,
+            )
+            return unroller.nest(program, arrays)
+    return looped(unroller, equation, *arrays)
 
 
 for _name in SHARED:

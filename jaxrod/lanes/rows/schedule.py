@@ -82,6 +82,8 @@ class Loop:
     recurrence: int | None = None
     """Node of a recurrence, which is a loop without other nodes; `None` for other
     loops."""
+    nested: int | None = None
+    """Node of a loop that is a function of its own; `None` for other loops."""
     mask: int | None = None
     """Node of a mask; vectors in which it is false everywhere are skipped. `None` if
     all vectors are computed."""
@@ -305,8 +307,10 @@ class Schedule:
             mask = self._masks.get(node)
             at = self._beside(arguments[1], dims, mask)
             level = max(self._after(arguments[0]), at)
-        elif operation in ("scatter", "recurrence"):
-            level = max(self._after(a) for a in arguments)
+        elif operation in ("scatter", "recurrence", "nested"):
+            level = max((self._after(a) for a in arguments), default=0)
+        elif operation == "result":
+            level = self._at[arguments[0]]
         elif operation == "joined":
             level = self._after(arguments[-1])
             for source, piece in self._pieces(node):
@@ -400,6 +404,14 @@ class Schedule:
         if operation == "recurrence":
             self._loop(level, (), f"recurrence {node}").recurrence = node
             self._read_as_stored(node)
+            return
+        if operation == "nested":
+            self._loop(level, (), f"nested {node}").nested = node
+            for argument in arguments:
+                self._keep(argument, level)
+            return
+        if operation == "result":
+            self._kept.add(node)
             return
         if operation == "reduce":
             source = arguments[0]

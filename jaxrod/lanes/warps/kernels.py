@@ -84,7 +84,7 @@ class WarpPlan(RowPlan):
     """Alignment of arrays in memory [bytes]. It is smaller than for rows, because
     threads load single numbers, and less memory is lost."""
     packs = False
-    splits = False
+    splits = nests = False
     """Packed loops are not for warps: a list is made by one thread."""
 
     def __init__(self, body: LoopBody, batched: Sequence[bool]) -> None:
