@@ -12,8 +12,10 @@ import argparse
 import time
 import warnings
 from dataclasses import dataclass, replace
+from typing import Any
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 
 import jaxrod
@@ -24,6 +26,7 @@ from jaxrod.rods.rod import RodState
 from jaxrod.scene import Scene
 
 SAMPLES = 20
+BATCH = 64
 RADIUS = 0.8
 """Spectral radius of the implicit steps."""
 HEADER = """\
@@ -35,9 +38,21 @@ The error is the largest distance of the tip from the reference, relative to its
 The cost is wall-clock time per simulated second. "Scaled" means enlarged transverse
 inertia (`scale_inertia`).
 
-A step of `jaxrod.implicit({radius})` costs about a hundred explicit ones. Scaled
-inertia makes explicit steps five to 25 times longer on slender rods. Implicit steps
-therefore pay off only if they can be about a thousand times as long as the stable one.
+A step of `jaxrod.implicit({radius})` costs as much as {least:.0f} to {most:.0f} explicit
+ones (table below). Scaled inertia makes explicit steps five to 25 times longer on
+slender rods. Implicit steps therefore pay off only if they can be about a thousand
+times as long as the stable one.
+"""
+STEPS_HEADER = """\
+## A step
+
+Processor time of a step [us] of the steel wire below, at 4,000 times the stable step of
+its consistent law, in jaxrod's kernels and in XLA. "Gradient" is the time of a step
+within the gradient of a run of 100 steps. "First call" is the processor time from the
+call to the first result [s], with tracing and compiling.
+
+| elements | | kernels | XLA | first call, kernels | XLA |
+|---:|---|---:|---:|---:|---:|
 """
 
 
@@ -134,6 +149,64 @@ def cost(scene: Scene, state: RodState, dt: float, duration: float) -> float:
     return min(timed() for _ in range(3)) / duration
 
 
+def timed_step(
+    scene: Scene, state: RodState, dt: float, what: str, mode: str
+) -> tuple[float, float]:
+    """Processor time of a step [us], and of the first call [s]."""
+    jaxrod.use_lanes(mode)
+    steps, windows = (100_000, 5) if scene.method.explicit else (100, 9)
+    factors = 1 + 0.01 * jnp.arange(BATCH if what == "one of 64" else 1)
+
+    gravity = scene.effects[-1]
+
+    def scaled(factor: jax.Array) -> Any:
+        return jaxrod.gravity(factor * gravity.acceleration)
+
+    def tip(factor: jax.Array) -> jax.Array:
+        pulled = replace(scene, effects=(*scene.effects[:-1], scaled(factor)))
+        return jaxrod.advance(pulled, state, dt, steps).tip[0]
+
+    program = jax.grad(tip) if what == "gradient" else tip
+    program = jax.jit(jax.vmap(program) if len(factors) > 1 else program)
+    given = factors if len(factors) > 1 else factors[0]
+    times = []
+    for _ in range(windows + 1):
+        begun = time.process_time()
+        jax.block_until_ready(program(given))
+        times.append(time.process_time() - begun)
+    jaxrod.use_lanes("auto")
+    return min(times[1:]) / steps / len(factors) * 1e6, times[0]
+
+
+def steps_table() -> tuple[list[str], list[float]]:
+    """The table of a step, and how many explicit steps an implicit one costs."""
+    lines, ratios = [], []
+    for n in (20, 100):
+        rod, state = jaxrod.straight_rod(
+            n, length=1.0, radius=1e-3, density=7850.0, youngs_modulus=2e11
+        )
+        gravity = jaxrod.gravity((9.81, 0.0, 0.0))
+        explicit = jaxrod.make_scene(rod, jaxrod.clamp(state), gravity)
+        implicit = replace(explicit, method=jaxrod.implicit(RADIUS))
+        stable = float(jaxrod.stable_dt(explicit).dt)
+        cases = [("explicit", explicit, stable, "run")]
+        cases += [("implicit", implicit, 4000 * stable, "run")]
+        cases += [("implicit, one of 64", implicit, 4000 * stable, "one of 64")]
+        if n == 20:
+            cases += [("implicit, gradient", implicit, 4000 * stable, "gradient")]
+        cost = {}
+        for name, scene, dt, what in cases:
+            (ours, first), (theirs, their_first) = (
+                timed_step(scene, state, dt, what, mode) for mode in ("auto", "never")
+            )
+            cost[name] = ours
+            cells = f"{ours:.3g} | {theirs:.3g} | {first:.1f} | {their_first:.1f}"
+            lines.append(f"| {n} | {name} | {cells} |")
+            print(lines[-1], flush=True)
+        ratios.append(cost["implicit"] / cost["explicit"])
+    return lines, ratios
+
+
 def rows(study: Study) -> list[str]:
     """The table of one study."""
     rod, state = jaxrod.straight_rod(
@@ -174,7 +247,10 @@ def run(args: argparse.Namespace) -> int:
     """Measures and writes the page."""
     jaxrod.configure_cpu(1)
     jax.config.update("jax_enable_x64", True)
-    lines = [HEADER.format(machine=processor_and_versions(), radius=RADIUS)]
+    table, ratios = steps_table()
+    machine, least, most = processor_and_versions(), min(ratios), max(ratios)
+    header = HEADER.format(machine=machine, radius=RADIUS, least=least, most=most)
+    lines = [header, STEPS_HEADER + "\n".join(table) + "\n"]
     with warnings.catch_warnings():
         warnings.simplefilter("error", jaxrod.UnstableStepWarning)
         for study in STUDIES:

@@ -27,6 +27,7 @@ import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Array, Bool, Float, Int
 
+from jaxrod.statics.elimination import eliminate
 from jaxrod.structure import pytree, static
 
 _COLUMNS_AT_ONCE = 128
@@ -73,8 +74,8 @@ class BlockTridiagonal:
         return lax.custom_linear_solve(
             self.multiply,
             right,
-            lambda _, b: eliminate(self, b),
-            lambda _, b: eliminate(self.transposed, b),
+            lambda _, b: self._eliminate(b)[0],
+            lambda _, b: self.transposed._eliminate(b)[0],
         )
 
     def is_positive(self) -> Bool[Array, ""]:
@@ -82,8 +83,13 @@ class BlockTridiagonal:
 
         A symmetric matrix is then positive definite.
         """
-        _, pivots = _descend(self, jnp.zeros(self.diagonal.shape[:2], self.dtype))
+        _, pivots = self._eliminate(jnp.zeros(self.diagonal.shape[:2], self.dtype))
         return jnp.all(pivots > 0)
+
+    def _eliminate(
+        self, right: Float[Array, "n m"]
+    ) -> tuple[Float[Array, "n m"], Float[Array, "n m"]]:
+        return eliminate(self.lower, self.diagonal, self.upper, right)
 
     def stiffened(self, index: int, block: Float[Array, "m m"]) -> BlockTridiagonal:
         """Matrix with a block added to its diagonal block number `index`."""
@@ -101,65 +107,6 @@ class BlockTridiagonal:
     def dtype(self) -> jnp.dtype:
         """Dtype of the entries."""
         return self.diagonal.dtype
-
-
-def eliminate(
-    matrix: BlockTridiagonal, right: Float[Array, "n m"]
-) -> Float[Array, "n m"]:
-    """Solves matrix x = right by block elimination, down the chain and back up."""
-    size = right.shape[-1]
-    reduced, _ = _descend(matrix, right)
-
-    def up(below: Array, row: Array) -> tuple[Array, Array]:
-        solution = row[:, size]
-        for j in range(size):
-            solution = solution - row[:, j] * below[j]
-        return solution, solution
-
-    _, solution = lax.scan(up, jnp.zeros_like(right[0]), reduced, reverse=True)
-    return solution
-
-
-def _descend(
-    matrix: BlockTridiagonal, right: Float[Array, "n m"]
-) -> tuple[Float[Array, "n m m+1"], Float[Array, "n m"]]:
-    """Forward pass of block elimination: reduces the diagonal blocks to identities.
-
-    Returns:
-        The remaining upper blocks and right-hand side, side by side, and the pivots.
-    """
-    size = right.shape[-1]
-    # Each row, once its diagonal block is the identity, has only these left: its upper
-    # block and its right-hand side.
-    beside = jnp.concatenate([matrix.upper, right[:, :, None]], axis=2)
-
-    def down(
-        above: Array, row: tuple[Array, Array, Array]
-    ) -> tuple[Array, tuple[Array, Array]]:
-        lower, diagonal, beside = row
-        left = lower[:, 0, None] * above[None, 0]
-        for j in range(1, size):
-            left = left + lower[:, j, None] * above[None, j]
-        right_side = beside - jnp.pad(left[:, size:], ((0, 0), (size, 0)))
-        reduced, pivots = _reduce(diagonal - left[:, :size], right_side)
-        return reduced, (reduced, pivots)
-
-    first = jnp.zeros_like(beside[0])
-    return lax.scan(down, first, (matrix.lower, matrix.diagonal, beside))[1]
-
-
-def _reduce(diagonal: Array, beside: Array) -> tuple[Array, Array]:
-    """Inverse of a block times the columns `beside` it (Gauss-Jordan), and pivots."""
-    size = diagonal.shape[0]
-    rows = jnp.concatenate([diagonal, beside], axis=1)
-    pivots = []
-    for pivot in range(size):
-        pivots.append(rows[pivot, 0])
-        column, rows = rows[:, 0], rows[:, 1:]
-        row = rows[pivot] / column[pivot]
-        is_pivot = jnp.arange(size)[:, None] == pivot
-        rows = jnp.where(is_pivot, row[None], rows - column[:, None] * row[None])
-    return rows, jnp.stack(pivots)
 
 
 def _later(blocks: Array) -> Array:

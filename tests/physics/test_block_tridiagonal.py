@@ -5,6 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from jaxrod.lanes.run_spec import in_one_kernel
 from jaxrod.statics.block_matrices import (
     BlockTridiagonal,
     as_dense,
@@ -12,6 +13,7 @@ from jaxrod.statics.block_matrices import (
     matrix_of,
     of_five_bands,
 )
+from jaxrod.statics.elimination import eliminate
 from physics.rods import difference, largest
 
 N, M = 7, 6
@@ -199,3 +201,16 @@ def test_a_batch_of_systems_is_solved_as_one_by_one():
     together = jax.vmap(solve)(*batch)
     one_by_one = jnp.stack([solve(*system) for system in several])
     assert difference(together, one_by_one) < 1e-15 * largest(one_by_one) * 10
+
+
+@pytest.mark.parametrize(("n", "m"), [(N, M), (4, 12), (3, 3)])
+def test_kernels_eliminate_by_columns_and_get_the_same(n, m):
+    matrix, right = random_matrix(5, n=n, m=m)
+    blocks = matrix.lower, matrix.diagonal, matrix.upper, right
+    solution, pivots = jax.jit(eliminate)(*blocks)
+    # A function of its own: programs inside and outside of kernels are not one.
+    with in_one_kernel():
+        program = jax.make_jaxpr(lambda *given: eliminate(*given))(*blocks)
+    by_columns = jax.core.eval_jaxpr(program.jaxpr, program.consts, *blocks)
+    assert largest(by_columns[0] - solution) <= 1e-14 * largest(solution)
+    assert largest(by_columns[1] - pivots) <= 1e-14 * largest(pivots)
