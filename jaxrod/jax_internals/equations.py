@@ -33,6 +33,7 @@ _PARAMETERS: dict[str, str] = {
     "unstack": "axis",
     # Indexing.
     "dynamic_slice": "slice_sizes",
+    "sort": "dimension is_stable num_keys",
     "gather": "dimension_numbers fill_value indices_are_sorted mode slice_sizes "
     "unique_indices",
     **dict.fromkeys(

@@ -116,9 +116,9 @@ def implicit(
 ) -> Implicit:
     """Steps implicitly: any step size is stable; only accuracy limits it.
 
-    For stiff or slender rods whose relevant motion is slow. A step costs as much as
-    tens of explicit steps. It pays off if the stable step is hundreds of times shorter
-    than the motion requires. A step that does not converge yields NaN, which
+    For stiff or slender rods whose relevant motion is slow. A step costs about as much
+    as a hundred explicit ones. It pays off if the stable step is about a thousand times
+    shorter than the motion requires. A step that does not converge yields NaN, which
     `jaxrod.health` reports.
 
     Args:

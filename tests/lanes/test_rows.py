@@ -263,3 +263,32 @@ def test_lanes_leave_a_loop_of_unknown_length_to_xla(way):
     jax.jit(many)(*given[:2], jnp.stack([given[2]] * 9), given[3])
     choice = lane_choices()[-1]
     assert not choice.taken and "length depends on numbers" in choice.why
+
+
+def sorted_rows(keys, numbers, total):
+    """A step that sorts keys and what belongs to them."""
+    order = jnp.argsort(keys)
+    first, more = jax.lax.sort((keys, numbers), num_keys=1)
+    return [jnp.roll(first, 1), numbers, total + numbers[order] + 2 * jnp.cumsum(more)]
+
+
+@pytest.mark.parametrize("n", [1, 3, 7, 1000])
+def test_rows_sort_by_whole_numbers_and_keep_the_order_of_equals(n):
+    rng = np.random.default_rng(n)
+    keys = rng.integers(-4, 4, n) * rng.choice([1, 77777, 2**28], n)
+    keys[0] = -(2**31)
+    given = (jnp.asarray(keys, jnp.int32), jnp.asarray(rng.normal(size=n)))
+    given = (*given, jnp.zeros(n))
+    kernel, rows, xla = compared_with_xla(sorted_rows, given, 0)
+    assert kernel.text.count("define internal void @ordered") == 1
+    np.testing.assert_array_equal(rows[0], xla[0])
+    np.testing.assert_allclose(rows[2], xla[2], rtol=1e-12, atol=1e-12)
+
+
+def test_rows_leave_other_sorts_to_xla():
+    for keys in (jnp.zeros(9), jnp.zeros((9, 9), jnp.int32)):
+        body = LoopBody(jax.make_jaxpr(lambda x: [jnp.sort(x)])(keys), 0)
+        use_lanes("rows")
+        run = lambda x, b=body: cycles_p.bind(jnp.int32(1), x, spec=RunSpec(b, None))
+        jax.jit(run)(keys)
+        assert lane_choices()[-1].why == "lanes have no 'sort'"

@@ -285,6 +285,16 @@ def branched(unroller: Unroller, equation: Any, index: Any, *arrays: Any) -> Any
     return results
 
 
+@rule("sort")
+def ordered(unroller: Unroller, equation: Any, *arrays: Any) -> Any:
+    """Refuses `sort`, which only rows have.
+
+    Raises:
+        NotUnrolled: Always.
+    """
+    raise NotUnrolled("lanes have no 'sort'")
+
+
 @rule("platform_index")
 def by_platform(unroller: Unroller, equation: Any) -> Any:
     """Returns the index of the default variant of a program with variants by platform.

@@ -332,9 +332,8 @@ class RowWriter(LoopWriter):
         self.width, self.dims, self.indices = 1, (), []
         self.lines, self.before = lines, [lines]
         self.names, self.spreads = {}, {}
-        nested = self.graph.extras[node]
-        nested.write(self, f"n{number}", self.graph.arguments[node])
-        self.nested.append(nested)
+        made = self.graph.extras[node]
+        made.write(self, f"n{number}", self.graph.arguments[node])
         return lines
 
     def _straight(self, loop: Loop) -> Lines:

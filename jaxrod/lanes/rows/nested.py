@@ -172,6 +172,7 @@ class NestedLoop(RowFunctions):
             arguments: Stored nodes of the operands that are not known numbers.
         """
         self.compile()
+        writer.nested.append(self)
         schedule, graph = writer.schedule, writer.graph
         room = schedule.room(self.room)
 
