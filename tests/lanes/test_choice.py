@@ -107,3 +107,19 @@ def test_reverse_passes_of_batches_are_lanes_in_loops():
     jax.jit(jax.vmap(jax.grad(final, allow_int=True)))(shaken(state, 8, 0))
     assert any(made.why.startswith("lanes in loops") for made in lane_choices())
     assert all(made.taken for made in lane_choices())
+
+
+@pytest.mark.slow
+def test_searches_among_thousands_of_elements_are_kernels():
+    numbers = dict(length=1.0, radius=0.01, density=1e3, youngs_modulus=1e6)
+    rod, one = jaxrod.straight_rod(1100, **numbers)
+    _, other = jaxrod.straight_rod(1100, start=(0.05, 0.0, 0.0), **numbers)
+    state = {"one": one, "other": other}
+    lists = jaxrod.systems.neighbour_lists(pairs=3000, candidates=9000, cell_slots=40)
+    contact = jaxrod.systems.rod_contact("one", "other", stiffness=1e3, lists=lists)
+    members = {name: jaxrod.make_scene(rod) for name in state}
+    system = jaxrod.make_system(members, contact, state=state)
+    choice._choices.clear()
+    jaxrod.advance(system, state, 1e-6, 2)
+    chosen = lane_choices()
+    assert len(chosen) >= 3 and all(one.taken for one in chosen), chosen

@@ -84,23 +84,16 @@ class Rows:
     `order`, for each first element."""
     order: Int[Array, " other"]
     """Indices of the second elements, sorted by cell if there are cells."""
-    wide: Int[Array, ""]
-    """Number of rows per stretch: the size of the longest stretch, at most `slots`."""
     slots: int = static()
-    """Static upper bound of `wide`: most elements tested in a stretch."""
+    """Number of rows per stretch: most elements tested in a stretch."""
     complete: bool = static(default=False)
     """Whether all rows are tested together: there is one stretch, which contains all
     second elements in order, at most `MOST_AT_ONCE`."""
 
     @property
-    def room(self) -> int:
-        """Static upper bound of `count`: stretches times `slots`."""
+    def count(self) -> int:
+        """Number of rows to test: stretches times `slots`."""
         return self.begin.shape[0] * self.slots
-
-    @property
-    def count(self) -> Array:
-        """Number of rows to test: stretches times `wide`."""
-        return self.begin.shape[0] * self.wide
 
     def places(self, row: Array, own: Array | slice) -> tuple[Array, Array]:
         """Positions in `order` of the second elements that a row tests, and a mask.
@@ -108,7 +101,7 @@ class Rows:
         They are tested against the first elements `own`. The mask is false where the
         stretch of a first element has no entry in this row.
         """
-        stretch, slot = row // self.wide, row % self.wide
+        stretch, slot = row // self.slots, row % self.slots
         place = self.begin[stretch, own] + slot
         most = self.order.shape[0] - 1
         return jnp.minimum(place, most), slot < self.held[stretch, own]
@@ -191,7 +184,6 @@ def all_rows(own: Bounds, other: Bounds) -> Rows:
         begin=jnp.zeros((1, size), jnp.int32),
         held=jnp.full((1, size), count, jnp.int32),
         order=jnp.arange(count, dtype=jnp.int32),
-        wide=jnp.asarray(count, jnp.int32),
         slots=count,
         complete=count <= MOST_AT_ONCE,
     )
@@ -228,7 +220,7 @@ def rows_of_cells(
     begin, end = _count(ordered, low - 1), _count(ordered, high)
     held = jnp.where(exists, end - begin, 0)
     most = jnp.max(held)
-    return Rows(begin, held, order, jnp.clip(most, 1, slots), slots), most
+    return Rows(begin, held, order, slots), most
 
 
 @pytree
@@ -260,7 +252,7 @@ class CandidateList:
         column = jnp.minimum(_count(until, number), until.shape[0] - 1)
         before = jnp.where(column > 0, until[column - 1], 0)
         count = lambda row: self.running[row, column]
-        row = _reached(count, number - before, rows.count, rows.room)
+        row = _reached(count, number - before, rows.count)
         found = rows.order[rows.places(row, column)[0]]
         there = number < jnp.minimum(until[-1], self.size)
         if self.once:
@@ -314,16 +306,15 @@ def candidates(
     fields = (other.middle, _half_length(other) + other.reach, other.numbers)
     there = gather(fields, rows.order)
 
-    def counted(row: Array, carry: tuple[Array, Array]) -> tuple[Array, Array]:
-        before, running = carry
+    def counted(before: Array, row: Array) -> tuple[Array, Array]:
         place, exists = rows.places(row, slice(None))
         (u, v, w), farther, fellow = gather(there, place)
         square = (x - u) ** 2 + (y - v) ** 2 + (z - w) ** 2
         near = exists & (square <= (reach + farther) ** 2)
         if once:
-            near = near & ((row >= rows.wide) | (own.numbers < fellow))
+            near = near & ((row >= rows.slots) | (own.numbers < fellow))
         after = before + near.astype(before.dtype)
-        return after, lax.dynamic_update_index_in_dim(running, after, row, 0)
+        return after, after
 
     if rows.complete:
         # Every row has one second element, the same for all first elements.
@@ -337,8 +328,8 @@ def candidates(
         until = jnp.cumsum(running[-1])
         return CandidateList(rows, running, until, size, once, near)
     none = jnp.zeros(x.shape, jnp.int32)
-    running = jnp.zeros((rows.room, *x.shape), jnp.int32)
-    total, running = lax.fori_loop(0, rows.count, counted, (none, running))
+    every = jnp.arange(rows.count, dtype=jnp.int32)
+    total, running = lax.scan(counted, none, every)
     return CandidateList(rows, running, jnp.cumsum(total), size, once)
 
 
@@ -393,18 +384,15 @@ def pairs_within(
     return NeighbourList(kept[:, 0], kept[:, 1], there), taken
 
 
-def _reached(
-    running: Callable[[Array], Array], rank: Array, size: Array, room: int
-) -> Array:
+def _reached(running: Callable[[Array], Array], rank: Array, size: int) -> Array:
     """First index at which a running count exceeds `rank`, by bisection.
 
     Args:
         running: Function from an index to the count there.
         rank: Count to exceed.
         size: Number of indices.
-        room: Largest possible number of indices, known when the program is compiled.
     """
-    place, step = jnp.zeros_like(rank), 1 << (room.bit_length() - 1)
+    place, step = jnp.zeros_like(rank), 1 << (size.bit_length() - 1)
     while step:
         tried = jnp.minimum(place + step, size)
         below = running(tried - 1) <= rank
