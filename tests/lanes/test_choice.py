@@ -119,6 +119,7 @@ def test_searches_among_thousands_of_elements_are_kernels():
     contact = jaxrod.systems.rod_contact("one", "other", stiffness=1e3, lists=lists)
     members = {name: jaxrod.make_scene(rod) for name in state}
     system = jaxrod.make_system(members, contact, state=state)
+    use_lanes("auto")
     choice._choices.clear()
     jaxrod.advance(system, state, 1e-6, 2)
     chosen = lane_choices()
