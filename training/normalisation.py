@@ -89,9 +89,12 @@ def normalise(
 ) -> Float[Array, "*batch size"]:
     """Normalised samples: (x - mean) / sqrt(variance + 1e-8), clipped to +-`limit`.
 
-    The term 1e-8 keeps components of zero variance finite.
+    A component that never varied is always 0. Networks have not learned what it means,
+    and the noise of a real sensor, divided by almost nothing, would drown all others.
     """
     leading = tuple(range(samples.ndim - 1))
     mean = jnp.expand_dims(moments.mean, leading)
-    scale = jnp.expand_dims(jax.lax.rsqrt(moments.variance + 1e-8), leading)
+    varied = moments.variance > 0
+    scale = jnp.where(varied, jax.lax.rsqrt(moments.variance + 1e-8), 0)
+    scale = jnp.expand_dims(scale, leading)
     return jnp.clip((samples - mean) * scale, -limit, limit)

@@ -5,66 +5,143 @@ its model, drawn for every episode. Commands arrive 20 ms late. Positions have n
 5 mm, and each marker on the arm is missing half of the time. Four learners train on
 this: PPO without memory (`mlp`), with a recurrent policy (`recurrent`), and each of
 them also with a critic that sees everything (`mlp-privileged`,
-`recurrent-privileged`). `ideal` is PPO without memory and without any of these faults.
-Each policy is then evaluated without noise in its actions, on the task on which it was
-trained. Writes a record of every run into records.
+`recurrent-privileged`). `ideal` is PPO without memory and without any of these faults,
+and `mlp-delay`, `mlp-dropout`, `mlp-noise` and `mlp-stiffness` have one of them. Each
+policy is then evaluated without noise in its actions, on the task on which it was
+trained, and on arms ten per cent softer and stiffer than any of the training.
+
+`faults` trains nothing on faults. It evaluates the policy of `ideal` under each fault,
+and a planner that knows everything (`jaxrod.control.mpc`), with the delay and without.
+So it tells what a fault costs by physics from what it costs a learner. Writes a record
+of every run into records.
 """
 
 from __future__ import annotations
 
 import argparse
+import dataclasses
 from pathlib import Path
 from typing import Any
 
+import jax.numpy as jnp
+import numpy as np
+
 from benchmarks.shared.clocks import Clocks
-from benchmarks.shared.learners import add_run_arguments, returns, run_all
+from benchmarks.shared.learners import EPISODES, add_run_arguments, returns, run_all
+from jaxrod.control import mpc
 from jaxrod.envs import Environment, make
 from jaxrod.installation.machine import processor_and_versions
-from jaxrod.training import PPOConfig, train
+from jaxrod.training import PPOConfig, evaluate, train
 
 RECORDS = Path(__file__).with_name("records")
 DELAY = 0.02
 """Delay of the commands [s]."""
 MARKERS = 11
 """Points of the arm in the observation: x of each, then y, then z."""
+STIFFNESS = "arm.rod.bend_twist_stiffness"
+OUTSIDE = (0.9 * 0.7, 1.1 * 1.3)
+"""Stiffness of arms outside of the training [of the nominal one]."""
+DELAYS = (1, 2, 4, 7, 14)
+"""Delays under which the policy of `ideal` is tried [control steps]."""
+PLAN: dict[str, Any] = {
+    "shape": "steps",
+    "horizon": 48,
+    "knots": 3,
+    "replan": 16,
+    "hold": 16,
+    "effort": 1e-2,
+    "smoothness": 0.0,
+}
+"""Plans of three actions, each held; they look beyond the delay."""
+PLANNED = {"episodes": 8, "seed": 2}
+"""Episodes of the planner: fewer, because every plan differentiates the arm."""
 COMMON: dict[str, Any] = {
     "num_envs": 128,
-    "action_repeat": 4,
-    "rollout_steps": 64,
-    "discount": 0.96,
+    "action_repeat": 8,
+    "rollout_steps": 32,
+    "discount": 0.93,
     "max_log_std": 0.0,
     "final_max_log_std": -1.5,
 }
 """Settings of all learners that differ from PPO's defaults."""
 GRU: dict[str, Any] = {"gru_units": 64, "epochs": 4}
+FAULTS = ("delay", "dropout", "noise", "stiffness")
 LEARNERS: dict[str, dict[str, Any]] = {
     "ideal": {},
     "mlp": {},
     "recurrent": GRU,
     "mlp-privileged": {"privileged_critic": True},
     "recurrent-privileged": GRU | {"privileged_critic": True},
+    **{f"mlp-{fault}": {} for fault in FAULTS},
+    "faults": {},
 }
 """Settings by learner, beside those common to all."""
 
 
-def task(name: str) -> Environment:
-    """The task of a learner: `ideal` has none of the trouble."""
-    plain: Any = make("tracking", variant="clean")
-    if name == "ideal":
-        return plain
-    late = round(DELAY / plain.control_period)
-    trouble = {
-        "delay": [late, late],
-        "parameters": {
-            "arm.rod.bend_twist_stiffness": {"uniform": [0.7, 1.3], "scaled": True}
-        },
-        "noise": {"points of the arm": 0.005, "position of the target": 0.005},
+def options(plain: Environment, *faults: str) -> dict[str, Any]:
+    """Options of a randomisation that has these faults."""
+    period: float = getattr(plain, "control_period")  # noqa: B009
+    late = round(DELAY / period)
+    every: dict[str, dict[str, Any]] = {
+        "delay": {"delay": [late, late]},
         "dropout": {
-            f"{k}, {k + MARKERS}, {k + 2 * MARKERS}": 0.5 for k in range(MARKERS)
+            "dropout": {
+                f"{k}, {k + MARKERS}, {k + 2 * MARKERS}": 0.5 for k in range(MARKERS)
+            },
+            "flags": True,
         },
-        "flags": True,
+        "noise": {
+            "noise": {"points of the arm": 0.005, "position of the target": 5e-3}
+        },
+        "stiffness": {
+            "parameters": {STIFFNESS: {"uniform": [0.7, 1.3], "scaled": True}}
+        },
     }
-    return make("tracking", variant="clean", randomise=trouble)
+    return {key: value for fault in faults for key, value in every[fault].items()}
+
+
+def task(name: str) -> Environment:
+    """The task of a learner: `ideal` has no faults, `mlp-delay` has one."""
+    plain = make("tracking", variant="clean")
+    if name in ("ideal", "faults"):
+        return plain
+    _, _, last = name.partition("-")
+    faults = (last,) if last in FAULTS else FAULTS
+    return make("tracking", variant="clean", randomise=options(plain, *faults))
+
+
+def outside(env: Any, policy: Any) -> list[float]:
+    """Mean returns on arms of each stiffness in `OUTSIDE`."""
+    params = env.default_params()
+    found = []
+    for stiffness in OUTSIDE:
+        ranges = {STIFFNESS: jnp.full_like(params.ranges[STIFFNESS], stiffness)}
+        apart = dataclasses.replace(params, ranges=ranges)
+        found.append(evaluate(env, policy, env_params=apart, **EPISODES).mean)
+    return found
+
+
+def without_learning(plain: Environment, policy: Any) -> dict[str, float]:
+    """Mean returns under single faults, of a policy that never met them."""
+    found = {}
+    for fault in ("dropout", "noise", "stiffness"):
+        given = options(plain, fault) | {"flags": False}
+        env = make("tracking", variant="clean", randomise=given)
+        found[fault] = evaluate(env, policy, **EPISODES).mean
+    late = make("tracking", variant="clean", randomise={"delay": [0, DELAYS[-1]]})
+    params: Any = late.default_params()
+    for delay in DELAYS:
+        actuator = {"delay": jnp.full_like(params.actuator["delay"], delay)}
+        fixed = dataclasses.replace(params, actuator=actuator)
+        found[f"delay of {delay}"] = evaluate(
+            late, policy, env_params=fixed, **EPISODES
+        ).mean
+    for name, env in (
+        ("planner", make("tracking", variant="clean", randomise={"delay": 0})),
+        (f"planner, delay of {DELAYS[-1]}", task("mlp-delay")),
+    ):
+        found[name] = float(np.mean(evaluate(env, mpc(env, **PLAN), **PLANNED).returns))
+    return found
 
 
 def trained(name: str, seed: int, steps: int) -> dict[str, Any]:
@@ -82,11 +159,17 @@ def trained(name: str, seed: int, steps: int) -> dict[str, Any]:
     )
     wall, cpu = clocks.read()
     columns = ("env_steps", "episode_return_mean", "action_std")
+    more: dict[str, Any] = {}
+    if name == "faults":
+        more["without_learning"] = without_learning(env, result.policy)
+    elif STIFFNESS in getattr(env.default_params(), "ranges", {}):
+        more["outside"] = outside(env, result.policy)
     return {
         "learner": name,
         "seed": seed,
         "control_steps": result.summary["env_steps"],
         **returns(env, result.policy),
+        **more,
         "return_in_training": result.summary["final_score"],
         "wall_s": wall,
         "processor_s": cpu,

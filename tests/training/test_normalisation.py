@@ -63,6 +63,16 @@ def test_nothing_seen_changes_nothing_and_constants_stay_finite():
     np.testing.assert_array_equal(normalise(batch_moments(constant), constant, 5.0), 0)
 
 
+def test_an_entry_that_never_varied_says_nothing():
+    # A clamped end is still in simulation, and trembles in the eye of a camera.
+    seen = np.random.default_rng(5).normal(size=(100, 2))
+    seen[:, 0] = 0.3
+    moments = merge_moments(batch_moments(seen[:40]), batch_moments(seen[40:]))
+    shaken = normalise(moments, seen + 0.005, 10.0)
+    np.testing.assert_array_equal(shaken[:, 0], 0)
+    assert np.all(shaken[:, 1] != 0)
+
+
 def test_result_is_clipped():
     samples = np.array([[1e6], [-1e6]])
     result = normalise(no_moments(1, np.float64), samples, 10.0)
