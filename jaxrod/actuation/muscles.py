@@ -50,7 +50,7 @@ from jaxrod.actuation.section_load import (
 )
 from jaxrod.effects.base import Reach, StabilityBound
 from jaxrod.effects.clamps import Clamp
-from jaxrod.effects.time import Scheduled, Timed, as_timed
+from jaxrod.effects.time import Scheduled, Timed, as_timed, is_schedule
 from jaxrod.geometry import vectors
 from jaxrod.geometry.rotations import Quaternion, multiply_quaternions
 from jaxrod.geometry.vectors import Vec3
@@ -342,7 +342,10 @@ class Muscle(SectionLoad):
         """The same muscles in `new_rod`, interpolated along the rod."""
         old, new = middle_places(rod), middle_places(new_rod)
         activation = self.activation
-        if isinstance(activation, Array) and activation.ndim == 2:
+        if is_schedule(activation):
+            if jnp.ndim(activation.largest) == 2:
+                activation = activation.resampled_along(old, new)
+        elif jnp.ndim(activation) == 2:
             activation = resampled_along(activation, old, new)
         return replace(
             self,

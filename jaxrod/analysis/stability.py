@@ -48,6 +48,7 @@ counted: with strong damping of this kind, steps up to 25 times as large were st
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from functools import partial
 from typing import Any, NamedTuple, TypeVar, overload
 
@@ -62,11 +63,25 @@ from jaxrod.analysis.frequency import (
     fastest_vibration,
     no_damping,
 )
+from jaxrod.effects.base import Effect, StabilityBound
+from jaxrod.effects.time import depends_on_time
 from jaxrod.geometry import vectors
-from jaxrod.geometry.rotations import directors, split_quaternion
-from jaxrod.loaded_rod import LoadedRod, check_scene, damping_rates, scene_of
+from jaxrod.geometry.rotations import (
+    conjugate,
+    directors,
+    multiply_quaternions,
+    rotation_log,
+    split_quaternion,
+)
+from jaxrod.loaded_rod import (
+    LoadedRod,
+    check_scene,
+    check_scene_and_state,
+    damping_rates,
+)
 from jaxrod.methods.drag_kick import without_drag
 from jaxrod.model import Model, check_model
+from jaxrod.rods.motion import Loads, Motion, motion_of
 from jaxrod.rods.rod import Rod, RodState
 from jaxrod.structure import pytree
 from jaxrod.validation import as_array, check_array
@@ -145,7 +160,9 @@ def stable_dt(
         scene: The scene, or a system; schedules count with their `largest` values.
         safety: Fraction of the limit to use, in (0, 1]: 0.5 is cautious, 0.9 fast.
             Above 0.9 a rod that is compressed while it moves may blow up.
-        state: The deformation at which to measure, if any.
+        state: The deformation at which to measure, if any. Effects with schedules are
+            not measured there: they count with their bounds, so that the step is stable
+            at all times. Give `scene.at(time)` to measure them at one time.
 
     Returns:
         The step, and the element and motion that limit it.
@@ -179,8 +196,65 @@ def scene_stable_step(
         scene = without_drag(scene)
     if state is None:
         return _bounded(scene.at_largest, factor)
-    scene = scene_of(scene, state)
-    return _measured(scene, factor, state)
+    check_scene_and_state(scene, state)
+    return _measured(_at_most(scene.recalling(state), state), factor, state)
+
+
+@pytree
+class _AtMost(Effect):
+    """Effect in place of one with schedules: its bounds, as springs around a state."""
+
+    effect: Effect
+    """The effect, with schedules replaced by their largest values."""
+    still: Motion
+    """Configuration in which the springs have no load."""
+
+    def loads(self, rod: Rod, motion: Motion) -> Loads:
+        """Loads of the springs, which are as stiff as the effect ever is."""
+        bound = self.effect.stability_bound(rod)
+        if bound is None:
+            return Loads()
+        forces = couples = None
+        if bound.nodes is not None:
+            moved = vectors.subtract(motion.position, self.still.position)
+            forces = vectors.scale(-bound.nodes, moved)
+        if bound.elements is not None:
+            back = conjugate(self.still.orientation)
+            turned = rotation_log(multiply_quaternions(back, motion.orientation))
+            couples = vectors.scale(-bound.elements, turned)
+        return Loads(forces, couples)
+
+    def stability_bound(self, rod: Rod) -> StabilityBound | None:
+        """Bounds of the effect, for their drag."""
+        return self.effect.stability_bound(rod)
+
+    def damping_rates(self, rod: Rod) -> tuple[Array, Array] | None:
+        """Decay rates of the effect."""
+        return self.effect.damping_rates(rod)
+
+    def constrain(self, rod: Rod, motion: Motion) -> Motion:
+        """Positions and orientations that the effect holds."""
+        return self.effect.constrain(rod, motion)
+
+    def constrain_rates(self, rod: Rod, motion: Motion) -> Motion:
+        """Velocities and spins that the effect holds."""
+        return self.effect.constrain_rates(rod, motion)
+
+
+def _at_most(scene: LoadedRod, state: RodState) -> LoadedRod:
+    """Scene whose effects with schedules are as stiff around a state as they ever are.
+
+    Their stiffness at other times is less, in every direction.
+    """
+    if not scene.depends_on_time:
+        return scene
+    still = motion_of(state).at_rest
+    pairs = zip(scene.effects, scene.at_largest.effects, strict=True)
+    effects = tuple(
+        _AtMost(largest, still) if depends_on_time(effect) else effect
+        for effect, largest in pairs
+    )
+    return replace(scene, effects=effects)
 
 
 def scene_step_warning(

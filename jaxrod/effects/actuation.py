@@ -25,6 +25,7 @@ from jaxrod.effects.time import (
     at_clock,
     at_largest,
     depends_on_time,
+    is_schedule,
 )
 from jaxrod.geometry import vectors
 from jaxrod.geometry.matrices import Matrix, skew
@@ -330,7 +331,15 @@ class ElementCouples(Effect):
         return "couples in the material frame"
 
     def resampled(self, rod: Rod, new_rod: Rod) -> ElementCouples:
-        """Couples of the same density per rest length, interpolated along the rod."""
+        """Couples of the same density per rest length, interpolated along the rod.
+
+        Raises:
+            ValueError: If they are a schedule that cannot be interpolated.
+        """
+        timed: Any = self.couples
+        if is_schedule(timed):
+            old, new = (one.arc_length_midpoints for one in (rod, new_rod))
+            return ElementCouples(timed.resampled_along(old, new))
         density = interpolated(
             np.asarray(self.couples / rod.rest_lengths[None, :]),
             np.asarray(rod.arc_length_midpoints),

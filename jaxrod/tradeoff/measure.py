@@ -453,8 +453,10 @@ def _run(
     """
     act = workload.act(scene)
 
-    def period(state: Any, control: Array) -> tuple[Any, Array]:
-        state = advance(act(control), state, dt, substeps)
+    def period(state: Any, control: Array, first: Array) -> tuple[Any, Array]:
+        state = advance(act(control), state, dt, substeps, first=first)
         return state, workload.watch(scene, state)
 
-    return lax.scan(jax.vmap(period) if batched else period, state, controls)[1]
+    run = jax.vmap(period, in_axes=(0, 0, None)) if batched else period
+    firsts = jnp.arange(len(controls), dtype=jnp.int32) * substeps.astype(jnp.int32)
+    return lax.scan(lambda carry, now: run(carry, *now), state, (controls, firsts))[1]

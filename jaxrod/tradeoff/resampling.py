@@ -65,8 +65,9 @@ def resample(scene: Any, state: Any, n_elements: Any) -> tuple[Any, Any]:
 
     Raises:
         ValueError: If `n_elements` is out of range, an argument is traced, an effect
-            has memory or belongs to certain elements (a tendon), or a coupling is at a
-            point where the new rod has no node or belongs to certain elements (glue).
+            has memory, a schedule of numbers along the rod that cannot be interpolated,
+            or belongs to certain elements (a tendon), or a coupling is at a point where
+            the new rod has no node or belongs to certain elements (glue).
         TypeError: If `scene` or `state` has the wrong type.
 
     Example:
@@ -76,7 +77,6 @@ def resample(scene: Any, state: Any, n_elements: Any) -> tuple[Any, Any]:
     """
     check_model(scene)
     scene.check_state(state)
-    scene.check_moment()
     if scene.remembers:
         raise ValueError("resample needs a scene whose effects have no memory")
     members = scene.interfaces()

@@ -12,7 +12,7 @@ import jax.numpy as jnp
 import numpy as np
 
 import jaxrod
-from extremes.pair_kinds import random_kind
+from extremes.pair_kinds import Kind, random_kind
 from extremes.pair_scenes import scene_in
 from extremes.pair_system_kinds import random_system
 from extremes.pair_systems import system_in
@@ -300,7 +300,11 @@ class Structure:
     @staticmethod
     def of_scene(seed: int) -> Structure:
         """A random scene; not all of them can be made."""
-        kind = random_kind(np.random.default_rng([seed, 0]))
+        return Structure.of_kind(random_kind(np.random.default_rng([seed, 0])), seed)
+
+    @staticmethod
+    def of_kind(kind: Kind, seed: int) -> Structure:
+        """A scene of a kind."""
 
         def make(view: View, draw: int) -> Any:
             return *scene_in(view, kind, seed, draw), {"rod": "rod"}

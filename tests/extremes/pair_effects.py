@@ -201,6 +201,26 @@ def _sticking(self: Maker) -> Any:
     return jaxrod.sticking_contact(touch, self.rod, self.state)
 
 
+def _moving(self: Maker, many: int = 0, *, sticks: bool = False) -> Any:
+    """Contact with bodies that move and turn about a point near them."""
+    view, kind = self.view, self.kind
+    touch = _sticking(self) if sticks else _contact(self, many)
+    way, axis = self.vector(0.02), self.random.normal(size=3)
+    if kind.flat:
+        axis *= [0, 0, 1]
+    about, angle = self.vector(0.2), self.uniform(-0.5, 0.5)
+    period = view.number(self.uniform(0.02, 0.1), "s")
+    # From zero on: where the bodies are at first is where the rod touches them.
+    start = lambda value: jaxrod.schedules.sine(value, period, mean=value, phase=-0.25)
+    return jaxrod.moving_contact(
+        touch,
+        displacement=start(view.vector(way, "m")),
+        axis=view.vector(axis),
+        angle=start(np.array(angle)),
+        about=view.place(about),
+    )
+
+
 def _muscle(self: Maker, **more: Any) -> Any:
     view = self.view
     offsets = self.uniform(-1, 1, (2, 2)) * self.radius
@@ -432,6 +452,9 @@ MAKERS: dict[str, Callable[[Maker], Any]] = {
     "contact of many": lambda m: _contact(m, 2),
     "near contact": _near,
     "sticking contact": _sticking,
+    "moving contact": _moving,
+    "moving contact of many": lambda m: _moving(m, 2),
+    "moving sticking contact": lambda m: _moving(m, sticks=True),
     "muscle": _muscle,
     "helical muscle": _helical,
     "muscle across": lambda m: _muscle(m, across=True, offsets=None),

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -54,6 +54,12 @@ EFFECTS = (
     "plastic bending",
     "sticking contact",
 )
+MOVING = {
+    "contact": "moving contact",
+    "contact of many": "moving contact of many",
+    "sticking contact": "moving sticking contact",
+}
+"""Contact with bodies that move, in place of that with fixed ones."""
 ONE_WAY = {
     "tendon",
     "anchored tendon",
@@ -89,7 +95,12 @@ PLANAR = {
     "plastic bending",
     "sticking contact",
 }
-FRAMED = {"relaxing solid", "wires that slip", "plastic bending", "sticking contact"}
+FRAMED = {
+    "relaxing solid",
+    "wires that slip",
+    "plastic bending",
+    "sticking contact",
+}
 """Effects with memory, which need frames of elements."""
 
 
@@ -151,7 +162,7 @@ def random_kind(random: np.random.Generator) -> Kind:
         allowed = [e for e in allowed if e not in ("laplacian filter", "linear damper")]
     picked = random.choice(allowed, size=int(random.integers(2, 5)), replace=False)
     drags = [e for e in picked if e in DRAGS]
-    return Kind(
+    kind = Kind(
         method,
         str(random.choice(SUPPORTS[:4] if method == "torsion free" else SUPPORTS)),
         tuple(str(e) for e in picked if e not in drags[1:]),
@@ -161,3 +172,7 @@ def random_kind(random: np.random.Generator) -> Kind:
         str(random.choice(("none", "even", "field"))),
         bool(random.random() < 0.5),
     )
+    # Last, so that all else of a seed is what it was without bodies that move.
+    if random.random() < 0.5:
+        return kind
+    return replace(kind, effects=tuple(MOVING.get(e, e) for e in kind.effects))

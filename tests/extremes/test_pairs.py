@@ -5,7 +5,14 @@ import numpy as np
 import pytest
 
 import jaxrod
-from extremes.pair_cases import ALLOWED, ROUNDING, STRUCTURES, differences
+from extremes.pair_cases import (
+    ALLOWED,
+    ROUNDING,
+    STRUCTURES,
+    Structure,
+    differences,
+)
+from extremes.pair_kinds import Kind
 from extremes.pair_scenes import rod_in
 from extremes.views import View, of_matrix, product, random_turn
 
@@ -22,12 +29,14 @@ def apart(case):
     ]
 
 
-def check(what, seed, pairs, record):
-    case = STRUCTURES[what](seed).examined(0, pairs)
+def check(what, seed, pairs, record, kind=None):
+    made = STRUCTURES[what](seed) if kind is None else Structure.of_kind(kind, seed)
+    case = made.examined(0, pairs)
     assert not apart(case)
     kinds = [r for r in case.results if not r[0].startswith("stable_dt")]
+    named = what if kind is None else " ".join((what, "of", kind.method, *kind.effects))
     record(
-        f"A random {what} (seed {seed}) and {len(kinds)} equivalent ones",
+        f"A random {named} (seed {seed}) and {len(kinds)} equivalent ones",
         "the same, over what rounding explains a hundredfold",
         max(ratio for _, ratio, *_ in kinds) / ALLOWED,
         at_most=1.0,
@@ -46,6 +55,23 @@ def test_a_scene_is_the_same_in_every_view(seed, record):
 def test_more_scenes(seed, record):
     """Reversed or reordered too, as one batch, and recorded."""
     check("scene", seed, "all", record)
+
+
+MOVING = (
+    ("consistent", ("gravity", "moving contact", "moving sticking contact")),
+    ("pyelastica", ("gravity", "moving contact of many")),
+    ("planar", ("gravity", "moving contact", "moving contact of many")),
+    ("torsion free", ("gravity", "moving contact of many")),
+    ("implicit", ("gravity", "moving contact")),
+)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("method", "effects"), MOVING)
+def test_bodies_that_move_are_the_same_in_every_view(method, effects, record):
+    """Far away, turned, in other units, one of a batch, two at once in any order."""
+    kind = Kind(method, "none", effects, 4, True, "round", "none", False)
+    check("scene", 5, "all", record, kind)
 
 
 @pytest.mark.slow

@@ -2,6 +2,7 @@
 
 import itertools
 from dataclasses import replace
+from functools import partial
 
 import jax
 import jax.numpy as jnp
@@ -10,6 +11,10 @@ import pytest
 
 import jaxrod
 from jaxrod import schedules, shapes, viz
+from jaxrod.effects.base import memory_of
+from jaxrod.extend import Loads
+from jaxrod.geometry.rotations import directors, multiply_quaternions
+from jaxrod.rods.motion import motion_of
 
 RADIUS, DENSITY, GRAVITY = 0.02, 1000.0, 9.81
 WEIGHT = GRAVITY * DENSITY * np.pi * RADIUS**2  # per length [N/m]
@@ -143,6 +148,69 @@ def test_a_floor_that_turns_pushes_like_a_rod_that_turns_the_other_way(method):
     np.testing.assert_allclose(
         turned, two.angular_momenta - turns.angular_momenta, atol=1e-13
     )
+
+
+def test_a_rod_that_moves_with_its_body_feels_what_it_felt_before():
+    """Forces turn with the body; their power is that on its moving surface."""
+    rod, state = straight(3)
+    random = np.random.default_rng(1)
+    nodes = state.positions + 1e-3 * random.normal(size=(3, 4))
+    state = replace(
+        state,
+        positions=nodes.at[2].add(-0.1 * RADIUS),
+        velocities=jnp.asarray(random.normal(size=(3, 4))),
+        angular_momenta=jnp.asarray(1e-4 * random.normal(size=(3, 3))),
+    )
+    fixed = jaxrod.sticking_contact(rough(), rod, state)
+    about, axis = np.array([0.3, -0.2, 0.1]), np.array([2.0, -1.0, 2.0]) / 3
+    speed, rate, time = np.array([0.5, 0.1, -0.2]), 2.0, 0.3
+    moving = jaxrod.moving_contact(
+        fixed,
+        displacement=steady(speed),
+        axis=axis,
+        angle=schedules.ramp(-10 * rate, 10 * rate, 20.0, start=-10.0),
+        about=about,
+    )
+    half = 0.5 * rate * time
+    quaternion = np.concatenate([[np.cos(half)], np.sin(half) * axis])
+    turn = np.stack(directors(tuple(quaternion)), axis=1)
+    centre = about + time * speed
+    arms = turn @ (np.asarray(state.positions) - about[:, None])
+    surface = speed[:, None] + np.cross(rate * axis, arms.T).T
+    frames = multiply_quaternions(quaternion, tuple(np.asarray(state.orientations)))
+    carried = replace(
+        state,
+        positions=jnp.asarray(centre[:, None] + arms),
+        orientations=jnp.asarray(np.stack(frames)),
+        velocities=jnp.asarray(turn @ np.asarray(state.velocities) + surface),
+    )
+    axes = np.asarray(carried.directors)
+    own = np.asarray(rod.principal_inertias) * np.einsum("ijn,j->in", axes, rate * axis)
+    momenta = turn @ np.asarray(state.angular_momenta)
+    momenta = momenta + np.einsum("ijn,in->jn", axes, own)
+    carried = replace(carried, angular_momenta=jnp.asarray(momenta))
+    effect = jaxrod.make_scene(rod, moving).at(time).effects[0]
+
+    @partial(jax.jit, compiler_options={"xla_backend_optimization_level": 0})
+    def felt(contact, state):
+        motion = motion_of(state)
+        kept = memory_of((contact.after_step(rod, motion, jnp.asarray(DT)),))
+        loads, energy = contact.loads(rod, motion), contact.energy(rod, state)
+        return loads, contact.reaction(rod, motion, Loads()), energy, kept
+
+    then, now = felt(fixed, state), felt(effect, carried)
+    forces, couples = np.stack(now[0].forces), np.stack(now[0].couples)
+    assert np.abs(forces).min() > 1e-3
+    np.testing.assert_allclose(forces, turn @ np.stack(then[0].forces), atol=1e-10)
+    np.testing.assert_allclose(couples, np.stack(then[0].couples), atol=1e-12)
+    couple = np.einsum("ijn,in->j", axes, couples)
+    moment = np.sum(np.cross(arms.T, forces.T), axis=0) + couple
+    np.testing.assert_allclose(now[1].couple, moment, atol=1e-10)
+    power = np.sum(forces * surface) + couple @ (rate * axis)
+    np.testing.assert_allclose(now[1].power, power, atol=1e-10)
+    pairs = (jax.tree.leaves(felt[2:]) for felt in (then, now))
+    for one, other in zip(*pairs, strict=True):
+        np.testing.assert_allclose(other, one, rtol=1e-9, atol=1e-12)
 
 
 @pytest.mark.slow

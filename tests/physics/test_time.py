@@ -212,13 +212,100 @@ def test_what_asks_about_one_moment_wants_to_know_which(rod_and_state):
         lambda: jaxrod.equilibrium(scene, state),
         lambda: jaxrod.natural_frequencies(scene, state),
         lambda: jaxrod.reactions(scene, state),
-        lambda: jaxrod.stable_dt(scene, state=state),
+        lambda: jaxrod.highest_frequency(scene, state),
     ):
         with pytest.raises(ValueError, match=r"give scene\.at\(time\)"):
             ask()
     scene.at(0.5).total_energy(state)
     jaxrod.health(scene.at(0.5), state, 1e-4)
     assert jaxrod.equilibrium(scene.at(0.5), state).converged
+
+
+def stiffening(name, state):
+    """An effect with a schedule, by name, and a support with one."""
+    growing = jaxrod.schedules.ramp(0.0, 400.0, 1.0)
+    pull = jaxrod.schedules.ramp((0.0, 0.0, 0.0), (0.0, 0.0, 20.0), 1.0)
+    turn = jaxrod.schedules.ramp(0.0, 1.0, 1.0)
+    floor = jaxrod.contact(jaxrod.shapes.plane((0.0, 0.0, -0.1)), stiffness=1e4)
+    return {
+        "spring": lambda: Spring(growing),
+        "follower load": lambda: jaxrod.end_load(pull, follower=True),
+        "wall": lambda: jaxrod.driven(state, axis=(0.0, 1.0, 0.0), angle=turn),
+        "floor": lambda: jaxrod.moving_contact(
+            floor, displacement=jaxrod.schedules.ramp((0.0,) * 3, (0.0, 0.0, 0.1), 1.0)
+        ),
+    }[name]()
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["spring", "follower load", "wall", "floor"])
+def test_a_step_measured_with_a_schedule_is_stable_at_all_times(name, rod_and_state):
+    rod, state = rod_and_state
+    bent = replace(state, positions=state.positions.at[0].add(0.01 * jnp.arange(5)))
+    scene = jaxrod.make_scene(rod, stiffening(name, state))
+    always = float(jaxrod.stable_dt(scene, 1.0, state=bent).dt)
+    measured = [
+        float(jaxrod.stable_dt(scene.at(t), 1.0, state=bent).dt)
+        for t in (0.0, 0.5, 1.0)
+    ]
+    assert always <= min(measured) * (1 + 1e-3)
+    assert always > 0.7 * min(measured)
+
+
+@pytest.mark.slow
+def test_a_schedule_without_stiffness_leaves_the_measured_step(rod_and_state):
+    rod, state = rod_and_state
+    weight = jaxrod.schedules.ramp((0.0,) * 3, (0.0, 0.0, -9.81), 1.0)
+    scene = jaxrod.make_scene(rod, jaxrod.clamp(state), jaxrod.gravity(weight))
+    still = replace(scene, effects=scene.effects[:1])
+    found, expected = (jaxrod.stable_dt(one, state=state).dt for one in (scene, still))
+    np.testing.assert_allclose(found, expected, rtol=1e-6)
+
+
+def timed_scene(rod, state):
+    """A clamped rod with a weight, a shape and muscles that change with time."""
+    table = jaxrod.schedules.table([0.0, 1.0], [[0.0, 0.0], [1.0, 0.5]])
+    return jaxrod.make_scene(
+        rod,
+        jaxrod.clamp(state),
+        jaxrod.gravity(jaxrod.schedules.ramp((0.0,) * 3, (0.0, 0.0, -9.81), 1.0)),
+        jaxrod.actuation.active_shape(
+            rod, curvature=jaxrod.schedules.ramp((0.0,) * 3, (1.0, 0.0, 0.0), 1.0)
+        ),
+        jaxrod.actuation.muscle(
+            rod, (2.0, 3.0), offsets=((0.01, 0.0),) * 2, activation=table
+        ),
+    )
+
+
+def test_resampling_and_a_moment_of_time_commute(rod_and_state):
+    rod, state = rod_and_state
+    scene = timed_scene(rod, state)
+    finer, moved = jaxrod.resample(scene, state, 7)
+    for t in (0.0, 0.3, 0.9):
+        expected, its_state = jaxrod.resample(scene.at(t), state, 7)
+        pairs = zip(
+            jax.tree.leaves((finer.at(t), moved)),
+            jax.tree.leaves((expected, its_state)),
+            strict=True,
+        )
+        for now, then in pairs:
+            np.testing.assert_allclose(now, then, rtol=1e-12, atol=1e-12)
+
+
+@pytest.mark.slow
+def test_schedules_of_numbers_along_the_rod_are_refused_by_name(rod_and_state):
+    rod, state = rod_and_state
+    rising = jaxrod.schedules.ramp(np.zeros((1, 4)), np.ones((1, 4)), 1.0)
+    muscle = jaxrod.actuation.muscle(
+        rod, 2.0, offsets=((0.01, 0.0),), activation=rising
+    )
+    spline = jaxrod.actuation.control_spline(4, rod.length)
+    turning = jaxrod.schedules.ramp(np.zeros((3, 4)), np.ones((3, 4)), 1.0)
+    couples = jaxrod.actuation.spline_couples(rod, spline, turning, 0.1)
+    for effect in (muscle, couples):
+        with pytest.raises(ValueError, match="a schedule of numbers along a rod"):
+            jaxrod.resample(jaxrod.make_scene(rod, effect), state, 8)
 
 
 def test_a_load_that_leaves_the_plane_later_is_refused_now(rod_and_state):

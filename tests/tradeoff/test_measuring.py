@@ -112,6 +112,20 @@ def test_own_scenes_become_workloads():
 
 
 @pytest.mark.slow
+def test_schedules_go_on_from_period_to_period():
+    rod, state = jaxrod.straight_rod(
+        4, length=1.0, radius=0.05, density=1000.0, youngs_modulus=1e6
+    )
+    pull = jaxrod.schedules.sine((0.0, 0.0, 2.0), period=0.07)
+    scene = jaxrod.make_scene(rod, jaxrod.clamp(state), jaxrod.uniform_load(pull))
+    work = workload_of(scene, state, duration=0.1, periods=5)
+    ready = prepare(work, Setting(4, dtype="float64"))
+    after = jaxrod.advance(scene, state, ready.setting.dt, 5 * ready.substeps)
+    points = after.positions[:, [0, 2, 4]].T
+    np.testing.assert_allclose(tips_of(work, ready)[-1], points, atol=1e-12)
+
+
+@pytest.mark.slow
 def test_a_slammed_arm_hits_its_post_and_converges():
     workload = slam()
     coarse, fine, finer = (

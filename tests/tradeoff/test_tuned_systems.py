@@ -16,6 +16,8 @@ from jaxrod.tradeoff.workload import Numbers, ends_and_middles
 from physics.validation import record as record
 from systems.members import rod
 
+X = (1.0, 0.0, 0.0)
+
 
 def frame(n=8):
     """A post, held at its base, and a shorter beam welded to the post's middle."""
@@ -28,6 +30,73 @@ def frame(n=8):
     }
     weld = jaxrod.systems.weld(("post", n // 2), ("beam", "base"), state)
     return jaxrod.make_system(members, weld, state=state), state
+
+
+def frame_in(units=(1.0, 1.0, 1.0), shift=0.0, turned=False):
+    """A post, a beam welded to its middle and a floor under the beam.
+
+    `units` are the numbers that a metre, a kilogram and a second are, `shift` is the
+    height of all [m]. If `turned`, the members and the sides of the weld change places.
+    """
+    m, kg, s = units
+
+    def part(n, length, height, way):
+        return jaxrod.straight_rod(
+            n,
+            length=length * m,
+            radius=0.01 * m,
+            density=1000.0 * kg / m**3,
+            youngs_modulus=1e6 * kg / (m * s**2),
+            start=(0.0, 0.0, (height + shift) * m),
+            direction=way,
+            dtype=jnp.float64,
+        )
+
+    (post, of_post), (beam, of_beam) = part(8, 0.4, 0, (0, 0, 1)), part(4, 0.3, 0.2, X)
+    down = jaxrod.gravity((0.0, 0.0, -9.81 * m / s**2))
+    floor = jaxrod.contact(
+        shapes.plane((0.0, 0.0, (0.185 + shift) * m)),
+        stiffness=3e3 * kg / (m * s**2),
+        damping=3.0 * kg / (m * s),
+    )
+    members = {
+        "post": jaxrod.make_scene(post, jaxrod.clamp(of_post), down),
+        "beam": jaxrod.make_scene(beam, down, floor),
+    }
+    state = {"post": of_post, "beam": of_beam}
+    sides = [("post", 4), ("beam", "base")]
+    if turned:
+        members, state = (dict(reversed(own.items())) for own in (members, state))
+        sides.reverse()
+    weld = jaxrod.systems.weld(*sides, state)
+    return jaxrod.make_system(members, weld, state=state), state
+
+
+def points_in(units=(1.0, 1.0, 1.0), shift=0.0, turned=False):
+    """Steps of a period, and the path of both rods seen from the floor [m]."""
+    system, state = frame_in(units, shift, turned)
+    work = workload_of(system, state, duration=0.1 * units[2], periods=5)
+    ready = prepare(work, Setting(8, dtype="float64"))
+    # Members are sorted by name, so that points are in the same order.
+    return ready, tips_of(work, ready) / units[0] - np.array([0.0, 0.0, shift])
+
+
+@pytest.mark.slow
+def test_settings_are_measured_alike_far_away_in_other_units_and_in_any_order():
+    """The steps that `stable_dt` allows, and the path, are the same."""
+    ready, path = points_in()
+    assert np.ptp(path[:, -1, 2]) > 1e-3
+    views = {
+        "far away": ({"shift": 300.0}, 1e-9),
+        "millimetres, grams, milliseconds": ({"units": (1e3, 1e3, 1e3)}, 1e-12),
+        "another order": ({"turned": True}, 1e-12),
+    }
+    for name, (view, allowed) in views.items():
+        own, found = points_in(**view)
+        assert own.substeps == ready.substeps, name
+        second = view.get("units", (1.0,) * 3)[2]
+        np.testing.assert_allclose(own.setting.dt / second, ready.setting.dt)
+        np.testing.assert_allclose(found, path, atol=allowed, err_msg=name)
 
 
 def test_rods_keep_their_proportion_and_have_nodes_at_joints():
