@@ -42,6 +42,7 @@ VARIANTS = {
     "snake": ("clean",),
     "octopus": ("clean",),
     "gripper": ("clean",),
+    "lift": ("clean",),
     "following": ("clean",),
 }
 """Tasks that are registered with Gymnasium, and the variants of each."""

@@ -1,1 +1,1 @@
-"""Soft bodies of the tasks outside the benchmark, and the effects on them."""
+"""Soft bodies of the tasks outside the benchmark, what acts on them, and a hand."""

@@ -35,6 +35,8 @@ def test_channels_of_a_task_are_its_whole_vector(task, vector):
         ("snake", ("controls",), ["current control values"]),
         ("snake", ("body", "positions"), ["cosine", "curvatures to", "rates", "veloc"]),
         ("octopus", ("controls",), ["current control values"]),
+        ("lift", ("velocity",), ["velocity of the hand"]),
+        ("lift", ("target",), ["vector from the free end", "vector from the hand"]),
         ("gripper", ("controls",), ["current control values", "offset of the ball"]),
     ],
 )

@@ -21,6 +21,7 @@ ZERO = {"dropout": 0.1, "delay": (0, 2), "lag": 1.0, "rate": 0.5, "saturation": 
 SMALL = {
     "following": {},
     "gripper": {},
+    "lift": {},
     "octopus": {},
     "reaching": {"n_elements": 10, "substeps": 2},
     "snake": {},

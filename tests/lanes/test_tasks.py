@@ -86,6 +86,7 @@ def test_arms_that_break_are_flagged_and_restart_alike():
     "task",
     [
         *("tracking", "reaching", "structured", "unstructured", "following", "snake"),
+        pytest.param("lift", marks=pytest.mark.slow),
         pytest.param("octopus", marks=pytest.mark.slow),
         pytest.param("gripper", marks=pytest.mark.slow),
     ],
