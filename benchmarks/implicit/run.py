@@ -39,8 +39,8 @@ The cost is wall-clock time per simulated second. "Scaled" means enlarged transv
 inertia (`scale_inertia`).
 
 A step of `jaxrod.implicit({radius})` costs as much as {least:.0f} to {most:.0f}
-explicit ones (table below). Scaled inertia makes explicit steps five to 25 times longer on
-slender rods. Implicit steps therefore pay off only if they can be about a thousand
+explicit ones (table below). Scaled inertia makes explicit steps five to 25 times longer
+on slender rods. Implicit steps therefore pay off only if they can be about a thousand
 times as long as the stable one.
 """
 STEPS_HEADER = """\
