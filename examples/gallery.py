@@ -17,6 +17,7 @@ import tomllib
 import types
 
 import jax
+import numpy as np
 
 import jaxrod
 
@@ -26,6 +27,15 @@ RECORDS = DOCS / "gallery" / "records.json"
 WORDS = tomllib.loads((HERE / "gallery.toml").read_text())
 LESSONS = WORDS.pop("lessons")
 SCENES = tuple(name for names in LESSONS.values() for name in names)
+# Numbers of what the change of a scene lets one see, from its replay.
+SEEN = {
+    # Distance of a tip from its root over the length of an arm.
+    "octopus": lambda replay: np.linalg.norm(
+        np.subtract(*replay.rods[0].positions[-1, 0, [-1, 0]]) / 0.2
+    ),
+    # Height of the highest node [mm].
+    "nest": lambda replay: 1e3 * replay.rods[0].positions[-1, ..., 2].max(),
+}
 HEAD = """\
 # Gallery
 
@@ -91,8 +101,10 @@ def measure(name):
     draw(name, replay, scene.LOOK)
     found = {"measured": measured, "reference": reference, "step_ms": 1e3 * dt}
     found["steps_per_second"] = rate(model, state, dt)
-    if "{changed}" in WORDS[name]["then"]:
-        found["changed"] = changed(name).run()[1]
+    if "{changed}" in WORDS[name]["then"] or name in SEEN:
+        other, found["changed"], _ = changed(name).run()
+    if name in SEEN:
+        found["seen"], found["seen_changed"] = map(SEEN[name], (replay, other))
     return {key: float(f"{number:.4g}") for key, number in found.items()}
 
 

@@ -17,7 +17,7 @@ WORD = re.compile(
     "|".join(rf"\b{word}\b".replace(" ", r"\s+") for word in RULES["words"]),
     re.IGNORECASE,
 )
-FOLDERS = ("jaxrod", "envs", "training", "examples")
+FOLDERS = ("jaxrod", "envs", "training", "examples", "benchmarks")
 PAGES = (
     *(ROOT / name for name in ("README.md", "CONTRIBUTING.md", "benchmarks/README.md")),
     *sorted((ROOT / "docs").glob("*.md")),

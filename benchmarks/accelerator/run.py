@@ -146,7 +146,7 @@ def beside(name: str, work: float, prepare: Callable[[], Callable[[], Any]]) -> 
 
     Args:
         name: First columns of the row.
-        work: What a call does, as a number; speeds are per second.
+        work: Number of units that a call computes; speeds are units per second.
         prepare: Function that returns a call that is not yet compiled.
     """
     speeds, firsts, why = [], [], ""
@@ -171,7 +171,7 @@ def _head(first: str, what: str) -> None:
 
 
 def rods(dtypes: Sequence[str], batches: Sequence[int]) -> None:
-    """Rod-steps per second of arms of 20 elements, each under couples of its own."""
+    """Rod-steps per second of arms of 20 elements, each under different couples."""
     _head("rods of 20 elements | dtype", "rod-steps/s")
     for dtype in dtypes:
         for batch in batches:
@@ -256,7 +256,7 @@ def _scene(kind: str, dtype: str) -> tuple[Any, Any, Any, int]:
 
 
 def tasks(names: Sequence[str], batches: Sequence[int]) -> None:
-    """Control steps per second of tasks, restarts and scores included."""
+    """Control steps per second of tasks, with restarts and scores."""
     _head("task | environments", "control steps/s")
     for name in names:
         env = make(name, variant="clean")

@@ -123,14 +123,14 @@ class Row:
     """Why ours differs; empty where it does not."""
 
     def named(self) -> list[str]:
-        """The learners it is about."""
+        """The learners that the row describes."""
         return _listed(self.algorithms, LEARNERS)
 
     def value(self) -> Any:
-        """Our value of the setting, the same for all that the row is about.
+        """Our value of the setting, the same for all learners of the row.
 
         Raises:
-            ValueError: it is not the same.
+            ValueError: The learners have different values.
         """
         values = [
             _default(name, self.setting)
@@ -148,7 +148,7 @@ def page(rows: Iterable[Row]) -> str:
     """The document.
 
     Raises:
-        ValueError: the rows are not of the settings as they are.
+        ValueError: The rows do not match the settings.
     """
     rows = list(rows)
     check(rows)
@@ -166,7 +166,7 @@ def page(rows: Iterable[Row]) -> str:
 
 
 def check(rows: list[Row]) -> None:
-    """Raises ValueError unless every setting is told once, and as it is."""
+    """Raises ValueError unless every setting is listed once, with its true value."""
     for name in LEARNERS:
         fields = dataclasses.fields(find_algorithm(name).config_type())
         _once(name, (field.name for field in fields), rows, name, "all")
@@ -185,7 +185,7 @@ def check(rows: list[Row]) -> None:
 def _once(
     what: str, settings: Iterable[str], rows: list[Row], name: str, case: str
 ) -> None:
-    """Raises ValueError unless the rows of a learner tell each setting once."""
+    """Raises ValueError unless the rows of a learner list each setting once."""
     told = Counter(
         row.setting
         for row in rows
@@ -203,7 +203,7 @@ def _once(
 
 
 def _told(row: Row) -> tuple[str, ...]:
-    """A row as the page has it."""
+    """A row of the page."""
     setting, reference, ours = f"`{row.setting}`", row.reference, row.ours
     if row.setting == "steps":
         setting, reference = "—", f"{reference} control steps"
@@ -216,7 +216,7 @@ def _told(row: Row) -> tuple[str, ...]:
 
 
 def _grouped(grid: Mapping[str, Mapping[str, Planned]]) -> Iterator[tuple[str, ...]]:
-    """Rows (cases, algorithms, setting, value) of a grid, as few as there can be."""
+    """Rows (cases, algorithms, setting, value) of a grid, as few as possible."""
     users: dict[tuple[str, str], dict[str, list[str]]] = {}
     for case, plans in grid.items():
         for name, plan in plans.items():
@@ -264,7 +264,7 @@ def _shown(value: Any) -> str:
 
 
 def _same(reference: str, value: Any) -> bool:
-    """Whether a value is what a cell says, as text or as a number."""
+    """Whether a cell states this value, as text or as a number."""
     try:
         return float(reference.replace(",", "")) == value
     except ValueError:

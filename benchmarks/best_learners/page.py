@@ -70,11 +70,11 @@ Other runs of the same kind, on the 64 episodes of seed 1 unless noted:
 
 
 def section(folder: Path, tasks: dict[str, int]) -> str:
-    """The section, from the records in a folder; empty where there are none.
+    """The section, from the records in a folder; empty without records.
 
     Args:
         folder: holds a record of every run.
-        tasks: names and numbers, in the order in which they are told.
+        tasks: names and numbers, in the order of the page.
     """
     known = [read_json(file) for file in sorted(folder.glob("*.json"))]
     if not known:

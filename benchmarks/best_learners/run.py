@@ -70,7 +70,7 @@ RECIPES: dict[str, tuple[Stage, ...]] = {
     "structured": (("ppo", 1_200_000, MAZE),),
     "unstructured": (("ppo", 2_400_000, MAZE),),
 }
-"""Learners of a task, one after the other; each begins with the policy before it."""
+"""Learners of a task in sequence; each starts from the policy of the one before."""
 
 
 def trained(task: str, seed: int, programs: dict[int, tuple[Any, float]]) -> Any:
@@ -78,9 +78,9 @@ def trained(task: str, seed: int, programs: dict[int, tuple[Any, float]]) -> Any
 
     Args:
         task: its name.
-        seed: of every stage.
-        programs: compiled updates of the task's stages, and the processor time that
-            took [s], which counts in every run; those that lack are added.
+        seed: The seed of every stage.
+        programs: Compiled updates of the task's stages, and the processor time of
+            compiling [s], which counts in every run. Missing ones are added.
     """
     env, episodes = make(task, variant="clean"), EPISODES[task]
     policy: Any = None

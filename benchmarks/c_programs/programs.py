@@ -32,7 +32,7 @@ class Program:
     def __init__(
         self, source: str, settings: Mapping[str, Any], bits: int, folder: Path
     ) -> None:
-        """Compiles the program for some settings and vectors of `bits` bits."""
+        """Compiles the program for some settings, with vectors of `bits` bits."""
         name = "_".join([Path(source).stem, *map(str, settings.values()), str(bits)])
         library = folder / f"{name}.so"
         given = [f"-D{key}={value}" for key, value in settings.items()]
@@ -82,7 +82,7 @@ def settings_of_lists(contact: Any) -> dict[str, int]:
 
 
 def numbers_of_state(state: Any, names: Sequence[str]) -> np.ndarray:
-    """Numbers of a rod's state, or of those of several, in the order of C programs.
+    """Numbers of the state of a rod or of several, in the order of C programs.
 
     `names` are the members of a system, one after another; none for a single rod.
     """

@@ -49,7 +49,7 @@ OFTEN = 4
 
 @dataclass(frozen=True)
 class Problem:
-    """A scene in one type, with everything its C program is given."""
+    """A scene in one type, with all arguments of its C program."""
 
     compared: Compared
     model: Any
@@ -84,7 +84,7 @@ class Problem:
         )
 
     def program(self, bits: int, folder: Path, **changes: int) -> Program:
-        """The C program, with vectors of so many bits."""
+        """The C program, with vectors of `bits` bits."""
         settings = {**self.settings, **changes}
         return Program(self.compared.source, settings, bits, folder)
 
@@ -127,7 +127,7 @@ def lists_of(model: Any) -> dict[str, int]:
 def figures(
     compared: Compared, dtype: str, folder: Path, window: float
 ) -> dict[str, float]:
-    """Times of all programs of a scene [us a step], and how far they are apart [1]."""
+    """Times of all programs of a scene [us a step], and largest difference [1]."""
     with jax.enable_x64(dtype == "float64"):
         problem = Problem.of(compared, dtype)
         runs: dict[str, Callable[[int], Any]] = {}

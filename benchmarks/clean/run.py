@@ -27,5 +27,5 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Runs the grid, or says what it would run."""
+    """Runs the grid, or lists what it would run."""
     return paper.run(args)

@@ -47,7 +47,7 @@ class Outcome:
     flagged: jax.Array
     """A health flag rose; from then on the arm is frozen."""
     flags: jax.Array
-    """Which, as in `FLAGS`."""
+    """The flags that rose, in the order of `FLAGS`."""
     smallest_stretch: jax.Array
     largest_stretch: jax.Array
     largest_joint_angle: jax.Array
@@ -160,7 +160,7 @@ def episode(index, key, mode, dtype, control_steps):
 
 @partial(jax.jit, static_argnames=("mode", "dtype", "control_steps"))
 def episodes(indices, mode, dtype, control_steps):
-    """A batch of episodes, numbered; each has randomness of its own."""
+    """A batch of numbered episodes; each has its own randomness."""
     keys = jax.vmap(lambda i: jax.random.fold_in(jax.random.key(2024), i))(indices)
     return jax.vmap(lambda i, k: episode(i, k, mode, dtype, control_steps))(
         indices, keys
@@ -168,7 +168,7 @@ def episodes(indices, mode, dtype, control_steps):
 
 
 def run(count, seconds, mode="consistent", dtype="float32", batch=64, offset=0):
-    """Runs episodes from number `offset` on; returns what became of them all."""
+    """Runs episodes from number `offset` on; returns all outcomes."""
     control_steps = round(seconds / (DT * SUBSTEPS))
     begin = time.perf_counter()
     parts = []

@@ -1,10 +1,10 @@
-"""Extreme actions among obstacles, in the library's physics, and what becomes of it.
+"""Extreme actions among obstacles, in the library's physics, and their outcomes.
 
 The tasks are Case 3 ("structured") or Case 4 ("unstructured") in the variant "clean",
 in float32. A third of the episodes hold one corner of the action space throughout, a
 third jump between corners every 0.14 s on average, a third draw a new action every
-time. Overlap of arm and obstacles is looked for after every step of the simulation, at
-the nodes and in the middle between them.
+time. Overlap of arm and obstacles is tested after every step of the simulation, at the
+nodes and halfway between them.
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ class Outcome:
     flagged: jax.Array
     """A health flag rose; from then on the arm is frozen."""
     flags: jax.Array
-    """Which, as in `FLAGS`."""
+    """The flags that rose, in the order of `FLAGS`."""
     penetration: jax.Array
     """Deepest overlap with an obstacle, over the arm's radius [1]."""
     smallest_stretch: jax.Array

@@ -1,10 +1,10 @@
 """Returns of learners in the task `following`, against the time it takes.
 
-A learner and a seed at a time. Now and then the clocks stop and the policy acts 64
-episodes without noise, the same for all seeds. Counted are the discounted return of an
-episode from its start, and the mean over all its moments of the discounted return from
-there to its end, which is what DisMech-RL's learning library reports. A record of a run
-is written after every evaluation.
+One learner and one seed run at a time. At intervals the clocks stop, and the policy
+acts 64 episodes without noise, the same for all seeds. The record has two numbers: the
+discounted return of an episode from its start, and the mean over all its steps of the
+discounted return from there to its end. DisMech-RL's learning library reports the
+second. A record of a run is written after every evaluation.
 """
 
 from __future__ import annotations
@@ -65,7 +65,7 @@ LEARNERS: dict[str, tuple[int, dict[str, Any]]] = {
 
 
 def player(n_elements: int) -> Callable[[Any], dict[str, float]]:
-    """A function that lets a policy, `None` for random actions, act the episodes."""
+    """Function that plays the episodes with a policy; `None` acts at random."""
     env = make("following", n_elements=n_elements)
     params = env.default_params()
 
@@ -103,7 +103,7 @@ def player(n_elements: int) -> Callable[[Any], dict[str, float]]:
 
 
 def discounted(rewards: np.ndarray) -> dict[str, float]:
-    """Discounted returns from the start and from any moment, of (episodes, steps)."""
+    """Discounted returns from the start and from any step, from (episodes, steps)."""
     length = rewards.shape[1]
     weights = DISCOUNT ** np.arange(length)
     # The reward of step k counts in the returns from all k + 1 moments before it.
@@ -158,7 +158,7 @@ def trained(name: str, seed: int) -> None:
 
 
 def act_at_random() -> None:
-    """Writes what random actions earn, and the most there is."""
+    """Writes the returns of random actions, and the largest possible return."""
     most = discounted(np.full((1, 500), 2.0))
     found = player(make("following").n_elements)(None)
     record = {"random": found, "most": most, "episodes": EPISODES}

@@ -24,7 +24,7 @@ from jaxrod.installation.machine import processor_and_versions
 
 
 def held(horizon: int, effort: float = 1e-2) -> dict[str, Any]:
-    """One change of the angles, held so long, planned anew in every control step."""
+    """One change of the angles over the horizon, planned again in each control step."""
     return {
         "horizon": horizon,
         "knots": 1,
@@ -36,7 +36,7 @@ def held(horizon: int, effort: float = 1e-2) -> dict[str, Any]:
 
 
 def line(horizon: int, hold: int) -> dict[str, Any]:
-    """A knot and a plan in every so many control steps."""
+    """One knot and one plan for every `hold` control steps."""
     return {"horizon": horizon, "knots": horizon // hold, "hold": hold, "replan": hold}
 
 

@@ -25,7 +25,7 @@ from benchmarks.shared.arguments import add_names
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Declares who acts."""
+    """Declares the policies and planners."""
     known = (*LEARNERS, "random", "script", "planned", *PLANNERS)
     add_names(parser, "who", known, "WHO", default=LEARNERS)
     parser.add_argument(

@@ -35,7 +35,7 @@ GRIDS = {
 
 
 def end_of_arcs(angles: Array, axes: Array) -> Array:
-    """End of the five arcs [m]; `axes` are the directors at the base, in rows."""
+    """End of the five arcs [m]; the rows of `axes` are the directors at the base."""
     step = LENGTH / (N_SEGMENTS * PIECES)
     place = jnp.zeros(3, angles.dtype)
     for segment in range(N_SEGMENTS):
@@ -54,7 +54,7 @@ def end_of_arcs(angles: Array, axes: Array) -> Array:
 
 
 def player(dynamics: bool) -> Callable[..., dict[str, float]]:
-    """Returns of the script, by the part, the time ahead and the damping."""
+    """Returns of the script, by fraction, look-ahead time and damping."""
     env = make("following")
     params = env.default_params()
     base = jnp.asarray(np.asarray(params.arm.rest.directors[:, :, 0]))

@@ -70,7 +70,7 @@ def measured(rods: int, steps: int, mode: str, elements: int) -> dict[str, Any]:
 
 
 def _status(name: str) -> int:
-    """A size that Linux keeps of this process [bytes]."""
+    """A size of this process that Linux records [bytes]."""
     text = Path("/proc/self/status").read_text()
     (line,) = (line for line in text.splitlines() if line.startswith(name + ":"))
     return int(line.split()[1]) * 1024

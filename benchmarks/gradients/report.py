@@ -218,7 +218,7 @@ class _Run:
 
 
 def without_contact(scene: Scene) -> Scene | None:
-    """Scene without contact; `None` if it has none in the first place."""
+    """Scene without its contact; `None` if it has no contact."""
     left = tuple(e for e in scene.effects if not isinstance(e, Contact))
     if len(left) == len(scene.effects):
         return None
@@ -230,7 +230,7 @@ Program = tuple[Callable[..., Any], tuple[Any, ...]]
 
 
 def _hurried(function: Callable[..., Any]) -> Callable[..., Any]:
-    """Function compiled quickly: it runs once, so LLVM need not optimise it."""
+    """Function compiled quickly: it runs once, so LLVM does not optimise it."""
     options: Any = {"xla_backend_optimization_level": 0}
     return jax.jit(function, compiler_options=options)
 

@@ -34,10 +34,10 @@ SECONDS = 30.0
 
 
 def in_other_python(python: str, seconds: float) -> dict[str, Any]:
-    """The bursts of gym-softrobot's arm, in a process of another Python.
+    """Bursts of gym-softrobot's arm, in a process with another Python.
 
     Raises:
-        ValueError: it cannot be measured there.
+        ValueError: That Python cannot run it.
     """
     try:
         done = subprocess.run(

@@ -42,8 +42,8 @@ PRESSED, PERIOD = 0.05, 4.0
 SD = {"film": 1e-3, "force": 0.05}
 """Size of the noise in every coordinate of every node [m], and in the sensor [N]."""
 TRUST = ((1.0, 1.0, 1e-3), (0.2, 1.0, 1e-3), (SD["force"], 0.1, 1e-6))
-"""Noise of the sensor as searches have it one after the other [N], the last the true
-one; the damping of their first step; the relative change that ends them."""
+"""For each search in turn: noise of the sensor [N], at last the true one; damping of
+the first step; relative change that ends the search."""
 TOLERANCE = 5e-6
 """Relative change that ends the search of joined windows."""
 UNEVEN = 5e-3
@@ -180,7 +180,7 @@ class Buckling:
         }
 
     def film(self, p: dict[str, Any], key: Any) -> Any:
-        """All frames, of a rod that is straight but for what cannot be seen."""
+        """All frames of a rod that is straight except for unobserved modes."""
         a, b = UNEVEN * jax.random.normal(key, (2, self.modes))
         start = {"amplitudes": a, "rates": b}
         return self.window(p, start, jnp.asarray(0), self.frames)
@@ -213,7 +213,7 @@ class Buckling:
         return {"amplitudes": values, "rates": slopes}
 
     def films(self, keys: Any) -> Any:
-        """Films of rods that are straight but for what cannot be seen, by keys."""
+        """Films of rods that are straight except for unobserved modes, by key."""
         return jax.vmap(lambda key: self.film(TRUTH, key))(keys)
 
     def apart(
@@ -300,5 +300,5 @@ class Buckling:
 
 
 def _joined(leaf: Array) -> Array:
-    """Windows of all films, one after the other."""
+    """Windows of all films along one axis."""
     return jnp.reshape(leaf, (-1, *leaf.shape[2:]))

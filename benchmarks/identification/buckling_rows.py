@@ -23,8 +23,8 @@ STIFF = (3.5, 1 / 3, 3.0, 0.25)
 def buckling_rows() -> Iterable[str]:
     """Four parameters at once, in windows that are joined.
 
-    Besides, what windows that are not joined make of the first draw, from afar and from
-    the truth, and a single run of its first film.
+    Also the first draw fitted in windows that are not joined, from a distant start and
+    from the truth, and in a single run of its first film.
     """
     with jax.enable_x64(True):
         yield from _rows()

@@ -27,7 +27,7 @@ def noisy(clean: Any, sd: Any, key: Any) -> Any:
 
 
 def timed(program: Callable[..., Any], *given: Any) -> tuple[Any, float, float]:
-    """Result of a program, and processor times of its first call and of another."""
+    """Result of a program, and processor times of its first and of its second call."""
     taken = []
     for _ in range(2):
         begin = time.process_time()
@@ -37,7 +37,7 @@ def timed(program: Callable[..., Any], *given: Any) -> tuple[Any, float, float]:
 
 
 def scaled(truth: dict[str, float], factors: Iterable[float]) -> dict[str, float]:
-    """Parameters off by factors, in the order in which they are written above."""
+    """Parameters multiplied by wrong factors, in the order above."""
     return {k: f * truth[k] for k, f in zip(truth, factors, strict=True)}
 
 

@@ -69,7 +69,7 @@ MOST_STIFF = 4.5e7
 
 
 class Drop:
-    """A clamped arm of 1 m, 10 cm thick, let go when horizontal: one second."""
+    """A clamped arm, 1 m long and 10 cm thick, released from horizontal: one second."""
 
     def __init__(self, n: int = 20, frames: int = FRAMES) -> None:
         """Sets the numbers of elements and frames."""
@@ -285,15 +285,15 @@ class Shapes:
         return jnp.cumsum(steps, axis=1)[:, self.every - 1 :: self.every]
 
     def match(self, markers: Any) -> Any:
-        """The arm whose equilibrium it is."""
+        """The arm whose equilibrium has these markers."""
         return match_shape(self.scene, self.state, markers, self.nodes)
 
 
 def shapes_rows() -> Iterable[str]:
     """Inverse design, of one shape and of a thousand.
 
-    One after the other (`lax.map`): under `vmap` all would search as long as the one
-    that is hardest.
+    In sequence (`lax.map`): under `vmap` every search would last as long as the
+    hardest one.
     """
     shapes = Shapes()
     for count in (1, 1000):

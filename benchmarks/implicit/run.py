@@ -58,15 +58,15 @@ call to the first result [s], with tracing and compiling.
 
 @dataclass(frozen=True)
 class Study:
-    """A rod, what pulls at it, and the steps to try.
+    """A rod, its load, and the steps to try.
 
     Attributes:
-        name: What it is.
+        name: Description of the rod.
         n_elements: Number of elements.
         radius: [m].
         youngs_modulus: [Pa].
         density: [kg/m^3].
-        acceleration: Lateral, of gravity [m/s^2].
+        acceleration: Lateral acceleration of gravity [m/s^2].
         duration: Simulated time [s].
         steps: Implicit step sizes to try, falling [s].
     """

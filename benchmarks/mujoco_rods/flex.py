@@ -29,12 +29,12 @@ import numpy as np
 
 
 class Job(NamedTuple):
-    """One rod and how it is to move."""
+    """One rod, its loads and its start."""
 
     rest: list[list[float]]
     """Nodes without load, on a straight line [m]."""
     start: list[list[float]]
-    """Nodes where it is let go, at rest [m]."""
+    """Nodes where it is released, at rest [m]."""
     held: list[int]
     """Nodes that stay where they start; the first two together are a clamp."""
     radius: float
@@ -77,7 +77,7 @@ class Run(NamedTuple):
 
 
 def xml(job: Job) -> str:
-    """The model, its rod along the line that it is at rest on."""
+    """The model, with its rod along its line of rest."""
     points = " ".join(f"{x:.17g}" for node in job.rest for x in node)
     edges = " ".join(f"{i} {i + 1}" for i in range(len(job.rest) - 1))
     if job.edges == "held":
@@ -109,7 +109,7 @@ def xml(job: Job) -> str:
 
 
 def build(job: Job) -> tuple[Any, Any]:
-    """The model and its data, where the rod is let go."""
+    """The model and its data, where the rod is released."""
     model = mujoco.MjModel.from_xml_string(xml(job))
     data = mujoco.MjData(model)
     free = [i for i in range(len(job.rest)) if i not in job.held]

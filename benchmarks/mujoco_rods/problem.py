@@ -17,7 +17,7 @@ class Problem(NamedTuple):
     rest: np.ndarray
     """Nodes without load `(n + 1, 3)` [m]."""
     start: np.ndarray
-    """Nodes where it is let go, at rest `(n + 1, 3)` [m]."""
+    """Nodes where it is released, at rest `(n + 1, 3)` [m]."""
     pinned: tuple[int, ...] = ()
     """Nodes that stay where they start."""
     clamped: bool = False

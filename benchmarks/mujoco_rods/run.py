@@ -31,7 +31,7 @@ PAGE = Path(__file__).with_name("records") / "mujoco_rods.md"
 
 
 class Table(NamedTuple):
-    """One scene, what is measured of it, and what MuJoCo runs it with."""
+    """One scene, its measured numbers, and MuJoCo's settings for it."""
 
     problem: Problem
     columns: tuple[str, ...]

@@ -1,8 +1,8 @@
 """Rest of a rod above a plane: PyElastica's plane carries a rod in the air.
 
 The body of the muscular snake without muscles, straight and free, on its plane: heights
-of the centre of mass after being let go at a height, and after a vertical wave along
-it that has no momentum. Both libraries, processor time some ten seconds.
+of the centre of mass after a release at a height, and after a vertical wave along the
+body without momentum. Both libraries take about ten seconds of processor time.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from benchmarks.muscular_snake import scene
 
 STEP, SECONDS = 2e-5, 0.3
 HEIGHTS = 0.0, 0.05e-3, 0.09e-3, 0.2e-3
-"""At which the body is let go [m]."""
+"""Heights at which the body is released [m]."""
 SPEEDS = 1e-3, 1e-2, 1e-1
 """Largest speeds of the wave [m/s]."""
 WAVES = 5

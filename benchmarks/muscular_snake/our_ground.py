@@ -21,7 +21,7 @@ def our_ground(sinks: float, drag: float) -> Callable[[Any], None]:
 
     Args:
         sinks: As in `scene.ours`, and so is `drag`.
-        drag: Of friction where it sets in.
+        drag: Drag of friction at the onset of slip.
     """
     body, of_body, ground = scene.body_on_ground(sinks, drag)
 

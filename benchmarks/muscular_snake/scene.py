@@ -191,7 +191,7 @@ def _muscles(group: str, theirs: Any) -> Any:
 
 
 def body_on_ground(sinks: float, drag: float) -> tuple[Any, Any, Any]:
-    """Our body, its state, and what the ground does to it."""
+    """Our body, its state, and the effect of the ground."""
     body, of_body = jaxrod.straight_rod(
         N_BODY,
         length=LENGTH,
@@ -221,10 +221,10 @@ def ours(
     """The system and its state.
 
     Args:
-        sinks: How far the body sinks into the ground at rest, over its radius.
-        drag: Of friction where it sets in, over the mass per length [1/s]: from some
-            mu g / drag on it is that of sliding.
-        theirs: What is of PyElastica's law: "rods", "joints", "damping" (with "rods").
+        sinks: Depth of the body in the ground at rest, over its radius.
+        drag: Drag of friction at the onset of slip, over the mass per length [1/s]:
+            from speeds of about mu g / drag on, friction is that of sliding.
+        theirs: Parts with PyElastica's law: "rods", "joints", "damping" (with "rods").
     """
     unknown = set(theirs) - {"rods", "joints", "damping"}
     if unknown or ("damping" in theirs and "rods" not in theirs):
@@ -277,10 +277,10 @@ def theirs(
     object for all elements of a muscle: its loops over them are compiled.
 
     Args:
-        repulsion: Of joints that are pressed together, over their unscaled stiffness.
+        repulsion: Stiffness of joints under pressure, over their unscaled stiffness.
             It never acts, as PyElastica takes one norm of all distances of an object.
         holds: Static friction over that of sliding; ours is 1.
-        ground: What acts on the body in place of PyElastica's plane.
+        ground: Adds the ground that replaces PyElastica's plane under the body.
     """
     import elastica as ea
     from elastica._calculus import difference_kernel
@@ -297,11 +297,11 @@ def theirs(
                 setattr(self, name, value)
 
         def apply_forces(self, *given: Any, **named: Any) -> None:
-            """With the time that it wants and is not given."""
+            """Applies forces, with the time that PyElastica leaves out."""
             super().apply_forces(*given, **{"time": 0.0} | named)
 
         def apply_torques(self, *given: Any, **named: Any) -> None:
-            """Likewise."""
+            """Applies torques, with the time that PyElastica leaves out."""
             super().apply_torques(*given, **{"time": 0.0} | named)
 
     class MuscleForces(ea.NoForces):

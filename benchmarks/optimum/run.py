@@ -95,7 +95,7 @@ def most(state: Any, params: Any) -> Array:
 
 @pytree
 class Random:
-    """Actions drawn anew and evenly from [-1, 1] at every decision."""
+    """Uniform random actions from [-1, 1], drawn at every decision."""
 
     key: Array
     size: int = static()

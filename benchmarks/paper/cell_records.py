@@ -97,7 +97,7 @@ class Records:
         self.write_results()
 
     def write_results(self) -> None:
-        """Writes results.csv anew, keeping the rows of cells without a record."""
+        """Rewrites results.csv; the rows of cells without a record stay."""
         rows = self._stored_rows()
         for record in self:
             row = _row(record)

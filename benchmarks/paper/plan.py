@@ -62,7 +62,7 @@ class Cell:
 
     @property
     def beside(self) -> str:
-        """The paper's score in words; empty where there is none."""
+        """The paper's score as text; empty if there is none."""
         return f"  paper {self.paper.final_mean:,.0f}" if self.paper else ""
 
     def command(self, out: Path) -> list[str]:

@@ -1,4 +1,4 @@
-"""The records of a grid in words: OUT/results.md."""
+"""The records of a grid as a page: OUT/results.md."""
 
 from __future__ import annotations
 

@@ -54,10 +54,10 @@ def guided(
         n_guided: Elements in each guide.
         turn: Schedule of the angle [rad].
         pull: Schedule of the force on the end that slides [N].
-        stiffness: Of contact [N/m^2].
-        dashpot: Of contact [kg/(m s)].
-        damping: Of velocities and of spins [1/s].
-        across: Load across, so that the rod knows where to go [N/m].
+        stiffness: Stiffness of contact [N/m^2].
+        dashpot: Dashpot of contact [kg/(m s)].
+        damping: Damping rates of velocities and of spins [1/s].
+        across: Load across the rod, which decides where it buckles [N/m].
     """
     m, size = n + 2 * n_guided, LENGTH / n
     rod, state = jaxrod.straight_rod(

@@ -101,7 +101,7 @@ def options(plain: Environment, *faults: str) -> dict[str, Any]:
 
 
 def task(name: str) -> Environment:
-    """The task of a learner: `ideal` has no faults, `mlp-delay` has one."""
+    """The task of a learner: `ideal` has none of the faults, `mlp-delay` has one."""
     plain = make("tracking", variant="clean")
     if name in ("ideal", "faults"):
         return plain

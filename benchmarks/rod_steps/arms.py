@@ -73,7 +73,7 @@ def compile_arms(
     states: RodState,
     devices: Sequence[jax.Device],
 ) -> AdvanceArms:
-    """Compiles `advance_arms`, every device looping over its share on its own.
+    """Compiles `advance_arms`; each device loops over its share.
 
     Returns:
         `(states, n_steps) -> states`; it waits until the result is there.

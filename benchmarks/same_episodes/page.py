@@ -1,4 +1,4 @@
-"""A table of what a planner earns in the learners' episodes, for docs/optimum.md."""
+"""A table of a planner's returns in the learners' episodes, for docs/optimum.md."""
 
 from __future__ import annotations
 
@@ -23,12 +23,12 @@ seeds | of these, planned above half | episodes with half of what the learners l
 
 
 def same_episodes(learners: Path, folder: Path, tasks: dict[str, int]) -> str:
-    """Returns of a planner in the learners' episodes; empty where there is no record.
+    """Returns of a planner in the learners' episodes; empty without records.
 
     Args:
         learners: holds a record of every run of the learners.
         folder: holds a record of every task that was planned.
-        tasks: names and numbers, in the order in which they are told.
+        tasks: names and numbers, in the order of the page.
     """
     rows = ""
     hold = 0

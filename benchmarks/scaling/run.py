@@ -107,7 +107,7 @@ def medians(calls: Sequence[Callable[[], Any]]) -> list[tuple[float, float]]:
 
 
 def batches() -> Iterator[str]:
-    """Rows of stepping: as much for each device, and as much in all.
+    """Rows of stepping: equal work per device, and equal work in total.
 
     Each number of devices is a program of its own, with as many threads.
     """
@@ -127,7 +127,7 @@ def batches() -> Iterator[str]:
 
 
 def _speed(devices: int, envs_per_device: int) -> float:
-    """Steps per second of a new process with so many devices."""
+    """Steps per second of a new process with a number of devices."""
     program = (
         "from benchmarks.scaling.run import print_speed\n"
         f"print_speed({devices}, {envs_per_device})"
@@ -145,7 +145,7 @@ def _speed(devices: int, envs_per_device: int) -> float:
 
 
 def print_speed(devices: int, envs_per_device: int) -> None:
-    """Prints the steps per second of this process with so many devices."""
+    """Prints the steps per second of this process with its number of devices."""
     jaxrod.configure_cpu(devices)
     env = make("tracking", variant="clean")
     steps, call = stepping(env, envs_per_device, jax.devices())
@@ -154,7 +154,7 @@ def print_speed(devices: int, envs_per_device: int) -> None:
 
 
 def learners() -> Iterator[str]:
-    """Rows of training: as much for each device."""
+    """Rows of training: equal work per device."""
     env = make("tracking", variant="clean")
     for name in LEARNERS:
         found = []
@@ -195,7 +195,7 @@ def _mesh_of(state: Any) -> Any:
 
 
 def scenes() -> Iterator[str]:
-    """Rows of nests: one scene of one size over more and more devices."""
+    """Rows of nests: one scene of one size on increasing numbers of devices."""
     for rods in RODS:
         pairs = [nest(rods, jax.devices()[:count]) for count in DEVICES]
         times = medians([call for call, _ in pairs])
@@ -210,7 +210,7 @@ def scenes() -> Iterator[str]:
 
 
 def exchanged() -> Iterator[str]:
-    """Rows of what learners exchange in an update, and what that would take."""
+    """Rows of the exchanges of learners in an update, and of their estimated time."""
     env = make("tracking", variant="clean")
     for name in LEARNERS:
         config = _config(name, 2)

@@ -18,9 +18,9 @@ def add_names(
     Args:
         parser: The parser.
         what: Name of the argument.
-        known: The names there are.
+        known: All names.
         metavar: A name in the usage.
-        default: The names that are meant where none is given; all if None.
+        default: The names if none is given; all if None.
     """
     names = list(known)
     usual = names if default is None else list(default)

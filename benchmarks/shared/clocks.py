@@ -12,12 +12,12 @@ class Clocks:
     """Wall-clock and processor time that can be stopped."""
 
     def __init__(self) -> None:
-        """Begins."""
+        """Starts both clocks."""
         self.passed = np.zeros(2)
         self.go()
 
     def go(self) -> None:
-        """Goes on."""
+        """Continues."""
         self.began = self._now()
 
     def stop(self) -> None:
@@ -25,7 +25,7 @@ class Clocks:
         self.passed = self.passed + self._now() - self.began
 
     def read(self) -> tuple[float, float]:
-        """Seconds of both while they go."""
+        """Seconds that both clocks have run."""
         wall, cpu = self.passed + self._now() - self.began
         return float(wall), float(cpu)
 

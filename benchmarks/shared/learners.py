@@ -23,7 +23,7 @@ EPISODES = {"episodes": 64, "seed": 2}
 def add_run_arguments(
     parser: argparse.ArgumentParser, known: Iterable[str], metavar: str
 ) -> None:
-    """Declares the names of what runs, seeds and steps."""
+    """Declares the names of runs, seeds and steps."""
     add_names(parser, "names", known, metavar)
     parser.add_argument("--seeds", type=int, nargs="+", default=SEEDS, metavar="N")
     parser.add_argument("--steps", type=int, default=STEPS, help="control steps")

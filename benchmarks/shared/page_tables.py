@@ -12,7 +12,7 @@ from jaxrod.installation.machine import processor_and_versions
 def measured_table(
     page: Path, table: str, head: str, rows: Callable[[], Iterable[str]], *, dry: bool
 ) -> None:
-    """Measures a table, prints it row by row, and puts it in its place in the page.
+    """Measures a table, prints it row by row, and writes it into its page.
 
     Args:
         page: The page.

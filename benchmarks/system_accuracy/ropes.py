@@ -142,7 +142,7 @@ def our_crossing(n: int, start: Touching, exact: Touching) -> tuple[Any, Any]:
 
 
 def held() -> Any:
-    """PyElastica's constraint of some nodes that move as told, and of elements."""
+    """PyElastica's constraint of nodes that move in a given way, and of elements."""
     import elastica as ea
 
     class Held(ea.ConstraintBase):
@@ -210,7 +210,7 @@ def their_rope(collection: Any, state: Any, radius: float, dt: float) -> Any:
 
 
 def repeated(step: Callable[[], None], steps: int) -> None:
-    """Calls a function again and again."""
+    """Calls a function repeatedly."""
     for _ in range(steps):
         step()
 

@@ -37,7 +37,7 @@ class Run(NamedTuple):
 
 
 class Case(NamedTuple):
-    """A scene, and what of it is to be right."""
+    """A scene, and the quantity that is compared."""
 
     build: Any
     duration: float
@@ -71,7 +71,7 @@ def speed(places: np.ndarray) -> np.ndarray:
 
 
 def way(places: np.ndarray) -> np.ndarray:
-    """From where it was."""
+    """Distance from the start."""
     return places[1:] - places[0]
 
 
@@ -198,7 +198,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Measures the scenes that are named, or all."""
+    """Measures the named scenes, or all."""
     on_one_core()
     for name in args.scenes:
         if name == "crossing":

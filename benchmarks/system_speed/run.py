@@ -48,7 +48,7 @@ def simulator(*features: str) -> Any:
 
 
 def stepping(collection: Any, dt: float) -> Callable[[], None]:
-    """One step of PyElastica's, again and again."""
+    """Repeated steps of PyElastica."""
     import elastica as ea
 
     collection.finalize()

@@ -94,7 +94,7 @@ def recordings(folder: Path) -> list[twin.Recording]:
 
 
 def known_orders(folder: Path) -> dict[str, list[int]]:
-    """Orders of the markers as the folder has them, if it does."""
+    """Orders of the markers, if the folder has them."""
     path = folder / "markers.csv"
     if not path.exists():
         return {}

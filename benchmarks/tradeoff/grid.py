@@ -49,7 +49,7 @@ class Row:
 
     Attributes:
         simulator: "jaxrod", "pyelastica" or "mujoco".
-        setting: How it was simulated.
+        setting: Settings of the simulation.
         batch: Number of rods at once.
         error: Root mean square over time of the tip's distance from the reference, in
             lengths of the rod.
@@ -119,12 +119,12 @@ def measure_grid(
         problem: The problem.
         exact: Its reference.
         elements: Numbers of elements.
-        batches: How many rods at once; implicit steps are timed for one.
-        pyelastica_elements: Numbers of elements for PyElastica; left out, with a
-            word, where it is not installed or has not got what the problem has.
-        mujoco_elements: The same for MuJoCo's cable; left out, with a word, where the
-            problem has something the cable has not.
-        seconds: How long to time each setting and batch [s].
+        batches: Numbers of rods at once; implicit steps are timed for one.
+        pyelastica_elements: Numbers of elements for PyElastica. It is left out, with a
+            message, if it is not installed or lacks a feature of the problem.
+        mujoco_elements: The same for MuJoCo's cable. It is left out, with a message, if
+            it lacks a feature of the problem.
+        seconds: Time to measure each setting and batch [s].
         log: Called with a line of text after every measurement.
     """
     rows: list[Row] = []
@@ -174,7 +174,7 @@ def measure_grid(
 
 
 def pareto(rows: Iterable[Row]) -> list[Row]:
-    """Those that no other beats in both error and cost, the cheapest first."""
+    """Rows that no other beats in both error and cost, the cheapest first."""
     front: list[Row] = []
     for row in sorted(rows, key=lambda row: (row.wall_s_per_sim_s, row.error)):
         if not front or row.error < front[-1].error:
@@ -183,7 +183,7 @@ def pareto(rows: Iterable[Row]) -> list[Row]:
 
 
 def cheapest(rows: Iterable[Row], tolerance: float) -> Row | None:
-    """The cheapest that keeps a tolerance, if any does."""
+    """The cheapest row within a tolerance, if there is one."""
     accurate = [row for row in rows if row.error <= tolerance]
     return min(accurate, key=lambda row: row.wall_s_per_sim_s, default=None)
 

@@ -22,7 +22,7 @@ from jaxrod.tradeoff.measure import Measurement, Reference, Setting, tip_error
 from jaxrod.tradeoff.workload import Workload
 
 SUBSTEPS = tuple(m * 2**k for k in range(12) for m in (2, 3))
-"""Steps per control period that are tried, one after the other."""
+"""Steps per control period that are tried in turn."""
 SAME = 1.1
 """Ratio of errors within which a smaller step is taken to change nothing."""
 
@@ -36,7 +36,7 @@ def measure_mujoco(
 ) -> Measurement:
     """Measures error and cost of MuJoCo's cable, in one thread.
 
-    With the largest step that a smaller one does not improve on. Many cables cost it
+    It uses the largest step that a smaller one does not improve. Many cables cost it
     as much each as one does. Damping is exact: velocities shrink after every step.
 
     Args:

@@ -29,7 +29,7 @@ def measure_pyelastica(
 ) -> Measurement:
     """Measures error and cost of PyElastica, in one process on one core.
 
-    Many rods cost it as much each as one does.
+    The cost per rod does not depend on their number.
 
     Args:
         problem: The problem; its rod has to be straight and uniform, with effects
@@ -96,11 +96,11 @@ def _couples(problem: Workload, scene: Scene) -> np.ndarray:
 def _simulator(
     scene: Scene, state: RodState, dt: float, couples: np.ndarray
 ) -> tuple[Any, Any, Any]:
-    """PyElastica's simulator, rod and stepper; `couples` act as they then are."""
+    """PyElastica's simulator, rod and stepper; `couples` may change later."""
     import elastica
 
     class Actuation(elastica.NoForces):
-        """The couples that act at present, [N m] in the material frame."""
+        """The present couples in the material frame [N m]."""
 
         def apply_torques(self, system: Any, time: Any = 0.0) -> None:
             """Adds the couples."""
@@ -125,7 +125,7 @@ def _simulator(
 
 
 def uniform_radius(rod: Rod) -> float:
-    """Radius of a rod that is the same everywhere [m]; others raise `ValueError`."""
+    """Radius of a uniform rod [m]; others raise `ValueError`."""
     leaves = (rod.rest_lengths, rod.radii, rod.linear_density)
     if any(np.ptp(np.asarray(leaf)) > 1e-12 * np.max(leaf) for leaf in leaves):
         raise ValueError("simulators are compared on uniform rods only")
@@ -158,7 +158,7 @@ def _straight_rod(elastica: Any, rod: Rod, state: RodState) -> Any:
 def _add(
     elastica: Any, simulator: Any, system: Any, rod: Rod, effect: Effect, dt: float
 ) -> None:
-    """Adds what an effect is in PyElastica."""
+    """Adds PyElastica's version of an effect."""
     if isinstance(effect, FixedEnd):
         simulator.constrain(system).using(
             elastica.OneEndFixedBC,
@@ -180,10 +180,10 @@ def _add(
 
 
 def _damper(elastica: Any, rate: float, spin_rate: float, dt: float) -> Any:
-    """PyElastica's exponential damping, with rates of one's own.
+    """PyElastica's exponential damping, with any two rates.
 
-    PyElastica's own dampers know one rate, or the two of a viscosity, of which the
-    second then depends on the stretch: another physical problem than the one compared.
+    PyElastica's dampers take one rate, or the two rates of a viscosity. There the
+    second depends on the stretch, which would be a different physical problem.
     """
     decay, spin_decay = np.exp(-rate * dt), np.exp(-spin_rate * dt)
 

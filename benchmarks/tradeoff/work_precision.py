@@ -30,8 +30,9 @@ def work_precision(
 ) -> None:
     """Draws error against cost into a PNG file, one panel for every batch size.
 
-    Every setting is a point; the line joins those that none beats in both. Settings
-    that did not stay finite are left out. The file appears whole or not at all.
+    Every setting is a point; the line joins settings that no other beats in both.
+    Settings that did not stay finite are left out. The file appears complete or not at
+    all.
 
     Args:
         rows: Measurements, from `jaxrod.tradeoff`.

@@ -56,7 +56,7 @@ TASKS = {
 
 
 def commands(task: str, seeds: list[int], out: Path) -> Iterator[list[str]]:
-    """The words after `jaxrod` of each run of a task; its own seeds if none."""
+    """Arguments of `jaxrod` for each run of a task; by default with its seeds."""
     runs = TASKS[task]
     for seed in seeds or runs.seeds:
         folder = out / task / f"{runs.folder}-{seed}"
@@ -90,7 +90,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Trains, one run after the other; stops at the first that fails."""
+    """Trains one run after another; stops at the first failure."""
     for task in args.tasks:
         for words in commands(task, args.seeds, args.out):
             print(shlex.join(["jaxrod", *words]), flush=True)

@@ -147,7 +147,7 @@ def title_of(section: str) -> str:
 
 
 def in_order(titles: Iterable[str]) -> list[str]:
-    """Titles in the order of the test files; those of files that are gone are not."""
+    """Titles in the order of the test files; those of deleted files are left out."""
     files = [
         file
         for folder in FOLDERS

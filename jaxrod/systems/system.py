@@ -384,8 +384,8 @@ def _member(name: Any, given: Any) -> Member:
     as_member = getattr(given, "as_member", None)
     if as_member is None:
         raise TypeError(
-            f"member {name!r} must be a scene, a rigid body or a Member, got "
-            f"{type(given).__name__}"
+            f"member {name!r} must be a scene (jaxrod.make_scene), a rigid body or a "
+            f"Member, got {type(given).__name__}"
         )
     member: Member = as_member()
     member.check(name)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 from typing import Any
 
 import jax.numpy as jnp
@@ -132,6 +133,22 @@ def with_hand(
 
         changed[name] = member.each(held, grips[name])
     return model.with_members(changed)
+
+
+def with_memory_of(model: Model, state: Any) -> Any:
+    """Copy of a state whose memory has one entry for each effect of a model.
+
+    Entries of the model's last effects are removed or added. Added ones are empty: a
+    hand has no memory.
+    """
+    members, changed = model.interfaces(), {}
+    for name, own in model.states_by_name(state).items():
+        memory = getattr(own, "memory", None)
+        if memory is not None:
+            count = len(members[name].effects)
+            memory = (*memory, *[{}] * (count - len(memory)))[:count]
+            changed[name] = replace(own, memory=memory)
+    return model.with_states(state, changed)
 
 
 def _shape(member: jaxrod.extend.Member) -> tuple[int, ...]:

@@ -222,10 +222,11 @@ def controls_of(
     places: dict[str, Selected] = {}
     values: dict[str, np.ndarray] = {}
     for label, handle in handles.items():
-        if not callable(getattr(handle, "initial", None)):
+        # A class has the methods of its handles, but no numbers to select.
+        if isinstance(handle, type) or not callable(getattr(handle, "initial", None)):
             raise TypeError(
                 f"controls[{label!r}] must be a viz.Slider or a viz.Target, got "
-                f"{type(handle).__name__}"
+                f"{handle!r}"
             )
         found = None
         if handle.where is not None:

@@ -26,7 +26,7 @@ import jaxrod
 from jaxrod.model import Model, check_model
 from jaxrod.viz import hand
 from jaxrod.viz.handles import Controls, Handle, checked, controls_of
-from jaxrod.viz.page import encode, filled
+from jaxrod.viz.page import encode, live_page
 from jaxrod.viz.recording import Axis, Recording
 from jaxrod.viz.replay import Replay
 from jaxrod.viz.serving import Server
@@ -61,10 +61,11 @@ class Live:
         True
     """
 
-    def __init__(self, show: _Show, port: int | None) -> None:
-        """Starts the simulation, and the server unless the port is `None`."""
-        self._show = show
-        self._server = None if port is None else Server(show, port)
+    def __init__(self, show: _Show, server: Server | None) -> None:
+        """Starts the simulation, and the server if there is one."""
+        self._show, self._server = show, server
+        if server is not None:
+            server.serve(show)
         self._thread = threading.Thread(target=show.run, daemon=True)
         self._thread.start()
         # A thread inside a compiled program must not outlive the interpreter.
@@ -222,7 +223,8 @@ def live(
 
     Raises:
         ValueError: An argument has the wrong shape or an impossible value.
-        TypeError: `model` is neither a scene nor a system, or a control is no handle.
+        TypeError: `model` is neither a scene nor a system, a control is no handle, or
+            `law` is no function or returns no model.
         OSError: The port is taken.
 
     Example:
@@ -243,6 +245,10 @@ def live(
         )
     if port is not None and not _is_index(port, 65536):
         raise ValueError(f"port must be an integer from 0 to 65535, got {port!r}")
+    if law is not None and not callable(law):
+        raise TypeError(
+            f"law must be a function law(model, state, values), got {law!r}"
+        )
     handles, values = controls_of(controls or {}, model)
     targets = [
         Sphere(values[label], float(radius), label)
@@ -258,11 +264,27 @@ def live(
         spheres=targets,
         title=title,
     )
-    show = _Show(model, state, handles, values, law, dt, rate, replay)
-    page = Live(show, port)
+    # Compiling takes seconds: take the port first.
+    server = None if port is None else Server(port)
+    try:
+        show = _Show(model, state, handles, values, law, dt, rate, replay)
+    except BaseException:
+        if server is not None:
+            server.close()
+        raise
+    page = Live(show, server)
     if page.url is not None:
         print(page.url, flush=True)
     return page
+
+
+def _lawful(changed: Any) -> Any:
+    """A model that a law has returned; raises a TypeError if it is none."""
+    if not callable(getattr(changed, "interfaces", None)):
+        raise TypeError(
+            f"law must return a scene or a system, got {type(changed).__name__}"
+        )
+    return changed
 
 
 def _is_index(value: Any, count: int) -> bool:
@@ -356,7 +378,7 @@ class _Show:
             }
             for label, handle in self.controls.handles.items()
         ]
-        return filled("live.html", ("live",), header, data)
+        return live_page(header, data)
 
     @property
     def ended(self) -> bool:
@@ -621,10 +643,12 @@ class _Show:
         ) -> Any:
             changed = controls.applied(model, values)
             if law is not None:
-                changed = law(changed, state, values)
+                changed = _lawful(law(changed, state, values))
             held = hand.with_hand(changed, grips, point, stiffness)
             begin = first if evolves else 0
-            after = jaxrod.advance(held, state, dt, count, first=begin)
+            begun = hand.with_memory_of(held, state)
+            after = jaxrod.advance(held, begun, dt, count, first=begin)
+            after = hand.with_memory_of(model, after)
             return after, *_places(model, after, self._dtype)
 
         values = {k: v.astype(self._dtype) for k, v in self.values.items()}

@@ -78,36 +78,35 @@ def page_of(header: str, data: str) -> str:
         header: The header of `encode` as JSON, with `autoplay`.
         data: The bytes of `encode` in base64.
     """
-    return _filled("page.html", ("start",), header, data)
+    return _filled("replay", "start", "", header, data)
 
 
-def filled(
-    page: str, start: tuple[str, ...], header: dict[str, Any], data: bytes
-) -> str:
-    """Returns a page with the program of the player.
+def live_page(header: dict[str, Any], data: bytes) -> str:
+    """Returns the page of a simulation, which asks its own server for pictures.
 
     Args:
-        page: Name of the page among the assets.
-        start: Names of the scripts that start it.
-        header: The header of `encode`.
+        header: The header of `encode`, with what `live.js` reads.
         data: The bytes of `encode`.
     """
     packed = base64.b64encode(data).decode("ascii")
-    return _filled(page, start, json.dumps(header), packed)
+    return _filled("live", "live", "; connect-src 'self'", json.dumps(header), packed)
 
 
-def _filled(page: str, start: tuple[str, ...], header: str, data: str) -> str:
-    program = "\n".join(_asset(f"{name}.js") for name in (*_SCRIPTS, *start))
+def _filled(controls: str, start: str, connect: str, header: str, data: str) -> str:
+    """The frame with its controls; `connect` is added to its security policy."""
+    program = "\n".join(_asset(f"{name}.js") for name in (*_SCRIPTS, start))
     parts = {
         "TITLE": markup.escape(json.loads(header)["title"] or "Rod replay"),
         "STYLE": _asset("page.css"),
+        "CONNECT": connect,
+        "CONTROLS": _asset(f"{controls}.html"),
         # "</script" would end the surrounding element, and "<!--<script" would hide its
         # end.
         "HEADER": header.replace("<", "\\u003c"),
         "DATA": data,
         "PROGRAM": f'(() => {{\n"use strict";\n{program}\n}})();',
     }
-    return re.sub(r"%%([A-Z]+)%%", lambda m: parts[m[1]], _asset(page))
+    return re.sub(r"%%([A-Z]+)%%", lambda m: parts[m[1]], _asset("frame.html"))
 
 
 def save_html(

@@ -62,12 +62,27 @@ def recorded(
             f"model must be a scene or a system, got {type(model).__name__}"
         )
     by_name = model.states_by_name(states)
+    members = model.interfaces()
+    names = [name or _ONLY for name in members]
+    for name in colours:
+        if name not in names:
+            raise ValueError(
+                f"colours: there is no member {name!r}; there are "
+                + ", ".join(map(repr, names))
+            )
+    for name in members:
+        shape = np.shape(by_name[name].positions)
+        if len(shape) < 3:
+            raise ValueError(
+                "states must have a leading axis of times, as jaxrod.rollout returns "
+                f"them, got positions of shape {shape}: a single state"
+            )
     # The record of a run's neighbour lists is not drawn.
     states = model.with_states({}, by_name)
     values = _field_values(model, states, times, fields)
     rods: list[Rods] = []
     meshes: list[Mesh] = []
-    for name, member in model.interfaces().items():
+    for name, member in members.items():
         own, colour = by_name[name], colours.get(name or _ONLY, "")
         if member.rod is not None:
             rods.append(

@@ -52,28 +52,42 @@ class _Threads(ThreadingHTTPServer):
 class Server:
     """A server in threads of this process; `url` is its address."""
 
-    def __init__(self, served: Served, port: int) -> None:
-        """Starts to serve.
+    def __init__(self, port: int) -> None:
+        """Takes the port; browsers wait until `serve`.
 
         Raises:
             OSError: The port is taken.
         """
 
         class Handler(_Handler):
-            shown = served
+            pass
 
-        self._server = _Threads((HOST, port), Handler)
+        self._handler = Handler
+        self._thread: threading.Thread | None = None
+        try:
+            self._server = _Threads((HOST, port), Handler)
+        except OSError as error:
+            raise OSError(
+                error.errno,
+                f"no page at port {port} ({error.strerror}): port=0 takes one that is "
+                "free",
+            ) from error
         self.url = f"http://{HOST}:{self._server.server_address[1]}/"
+
+    def serve(self, served: Served) -> None:
+        """Starts to answer."""
+        self._handler.shown = served
         # A short interval: closing waits for it.
         loop = lambda: self._server.serve_forever(poll_interval=0.05)
         self._thread = threading.Thread(target=loop, daemon=True)
         self._thread.start()
 
     def close(self) -> None:
-        """Stops serving."""
-        self._server.shutdown()
+        """Stops serving, and frees the port."""
+        if self._thread is not None:
+            self._server.shutdown()
+            self._thread.join()
         self._server.server_close()
-        self._thread.join()
 
 
 class _Handler(BaseHTTPRequestHandler):

@@ -73,7 +73,9 @@ def test_the_suggested_change_is_a_change_of_the_program(name):
     assert source(name).count(old) == 1
     compile(source(name).replace(old, new), name, "exec")
     numbers = json.loads(GALLERY.RECORDS.read_text())[name]
-    assert ("{changed}" in GALLERY.WORDS[name]["then"]) == ("changed" in numbers)
+    for number in ("changed", "seen", "seen_changed"):
+        shown = f"{{{number}}}" in GALLERY.WORDS[name]["then"]
+        assert shown == (number in numbers)
 
 
 @pytest.mark.slow
@@ -81,10 +83,15 @@ def test_the_suggested_change_is_a_change_of_the_program(name):
 def test_a_changed_scene_does_what_the_page_says(name, monkeypatch):
     # Scenes import the gallery by its name.
     monkeypatch.syspath_prepend(FOLDER)
-    recorded = json.loads(GALLERY.RECORDS.read_text())[name].get("changed")
-    measured = GALLERY.changed(name).run()[1]
-    if recorded is None:
-        assert math.isfinite(measured)
+    record = json.loads(GALLERY.RECORDS.read_text())[name]
+    recorded = record.get("changed")
+    replay, measured, reference = GALLERY.changed(name).run()
+    if name in GALLERY.SEEN:
+        seen = GALLERY.SEEN[name](replay)
+        assert seen == pytest.approx(record["seen_changed"], rel=0.1)
+        assert seen != pytest.approx(record["seen"], rel=0.2)
+    if reference == 0:
+        assert 0 <= measured <= WHOLE[name]
         return
     # Some are nothing, or far from a state that is reached for certain.
     assert measured == pytest.approx(recorded, rel=0.05, abs=1e-4)

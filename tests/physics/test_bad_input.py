@@ -208,6 +208,10 @@ def test_the_number_of_steps_is_a_count(run, steps, message):
         ),
         (lambda: jaxrod.make_scene(ROD, 3), "effects must be jaxrod effects, got int"),
         (
+            lambda: jaxrod.make_scene(ROD, [jaxrod.gravity()]),
+            "effects must be jaxrod effects, got list: write *effects",
+        ),
+        (
             lambda: jaxrod.make_scene(ROD, jaxrod.gravity),
             "effects must be jaxrod effects, got function",
         ),

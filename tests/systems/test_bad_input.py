@@ -156,7 +156,7 @@ class Alone(jaxrod.extend.Method):
 
 
 def test_members_of_other_kinds_and_types(given):
-    members, _ = given
+    members, state = given
     single, _ = jaxrod.straight_rod(
         4, length=0.3, radius=0.02, density=1e3, youngs_modulus=1e6, dtype=jnp.float32
     )
@@ -164,10 +164,13 @@ def test_members_of_other_kinds_and_types(given):
         jaxrod.make_system({**members, "single": jaxrod.make_scene(single)})
     with pytest.raises(ValueError, match="no steps in a system"):
         jaxrod.make_system({"a": jaxrod.make_scene(members["two"].rod, method=Alone())})
-    with pytest.raises(TypeError, match="member 'a'"):
+    with pytest.raises(TypeError, match=r"'a' must be a scene \(jaxrod.make_scene\)"):
         jaxrod.make_system({"a": members["two"].rod})
     with pytest.raises(TypeError, match="couplings must be"):
         jaxrod.make_system(members, "weld")
+    held = jaxrod.systems.attach(("one", "tip"), ("two", "base"), state)
+    with pytest.raises(ValueError, match="'one' and 'two'; weld and tie join rods"):
+        jaxrod.make_system(members, held)
     with pytest.raises(TypeError, match="dict"):
         jaxrod.make_system([members["two"]])
 

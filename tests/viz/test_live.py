@@ -2,12 +2,18 @@
 
 import json
 import math
+import re
+import socket
 import time
 import urllib.error
+import urllib.parse
 import urllib.request
 from dataclasses import replace
 
+import jax
 import jax.numpy as jnp
+import nbclient
+import nbformat
 import numpy as np
 import pytest
 
@@ -210,6 +216,7 @@ def test_the_server_gives_the_page_pictures_and_takes_commands(page):
     ("controls", "error", "words"),
     [
         ({"x": 3.0}, TypeError, r"controls\['x'\] must be"),
+        ({"x": viz.Slider}, TypeError, r"controls\['x'\] must be .* <class .*Slider"),
         ([1], TypeError, "controls must be"),
         ({"x": viz.Slider(None, 2.0, 1.0)}, ValueError, "low < high, got 2 and 1"),
         ({"x": viz.Slider(None, 0, math.inf)}, ValueError, "high must be finite"),
@@ -250,6 +257,35 @@ def test_other_bad_arguments_are_refused():
         viz.live(scene, state, frames_per_second=1e-320)
     with pytest.raises(ValueError, match="dt must be positive, got -1 s"):
         viz.live(scene, state, dt=-1.0)
+    with pytest.raises(ValueError, match=r"no member 'arm'.* there are 'rod'"):
+        viz.live(scene, state, colours={"arm": "#ff0000"})
+    with pytest.raises(TypeError, match=r"law must be a function.*got 3"):
+        viz.live(scene, state, law=3)
+    for law, words in (
+        (lambda scene, state, values: None, "return a scene or a system, got NoneType"),
+        (lambda scene, state, values: state, "got RodState"),
+    ):
+        with pytest.raises(TypeError, match=words):
+            viz.live(scene, state, law=law, port=None)
+
+
+def test_a_taken_port_is_found_before_anything_is_compiled(page):
+    compiled = []
+    listen = lambda event, *_, **__: compiled.append(event)
+    port = urllib.parse.urlsplit(page.url).port
+    jax.monitoring.register_event_duration_secs_listener(listen)
+    with pytest.raises(OSError, match=f"port {port} .* port=0 takes one that is free"):
+        viz.live(*arm(), port=port, frames_per_second=33.0)
+    jax.monitoring.unregister_event_duration_listener(listen)
+    assert not [event for event in compiled if "backend_compile" in event]
+
+
+def test_a_port_is_free_again_after_a_bad_law():
+    with socket.create_server(("127.0.0.1", 0)) as some:
+        port = some.getsockname()[1]
+    with pytest.raises(TypeError, match="law must return"):
+        viz.live(*arm(), law=lambda *_: None, port=port)
+    socket.create_server(("127.0.0.1", port)).close()
 
 
 def test_a_page_that_has_ended_says_so(monkeypatch):
@@ -296,8 +332,6 @@ def test_a_simulation_that_breaks_down_says_so_and_starts_again():
 
 @pytest.mark.slow
 def test_equal_rods_and_bodies_of_a_system_are_pulled_each_alone():
-    import jax
-
     def one(x):
         rod, state = jaxrod.straight_rod(
             4,
@@ -343,3 +377,47 @@ def test_a_system_that_evolves_keeps_its_time():
         picture = after(page, 0, 0.3)
         wanted = jaxrod.advance(scene, state, page.dt, round(picture["time"] / page.dt))
         np.testing.assert_allclose(picture["points"], wanted.positions.T, atol=1e-5)
+
+
+@pytest.mark.slow
+def test_two_pages_at_once_are_independent_and_states_with_memory_are_kept():
+    scene, state = arm()
+    yields = jaxrod.materials.plastic_bending(scene.rod, yield_moment=1e-3)
+    push = jaxrod.schedules.sine((1.0, 0.0, 0.0), period=0.1)
+    moved = scene.effects[0], jaxrod.end_load(push), scene.effects[2]
+    bent = jaxrod.make_scene(scene.rod, *moved, yields)
+    with viz.live(scene, state) as still, viz.live(bent, state) as page:
+        assert still.url != page.url
+        pull = after(still, still.do({"pull": {"node": N, "point": POINT}}), 0.005)
+        assert pull["force"] > 0
+        picture = after(page, 0, 0.03)
+        assert picture["force"] == 0
+        begun = bent.with_memory(state)
+        wanted = jaxrod.advance(bent, begun, page.dt, round(picture["time"] / page.dt))
+        elastic = jaxrod.make_scene(scene.rod, *moved)
+        other = jaxrod.advance(
+            elastic, state, page.dt, round(picture["time"] / page.dt)
+        )
+        np.testing.assert_allclose(picture["points"], wanted.positions.T, atol=1e-6)
+        assert np.abs(wanted.positions - other.positions).max() > 1e-4
+
+
+@pytest.mark.slow
+def test_a_notebook_shows_the_page_and_can_end_it():
+    """The kernel's own threads and the page's do not get into each other's way."""
+    lines = """
+import jaxrod
+from jaxrod import viz
+rod, state = jaxrod.straight_rod(
+    4, length=0.3, radius=0.01, density=1e3, youngs_modulus=1e6
+)
+page = viz.live(jaxrod.make_scene(rod, jaxrod.clamp(state)), state)
+page
+"""
+    ends = "first = page.picture()\nlast = page.picture(first['number'])\npage.stop()\n"
+    ends += "last['time'] > first['time'], page.url"
+    cells = [nbformat.v4.new_code_cell(text) for text in (lines, ends)]
+    ran = nbclient.execute(nbformat.v4.new_notebook(cells=cells), timeout=300)
+    shown, ended = (cell.outputs[-1].data for cell in ran.cells)
+    assert re.search(r'<iframe src="http://127.0.0.1:\d+/"', shown["text/html"])
+    assert ended["text/plain"] == "(True, None)"

@@ -3,6 +3,7 @@
 import sys
 import types
 
+import jax
 import pytest
 
 import jaxrod
@@ -18,6 +19,12 @@ def swing():
     fall = jaxrod.gravity((0, -9.81, 0))
     scene = jaxrod.make_scene(rod, jaxrod.clamp(start), fall, ball)
     return scene, jaxrod.rollout(scene, start, 1e-4, 100, 20)
+
+
+def test_a_single_state_is_refused(swing):
+    scene, states = swing
+    with pytest.raises(ValueError, match=r"leading axis .* shape \(3, 5\): a single"):
+        viz.show(scene, jax.tree.map(lambda leaf: leaf[-1], states), 2e-3)
 
 
 @pytest.mark.slow

@@ -270,6 +270,7 @@ def test_the_page_holds_bodies_arrows_and_fields(replay):
         ),
         ({"fields": {"a": {"arm": np.ones(5)}}}, r"fields\['a'\] must broadcast to"),
         ({"colours": {"arm": "red"}}, "\"#rrggbb\", got 'red'"),
+        ({"colours": {"leg": "#ff0000"}}, "no member 'leg'; there are 'arm'"),
         ({"up": "w"}, "up must be"),
         ({"floor": np.nan}, "floor must be finite"),
     ],

@@ -165,8 +165,8 @@ class Attachment(Coupling):
             parts[self.points.member].is_rod and parts[self.bodies.member].is_rigid
         ):
             raise ValueError(
-                "attach needs nodes of rods and a rigid body, got "
-                f"{self.points.member!r} and {self.bodies.member!r}"
+                f"attach joins rods to a rigid body, got {self.points.member!r} and "
+                f"{self.bodies.member!r}; weld and tie join rods"
             )
         held = parts[self.points.member].held
         if held is None or is_traced(held):
