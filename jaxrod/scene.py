@@ -269,9 +269,9 @@ def make_scene(rod: Rod, *effects: Effect, method: Method | None = None) -> Scen
     check_kind("rod", rod, Rod)
     for effect in effects:
         if not isinstance(effect, Effect):
-            hint = ": write *effects" if isinstance(effect, list | tuple) else ""
             raise TypeError(
-                f"effects must be jaxrod effects, got {type(effect).__name__}{hint}"
+                f"effects must be jaxrod effects, got {type(effect).__name__}"
+                + (": write *effects" if isinstance(effect, list | tuple) else "")
             )
         check_own_class(effect, Effect, "an effect")
     dtype = rod.rest_lengths.dtype

@@ -466,7 +466,7 @@ def distance_reward(distance_squared: Array, bonus: Bonus) -> Array:
 
 
 def tip_residuals(
-    way: Float[Array, "3"], touching: Array, width: float | Array
+    way: Float[Array, "3"], touching: float | Array, width: float | Array
 ) -> Float[Array, "3"]:
     r"""Residuals along the offset of the tip; their squares sum to the cost [1].
 
