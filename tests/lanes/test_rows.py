@@ -292,3 +292,18 @@ def test_rows_leave_other_sorts_to_xla():
         run = lambda x, b=body: cycles_p.bind(jnp.int32(1), x, spec=RunSpec(b, None))
         jax.jit(run)(keys)
         assert lane_choices()[-1].why == "lanes have no 'sort'"
+
+
+def test_a_loop_in_a_branch_that_is_not_chosen_never_runs():
+    """XLA runs it: rows compute all branches, and this loop never ends for x <= 0."""
+
+    def halved(x):
+        down = lambda y: jax.lax.while_loop(lambda z: z < 1, lambda z: 2 * z, y)
+        return [jax.lax.cond(x > 0, down, lambda y: y, x)]
+
+    for x, expected in ((jnp.asarray(0.3), 1.2), (jnp.asarray(-0.3), -0.3)):
+        body = LoopBody(jax.make_jaxpr(halved)(x), 0)
+        use_lanes("rows")
+        run = lambda y, b=body: cycles_p.bind(jnp.int32(1), y, spec=RunSpec(b, None))
+        assert float(jax.jit(run)(x)[0]) == expected
+        assert "branch with a loop" in lane_choices()[-1].why

@@ -12,7 +12,13 @@ from typing import Any
 
 import numpy as np
 
-from jaxrod.jax_internals.equations import n_equations, scan_of, while_of
+from jaxrod.jax_internals.equations import (
+    n_equations,
+    program_of,
+    programs_within,
+    scan_of,
+    while_of,
+)
 from jaxrod.lanes.jaxpr.arithmetic import as_kind
 from jaxrod.lanes.jaxpr.reductions import CUMULATIVE, REDUCTIONS
 from jaxrod.lanes.jaxpr.unroll import (
@@ -20,6 +26,7 @@ from jaxrod.lanes.jaxpr.unroll import (
     NotUnrolled,
     Rule,
     Unroller,
+    branched,
     kind_dtype,
     kind_of,
     looped,
@@ -41,7 +48,7 @@ SHARED = (
         "is_finite",
     ),
     *("clamp", "select_n", "convert_element_type", "copy", "stop_gradient"),
-    *("optimization_barrier", "pvary", "reshard", "cond", "platform_index"),
+    *("optimization_barrier", "pvary", "reshard", "platform_index"),
     *("custom_linear_solve", "closed_call", "custom_jvp_call", "custom_vjp_call"),
     *("jit", "remat2"),
 )
@@ -472,6 +479,31 @@ def repeated(unroller: RowUnroller, equation: Any, *arrays: Rows) -> list[Rows]:
             )
             return unroller.nest(program, arrays)
     return looped(unroller, equation, *arrays)
+
+
+@row_rule("cond")
+def one_of(
+    unroller: RowUnroller, equation: Any, index: Rows, *arrays: Rows
+) -> list[Rows]:
+    """Translates `cond`: all branches are computed, and one result is selected.
+
+    Raises:
+        NotUnrolled: A branch has a loop that might never end where it is not chosen.
+    """
+    unknown = unroller.graph.value(index.scalar) is None
+    if unknown and any(map(_has_while, equation.params["branches"])):
+        raise NotUnrolled("rows have no branch with a loop of unknown length")
+    made: list[Rows] = branched(unroller, equation, index, *arrays)
+    return made
+
+
+def _has_while(program: Any) -> bool:
+    """Whether a program has a `while` loop."""
+    return any(
+        equation.primitive.name == "while"
+        or any(map(_has_while, programs_within(equation)))
+        for equation in program_of(program).jaxpr.eqns
+    )
 
 
 for _name in SHARED:
