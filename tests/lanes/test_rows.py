@@ -244,6 +244,17 @@ def of_constants_alone(matrices, x):
     return [jnp.sin(x) + jnp.sum(fixed, axis=1)]
 
 
+def test_a_loop_knows_only_constants_of_which_all_numbers_are_known():
+    def grown(scale, x):
+        half_known = jnp.stack([jnp.zeros(()), scale])
+        more = lambda y: y + 1 + half_known[1] + 0 * half_known[0]
+        return [jax.lax.while_loop(lambda y: y < 9, more, x)]
+
+    given = jnp.asarray(2.5), jnp.asarray(0.0)
+    _, rows, xla = compared_with_xla(grown, given, 1)
+    assert float(rows[0]) == float(xla[0])
+
+
 def test_a_loop_over_constants_is_computed_once():
     matrices, _, x, _ = given_to_shrunk("float64")
     kernel, rows, xla = compared_with_xla(of_constants_alone, (matrices, x), 1)

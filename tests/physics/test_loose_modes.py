@@ -12,6 +12,7 @@ import jaxrod
 from jaxrod.rods.elasticity import elastic_law
 from jaxrod.rods.motion import motion_of
 from jaxrod.statics.degrees_of_freedom import degrees_of_freedom
+from jaxrod.statics.loose_modes import singular_mixtures
 from jaxrod.statics.residual import Increment, LoadBalance
 from physics.pins import Pin, Place, pinned
 from physics.rods import arm, difference
@@ -221,4 +222,28 @@ def test_a_rod_lies_on_a_smooth_floor_on_which_it_may_slide():
     np.testing.assert_allclose(lying.state.positions[2], -depth, rtol=1e-9)
     np.testing.assert_allclose(
         lying.state.positions[:2], state.positions[:2], atol=1e-12
+    )
+
+
+@pytest.mark.parametrize("kind", ["full", "two alike", "small", "one alone", "sums"])
+def test_orthogonal_mixtures_are_those_of_lapack(kind, dtype):
+    vectors = np.random.default_rng(0).normal(size=(7, 60))
+    if kind == "two alike":
+        vectors[3] = vectors[2]
+    if kind == "small":
+        vectors *= 10.0 ** -np.arange(7)[:, None]
+    if kind == "one alone":
+        vectors[:2] = vectors[3:] = 0
+    if kind == "sums":
+        vectors[4:] = vectors[:3] + vectors[1:4]
+    vectors = np.asarray(vectors, dtype)
+    sizes, mixtures = hurried(singular_mixtures)(jnp.asarray(vectors))
+    expected = np.linalg.svd(vectors.astype(float), compute_uv=False)
+    few = 20 * np.finfo(dtype).eps
+    sizes, mixtures = np.asarray(sizes, float), np.asarray(mixtures, float)
+    assert difference(np.sort(sizes)[::-1], expected) <= few * expected[0]
+    assert difference(mixtures @ mixtures.T, np.eye(7)) <= few
+    products = mixtures @ vectors.astype(float)
+    assert (
+        difference(products @ products.T, np.diag(sizes**2)) <= few * expected[0] ** 2
     )
