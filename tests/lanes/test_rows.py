@@ -246,7 +246,7 @@ def of_constants_alone(matrices, x):
 
 def test_a_loop_knows_only_constants_of_which_all_numbers_are_known():
     def grown(scale, x):
-        half_known = jnp.stack([jnp.zeros(()), 2 * scale])
+        half_known = jnp.stack([jnp.asarray(2.0), 2 * scale])
         more = lambda y: y + 1 + half_known[1] + 0 * half_known[0]
         return [jax.lax.while_loop(lambda y: y < 9, more, x)]
 
