@@ -80,6 +80,7 @@ LEARNERS: dict[str, dict[str, Any]] = {
 
 def options(plain: Environment, *faults: str) -> dict[str, Any]:
     """Options of a randomisation that has these faults."""
+    # All arm tasks have a period, but not every environment has one.
     period: float = getattr(plain, "control_period")  # noqa: B009
     late = round(DELAY / period)
     every: dict[str, dict[str, Any]] = {
