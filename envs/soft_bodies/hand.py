@@ -84,8 +84,7 @@ class Hand:
 class Glide(Schedule):
     """Path of a held end over a control step: cubic, with given ends and velocities.
 
-    It is exact for a hand whose velocity changes linearly. For the hand of an arm it
-    has the arm's places and velocities at the ends of the step.
+    It is exact for a hand whose velocity changes linearly.
     """
 
     first: Float[Array, "3"]

@@ -125,3 +125,20 @@ def test_one_and_two_threads_give_the_same_bits():
         found.append(done.stdout)
     assert found[0] == found[1]
     assert found[0].count("always") > 4
+
+
+def test_implicit_steps_are_the_same_in_parts_and_in_a_batch():
+    numbers = dict(length=1.0, radius=0.02, density=1e3, youngs_modulus=1e6)
+    rod, state = jaxrod.straight_rod(SIZE, **numbers)
+    gravity = jaxrod.gravity((0.0, -9.81, 0.0))
+    method = jaxrod.implicit()
+    scene = jaxrod.make_scene(rod, jaxrod.clamp(state), gravity, method=method)
+    use_lanes("auto")
+    run = jax.jit(lambda start, n: jaxrod.advance(scene, start, 1e-2, n))
+    whole, first = run(state, 10), run(state, 4)
+    assert lane_choices()[-1].taken
+    assert same(jax.tree.leaves(run(first, 6)), jax.tree.leaves(whole))
+    many = jax.tree.map(lambda a, b: jnp.stack([a, b, a]), state, first)
+    ends = jax.tree.leaves(jax.vmap(run, in_axes=(0, None))(many, 10))
+    for place in (0, 2):
+        assert same([end[place] for end in ends], jax.tree.leaves(whole))

@@ -153,7 +153,8 @@ def neighbour_lists(
             times `pairs`; also counted by default.
         cell_slots: Largest number of elements in three neighbouring cells of the search
             grid, or 0 to test all pairs instead. By default it is 0 if no member has
-            more than 200 elements, and counted otherwise.
+            more than 200 elements, and counted otherwise. A search takes time and
+            memory in proportion to it.
 
     Returns:
         Settings for the argument `lists` of `rod_contact` and `crossing_contact`.

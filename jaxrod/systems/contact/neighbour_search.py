@@ -11,7 +11,9 @@ Pairs from these stretches are candidates if their midpoints are near enough for
 lengths. The exact distance is computed for candidates only. The k-th candidate of an
 element is where its running count reaches k, found by bisection. Candidates are
 processed in blocks, and the pairs that remain of a block are written after those of
-earlier blocks. There is no sort except by cell, and no loop over empty rows or blocks.
+earlier blocks. There is no sort except by cell, and no loop over empty blocks. A place
+of a stretch without an element is tested, too: the number of places is known when a
+kernel is written, so that it can store each row of counts where it belongs.
 On CPUs, where one processor writes entries one after another, candidates of a search
 over all pairs and the pairs that remain are scattered to their places, not bisected.
 """
