@@ -34,6 +34,7 @@ _PARAMETERS: dict[str, str] = {
     # Indexing.
     "dynamic_slice": "slice_sizes",
     "sort": "dimension is_stable num_keys",
+    "jaxrod_true_entries": "listing",
     "gather": "dimension_numbers fill_value indices_are_sorted mode slice_sizes "
     "unique_indices",
     **dict.fromkeys(

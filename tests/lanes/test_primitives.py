@@ -11,6 +11,7 @@ from jaxrod.lanes.choice import lane_choices, use_lanes
 from jaxrod.lanes.jaxpr.unroll import RULES, supported
 from jaxrod.lanes.primitives import cycles_p
 from jaxrod.lanes.run_spec import LoopBody, RunSpec
+from jaxrod.lanes.true_entries import true_entries
 from lanes.scenes import forced
 
 ODD = [0.0, -0.0, np.nan, np.inf, -np.inf, 0.5, -0.5, 1.5, 2.5, -2.5, 7.0, -3.25]
@@ -79,6 +80,7 @@ def cases(x, y, z, i, j, b, c, m):
         "clamp, bounds crossed": lax.clamp(y + 2, x, -y),
         "where": jnp.where(b, x, y),
         "select of three": lax.select_n(i % 3, x, y, x * y),
+        "true entries": true_entries(b, 4),
     }
     whole = ("add", "sub", "mul", "div", "rem", "max", "min")
     whole += ("bitwise_and", "bitwise_or", "bitwise_xor")

@@ -9,6 +9,7 @@ from jaxrod.lanes.choice import lane_choices, use_lanes
 from jaxrod.lanes.primitives import cycles_p
 from jaxrod.lanes.rows.kernels import cycles_kernel
 from jaxrod.lanes.run_spec import LoopBody, RunSpec
+from jaxrod.lanes.true_entries import true_entries
 
 LOOPS = pytest.mark.parametrize("way", ["rows", "loops"])
 ENTRIES, SIZE = 37, 11
@@ -303,6 +304,49 @@ def test_rows_leave_other_sorts_to_xla():
         run = lambda x, b=body: cycles_p.bind(jnp.int32(1), x, spec=RunSpec(b, None))
         jax.jit(run)(keys)
         assert lane_choices()[-1].why == "lanes have no 'sort'"
+
+
+@pytest.mark.parametrize(
+    "n, size, share",
+    [
+        *((1, 3, 1.0), (63, 20, 0.3), (64, 64, 1.0), (301, 400, 0.3)),
+        *((900, 7, 0.3), (300, 90, 0.0)),
+    ],
+)
+def test_true_entries_are_listed_in_order(n, size, share):
+    """By one function in rows, and by each of XLA's ways: also in batches."""
+    numbers = np.random.default_rng(n).random(n) + 0.001 - share
+    expected = np.zeros(size, np.int32)
+    found = np.flatnonzero(numbers < 0)[:size]
+    expected[: len(found)] = found
+
+    def listed(x, _):
+        return [x, true_entries(x < 0, size)]
+
+    given = (jnp.asarray(numbers), jnp.zeros(size, jnp.int32))
+    kernel, rows, xla = compared_with_xla(listed, given, 0)
+    assert kernel.text.count("define internal void @listed") == 1
+    batched = jax.vmap(lambda x: true_entries(x < 0, size))(given[0][None])
+    for made in (rows[1], xla[1], batched[0]):
+        np.testing.assert_array_equal(made, expected)
+
+
+@pytest.mark.parametrize("step", [1, 2])
+def test_rows_load_consecutive_numbers_together(step):
+    """A window at a traced place is read by vectors; one with gaps is gathered."""
+
+    def windows(table, places, total):
+        cut = lambda at: jax.lax.dynamic_slice(table, (at,), (40,))
+        if step == 2:
+            cut = lambda at: table[jnp.clip(at, 0, 59) + 2 * jnp.arange(20)]
+        return [table, places, total + jax.vmap(cut)(places)]
+
+    table = jnp.asarray(np.random.default_rng(0).normal(size=99))
+    places = jnp.asarray([-7, 0, 1, 13, 58, 59, 60, 98], jnp.int32)
+    given = (table, places, jnp.zeros((8, 40 // step)))
+    kernel, rows, xla = compared_with_xla(windows, given, 0)
+    assert ("masked.gather" in kernel.text) == (step == 2)
+    np.testing.assert_array_equal(rows[2], xla[2])
 
 
 def test_a_loop_in_a_branch_that_is_not_chosen_never_runs():

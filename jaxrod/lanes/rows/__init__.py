@@ -3,6 +3,6 @@
 Importing this package registers the translation rules of all primitives.
 """
 
-from jaxrod.lanes.rows import row_indexing, row_unroller, sorting
+from jaxrod.lanes.rows import listing, row_indexing, row_unroller, sorting
 
-__all__ = ["row_indexing", "row_unroller", "sorting"]
+__all__ = ["listing", "row_indexing", "row_unroller", "sorting"]

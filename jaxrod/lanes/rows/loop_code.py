@@ -18,6 +18,7 @@ from jaxrod.lanes.graph import DTYPES
 from jaxrod.lanes.llvm.vector_code import BYTES, TYPES, literal
 from jaxrod.lanes.rows.loop_writer import LoopWriter
 from jaxrod.lanes.rows.packed_loops import write_packed
+from jaxrod.lanes.rows.packing import STORED
 from jaxrod.lanes.rows.recurrences import write_recurrence
 from jaxrod.lanes.rows.row_graph import Dims, RowGraph, identity, row_major
 from jaxrod.lanes.rows.schedule import Fill, Loop, Place, Schedule
@@ -25,6 +26,10 @@ from jaxrod.lanes.rows.schedule import Fill, Loop, Place, Schedule
 Lines = list[str]
 WIDEST = 64
 """Size of the vector registers of processors with AVX-512 [bytes]."""
+DEEPEST = 6
+"""Number of operations on an index within which consecutive indices are recognised."""
+SIZES = {TYPES[kind]: size for kind, size in BYTES.items()}
+"""Sizes of single numbers in memory [bytes], by LLVM type."""
 
 
 class RowWriter(LoopWriter):
@@ -291,7 +296,47 @@ class RowWriter(LoopWriter):
         place = self.schedule.place(table)
         assert place is not None
         at = self._at(Place(place.pointer, place.offset + base * BYTES[kind]))
-        return self.gathered(at, self.value(index), kind)
+        places = self.value(index)
+        if self.width > 1 and self._slope(index) == 1:
+            return self._consecutive(at, places, kind)
+        return self.gathered(at, places, kind)
+
+    def _slope(self, node: int, depth: int = 0) -> int | None:
+        """Difference of neighbouring numbers of a node along the row, if it is known.
+
+        It is the same everywhere along the row, and `None` if it is not known. `depth`
+        counts the operations between the index of a gather and the node.
+        """
+        graph = self.graph
+        if graph.value(node) is not None or not graph.dims[node]:
+            return 0
+        operation = graph.operations[node]
+        if operation == "iota":
+            return int(graph.extras[node] == len(graph.dims[node]) - 1)
+        if operation == "view":
+            return None if graph.extras[node][1][-1] else 0
+        if operation in STORED or operation == "gather" or depth == DEEPEST:
+            return None
+        slopes = [self._slope(one, depth + 1) for one in graph.arguments[node]]
+        if None in slopes:
+            return None
+        if operation == "add":
+            return sum(slope or 0 for slope in slopes)
+        return None if any(slopes) else 0
+
+    def _consecutive(self, at: str, places: str, kind: str) -> str:
+        """Appends the load of consecutive numbers; returns the vector's name.
+
+        Pointer, indices and type are those of `gathered`. Only the first index is used.
+        """
+        first = self.new(f"extractelement <{self.width} x i32> {places}, i64 0")
+        one = "i8" if kind == "b1" else TYPES[kind]
+        begin = self.new(f"getelementptr {one}, ptr {at}, i32 {first}")
+        many = f"<{self.width} x {one}>"
+        name = self.new(f"load {many}, ptr {begin}, align {BYTES[kind]}")
+        if kind == "b1":
+            name = self.new(f"icmp ne {many} {name}, zeroinitializer")
+        return name
 
     def gathered(self, at: str, places: str, kind: str) -> str:
         """Appends the load of a number in each lane; returns the vector's name.
@@ -820,22 +865,41 @@ def fill_call(number: str, place: Place, kind: str, fill: Fill, given: str = "")
 def fill_text(one: str) -> str:
     """Returns LLVM IR of a function that writes one number to runs of entries.
 
-    Run j begins at entry j times `%stride` and has `%count` entries. `one` is the LLVM
-    type of the number.
+    Run j begins at entry j times `%stride` and has `%count` entries. They are written a
+    vector at a time, and those that do not fill a vector one after another. `one` is
+    the LLVM type of the number.
     """
+    size = SIZES[one]
+    width = WIDEST // size
+    many = f"<{width} x {one}>"
     return f"""
 define internal void @fill_{one}(ptr %to, i64 %offset, {one} %number, i64 %count,
     i64 %runs, i64 %stride) nounwind {{
 entry:
 %start = getelementptr i8, ptr %to, i64 %offset
+%first = insertelement {many} poison, {one} %number, i32 0
+%vector = shufflevector {many} %first, {many} poison, <{width} x i32> zeroinitializer
+%whole = and i64 %count, {-width}
 br label %outer
 outer:
 %j = phi i64 [0, %entry], [%j1, %outer_end]
 %begin = mul i64 %j, %stride
 %row = getelementptr {one}, ptr %start, i64 %begin
-br label %loop
+%some = icmp sgt i64 %whole, 0
+br i1 %some, label %vectors, label %rest
+vectors:
+%k = phi i64 [0, %outer], [%k1, %vectors]
+%there = getelementptr {one}, ptr %row, i64 %k
+store {many} %vector, ptr %there, align {size}
+%k1 = add i64 %k, {width}
+%further = icmp slt i64 %k1, %whole
+br i1 %further, label %vectors, label %rest
+rest:
+%done = phi i64 [0, %outer], [%whole, %vectors]
+%left = icmp slt i64 %done, %count
+br i1 %left, label %loop, label %outer_end
 loop:
-%i = phi i64 [0, %outer], [%next, %loop]
+%i = phi i64 [%done, %rest], [%next, %loop]
 %at = getelementptr {one}, ptr %row, i64 %i
 store {one} %number, ptr %at
 %next = add i64 %i, 1
@@ -844,8 +908,8 @@ br i1 %more, label %loop, label %outer_end
 outer_end:
 %j1 = add i64 %j, 1
 %again = icmp slt i64 %j1, %runs
-br i1 %again, label %outer, label %done
-done:
+br i1 %again, label %outer, label %end
+end:
 ret void
 }}
 """

@@ -593,7 +593,7 @@ def hoisted(
             for leaf in one.leaves:
                 keep(leaf)
             for inside in one.inside:
-                if len(graph.dims[inside]) < 2:
+                if math.prod(graph.dims[inside]) <= MOST_STORED:
                     keep(inside)
         elif graph.rates[node] >= VARYING:
             for argument in graph.arguments[node]:

@@ -45,7 +45,7 @@ from jaxrod.systems.contact.element_pairs import (
     Bounds,
     Elements,
     bulge_shares,
-    farthest_from_chord,
+    farthest_along,
 )
 from jaxrod.systems.contact.neighbour_lists import NeighbourLists
 from jaxrod.systems.contact.penalty_contact import (
@@ -63,6 +63,7 @@ from jaxrod.systems.contact.rod_segments import (
 from jaxrod.systems.contact.segment_distance import (
     Products,
     apart,
+    between,
     crossedness,
     from_products,
     middles,
@@ -165,14 +166,24 @@ class CrossingContact(TouchingRods):
             yield contact_pair(between, places, weight, radii, self.onset)
 
     def touching(self, own: Elements, other: Elements, weights: Array) -> Array:
-        """Mask of the pairs whose chords are near enough for their axes to touch."""
+        """Mask of the pairs whose chords are near enough for their axes to touch.
+
+        The chords are a distance d apart, along the unit vector n between their closest
+        points. Two points of the axes are at least d - e apart, where e is how far the
+        axes bulge towards each other along n: points of chords are d or more apart
+        along n.
+        """
         way = vectors.subtract(own.first, other.first)
-        square = nearest_places(way, own.edge, other.edge)[2]
+        s, t, square = nearest_places(way, own.edge, other.edge)
         reach = (1 + 0.25 * self.onset) * (own.radii + other.radii)
-        for one in (own, other):
+        towards = between(way, own.edge, other.edge, (s, t))
+        away = vectors.scale(-1.0, towards)
+        bulging = jnp.zeros_like(square)
+        for one, along in ((own, away), (other, towards)):
             if one.bulges is not None:
-                reach = reach + farthest_from_chord(one.bulges)
-        return (square < reach * reach) & (weights != 0)
+                bulging = bulging + farthest_along(one.bulges, along)
+        # Both sides are multiplied by d, which may be zero.
+        return (square - bulging <= reach * jnp.sqrt(square)) & (weights != 0)
 
     def pair_loads(
         self, own: Elements, other: Elements, weights: Array

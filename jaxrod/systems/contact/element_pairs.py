@@ -164,6 +164,16 @@ def farthest_from_chord(bulges: tuple[Vec3, Vec3]) -> Array:
     return 4 / 27 * (first + second)
 
 
+def farthest_along(bulges: tuple[Vec3, Vec3], way: Vec3) -> Array:
+    """Upper bound of products of a vector with the steps from chords to smooth axes.
+
+    It is 4/27 (max(b1 . w, 0) + max(-b2 . w, 0)), with the bulges b1 and b2 at both
+    nodes and the vector w, `way`.
+    """
+    first, second = (vectors.dot(bulge, way) for bulge in bulges)
+    return 4 / 27 * (jnp.maximum(first, 0) + jnp.maximum(-second, 0))
+
+
 def _on_cubic(edge: Vec3, bulges: tuple[Vec3, Vec3] | None, fraction: Array) -> Vec3:
     straight = vectors.scale(fraction, edge)
     if bulges is None:
