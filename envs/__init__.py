@@ -3,6 +3,8 @@
 if __name__ != "jaxrod.envs":
     raise ImportError("import jaxrod.envs, not envs: the folder is installed under it")
 
+from typing import TYPE_CHECKING
+
 from jaxrod.envs.arm.soft_arm import actuated_arm
 from jaxrod.envs.checking import check_environment
 from jaxrod.envs.memory_policy import (
@@ -67,3 +69,17 @@ __all__ = [
     "remembering",
     "rollout",
 ]
+
+_GUESSES = {
+    **dict.fromkeys(("create", "get_environment", "load"), "it is jaxrod.envs.make"),
+    **dict.fromkeys(("available", "list"), "it is jaxrod.envs.names"),
+    "wrap": "it is jaxrod.envs.VectorEnvironment",
+}
+"""Hints for names that users of other tools guess, by the guess."""
+
+if not TYPE_CHECKING:
+
+    def __getattr__(name: str) -> None:
+        """Raises an error, with a hint if the name is a usual guess."""
+        hint = _GUESSES.get(name, "help(jaxrod.envs) lists the names")
+        raise AttributeError(f"module 'jaxrod.envs' has no attribute {name!r}: {hint}")

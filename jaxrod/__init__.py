@@ -48,25 +48,63 @@ _NAMESPACES = {name for name, module in _MODULE_OF.items() if module == "jaxrod"
 
 __all__ = sorted({*_MODULE_OF} - _NAMESPACES)
 
+_GUESSES = {
+    **dict.fromkeys(
+        ("CosseratRod", "make_rod", "rod"),
+        "jaxrod.straight_rod and jaxrod.rod_along make a rod and its state",
+    ),
+    **dict.fromkeys(
+        ("PositionVerlet", "integrate", "run", "simulate"),
+        "jaxrod.advance computes a later state, jaxrod.rollout also those on the way",
+    ),
+    **dict.fromkeys(
+        ("BaseSystemCollection", "MjModel", "Simulator"),
+        "jaxrod.make_scene joins a rod and effects, jaxrod.make_system several rods",
+    ),
+    **dict.fromkeys(
+        ("OneEndFixedBC", "fix", "fixed"),
+        "jaxrod.clamp holds an end, and jaxrod.fixed_end holds it as in PyElastica",
+    ),
+    **dict.fromkeys(
+        ("AnalyticalLinearDamper", "damper"),
+        "it is jaxrod.exponential_damping, or jaxrod.internal_damping of the material",
+    ),
+    **dict.fromkeys(
+        ("plot", "render", "show", "view", "viewer"),
+        "jaxrod.viz.show plays states, and jaxrod.viz.live simulates in real time",
+    ),
+    **dict.fromkeys(("get_environment", "make", "make_env"), "it is jaxrod.envs.make"),
+    **dict.fromkeys(("floor", "ground"), "it is jaxrod.contact(jaxrod.shapes.plane())"),
+    "EndpointForces": "it is jaxrod.end_load",
+    "GravityForces": "it is jaxrod.gravity",
+    "MjData": "it is the state that jaxrod.straight_rod returns with a rod",
+    "MuscleTorques": "it is jaxrod.actuation.muscle_torques",
+    "UniformForces": "it is jaxrod.uniform_load",
+    "friction": "it is an argument of jaxrod.contact",
+    "hinge": "jaxrod.hinge_support holds an end, jaxrod.systems.hinge_joint joins rods",
+    "mj_step": "jaxrod.step computes one step, and jaxrod.advance many",
+}
+"""Hints for names that users of other tools guess, by the guess."""
+
 
 def __getattr__(name: str) -> Any:
     """Imports a public name, or a namespace, when it is first used."""
     if name in _NAMESPACES:
         return _namespace(name)
     if name not in _MODULE_OF:
-        raise AttributeError(
-            f"module 'jaxrod' has no attribute {name!r}{_place_of(name)}"
-        )
+        raise AttributeError(f"module 'jaxrod' has no attribute {name!r}{_hint(name)}")
     require_sound_jax()
     globals()[name] = getattr(importlib.import_module(_MODULE_OF[name]), name)
     return globals()[name]
 
 
-def _place_of(name: str) -> str:
-    """Hint ": it is jaxrod.SPACE.NAME" for a name in a namespace, otherwise "".
+def _hint(name: str) -> str:
+    """Hint ": it is jaxrod.SPACE.NAME" for a name in a namespace, or for a guess.
 
     Files are searched as text, because nothing may be imported here.
     """
+    if name in _GUESSES:
+        return f": {_GUESSES[name]}"
     here = Path(__file__).parent
     for space in sorted(_NAMESPACES):
         for file in (here / f"{space}.py", here / space / "__init__.py"):

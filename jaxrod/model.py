@@ -16,6 +16,23 @@ from jaxtyping import Array, ArrayLike, Float
 
 from jaxrod.geometry.vectors import Vec3
 
+GUESSES = {
+    **dict.fromkeys(
+        ("integrate", "run", "simulate"),
+        "jaxrod.advance computes a later state, jaxrod.rollout also those on the way",
+    ),
+    **dict.fromkeys(
+        ("add", "append", "finalize"),
+        "jaxrod.make_scene joins a rod and effects, jaxrod.make_system several rods",
+    ),
+    "advance": "it is jaxrod.advance(scene, state, dt, n_steps)",
+    "dt": "it is jaxrod.stable_dt(scene).dt",
+    "rollout": "it is jaxrod.rollout(scene, state, dt, n_steps, every)",
+    "state": "it is the state that jaxrod.straight_rod returns with the rod",
+    "step": "it is jaxrod.step(scene, state, dt)",
+}
+"""Hints at functions of a model, by the method that users of other tools guess."""
+
 
 class Stepper(Protocol):
     """An integrator with its constants computed, as `advance` runs it.

@@ -35,11 +35,11 @@ from jaxrod.loaded_rod import (
 )
 from jaxrod.methods.consistent import Consistent
 from jaxrod.methods.drag_kick import check_drag
-from jaxrod.model import Model, Stepper
+from jaxrod.model import GUESSES, Model, Stepper
 from jaxrod.rods.elasticity import stored_energy
 from jaxrod.rods.rod import Rod, RodState
 from jaxrod.statics.equilibrium import Equilibrium, scene_equilibrium
-from jaxrod.structure import pytree
+from jaxrod.structure import Hinted, pytree
 from jaxrod.systems.members.member import Member
 from jaxrod.systems.members.rods import member_of_rod
 from jaxrod.validation import (
@@ -52,7 +52,7 @@ from jaxrod.validation import (
 
 
 @pytree
-class Scene(LoadedRod, Model):
+class Scene(LoadedRod, Model, Hinted):
     """One rod, its effects and a method. Structure is static, numbers are traced.
 
     Only the listed `effects` are in the compiled program. Make a scene with
@@ -65,6 +65,8 @@ class Scene(LoadedRod, Model):
         >>> bool(scene.total_energy(bent) < scene.total_energy(state))  # damping
         True
     """
+
+    _hints = GUESSES
 
     def __repr__(self) -> str:
         """One line: the rod, the effects by their classes, the method."""

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable
-from typing import Any, TypeVar, dataclass_transform
+from collections.abc import Callable, Mapping
+from typing import TYPE_CHECKING, Any, ClassVar, TypeVar, dataclass_transform
 
 import jax
 
@@ -14,6 +14,24 @@ from jaxrod.installation.jax_version import require_sound_jax
 require_sound_jax()
 
 T = TypeVar("T")
+
+
+class Hinted:
+    """Base class of pytrees that answer a guessed attribute with a hint."""
+
+    _hints: ClassVar[Mapping[str, str]]
+    """Hints by the guess."""
+
+    if not TYPE_CHECKING:
+
+        def __getattr__(self, name: str) -> Any:
+            """Raises an error, with a hint if the name is a usual guess."""
+            if name not in type(self)._hints:
+                # Python's own error, or again that of a property.
+                return object.__getattribute__(self, name)
+            kind, hint = type(self).__name__, self._hints[name]
+            raise AttributeError(f"{kind!r} object has no attribute {name!r}: {hint}")
+
 
 STORABLE: set[type] = set()
 """Dataclasses that `jaxrod.save` may put into a file."""

@@ -64,6 +64,19 @@ def test_each_feature_in_the_docs_is_run_by_a_fast_test_here():
             assert "slow" not in marks, f"{test.__name__} is left out of fast runs"
 
 
+@pytest.mark.parametrize(
+    "page",
+    ["features.md", "commands.md", "tasks.md", "clients.md", "environments.md"],
+)
+def test_every_page_that_lists_the_tasks_lists_all_of_them(page):
+    text = (ROOT / "docs" / page).read_text()
+    rows = [line for line in text.splitlines() if line.startswith("|")]
+    # On two pages a sentence lists the tasks.
+    listed = text if page in ("clients.md", "commands.md") else "\n".join(rows)
+    missing = {*jaxrod.envs.names()} - {"trivial", *re.findall(r"\w+", listed)}
+    assert not missing
+
+
 def straight(n=4, length=1.0, radius=RADIUS, **changes):
     """A rod along x, its first director up, and its state at rest."""
     shape = {"direction": (1, 0, 0), "normal": (0, 0, 1), "dtype": jnp.float64}

@@ -71,10 +71,11 @@ IN_OUR_PHYSICS = """\
 ## Differences in the `clean` obstacle tasks
 
 In the variant `clean` a control step of the same two tasks takes less time ([how fast
-the tasks are](environments.md)), and no published number of control steps applies.
-These runs use more environments, two to six million control steps, and actions held for
-4 or 7 ms. With `--variant clean`, `jaxrod reproduce` uses these settings instead of the
-rows of these cases above. TRPO and DDPG were not tried there and keep those rows.
+the tasks are](environments.md)), and no published number of control steps limits a run.
+Runs therefore use more environments, two to six million control steps, and actions held
+for 4 or 7 ms. For these cases `jaxrod reproduce --variant clean` takes the settings
+below instead of those above. TRPO and DDPG were not tried in `clean`, and keep those
+above.
 """
 
 BY_GRADIENTS = """\

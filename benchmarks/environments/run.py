@@ -32,7 +32,7 @@ from jaxrod.training.runs.hosts import device_mesh, place
 ARMS = ("tracking", "reaching", "structured", "unstructured")
 TASKS = (
     *((name, variant) for name in ARMS for variant in ("clean", "paper")),
-    *((name, "clean") for name in ("following", "snake", "octopus", "gripper")),
+    *((name, "clean") for name in ("following", "snake", "octopus", "gripper", "lift")),
 )
 BATCHES = (16, 64, 256)
 """Environments per core."""
@@ -49,6 +49,7 @@ in every step. Values are medians of {windows} windows of {seconds:g} s, without
 compiling. The time of a control step, the elements of a rod and the simulation steps
 per control step are the tasks' defaults. The octopus has eight arms, the gripper three
 fingers and a ball. {lanes}
+The machine is shared: at a busy hour a task may show half the speed of a quiet one.
 {machine}.
 
 | task | variant | control step [ms] | elements | steps | {columns} | flagged |

@@ -542,11 +542,11 @@ def contact(
             of a factory). Each adds to the compiled program; a dozen bodies cost more
             than the rod itself, and then `jaxrod.near_contact` helps.
         stiffness: Force per length of rod and penetration [N/m^2]. If it is left out,
-            `make_scene` chooses it, and the damping and the friction drag if they are
-            left out too, so that `stable_dt` is half of what it is without this contact
-            (`jaxrod.contacts.default_law`).
-        damping: Force per length of rod and normal speed [kg/(m s)]; with a given
-            stiffness none by default.
+            `make_scene` chooses it so that this contact halves `stable_dt`
+            (`jaxrod.contacts.default_law`). It then also chooses damping and friction
+            drag, unless they are given.
+        damping: Force per length of rod and normal speed [kg/(m s)]; zero by default if
+            the stiffness is given.
         friction: Coefficient of Coulomb friction, or three coefficients, such as those
             of scales and bristles: for slip forward (along d3, from the first node to
             the last), backward and sideways [1].

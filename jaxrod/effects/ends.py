@@ -91,8 +91,8 @@ def check_made_for(name: str, count: int | None, rod: Rod) -> None:
 
     Args:
         name: Name of the support's factory.
-        count: Number of elements of the state that it was made from; `None` if not
-            known.
+        count: Number of elements of the state from which the support was made; `None`
+            if not known.
         rod: The rod that the support holds.
     """
     if count is not None and count != rod.n_elements:

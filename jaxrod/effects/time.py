@@ -153,7 +153,7 @@ class Schedule(ABC):
         """Upper bound of the Euclidean norm of the value at all times.
 
         By default it is the norm of `largest`, which depends on the axes. A subclass
-        that computes it from its values makes it independent of them.
+        may compute it from its own values, so that it does not depend on the axes.
         """
         return norm(self.largest)
 

@@ -107,8 +107,8 @@ def by_kernel(integrator: Any, name: str, given: Any, *, iterates: bool = False)
         name: Name of the method.
         given: Argument of the method.
         iterates: Whether the method has loops whose length depends on numbers. Only
-            rows have them. In other kernels the parts of the method that call
-            `by_kernel` themselves are kernels.
+            rows have such loops. Elsewhere XLA runs the method, and only its calls of
+            `by_kernel` become kernels.
     """
     left_out = is_in_one_kernel() or (iterates and not rows_wanted())
     if left_out or not _kernels_wanted():

@@ -18,15 +18,16 @@ from jaxtyping import Array, Float
 from jaxrod.geometry import vectors
 from jaxrod.geometry.material_frames import module_for
 from jaxrod.geometry.rotations import directors_from_orientations
+from jaxrod.rods.guesses import OF_RODS, OF_STATES
 from jaxrod.rods.repr import repr_or_class_name, rod_repr, state_repr
-from jaxrod.structure import pytree, static
+from jaxrod.structure import Hinted, pytree, static
 from jaxrod.validation import Numbers, check_kind, numeric
 
 JointMean = Literal["arithmetic", "series"]
 
 
 @pytree
-class Rod:
+class Rod(Hinted):
     """Parameters of one rod. All numbers are traced leaves.
 
     `vmap` over a rod is domain randomisation; `grad` over it is system identification.
@@ -45,6 +46,8 @@ class Rod:
         >>> round(float(softer.bend_twist_stiffness[0, 0]), 4)  # E I / 2 [N m^2]
         0.0628
     """
+
+    _hints = OF_RODS
 
     rest_lengths: Float[Array, " n"]
     """Unstressed element lengths [m]."""
@@ -202,7 +205,7 @@ class Layout:
 
 
 @pytree
-class RodState:
+class RodState(Hinted):
     """State of a rod: everything that changes in time, without derived quantities.
 
     Example:
@@ -214,6 +217,8 @@ class RodState:
         >>> round(float(rod.kinetic_energy(moving)), 3)  # m v^2 / 2 [J]
         1.885
     """
+
+    _hints = OF_STATES
 
     positions: Float[Array, "3 n+1"]
     """Node positions, world frame [m]."""

@@ -1,5 +1,7 @@
 """Systems of rods and rigid bodies: bodies, joints, contact, neighbour lists."""
 
+from typing import TYPE_CHECKING
+
 from jaxrod.systems.contact.body_contact import BodyContact, body_contact
 from jaxrod.systems.contact.crossing_contact import CrossingContact, crossing_contact
 from jaxrod.systems.contact.neighbour_lists import (
@@ -64,3 +66,31 @@ __all__ = [
     "tie",
     "weld",
 ]
+
+_GUESSES = {
+    **dict.fromkeys(
+        ("FreeJoint", "connect", "join", "joint"),
+        "jaxrod.systems.tie joins rods that may turn, jaxrod.systems.weld rods that "
+        "may not, and jaxrod.systems.attach joins rods to rigid bodies",
+    ),
+    **dict.fromkeys(("BallJoint", "ball"), "it is jaxrod.systems.ball_joint"),
+    **dict.fromkeys(("FixedJoint", "fixed"), "it is jaxrod.systems.weld"),
+    **dict.fromkeys(("HingeJoint", "hinge"), "it is jaxrod.systems.hinge_joint"),
+    **dict.fromkeys(("Cylinder", "body"), "it is jaxrod.systems.rigid_body"),
+    **dict.fromkeys(
+        ("RodSelfContact", "self_contact"),
+        "it is jaxrod.systems.rod_contact(name, self_contact=True)",
+    ),
+    "RodRodContact": "it is jaxrod.systems.rod_contact",
+    "make_system": "it is jaxrod.make_system",
+}
+"""Hints for names that users of other tools guess, by the guess."""
+
+if not TYPE_CHECKING:
+
+    def __getattr__(name: str) -> None:
+        """Raises an error, with a hint if the name is a usual guess."""
+        hint = _GUESSES.get(name, "help(jaxrod.systems) lists the names")
+        raise AttributeError(
+            f"module 'jaxrod.systems' has no attribute {name!r}: {hint}"
+        )

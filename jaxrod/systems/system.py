@@ -15,9 +15,9 @@ from jaxrod.analysis.health import HealthLimits
 from jaxrod.effects.own_classes import check_own_class
 from jaxrod.geometry.vectors import Vec3
 from jaxrod.lanes.steps import by_kernel
-from jaxrod.model import Model, Stepper
+from jaxrod.model import GUESSES, Model, Stepper
 from jaxrod.statics.equilibrium import Equilibrium, search_limits
-from jaxrod.structure import pytree
+from jaxrod.structure import Hinted, pytree
 from jaxrod.systems.contact.neighbour_lists import RECORD
 from jaxrod.systems.coupling import AllParts, Coupling
 from jaxrod.systems.equilibrium import system_equilibrium
@@ -57,7 +57,7 @@ from jaxrod.validation import (
 
 
 @pytree
-class System(Assembly, Model):
+class System(Assembly, Model, Hinted):
     """Rods and rigid bodies by name, and the couplings between them.
 
     Structure is static, numbers are traced. The compiled program contains these members
@@ -72,6 +72,8 @@ class System(Assembly, Model):
         >>> sorted(system.members), float(system.kinetic_energy(states))
         (['left', 'right'], 0.0)
     """
+
+    _hints = GUESSES
 
     def states_by_name(self, state: Any) -> dict[str, Any]:
         """States of the members by name, without the record of neighbour lists."""

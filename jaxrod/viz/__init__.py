@@ -47,9 +47,20 @@ _MODULE_OF = {
 }
 """Modules of the names that need JAX, which are imported on use."""
 
+_GUESSES = {
+    **dict.fromkeys(
+        ("animate", "play", "plot", "render", "view", "viewer"),
+        "jaxrod.viz.show plays states, and jaxrod.viz.live simulates in real time",
+    ),
+    **dict.fromkeys(("movie", "save_video", "video"), "it is jaxrod.viz.film"),
+    **dict.fromkeys(("image", "save_image"), "it is jaxrod.viz.picture"),
+}
+"""Hints for names that users of other tools guess, by the guess."""
+
 
 def __getattr__(name: str) -> Any:
     """Imports a name that needs JAX on use."""
     if name in _MODULE_OF:
         return getattr(import_module(f"jaxrod.viz.{_MODULE_OF[name]}"), name)
-    raise AttributeError(f"module 'jaxrod.viz' has no attribute {name!r}")
+    hint = _GUESSES.get(name, "help(jaxrod.viz) lists the names")
+    raise AttributeError(f"module 'jaxrod.viz' has no attribute {name!r}: {hint}")

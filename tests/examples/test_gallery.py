@@ -30,6 +30,7 @@ WHOLE = {
     "catheter": 0.05,
     "driven_pendulum": 0.05,
     "soft_pendulum": 0.05,
+    "lift": 0.02,
 }
 
 

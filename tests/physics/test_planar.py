@@ -95,9 +95,8 @@ def test_a_planar_scene_is_the_one_in_space(plane, mode, record):
     rounding = worst(beside)
     assert rounding < 1e-11, "the motion has to be one that rounding leaves alone"
     record(
-        f"Planar scene ({plane}, {mode} mode), n = 12, 2000 steps: positions, "
-        "orientations, velocities, angular momenta, of their largest, over what the "
-        "last bit of the first positions makes of them",
+        f"Planar scene ({plane}, {mode} mode), n = 12, 2000 steps: state, over the "
+        "effect of the last bit of the first positions",
         "the same scene in space",
         worst(flat) / rounding,
         at_most=4.0,

@@ -361,11 +361,11 @@ def body_contact(
         rod: Name of a rod, or of equal rods.
         body: Name of rigid bodies with a shape.
         stiffness: Force per length of rod and penetration [N/m^2]. If it is left out,
-            `make_system` chooses it, and the damping and the friction drag if they are
-            left out too, so that `stable_dt` is half of what it is without this contact
-            (`jaxrod.contacts.default_law`).
-        damping: Force per length and normal speed [kg/(m s)]; with a given stiffness
-            none by default.
+            `make_system` chooses it so that this contact halves `stable_dt`
+            (`jaxrod.contacts.default_law`). It then also chooses damping and friction
+            drag, unless they are given.
+        damping: Force per length and normal speed [kg/(m s)]; zero by default if the
+            stiffness is given.
         friction: Coefficient of Coulomb friction [1].
         friction_drag: Largest friction per length and slip speed [kg/(m s)]; by default
             equal to `damping`.

@@ -375,10 +375,11 @@ def crossing_contact(
     Args:
         *members: Names of members; a member is one rod or several equal rods.
         stiffness: Force per penetration of a crossing [N/m]. If it is left out,
-            `make_system` chooses it, and the damping and the friction drag if they are
-            left out too, so that `stable_dt` is half of what it is without this contact
-            (`jaxrod.contacts.default_law`).
-        damping: Force per normal speed [kg/s]; with a given stiffness none by default.
+            `make_system` chooses it so that this contact halves `stable_dt`
+            (`jaxrod.contacts.default_law`). It then also chooses damping and friction
+            drag, unless they are given.
+        damping: Force per normal speed [kg/s]; zero by default if the stiffness is
+            given.
         friction: Coefficient of Coulomb friction [1].
         friction_drag: Largest friction per slip speed [kg/s]; by default equal to
             `damping`.

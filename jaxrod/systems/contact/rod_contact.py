@@ -302,16 +302,16 @@ def rod_contact(
     Args:
         *members: Names of members; a member is one rod or several equal rods.
         stiffness: Force per length of contact and penetration [N/m^2]. If it is left
-            out, `make_system` chooses it, and the damping and the friction drag if they
-            are left out too, so that `stable_dt` is half of what it is without this
-            contact (`jaxrod.contacts.default_law`).
-        damping: Force per length and normal speed [kg/(m s)]; with a given stiffness
-            none by default.
+            out, `make_system` chooses it so that this contact halves `stable_dt`
+            (`jaxrod.contacts.default_law`). It then also chooses damping and friction
+            drag, unless they are given.
+        damping: Force per length and normal speed [kg/(m s)]; zero by default if the
+            stiffness is given.
         friction: Coefficient of Coulomb friction [1].
         friction_drag: Largest friction per length and slip speed [kg/(m s)]; by default
             equal to `damping`.
-        self_contact: Whether each rod also touches itself. Parts of a rod that are
-            nearer to each other along it than pi times its radius do not touch.
+        self_contact: Whether each rod also touches itself. Two parts that are less than
+            pi radii apart along the rod do not touch.
         onset: Width of the smooth onset of contact, divided by the mean of the radii
             [1].
         points_per_element: Contact points per element; by default enough that they are
