@@ -10,7 +10,9 @@ blocks in XLA (AMD EPYC, float64).
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import partial
 
+import jax
 import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Array, Float
@@ -36,7 +38,19 @@ def eliminate(
     Returns:
         The solution and the pivots.
     """
-    way = _by_columns if is_in_one_kernel() else _by_blocks
+    return _eliminated(lower, diagonal, upper, right, is_in_one_kernel())
+
+
+@partial(jax.jit, static_argnames="in_kernel")
+def _eliminated(
+    lower: Blocks,
+    diagonal: Blocks,
+    upper: Blocks,
+    right: Float[Array, "n m"],
+    in_kernel: bool,
+) -> tuple[Float[Array, "n m"], Float[Array, "n m"]]:
+    """Result of `eliminate`, compiled so that it is traced once for equal shapes."""
+    way = _by_columns if in_kernel else _by_blocks
     return way(lower, diagonal, upper, right)
 
 
