@@ -43,6 +43,7 @@ VARIANTS = {
     "octopus": ("clean",),
     "gripper": ("clean",),
     "lift": ("clean",),
+    "insert": ("clean",),
     "following": ("clean",),
 }
 """Tasks that are registered with Gymnasium, and the variants of each."""

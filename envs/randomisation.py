@@ -77,6 +77,10 @@ class Randomisation:
     rate: Any = dataclasses.field(default=2.0, hash=False)
     """Largest change of an action per control step [1]; a range. The default of 2 means
     no limit."""
+    past_actions: Any = dataclasses.field(default=(), hash=False)
+    """Past actions that are appended to the observation, by the number of control steps
+    ago at which they were chosen, such as (1, 9). They are clipped to [-1, 1], and zero
+    before the first action."""
     correlation: Mapping[str, Any] = dataclasses.field(default_factory=dict, hash=False)
     """Correlation of `normal` and `log_normal` draws: `names`, a list of keys of
     `parameters`, and `matrix`."""
@@ -118,6 +122,7 @@ class Randomisation:
             raise ValueError("give either lag [control steps] or lag_seconds [s]")
         put("saturation", _range("saturation", self.saturation, "", at_most=1.0))
         put("rate", _range("rate", self.rate, "per control step"))
+        put("past_actions", _steps_ago(self.past_actions))
         put("correlation", _correlation(self.correlation, self.parameters))
         put("widening", _widening(self.widening))
 
@@ -298,6 +303,19 @@ def _range(
     if not (low.is_integer() and high.is_integer()):
         raise ValueError(f"{name} must be whole {unit}, got {low:g} to {high:g} {unit}")
     return [int(low), int(high)]
+
+
+def _steps_ago(given: Any) -> list[int]:
+    """Validates numbers of control steps and returns them."""
+    listed = isinstance(given, Sequence | np.ndarray) and not isinstance(given, str)
+    if not listed:
+        raise ValueError(
+            f"past_actions must be a list of control steps, got {given!r:.60}"
+        )
+    steps = [check_count("each of past_actions", step, 1) for step in given]
+    if len(set(steps)) < len(steps):
+        raise ValueError(f"past_actions must be different control steps, got {steps}")
+    return steps
 
 
 def _correlation(given: Any, rules: Mapping[str, Any]) -> dict[str, Any]:

@@ -9,8 +9,9 @@ until the episode ends. In every control step the action $a$ passes, in this ord
 - a rate limit: $|x' - x| \le r$.
 
 Before the first action, all earlier actions were zero. The observation then gets
-Gaussian noise, and entries that drop out keep their last seen values. Reward,
-termination and `info` are those of the task, without noise.
+Gaussian noise, and entries that drop out keep their last seen values. Past actions may
+be appended, as they were chosen. Reward, termination and `info` are those of the task,
+without noise.
 
 Randomness: the task receives the keys of `reset` and `step` unchanged; all other draws
 come from `fold_in(key, 0x52414E44)`.
@@ -114,6 +115,8 @@ class RandomisedState:
     """Observation of the task, without noise and drop-out."""
     share: Float[Array, ""] | None = None
     """Share of the randomisation in this episode; None without widening."""
+    chosen: Float[Array, "steps action"] | None = None
+    """Last actions as they were chosen, newest first; None if none is observed."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -162,12 +165,15 @@ class Randomised(EnvironmentWrapper):
                 f"{self.env.name} has no control_period [s]: give lag [control steps] "
                 "instead of lag_seconds"
             )
-        longest = self.randomisation.delay[1]
-        if longest > self.env.episode_length:
-            raise ValueError(
-                f"delay must be at most an episode of {self.env.episode_length} "
-                f"control steps, got {longest:g}"
-            )
+        for name, steps in (
+            ("delay", self.randomisation.delay[1]),
+            ("past_actions", self._memory),
+        ):
+            if steps > self.env.episode_length:
+                raise ValueError(
+                    f"{name} must be at most an episode of {self.env.episode_length} "
+                    f"control steps, got {steps:g}"
+                )
         self._groups("noise")
         self._groups("dropout")
 
@@ -184,19 +190,30 @@ class Randomised(EnvironmentWrapper):
 
     @property
     def observation_size(self) -> int:
-        """Length of the observation vector, flags included."""
-        return self.env.observation_size + self._n_flags
+        """Length of the observation vector, flags and past actions included."""
+        past = len(self.randomisation.past_actions) * self.action_size
+        return self.env.observation_size + self._n_flags + past
 
     @property
     def observation_channels(self) -> tuple[Channel, ...]:
-        """Channels of the task, and of the flags."""
+        """Channels of the task, of the flags, and of past actions."""
         channels: Any = self.env
         seen = Channel(self._n_flags, "seen (1) or held (0), key by key", "1")
-        return (*channels.observation_channels, *([seen] if self._n_flags else []))
+        past = [
+            Channel(self.action_size, f"action {step} control steps ago", "1")
+            for step in self.randomisation.past_actions
+        ]
+        flags = [seen] if self._n_flags else []
+        return (*channels.observation_channels, *flags, *past)
 
     @property
     def _n_flags(self) -> int:
         return len(self._groups("dropout")[0]) if self.randomisation.flags else 0
+
+    @property
+    def _memory(self) -> int:
+        """Number of past actions that are remembered for the observation."""
+        return max(self.randomisation.past_actions, default=0)
 
     def default_params(self) -> RandomisedParams:
         """Default parameters of the task, and the numbers of the randomisation."""
@@ -257,6 +274,7 @@ class Randomised(EnvironmentWrapper):
         rest = jnp.zeros(self.action_size)
         clean = observation
         seen, observation = self._sensed(own, clean, params, None, share)
+        chosen = jnp.zeros((self._memory, self.action_size), clean.dtype)
         state = RandomisedState(
             task=task,
             drawn=drawn,
@@ -268,8 +286,9 @@ class Randomised(EnvironmentWrapper):
             seen=seen,
             clean=clean,
             share=share,
+            chosen=chosen if self._memory else None,
         )
-        return observation, state
+        return self._with_past_actions(observation, state), state
 
     def step(
         self,
@@ -286,7 +305,8 @@ class Randomised(EnvironmentWrapper):
         )
         seen, observation = self._sensed(own, clean, params, state.seen, state.share)
         state = dataclasses.replace(state, task=task, seen=seen, clean=clean)
-        return observation, state, reward, terminated, truncated, info
+        told = self._with_past_actions(observation, state)
+        return told, state, reward, terminated, truncated, info
 
     def task_params(self, state: RandomisedState, params: RandomisedParams) -> Any:
         """Parameters of the task in the running episode: the nominal and the drawn."""
@@ -415,7 +435,10 @@ class Randomised(EnvironmentWrapper):
         """Action that reaches the task, and the state with the actuators moved."""
         given = action_of_size(action, self.action_size)
         drawn, command = state.actuator, given
-        pending, position = state.pending, state.position
+        pending, position, past = state.pending, state.position, state.chosen
+        if past is not None:
+            newest = jnp.clip(given, -1, 1).astype(past.dtype)
+            past = jnp.concatenate([newest[None], past[:-1]])
         if pending is not None:
             recent = jnp.concatenate([command.astype(pending.dtype)[None], pending])
             # A comparison, because a read at a traced index can crash XLA on CPUs.
@@ -436,7 +459,16 @@ class Randomised(EnvironmentWrapper):
             position = command
         # The task computes in the type of the given action, as without the wrapper.
         command = command.astype(given.dtype)
-        return command, dataclasses.replace(state, pending=pending, position=position)
+        return command, dataclasses.replace(
+            state, pending=pending, position=position, chosen=past
+        )
+
+    def _with_past_actions(self, observation: Array, state: RandomisedState) -> Array:
+        """Observation with the past actions that belong to it."""
+        if state.chosen is None:
+            return observation
+        past = [state.chosen[step - 1] for step in self.randomisation.past_actions]
+        return jnp.concatenate([observation, *past])
 
     def _sensed(
         self,

@@ -17,6 +17,7 @@ from jaxrod.envs.randomised import Randomised
 _FACTORIES = {
     "following": "jaxrod.envs.tasks.following:following",
     "gripper": "jaxrod.envs.tasks.gripper:gripper",
+    "insert": "jaxrod.envs.tasks.insert:insert",
     "lift": "jaxrod.envs.tasks.lift:lift",
     "octopus": "jaxrod.envs.tasks.octopus:octopus",
     "reaching": "jaxrod.envs.tasks.reaching:reaching",

@@ -32,7 +32,8 @@ from jaxrod.training.runs.hosts import device_mesh, place
 ARMS = ("tracking", "reaching", "structured", "unstructured")
 TASKS = (
     *((name, variant) for name in ARMS for variant in ("clean", "paper")),
-    *((name, "clean") for name in ("following", "snake", "octopus", "gripper", "lift")),
+    *((name, "clean") for name in ("following", "snake", "octopus", "gripper")),
+    *((name, "clean") for name in ("lift", "insert")),
 )
 BATCHES = (16, 64, 256)
 """Environments per core."""

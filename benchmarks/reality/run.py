@@ -2,12 +2,14 @@
 
 The task is `tracking` (variant "clean"). The arm is up to 30 % stiffer or softer than
 its model, drawn for every episode. Commands arrive 20 ms late. Positions have noise of
-5 mm, and each marker on the arm is missing half of the time. Four learners train on
-this: PPO without memory (`mlp`), with a recurrent policy (`recurrent`), and each of
-them also with a critic that sees everything (`mlp-privileged`,
-`recurrent-privileged`). `ideal` is PPO without memory and without any of these faults,
-and `mlp-delay`, `mlp-dropout`, `mlp-noise` and `mlp-stiffness` have one of them. Each
-policy is then evaluated without noise in its actions, on the task on which it was
+5 mm, and each marker on the arm is missing half of the time. Five learners train on
+this: PPO without memory (`mlp`), with a recurrent policy (`recurrent`), each of them
+also with a critic that sees everything (`mlp-privileged`, `recurrent-privileged`), and
+DAgger (`imitator`). It imitates a planner that sees everything and knows the delay, and
+its policy, without memory, sees its own last actions beside the sensors. `ideal` is PPO
+without memory and without any of these faults, and `mlp-delay`, `mlp-dropout`,
+`mlp-noise`, `mlp-stiffness` and `imitator-delay` have one of them. Each policy is then
+evaluated without noise in its actions, on the task on which it was
 trained, and on arms ten per cent softer and stiffer than any of the training.
 
 `faults` trains nothing on faults. It evaluates the policy of `ideal` under each fault,
@@ -31,7 +33,7 @@ from benchmarks.shared.learners import EPISODES, add_run_arguments, returns, run
 from jaxrod.control import mpc
 from jaxrod.envs import Environment, make
 from jaxrod.installation.machine import processor_and_versions
-from jaxrod.training import PPOConfig, evaluate, train
+from jaxrod.training import DAggerConfig, PPOConfig, evaluate, train
 
 RECORDS = Path(__file__).with_name("records")
 DELAY = 0.02
@@ -65,6 +67,11 @@ COMMON: dict[str, Any] = {
 }
 """Settings of all learners that differ from PPO's defaults."""
 GRU: dict[str, Any] = {"gru_units": 64, "epochs": 4}
+IMITATOR: dict[str, Any] = {"lookahead": 48, "planner_steps": 1.5e5}
+"""Settings of DAgger that differ from its defaults: plans look beyond the delay."""
+PAST_ACTIONS = (1, 17)
+"""Past actions that the imitator sees [control steps ago]: its last two, as it holds
+each for 16."""
 FAULTS = ("delay", "dropout", "noise", "stiffness")
 LEARNERS: dict[str, dict[str, Any]] = {
     "ideal": {},
@@ -73,6 +80,8 @@ LEARNERS: dict[str, dict[str, Any]] = {
     "mlp-privileged": {"privileged_critic": True},
     "recurrent-privileged": GRU | {"privileged_critic": True},
     **{f"mlp-{fault}": {} for fault in FAULTS},
+    "imitator": IMITATOR,
+    "imitator-delay": IMITATOR,
     "faults": {},
 }
 """Settings by learner, beside those common to all."""
@@ -108,7 +117,10 @@ def task(name: str) -> Environment:
         return plain
     _, _, last = name.partition("-")
     faults = (last,) if last in FAULTS else FAULTS
-    return make("tracking", variant="clean", randomise=options(plain, *faults))
+    given = options(plain, *faults)
+    if LEARNERS[name] is IMITATOR:
+        given["past_actions"] = PAST_ACTIONS
+    return make("tracking", variant="clean", randomise=given)
 
 
 def outside(env: Any, policy: Any) -> list[float]:
@@ -147,13 +159,15 @@ def without_learning(plain: Environment, policy: Any) -> dict[str, float]:
 
 def trained(name: str, seed: int, steps: int) -> dict[str, Any]:
     """The record of a run."""
-    env, config = task(name), PPOConfig(**(COMMON | LEARNERS[name]))
+    env, imitates = task(name), LEARNERS[name] is IMITATOR
+    settings = LEARNERS[name] if imitates else COMMON | LEARNERS[name]
     clocks = Clocks()
     result = train(
         env,
+        "dagger" if imitates else "ppo",
         steps=steps,
         seed=seed,
-        config=config,
+        config=DAggerConfig(**settings) if imitates else PPOConfig(**settings),
         chunk_steps=max(steps // 20, 1),
         evaluation_episodes=0,
         progress=False,
@@ -174,8 +188,8 @@ def trained(name: str, seed: int, steps: int) -> dict[str, Any]:
         "return_in_training": result.summary["final_score"],
         "wall_s": wall,
         "processor_s": cpu,
-        "settings": COMMON | LEARNERS[name],
-        "rows": [[row[column] for column in columns] for row in result.progress],
+        "settings": settings,
+        "rows": [[row.get(column) for column in columns] for row in result.progress],
         "machine": processor_and_versions(),
         "command": f"python -m benchmarks reality {name} --seeds {seed} "
         f"--steps {steps}",

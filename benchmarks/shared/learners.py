@@ -30,13 +30,19 @@ def add_run_arguments(
 
 
 def returns(env: Environment, policy: Any) -> dict[str, float]:
-    """Mean returns of a policy in the counted episodes, without and with its noise."""
+    """Mean returns of a policy in the counted episodes, without and with its noise.
+
+    A policy that learned without noise has no return with noise.
+    """
     quiet = evaluate(env, policy, **EPISODES)
-    noisy = evaluate(env, with_noise(policy), **EPISODES)
-    return {
+    found = {
         "return_without_noise": quiet.mean,
-        "return_with_noise": noisy.mean,
         "flagged": quiet.flagged_fraction,
+    }
+    if policy.action_std is None:
+        return found
+    return found | {
+        "return_with_noise": evaluate(env, with_noise(policy), **EPISODES).mean
     }
 
 

@@ -1,9 +1,10 @@
-"""Share of new starts from which policies and a planner solve `lift`.
+"""Share of new starts from which policies and a planner solve a task.
 
 Plays each policy, the planner (`planner`) and random actions (`random`) from the same
 starts, which no training has seen. A start is solved if its episode ends with
-`info["success"]`, as the task defines it. Writes a record of each into records. In
-single precision, as trained.
+`info["success"]`, as the task defines it: a rope's end at a target (`lift`), or a
+cable's tip in a socket (`insert`). Writes a record of each into records. In single
+precision, as trained.
 """
 
 from __future__ import annotations
@@ -28,7 +29,7 @@ from jaxrod.training import load_policy
 RECORDS = Path(__file__).with_name("records")
 STARTS_SEED = 2026
 STARTS = 256
-PLANNER = {
+LIFTING: dict[str, Any] = {
     "method": "gradient",
     "horizon": 12,
     "knots": 4,
@@ -36,13 +37,20 @@ PLANNER = {
     "replan": 3,
     "iterations": 8,
 }
-"""Settings of `jaxrod.control.mpc`: plans of 1.2 s, renewed every 0.3 s."""
+"""Settings of `jaxrod.control.mpc`: plans of 1.2 s by Adam, renewed every 0.3 s."""
+INSERTING: dict[str, Any] = {"horizon": 12, "knots": 4, "hold": 3, "replan": 3}
+"""The same by Gauss-Newton, one iteration each."""
+TASKS: dict[str, tuple[dict[str, Any], dict[str, str]]] = {
+    "lift": (LIFTING, {"distance": "m"}),
+    "insert": (INSERTING, {"depth": "m", "offset": "m", "angle": "rad"}),
+}
+"""Settings of the planner, and entries of `info` with their units, by task."""
 
 
-def chosen(name: str, env: Any) -> tuple[Any, Any]:
+def chosen(name: str, task: str, env: Any) -> tuple[Any, Any]:
     """Functions that begin a player's memory and choose the actions of a batch."""
     if name == "planner":
-        policy = mpc(env, **PLANNER)
+        policy = mpc(env, **TASKS[task][0])
         return policy.init, policy.act
     if name == "random":
 
@@ -59,11 +67,11 @@ def chosen(name: str, env: Any) -> tuple[Any, Any]:
     )
 
 
-def played(name: str, starts: int) -> dict[str, Any]:
+def played(name: str, task: str, starts: int) -> dict[str, Any]:
     """Returns, solved starts and times of a player, without compiling."""
-    env = make("lift")
+    env, units = make(task), TASKS[task][1]
     params = env.default_params()
-    begin, act = chosen(name, env)
+    begin, act = chosen(name, task, env)
     step = jax.vmap(env.step, (0, 0, 0, None))
 
     def play(keys: Array) -> tuple[Array, ...]:
@@ -73,7 +81,7 @@ def played(name: str, starts: int) -> dict[str, Any]:
             observation, state, memory = carry
             action, memory = act(memory, observation, state)
             observation, state, reward, _, _, info = step(keys, state, action, params)
-            told = reward, info["distance"], info["success"], info["flagged"]
+            told = reward, info["success"], info["flagged"], {k: info[k] for k in units}
             return (observation, state, memory), told
 
         begun = observation, state, begin(observation, state)
@@ -84,7 +92,7 @@ def played(name: str, starts: int) -> dict[str, Any]:
     compiled = jax.jit(play).lower(keys).compile()
     _, compile_cpu = compiling.read()
     clocks = Clocks()
-    rewards, distances, success, flagged = map(np.asarray, compiled(keys))
+    rewards, success, flagged, told = jax.tree.map(np.asarray, compiled(keys))
     wall, cpu = clocks.read()
     returns = np.sum(rewards, axis=0)
     return {
@@ -92,7 +100,10 @@ def played(name: str, starts: int) -> dict[str, Any]:
         "solved": float(np.mean(success[-1])),
         "mean_return": float(np.mean(returns)),
         "std_return": float(np.std(returns)),
-        "median_last_distance_m": float(np.median(distances[-1])),
+        **{
+            f"median_last_{name}_{unit}": float(np.median(told[name][-1]))
+            for name, unit in units.items()
+        },
         "flagged": float(np.mean(np.any(flagged, axis=0))),
         "compile_processor_s": compile_cpu,
         "wall_s": wall,
@@ -101,8 +112,9 @@ def played(name: str, starts: int) -> dict[str, Any]:
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Declares the players."""
+    """Declares the players and the task."""
     parser.add_argument("players", nargs="+", metavar="RUN/policy|planner|random")
+    parser.add_argument("--task", choices=TASKS, default="lift", help="(lift)")
     parser.add_argument(
         "--starts", type=int, default=STARTS, metavar="N", help=f"({STARTS})"
     )
@@ -112,18 +124,19 @@ def run(args: argparse.Namespace) -> int:
     """Plays, prints and writes."""
     jaxrod.configure_cpu()
     for name in args.players:
-        found = played(name, args.starts)
+        found = played(name, args.task, args.starts)
         print(f"{name}: {json.dumps(found)}", flush=True)
         # RUN/policy: the folder of the run names its record.
         known = name in ("planner", "random")
         label = name if known else Path(name).parent.name
         player = name if known else f"{label}/policy"
+        words = f"{player} --task {args.task} --starts {args.starts}"
         record = {
             **found,
             "machine": processor_and_versions(),
-            "command": f"python -m benchmarks solved {player} --starts {args.starts}",
+            "command": f"python -m benchmarks solved {words}",
         }
         if name == "planner":
-            record["settings"] = PLANNER
-        write_record(RECORDS, f"lift-{label}", record)
+            record["settings"] = TASKS[args.task][0]
+        write_record(RECORDS, f"{args.task}-{label}", record)
     return 0

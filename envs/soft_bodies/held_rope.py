@@ -13,7 +13,7 @@ from typing import Any
 
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Bool, Float
+from jaxtyping import Array, Bool, DTypeLike, Float
 
 from jaxrod import (
     HealthLimits,
@@ -151,10 +151,11 @@ def held_rope(n_elements: int) -> HeldRope:
         exponential_damping(DAMPING),
         floor,
     )
-    kind = rod.radii.dtype
+    limits = limits_of_health(rod.radii.dtype)
+    return HeldRope(scene=scale_inertia(scene).scene, rest=rest, limits=limits)
+
+
+def limits_of_health(kind: DTypeLike) -> HealthLimits:
+    """Health limits of a rope that may double over, in a precision."""
     limits = HealthLimits(largest_joint_angle=SHARPEST)
-    return HeldRope(
-        scene=scale_inertia(scene).scene,
-        rest=rest,
-        limits=jax.tree.map(lambda value: jnp.asarray(value, kind), limits),
-    )
+    return jax.tree.map(lambda value: jnp.asarray(value, kind), limits)

@@ -43,19 +43,18 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int, Key
 
 from jaxrod import RodState
-from jaxrod.envs.checking import action_of_size, check_variant
-from jaxrod.envs.protocol import Channel, Snapshot, Step
-from jaxrod.envs.soft_bodies.hand import Glide, Hand
+from jaxrod.envs.checking import check_variant
+from jaxrod.envs.protocol import Channel, Snapshot
+from jaxrod.envs.soft_bodies.hand import Hand
 from jaxrod.envs.soft_bodies.held_rope import LENGTH, RADIUS, HeldRope, held_rope
 from jaxrod.envs.tasks.arm_task import tip_residuals
+from jaxrod.envs.tasks.hand_task import CONTROL_PERIOD, N_POINTS, HandTask
 from jaxrod.structure import pytree
 from jaxrod.validation import check_count
 
 Variant = Literal["clean"]
 VARIANTS: tuple[Variant, ...] = ("clean",)
 
-CONTROL_PERIOD = 0.1
-"""Time between actions [s]."""
 STEPS_PER_ELEMENT = 12
 """Default number of simulation steps of a control step, per element. The time step is
 then about 0.8 of the stability bound."""
@@ -69,8 +68,6 @@ ASIDE, HIGHEST = 0.4, 0.9
 above the floor [m]."""
 NEAR = 0.05 * LENGTH
 """Distance of the free end from the target within which it is there [m]."""
-HELD_STEPS = 5
-"""Control steps at the end of an episode during which it must be there."""
 FAR = 0.25
 """Distance at which the first part of the score is halved [m]."""
 CALM = 0.1
@@ -79,8 +76,6 @@ ABOVE = 0.1
 """Distance of the hand from the place above the target that costs about one [m]."""
 COST_WIDTH = 0.2
 """Distance beyond which a plan's cost grows linearly [m]."""
-N_POINTS = 4
-"""Number of observed points along the rope."""
 
 
 @pytree
@@ -120,20 +115,14 @@ class LiftState:
 
 
 @dataclasses.dataclass(frozen=True)
-class Lift:
+class Lift(HandTask):
     """Task in which a hand brings a rope's free end to a target; made by `lift`."""
 
-    n_elements: int
-    substeps: int
-    episode_length: int = 60
     variant: Variant = "clean"
     name: str = "lift"
 
     observation_size = 6 + 2 * 3 + 6 * N_POINTS
     """36 numbers: target, hand, points of the rope and their velocities."""
-
-    action_size = 3
-    """3 numbers: velocity of the hand along x, y and z."""
 
     observation_channels = (
         Channel(3, "vector from the free end to the target: x, y, z", "0.1 m"),
@@ -152,9 +141,6 @@ class Lift:
         ),
     )
     action_channels = (Channel(3, "velocity of the hand: x, y, z", f"{SPEED:g} m/s"),)
-
-    control_period = CONTROL_PERIOD
-    """Time between actions [s]."""
 
     def default_params(self) -> LiftParams:
         """Default parameters of the task, in JAX's default precision."""
@@ -199,78 +185,19 @@ class Lift:
         )
         return self.observe(state, params), state
 
-    def step(
-        self,
-        key: Key[Array, ""],
-        state: LiftState,
-        action: Float[Array, " action"],
-        params: LiftParams,
-    ) -> Step:
-        """Advances one control step; the hand's velocity follows the action."""
-        state, flagged = self.moved(state, action, params)
+    def is_there(self, state: LiftState, params: LiftParams) -> Bool[Array, ""]:
+        """Whether the free end is at the target."""
+        del params
+        return _distance(state) <= NEAR
+
+    def judged(
+        self, state: LiftState, params: LiftParams
+    ) -> tuple[Float[Array, ""], dict[str, Array]]:
+        """Score, and the distance of the free end from the target [m]."""
+        del params
         distance = _distance(state)
         score = 50 / (1 + (distance / FAR) ** 2) + 50 / (1 + (distance / NEAR) ** 2)
-        info = {
-            "distance": distance,
-            "score": score,
-            "success": (state.held >= HELD_STEPS).astype(score.dtype),
-            "flagged": flagged,
-        }
-        return (
-            self.observe(state, params),
-            state,
-            jnp.where(flagged, 0, score / self.episode_length),
-            jnp.zeros((), bool),
-            (state.steps >= self.episode_length) | flagged,
-            info,
-        )
-
-    def moved(
-        self, state: LiftState, action: Float[Array, " action"], params: LiftParams
-    ) -> tuple[LiftState, Bool[Array, ""]]:
-        """Returns the state one control step later, and whether a health flag rose."""
-        action = action_of_size(action, self.action_size)
-        hand, period = params.hand, self.substeps * params.dt
-        coordinates, velocity = hand.moved(
-            state.coordinates, state.velocity, action, period
-        )
-        first, first_velocity = _carried(hand, state.coordinates, state.velocity)
-        last, last_velocity = _carried(hand, coordinates, velocity)
-        path = Glide(first, last, first_velocity, last_velocity, period)
-        body, flagged = params.body.advance(state.body, path, params.dt, self.substeps)
-        # The hand is frozen with the rope: a NaN action must not reach it.
-        after = LiftState(
-            body=body,
-            coordinates=jnp.where(flagged, state.coordinates, coordinates),
-            velocity=jnp.where(flagged, state.velocity, velocity),
-            target=state.target,
-            held=state.held,
-            steps=state.steps + 1,
-        )
-        there = (_distance(after) <= NEAR) & ~flagged
-        held = jnp.where(there, state.held + 1, 0)
-        return dataclasses.replace(after, held=held), flagged
-
-    def predict(
-        self,
-        state: LiftState,
-        action: Float[Array, " action"],
-        params: LiftParams,
-        control_steps: int = 1,
-    ) -> LiftState:
-        """Predicts the state under a held action; nothing in this task is random.
-
-        Args:
-            state: Current state.
-            action: In [-1, 1].
-            params: Parameters of the task.
-            control_steps: Number of control steps for which the action is held.
-        """
-
-        def again(state: LiftState, _: None) -> tuple[LiftState, None]:
-            return self.moved(state, action, params)[0], None
-
-        return jax.lax.scan(again, state, length=control_steps)[0]
+        return score, {"distance": distance}
 
     def residuals(
         self, state: LiftState, action: Float[Array, " action"], params: LiftParams
@@ -278,7 +205,8 @@ class Lift:
         """Residuals for planners: of the free end, its velocity, and the hand.
 
         The hand should be above the target by the length of the rope. This gives the
-        cost a slope while the free end lies on the floor, whatever the hand does.
+        cost a slope while the free end lies on the floor, whatever the hand does. It is
+        smallest where the free end rests at the target, below the hand.
         """
         del action
         body, length = state.body, jnp.asarray([0.0, 0.0, LENGTH], params.dt.dtype)
@@ -290,15 +218,6 @@ class Lift:
                 tip_residuals(above, ABOVE, COST_WIDTH),
             ]
         )
-
-    def cost(
-        self, state: LiftState, action: Float[Array, " action"], params: LiftParams
-    ) -> Float[Array, ""]:
-        """Smooth cost for planners: sum of the squared residuals [1].
-
-        It is smallest where the free end rests at the target, below the hand.
-        """
-        return jnp.sum(self.residuals(state, action, params) ** 2)
 
     def snapshot(self, state: LiftState, params: LiftParams) -> Snapshot:
         """Snapshot of rope, hand and target, whose radius is the distance `NEAR`."""
@@ -318,7 +237,7 @@ class Lift:
     ) -> Float[Array, " observation"]:
         """Observation vector; the module's table lists its entries."""
         place = state.body.positions[:, 0]
-        points = jnp.asarray(self._points()[None], place.dtype)
+        points = self.points(place.dtype)
         along = state.body.positions - place[:, None]
         velocities = state.body.velocities
         return jnp.concatenate(
@@ -331,18 +250,6 @@ class Lift:
                 jnp.ravel(jnp.sum(velocities[:, None] * points, axis=-1)) / SPEED,
             ]
         )
-
-    def _points(self) -> np.ndarray:
-        """Weights that interpolate node values at the points, (points, n+1)."""
-        nodes = np.linspace(0.0, 1.0, self.n_elements + 1)
-        points = np.arange(1, N_POINTS + 1) / N_POINTS
-        return np.maximum(1 - self.n_elements * np.abs(points[:, None] - nodes), 0)
-
-
-def _carried(hand: Hand, coordinates: Array, velocity: Array) -> tuple[Array, Array]:
-    """Position and velocity of the held end, world frame [m, m/s]."""
-    place, change = jax.jvp(hand.place, (coordinates,), (velocity,))
-    return place, change
 
 
 def _distance(state: LiftState) -> Float[Array, ""]:

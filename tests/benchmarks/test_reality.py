@@ -12,6 +12,7 @@ from benchmarks.reality import run
         ("recurrent-privileged", {"delay", "dropout", "flags", "noise", "parameters"}),
         ("mlp-delay", {"delay"}),
         ("mlp-stiffness", {"parameters"}),
+        ("imitator-delay", {"delay", "past_actions"}),
     ],
 )
 def test_a_learner_has_the_faults_of_its_name(name, faults):

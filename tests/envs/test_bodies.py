@@ -6,13 +6,20 @@ import numpy as np
 import pytest
 
 from jaxrod.envs.arm import soft_arm
-from jaxrod.envs.soft_bodies import gripper_body, held_rope, octopus_body, snake_body
+from jaxrod.envs.soft_bodies import (
+    gripper_body,
+    held_cable,
+    held_rope,
+    octopus_body,
+    snake_body,
+)
 
 PAGE = Path(__file__).parents[2] / "docs" / "tasks.md"
 BODIES = {
     "snake": (snake_body, snake_body.RADIUS, snake_body.RADIUS),
     "octopus's arm": (octopus_body, *octopus_body.RADII),
     "gripper's finger": (gripper_body, gripper_body.RADIUS, gripper_body.RADIUS),
+    "cable": (held_cable, held_cable.RADIUS, held_cable.RADIUS),
     "rope": (held_rope, held_rope.RADIUS, held_rope.RADIUS),
     "arm of `following`": (soft_arm, soft_arm.RADIUS, soft_arm.RADIUS),
 }

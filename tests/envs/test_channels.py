@@ -37,6 +37,8 @@ def test_channels_of_a_task_are_its_whole_vector(task, vector):
         ("octopus", ("controls",), ["current control values"]),
         ("lift", ("velocity",), ["velocity of the hand"]),
         ("lift", ("target",), ["vector from the free end", "vector from the hand"]),
+        ("insert", ("inwards",), ["axis of the socket"]),
+        ("insert", ("mouth",), ["vector from the tip", "vector from the hand"]),
         ("gripper", ("controls",), ["current control values", "offset of the ball"]),
     ],
 )

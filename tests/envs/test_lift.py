@@ -11,7 +11,8 @@ import jaxrod
 from jaxrod.effects.time import Clock
 from jaxrod.envs import make
 from jaxrod.envs.soft_bodies.hand import Glide, Hand
-from jaxrod.envs.tasks.lift import ABOVE, HELD_STEPS, NEAR
+from jaxrod.envs.tasks.hand_task import HELD_STEPS
+from jaxrod.envs.tasks.lift import ABOVE, NEAR
 from playing import KEY, check_vmap_is_a_loop, gradient_error, play, start, stepping
 
 PERIOD = 0.1

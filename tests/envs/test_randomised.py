@@ -21,6 +21,7 @@ ZERO = {"dropout": 0.1, "delay": (0, 2), "lag": 1.0, "rate": 0.5, "saturation": 
 SMALL = {
     "following": {},
     "gripper": {},
+    "insert": {},
     "lift": {},
     "octopus": {},
     "reaching": {"n_elements": 10, "substeps": 2},
@@ -130,6 +131,23 @@ def test_zero_randomisation_is_the_task_to_the_last_bit(name):
     same(states.task, plain_states)
     # The comparison has teeth: with the faults on, the results differ.
     assert np.any(np.asarray(play(env, params, actions)[1][0]) != plainly)
+
+
+def test_past_actions_are_those_that_were_chosen_so_long_ago():
+    """With a delay of as many steps, the last of them is the one that now acts."""
+    env, params = randomised(
+        Watched(), delay=(2, 2), saturation=(0.5, 0.5), past_actions=(1, 3)
+    )
+    actions = 2 * actions_of(env, 12)
+    start, (seen, _, *rest) = play(env, params, actions)
+    plain, plain_params = randomised(Watched(), delay=(2, 2), saturation=(0.5, 0.5))
+    plain_start, (plainly, _, *plain_rest) = play(plain, plain_params, actions)
+    same((seen[:, :9], rest), (plainly, plain_rest))
+    np.testing.assert_array_equal(start, jnp.concatenate([plain_start, jnp.zeros(2)]))
+    chosen = jnp.concatenate([jnp.zeros((2, 1)), jnp.clip(actions, -1, 1)])
+    np.testing.assert_array_equal(seen[:, 9:10], chosen[2:])
+    np.testing.assert_array_equal(seen[:, 10:], chosen[:-2])
+    assert sum(c.size for c in env.observation_channels) == env.observation_size == 11
 
 
 def test_a_delayed_action_is_a_shifted_one():
@@ -386,7 +404,10 @@ def test_privileged_is_what_sensors_do_not_show():
 
 def test_a_planner_sees_the_drawn_parameters_and_the_delay():
     env, params = randomised(
-        parameters={"stride": {"uniform": (0.1, 0.3)}}, delay=(1, 1), lag=0.7
+        parameters={"stride": {"uniform": (0.1, 0.3)}},
+        delay=(1, 1),
+        lag=0.7,
+        past_actions=[2],
     )
     _, state = env.reset(jax.random.key(0), params)
     action, moved = jnp.array([0.8]), state
@@ -429,6 +450,10 @@ MESSAGES = [
     ({"dropout": 1.5}, "dropout must be at most 1, got 1.5 .a probability"),
     ({"flags": True}, "dropout must be given"),
     ({"saturation": 1.5}, "saturation must be at most 1, got 1.5"),
+    ({"past_actions": 1}, "past_actions must be a list of control steps, got 1"),
+    ({"past_actions": [0]}, "each of past_actions must be at least 1, got 0"),
+    ({"past_actions": [2, 2]}, r"must be different control steps, got \[2, 2\]"),
+    ({"past_actions": [999]}, "past_actions must be at most an episode of"),
     ({"speed": 1}, "there is no option 'speed' of a randomisation; there are param"),
     ({"parameters": {"strid": {"uniform": (1, 2)}}}, "'strid'; the nearest are stride"),
     ({"parameters": {"stride": 3}}, "'stride' must be a table"),

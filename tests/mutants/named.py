@@ -219,4 +219,28 @@ NAMED = (
         "return self.touching.energy(rod, state)",
         ("tests/physics/test_moving_contact.py",),
     ),
+    Named(
+        "m26",
+        "insert: the socket that is touched stays where it was made",
+        "envs/soft_bodies/held_cable.py",
+        "return dataclasses.replace(self, scene=scene)",
+        "return self",
+        ("tests/envs/test_insert.py",),
+    ),
+    Named(
+        "m27",
+        "insert: a tip at any angle is in the socket",
+        "envs/tasks/insert.py",
+        "(seen.depth >= DEEP) & (seen.angle <= STRAIGHT)",
+        "(seen.depth >= DEEP)",
+        ("tests/envs/test_insert.py",),
+    ),
+    Named(
+        "m28",
+        "past actions: one control step older than they are said to be",
+        "envs/randomised.py",
+        "jnp.concatenate([newest[None], past[:-1]])",
+        "jnp.concatenate([past[:1], past[:-1]])",
+        ("tests/envs/test_randomised.py",),
+    ),
 )
