@@ -217,7 +217,7 @@ class Model(ABC):
         state: Any,
         *,
         tolerance: ArrayLike | None = None,
-        max_iterations: int = 100,
+        max_iterations: int = 400,
     ) -> Any:
         """Result of `jaxrod.equilibrium`: a configuration whose loads balance."""
 

@@ -208,7 +208,7 @@ class Scene(LoadedRod, Model, Hinted):
         state: Any,
         *,
         tolerance: ArrayLike | None = None,
-        max_iterations: int = 100,
+        max_iterations: int = 400,
     ) -> Equilibrium:
         """Result of `jaxrod.equilibrium`: a configuration whose loads balance."""
         return scene_equilibrium(

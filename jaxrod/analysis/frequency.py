@@ -205,8 +205,8 @@ def fastest_vibration(
     n = scene.rod.n_elements
     apply = linearised(scene, state, inertia_factors)
     start = jax.random.normal(jax.random.key(0), (6 * n + 3,), state.positions.dtype)
-    basis, projected = _krylov(apply, start, size)
-    largest, weights = _largest_eigenvalue(projected)
+    basis, projected = krylov(apply, start, size)
+    largest, weights = largest_eigenvalue(projected)
     motion = jnp.sum(weights[:, None] * basis, axis=0)
     motion = motion / jnp.sqrt(jnp.sum(motion**2))
     nodes, elements = motion[: 3 * n + 3], motion[3 * n + 3 :]
@@ -270,7 +270,7 @@ def linearised(
     return apply
 
 
-def _krylov(
+def krylov(
     apply: Callable[[Array], Array], start: Array, size: int
 ) -> tuple[Float[Array, "size motions"], Float[Array, "size size"]]:
     """Orthonormal basis of `start, A start, A A start, ...`, and A within it.
@@ -302,7 +302,7 @@ def _krylov(
     return lax.fori_loop(0, size, extend, (basis, jnp.zeros((size, size), start.dtype)))
 
 
-def _largest_eigenvalue(matrix: Array) -> tuple[Array, Array]:
+def largest_eigenvalue(matrix: Array) -> tuple[Array, Array]:
     """Largest modulus of an eigenvalue of a small matrix, and its eigenvector.
 
     It is computed by repeated squaring, which works for any matrix on any device.

@@ -59,8 +59,9 @@ class HealthLimits:
     largest_stretch: Float[Array, ""] | float = 2.5
     """Largest length of an element, relative to that at rest [1]."""
     largest_joint_angle: Float[Array, ""] | float = 2.5
-    """Largest change of the rotation vector between neighbouring elements from rest
-    [rad]. A rotation vector is at most pi long."""
+    """Largest change of the rotation vector between neighbouring elements from rest, or
+    between the members of a system that an elastic joint connects [rad]. A rotation
+    vector is at most pi long."""
     largest_travel: Float[Array, ""] | float = 0.5
     """Largest distance that a node moves in one step, divided by the radius [1]."""
     largest_turn: Float[Array, ""] | float = 1.0

@@ -142,7 +142,7 @@ def stable_dt(
 
 
 @overload
-def stable_dt(scene: Model, safety: ArrayLike = ...) -> Any: ...
+def stable_dt(scene: Model, safety: ArrayLike = ..., *, state: Any = ...) -> Any: ...
 
 
 def stable_dt(
@@ -162,14 +162,18 @@ def stable_dt(
             Above 0.9 a rod that is compressed while it moves may blow up.
         state: The deformation at which to measure, if any. Effects with schedules are
             not measured there: they count with their bounds, so that the step is stable
-            at all times. Give `scene.at(time)` to measure them at one time.
+            at all times. Give `scene.at(time)` to measure them at one time. A system
+            with schedules is measured at one time only. In a system joints, friction
+            and dashpots are measured too, and only contact that touches at the state:
+            measure again when the contact changes.
 
     Returns:
         The step, and the element and motion that limit it.
 
     Raises:
         ValueError: If `safety` is not in (0, 1], or the state does not match the
-            scene's rod.
+            scene's rod. With a state, also if a system has schedules or implicit
+            members.
         TypeError: If `scene` or `state` has the wrong type.
 
     Example:

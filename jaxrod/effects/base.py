@@ -231,7 +231,12 @@ class Effect:
         return self.loads(rod, motion)
 
     def constrain(self, rod: Rod, motion: Motion) -> Motion:
-        """Motion with positions and orientations that satisfy the constraint."""
+        """Motion with positions and orientations that satisfy the constraint.
+
+        Define `constrain_rates` too. Without it the rates of what is held are
+        undefined: explicit steps let loads change them, implicit steps do not, and
+        friction, dashpots and drag read them.
+        """
         return motion
 
     def constrain_rates(self, rod: Rod, motion: Motion) -> Motion:

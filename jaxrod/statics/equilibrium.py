@@ -79,7 +79,7 @@ def equilibrium(
     state: Any,
     *,
     tolerance: ArrayLike | None = None,
-    max_iterations: int = 100,
+    max_iterations: int = 400,
 ) -> Equilibrium:
     """Finds an equilibrium of a scene or a system under its loads, from a state.
 
@@ -146,7 +146,7 @@ def scene_equilibrium(
     state: RodState,
     *,
     tolerance: ArrayLike | None = None,
-    max_iterations: int = 100,
+    max_iterations: int = 400,
 ) -> Equilibrium:
     """Finds an equilibrium of one rod: see `equilibrium`."""
     scene = scene_of(scene, state)
@@ -291,6 +291,10 @@ class _RodAtRest:
         tangent, loose = here.held(bare, none)
         loads = -self.units * residual
         return _RodPlace(configuration, self.units, loads, tangent, mass, loose)
+
+    def passes(self, before: _RodPlace, after: _RodPlace) -> Bool[Array, ""]:
+        """Always False: no contact keeps a single rod apart from itself."""
+        return jnp.zeros((), bool)
 
     def moved(self, place: _RodPlace, step: Float[Array, "n+1 6"]) -> Motion:
         """Configuration after a scaled step from `place`, to first order.

@@ -1,11 +1,11 @@
 r"""Search for a configuration at rest: Newton's method, with inertia where needed.
 
 A full correction $K s = f$ of the loads $f$ is tried, and judged by the correction that
-would follow it. If the latter is too large, or if the correction goes against the
-loads, inertia is added: $(K + \sigma M)\,s = f$ is one implicit step from rest, after
-which the velocities are set to zero. The factor $\sigma$ shrinks to zero as the
-corrections become better. Such steps move in the direction of the loads, past folds, to
-a stable equilibrium.
+would follow it. If the latter is too large, if the correction goes against the loads,
+or if rods would go through each other, inertia is added: $(K + \sigma M)\,s = f$ is one
+implicit step from rest, after which the velocities are set to zero. The factor
+$\sigma$ shrinks to zero as the corrections become better. Such steps move in the
+direction of the loads, past folds, to a stable equilibrium.
 
 Source: pseudo-transient continuation (Kelley and Keyes, SIAM J. Numer. Anal. 35, 1998),
 with a factor that is controlled by how well the linear model predicts the loads.
@@ -90,6 +90,9 @@ class RestProblem(Protocol):
     def moved(self, place: Any, step: Array) -> Any:
         """Configuration after a scaled step from a place, to first order."""
 
+    def passes(self, before: Any, after: Any) -> Bool[Array, ""]:
+        """Whether things that contact keeps apart go through each other in between."""
+
 
 @pytree
 class Search:
@@ -153,8 +156,10 @@ def find_rest(
         little = (largest <= tolerance) | (
             (largest <= STALLED * tolerance) & (ratio > LEFT)
         )
+        # Below the tolerance nothing moves far enough to pass.
         done = ~first & little & (search.inertia == 0) & ~before.driven
-        taken = first | done | ((ratio <= LEFT) & (work > 0))
+        passes = problem.passes(before, here)
+        taken = first | done | ((ratio <= LEFT) & (work > 0) & ~passes)
         own = jnp.sum(step * momentum)
         resisted = jnp.abs(work - search.inertia * own)
         fast = ratio <= LITTLE

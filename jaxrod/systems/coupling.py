@@ -419,6 +419,14 @@ class Coupling:
         """
         return None
 
+    def joint_angle(self, seen: AllSeen) -> Array | None:
+        """Largest rotation of an elastic joint from its rest orientation [rad].
+
+        It is the length of a rotation vector, at most about pi. `None` for a coupling
+        without such joints. `health` flags it above `HealthLimits.largest_joint_angle`.
+        """
+        return None
+
 
 def _regridded(value: Any, grids: Any) -> Any:
     """The value of a field of a coupling for other grids, if it knows its points."""

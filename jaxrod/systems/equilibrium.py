@@ -33,6 +33,7 @@ from jaxrod.statics.pseudo_transient import (
 )
 from jaxrod.structure import pytree
 from jaxrod.systems.contact.neighbour_lists import RECORD, with_shortage
+from jaxrod.systems.health import passages_between
 from jaxrod.systems.static_problem import (
     Linear,
     StaticProblem,
@@ -119,6 +120,13 @@ class _SystemAtRest:
             loose=loose,
             driven=are_driven(self.problem, here, loose),
         )
+
+    def passes(self, before: _SystemPlace, after: _SystemPlace) -> Bool[Array, ""]:
+        """Whether rods that contact keeps apart go through each other in between."""
+        stepper = self.problem.stepper
+        places = (place.linear.motions for place in (before, after))
+        found = passages_between(stepper.couplings, *map(stepper.leave, places))
+        return sum(found.values(), jnp.zeros((), self.problem.system.dtype)) > 0
 
     def moved(self, place: _SystemPlace, step: Float[Array, " m"]) -> Motions:
         """Configuration after a step from `place`; strains change linearly."""

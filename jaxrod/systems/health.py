@@ -75,6 +75,12 @@ class SystemHealth:
     largest_gap: Float[Array, ""]
     """Largest gap of such a joint, divided by the smaller radius, or the radius of
     gyration of a body [1]."""
+    joint_angle: Bool[Array, ""]
+    """Flag: the elastic joint of a weld, a fixed joint, glue or a ring is turned by
+    more than `HealthLimits.largest_joint_angle`. At half a turn its moment changes its
+    sign, and energy is not conserved."""
+    largest_joint_angle: Float[Array, ""]
+    """Largest rotation of such a joint from its rest orientation [rad]."""
     passed: Bool[Array, ""]
     """Flag: rods that contact keeps apart have passed through each other, or a rod with
     self-contact through itself; not examined without the state `before`."""
@@ -99,6 +105,9 @@ class SystemHealth:
     """Violation of each coupling [1]; `None` if it cannot be violated."""
     gaps: tuple[Float[Array, ""] | None, ...]
     """Gap of each coupling [1]; `None` if it is no joint."""
+    turns: tuple[Float[Array, ""] | None, ...]
+    """Rotation from rest of each coupling's joints [rad]; `None` without elastic
+    joints."""
     limits: HealthLimits
     """The limits that were applied."""
     couplings: tuple[str, ...] = static(default=())
@@ -114,7 +123,8 @@ class SystemHealth:
     def flagged(self) -> Bool[Array, ""]:
         """Whether any flag is set, of a member or of the couplings."""
         each = [jnp.any(own.flagged) for own in self.members.values()]
-        own = self.violation | self.joints | self.passed | self.energy
+        own = self.violation | self.joints | self.joint_angle
+        own = own | self.passed | self.energy
         return functools.reduce(jnp.logical_or, each, own | self.overflow | self.stale)
 
     @property
@@ -132,6 +142,9 @@ class SystemHealth:
         for words, gap in zip(self.couplings, self.gaps, strict=True):
             if gap is not None and not gap <= self.limits.largest_gap:
                 found.append(f"{words}: apart by {float(gap):.3g} radii")
+        for words, turn in zip(self.couplings, self.turns, strict=True):
+            if turn is not None and not turn <= self.limits.largest_joint_angle:
+                found.append(f"{words}: turned by {float(turn):.3g} rad")
         for names, count in self.passages.items():
             if count > 0:
                 found.append(f"{names} passed through each other: {float(count):.3g}")
@@ -164,18 +177,19 @@ def _flags(where: str, own: Any) -> list[tuple[str, str]]:
 
 @pytree
 class _CouplingHealth:
-    """Violations and gaps of all couplings of a system, as a method for `by_kernel`."""
+    """Violations, gaps and turns of all couplings, as a method for `by_kernel`."""
 
     system: Assembly
     """The system whose couplings are examined."""
 
     def examined(self, state: SystemState) -> Any:
-        """Violations and gaps of each coupling [1], and the record of the lists."""
+        """Violations, gaps [1] and turns [rad] of couplings, and the lists' record."""
         seen, couplings = seen_at_rest(self.system, state)
         record = state.get(RECORD, no_record(self.system.dtype))
         return (
             tuple(coupling.violation(seen) for coupling in couplings),
             tuple(coupling.gap(seen) for coupling in couplings),
+            tuple(coupling.joint_angle(seen) for coupling in couplings),
             with_shortage(record, couplings),
         )
 
@@ -227,9 +241,11 @@ def system_health(
         for name, member in system.interfaces().items()
     }
     # A kernel, because XLA takes many seconds to compile contact with lists.
-    violations, gaps, record = by_kernel(_CouplingHealth(system), "examined", state)
+    examined = by_kernel(_CouplingHealth(system), "examined", state)
+    violations, gaps, turns, record = examined
     zero = jnp.zeros((), system.dtype)
     deepest, widest = _largest(violations, zero), _largest(gaps, zero)
+    steepest = _largest(turns, zero)
     growth, allowed = zero, zero
     if energy_before is not None:
         account = _account(system, prepared, parts, state, jnp.asarray(dt, zero.dtype))
@@ -239,7 +255,7 @@ def system_health(
             jnp.asarray(n_steps, zero.dtype),
             limits.largest_energy_growth,
         )
-    passages = {} if before is None else _passages(prepared, before, state)
+    passages = {} if before is None else passages_between(prepared, before, state)
     # Written so that NaN counts as wrong.
     return SystemHealth(
         members=members,
@@ -247,6 +263,8 @@ def system_health(
         largest_violation=deepest,
         joints=~(widest <= limits.largest_gap),
         largest_gap=widest,
+        joint_angle=~(steepest <= limits.largest_joint_angle),
+        largest_joint_angle=steepest,
         passed=~(sum(passages.values(), zero) <= 0),
         energy=~(growth <= allowed),
         energy_growth=growth,
@@ -257,6 +275,7 @@ def system_health(
         passages=passages,
         violations=violations,
         gaps=gaps,
+        turns=turns,
         limits=limits,
         couplings=tuple(_in_words(coupling, parts) for coupling in prepared),
     )
@@ -319,7 +338,7 @@ def _is_held(system: Assembly, state: SystemState) -> bool:
     return holds or any(c.acts_from_outside for c in system.couplings)
 
 
-def _passages(
+def passages_between(
     prepared: Sequence[Coupling], before: SystemState, after: SystemState
 ) -> dict[str, Array]:
     """Number of passages of elements through each other, by the names of members."""

@@ -34,6 +34,7 @@ from jaxrod.systems.stepping.assembly import (
     member_shapes,
     seen_at_rest,
 )
+from jaxrod.systems.stepping.measured_step import measured_system_dt
 from jaxrod.systems.stepping.runs import (
     StableSystemStep,
     check_single,
@@ -196,13 +197,19 @@ class System(Assembly, Model, Hinted):
 
     def stable_step(self, safety: ArrayLike, *, state: Any = None) -> StableSystemStep:
         """Largest stable step times the factor `safety`, and what limits it."""
-        if state is not None:
-            raise ValueError(
-                "state must be None: the bound of a system is that of unstressed shapes"
-            )
         factor = as_array("safety", safety, "", positive=True, at_most=1)
-        check_single(self)
-        return stable_system_dt(self, factor)
+        if state is None:
+            check_single(self)
+            return stable_system_dt(self, factor)
+        check_system_state(self, state)
+        self.check_moment()
+        for name, member in self.interfaces().items():
+            if not member.method.explicit:
+                raise ValueError(
+                    f"state must be None, as member {name!r} has implicit steps: its "
+                    "step is measured for explicit members alone"
+                )
+        return measured_system_dt(self, state, factor)
 
     def health(
         self,
@@ -237,7 +244,7 @@ class System(Assembly, Model, Hinted):
         state: Any,
         *,
         tolerance: ArrayLike | None = None,
-        max_iterations: int = 100,
+        max_iterations: int = 400,
     ) -> Equilibrium:
         """Searches for a state in which all loads balance; see `jaxrod.equilibrium`."""
         self._check_statics(state)

@@ -1,4 +1,8 @@
-"""Effects that use one hook alone, all of them in the zx plane, for contracts."""
+"""Effects that use one hook alone, all of them in the zx plane, for contracts.
+
+What a hook puts somewhere also stands still there: rates of what `constrain` holds are
+those of `constrain_rates`.
+"""
 
 from dataclasses import replace
 
@@ -82,6 +86,11 @@ class Place(jaxrod.extend.Effect):
         put = lambda c, to: c.at[-1].set(jnp.where(self.size > 0, to, c[-1]))
         return replace(motion, position=(put(x, 1 + 2e-3 * self.size), y, put(z, 2e-3)))
 
+    def constrain_rates(self, rod, motion):
+        x, y, z = motion.velocity
+        stop = lambda c: c.at[-1].set(jnp.where(self.size > 0, 0, c[-1]))
+        return replace(motion, velocity=(stop(x), y, stop(z)))
+
 
 @pytree
 class Frame(jaxrod.extend.Effect):
@@ -99,6 +108,10 @@ class Frame(jaxrod.extend.Effect):
         put = lambda c, to: c.at[0].set(jnp.where(self.size > 0, to, c[0]))
         w, x, y, z = map(put, motion.orientation, self.wall(rod).orientation)
         return replace(motion, orientation=(w, x, y, z))
+
+    def constrain_rates(self, rod, motion):
+        stop = lambda c: c.at[0].set(jnp.where(self.size > 0, 0, c[0]))
+        return replace(motion, spin=tuple(map(stop, motion.spin)))
 
 
 @pytree

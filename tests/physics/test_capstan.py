@@ -125,3 +125,68 @@ def test_tension_grows_by_the_exponential_of_friction_times_angle(friction, reco
         # At friction 0.6 the tension is 6.4 times as large within the wrap.
         at_most=0.01 if friction < 0.5 else 0.02,
     )
+
+
+def laid_on(n, aside, weight=1.0):
+    """A straight rod laid on a rough cylinder, with its middle aside of it [m]."""
+    radius = 0.005
+    rod, state = jaxrod.straight_rod(
+        n,
+        length=1.0,
+        radius=radius,
+        density=1e3,
+        youngs_modulus=1e6,
+        start=(aside - 0.5, 0.0, CYLINDER + radius),
+        direction=(1, 0, 0),
+        dtype=jnp.float64,
+    )
+    post = jaxrod.shapes.cylinder((0, -0.5, 0), (0, 0.5, 0), CYLINDER)
+    rough = jaxrod.contact(
+        post, stiffness=1e6, damping=1.0, friction=0.3, points_per_element=4
+    )
+    down = jnp.asarray([0.0, 0.0, -9.81]) * weight
+    sticks = jaxrod.sticking_contact(rough, rod, state)
+    return jaxrod.make_scene(rod, sticks, jaxrod.gravity(down)), state
+
+
+@pytest.mark.slow
+def test_a_rod_that_hangs_over_a_rough_cylinder_is_at_rest_with_unequal_ends(record):
+    """Found from the straight rod, which needs more than a hundred corrections.
+
+    Without friction the longer end pulls the rod down. As a member of a system it rests
+    in the same place.
+    """
+    scene, state = laid_on(40, 0.03)
+    found = jaxrod.equilibrium(scene, state)
+    assert found.converged
+    ends = found.state.positions[:, 0], found.state.positions[:, -1]
+    assert ends[1][2] < ends[0][2] - 0.05
+    system = jaxrod.make_system({"rod": scene})
+    there = jaxrod.equilibrium(system, {"rod": found.state})
+    assert there.converged
+    record(
+        "Rod over a rough cylinder, as a scene and in a system: ends [m]",
+        "equal",
+        float(jnp.max(jnp.abs(there.state["rod"].positions - found.state.positions))),
+        at_most=1e-9,
+    )
+
+    def height(weight):
+        scene, state = laid_on(40, 0.03, weight)
+        return jaxrod.equilibrium(scene, state).state.tip[2]
+
+    change = 1e-3
+    difference = (height(1 + change) - height(1 - change)) / (2 * change)
+    record(
+        "Rod over a rough cylinder, equilibrium: gradient of the tip by the weight, "
+        "over differences",
+        "1",
+        abs(float(jax.grad(height)(1.0) / difference) - 1),
+        at_most=1e-5,
+    )
+    bare = jaxrod.make_scene(
+        scene.rod,
+        jaxrod.contact(scene.effects[0].body, stiffness=1e6),
+        scene.effects[1],
+    )
+    assert not jaxrod.equilibrium(bare, state).converged

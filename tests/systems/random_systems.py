@@ -33,6 +33,7 @@ import jax.numpy as jnp
 import numpy as np
 
 import jaxrod
+from jaxrod.systems.stepping.assembly import seen_at_rest
 from jaxrod.validation import astype
 
 ROD_JOINTS = ("tie", "weld", "ball", "hinge", "rigid", "spring")
@@ -359,24 +360,39 @@ def strained(system: Any, state: Any, dt: Any) -> Any:
     return jnp.any(jnp.stack([own.stretch | own.joint_angle for own in rods]))
 
 
+def turned(system: Any, state: Any) -> Any:
+    """Whether a joint between members is turned so far that `health` flags it."""
+    seen, couplings = seen_at_rest(system, state)
+    turns = [coupling.joint_angle(seen) for coupling in couplings]
+    known = [turn for turn in turns if turn is not None]
+    limit = jaxrod.HealthLimits().largest_joint_angle
+    return jnp.any(jnp.stack([jnp.zeros(()), *known]) > limit)
+
+
+def faults(system: Any, state: Any, dt: Any) -> Any:
+    """Whether rods are strained too far, and whether joints are turned too far."""
+    return jnp.stack([strained(system, state, dt), turned(system, state)])
+
+
 @jax.jit
 @jax.vmap
 def _started(system: Any, state: Any, dt: Any) -> Any:
-    return *energies(system, state), strained(system, state, dt)
+    return *energies(system, state), faults(system, state, dt)
 
 
 @jax.jit
 @jax.vmap
 def _later(system: Any, state: Any, dt: Any) -> Any:
     after = jaxrod.advance(system, state, dt, STEPS)
-    return after, (*energies(system, after), strained(system, after, dt))
+    return after, (*energies(system, after), faults(system, after, dt))
 
 
 def run(systems: Any, states: Any, dt: Any, share: int, samples: int) -> Any:
     """Energies [J] of a batch of systems, kinetic and total, `(systems, samples)`.
 
     One program for steps of `dt` and of a `share` of it. Also returns whether rods are
-    strained beyond the limits of `health`, `(systems, samples)`, and the last states.
+    strained, and whether joints are turned, beyond the limits of `health`, `(systems,
+    samples, 2)`, and the last states.
     """
     seen = [_started(systems, states, dt / share)]
     for sample in range(samples * share):
@@ -401,7 +417,7 @@ def examined(
         Of each system: `finite`, `drift` of the energy over the largest kinetic energy
         at the step of `stable_dt`, `finer` at half of it, `gain` of energy where it
         must fall; which flags `health` raises at the end; and whether it flagged the
-        `strains` of a rod on the way.
+        `strains` of a rod, or a joint that is `turned`, on the way.
     """
     random = np.random.default_rng(seed)
     with jax.enable_x64(False):
@@ -421,7 +437,8 @@ def examined(
         flags = _flags(systems, last, dt / share, total[:, 0], steps)
         found |= {f"{k} flagged at {name}": np.asarray(v) for k, v in flags.items()}
         size = np.max(kinetic, axis=1)
-        found[f"strains flagged at {name}"] = np.any(beyond, axis=1)
+        for k, flag in enumerate(("strains", "turned")):
+            found[f"{flag} flagged at {name}"] = np.any(beyond[:, :, k], axis=1)
         found[f"finite at {name}"] = np.all(np.isfinite(total), axis=1)
         rise = np.maximum.accumulate(total[:, ::-1], axis=1)[:, ::-1] - total
         found[f"{name} gain"] = np.max(rise, axis=1) / size
@@ -507,7 +524,11 @@ def _row(
         row[f"above 1e-3 at {name}, strains not flagged"] = [
             f"{j}: {values[j]:.2g}" for j in np.flatnonzero(sound & (values > 1e-3))
         ]
-        for flag in ("any", "energy", "joints", "strains"):
+        off = np.flatnonzero(values > 1e-3)
+        row[f"above 1e-3 at {name}, turned"] = [
+            int(j) for j in off if found[f"turned flagged at {name}"][j]
+        ]
+        for flag in ("any", "energy", "joints", "strains", "turned"):
             row[f"{flag} flagged at {name}"] = int(
                 np.sum(found[f"{flag} flagged at {name}"])
             )

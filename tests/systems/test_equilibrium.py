@@ -467,3 +467,66 @@ def test_lists_without_room_are_not_at_rest():
     assert enough.converged and not enough.state["neighbours"].overflow
     few = at_rest(systems.neighbour_lists(pairs=1, candidates=1, cell_slots=0))
     assert few.state["neighbours"].overflow and not few.converged
+
+
+def ropes_in_a_cross(law, n, heavy=1.0):
+    """Two straight ropes that touch in their middles, a heavy one on a light one."""
+    rope = {"length": 1.0, "radius": 0.005, "density": 1e3, "youngs_modulus": 1e6}
+    members, state = {}, {}
+    for name, start, direction, weight in (
+        ("below", (-0.5, 0.0, -0.0101), (1, 0, 0), 2.0),
+        ("above", (0.0, -0.5, 0.0), (0, 1, 0), 10.0 * heavy),
+    ):
+        made, state[name] = jaxrod.straight_rod(
+            n, start=start, direction=direction, dtype=jnp.float64, **rope
+        )
+        held = (
+            jaxrod.pin_support(state[name], 0),
+            jaxrod.pin_support(state[name], n),
+        )
+        down = jnp.asarray([0.0, 0.0, -1.0]) * weight
+        members[name] = jaxrod.make_scene(made, *held, jaxrod.gravity(down))
+    contact = law("below", "above")
+    return jaxrod.make_system(members, contact, state=state), state
+
+
+LAWS = {
+    "rod_contact": lambda *rods: systems.rod_contact(*rods, stiffness=1e6),
+    "crossing_contact": lambda *rods: systems.crossing_contact(*rods, stiffness=1e3),
+}
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("law", LAWS)
+def test_ropes_from_straight_rest_on_each_other_and_not_on_the_other_side(law, record):
+    """Without the test for passages a correction takes one rope through the other."""
+    system, state = ropes_in_a_cross(LAWS[law], 20)
+    found = jaxrod.equilibrium(system, state)
+    assert found.converged
+    health = jaxrod.health(system, found.state, 1e-4, before=state)
+    assert not health.passed and not health.violation
+    if law == "crossing_contact":
+        # It has no ripples that hold the ropes in their middles: they slip aside.
+        return
+
+    def middle(which, heavy):
+        pressed, _ = ropes_in_a_cross(LAWS[law], 20, heavy)
+        return jaxrod.equilibrium(pressed, state).state[which].positions[2, 10]
+
+    apart = float(middle("above", 1.0) - middle("below", 1.0))
+    record(
+        f"Ropes that cross, equilibrium from straight by `{law}`: distance [radii]",
+        "below 2, by the depth of contact",
+        apart / 0.005,
+        between=(1.5, 2.0),
+    )
+    slope = float(jax.grad(lambda heavy: middle("above", heavy))(1.0))
+    change = 1e-4
+    difference = float(middle("above", 1 + change) - middle("above", 1 - change))
+    record(
+        f"Ropes that cross, equilibrium by `{law}`: gradient of the height by the "
+        "weight, over differences",
+        "1",
+        abs(slope / (difference / (2 * change)) - 1),
+        at_most=1e-6,
+    )

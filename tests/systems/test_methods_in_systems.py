@@ -49,7 +49,7 @@ METHODS = {
         "scale_inertia",
         1e-9,
     ),
-    "implicit": (jaxrod.implicit(1.0), None, "consistent", 0.02),
+    "implicit": (jaxrod.implicit(1.0), None, "consistent", 2e-3),
 }
 PAGE = Path(__file__).parents[2] / "docs" / "choosing_a_method.md"
 

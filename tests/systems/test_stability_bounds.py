@@ -66,6 +66,26 @@ def limit_over_bound(system, state):
     return low
 
 
+def compared(name, build, far, record):
+    """Compares the bound, and the step measured at the state, with that limit."""
+    system, state = build()
+    limit = limit_over_bound(system, state)
+    record(
+        f"{name}: limit of the linearised step over the bound",
+        "safe, and not far off",
+        limit,
+        between=(0.99, far),
+    )
+    bound = jaxrod.stable_dt(system, 1.0).dt
+    measured = jaxrod.stable_dt(system, 1.0, state=state).dt
+    record(
+        f"{name}: step measured at the state over that limit",
+        "1",
+        float(measured / bound) / limit,
+        between=(0.99, 1.01),
+    )
+
+
 def rods(*starts, direction=(1, 0, 0), length=0.3):
     """Scenes and states of rods beside each other, one member each."""
     made = {f"rod {k}": rod(N, length, s, direction) for k, s in enumerate(starts)}
@@ -340,13 +360,7 @@ LEVERS = {
 @pytest.mark.fast_sets(1)
 @pytest.mark.parametrize("name", LEVERS)
 def test_bounds_of_long_levers_are_safe_and_not_far_off(name, record):
-    build, far = LEVERS[name]
-    record(
-        f"{name}: limit of the linearised step over the bound",
-        "safe, and not far off",
-        limit_over_bound(*build()),
-        between=(0.99, far),
-    )
+    compared(name, *LEVERS[name], record)
 
 
 SHAPES = {
@@ -426,13 +440,7 @@ def test_the_bounding_radius_of_a_shape_of_ones_own_counts():
 @pytest.mark.slow
 @pytest.mark.parametrize("name", CASES)
 def test_bounds_of_couplings_are_safe_and_not_far_off(name, record):
-    build, far = CASES[name]
-    record(
-        f"{name}: limit of the linearised step over the bound",
-        "safe, and not far off",
-        limit_over_bound(*build()),
-        between=(0.99, far),
-    )
+    compared(name, *CASES[name], record)
 
 
 def test_the_step_of_a_system_with_a_free_body_has_a_gradient():

@@ -8,6 +8,11 @@ import numpy as np
 import pytest
 
 import jaxrod
+from jaxrod.geometry.rotations import (
+    join_quaternion,
+    multiply_quaternions,
+    split_quaternion,
+)
 from systems.members import free_system, rod
 
 DT = 1e-4
@@ -147,6 +152,47 @@ def test_a_joint_that_is_pulled_apart_is_flagged_and_named(kind):
     assert wrong.energy and wrong.faults[-1].startswith("energy grew by 0.0605 J")
     paid = jaxrod.health(system, apart, DT, energy_before=energy, work_input=stored)
     assert not paid.energy
+
+
+def elastic():
+    """Couplings with elastic joints between two rods that cross at a node, by name."""
+    made = jaxrod.systems
+    ends = ("one", 2), ("two", 2)
+    stiff = {"stiffness": 1e3, "turning_stiffness": 1.0}
+    return {
+        "weld": lambda state: made.weld(*ends, state),
+        "fixed_joint": lambda state: made.fixed_joint(*ends, state, **stiff),
+        "glue": lambda state: made.glue("one", "two", state, **stiff),
+    }
+
+
+@pytest.mark.fast_sets(1)
+@pytest.mark.parametrize("kind", elastic())
+def test_a_joint_that_is_turned_too_far_is_flagged_and_named(kind):
+    """By 2.4 rad it is not; beyond half a turn the angle is the rest of it."""
+    (one, first), (two, second) = rod(4), rod(4)
+    state = {"one": first, "two": second}
+    members = {"one": jaxrod.make_scene(one), "two": jaxrod.make_scene(two)}
+    system = jaxrod.make_system(members, elastic()[kind](state))
+    for angle, wrong in ((0.0, False), (2.4, False), (2.6, True), (3.6, True)):
+        # About z: elements by quaternions, nodes about the middle.
+        c, s = np.cos(angle), np.sin(angle)
+        turn = jnp.asarray([[c, -s, 0], [s, c, 0], [0, 0, 1]])
+        middle = second.positions[:, 2:3]
+        half = [jnp.asarray(x) for x in (np.cos(angle / 2), 0, 0, np.sin(angle / 2))]
+        turned = multiply_quaternions(half, split_quaternion(second.orientations))
+        moved = replace(
+            second,
+            positions=middle + turn @ (second.positions - middle),
+            orientations=join_quaternion(turned),
+        )
+        seen = jaxrod.health(system, {**state, "two": moved}, DT)
+        found = min(angle, 2 * np.pi - angle)
+        np.testing.assert_allclose(seen.largest_joint_angle, found, atol=1e-9)
+        assert bool(seen.joint_angle) == wrong
+        assert seen.flagged or not wrong
+        words = f"turned by {found:.3g} rad"
+        assert any(words in fault for fault in seen.faults) == wrong
 
 
 @pytest.mark.slow

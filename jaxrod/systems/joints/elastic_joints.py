@@ -177,6 +177,12 @@ class ElasticJoint(Coupling):
         bend = vectors.subtract(rotation, vectors.split(self.rest_rotations))
         return 0.5 * jnp.sum(vectors.dot(moment, bend))
 
+    def joint_angle(self, seen: AllSeen) -> Array:
+        """Largest rotation of a joint from rest, |phi - phi_0| [rad]."""
+        rotation, _, _ = self._rotation(seen)
+        bend = vectors.subtract(rotation, vectors.split(self.rest_rotations))
+        return jnp.max(vectors.safe_norm(bend))
+
     def stability_bounds(self, parts: AllParts) -> dict[str, StabilityBound]:
         """Stability bounds on the elements of both members, by member."""
         assert self.stiffness is not None

@@ -290,6 +290,10 @@ class Glue(Coupling):
         thin = jnp.min(jnp.stack([jnp.min(r) for r in radii if r is not None]))
         return jnp.max(vectors.safe_norm(way)) / thin
 
+    def joint_angle(self, seen: AllSeen) -> Array | None:
+        """Largest rotation of glued elements from rest [rad]; `None` if they turn."""
+        return None if self.turning_stiffness is None else self.joint.joint_angle(seen)
+
     def stability_bounds(self, parts: AllParts) -> dict[str, StabilityBound]:
         """Stability bounds on nodes and elements of both rods, by member."""
         assert self.lengths is not None

@@ -103,7 +103,8 @@ class StableSystemStep:
     """Largest stable step times the safety factor: the smallest of `members` [s]."""
     members: tuple[Float[Array, ""], ...]
     """Largest stable step of each member times the safety factor [s], in the order of
-    `names`; infinite where nothing limits it."""
+    `names`; infinite where nothing limits it. At a state it is infinite for all members
+    but the one that moves most in the motion that limits the step."""
     steps: tuple[StableStep | None, ...]
     """`StableStep` of each member made of rods, with a leading axis for equal rods;
     `None` for rigid bodies. The order is that of `names`."""
