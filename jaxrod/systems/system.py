@@ -428,7 +428,9 @@ def _with_numbers(
         if not c.lacks_numbers
     )
     step = stable_system_dt(replace(system, couplings=others), 1.0).dt
-    return tuple(c.with_numbers(parts, step) for c in couplings)
+    return tuple(
+        c.with_numbers(parts, step) if c.lacks_numbers else c for c in couplings
+    )
 
 
 def _sized(

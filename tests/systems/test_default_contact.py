@@ -105,6 +105,24 @@ def test_given_numbers_stay():
     assert math.isfinite(float(floor.stiffness))
 
 
+def test_contact_with_and_without_numbers_in_one_system():
+    """Contact of rigid bodies has no default: it stays as it is beside others."""
+    rod, state = lying(SLENDER, 0.1)
+    ball, _ = jaxrod.systems.rigid_body(
+        jaxrod.shapes.sphere((1.2, 0, 0), 0.05), density=1e3, dtype=jnp.float64
+    )
+    members = {"rod": jaxrod.make_scene(rod, jaxrod.clamp(state)), "ball": ball}
+    floor = jaxrod.systems.rigid_contact(
+        "ball", fixed=jaxrod.shapes.plane((0, 0, -0.15)), stiffness=1e4
+    )
+    free = jaxrod.systems.body_contact("rod", "ball")
+    for couplings in ((free, floor), (floor, free)):
+        system = jaxrod.make_system(members, *couplings)
+        numbers = {type(c).__name__: c.stiffness for c in system.couplings}
+        assert numbers["RigidContact"] == 1e4
+        assert numbers["BodyContact"] > 0
+
+
 @pytest.mark.slow
 def test_numbers_are_traced():
     """Under `vmap` they are those of a loop, and have derivatives."""

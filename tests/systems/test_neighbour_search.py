@@ -5,13 +5,21 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from jaxrod.lanes.choice import lane_choices, use_lanes
+from jaxrod.lanes.choice import lane_choices, lane_mode, use_lanes
 from jaxrod.lanes.steps import by_kernel
 from jaxrod.structure import pytree, static
 from jaxrod.systems.contact import neighbour_search
 from jaxrod.systems.contact.element_pairs import Bounds, Elements
 from jaxrod.systems.contact.neighbour_lists import NeighbourLists
 from jaxrod.systems.contact.neighbour_search import candidates, everything, found_by
+
+
+@pytest.fixture(autouse=True)
+def mode():
+    """Sets the mode of lanes back that other tests expect."""
+    before = lane_mode()
+    yield
+    use_lanes(before)
 
 
 @pytree

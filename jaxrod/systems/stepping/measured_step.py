@@ -74,7 +74,10 @@ class _Response:
             before = self.stepper.enter(with_state_rates(self.state, rates))
             moved = self.stepper.leave(self.stepper.drift(before, self.half))
             moving = jax.tree.map(lambda rate: self.share * rate, state_rates(moved))
-            there = self.stepper.enter(with_state_rates(moved, moving))
+            # XLA would fuse drift and kick, and compile for minutes.
+            there, moving = lax.optimization_barrier(
+                (self.stepper.enter(with_state_rates(moved, moving)), moving)
+            )
             after = state_rates(self.stepper.leave(self.stepper.kick(there)))
             return jax.tree.map(jnp.subtract, moving, after)
 
