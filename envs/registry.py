@@ -172,7 +172,10 @@ def _chosen(
     for option in options:
         if option not in named and not any_name:
             has = f"it has {', '.join(named)}" if named else "it has none"
-            raise ValueError(f"{task!r} has no option {option!r}, {has}")
+            raise ValueError(
+                f"{task!r} has no option {option!r}, {has}; numbers such as lengths "
+                "and stiffnesses are in its parameters, env.default_params()"
+            )
     missing = [
         name
         for name, one in known.items()
