@@ -368,7 +368,8 @@ def body_contact(
             stiffness is given.
         friction: Coefficient of Coulomb friction [1].
         friction_drag: Largest friction per length and slip speed [kg/(m s)]; by default
-            equal to `damping`.
+            equal to `damping`. It is chosen with the stiffness if both that and the
+            damping are left out.
         onset: Width of the smooth onset of contact, divided by the rod's radius [1].
         points_per_element: Contact points per element; by default enough that they are
             at most a radius apart.

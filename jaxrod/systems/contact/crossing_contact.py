@@ -382,7 +382,8 @@ def crossing_contact(
             given.
         friction: Coefficient of Coulomb friction [1].
         friction_drag: Largest friction per slip speed [kg/s]; by default equal to
-            `damping`.
+            `damping`. It is chosen with the stiffness if both that and the damping are
+            left out.
         self_contact: Whether each rod also touches itself. Elements that are nearer to
             each other along the rod than pi times its radius do not touch.
         onset: Width of the smooth onset of contact, divided by the mean of the radii

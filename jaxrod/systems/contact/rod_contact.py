@@ -309,7 +309,8 @@ def rod_contact(
             stiffness is given.
         friction: Coefficient of Coulomb friction [1].
         friction_drag: Largest friction per length and slip speed [kg/(m s)]; by default
-            equal to `damping`.
+            equal to `damping`. It is chosen with the stiffness if both that and the
+            damping are left out.
         self_contact: Whether each rod also touches itself. Two parts that are less than
             pi radii apart along the rod do not touch.
         onset: Width of the smooth onset of contact, divided by the mean of the radii
