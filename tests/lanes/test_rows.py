@@ -331,6 +331,25 @@ def test_true_entries_are_listed_in_order(n, size, share):
         np.testing.assert_array_equal(made, expected)
 
 
+@pytest.mark.parametrize("width", [4, 9])
+@pytest.mark.parametrize("operation", ["set", "add"])
+def test_one_row_at_a_known_index_is_written_whole(width, operation):
+    """Indices with an axis of length one; an index outside drops the row."""
+
+    def changed(table, row, *totals):
+        for index in ([1], [-1], [7]):
+            at = getattr(table.at[jnp.array(index)], operation)(row[None])
+            totals = [*totals[1:], totals[0] + at]
+        return [row, *totals]
+
+    rng = np.random.default_rng(0)
+    table, row = (jnp.asarray(rng.normal(size=shape)) for shape in ((3, width), width))
+    given = (table, row, *3 * [jnp.zeros((3, width))])
+    _, rows, xla = compared_with_xla(changed, given, 1)
+    for a, b in zip(rows, xla, strict=True):
+        np.testing.assert_allclose(a, b, rtol=1e-13, atol=1e-13)
+
+
 @pytest.mark.parametrize("step", [1, 2])
 def test_rows_load_consecutive_numbers_together(step):
     """A window at a traced place is read by vectors; one with gaps is gathered."""

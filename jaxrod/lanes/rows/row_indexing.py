@@ -378,7 +378,8 @@ def _scattered_once(
         clip: Whether a start outside the array is clamped; otherwise the update is
             dropped.
     """
-    sizes = iter(update.shape)
+    # The other axes of the update are those of the indices, each of length one.
+    sizes = iter([update.shape[axis] for axis in numbers.update_window_dims])
     inserted = numbers.inserted_window_dims
     shape = [1 if a in inserted else next(sizes) for a in range(len(array.shape))]
     rooms = [n - size for n, size in zip(array.shape, shape, strict=True)]
