@@ -11,14 +11,14 @@ import pytest
 import jaxrod
 import jaxrod.viz
 from jaxrod.model import GUESSES
-from jaxrod.rods.guesses import OF_RODS, OF_STATES
+from jaxrod.rods.rod import Rod, RodState
 
 ROD, STATE = jaxrod.straight_rod(
     2, length=1.0, radius=0.05, density=1000.0, youngs_modulus=1e6
 )
 SCENE = jaxrod.make_scene(ROD, jaxrod.gravity())
 PLACES = {"Rod": ROD, "RodState": STATE, "Model": SCENE}
-HINTS = {"Rod": OF_RODS, "RodState": OF_STATES, "Model": GUESSES} | {
+HINTS = {"Rod": Rod._hints, "RodState": RodState._hints, "Model": GUESSES} | {
     module: import_module(module)._GUESSES
     for module in ("jaxrod", "jaxrod.systems", "jaxrod.viz", "jaxrod.envs")
 }

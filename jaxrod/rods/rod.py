@@ -18,12 +18,59 @@ from jaxtyping import Array, Float
 from jaxrod.geometry import vectors
 from jaxrod.geometry.material_frames import module_for
 from jaxrod.geometry.rotations import directors_from_orientations
-from jaxrod.rods.guesses import OF_RODS, OF_STATES
 from jaxrod.rods.repr import repr_or_class_name, rod_repr, state_repr
 from jaxrod.structure import Hinted, pytree, static
 from jaxrod.validation import Numbers, check_kind, numeric
 
 JointMean = Literal["arithmetic", "series"]
+
+_GUESSES_OF_RODS = {
+    **dict.fromkeys(
+        ("position", "position_collection", "positions", "tip", "x", "xpos"),
+        "it is state.positions, because a rod has no state of its own",
+    ),
+    **dict.fromkeys(
+        ("v", "velocities", "velocity", "velocity_collection"),
+        "it is state.velocities, because a rod has no state of its own",
+    ),
+    **dict.fromkeys(
+        ("curvature", "kappa", "sigma", "strains"), "it is jaxrod.strains(rod, state)"
+    ),
+    **dict.fromkeys(("mass", "masses"), "it is rod.node_masses"),
+    "density": "it is rod.linear_density, the mass per length",
+    "director_collection": "it is state.directors",
+    "n_elems": "it is rod.n_elements",
+    "omega_collection": "it is jaxrod.angular_velocities(rod, state)",
+    "radius": "it is rod.radii",
+}
+"""Hints at what a `Rod` has, or its state, by the guess."""
+
+_GUESSES_OF_STATES = {
+    **dict.fromkeys(
+        ("pos", "position", "position_collection", "q", "qpos", "x", "xpos"),
+        "it is state.positions",
+    ),
+    **dict.fromkeys(
+        ("qd", "qvel", "v", "vel", "velocity", "velocity_collection"),
+        "it is state.velocities",
+    ),
+    **dict.fromkeys(
+        ("orientation", "quat", "quaternions", "rot", "xquat"),
+        "it is state.orientations",
+    ),
+    **dict.fromkeys(
+        ("ang", "angular_velocities", "omega", "omega_collection"),
+        "it is jaxrod.angular_velocities(rod, state)",
+    ),
+    **dict.fromkeys(
+        ("curvature", "kappa", "sigma", "strains"), "it is jaxrod.strains(rod, state)"
+    ),
+    **dict.fromkeys(
+        ("t", "time"), "jaxrod.rollout_times computes the times of a rollout"
+    ),
+    "director_collection": "it is state.directors",
+}
+"""Hints at what a `RodState` has, or a function computes, by the guess."""
 
 
 @pytree
@@ -47,7 +94,7 @@ class Rod(Hinted):
         0.0628
     """
 
-    _hints = OF_RODS
+    _hints = _GUESSES_OF_RODS
 
     rest_lengths: Float[Array, " n"]
     """Unstressed element lengths [m]."""
@@ -218,7 +265,7 @@ class RodState(Hinted):
         1.885
     """
 
-    _hints = OF_STATES
+    _hints = _GUESSES_OF_STATES
 
     positions: Float[Array, "3 n+1"]
     """Node positions, world frame [m]."""

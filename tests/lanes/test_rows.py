@@ -314,7 +314,7 @@ def test_rows_leave_other_sorts_to_xla():
     ],
 )
 def test_true_entries_are_listed_in_order(n, size, share):
-    """By one function in rows, and by each of XLA's ways: also in batches."""
+    """One function lists them in rows; XLA has two ways, also in batches."""
     numbers = np.random.default_rng(n).random(n) + 0.001 - share
     expected = np.zeros(size, np.int32)
     found = np.flatnonzero(numbers < 0)[:size]

@@ -237,7 +237,7 @@ NAMED = (
     ),
     Named(
         "m28",
-        "past actions: one control step older than they are said to be",
+        "past actions: each is one control step too old",
         "envs/randomised.py",
         "jnp.concatenate([newest[None], past[:-1]])",
         "jnp.concatenate([past[:1], past[:-1]])",

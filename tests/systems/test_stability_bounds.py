@@ -3,6 +3,7 @@
 Couplings are much stiffer than what they couple, so that they alone limit the step.
 """
 
+import time
 from dataclasses import replace
 
 import jax
@@ -14,6 +15,7 @@ import jaxrod
 import jaxrod.extend
 from benchmarks.plectoneme.element_contact import element_contact
 from jaxrod.effects.base import StabilityBound, added_bounds
+from jaxrod.lanes.choice import lane_mode, use_lanes
 from jaxrod.systems.contact.collision_bodies import surface_mobility
 from systems.members import SOFT, rod
 
@@ -361,6 +363,24 @@ LEVERS = {
 @pytest.mark.parametrize("name", LEVERS)
 def test_bounds_of_long_levers_are_safe_and_not_far_off(name, record):
     compared(name, *LEVERS[name], record)
+
+
+@pytest.mark.slow
+def test_without_kernels_the_measured_step_is_the_same():
+    """XLA must not fuse the whole response: it would compile for minutes."""
+    system, state = far_apart(stiffness=1e-3, damping=1.0)
+    before, measured = lane_mode(), []
+    try:
+        for mode in ("auto", "never"):
+            use_lanes(mode)
+            # Compiled programs keep the mode with which they were compiled.
+            jax.clear_caches()
+            begun = time.process_time()
+            measured.append(float(jaxrod.stable_dt(system, state=state).dt))
+            assert time.process_time() - begun < 60
+    finally:
+        use_lanes(before)
+    assert measured[1] == pytest.approx(measured[0], rel=1e-6)
 
 
 SHAPES = {

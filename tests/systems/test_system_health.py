@@ -169,7 +169,7 @@ def elastic():
 @pytest.mark.fast_sets(1)
 @pytest.mark.parametrize("kind", elastic())
 def test_a_joint_that_is_turned_too_far_is_flagged_and_named(kind):
-    """By 2.4 rad it is not; beyond half a turn the angle is the rest of it."""
+    """A turn of 2.4 rad is not flagged; beyond half a turn the angle is the rest."""
     (one, first), (two, second) = rod(4), rod(4)
     state = {"one": first, "two": second}
     members = {"one": jaxrod.make_scene(one), "two": jaxrod.make_scene(two)}
