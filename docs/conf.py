@@ -70,7 +70,6 @@ html_js_files = ["gallery.js"]
 html_theme_options = {
     "show_navbar_depth": 1,
     "use_download_button": False,
-    "home_page_in_toc": True,
 }
 
 

@@ -5,6 +5,7 @@ if __name__ != "jaxrod.envs":
 
 from typing import TYPE_CHECKING
 
+from jaxrod.envs.arm.robot_hand import RobotHand, robot_hand
 from jaxrod.envs.arm.soft_arm import actuated_arm
 from jaxrod.envs.checking import check_environment
 from jaxrod.envs.memory_policy import (
@@ -55,6 +56,7 @@ __all__ = [
     "Randomised",
     "RandomisedParams",
     "RandomisedState",
+    "RobotHand",
     "Rollout",
     "Snapshot",
     "VectorEnvironment",
@@ -67,6 +69,7 @@ __all__ = [
     "names",
     "posterior",
     "remembering",
+    "robot_hand",
     "rollout",
 ]
 

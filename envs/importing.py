@@ -22,9 +22,16 @@ from typing import Any
 
 from jaxrod.files import UntrustedError
 
+_BEING_IMPORTED: list[str] = []
+"""Modules and files whose import has begun and not ended."""
 
-class _NotThereError(ValueError):
+
+class NotThereError(ValueError):
     """Error: the module or file of an import path does not exist."""
+
+
+class _TopLevelError(ValueError):
+    """Error: a module trains while it is imported."""
 
 
 def import_callable(
@@ -52,9 +59,10 @@ def import_callable(
             "a task of your own must look like mypackage.mymodule:make_task or "
             f"folder/file.py:make_task, got {where!r}"
         )
+    _BEING_IMPORTED.append(place)
     try:
         module = _from_file(Path(place)) if _is_file(place) else _by_name(place)
-    except _NotThereError:
+    except (NotThereError, _TopLevelError):
         raise
     except ModuleNotFoundError as error:
         said = f"importing {place} failed: {error}"
@@ -63,6 +71,8 @@ def import_callable(
         raise ValueError(
             f"importing {place} raised {type(error).__name__}: {error}"
         ) from error
+    finally:
+        _BEING_IMPORTED.pop()
     try:
         found = getattr(module, name)
     except AttributeError:
@@ -72,6 +82,25 @@ def import_callable(
     if trust is not None:
         check_home(where, found, module, trust)
     return found
+
+
+def refuse_while_importing(what: str) -> None:
+    """Raises an error if a module is just being imported because it makes a task.
+
+    A script that trains at its top level would otherwise train again each time that a
+    command looks for its task.
+
+    Args:
+        what: The function that is called, for the message.
+
+    Raises:
+        ValueError: A module is being imported.
+    """
+    if _BEING_IMPORTED:
+        raise _TopLevelError(
+            f"{_BEING_IMPORTED[-1]} calls {what} when it is imported; move the call "
+            'below a line `if __name__ == "__main__":`'
+        )
 
 
 def check_trusted(where: str, trust: Collection[str]) -> None:
@@ -170,15 +199,15 @@ def _dotted(name: str) -> bool:
 
 def _by_name(name: str) -> ModuleType:
     if not _dotted(name):
-        raise _NotThereError(f"{name!r} is neither the name of a module nor a .py file")
+        raise NotThereError(f"{name!r} is neither the name of a module nor a .py file")
     if _is_standard(name):
-        raise _NotThereError(f"{name!r} is a module of Python's own, without tasks")
+        raise NotThereError(f"{name!r} is a module of Python's own, without tasks")
     try:
         return importlib.import_module(name)
     except ModuleNotFoundError as error:
         # A failed import inside the module itself is a different error.
         if error.name and (name == error.name or name.startswith(error.name + ".")):
-            raise _NotThereError(
+            raise NotThereError(
                 f"there is no module {error.name!r} where Python looks for modules"
             ) from None
         raise
@@ -188,7 +217,7 @@ def _from_file(path: Path) -> ModuleType:
     """Imports the module in a file; later calls return the same module object."""
     path = path.resolve()
     if not path.is_file():
-        raise _NotThereError(f"there is no file {path}")
+        raise NotThereError(f"there is no file {path}")
     digest = hashlib.sha256(str(path).encode()).hexdigest()[:8]
     # No importable module has a name like this.
     name = f"{path.stem}@{digest}"
@@ -238,16 +267,26 @@ def find_object(path: str, trust: Collection[str] | None = None) -> Any:
     return found
 
 
-def import_path(value: Any) -> str | None:
+def import_path(value: Any, of_file: bool = False) -> str | None:
     """Import path `module:NAME` of a function or class, None if no path leads to it.
 
-    If its module is run as a script, the module's name is that of the file.
+    Args:
+        value: The function or class.
+        of_file: Whether the path of a script is `/folder/file.py:NAME`, which is valid
+            in every folder; otherwise the script's module has the name of the file.
     """
     module = getattr(value, "__module__", None)
     name = getattr(value, "__qualname__", None)
     if not isinstance(module, str) or not isinstance(name, str):
         return None
-    return _path(module, name, value)
+    path = _path(module, name, value)
+    if path is None or not of_file or (_dotted(module) and module != "__main__"):
+        return path
+    main = sys.modules[module]
+    if module == "__main__" and main.__spec__ is not None:  # python -m package.module
+        return path
+    file = Path(main.__file__ or "").resolve()
+    return f"{file}:{name}" if _is_file(str(file)) else None
 
 
 def import_path_in(module: str, value: Any) -> str | None:

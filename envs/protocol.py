@@ -5,10 +5,11 @@ is in the state that its functions return. All physical numbers are in its param
 Both are pytrees. So `jax.vmap` makes a batch of it, `jax.grad` differentiates through
 it, and changing a number recompiles nothing.
 
-Time limit: an environment counts its own control steps with an integer in its state and
-returns `truncated` at step `episode_length`. Wrappers may end an episode earlier, never
-later; `jaxrod.envs.wrappers.VectorEnvironment` does so to let the episodes of a batch
-end at different times.
+Time limit: wrappers and learners truncate an episode at step `episode_length`. An
+environment may also count its control steps in its state and return `truncated` there.
+Wrappers may end an episode earlier, never later;
+`jaxrod.envs.wrappers.VectorEnvironment` does so to let the episodes of a batch end at
+different times.
 """
 
 from __future__ import annotations

@@ -78,12 +78,7 @@ def make(
         >>> env.observation_size, env.action_size, env.episode_length
         (44, 12, 7142)
     """
-    if task not in _FACTORIES and ":" not in task:
-        raise ValueError(
-            f"task must be one of {', '.join(names())}, or say where your own is made, "
-            f"such as mypackage.mymodule:make_task; got {task!r}"
-        )
-    build = import_callable(_FACTORIES.get(task, task))
+    build = factory_of(task)
     chosen = _chosen(task, build, options)
     env = build(**options) if task in _FACTORIES else _made_by(task, build, options)
     if randomise is not None:
@@ -93,6 +88,20 @@ def make(
         env, chosen = Randomised(env, varied), chosen | {"randomise": varied.record()}
     _remember(env, Origin(task if task in _FACTORIES else canonical_path(task), chosen))
     return env
+
+
+def factory_of(task: str) -> Callable[..., Any]:
+    """Callable that makes the environment of a task.
+
+    Raises:
+        ValueError: There is no such task.
+    """
+    if task not in _FACTORIES and ":" not in task:
+        raise ValueError(
+            f"task must be one of {', '.join(names())}, or say where your own is made, "
+            f"such as mypackage.mymodule:make_task; got {task!r}"
+        )
+    return import_callable(_FACTORIES.get(task, task))
 
 
 def made(task: str | Environment, options: Mapping[str, Any]) -> Environment:
@@ -112,6 +121,28 @@ def origin_of(env: Environment) -> Origin | None:
     """Task and options with which `make` made an environment; None if it did not."""
     remembered, how = _MADE.get(id(env), (lambda: None, None))
     return how if remembered() is env else None
+
+
+def options_of(task: str, build: type, env: Environment) -> dict[str, Any]:
+    """Attributes of an environment that its class takes as options.
+
+    Args:
+        task: Import path of the class, for messages.
+        build: The class.
+        env: An instance of it.
+
+    Returns:
+        The options with non-default values, and always the variant.
+
+    Raises:
+        AttributeError: An argument of the class is no attribute of the instance.
+        ValueError: The class has no signature.
+    """
+    known = inspect.signature(build).parameters.values()
+    named = (
+        one for one in known if one.kind not in (one.VAR_POSITIONAL, one.VAR_KEYWORD)
+    )
+    return _chosen(task, build, {one.name: getattr(env, one.name) for one in named})
 
 
 _MADE: dict[int, tuple[Callable[[], Any], Origin]] = {}

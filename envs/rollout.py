@@ -131,7 +131,8 @@ def rollout(
             (observation, state),
         )
         reward = jnp.where(running, reward, 0)
-        running = running & ~terminated & ~truncated
+        # These may be Python's own False, whose ~ is -1.
+        running = running & jnp.logical_not(terminated | truncated)
         kept = None if collect is None else collect(state)
         return (observation, state, held, running), (reward, running, kept)
 

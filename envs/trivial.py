@@ -48,9 +48,13 @@ class Trivial:
     """
 
     episode_length: int = 20
+    """Control steps per episode."""
     name: str = "trivial"
+    """Name of the task."""
     observation_size: int = 1
+    """Length of the observation."""
     action_size: int = 1
+    """Length of the action."""
 
     observation_channels = (Channel(1, "position", "m"),)
     action_channels = (Channel(1, "share of the largest stride, 0.2 m", "1"),)

@@ -19,11 +19,8 @@ class State:
 @dataclasses.dataclass(frozen=True)
 class Lift:
     height: float  # the highest goal, and the lowest below zero [m]
-    name: str = "lift"
-    observation_size: int = 5
-    action_size: int = 1
-    episode_length: int = 100  # control steps
-    control_period: float = 0.02  # [s]
+    name, observation_size, action_size = "lift", 5, 1
+    episode_length, control_period = 100, 0.02  # control steps, [s]
 
     def default_params(self):
         size = {"length": 0.5, "radius": 0.02, "density": 1e3, "youngs_modulus": 1e7}
@@ -38,13 +35,11 @@ class Lift:
 
     def step(self, key, state, action, params):
         couple = jnp.zeros(3).at[2].set(params["strength"] * action[0])
-        effects = (*params["scene"].effects, jaxrod.uniform_load((0, 0, 0), couple))
-        scene = dataclasses.replace(params["scene"], effects=effects)
+        scene = params["scene"].with_effect(jaxrod.uniform_load((0, 0, 0), couple))
         rod = jaxrod.advance(scene, state.rod, self.control_period / 100, 100)
         observation, state = self.seen(State(rod, state.goal, state.steps + 1))
         reward = -jnp.abs(rod.tip[1] - state.goal)
-        over = state.steps >= self.episode_length
-        return observation, state, reward, jnp.zeros((), bool), over, {}
+        return observation, state, reward, False, state.steps >= self.episode_length, {}
 
     def seen(self, state):
         tip = jnp.concatenate([state.rod.tip[:2], state.rod.velocities[:2, -1]])
@@ -57,4 +52,9 @@ class Lift:
 
 
 def make_task(height: float = 0.3):
+    """Makes the task.
+
+    Args:
+        height: The highest goal, and the lowest below zero [m].
+    """
     return Lift(height)

@@ -46,6 +46,8 @@ from jaxrod.effects.loads import end_load as end_load
 from jaxrod.effects.loads import exponential_damping as exponential_damping
 from jaxrod.effects.loads import gravity as gravity
 from jaxrod.effects.loads import uniform_load as uniform_load
+from jaxrod.effects.robot_arms import RobotArm as RobotArm
+from jaxrod.effects.robot_arms import robot_arm as robot_arm
 from jaxrod.effects.supports import hinge_support as hinge_support
 from jaxrod.effects.supports import pin_support as pin_support
 from jaxrod.effects.unlikely import UnlikelyWarning as UnlikelyWarning

@@ -237,6 +237,11 @@ def parse_json(text: str) -> dict[str, Any]:
     return content
 
 
+def with_tuples(value: Any) -> Any:
+    """Converts lists, JSON's only sequences, to tuples at any depth."""
+    return tuple(map(with_tuples, value)) if isinstance(value, list) else value
+
+
 def _without_doubles(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
     content = dict(pairs)
     if len(content) < len(pairs):

@@ -23,7 +23,7 @@ from jaxrod.effects.base import Effect, Reaction, memory_fields, memory_of
 from jaxrod.effects.ends import check_held_once
 from jaxrod.effects.own_classes import check_own_class, check_own_loads
 from jaxrod.effects.time import Clock, at_clock, clock_at, depends_on_time
-from jaxrod.effects.unlikely import warn_of_thickness
+from jaxrod.effects.unlikely import warn_of_softness, warn_of_thickness
 from jaxrod.geometry.vectors import Vec3
 from jaxrod.loaded_rod import (
     Evolvable,
@@ -184,11 +184,6 @@ class Scene(LoadedRod, Model, Hinted):
         before: Any = None,
     ) -> Health:
         """Result of `jaxrod.health`: flags of a state, and the values behind them."""
-        if before is not None:
-            raise ValueError(
-                "before is for systems, whose contact keeps rods apart: one rod passes "
-                "through itself freely, see jaxrod.topology.crossed"
-            )
         return scene_health(
             self,
             state,
@@ -197,6 +192,7 @@ class Scene(LoadedRod, Model, Hinted):
             energy_before=energy_before,
             work_input=work_input,
             n_steps=n_steps,
+            before=before,
         )
 
     def reactions(self, state: Any) -> tuple[Reaction | None, ...]:
@@ -225,11 +221,7 @@ class Scene(LoadedRod, Model, Hinted):
 
     def potential_energy(self, state: Any) -> Float[Array, ""]:
         """Stored elastic energy plus the potential of all effects [J]."""
-        scene = scene_of(self, state)
-        total = stored_energy(scene.rod, state)
-        for effect in scene.effects:
-            total = total + effect.energy(scene.rod, state)
-        return total
+        return _potential_energy(scene_of(self, state), state)
 
     def momentum(self, state: Any) -> Float[Array, "3"]:
         """Linear momentum, world frame [kg m/s]."""
@@ -238,6 +230,14 @@ class Scene(LoadedRod, Model, Hinted):
     def angular_momentum(self, state: Any) -> Float[Array, "3"]:
         """Angular momentum about the origin, world frame [kg m^2/s]."""
         return self.rod.angular_momentum(state)
+
+
+@jax.jit
+def _potential_energy(scene: Scene, state: RodState) -> Array:
+    total = stored_energy(scene.rod, state)
+    for effect in scene.effects:
+        total = total + effect.energy(scene.rod, state)
+    return total
 
 
 @knows_constants
@@ -297,8 +297,10 @@ def make_scene(rod: Rod, *effects: Effect, method: Method | None = None) -> Scen
     if any(effect.lacks_numbers for effect in listed):
         listed = _with_numbers(rod, listed, method)
     scene = Scene(rod, listed, method)
-    for effect in scene.at(0.0).effects:
+    begins = scene.at(0.0).effects
+    for effect in begins:
         check_own_loads(effect, rod)
+    _warn_of_softness(rod, begins)
     _check_evolution(scene)
     check_drag(scene)
     method.check(scene.at(0.0))
@@ -308,8 +310,19 @@ def make_scene(rod: Rod, *effects: Effect, method: Method | None = None) -> Scen
     return scene
 
 
+def _warn_of_softness(rod: Rod, effects: tuple[Effect, ...]) -> None:
+    """Warns of contact that is too soft to carry the rod where gravity acts."""
+    fields = [effect.gravitational_field for effect in effects]
+    bearings = [effect.bearing for effect in effects]
+    for field in (field for field in fields if field is not None):
+        for stiffness in (own for own in bearings if own is not None):
+            warn_of_softness(rod, field, stiffness)
+
+
+@jax.jit
 def _with_numbers(rod: Rod, effects: Any, method: Method) -> Any:
     """Effects with the numbers that they lack, from the step that the others allow."""
+    # Compiled, because the bounds of contact take a hundred operations.
     others = tuple(effect for effect in effects if not effect.lacks_numbers)
     step = scene_stable_step(Scene(rod, others, method), 1.0).dt
     return tuple(effect.with_numbers(rod, step) for effect in effects)

@@ -408,6 +408,19 @@ def test_a_driven_end_is_where_its_schedule_says_and_takes_power():
     close(taken.power, taken.force[2] * 1.0 + taken.couple[1] * 5.0, rtol=1e-6)
 
 
+@runs("robot_arm")
+def test_a_hand_of_a_robot_drives_an_end():
+    robot = jaxrod.robot_arm(ROOT / "examples" / "robot_arm.urdf", "hand")
+    turn = jaxrod.schedules.ramp(np.zeros(3), np.array([0.2, 0.0, 0.0]), 0.04)
+    scene = jaxrod.make_scene(ROD, jax.jit(robot.hold)(REST, turn))
+    hand = jax.jit(lambda: scene.at(0.02).effects[0])()
+    x, y, z = REST.positions[:, 0]
+    # The waist turns by 0.1 rad, and what is on its axis stays there.
+    c, s = math.cos(0.1), math.sin(0.1)
+    close(hand.place.position, (c * x - s * y, s * x + c * y, z))
+    close(hand.turn.angular_velocity, (0, 0, 5.0))
+
+
 # One arm, bent by its weight, by every method
 
 

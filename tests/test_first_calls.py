@@ -158,3 +158,29 @@ def test_the_stable_step_of_a_system_is_one_program_for_all_who_ask():
     dt = jaxrod.stable_dt(system).dt
     system.step_warning(dt, {"only": state})
     assert stable_system_dt._cache_size() == before + 1
+
+
+def test_numbers_of_contact_are_one_program(compiled):
+    rod, state = arm(7, jnp.float64)
+    ground = jaxrod.contact(
+        jaxrod.shapes.plane((0.0, 0.0, -0.5), (0.0, 0.0, 1.0)), friction=0.3
+    )
+    compiled.clear()
+    jaxrod.make_scene(rod, jaxrod.clamp(state), ground)
+    assert len(compiled) < 12  # 75 if the bounds of contact are computed one by one
+
+
+def test_numbers_of_contact_between_members_are_one_program(compiled):
+    rod, _ = arm(7, jnp.float64)
+    links = {name: jaxrod.make_scene(rod) for name in ("left", "right")}
+    pair = jaxrod.systems.rod_contact("left", "right", friction=0.2)
+    compiled.clear()
+    jaxrod.make_system(links, pair)
+    assert len(compiled) < 12  # 34 if the bounds of contact are computed one by one
+
+
+def test_health_is_one_program(compiled):
+    scene, state = held_arm()
+    compiled.clear()
+    jaxrod.health(scene, state, 1e-4)
+    assert len(compiled) < 8  # 81 if each flag is computed for itself

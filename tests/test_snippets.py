@@ -8,6 +8,8 @@ from pathlib import Path
 
 import pytest
 
+from commands import run, run_json  # noqa: F401
+
 ROOT = Path(__file__).parents[1]
 # The gallery shows lines of the examples; tests/examples/test_gallery.py compares them.
 PAGES = [
@@ -25,7 +27,7 @@ def programs(page):
     return blocks
 
 
-def run(program, tmp_path):
+def printed_by(program, tmp_path):
     # Compiling is most of it, and twice as fast without LLVM's optimisations.
     environment = {**os.environ, "XLA_FLAGS": "--xla_backend_optimization_level=0"}
     done = subprocess.run(
@@ -44,8 +46,8 @@ def test_no_program_is_left_out():
     pages = [ROOT / "CONTRIBUTING.md", *(ROOT / "benchmarks").rglob("*.md"), *PAGES]
     left_out = {}
     for page in pages:
-        run = len(BLOCK.findall(page.read_text())) if page in PAGES else 0
-        left_out[str(page)] = len(fences.findall(page.read_text())) - run
+        executed = len(BLOCK.findall(page.read_text())) if page in PAGES else 0
+        left_out[str(page)] = len(fences.findall(page.read_text())) - executed
     assert not {name: count for name, count in left_out.items() if count}
 
 
@@ -54,9 +56,42 @@ def test_readme_prints_what_it_says(tmp_path):
     said = re.findall(r"^```text\n(.*?)^```", PAGES[0].read_text(), re.S | re.M)
     number = re.compile(r"-?\d+\.\d*(?:e[-+]\d+)?")
     expected = [float(x) for x in number.findall("".join(said))]
-    printed = [float(x) for x in number.findall(run(program, tmp_path))]
+    printed = [float(x) for x in number.findall(printed_by(program, tmp_path))]
     assert len(expected) == 6
     assert printed == pytest.approx(expected, rel=1e-3)
+
+
+TASK = ROOT / "docs" / "extending.md"
+
+
+def own_task(page):
+    """The program `reach.py` of a page."""
+    (program,) = (
+        code for code in re.findall(BLOCK, page.read_text()) if "class Reach" in code[0]
+    )
+    return program[0]
+
+
+def test_readme_and_docs_show_the_same_task():
+    assert own_task(PAGES[0]) == own_task(TASK)
+    lines = [line for line in own_task(TASK).splitlines() if line]
+    assert len(lines) <= 22  # the last two draw it
+
+
+@pytest.mark.slow
+@pytest.mark.default_precision
+def test_the_task_of_the_readme_learns_what_is_said(tmp_path, run_json, monkeypatch):  # noqa: F811
+    monkeypatch.chdir(tmp_path)
+    Path("reach.py").write_text(own_task(PAGES[0]))
+    words = re.search(r"^jaxrod (train reach.py.*)", PAGES[0].read_text(), re.M)[1]
+    found = run_json(*words.split(), "--json")
+    said = float(
+        re.search(r"the return from -12 to (-[\d.]+)", PAGES[0].read_text())[1]
+    )
+    assert found["evaluation_score"] == pytest.approx(said, abs=0.15)
+    assert Path("runs/reach/replay.html").exists()
+    trust = ("--trust", "reach.py")
+    assert run_json("evaluate", "runs/reach", "--json", *trust)["score"] > 1.2 * said
 
 
 @pytest.mark.slow
@@ -69,6 +104,6 @@ def test_readme_prints_what_it_says(tmp_path):
     ],
 )
 def test_pages_run_as_printed(program, says, tmp_path):
-    printed = run(program, tmp_path)
+    printed = printed_by(program, tmp_path)
     if says:
         assert printed.splitlines()[-1] == says

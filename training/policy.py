@@ -70,8 +70,7 @@ class Policy(Protocol):
 
     Example:
         >>> env = envs.make("trivial")
-        >>> sizes = training.untrained_policy(env)
-        >>> policy = jax.tree.map(lambda leaf: jnp.ones(leaf.shape), sizes)
+        >>> policy = training.untrained_policy(env, seed=0)
         >>> policy(jnp.zeros((5, 1))).shape  # five observations at once
         (5, 1)
     """

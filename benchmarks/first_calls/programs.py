@@ -32,14 +32,14 @@ def _run(source: str) -> dict[str, Any]:
 
 def readme_rod() -> Call:
     """README's first program."""
-    first, _ = _blocks("README.md")
+    first, *_ = _blocks("README.md")
     return lambda: _run(first) and None
 
 
 def readme_system() -> Call:
-    """README's second program."""
-    _, second = _blocks("README.md")
-    return lambda: _run("import jaxrod\njaxrod.configure_cpu()\n" + second) and None
+    """README's system."""
+    *_, last = _blocks("README.md")
+    return lambda: _run("import jaxrod\njaxrod.configure_cpu()\n" + last) and None
 
 
 def _documented_system() -> tuple[Any, Any, Any]:

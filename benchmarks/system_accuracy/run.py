@@ -13,6 +13,7 @@ the two rods over a second.
 from __future__ import annotations
 
 import argparse
+from pathlib import Path
 from typing import Any, NamedTuple
 
 import jax.numpy as jnp
@@ -22,7 +23,12 @@ import jaxrod
 from benchmarks.shared.arguments import add_names
 from benchmarks.system_accuracy.ropes import crossing, heap
 from benchmarks.system_speed.run import Scene, joint, on_one_core, processor, snake
+from benchmarks.tradeoff.grid import Row, as_csv
+from benchmarks.tradeoff.work_precision import Words, work_precision
+from jaxrod import tradeoff
+from jaxrod.files import write_atomically
 
+FOLDER = Path(__file__).parent / "records"
 SHARE = 0.01
 """Error for which the two are compared [1]."""
 
@@ -140,8 +146,8 @@ def error(found: np.ndarray, exact: np.ndarray) -> float:
         return float(np.linalg.norm(found - exact) / np.linalg.norm(exact))
 
 
-def measure(name: str) -> None:
-    """Prints the table of a scene."""
+def measure(name: str) -> list[Row]:
+    """Prints the table of a scene, and returns its rows."""
     case = CASES[name]
     coarsest = case.sizes[0]
     fine_dt = case.their_dt * min(1, 50 / case.finest)
@@ -155,6 +161,7 @@ def measure(name: str) -> None:
     print("| | n | step [us] | error | processor seconds per second |")
     print("|---|---:|---:|---:|---:|")
     cheapest: dict[str, float] = {}
+    rows = []
     for n in case.sizes:
         for label, factors in {"jaxrod": (1,), "PyElastica": (1, 2, 4)}.items():
             for factor in factors:
@@ -169,6 +176,9 @@ def measure(name: str) -> None:
                     f"| {label} | {n} | {1e6 * dt:.1f} | {off:.3%} | {cost:.4g} |",
                     flush=True,
                 )
+                law = "consistent" if label == "jaxrod" else "pyelastica"
+                setting = tradeoff.Setting(n, dt, dtype="float64", mode=law)
+                rows.append(Row(label.lower(), setting, 1, off, cost))
                 if off <= SHARE:
                     cheapest[label] = min(cost, cheapest.get(label, np.inf))
     if len(cheapest) == 2:
@@ -178,11 +188,30 @@ def measure(name: str) -> None:
             f"{cheapest['jaxrod']:.4g} s, {ratio:.0f} times.\n",
             flush=True,
         )
+    return rows
+
+
+def save(folder: Path, name: str, rows: list[Row]) -> None:
+    """Writes a record of the rows, `NAME.csv`, and their picture, `NAME.png`."""
+    folder.mkdir(parents=True, exist_ok=True)
+    write_atomically(folder / f"{name}.csv", as_csv(rows).encode())
+    words = Words(
+        error="relative error, RMS over time [1]",
+        cost="processor time per simulated second [s]",
+        single="",
+        line="1 %",
+    )
+    title = f"{name}: error against cost, one core"
+    work_precision(rows, folder / f"{name}.png", title=title, words=words)
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declares the scenes."""
-    add_names(parser, "scenes", (*CASES, "crossing", "heap"), "SCENE")
+    names = (*CASES, "crossing", "heap")
+    add_names(parser, "scenes", names, "SCENE")
+    parser.add_argument(
+        "--out", type=Path, default=FOLDER, help="folder of records and pictures"
+    )
     parser.add_argument(
         "--n", type=int, nargs="+", default=[50, 51, 100], help="of our crossing ropes"
     )
@@ -206,5 +235,5 @@ def run(args: argparse.Namespace) -> int:
         elif name == "heap":
             heap(100, args.their_share)
         else:
-            measure(name)
+            save(args.out, name, measure(name))
     return 0

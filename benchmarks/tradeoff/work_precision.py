@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 from jaxrod.files import write_atomically
@@ -15,6 +16,22 @@ if TYPE_CHECKING:
     from jaxrod.viz.curves import FilePath
 
 _QUIET = style.QUIET
+
+
+@dataclass(frozen=True)
+class Words:
+    """Words at the axes of a picture."""
+
+    error: str = "error of the tip, RMS over time [lengths]"
+    """Label of the axis of errors."""
+    cost: str = "wall-clock time per simulated second and rod [s]"
+    """Label of the axis of costs."""
+    single: str = "one rod"
+    """Heading of the panel for a single model."""
+    line: str = "1 % of the length"
+    """Name of the line at an error of 0.01."""
+
+
 _KINDS = (
     # simulator, mode, integrator: label, colour, marker
     (("pyelastica", "pyelastica", "explicit"), "PyElastica", style.ORANGE, "s"),
@@ -26,7 +43,12 @@ _KINDS = (
 
 
 def work_precision(
-    rows: Sequence[Row], out: FilePath, *, title: str = "", floor: float = 0.0
+    rows: Sequence[Row],
+    out: FilePath,
+    *,
+    title: str = "",
+    floor: float = 0.0,
+    words: Words | None = None,
 ) -> None:
     """Draws error against cost into a PNG file, one panel for every batch size.
 
@@ -39,6 +61,7 @@ def work_precision(
         out: The PNG file to write; its folder must exist.
         title: Heading of the picture.
         floor: Error of the reference, below which errors mean nothing; shaded.
+        words: Words at the axes; by default those of rods and their tips.
 
     Raises:
         ValueError: If no row has a finite error.
@@ -46,10 +69,10 @@ def work_precision(
     finite = [row for row in rows if row.error < 10]
     if not finite:
         raise ValueError("rows must hold a setting with a finite error, got none")
-    write_atomically(out, _draw(finite, title, floor))
+    write_atomically(out, _draw(finite, title, floor, words or Words()))
 
 
-def _draw(rows: list[Row], title: str, floor: float) -> bytes:
+def _draw(rows: list[Row], title: str, floor: float, words: Words) -> bytes:
     need_matplotlib()
     batches = sorted({row.batch for row in rows})
     figure, panels = style.charts(4.2 * len(batches) + 3.0, 4.6, columns=len(batches))
@@ -58,10 +81,10 @@ def _draw(rows: list[Row], title: str, floor: float) -> bytes:
         axes.sharey(panels[0][0])
         axes.tick_params(labelleft=False)
     for axes, batch in zip(panels[0], batches, strict=True):
-        _panel(axes, [row for row in rows if row.batch == batch], floor)
-        many = "one rod" if batch == 1 else f"{batch:,} rods at once"
+        _panel(axes, [row for row in rows if row.batch == batch], floor, words)
+        many = words.single if batch == 1 else f"{batch:,} rods at once"
         axes.set_title(many, fontsize=10, color=_QUIET)
-    panels[0][0].set_ylabel("error of the tip, RMS over time [lengths]")
+    panels[0][0].set_ylabel(words.error)
     # Beside the panels: within, there is no corner that no simulator's points reach.
     named: dict[str, Any] = {}
     for axes in panels[0]:
@@ -74,7 +97,7 @@ def _draw(rows: list[Row], title: str, floor: float) -> bytes:
         frameon=False,
         fontsize=8,
     )
-    figure.supxlabel("wall-clock time per simulated second and rod [s]", fontsize=10)
+    figure.supxlabel(words.cost, fontsize=10)
     if title:
         figure.suptitle(title, fontsize=12, fontweight="bold")
     picture = io.BytesIO()
@@ -82,7 +105,7 @@ def _draw(rows: list[Row], title: str, floor: float) -> bytes:
     return picture.getvalue()
 
 
-def _panel(axes: Any, rows: list[Row], floor: float) -> None:
+def _panel(axes: Any, rows: list[Row], floor: float, words: Words) -> None:
     from benchmarks.tradeoff.grid import pareto
 
     for key, label, colour, marker in _KINDS:
@@ -130,6 +153,6 @@ def _panel(axes: Any, rows: list[Row], floor: float) -> None:
         color=_QUIET,
         linewidth=0.7,
         linestyle=(0, (4, 3)),
-        label="1 % of the length",
+        label=words.line,
     )
     axes.tick_params(labelsize=8)

@@ -20,19 +20,23 @@ of 5 cm by a thousandth, shakes the rod a little at every step (by an amount giv
 from __future__ import annotations
 
 import functools
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any, TypeVar, overload
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, ArrayLike, Bool, Float
 
 from jaxrod.geometry import vectors
 from jaxrod.geometry.rotations import directors, split_quaternion
+from jaxrod.lanes.steps import by_kernel
 from jaxrod.loaded_rod import LoadedRod, check_memory, check_scene
 from jaxrod.model import Model, check_model
 from jaxrod.rods.elasticity import joint_rotations, stored_energy
 from jaxrod.rods.motion import motion_of
+from jaxrod.rods.repr import repr_or_class_name
 from jaxrod.rods.rod import Rod, RodState, check_size
 from jaxrod.structure import pytree
 from jaxrod.validation import check_array, is_traced
@@ -108,6 +112,8 @@ class Health:
     """Flag: an orientation is not a unit quaternion."""
     violation: Bool[Array, ""]
     """Flag: a held end is away from its position, or a node is deep inside a body."""
+    passed: Bool[Array, ""]
+    """Flag: the rod went through a body; not examined without the state `before`."""
     energy: Bool[Array, ""]
     """Flag: energy grew by more than work and round-off can explain."""
     smallest_stretch: Float[Array, ""]
@@ -125,6 +131,9 @@ class Health:
     """Largest error of the square of a quaternion's norm [1]."""
     largest_violation: Float[Array, ""]
     """Largest violation of an effect's constraint, divided by the radius [1]."""
+    passages: Float[Array, ""]
+    """Number of points of the rod that went through a body, of the contact points and
+    the points halfway between them; zero without the state `before`."""
     energy_growth: Float[Array, ""]
     """Growth of the total energy; zero if it is not examined [J]."""
     energy_allowed: Float[Array, ""]
@@ -141,8 +150,107 @@ class Health:
             | self.spin
             | self.norm
             | self.violation
+            | self.passed
             | self.energy
         )
+
+    @property
+    def faults(self) -> tuple[str, ...]:
+        """Every flag that is set, with its value and what to change.
+
+        It needs values that are known, of one state.
+        """
+        return tuple(
+            words.format(self) for flag, words in _FAULTS if _is_set(self, flag)
+        )
+
+    def __repr__(self) -> str:
+        """One line if no flag is set, else a line for each flag."""
+        return repr_or_class_name(_in_lines, self)
+
+
+_FAULTS = (
+    (
+        "finite",
+        "a number is not finite: continue from an earlier state, and shorten dt",
+    ),
+    (
+        "stretch",
+        "stretch: elements have {0.smallest_stretch:.3g} to {0.largest_stretch:.3g} "
+        "times their length at rest: reduce the loads or dt",
+    ),
+    (
+        "joint_angle",
+        "joint_angle: a joint is bent by {0.largest_joint_angle:.3g} rad from rest: "
+        "use more elements, or reduce the loads",
+    ),
+    (
+        "speed",
+        "speed: a node moves at {0.largest_speed:.3g} m/s, too far in a step for its "
+        "radius: reduce dt",
+    ),
+    (
+        "spin",
+        "spin: an element turns at {0.largest_spin:.3g} rad/s, too far in a step: "
+        "reduce dt",
+    ),
+    (
+        "norm",
+        "norm: the square of a quaternion's norm is off by "
+        "{0.largest_norm_error:.3g}: normalise the orientations",
+    ),
+    (
+        "violation",
+        "violation: a held end is off its place, or the rod is inside a body, by "
+        "{0.largest_violation:.3g} radii: check the support, or raise the stiffness of "
+        "the contact [N/m^2]",
+    ),
+    (
+        "passed",
+        "passed: {0.passages:.0f} points of the rod went through a body: raise the "
+        "stiffness of the contact [N/m^2] or points_per_element, or reduce dt",
+    ),
+    (
+        "energy",
+        "energy: it grew by {0.energy_growth:.3g} J, allowed are "
+        "{0.energy_allowed:.3g} J: reduce dt, or give work_input",
+    ),
+)
+"""Flags, and what they say of a `Health`."""
+
+
+def _is_set(found: Health, flag: str) -> Any:
+    """Whether a flag says that something is wrong."""
+    value = np.asarray(getattr(found, flag))
+    return ~value if flag == "finite" else value
+
+
+def _in_lines(found: Health) -> str:
+    """Text for `print`: the flags, or for many states how many have each flag."""
+    if found.finite.ndim == 0:
+        values = (
+            f"stretch {found.smallest_stretch:.4g} to {found.largest_stretch:.4g}, "
+            f"violation {found.largest_violation:.3g} radii"
+        )
+        return with_faults("Health", found.faults, values)
+    counts = {flag: int(np.sum(_is_set(found, flag))) for flag, _ in _FAULTS}
+    states = f"{found.finite.size} states"
+    return with_faults(
+        "Health",
+        [
+            f"{'not ' * (f == 'finite')}{f}: {n} of {states}"
+            for f, n in counts.items()
+            if n
+        ],
+        states,
+    )
+
+
+def with_faults(name: str, faults: Sequence[str], values: str) -> str:
+    """Text of a `Health`: one line without faults, else a line for each of them."""
+    if not faults:
+        return f"{name}(no flags; {values})"
+    return "\n".join([f"{name}, flags: {len(faults)}", *(f"  {f}" for f in faults)])
 
 
 @overload
@@ -155,6 +263,7 @@ def health(
     energy_before: ArrayLike | None = ...,
     work_input: ArrayLike = ...,
     n_steps: ArrayLike = ...,
+    before: RodState | None = ...,
 ) -> Health: ...
 
 
@@ -200,8 +309,10 @@ def health(
             Energy may grow by twice as much.
         n_steps: Number of steps since then: round-off grows with it
             (`EnergyAccount`).
-        before: An earlier state of a system; without it, rods that passed through each
-            other are not found.
+        before: An earlier state, for example that of the last record. Without it,
+            rods that passed through a body, and rods of a system that passed through
+            each other, are not found once they are out again. Nodes are taken to move
+            in straight lines in between, and moving bodies to be where they are now.
 
     Returns:
         The flags and the values behind them, `Health` or `SystemHealth`. Values that
@@ -209,7 +320,7 @@ def health(
 
     Raises:
         ValueError: If the state does not match the scene's rod, or `dt` or `n_steps` is
-            known and not positive, or `before` is given for one rod.
+            known and not positive.
 
     Example:
         >>> bool(jaxrod.health(scene, state, dt=1e-4).flagged)
@@ -240,63 +351,125 @@ def scene_health(
     energy_before: ArrayLike | None = None,
     work_input: ArrayLike = 0.0,
     n_steps: ArrayLike = 1000,
+    before: RodState | None = None,
 ) -> Health:
     """Examines a state of one rod; see `health`."""
     check_scene(scene)
     scene.check_moment()
     check_size(scene.rod, state)
     check_memory(scene, state)
+    if before is not None:
+        check_size(scene.rod, before)
     scene = scene.recalling(state)
     for name, value, unit in (("dt", dt, "s"), ("n_steps", n_steps, "")):
         if not is_traced(value):
             check_array(name, value, [()], unit, positive=True)
-    limits = HealthLimits() if limits is None else limits
     dtype = state.positions.dtype
-    dt, zero = jnp.asarray(dt, dtype), jnp.zeros((), dtype)
+    limits = HealthLimits() if limits is None else limits
+    then = (energy_before, work_input, n_steps)
+    return _examined(
+        _Examination(scene, limits, jnp.asarray(dt, dtype)),
+        state,
+        None if energy_before is None else [jnp.asarray(x, dtype) for x in then],
+        before,
+    )
 
-    shortest, longest = _stretches(scene.rod, state)
-    angle = _largest_joint_angle(scene.rod, state)
-    violation, relative = _violation(scene, state), state
-    if violation is None:
-        violation, relative = zero, _without_mean_motion(scene.rod, state)
-    speed = _largest_norm(vectors.split(relative.velocities))
-    spin = _largest_spin(scene.rod, state)
-    norm_error = jnp.max(jnp.abs(jnp.sum(state.orientations**2, axis=0) - 1))
-    # Every number of the state enters one of these values. Checking them is cheaper
-    # than checking the whole state again.
-    measured = jnp.stack([longest, norm_error, speed, spin])
-    finite = jnp.all(jnp.isfinite(measured))
-    growth, allowed = zero, zero
-    if energy_before is not None:
-        growth, allowed = energy_account(scene, state, relative, dt).growth_since(
-            jnp.asarray(energy_before, dtype),
-            jnp.asarray(work_input, dtype),
-            jnp.asarray(n_steps, dtype),
-            limits.largest_energy_growth,
-        )
-    # Each comparison is written so that NaN counts as wrong.
-    travel = dt * _largest_travel(scene.rod, relative)
-    return Health(
-        finite=finite,
-        stretch=~(
-            (shortest >= limits.smallest_stretch) & (longest <= limits.largest_stretch)
-        ),
-        joint_angle=~(angle <= limits.largest_joint_angle),
-        speed=~((travel <= limits.largest_travel) & (dt > 0)),
-        spin=~((spin * dt <= limits.largest_turn) & (dt > 0)),
-        norm=~(norm_error <= limits.largest_norm_error),
-        violation=~(violation <= limits.largest_violation),
+
+@jax.jit
+def _examined(
+    examination: _Examination,
+    state: RodState,
+    then: list[Array] | None,
+    before: RodState | None,
+) -> Health:
+    """Health of a state.
+
+    Args:
+        examination: The scene, the limits and the step size.
+        state: The state.
+        then: Energy at an earlier time, work done since, and number of steps; `None` if
+            energy is not examined.
+        before: An earlier state; `None` if passages are not examined.
+    """
+    found: Health = by_kernel(examination, "health", state)
+    if before is not None:
+        passages = rod_passages(examination.scene, before, state)
+        if passages is not None:
+            found = replace(found, passages=passages, passed=~(passages <= 0))
+    if then is None:
+        return found
+    energy, work, n_steps = then
+    growth, allowed = examination.energy(state).growth_since(
+        energy, work, n_steps, examination.limits.largest_energy_growth
+    )
+    # Written so that NaN counts as wrong.
+    return replace(
+        found,
         energy=~(growth <= allowed),
-        smallest_stretch=shortest,
-        largest_stretch=longest,
-        largest_joint_angle=angle,
-        largest_speed=speed,
-        largest_spin=spin,
-        largest_norm_error=norm_error,
-        largest_violation=violation,
         energy_growth=growth,
         energy_allowed=allowed,
     )
+
+
+@pytree
+class _Examination:
+    """A scene, with limits and the step size [s]."""
+
+    scene: Any
+    limits: HealthLimits
+    dt: Float[Array, ""]
+
+    def health(self, state: RodState) -> Health:
+        """Health of a state, whose energy is not examined."""
+        scene, limits, dt = self.scene, self.limits, self.dt
+        zero = jnp.zeros((), state.positions.dtype)
+        shortest, longest = _stretches(scene.rod, state)
+        angle = _largest_joint_angle(scene.rod, state)
+        violation = _violation(scene, state)
+        relative = self._relative(state, violation)
+        speed = _largest_norm(vectors.split(relative.velocities))
+        spin = _largest_spin(scene.rod, state)
+        norm_error = jnp.max(jnp.abs(jnp.sum(state.orientations**2, axis=0) - 1))
+        # Every number of the state enters one of these values. Checking them is cheaper
+        # than checking the whole state again.
+        measured = jnp.stack([longest, norm_error, speed, spin])
+        finite = jnp.all(jnp.isfinite(measured))
+        # Each comparison is written so that NaN counts as wrong.
+        travel = dt * _largest_travel(scene.rod, relative)
+        deepest = zero if violation is None else violation
+        short, long = limits.smallest_stretch, limits.largest_stretch
+        return Health(
+            finite=finite,
+            stretch=~((shortest >= short) & (longest <= long)),
+            joint_angle=~(angle <= limits.largest_joint_angle),
+            speed=~((travel <= limits.largest_travel) & (dt > 0)),
+            spin=~((spin * dt <= limits.largest_turn) & (dt > 0)),
+            norm=~(norm_error <= limits.largest_norm_error),
+            violation=~(deepest <= limits.largest_violation),
+            passed=jnp.zeros((), bool),
+            energy=jnp.zeros((), bool),
+            smallest_stretch=shortest,
+            largest_stretch=longest,
+            largest_joint_angle=angle,
+            largest_speed=speed,
+            largest_spin=spin,
+            largest_norm_error=norm_error,
+            largest_violation=deepest,
+            passages=zero,
+            energy_growth=zero,
+            energy_allowed=zero,
+        )
+
+    def energy(self, state: RodState) -> EnergyAccount:
+        """Account of the energy of a state."""
+        relative = self._relative(state, _violation(self.scene, state))
+        return energy_account(self.scene, state, relative, self.dt)
+
+    def _relative(self, state: RodState, violation: Array | None) -> RodState:
+        """The state, without its mean motion if nothing holds or touches the rod."""
+        if violation is not None:
+            return state
+        return _without_mean_motion(self.scene.rod, state)
 
 
 def _stretches(rod: Rod, state: RodState) -> tuple[Array, Array]:
@@ -339,6 +512,15 @@ def _violation(scene: LoadedRod, state: RodState) -> Array | None:
     found = [effect.violation(scene.rod, state) for effect in scene.effects]
     worst = [value for value in found if value is not None]
     return functools.reduce(jnp.maximum, worst) if worst else None
+
+
+def rod_passages(
+    scene: LoadedRod, before: RodState, after: RodState
+) -> Float[Array, ""] | None:
+    """Number of points of the rod that went through bodies; `None` without bodies."""
+    found = [effect.passages(scene.rod, before, after) for effect in scene.effects]
+    counts = [count for count in found if count is not None]
+    return functools.reduce(jnp.add, counts) if counts else None
 
 
 def _without_mean_motion(rod: Rod, state: RodState) -> RodState:

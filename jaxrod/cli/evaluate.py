@@ -21,6 +21,7 @@ examples:
   jaxrod evaluate runs/first --noisy             as it acted in training
   jaxrod evaluate runs/first --json              for a script: score, returns, ...
   jaxrod evaluate runs/arm --trust my_module     a run of your own task or learner
+  jaxrod evaluate runs/arm --task my_task.py:MyTask   if the file of the task has moved
 """
 
 
@@ -57,7 +58,7 @@ def run(args: argparse.Namespace) -> int:
         raise ValueError(f"episodes must be at least 1, got {args.episodes}")
     check_seed(args.seed)
     jaxrod.configure_cpu()
-    stored = runs.open_run(args.run_folder, args.trust)
+    stored = runs.open_run(args.run_folder, args.trust, args.task)
     policy: Any = stored.policy()
     from jaxrod.training import evaluate, with_noise
 

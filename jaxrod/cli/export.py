@@ -48,7 +48,7 @@ def run(args: argparse.Namespace) -> int:
     if args.c == args.onnx:
         raise ValueError(f"--c and --onnx are one file, {args.c}")
     jaxrod.configure_cpu()
-    stored = runs.open_run(args.run_folder, args.trust)
+    stored = runs.open_run(args.run_folder, args.trust, args.task)
     policy = stored.policy()
     from jaxrod.training import export_c, export_onnx
 

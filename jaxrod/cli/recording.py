@@ -126,7 +126,8 @@ def _play(
             (observation, state),
         )
         reward = jnp.where(running, reward, 0)
-        running = running & ~terminated & ~truncated
+        # These may be Python's own False, whose ~ is -1.
+        running = running & jnp.logical_not(terminated | truncated)
         return (observation, state, action, memory, running), reward
 
     def frame(carry: tuple[Any, ...], index: Array) -> tuple[tuple[Any, ...], Frame]:

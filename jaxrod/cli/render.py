@@ -61,7 +61,7 @@ def run(args: argparse.Namespace) -> int:
         raise ValueError(f"seconds must be positive and finite, got {args.seconds} s")
     check_seed(args.seed)
     jaxrod.configure_cpu()
-    stored = runs.open_run(args.run_folder, args.trust)
+    stored = runs.open_run(args.run_folder, args.trust, args.task)
     print_paths(draw_learning_curve(stored.path, stored.config))
     policy = stored.policy()
     print_paths(

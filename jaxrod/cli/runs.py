@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from jaxrod.cli import settings
-from jaxrod.files import UntrustedError, read_json, reading
+from jaxrod.files import UntrustedError, read_json, reading, with_tuples
 
 if TYPE_CHECKING:
     from jaxrod.envs import Environment
@@ -93,9 +93,15 @@ class StoredRun:
 
 
 def add_run(parser: argparse.ArgumentParser) -> None:
-    """Declares the positional argument RUN, the folder of a run, and `--trust`."""
+    """Declares RUN, the folder of a run, `--task` and `--trust`."""
     parser.add_argument(
         "run_folder", type=settings.path, metavar="RUN", help="folder of a run"
+    )
+    parser.add_argument(
+        "--task",
+        metavar="TASK",
+        help="what makes the task of RUN, such as my_task.py:MyTask, if RUN does not "
+        "say it or the file has moved",
     )
     add_trust(parser)
 
@@ -113,13 +119,17 @@ def add_trust(parser: argparse.ArgumentParser) -> None:
     )
 
 
-def open_run(path: Path, trust: Collection[str] = ()) -> StoredRun:
+def open_run(
+    path: Path, trust: Collection[str] = (), task: str | None = None
+) -> StoredRun:
     """Reads the configuration of a run and makes its environment.
 
     Args:
         path: The folder.
         trust: Modules that may be imported because the run names them, see
             `jaxrod.envs.importing.check_trusted`.
+        task: Task that the user typed, to be made with the options of the run; None
+            for the task that the run names.
 
     Raises:
         ValueError: There is no run, or its `config.json` is damaged.
@@ -128,11 +138,16 @@ def open_run(path: Path, trust: Collection[str] = ()) -> StoredRun:
     from jaxrod import envs
 
     config, file = read_config(path), path / "config.json"
-    task, options = config["task"], config["env_options"]
+    options = config["env_options"]
+    if task is not None:
+        env = make_task(task, options or {})
+        return StoredRun(path, config, env, tuple(trust))
+    task = config["task"]
     if options is None:
         raise ValueError(
-            f"{file} belongs to a run in an environment that jaxrod.envs.make did not "
-            f"make and cannot make again: {config.get('environment', task)}"
+            f"{file} does not say what makes its environment, which was made in "
+            f"Python: {config.get('environment', task)}. Name its class, or a function "
+            "that returns it, by --task FILE.py:NAME"
         )
     if task not in envs.names():
         env = _made_again(file, task, options, trust)
@@ -156,10 +171,17 @@ def _made_again(
 
     Errors name the file.
     """
+    from jaxrod.envs.importing import NotThereError
+
     try:
         return make_task(task, options, trust)
     except UntrustedError as error:
         raise UntrustedError(f"the task of {file}: {error}") from error
+    except NotThereError as error:
+        raise ValueError(
+            f"the task of {file} cannot be made again: {error}. If it has moved, give "
+            "--task FILE.py:NAME"
+        ) from error
     except ValueError as error:
         raise ValueError(f"the task of {file} cannot be made again: {error}") from error
 
@@ -201,19 +223,35 @@ def make_task(
     from jaxrod import envs
     from jaxrod.envs.importing import check_trusted, import_callable
 
-    here, own = os.getcwd(), ":" in task
+    own = ":" in task
     if own and trust is not None:
         # The trust is checked before modules can be imported from this folder.
         check_trusted(task, trust)
-    if own and here not in sys.path:
-        sys.path.insert(0, here)
+    if own:
+        _search_here()
     if own and trust is not None:
         import_callable(task, trust)
-    return envs.make(task, **{name: _fixed(value) for name, value in options.items()})
+    return envs.make(task, **{k: with_tuples(value) for k, value in options.items()})
 
 
-def _fixed(value: Any) -> Any:
-    return tuple(map(_fixed, value)) if isinstance(value, list) else value
+def options_of_task(task: str) -> str:
+    """Lines that explain the options of a task that the user typed.
+
+    Raises:
+        ValueError: There is no such task.
+    """
+    from jaxrod import envs
+
+    if ":" in task:
+        _search_here()
+    return settings.listing_of_options(envs.registry.factory_of(task))
+
+
+def _search_here() -> None:
+    """Lets Python search for modules in the current folder, as `python -m` does."""
+    here = os.getcwd()
+    if here not in sys.path:
+        sys.path.insert(0, here)
 
 
 def describe(config: Mapping[str, Any]) -> str:

@@ -7,9 +7,10 @@ import ast
 import dataclasses
 import inspect
 import itertools
+import re
 import textwrap
 import tomllib
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from decimal import Decimal
 from pathlib import Path
 from typing import Any
@@ -137,6 +138,50 @@ def listing(defaults: Any) -> str:
         if is_function(value):
             shown = _USUAL if value is None else import_path(value) or value
         rows.append((f"{field.name}={shown}", meanings.get(field.name, "")))
+    return _columns(rows)
+
+
+def listing_of_options(build: Callable[..., Any]) -> str:
+    """Lines NAME=DEFAULT MEANING for every option, as `--option help` prints them.
+
+    Args:
+        build: Callable that makes a task. Meanings are in the section `Args:` of its
+            docstring, or of the docstring of its `__init__`, or follow its fields.
+    """
+    meanings = field_meanings(build) if isinstance(build, type) else {}
+    for text in (build.__doc__, getattr(build.__init__, "__doc__", None)):
+        meanings |= _argument_meanings(text or "")
+    rows = []
+    for one in inspect.signature(build).parameters.values():
+        if one.kind in (one.VAR_POSITIONAL, one.VAR_KEYWORD):
+            continue
+        usual = "" if one.default is one.empty else _option_word(one.default)
+        rows.append((f"{one.name}={usual}", meanings.get(one.name, "")))
+    return _columns(rows) if rows else "the task has no options"
+
+
+def _option_word(value: Any) -> str:
+    """Text of an option in the form that `--option` reads."""
+    if value is None or isinstance(value, bool):
+        return str(value).lower()
+    return str(list(value)) if isinstance(value, tuple) else str(value)
+
+
+def _argument_meanings(docstring: str) -> dict[str, str]:
+    """Descriptions of arguments in a docstring of Google's style, by name."""
+    _, _, after = inspect.cleandoc(docstring).partition("Args:\n")
+    section = re.split(r"^\S", after, maxsplit=1, flags=re.MULTILINE)[0]
+    entries = re.split(
+        r"^ {4}\*{0,2}(\w+)(?: \([^)]*\))?: ", section, flags=re.MULTILINE
+    )
+    return {
+        name: " ".join(text.split())
+        for name, text in zip(entries[1::2], entries[2::2], strict=True)
+    }
+
+
+def _columns(rows: Sequence[tuple[str, str]]) -> str:
+    """Lines with a setting and its meaning, which is wrapped below itself."""
     width = max(len(setting) for setting, _ in rows) + 2
     lines = [
         textwrap.wrap(

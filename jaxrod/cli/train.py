@@ -56,7 +56,8 @@ examples:
   jaxrod train tracking --log tensorboard                  and: tensorboard --logdir .
   jaxrod train tracking --json > result.json               for a script: summary.json
 
-`--set help` lists the settings of the algorithm, their defaults and what they mean.
+`--set help` lists the settings of the algorithm, `--option help` the options of the
+task: names, defaults, meanings and units.
 """
 
 
@@ -193,12 +194,21 @@ def run(args: argparse.Namespace) -> int:
     from jaxrod.training.settings import check_steps
     from jaxrod.validation import check_seed
 
+    if "help" in args.option:
+        print(runs.options_of_task(args.task))
+        return 0
     stored = None
     if args.resume and args.like:
         raise ValueError("--like begins a new run, --resume continues an old one")
     source = args.like or (_folder(args, None) if args.resume else None)
     if source:
         stored = runs.read_config(source)
+        if stored["env_options"] is None:
+            raise ValueError(
+                f"{source / 'config.json'} does not say what makes its environment, "
+                "which was made in Python; continue the run there, by "
+                "jaxrod.training.train(..., resume=True)"
+            )
         if stored["task"] != canonical_path(args.task):
             raise ValueError(
                 f"{source / 'config.json'}: the run is one of {stored['task']}, not of "

@@ -37,6 +37,7 @@ from typing import Any, ClassVar, NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax import lax
 from jaxtyping import Array, ArrayLike, Float
 
 from jaxrod.contacts.bodies import Body
@@ -56,6 +57,7 @@ from jaxrod.contacts.default_law import (
     softened_law,
     with_default_law,
 )
+from jaxrod.contacts.passages import passages
 from jaxrod.contacts.points import Points, check_spacing, contact_points, fewer_points
 from jaxrod.effects.base import Effect, Reach, StabilityBound
 from jaxrod.geometry import vectors
@@ -138,6 +140,11 @@ class Contact(Effect):
         return self.body, self.n_bodies
 
     @property
+    def bearing(self) -> Array:
+        """Force per length of rod and penetration [N/m^2]."""
+        return self.stiffness
+
+    @property
     def is_directional(self) -> bool:
         """Whether friction has coefficients for each direction."""
         return self.friction is not None and jnp.ndim(self.friction) == 1
@@ -193,16 +200,40 @@ class Contact(Effect):
         return total
 
     def violation(self, rod: Rod, state: RodState) -> Array:
-        """Deepest penetration of a node divided by the radius [1].
+        """Deepest penetration of the centreline divided by the radius [1].
 
         It is one where the centreline reaches a surface. Contact of adequate stiffness
-        never lets it get that deep.
+        never lets it get that deep. Points between the contact points count too, unless
+        each point is tested against its nearest bodies only.
         """
-        position = motion_of(state).position
-        nodes, bodies = self._in_view(rod)[0]
-        radii = nodes.of_elements(rod.radii)
-        gaps = [jnp.min(body.surface(position)[0] / radii) for body in bodies]
+        gaps = []
+        for points, bodies in self._examined(rod):
+            radii = points.of_elements(rod.radii)
+            place = points.of_nodes(motion_of(state).position)
+            gaps += [jnp.min(body.surface(place)[0] / radii) for body in bodies]
         return jnp.maximum(1 - functools.reduce(jnp.minimum, gaps), 0)
+
+    def passages(self, rod: Rod, before: RodState, after: RodState) -> Array:
+        """Number of points of the rod that went through a body between two states.
+
+        Contact points and points halfway between them are examined, with all bodies.
+        """
+        points = _denser(rod, self.points_per_element)
+        radii = jnp.concatenate([some.of_elements(rod.radii) for some in points])
+
+        def joined(state: RodState) -> Vec3:
+            place = motion_of(state).position
+            x, y, z = zip(*(some.of_nodes(place) for some in points), strict=True)
+            return jnp.concatenate(x), jnp.concatenate(y), jnp.concatenate(z)
+
+        first, last = joined(before), joined(after)
+
+        def through(body: Body) -> Array:
+            return passages(body.surface, radii, first, last)
+
+        if self.n_bodies is None:
+            return through(self.body)
+        return jnp.sum(lax.map(through, self.body))
 
     def check(self, rod: Rod) -> None:
         """Warns where a body is too thin for the contact points, or inaccurate."""
@@ -273,6 +304,13 @@ class Contact(Effect):
             (some, _one_by_one(bodies, self.n_near))
             for some, bodies in zip(points, self.near, strict=True)
         ]
+
+    def _examined(self, rod: Rod) -> list[tuple[Points, list[Body]]]:
+        """Groups of points where the depth is measured, each with its bodies."""
+        if self.near is not None:
+            return self._in_view(rod)
+        everything = _one_by_one(self.body, self.n_bodies)
+        return [(p, everything) for p in _denser(rod, self.points_per_element)]
 
     def _energy_at(
         self,
@@ -467,6 +505,11 @@ def _each(change: Callable[[Array], Array], vector: Vec3) -> Vec3:
     """Applies a function to each component of a vector."""
     x, y, z = (change(component) for component in vector)
     return x, y, z
+
+
+def _denser(rod: Rod, per_element: int) -> list[Points]:
+    """Contact points, and those halfway between."""
+    return contact_points(rod, 2 * per_element)
 
 
 def _lengths_in_bounds(points: list[Points]) -> tuple[Array, Array, Array]:

@@ -95,6 +95,11 @@ class MovingContact(Effect):
         return vectors.join(origin), self.turn.orientation
 
     @property
+    def bearing(self) -> Array:
+        """Stiffness of the contact [N/m^2]."""
+        return self.contact.bearing
+
+    @property
     def lacks_numbers(self) -> bool:
         """Whether the stiffness of the contact is left out."""
         return self.contact.lacks_numbers
@@ -124,8 +129,13 @@ class MovingContact(Effect):
         return self.touching.energy(rod, self._seen_state(state))
 
     def violation(self, rod: Rod, state: RodState) -> Array:
-        """Deepest penetration of a node divided by the radius [1]."""
+        """Deepest penetration of the centreline divided by the radius [1]."""
         return self.touching.violation(rod, self._seen_state(state))
+
+    def passages(self, rod: Rod, before: RodState, after: RodState) -> Array:
+        """Number of points that went through the bodies where they are now."""
+        seen = map(self._seen_state, (before, after))
+        return self.touching.passages(rod, *seen)
 
     def reaction(self, rod: Rod, motion: Motion, needed: Loads) -> Reaction:
         """Total force of the bodies, their moment about the moved point, and power.

@@ -199,6 +199,11 @@ class Effect:
             cls.held = Effect.held  # type: ignore[method-assign]
 
     @property
+    def bearing(self) -> Array | None:
+        """Stiffness of contact that can carry the rod [N/m^2]; `None` without."""
+        return None
+
+    @property
     def obstacle(self) -> tuple[Any, int | None] | None:
         """Fixed `Body` that the rod may touch, drawn in replays; `None` without one.
 
@@ -374,6 +379,13 @@ class Effect:
         It is zero where the constraint is met. A valid simulation stays below one;
         `health` flags states above. `None` for an effect that constrains no position or
         orientation.
+        """
+        return None
+
+    def passages(self, rod: Rod, before: RodState, after: RodState) -> Array | None:
+        """Number of points of the rod that went through a body between two states.
+
+        `None` for an effect without bodies. `health` calls it with an earlier state.
         """
         return None
 

@@ -50,7 +50,7 @@ class Path(Schedule):
         def place(clock: Clock) -> Array:
             return self.start + self.displacement(clock)
 
-        return _placed(place, clock)
+        return place_and_rates(place, clock)
 
     @property
     def largest(self) -> Placed:
@@ -80,7 +80,7 @@ class Orbit(Schedule):
         def place(clock: Clock) -> Array:
             return self._at(self.displacement(clock), self.angle(clock))
 
-        return _placed(place, clock)
+        return place_and_rates(place, clock)
 
     @property
     def largest(self) -> Placed:
@@ -180,7 +180,7 @@ def _telling_angle(largest: Array) -> Array:
     return jnp.where(largest == 0, 0, jnp.asarray(0.739, largest.dtype))
 
 
-def _placed(place: Any, clock: Clock) -> Placed:
+def place_and_rates(place: Any, clock: Clock) -> Placed:
     """Value of a function of a clock, with its first and second time derivative."""
 
     def rate(clock: Clock) -> Array:

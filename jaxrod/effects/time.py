@@ -235,7 +235,14 @@ def depends_on_time(tree: Any) -> bool:
 
 def at_clock(tree: Tree, clock: Clock) -> Tree:
     """Pytree with every schedule replaced by its value at the time of a clock."""
-    return _replaced(tree, lambda schedule: schedule(clock))
+    # Compiled, because a schedule takes many operations. Where something is traced,
+    # `jit` would hide the numbers that are known.
+    value = _called if is_traced(tree, clock) else jax.jit(_called)
+    return _replaced(tree, lambda schedule: value(schedule, clock))
+
+
+def _called(schedule: Schedule, clock: Clock) -> Any:
+    return schedule(clock)
 
 
 def at_largest(tree: Tree) -> Tree:

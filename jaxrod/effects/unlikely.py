@@ -56,6 +56,32 @@ def warn_of_weight(rod: Rod, acceleration: Array) -> None:
         )
 
 
+def warn_of_softness(rod: Rod, acceleration: Array, stiffness: Array) -> None:
+    """Warns if a rod at rest on a contact would sink in by more than its radius.
+
+    Args:
+        rod: The rod.
+        acceleration: Gravitational acceleration `(3,)` [m/s^2].
+        stiffness: Force of the contact per length of rod and penetration [N/m^2].
+    """
+    lines, radii = rod.linear_density, rod.radii
+    if is_traced(lines, radii, acceleration, stiffness) or rod.batch_shape:
+        return
+    g = np.asarray(acceleration, np.float64)
+    weights = np.asarray(lines) * float(np.sqrt(np.sum(g * g)))
+    depths = weights / float(np.min(np.asarray(stiffness))) / np.asarray(radii)
+    worst = int(np.argmax(depths))
+    if depths[worst] > 1:
+        _warn(
+            f"a contact of stiffness {float(np.min(np.asarray(stiffness))):.3g} N/m^2 "
+            f"cannot carry the rod: under its weight of {weights[worst]:.3g} N/m it "
+            f"sinks in by {depths[worst]:.3g} radii. With "
+            f"{100 * weights[worst] / float(np.asarray(radii)[worst]):.2g} N/m^2 it "
+            "sinks in by a hundredth of its radius; if no stiffness is given, "
+            "make_scene chooses one."
+        )
+
+
 def _warn(words: str) -> None:
     warn(
         f'{words} warnings.simplefilter("ignore", jaxrod.UnlikelyWarning) silences '

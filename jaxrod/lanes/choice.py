@@ -26,7 +26,7 @@ class LaneChoice:
     Example:
         >>> final = jaxrod.advance(scene, state, 1e-4, 10)
         >>> jaxrod.lane_choices()[-1]
-        LaneChoice(taken=..., why='...', rods=1, ...)
+        LaneChoice(taken=..., why='...', rods=..., ...)
     """
 
     taken: bool

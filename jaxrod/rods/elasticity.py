@@ -33,6 +33,7 @@ $$\delta\mu = H(\psi_\text{after} - \psi_\text{before}) - [\mu]_\times\psi_\text
 
 from __future__ import annotations
 
+import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
@@ -176,6 +177,11 @@ def strains(
         0.01
     """
     check_state(rod, state)
+    return _strains(rod, state)
+
+
+@jax.jit
+def _strains(rod: Rod, state: RodState) -> tuple[Array, Array]:
     orientation = split_quaternion(state.orientations)
     edges = vectors.inner_difference(vectors.split(state.positions))
     strain = shear_stretch(edges, orientation, 1 / rod.rest_lengths)
@@ -198,7 +204,12 @@ def stored_energy(rod: Rod, state: RodState) -> Float[Array, ""]:
         0.0628
     """
     check_state(rod, state)
-    strain, curvature = strains(rod, state)
+    return _stored_energy(rod, state)
+
+
+@jax.jit
+def _stored_energy(rod: Rod, state: RodState) -> Array:
+    strain, curvature = _strains(rod, state)
     strain = strain - rod.rest_strains
     curvature = curvature - rod.rest_curvatures
     shear = 0.5 * jnp.sum(

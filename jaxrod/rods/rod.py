@@ -11,6 +11,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from typing import Any, Literal
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
@@ -204,24 +205,53 @@ class Rod(Hinted):
     def kinetic_energy(self, state: RodState) -> Float[Array, ""]:
         """Kinetic energy of nodes and elements, m v^2 / 2 and I w^2 / 2 [J]."""
         check_state(self, state)
-        translation = 0.5 * jnp.sum(self.node_masses[None, :] * state.velocities**2)
-        spin = angular_velocities(self, state)
-        return translation + 0.5 * jnp.sum(self.principal_inertias * spin**2)
+        return _kinetic_energy(self, state)
 
     def momentum(self, state: RodState) -> Float[Array, "3"]:
         """Linear momentum, the sum of m v over the nodes, world frame [kg m/s]."""
         check_state(self, state)
-        return jnp.sum(self.node_masses[None, :] * state.velocities, axis=1)
+        return _momentum(self, state)
 
     def angular_momentum(self, state: RodState) -> Float[Array, "3"]:
         """Angular momentum about the origin, world frame [kg m^2/s]."""
         check_state(self, state)
-        position = vectors.split(state.positions)
-        velocity = vectors.split(state.velocities)
-        orbital = vectors.join(vectors.cross(position, velocity))
-        return jnp.sum(self.node_masses[None, :] * orbital, axis=1) + jnp.sum(
-            state.angular_momenta, axis=1
-        )
+        return _angular_momentum(self, state)
+
+
+# Compiled: outside of `jit` each of their operations would be a program of its own.
+@jax.jit
+def _kinetic_energy(rod: Rod, state: RodState) -> Array:
+    translation = 0.5 * jnp.sum(rod.node_masses[None, :] * state.velocities**2)
+    spin = _angular_velocities(rod, state)
+    return translation + 0.5 * jnp.sum(rod.principal_inertias * spin**2)
+
+
+@jax.jit
+def _momentum(rod: Rod, state: RodState) -> Array:
+    return jnp.sum(rod.node_masses[None, :] * state.velocities, axis=1)
+
+
+@jax.jit
+def _angular_momentum(rod: Rod, state: RodState) -> Array:
+    position = vectors.split(state.positions)
+    velocity = vectors.split(state.velocities)
+    orbital = vectors.join(vectors.cross(position, velocity))
+    return jnp.sum(rod.node_masses[None, :] * orbital, axis=1) + jnp.sum(
+        state.angular_momenta, axis=1
+    )
+
+
+@jax.jit
+def _angular_momenta(rod: Rod, state: RodState, velocities: Array) -> Array:
+    material = velocities * rod.principal_inertias
+    return jnp.sum(state.directors * material[:, None], axis=0)
+
+
+@jax.jit
+def _angular_velocities(rod: Rod, state: RodState) -> Array:
+    frame = state.directors
+    material = jnp.sum(frame * state.angular_momenta[None], axis=1)
+    return material / rod.principal_inertias
 
 
 @dataclass(frozen=True)
@@ -326,9 +356,7 @@ def angular_velocities(rod: Rod, state: RodState) -> Float[Array, "3 n"]:
         [2.0, 2.0, 2.0]
     """
     check_state(rod, state)
-    frame = state.directors
-    material = jnp.sum(frame * state.angular_momenta[None], axis=1)
-    return material / rod.principal_inertias
+    return _angular_velocities(rod, state)
 
 
 def with_angular_velocities(
@@ -360,9 +388,7 @@ def with_angular_velocities(
             f"{given.shape}"
         )
     given = jnp.asarray(given, rod.rest_lengths.dtype)
-    material = given * rod.principal_inertias
-    world = jnp.sum(state.directors * material[:, None], axis=0)
-    return replace(state, angular_momenta=world)
+    return replace(state, angular_momenta=_angular_momenta(rod, state, given))
 
 
 def compensated(state: RodState) -> RodState:

@@ -211,6 +211,11 @@ class _RodPlace:
         """
         return jnp.zeros((), bool)
 
+    @property
+    def balanced(self) -> Bool[Array, ""]:
+        """Always False: one rod has no motion that is hardly resisted by accident."""
+        return jnp.zeros((), bool)
+
     def at(self, configuration: Motion) -> _RodPlace:
         """Copy with another configuration; loads and tangent are not updated."""
         return replace(self, configuration=configuration)

@@ -60,6 +60,10 @@ class Place(Protocol):
     def driven(self) -> Bool[Array, ""]:
         """Whether loads act along a motion that nothing resists."""
 
+    @property
+    def balanced(self) -> Bool[Array, ""]:
+        """Whether the loads are no more than round-off."""
+
     def at(self, configuration: Any) -> Any:
         """Copy with another configuration; loads and tangent are not updated."""
 
@@ -157,7 +161,11 @@ def find_rest(
             (largest <= STALLED * tolerance) & (ratio > LEFT)
         )
         # Below the tolerance nothing moves far enough to pass.
-        done = ~first & little & (search.inertia == 0) & ~before.driven
+        full = ~first & (search.inertia == 0) & ~before.driven
+        done = full & little
+        # A motion that is hardly resisted takes any correction from round-off alone.
+        # Where loads balance, one that does not reduce them is left out.
+        stuck = full & ~done & before.balanced & ~(ratio <= LEFT)
         passes = problem.passes(before, here)
         taken = first | done | ((ratio <= LEFT) & (work > 0) & ~passes)
         own = jnp.sum(step * momentum)
@@ -188,7 +196,7 @@ def find_rest(
             shrinking=jnp.where(first, FASTEST, shrinking),
             trials=search.trials + 1,
             iterations=search.iterations + (taken & ~first),
-            converged=done,
+            converged=done | stuck,
         )
 
     def nothing() -> Any:

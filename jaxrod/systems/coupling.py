@@ -411,6 +411,13 @@ class Coupling:
         """
         return None
 
+    def passages(self, before: AllSeen, after: AllSeen) -> Array | None:
+        """Number of points of rods that went through a body between two states.
+
+        `None` for a coupling without bodies. `health` calls it with an earlier state.
+        """
+        return None
+
     def gap(self, seen: AllSeen) -> Array | None:
         """Largest distance of points that springs of a joint hold together [1].
 

@@ -62,6 +62,14 @@ class _SystemPlace:
     rows."""
     driven: Bool[Array, ""]
     """Whether the loads drive a loose motion and so cannot balance."""
+    rounding: Float[Array, ""]
+    """Relative round-off of positions, `StaticProblem.rounding` [1]."""
+
+    @property
+    def balanced(self) -> Bool[Array, ""]:
+        """Whether the loads are no more than round-off, compared with the stiffness."""
+        sizes = jnp.sum(jnp.abs(self.stiffness), axis=1)
+        return jnp.all(jnp.abs(self.loads) <= _ROUNDINGS * self.rounding * sizes)
 
     @property
     def loads(self) -> Float[Array, " m"]:
@@ -119,11 +127,14 @@ class _SystemAtRest:
             stiffness=held(self.problem, here, loose),
             loose=loose,
             driven=are_driven(self.problem, here, loose),
+            rounding=self.problem.rounding(motions),
         )
 
     def passes(self, before: _SystemPlace, after: _SystemPlace) -> Bool[Array, ""]:
         """Whether rods that contact keeps apart go through each other in between."""
         stepper = self.problem.stepper
+        if not any(coupling.kept_apart for coupling in stepper.couplings):
+            return jnp.zeros((), bool)
         places = (place.linear.motions for place in (before, after))
         found = passages_between(stepper.couplings, *map(stepper.leave, places))
         return sum(found.values(), jnp.zeros((), self.problem.system.dtype)) > 0

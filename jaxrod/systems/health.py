@@ -2,15 +2,16 @@
 
 Members are examined as they are alone. Of couplings there are three questions: are tied
 and attached nodes together and contacts shallow (`violation`), are the springs of ball
-joints, hinges and glue short (`joints`), and have rods that contact keeps apart passed
-through each other (`passed`). The energy is that of all members and couplings together,
-and may grow as that of one rod does (`jaxrod.analysis.health.EnergyAccount`).
+joints, hinges and glue short (`joints`), and have rods passed through each other or
+through a body where contact keeps them apart (`passed`). The energy is that of all
+members and couplings together, and may grow as that of one rod does
+(`jaxrod.analysis.health.EnergyAccount`).
 
 Passages are found between two states. Nodes are taken to move in straight lines from
 one to the other, and each pair of elements is asked whether one went through the other
-(`jaxrod.topology.crossings`). A rod that went through and came back in between is not
-seen, nor is a rod that went through a rigid body, which `violation` flags while it is
-inside.
+(`jaxrod.topology.crossings`), and each contact point whether it went through a body
+(`jaxrod.contacts.passages`). A rod that went through and came back in between is not
+seen.
 """
 
 from __future__ import annotations
@@ -25,9 +26,10 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, ArrayLike, Bool, Float
 
-from jaxrod.analysis.health import EnergyAccount, HealthLimits
+from jaxrod.analysis.health import EnergyAccount, HealthLimits, with_faults
 from jaxrod.effects.base import Effect
 from jaxrod.lanes.steps import by_kernel
+from jaxrod.rods.repr import repr_or_class_name
 from jaxrod.structure import pytree, static
 from jaxrod.systems.contact.neighbour_lists import (
     RECORD,
@@ -35,7 +37,7 @@ from jaxrod.systems.contact.neighbour_lists import (
     no_record,
     with_shortage,
 )
-from jaxrod.systems.coupling import AllParts, Coupling
+from jaxrod.systems.coupling import AllParts, Coupling, Seen
 from jaxrod.systems.stepping.assembly import Assembly, SystemState, seen_at_rest
 from jaxrod.topology.passages import crossings
 
@@ -82,8 +84,9 @@ class SystemHealth:
     largest_joint_angle: Float[Array, ""]
     """Largest rotation of such a joint from its rest orientation [rad]."""
     passed: Bool[Array, ""]
-    """Flag: rods that contact keeps apart have passed through each other, or a rod with
-    self-contact through itself; not examined without the state `before`."""
+    """Flag: rods that contact keeps apart have passed through each other, a rod with
+    self-contact through itself, or a rod through a body; not examined without the state
+    `before`."""
     energy: Bool[Array, ""]
     """Flag: energy grew by more than work and round-off can explain."""
     energy_growth: Float[Array, ""]
@@ -99,8 +102,8 @@ class SystemHealth:
     """Counts and displacements behind `overflow` and `stale`; all zero without lists.
     """
     passages: dict[str, Float[Array, ""]]
-    """Number of passages of elements through others, by the names of their members;
-    empty without the state `before`."""
+    """Number of passages of elements through others, and of contact points through
+    bodies, by the names of their members; empty without the state `before`."""
     violations: tuple[Float[Array, ""] | None, ...]
     """Violation of each coupling [1]; `None` if it cannot be violated."""
     gaps: tuple[Float[Array, ""] | None, ...]
@@ -156,6 +159,18 @@ class SystemHealth:
         lists = {"overflow": self.overflow, "stale": self.stale}
         found += [f"neighbour lists: {name}" for name, flag in lists.items() if flag]
         return tuple(found)
+
+    def __repr__(self) -> str:
+        """One line if no flag is set, else a line for each flag."""
+        return repr_or_class_name(_in_lines, self)
+
+
+def _in_lines(found: SystemHealth) -> str:
+    """Text for `print`: one line without faults, else a line for each of them."""
+    values = (
+        f"members {len(found.members)}, violation {found.largest_violation:.3g} radii"
+    )
+    return with_faults("SystemHealth", found.faults, values)
 
 
 def _flags(where: str, own: Any) -> list[tuple[str, str]]:
@@ -255,7 +270,12 @@ def system_health(
             jnp.asarray(n_steps, zero.dtype),
             limits.largest_energy_growth,
         )
-    passages = {} if before is None else passages_between(prepared, before, state)
+    passages = {}
+    if before is not None:
+        passages = {
+            **passages_between(prepared, before, state),
+            **_passages_of_bodies(system, prepared, parts, before, state),
+        }
     # Written so that NaN counts as wrong.
     return SystemHealth(
         members=members,
@@ -288,14 +308,19 @@ def _largest(values: Sequence[Array | None], zero: Array) -> Array:
 
 def _in_words(coupling: Coupling, parts: AllParts) -> str:
     """Class of a coupling, and the members that it loads or joins."""
-    names = {name for name, _ in coupling.joined_nodes()}
-    names |= set(coupling.stability_bounds(parts))
-    listed = [repr(name) for name in sorted(names)]
+    listed = _named(coupling, parts)
     if not listed:
         return type(coupling).__name__
     *most, last = listed
     both = f"{', '.join(most)} and {last}" if most else last
     return f"{type(coupling).__name__} of {both}"
+
+
+def _named(coupling: Coupling, parts: AllParts) -> list[str]:
+    """Members that a coupling loads or joins, in quotes."""
+    names = {name for name, _ in coupling.joined_nodes()}
+    names |= set(coupling.stability_bounds(parts))
+    return [repr(name) for name in sorted(names)]
 
 
 def _account(
@@ -348,6 +373,31 @@ def passages_between(
             words = f"{a!r} and {b!r}" if a != b else repr(a)
             count = _passages_of(a, b, itself, before, after)
             found[words] = jnp.maximum(found.get(words, jnp.zeros_like(count)), count)
+    return found
+
+
+def _passages_of_bodies(
+    system: Assembly,
+    prepared: Sequence[Coupling],
+    parts: AllParts,
+    before: SystemState,
+    after: SystemState,
+) -> dict[str, Array]:
+    """Number of points of rods that went through bodies, by the names of members."""
+    members, found = system.interfaces(), {}
+    for name, member in members.items():
+        count = member.passages(before[name], after[name])
+        if count is not None:
+            found[f"{name!r} and fixed bodies"] = count
+    seen = [
+        {name: Seen(parts[name], m.motion(state[name])) for name, m in members.items()}
+        for state in (before, after)
+    ]
+    for coupling in prepared:
+        count = coupling.passages(*seen)
+        if count is not None:
+            words = " and ".join(_named(coupling, parts))
+            found[words] = found.get(words, jnp.zeros_like(count)) + count
     return found
 
 

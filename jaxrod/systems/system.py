@@ -418,10 +418,12 @@ def _free_ends(
     return {name: jnp.asarray(flags, dtype) for name, flags in free.items()}
 
 
+@jax.jit
 def _with_numbers(
     system: System, couplings: tuple[Coupling, ...], parts: AllParts
 ) -> tuple[Coupling, ...]:
     """Couplings with the numbers that they lack, from the step that others allow."""
+    # Compiled, because the bounds of contact take a hundred operations.
     others = tuple(
         in_type(system.dtype, type(c).__name__, c)
         for c in couplings
@@ -453,18 +455,26 @@ def _sized(
                 "neighbour_lists, or make_system a state in which to count them"
             )
         return couplings
-    # Couplings are left out, because their neighbours have not been searched yet.
-    plain = replace(system, couplings=()).at(0.0)
-    seen, _ = seen_at_rest(plain, state)
-    parts = system.parts()
+    listed = tuple(c for c in couplings if c.refresh_every is not None)
+    known = not is_traced(system, listed, state)
+    seen, prepared = (jax.jit(_prepared) if known else _prepared)(system, listed, state)
+    ready: Any = iter(prepared)
     return tuple(
-        c if c.refresh_every is None else _with_room(c, parts, seen) for c in couplings
+        c
+        if c.refresh_every is None
+        else replace(c, lists=next(ready).sized(seen).lists)  # type: ignore[type-var]
+        for c in couplings
     )
 
 
-def _with_room(coupling: Coupling, parts: Any, seen: Any) -> Coupling:
-    ready: Any = coupling.prepared(parts)
-    return replace(coupling, lists=ready.sized(seen).lists)  # type: ignore[type-var]
+def _prepared(
+    system: System, couplings: tuple[Coupling, ...], state: SystemState
+) -> tuple[Any, tuple[Coupling, ...]]:
+    """Motion of all members, and couplings that are ready to search for neighbours."""
+    # Without the system's own couplings, whose neighbours have not been searched yet.
+    seen, _ = seen_at_rest(replace(system, couplings=()).at(0.0), state)
+    parts = system.parts()
+    return seen, tuple(coupling.prepared(parts) for coupling in couplings)
 
 
 def _check_followers(couplings: Sequence[Coupling]) -> None:

@@ -54,14 +54,28 @@ def frame(
     Raises:
         ValueError: The size is not positive.
         IndexError: There is no such frame.
+        TypeError: `replay` is no replay.
 
     Example:
         >>> replay = viz.Replay.from_rollout(state.positions[None], 0.02, times=[0.0])
         >>> viz.frame(replay, 0, width=320, height=240).shape
         (240, 320, 3)
     """
+    frames = _checked(replay, [index])
     painter = _Painter(replay, (width, height), azimuth, elevation, fine=1)
-    return painter.paint([range(replay.num_frames)[index]])
+    return painter.paint(frames)
+
+
+def _checked(replay: Recording, frames: Sequence[int]) -> list[int]:
+    """Indices of frames, counted from the start."""
+    try:
+        every = range(replay.num_frames)
+    except AttributeError:
+        raise TypeError(
+            "replay must be a jaxrod.viz.Replay, as jaxrod.viz.show returns it, got a "
+            f"{type(replay).__name__}"
+        ) from None
+    return [every[int(k)] for k in frames]
 
 
 def picture(
@@ -100,6 +114,7 @@ def picture(
     Raises:
         ValueError: A number is not positive, or there is no such field.
         IndexError: There is no such frame.
+        TypeError: `replay` is no replay.
 
     Example:
         >>> replay = viz.Replay.from_rollout(state.positions[None], 0.02, times=[0.0])
@@ -109,7 +124,7 @@ def picture(
         (240, 320, 3)
     """
     frames = [frame] if isinstance(frame, int | np.integer) else list(frame)
-    frames = [range(replay.num_frames)[int(k)] for k in frames]
+    frames = _checked(replay, frames)
     size = (width, height)
     painter = _Painter(replay, size, azimuth, elevation, zoom, field, frames, captions)
     _save_png(painter.paint(frames), path, small)

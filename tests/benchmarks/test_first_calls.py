@@ -44,6 +44,11 @@ def test_names_are_programs_and_tasks():
         parser.parse_args(["nonsense"])
 
 
+@pytest.mark.parametrize("name", ["readme_rod", "readme_system"])
+def test_programs_of_the_readme_are_found(name):
+    assert callable(getattr(programs, name)())
+
+
 @pytest.mark.slow
 def test_the_system_is_that_of_the_page():
     call = programs.system_advance()

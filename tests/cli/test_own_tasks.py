@@ -4,6 +4,7 @@ import importlib
 import json
 import os
 import signal
+import subprocess
 import sys
 from pathlib import Path
 
@@ -155,6 +156,86 @@ def test_a_task_is_trained_resumed_and_evaluated_by_its_import_path(
     assert code == 2 and err.count("\n") == 1
     assert f"the task of {folder}/config.json cannot be made again: " in err
     assert "has no option 'length', it has size, name, start" in err
+
+
+SCRIPT = """
+import jax.numpy as jnp
+import jaxrod
+from jaxrod.envs.trivial import Trivial
+from jaxrod.training import PPOConfig, train
+
+class Mine(Trivial):
+    control_period = 0.1
+    def step(self, key, state, action, params):
+        seen, state, reward, _, over, info = super().step(key, state, action, params)
+        return seen, state, reward, False, over, info
+    def snapshot(self, state, params):
+        nodes = jnp.zeros((3, 3)).at[0].add(state.position + jnp.arange(3.0))
+        return jaxrod.envs.Snapshot(nodes, jnp.full(2, 0.1))
+
+if __name__ == "__main__":
+    sizes = dict(num_envs=8, rollout_steps=16, epochs=1, minibatches=2)
+    config = PPOConfig(hidden_sizes=(8,), **sizes)
+    train(Mine(7), steps=512, config=config, out="run", progress=False)
+"""
+
+
+@pytest.mark.slow
+@pytest.mark.default_precision
+def test_a_task_defined_in_the_script_that_trains_it_is_found_again(
+    tmp_path, run, run_json, monkeypatch
+):
+    script = tmp_path / "my_script.py"
+    script.write_text(SCRIPT)
+    subprocess.run([sys.executable, script.name], cwd=tmp_path, check=True)
+    (tmp_path / "elsewhere").mkdir()
+    monkeypatch.chdir(tmp_path / "elsewhere")
+    config = json.loads((tmp_path / "run" / "config.json").read_text())
+    assert config["task"] == f"{script}:Mine"
+    assert config["env_options"] == {"episode_length": 7}
+    code, _, err = run("evaluate", "../run")
+    assert code == 2 and f"pass --trust {script}, in" in err
+    trust = ("--trust", "../my_script.py")
+    for known in (trust, ("--task", "../my_script.py:Mine")):
+        found = run_json("evaluate", "../run", "--episodes", 2, "--json", *known)
+        assert found["lengths"] == [7, 7]
+    code, _, err = run("export", "../run", "--c", "policy.h", *trust)
+    assert code == 0, err
+    code, out, err = run("render", "../run", *trust)
+    assert code == 0 and "../run/replay.html" in out.split(), err
+    words = ("train", "../my_script.py:Mine", "--out", "../run", "--resume", "--json")
+    assert run_json(*words)["env_steps"] == 512
+    # It has moved.
+    script.rename("moved.py")
+    # This process has imported it.
+    del sys.modules[next(name for name in sys.modules if name.startswith("my_script@"))]
+    code, _, err = run("evaluate", "../run", *trust)
+    assert code == 2 and "If it has moved, give --task FILE.py:NAME" in err
+    named = ("--task", "moved.py:Mine", "--episodes", 2, "--json")
+    assert run_json("evaluate", "../run", *named)["lengths"] == [7, 7]
+    # It would train again.
+    Path("guardless.py").write_text(SCRIPT.replace('__name__ == "__main__"', "True"))
+    code, _, err = run("evaluate", "../run", "--task", "guardless.py:Mine")
+    assert code == 2 and "guardless.py calls jaxrod.training.train when it is" in err
+    assert 'below a line `if __name__ == "__main__":`' in err
+
+
+@pytest.mark.slow
+@pytest.mark.default_precision
+def test_a_task_without_a_file_is_named_by_the_user(tmp_path, run, run_json):
+    script = SCRIPT.replace(
+        "class Mine(Trivial):", "def f(): pass\nclass Mine(Trivial):"
+    )
+    subprocess.run([sys.executable, "-c", script], cwd=tmp_path, check=True)
+    folder = tmp_path / "run"
+    assert json.loads((folder / "config.json").read_text())["env_options"] is None
+    code, _, err = run("evaluate", folder)
+    assert code == 2 and "by --task FILE.py:NAME" in err
+    code, _, err = run("train", "here.py:Mine", "--resume", "--out", folder)
+    assert code == 2 and "resume=True" in err
+    (tmp_path / "here.py").write_text(SCRIPT + "\ndef seven():\n    return Mine(7)\n")
+    named = ("--task", f"{tmp_path}/here.py:seven", "--episodes", 2, "--json")
+    assert run_json("evaluate", folder, *named)["lengths"] == [7, 7]
 
 
 @pytest.mark.parametrize(

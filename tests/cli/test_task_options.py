@@ -1,11 +1,16 @@
 """Options of a task: read, recorded and named."""
 
+import dataclasses
+import inspect
+import re
 from pathlib import Path
 
 import pytest
 
 from jaxrod import cli
-from jaxrod.cli import runs, train
+from jaxrod.cli import runs, settings, train
+from jaxrod.envs import names
+from jaxrod.envs.registry import factory_of
 
 CASES = ("tracking", "reaching", "structured", "unstructured")
 
@@ -62,3 +67,58 @@ def test_a_choice_that_a_task_does_not_have_is_named(words, sentence, run, tmp_p
     assert (code, out) == (2, "")
     assert sentence in err
     assert not (tmp_path / "run").exists()
+
+
+def test_options_are_listed_with_meanings_units_and_defaults(run, monkeypatch):
+    for task in names():
+        code, out, err = run("train", task, "--option", "help")
+        assert (code, err) == (0, "")
+        listed = re.findall(r"^(\w+)=(\S+) +(\S.*)", out, re.M)
+        parameters = inspect.signature(factory_of(task)).parameters
+        assert [name for name, *_ in listed] == list(parameters)
+        for name, usual, _ in listed:
+            assert (
+                settings.options([f"{name}={usual}"])[name] == parameters[name].default
+            )
+    code, out, _ = run("train", "gripper", "--option", "help")
+    assert re.search(
+        r"^spread=0.01 +Largest distance of the ball .*\[m\]", out, re.M | re.S
+    )
+    monkeypatch.chdir(Path(__file__).parents[2])
+    code, out, _ = run("train", "examples/own_task.py:make_task", "--option", "help")
+    assert (
+        code == 0
+        and out == "height=0.3  The highest goal, and the lowest below zero [m].\n"
+    )
+
+
+def test_options_of_ones_own_task_are_explained_wherever_it_does():
+    class Plain:
+        pass
+
+    class Documented:
+        def __init__(self, size, start=(0, 1), *more, on=True, **others):
+            """Makes it.
+
+            Args:
+                size (float): Size of the arm,
+                    without the hand [m].
+                start: Where it begins: here.
+                *more: Nothing.
+
+            Raises:
+                ValueError: It fails.
+            """
+
+    @dataclasses.dataclass(frozen=True)
+    class Fields:
+        depth: float | None = None
+        """Depth of the water [m]."""
+
+    assert settings.listing_of_options(Plain) == "the task has no options"
+    assert settings.listing_of_options(Documented).splitlines() == [
+        "size=         Size of the arm, without the hand [m].",
+        "start=[0, 1]  Where it begins: here.",
+        "on=true",
+    ]
+    assert settings.listing_of_options(Fields) == "depth=none  Depth of the water [m]."

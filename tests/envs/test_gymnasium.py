@@ -474,6 +474,7 @@ SHORT = {"episode_length": 4}
 
 @pytest.mark.slow
 @EVERY_ID
+@pytest.mark.filterwarnings("ignore:.*has no window here")
 def test_the_checker_has_nothing_to_say_about_any_id(name):
     check_env(gymnasium.make(name, **SHORT).unwrapped)
 

@@ -50,6 +50,18 @@ def test_results_and_gradients_are_the_plain_loops(steps):
     )
 
 
+def test_ends_may_be_bools_of_python():
+    class Endless:
+        name, observation_size, action_size, episode_length = "endless", 1, 1, 9
+
+        def step(self, key, state, action, params):
+            return action, state + 1, 1.0, False, False, {}
+
+    start = jnp.zeros(1), jnp.zeros((), int)
+    found = rollout(Endless(), start, jnp.ones((3, 1)), None, key=KEY)
+    assert found.running.tolist() == [True, True, True]
+
+
 def test_an_episode_that_ends_stays_as_it_is():
     env = make("trivial", episode_length=5)
     params = env.default_params()

@@ -31,6 +31,7 @@ WHOLE = {
     "driven_pendulum": 0.05,
     "soft_pendulum": 0.05,
     "lift": 0.02,
+    "insert": 0.01,
 }
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import functools
+from pathlib import Path
 from typing import Any
 
 import jax
@@ -10,6 +11,8 @@ import jax.numpy as jnp
 import numpy as np
 
 import jaxrod
+
+ROBOT = Path(__file__).parents[2] / "examples" / "robot_arm.urdf"
 
 
 class Known(str):
@@ -131,6 +134,7 @@ def things(dtype: Any) -> dict[str, Any]:
         "shape": jaxrod.shapes.box((-0.1, -0.2, -0.3), (0.1, 0.2, 0.3)),
         "pair of states": {"one": state, "two": state},
         "camera": jaxrod.sensors.camera(**LENS),
+        "robot": ROBOT,
     }
 
 
@@ -172,6 +176,12 @@ NUMERIC: dict[str, dict[str, Any]] = {
         "axis": [0.0, 2.0, 1.0],
         "angle": 0.3,
         "about": [0.1, 0.2, 0.0],
+    },
+    "robot_arm": {
+        "file": Known("robot"),
+        "hand": "hand",
+        "position": [0.1, 0.2, 0.3],
+        "orientation": [1.0, 0.5, 0.0, 0.2],
     },
     "moving_contact": {
         "contact": ...,

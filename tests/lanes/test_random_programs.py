@@ -13,9 +13,13 @@ from lanes.scenes import forced
 
 @pytest.mark.fast_sets(1)
 @pytest.mark.parametrize("seed", range(6))
-def test_a_random_program_is_the_same(seed):
-    worst, _ = difference(seed, forced())
-    assert worst is not None and worst <= 1
+def test_a_random_program_is_the_same(seed, request):
+    worst, why = difference(seed, forced())
+    if worst is None:
+        # Programs for rows have loops of unknown length, which warps leave to XLA.
+        assert "warps" in request.node.name and "no loop" in why
+    else:
+        assert worst <= 1
 
 
 def test_a_program_that_only_began_has_no_outcome_in_a_log(tmp_path):

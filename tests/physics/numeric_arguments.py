@@ -1,6 +1,7 @@
 """Arguments of every public factory that takes numbers, one set or several of each."""
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 
@@ -18,6 +19,7 @@ SCENE = jaxrod.make_scene(ROD, jaxrod.clamp(STATE))
 BENT = ((0.0, 0.1, 0.1, 0.3), (0.0, 0.0, 1.0, 1.2), (0.0, 1.0, 1.1, 2.0))
 FRAMES = np.asarray(jaxrod.rod_along(BENT, **MATERIAL)[1].directors).tolist()
 SIDES = ((1.0, 0.5, 0.2), (0.3, 1.0, 0.1), (0.2, 0.1, 1.0))
+ROBOT = Path(__file__).parents[2] / "examples" / "robot_arm.urdf"
 BALL = jaxrod.shapes.sphere((0.0, 0.0, 0.0), 0.1)
 
 HEAD, OF_HEAD = jaxrod.systems.rigid_body(
@@ -84,6 +86,14 @@ FACTORIES = {
             "poisson_ratio": 0.3,
         },
         {"positions": BENT, "directors": FRAMES, **MATERIAL},
+    ],
+    "robot_arm": [
+        {
+            "file": ROBOT,
+            "hand": "hand",
+            "position": (0.1, 0.2, 0.3),
+            "orientation": (1.0, 0.5, 0.1, 0.2),
+        }
     ],
     "gravity": [{"acceleration": (1.0, 2.0, 3.0)}],
     "end_load": [{"force": (1.0, 2.0, 3.0), "couple": (4.0, 5.0, 6.0)}],

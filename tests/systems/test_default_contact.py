@@ -96,9 +96,9 @@ def test_a_rod_at_rest_sinks_in_by_a_hundredth_of_its_radius_or_less(name):
 
 
 def test_given_numbers_stay():
-    scene, _, _ = on_floor(SLENDER, 0.0, stiffness=3.0)
+    scene, _, _ = on_floor(SLENDER, 0.0, stiffness=3e4)
     floor = scene.effects[-1]
-    assert float(floor.stiffness) == 3.0 and floor.damping is None
+    assert float(floor.stiffness) == 3e4 and floor.damping is None
     scene, _, _ = on_floor(SLENDER, 0.0, damping=2.0, friction=0.1)
     floor = scene.effects[-1]
     assert float(floor.damping) == 2.0 and float(floor.friction_drag) == 2.0

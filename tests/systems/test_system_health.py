@@ -308,6 +308,3 @@ def test_bad_arguments_are_refused():
         jaxrod.health(system, state, DT, n_steps=0)
     with pytest.raises(ValueError, match="state must have the members"):
         jaxrod.health(system, state, DT, before={"one": state["one"]})
-    alone = system.members["one"]
-    with pytest.raises(ValueError, match="before is for systems"):
-        jaxrod.health(alone, state["one"], DT, before=state["one"])

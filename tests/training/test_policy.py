@@ -11,7 +11,14 @@ import numpy as np
 import pytest
 
 from jaxrod.envs.trivial import Trivial
-from jaxrod.training import PPOConfig, SACConfig, load_policy, save_policy
+from jaxrod.training import (
+    PPOConfig,
+    SACConfig,
+    load_policy,
+    save_policy,
+    train,
+    untrained_policy,
+)
 from jaxrod.training.algorithms import ppo, sac
 from jaxrod.training.algorithms.on_policy import policy_network
 from jaxrod.training.normalisation import RunningMoments, normalise
@@ -97,3 +104,28 @@ def test_policy_tells_for_how_long_its_actions_were_held(learner, init, settings
 def test_folder_without_a_policy_is_refused(tmp_path):
     with pytest.raises(ValueError, match=r"policy\.json"):
         load_policy(tmp_path)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["ppo", "sac"])
+def test_the_untrained_policy_is_the_one_with_which_training_begins(name):
+    env = Trivial()
+    sizes = {"num_envs": 4, "rollout_steps": 8}
+    if name == "ppo":
+        config = PPOConfig(learning_rate=1e-30, final_learning_rate=1e-30, **sizes)
+    else:
+        config = SACConfig(learning_starts=10_000, **sizes)
+    policy = untrained_policy(env, name, config, seed=3)
+    run = {"steps": 64, "config": config, "evaluation_episodes": 0, "progress": False}
+    trained = train(env, name, seed=3, **run).policy
+    for mine, theirs in zip(policy.layers, trained.layers, strict=True):
+        np.testing.assert_array_equal(mine[0], theirs[0])
+    other = untrained_policy(env, name, config, seed=4)
+    assert (other.layers[0][0] != policy.layers[0][0]).any()
+    like = untrained_policy(env, name, config)
+    assert jax.tree.structure(like) == jax.tree.structure(policy)
+
+
+def test_the_seed_of_an_untrained_policy_is_checked():
+    with pytest.raises(ValueError, match="seed must be"):
+        untrained_policy(Trivial(), seed=-1)

@@ -1,6 +1,7 @@
 """Randomised tasks: they train, resume bit for bit and are exported."""
 
 import signal
+from pathlib import Path
 
 import jax
 import numpy as np
@@ -10,9 +11,15 @@ from exported import compiled
 from jaxrod import envs
 from jaxrod.training import PPOConfig, export_c, export_onnx, restore_policy, train
 
-TASKS = "following", "reaching", "trivial"
-CHANCE = {"delay": [0, 2], "lag": [0.0, 1.5], "saturation": [0.7, 1.0]}
-"""Faults of actuators that every task can have; delay and lag in control steps."""
+OWN = f"{Path(__file__).parents[2] / 'examples' / 'own_task.py'}:make_task"
+CHANCE = {
+    "delay": [0, 2],
+    "lag": [0.0, 1.5],
+    "saturation": [0.7, 1.0],
+    "noise": 0.01,
+    "dropout": 0.1,
+}
+"""Faults that every task can have; delay and lag in control steps."""
 SMALL = PPOConfig(num_envs=2, rollout_steps=4, minibatches=1, epochs=1)
 CHUNK, UPDATES = 8, 3
 
@@ -25,7 +32,7 @@ def stop_early(row):
 
 @pytest.mark.slow
 @pytest.mark.default_precision
-@pytest.mark.parametrize("task", TASKS)
+@pytest.mark.parametrize("task", [*envs.names(), pytest.param(OWN, id="own_task")])
 def test_a_randomised_task_trains_resumes_bit_by_bit_and_is_exported(task, tmp_path):
     import onnxruntime
 
@@ -51,6 +58,7 @@ def test_a_randomised_task_trains_resumes_bit_by_bit_and_is_exported(task, tmp_p
         np.testing.assert_array_equal(a, b)
         moved |= bool(np.any(np.asarray(a) != np.asarray(c)))
     assert moved, "nothing was learned after the interruption"
+    assert all(np.isfinite(leaf).all() for leaf in jax.tree.leaves(whole.policy))
     policy = restore_policy(folder, envs.make(task, randomise=CHANCE))
     export_c(policy, env, tmp_path / "policy.h")
     export_onnx(policy, env, tmp_path / "policy.onnx")

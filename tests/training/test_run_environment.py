@@ -9,8 +9,11 @@ import pytest
 from jaxrod.cli.runs import open_run
 from jaxrod.envs import ActionRepeat, make
 from jaxrod.envs.trivial import Trivial, TrivialParams
-from jaxrod.training import PPOConfig, train
-from jaxrod.training.runs.loop import _origin
+from jaxrod.files import with_tuples
+from jaxrod.training import PPOConfig, RunFolder, train
+from jaxrod.training.runs import loop
+from jaxrod.training.runs.recorded_environment import described_environment
+from jaxrod.training.runs.recorded_environment import recorded_environment as _origin
 
 SMALL = PPOConfig(
     num_envs=8, rollout_steps=16, epochs=2, minibatches=2, hidden_sizes=(8,)
@@ -55,13 +58,66 @@ def test_what_is_recorded_of_an_object_is_the_same_in_every_process():
     assert " at 0x" not in _origin(Plain())["environment"]
 
 
+class Kept(Trivial):
+    """Attributes are named after arguments, as most classes have them."""
+
+    def __init__(self, length=5, start=(0, 0)):
+        super().__init__(length)
+        object.__setattr__(self, "length", length)
+        object.__setattr__(self, "start", start)
+
+
+class Renamed(Trivial):
+    """An argument is kept under another name."""
+
+    def __init__(self, length):
+        super().__init__(length)
+
+
+class Doubled(Kept):
+    """An attribute is not what the argument was."""
+
+    def __init__(self, length):
+        super().__init__(2 * length)
+
+
+@dataclasses.dataclass(frozen=True)
+class Fields(Trivial):
+    height: object = 0.5
+
+
+@pytest.mark.parametrize(
+    ("env", "options"),
+    [
+        (Kept(), {}),
+        (Kept(7, (1, (2, 3))), {"length": 7, "start": [1, [2, 3]]}),
+        (Fields(height=2), {"height": 2}),
+        (Fields(7), {"episode_length": 7}),
+        (Fields(height=[1]), None),
+        (Fields(height=len), None),
+        (Renamed(7), None),
+        (Doubled(7), None),
+    ],
+)
+def test_a_class_of_ones_own_is_recorded_if_it_makes_the_same_again(env, options):
+    found = _origin(env)
+    assert found["env_options"] == options
+    if options is None:
+        assert found["task"] == "trivial" and "environment" in found
+        return
+    assert found["task"] == f"{__name__}:{type(env).__name__}"
+    again = {name: with_tuples(value) for name, value in options.items()}
+    assert make(found["task"], **again) == env
+    assert _origin(make(found["task"], **again)) == found
+
+
 @pytest.mark.slow
 @pytest.mark.default_precision
 def test_an_object_that_make_did_not_make_trains_and_cannot_be_made_again(tmp_path):
     result = train(Trivial(7), out=tmp_path, steps=256, config=SMALL, progress=False)
     assert result.summary["task"] == "trivial"
     with pytest.raises(
-        ValueError, match=r"make did not make .*Trivial\(episode_length=7"
+        ValueError, match=r"does not say what makes .*Trivial\(episode_length=7"
     ):
         open_run(tmp_path)
 
@@ -78,6 +134,19 @@ def test_runs_of_when_a_task_was_a_case_are_read_and_go_on(tmp_path):
     assert open_run(tmp_path).config["task"] == "trivial"
     assert open_run(tmp_path).policy()
     assert train(make("trivial"), resume=True, **settings).summary == before.summary
+
+
+@pytest.mark.slow
+@pytest.mark.default_precision
+def test_runs_of_when_a_class_was_only_described_go_on(tmp_path):
+    settings = {"steps": 256, "config": SMALL, "progress": False, "out": tmp_path}
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(loop, "recorded_environment", described_environment)
+        before = train(Fields(7), **settings)
+    assert RunFolder(tmp_path).config()["env_options"] is None
+    assert train(Fields(7), resume=True, **settings).summary == before.summary
+    with pytest.raises(ValueError, match=r"environment was .*=7.*, now .*=8"):
+        train(Fields(8), resume=True, **settings)
 
 
 @pytest.mark.slow

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from jaxrod.viz import animation, frame
+from jaxrod.viz import animation, frame, picture
 from jaxrod.viz.colours import rod_colours, rod_legend
 from jaxrod.viz.recording import Recording
 from jaxrod.viz.rods import Rods
@@ -33,6 +33,9 @@ def test_the_last_frame_can_be_counted_from_the_end():
         frame(replay, 11)
     with pytest.raises(ValueError, match="width must be positive, got 0 pixels"):
         frame(replay, 0, width=0)
+    for draw in (frame, lambda *given: picture(*given, "never.png")):
+        with pytest.raises(TypeError, match="show returns it, got a dict"):
+            draw({"arm": None}, 0)
 
 
 def test_an_animation_has_one_picture_per_thinned_frame():

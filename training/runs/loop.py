@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import re
 from collections.abc import Sequence
 from contextlib import ExitStack
 from functools import partial
@@ -15,7 +14,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Int, Key
 
 from jaxrod.envs import Environment
-from jaxrod.envs.registry import origin_of
+from jaxrod.envs.importing import refuse_while_importing
 from jaxrod.training.algorithm import Algorithm, recorded_name
 from jaxrod.training.runs.checkpoint import Checkpoints
 from jaxrod.training.runs.contract import resolve, updates_of
@@ -23,7 +22,11 @@ from jaxrod.training.runs.event_file import check_installed
 from jaxrod.training.runs.folder import RunFolder, differences
 from jaxrod.training.runs.hosts import Hosts
 from jaxrod.training.runs.owned_folder import CONFIG
-from jaxrod.training.runs.recorded_settings import plain, recorded
+from jaxrod.training.runs.recorded_environment import (
+    described_environment,
+    recorded_environment,
+)
+from jaxrod.training.runs.recorded_settings import recorded
 from jaxrod.training.runs.run import TENSORBOARD, Log, Result, Run
 from jaxrod.training.settings import check_steps
 from jaxrod.validation import check_count, check_seed
@@ -57,9 +60,9 @@ def train(
     uninterrupted run, on GPUs up to round-off (see `jaxrod doctor`).
 
     Args:
-        env: The environment. If `jaxrod.envs.make` made it, the run records the task
-            and its options, so that `jaxrod evaluate` and `jaxrod render` can make it
-            again. For any other environment these commands report that they cannot.
+        env: The environment. If `jaxrod.envs.make` or a class of your own made it, the
+            run records how, so that `jaxrod evaluate` and `jaxrod render` can make it
+            again. For any other environment these commands need `--task`.
         algorithm: A name, an import path `module:NAME`, or an `Algorithm`.
         steps: Number of control steps, rounded up to whole updates.
         seed: Seed of all random numbers.
@@ -98,6 +101,7 @@ def train(
         >>> result.evaluation.mean > 18.0  # 19.7 at best, 13.3 at rest
         True
     """
+    refuse_while_importing("jaxrod.training.train")
     steps, seed = check_count("steps", steps, 1, math.inf), check_seed(seed)
     learner, config = resolve(algorithm, config)
     name = algorithm if isinstance(algorithm, str) else recorded_name(learner)
@@ -125,6 +129,9 @@ def train(
     with ExitStack() as stack:
 
         def take(folder: RunFolder) -> bytes:
+            if resume and folder.exists and folder.config()["env_options"] is None:
+                # The run was recorded without a class that makes its environment.
+                requested.update(described_environment(env))
             # Checked first so that a refusal leaves no trace, and again once nobody
             # else can change the folder.
             _check_folder(folder, requested, resume, overwrite)
@@ -198,36 +205,12 @@ def request(
 ) -> dict[str, Any]:
     """Contents of `config.json`: task, options, algorithm, steps, seed, settings."""
     return {
-        **_origin(env),
+        **recorded_environment(env),
         "algorithm": algorithm,
         "steps": steps,
         "seed": seed,
         "score_window": score_window,
         "settings": settings,
-    }
-
-
-def _origin(env: Environment) -> dict[str, Any]:
-    """Entries of `config.json` from which `envs.make` can make an environment again.
-
-    They are the task and its options. An environment that `make` did not make cannot be
-    made again. Its description is then stored as text, to distinguish it from others.
-    """
-    how = origin_of(env)
-    if how is None:
-        words = re.sub(r" at 0x[0-9a-fA-F]+", "", f"{type(env).__module__}: {env!r}")
-        variant = getattr(env, "variant", None)
-        return {
-            "task": env.name,
-            "variant": variant if isinstance(variant, str) else None,
-            "env_options": None,
-            "environment": words,
-        }
-    variant = how.options.get("variant")
-    return {
-        "task": how.task,
-        "variant": variant if isinstance(variant, str) else None,
-        "env_options": {name: plain(value) for name, value in how.options.items()},
     }
 
 

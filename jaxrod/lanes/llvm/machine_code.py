@@ -36,8 +36,12 @@ from jaxrod.private_folders import (
     shared_with,
 )
 
-OPTIMISATION = 2
-"""Optimisation level of LLVM, from 0 to 3."""
+LONG = 1_000_000
+"""Length of LLVM IR from which optimisation level 1 is used instead of 2 [characters].
+
+Adjoints, implicit steps and searches for rest are as long. Level 1 compiles them in two
+thirds of the time, and they run at most 3 % slower.
+"""
 
 _LIBRARY = (
     *(row.symbol for row in OPERATIONS.values() if row.symbol is not None),
@@ -136,21 +140,23 @@ def native_function(text: str, name: str, *, keep: bool = True) -> tuple[Any, in
 
     module = llvm.parse_assembly(text)
     module.verify()
-    engine = llvm.create_mcjit_compiler(module, _target_machine())
+    level = 2 if len(text) < LONG else 1
+    engine = llvm.create_mcjit_compiler(module, _target_machine(level))
     if keep:
-        keeps_objects(engine, f"{processor()} {OPTIMISATION} {text}")
+        keeps_objects(engine, f"{processor()} {level} {text}")
     engine.finalize_object()
     return engine, engine.get_function_address(name)
 
 
-def _target_machine() -> Any:
+def _target_machine(level: int = 2) -> Any:
+    """LLVM's compiler for this processor, at an optimisation level from 0 to 3."""
     import llvmlite.binding as llvm
 
     target = llvm.Target.from_default_triple()
     return target.create_target_machine(
         cpu=llvm.get_host_cpu_name(),
         features=llvm.get_host_cpu_features().flatten(),
-        opt=OPTIMISATION,
+        opt=level,
     )
 
 

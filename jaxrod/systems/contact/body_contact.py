@@ -19,6 +19,7 @@ from jaxtyping import Array, Float
 
 from jaxrod.contacts.contact_law import depth_from_onset
 from jaxrod.contacts.ends import Ends
+from jaxrod.contacts.passages import passages
 from jaxrod.contacts.points import fewer_points
 from jaxrod.effects.base import StabilityBound
 from jaxrod.geometry import vectors
@@ -260,6 +261,19 @@ class BodyContact(PenaltyContact):
             distance, _ = body.surface(points.position)
             worst = jnp.maximum(worst, jnp.max(1 - distance / segments.point_radii))
         return worst
+
+    def passages(self, before: AllSeen, after: AllSeen) -> Array:
+        """Number of contact points that went through a body between two states."""
+        segments, count = self._segments(), jnp.zeros((), self.stiffness.dtype)
+        places = [
+            points_at(segments, seen[self.rod], spins=False).position
+            for seen in (before, after)
+        ]
+        for bodies in zip(self._bodies(before), self._bodies(after), strict=True):
+            ways = [b.seen(place) for b, place in zip(bodies, places, strict=True)]
+            surface = bodies[0].shape.surface
+            count = count + passages(surface, segments.point_radii, *ways)
+        return count
 
     def least_stiffness(self, parts: AllParts) -> Array:
         """Stiffness with which the rod carries its own weight [N/m^2]."""

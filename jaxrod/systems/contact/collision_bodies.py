@@ -57,9 +57,12 @@ class Posed:
 
     def surface(self, points: Vec3) -> tuple[Array, Vec3]:
         """Signed distance [m] and outward normal at points in the world frame."""
-        own = to_material(self.frame, vectors.subtract(points, self.position))
-        distance, normal = self.shape.surface(own)
+        distance, normal = self.shape.surface(self.seen(points))
         return distance, to_world(self.frame, normal)
+
+    def seen(self, points: Vec3) -> Vec3:
+        """Points in the world frame as the body sees them [m]."""
+        return to_material(self.frame, vectors.subtract(points, self.position))
 
     def velocity_at(self, points: Vec3) -> Vec3:
         """Velocity of the body's material at points in the world frame [m/s]."""

@@ -243,6 +243,13 @@ class Member(ABC):
     def health(self, state: Any, dt: ArrayLike, limits: HealthLimits) -> Any:
         """Flags of numerical faults in a state: a pytree with an entry `flagged`."""
 
+    def passages(self, before: Any, after: Any) -> Array | None:
+        """Number of points that went through fixed bodies between two states.
+
+        `None` for a member without contact with fixed bodies.
+        """
+        return None
+
     def energy_account(self, state: Any, mean: Array, dt: Array) -> EnergyAccount:
         """Energy of the member, and what round-off may add to it, for `health`.
 

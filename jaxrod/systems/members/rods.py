@@ -15,6 +15,7 @@ from jaxrod.analysis.health import (
     EnergyAccount,
     HealthLimits,
     energy_account,
+    rod_passages,
     scene_health,
 )
 from jaxrod.analysis.stability import scene_stable_step
@@ -259,6 +260,11 @@ class OneRod(Member):
     def health(self, state: Any, dt: ArrayLike, limits: HealthLimits) -> Any:
         """Flags of numerical faults and the values behind them, for each rod."""
         return self.each(lambda s, own: scene_health(s, own, dt, limits=limits), state)
+
+    def passages(self, before: Any, after: Any) -> Array | None:
+        """Number of points of the rods that went through fixed bodies."""
+        found = self.each(rod_passages, before, after)
+        return None if found is None else jnp.sum(found)
 
     def loaded(self, loads: Loads) -> Any:
         """Copy of the scene with loads of couplings as one more effect."""
