@@ -8,6 +8,7 @@ from pathlib import Path
 
 import pytest
 
+# `run_json` and `run`, which it takes, are fixtures: tests name them as arguments.
 from commands import run, run_json  # noqa: F401
 
 ROOT = Path(__file__).parents[1]
@@ -78,6 +79,7 @@ def test_readme_and_docs_show_the_same_task():
     assert len(lines) <= 22  # the last two draw it
 
 
+# The argument is the fixture imported above.
 @pytest.mark.slow
 @pytest.mark.default_precision
 def test_the_task_of_the_readme_learns_what_is_said(tmp_path, run_json, monkeypatch):  # noqa: F811

@@ -459,6 +459,7 @@ def _sized(
     known = not is_traced(system, listed, state)
     seen, prepared = (jax.jit(_prepared) if known else _prepared)(system, listed, state)
     ready: Any = iter(prepared)
+    # mypy does not know that a coupling with lists is a dataclass.
     return tuple(
         c
         if c.refresh_every is None

@@ -110,7 +110,7 @@ def test_limits_are_those_of_the_file(tmp_path):
 
 
 def test_derivatives_are_those_of_differences(tmp_path):
-    """By the coordinates, and by the geometry, which is traced as well."""
+    """Derivatives by the coordinates, and by the geometry, which is traced as well."""
     arm = jaxrod.robot_arm(written(tmp_path, MJCF), "finger")
     at, step = jnp.array([0.3, -0.2, 0.7]), 1e-6
 
