@@ -45,6 +45,7 @@ from jaxrod.systems.members.rods import member_of_rod
 from jaxrod.validation import (
     as_array,
     check_kind,
+    compiled,
     in_type,
     is_traced,
     knows_constants,
@@ -221,7 +222,11 @@ class Scene(LoadedRod, Model, Hinted):
 
     def potential_energy(self, state: Any) -> Float[Array, ""]:
         """Stored elastic energy plus the potential of all effects [J]."""
-        return _potential_energy(scene_of(self, state), state)
+        scene = scene_of(self, state)
+        total = stored_energy(scene.rod, state)
+        for effect in scene.effects:
+            total = total + effect.energy(scene.rod, state)
+        return total
 
     def momentum(self, state: Any) -> Float[Array, "3"]:
         """Linear momentum, world frame [kg m/s]."""
@@ -230,14 +235,6 @@ class Scene(LoadedRod, Model, Hinted):
     def angular_momentum(self, state: Any) -> Float[Array, "3"]:
         """Angular momentum about the origin, world frame [kg m^2/s]."""
         return self.rod.angular_momentum(state)
-
-
-@jax.jit
-def _potential_energy(scene: Scene, state: RodState) -> Array:
-    total = stored_energy(scene.rod, state)
-    for effect in scene.effects:
-        total = total + effect.energy(scene.rod, state)
-    return total
 
 
 @knows_constants
@@ -319,7 +316,7 @@ def _warn_of_softness(rod: Rod, effects: tuple[Effect, ...]) -> None:
             warn_of_softness(rod, field, stiffness)
 
 
-@jax.jit
+@compiled
 def _with_numbers(rod: Rod, effects: Any, method: Method) -> Any:
     """Effects with the numbers that they lack, from the step that the others allow."""
     # Compiled, because the bounds of contact take a hundred operations.

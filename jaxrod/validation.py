@@ -12,6 +12,7 @@ import functools
 import math
 import numbers
 import sys
+import threading
 import warnings
 from collections.abc import Callable, Iterator, Sequence
 from typing import Any, ParamSpec, TypeVar
@@ -52,10 +53,38 @@ def knows_constants(function: Callable[Given, Made]) -> Callable[Given, Made]:
         # compile each operation once more.
         if not is_traced(lax.neg(np.float32(0))):
             return function(*args, **kwargs)
-        with jax.ensure_compile_time_eval():
-            return function(*args, **kwargs)
+        before = _evaluating.now
+        _evaluating.now = True
+        try:
+            with jax.ensure_compile_time_eval():
+                return function(*args, **kwargs)
+        finally:
+            _evaluating.now = before
 
     return knowing
+
+
+class _Evaluating(threading.local):
+    now = False
+    """Whether this thread evaluates known values while JAX traces."""
+
+
+_evaluating = _Evaluating()
+
+
+def compiled(function: Callable[Given, Made]) -> Callable[Given, Made]:
+    """Decorates a function of many operations, so that they are one program.
+
+    Where known values are evaluated inside `jax.jit` (see `knows_constants`) it is not
+    compiled: its results would be traced.
+    """
+    jitted: Callable[Given, Made] = jax.jit(function)
+
+    @functools.wraps(function)
+    def either(*args: Given.args, **kwargs: Given.kwargs) -> Made:
+        return (function if _evaluating.now else jitted)(*args, **kwargs)
+
+    return either
 
 
 def warn(message: str, category: type[Warning] = UserWarning) -> None:

@@ -117,7 +117,7 @@ def by_kernel(integrator: Any, name: str, given: Any, *, iterates: bool = False)
 
     parts = _Parts(integrator, given, 1)
     closed, made_tree = parts.program(name, parts.given)
-    words = supported(closed)
+    words = _foreign(closed) or supported(closed)
     if words is not None:
         refused(words)
         return getattr(integrator, name)(given)
@@ -176,8 +176,7 @@ class _Parts:
 
         with in_one_kernel():
             closed = jax.make_jaxpr(method)(*self.constants, *leaves)
-        known = program_of(closed).constants
-        if any(isinstance(number, jax.core.Tracer) for number in known):
+        if _foreign(closed) is not None:
             # A function in the structure holds a number of this trace alone.
             return closed, result[0]
         while len(_programs) >= MOST_PROGRAMS:
@@ -202,7 +201,7 @@ def _refused(
     """
     words = None
     for closed in (body, *programs):
-        words = words or supported(closed)
+        words = words or _foreign(closed) or supported(closed)
     given = parts.state if begin is None else result_types(begin)
     before = [(a.shape, a.dtype) for a in given]
     after = [(a.shape, a.dtype) for a in result_types(body)]
@@ -211,6 +210,17 @@ def _refused(
     if words is not None:
         refused(words)
     return words is not None
+
+
+def _foreign(closed: Any) -> str | None:
+    """Reason if a program holds a traced number that is none of its operands.
+
+    So does a function of the user's that was made while JAX traced.
+    """
+    known = program_of(closed).constants
+    if any(isinstance(number, jax.core.Tracer) for number in known):
+        return "a function holds a traced number: give it as one of its parameters"
+    return None
 
 
 def _settled(leaf: Any) -> Any:

@@ -51,6 +51,7 @@ from jaxrod.systems.stepping.stepper import (
 from jaxrod.validation import (
     as_array,
     check_array,
+    compiled,
     in_type,
     is_traced,
     knows_constants,
@@ -418,7 +419,7 @@ def _free_ends(
     return {name: jnp.asarray(flags, dtype) for name, flags in free.items()}
 
 
-@jax.jit
+@compiled
 def _with_numbers(
     system: System, couplings: tuple[Coupling, ...], parts: AllParts
 ) -> tuple[Coupling, ...]:

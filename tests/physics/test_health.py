@@ -279,3 +279,30 @@ def test_a_flagged_rod_is_frozen_and_the_others_go_on_to_the_last_bit():
         # The last sound state is the one before the load broke, and it stays.
         for later in range(fails, steps):
             np.testing.assert_array_equal(mixed[later, bad], good[fails - 1, bad])
+
+
+def around(radius):
+    """A rod, and a body whose function holds its radius instead of taking it."""
+    rod, state = arm(4, jnp.float64)
+    away = lambda p, offset: jnp.sqrt(sum(x * x for x in p) + offset) - radius
+    body = jaxrod.shapes.signed_distance(away, 1e-9)
+    return jaxrod.make_scene(rod, jaxrod.contact(body, stiffness=1e4)), state
+
+
+def test_functions_of_bodies_may_hold_traced_numbers():
+    """No kernel takes them."""
+    deepest = lambda r: jaxrod.health(*around(r), 1e-4).largest_violation
+    found = jax.jit(deepest)(0.1)
+    np.testing.assert_allclose(found, deepest(0.1), rtol=1e-9)
+
+
+@pytest.mark.slow
+def test_functions_of_bodies_may_hold_traced_numbers_under_all_transforms():
+    deepest = lambda r: jaxrod.health(*around(r), 1e-4).largest_violation
+    moved = lambda r: jaxrod.advance(*around(r), 1e-4, 2).positions[0, -1]
+    for value in (deepest, moved):
+        both = [value(0.1), value(0.2)]
+        np.testing.assert_allclose(jax.jit(value)(0.1), both[0], rtol=1e-9)
+        many = jax.vmap(value)(jnp.array([0.1, 0.2]))
+        np.testing.assert_allclose(many, both, rtol=1e-9)
+    assert np.isfinite(jax.grad(deepest)(0.1))

@@ -161,3 +161,12 @@ def test_an_effect_that_is_added_later_gets_its_numbers():
     later = jaxrod.make_scene(rod, jaxrod.gravity()).with_effect(floor)
     for one, two in zip(jax.tree.leaves(whole), jax.tree.leaves(later), strict=True):
         np.testing.assert_array_equal(one, two)
+
+
+def test_chosen_numbers_are_known_inside_jit():
+    rod, _ = jaxrod.straight_rod(
+        4, length=1.0, radius=0.02, density=1e3, youngs_modulus=1e6
+    )
+    chosen = lambda: jaxrod.make_scene(rod, jaxrod.contact(jaxrod.shapes.plane()))
+    inside = jax.jit(lambda x: x + float(chosen().effects[0].stiffness))(0.0)
+    np.testing.assert_allclose(inside, chosen().effects[0].stiffness, rtol=1e-5)
