@@ -356,7 +356,9 @@ def in_type(dtype: Any, name: str, tree: Any) -> Any:
             return array
         if not is_traced(array) and array.dtype != dtype:
             where = f"{name}{jax.tree_util.keystr(path)}"
-            check_held(where, np.asarray(array, np.float64), "", dtype)
+            known = np.asarray(array, np.float64)
+            # NaN, which stands for a number that is left out, is in every dtype.
+            check_held(where, known[~np.isnan(known)], "", dtype)
         return array.astype(dtype)
 
     return jax.tree_util.tree_map_with_path(cast, tree)

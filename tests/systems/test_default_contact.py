@@ -170,3 +170,14 @@ def test_chosen_numbers_are_known_inside_jit():
     chosen = lambda: jaxrod.make_scene(rod, jaxrod.contact(jaxrod.shapes.plane()))
     inside = jax.jit(lambda x: x + float(chosen().effects[0].stiffness))(0.0)
     np.testing.assert_allclose(inside, chosen().effects[0].stiffness, rtol=1e-5)
+
+
+@pytest.mark.slow
+def test_numbers_are_chosen_in_the_precision_of_the_rod():
+    kinds = jnp.float32, jnp.float64
+    size = {"length": 1.0, "radius": 0.02, "density": 1e3, "youngs_modulus": 1e6}
+    rods = [jaxrod.straight_rod(4, dtype=kind, **size)[0] for kind in kinds]
+    floor = jaxrod.contact(jaxrod.shapes.plane(), friction=0.3)
+    single, double = (jaxrod.make_scene(rod, floor).effects[0] for rod in rods)
+    assert single.stiffness.dtype == single.friction_drag.dtype == jnp.float32
+    np.testing.assert_allclose(single.stiffness, double.stiffness, rtol=1e-4)
