@@ -43,7 +43,7 @@ class RobotArm:
     With the coordinates $q$, the frame of the hand is the product of fixed
     displacements $F_k$ and joint displacements $J_k(q_k)$,
 
-    $$T(q) = F_0 J_0(q_0) F_1 J_1(q_1) \dots F_n.$$
+    $$T(q) = F_0 J_0(q_0) F_1 J_1(q_1) \cdots F_n.$$
 
     A hinge turns by $q_k$ less its reference about its axis, and a slide shifts along
     it. All numbers are traced, so poses can be differentiated by the geometry too.
