@@ -39,7 +39,7 @@ from jaxrod.rods.motion import motion_of
 from jaxrod.rods.repr import repr_or_class_name
 from jaxrod.rods.rod import Rod, RodState, check_size
 from jaxrod.structure import pytree
-from jaxrod.validation import check_array, is_traced
+from jaxrod.validation import check_array, check_kind, is_traced
 
 State = TypeVar("State")
 
@@ -321,6 +321,7 @@ def health(
     Raises:
         ValueError: If the state does not match the scene's rod, or `dt` or `n_steps` is
             known and not positive.
+        TypeError: If `limits` or `before` has the wrong type.
 
     Example:
         >>> bool(jaxrod.health(scene, state, dt=1e-4).flagged)
@@ -356,10 +357,14 @@ def scene_health(
     """Examines a state of one rod; see `health`."""
     check_scene(scene)
     scene.check_moment()
+    check_kind("state", state, RodState)
     check_size(scene.rod, state)
     check_memory(scene, state)
     if before is not None:
+        check_kind("before", before, RodState)
         check_size(scene.rod, before)
+    if limits is not None:
+        check_kind("limits", limits, HealthLimits)
     scene = scene.recalling(state)
     for name, value, unit in (("dt", dt, "s"), ("n_steps", n_steps, "")):
         if not is_traced(value):

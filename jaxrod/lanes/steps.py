@@ -213,9 +213,9 @@ def _refused(
 
 
 def _foreign(closed: Any) -> str | None:
-    """Reason if a program holds a traced number that is none of its operands.
+    """Reason why kernels cannot run a program: it holds a number of another trace.
 
-    So does a function of the user's that was made while JAX traced.
+    A function that was defined while JAX traced can hold such a number.
     """
     known = program_of(closed).constants
     if any(isinstance(number, jax.core.Tracer) for number in known):

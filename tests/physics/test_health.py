@@ -306,3 +306,15 @@ def test_functions_of_bodies_may_hold_traced_numbers_under_all_transforms():
         many = jax.vmap(value)(jnp.array([0.1, 0.2]))
         np.testing.assert_allclose(many, both, rtol=1e-9)
     assert np.isfinite(jax.grad(deepest)(0.1))
+
+
+@pytest.mark.parametrize("limits", [2.0, {"largest_stretch": 2.0}, jaxrod.HealthLimits])
+def test_limits_and_states_of_another_kind_are_refused(limits):
+    rod, state = arm(4, jnp.float64)
+    scene = jaxrod.make_scene(rod)
+    with pytest.raises(TypeError, match="limits must be"):
+        jaxrod.health(scene, state, 1e-4, limits=limits)
+    with pytest.raises(TypeError, match="before must be"):
+        jaxrod.health(scene, state, 1e-4, before="x")
+    with pytest.raises(TypeError, match="state must be"):
+        jaxrod.health(scene, None, 1e-4)
