@@ -184,3 +184,17 @@ def test_health_is_one_program(compiled):
     compiled.clear()
     jaxrod.health(scene, state, 1e-4)
     assert len(compiled) < 8  # 81 if each flag is computed for itself
+
+
+def test_counting_neighbours_takes_few_programs(compiled):
+    rod, state = arm(7, jnp.float64)
+    itself = jaxrod.systems.rod_contact(
+        "rope",
+        stiffness=1e3,
+        self_contact=True,
+        lists=jaxrod.systems.neighbour_lists(),
+    )
+    scene = jaxrod.make_scene(rod)
+    compiled.clear()
+    jaxrod.make_system({"rope": scene}, itself, state={"rope": state})
+    assert len(compiled) < 18  # 44 if contact is prepared operation by operation

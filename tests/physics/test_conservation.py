@@ -139,3 +139,15 @@ def test_gravity_alone_makes_a_rod_fall_as_a_stone_does(mode):
     # The state never depends on where gravity's energy is counted from.
     kept = scene.total_energy(after) - scene.total_energy(state)
     assert abs(float(kept)) <= 1e-9 * float(rod.kinetic_energy(after))
+
+
+def test_kinetic_energy_is_that_of_nodes_and_of_turning_elements():
+    rod, state = arm(4, jnp.float64)
+    spin = jnp.broadcast_to(jnp.array([[1.0], [2.0], [5.0]]), (3, 4))
+    turning = jaxrod.with_angular_velocities(rod, state, spin)
+    still = replace(turning, velocities=jnp.zeros_like(state.velocities))
+    turn = 0.5 * np.sum(np.asarray(rod.principal_inertias) * np.asarray(spin) ** 2)
+    np.testing.assert_allclose(rod.kinetic_energy(still), turn, rtol=1e-12)
+    moving = replace(still, velocities=still.velocities + 3.0)
+    way = 0.5 * np.sum(np.asarray(rod.node_masses)) * 3 * 3.0**2
+    np.testing.assert_allclose(rod.kinetic_energy(moving), turn + way, rtol=1e-12)
