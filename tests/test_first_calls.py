@@ -70,6 +70,24 @@ def test_derivatives_of_equilibria_leave_little_to_xla():
     assert whole < 500  # 7010 without kernels, 2400 if XLA runs the search
 
 
+def test_a_scan_of_short_runs_keeps_each_state_once():
+    """XLA compiles a program for each array that a scan keeps for its derivative."""
+    scene, state = held_arm()
+
+    def tip(dt):
+        def later(state, _):
+            return jaxrod.advance(scene, state, dt, 4), None
+
+        return jax.lax.scan(later, state, length=3)[0].tip[2]
+
+    kept = max(
+        len(equation.outvars)
+        for equation in equations_of(jax.make_jaxpr(jax.grad(tip))(1e-4))
+        if equation.primitive.name == "scan"
+    )
+    assert kept < 50  # 86 with the carry beside its checkpoints
+
+
 @pytree
 class Pulled(jaxrod.extend.Effect):
     """A pull on every node towards the tip, which may reach any distance."""

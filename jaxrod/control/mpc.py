@@ -158,8 +158,10 @@ class PlanningPolicy:
             smoothness=cost.smoothness.astype(dtype),
         )
         rate = self.rate.astype(dtype)
-        key, own = jax.random.split(memory.key)
-        keys = jax.random.split(own, values.shape[0])
+        key, keys = memory.key, None
+        if self.starts > 0 or self.method == "mppi":
+            key, own = jax.random.split(memory.key)
+            keys = jax.random.split(own, values.shape[0])
 
         def begin(values: Array, state: Any, key: Array) -> Array:
             wide = jnp.asarray(START_DEVIATION, dtype)

@@ -8,6 +8,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import lax
+from jax.scipy.linalg import solve_triangular
 from jaxtyping import Array, Float, Int, Key
 
 from jaxrod.structure import pytree, static
@@ -86,14 +87,16 @@ class PlanCost:
         are stacked.
         """
 
-        def piece(state: Any, action: Array) -> tuple[Any, None]:
-            return self.env.predict(state, action, self.params, self.hold), None
+        def piece(state: Any, action: Array) -> tuple[Any, Any]:
+            state = self.env.predict(state, action, self.params, self.hold)
+            return state, state
 
-        def interval(state: Any, actions: Array) -> tuple[Any, Array]:
-            state, _ = lax.scan(piece, state, actions)
-            return state, of(state, actions[-1])
-
-        return lax.scan(interval, state, self.actions(now, knots))[1]
+        actions = self.actions(now, knots)
+        pieces = actions.shape[1]
+        flat = jnp.reshape(actions, (-1, actions.shape[-1]))
+        states = lax.scan(piece, state, flat)[1]
+        reached = jax.tree.map(lambda leaf: leaf[pieces - 1 :: pieces], states)
+        return jax.vmap(of)(reached, actions[:, -1])
 
     def residuals(self, now: Array, knots: Array, state: Any) -> Float[Array, " all"]:
         """Returns the environment's residuals at the times of all K knots of a plan.
@@ -200,12 +203,12 @@ def quadratic_step(
     pulled -= jnp.sum(rows * aimed[:, None, None], axis=0)
     # Penalty of the bounds: a fraction of the mean diagonal of the Gauss-Newton matrix.
     weight = jnp.sum(rows**2) / rows[0].size * 0.3 + effort
-    inverse = jnp.linalg.inv(plain + weight * jnp.eye(count, dtype=dtype))
+    inverse = _inverse(plain + weight * jnp.eye(count, dtype=dtype))
     flat = jnp.reshape(rows, (rows.shape[0], -1))
     spread = jnp.reshape(
         jnp.sum(inverse[None, :, :, None] * rows[:, None], axis=2), flat.shape
     )
-    inner = jnp.linalg.inv(flat @ spread.T + jnp.eye(flat.shape[0], dtype=dtype))
+    inner = _inverse(flat @ spread.T + jnp.eye(flat.shape[0], dtype=dtype))
 
     def solved(side: Array) -> Array:
         plainly = inverse @ side
@@ -220,6 +223,13 @@ def quadratic_step(
 
     begin = knots, jnp.zeros_like(knots)
     return lax.fori_loop(0, BOUND_ITERATIONS, alternate, begin)[0]
+
+
+def _inverse(matrix: Array) -> Array:
+    """Inverse of a symmetric positive definite matrix."""
+    lower = jnp.linalg.cholesky(matrix, symmetrize_input=False)
+    root = solve_triangular(lower, jnp.eye(len(matrix), dtype=matrix.dtype), lower=True)
+    return root.T @ root
 
 
 def by_gradient(

@@ -106,14 +106,15 @@ def _cycles(spec: RunSpec, steps: Any, *arrays: Any) -> list[Any]:
 def _tangent(spec: RunSpec, steps: Any, *arrays: Any) -> list[Any]:
     """Returns the tangents of the floating-point arrays of the carry after all steps.
 
-    The operands in `arrays` are constants, carry, checkpoints, tangents of constants
-    and tangents of the carry.
+    The operands in `arrays` are constants, checkpoints if they are stored or else the
+    carry, tangents of constants and tangents of the carry.
     """
     body = spec.body
-    n_kept = len(body.avals) if spec.keeps else 0
-    constants, carry, _, rates, tangents = parted(
-        arrays, body.n_constants, len(body.avals), n_kept, sum(spec.moving)
+    constants, carry, rates, tangents = parted(
+        arrays, body.n_constants, len(body.avals), sum(spec.moving)
     )
+    if spec.stores:
+        carry = [rows[0] for rows in carry]
     both, n_both = tangent_body(spec)
     inner = RunSpec(LoopBody(both, n_both), spec.length)
     after = cycles_p.bind(steps, *constants, *rates, *carry, *tangents, spec=inner)
@@ -282,9 +283,8 @@ def _shareable(primitive: Any, spec: RunSpec) -> list[bool]:
         return [*constants, *[False] * n_carry]
     if primitive is adjoint_p:
         return [*constants, *[False] * (n_carry + n_floats)]
-    kept = n_carry if spec.keeps else 0
     rates = [True] * sum(spec.moving)
-    return [*constants, *[False] * (n_carry + kept), *rates, *[False] * n_floats]
+    return [*constants, *[False] * n_carry, *rates, *[False] * n_floats]
 
 
 def _cycles_jvp(primals: Any, tangents: Any, *, spec: RunSpec) -> Any:
@@ -304,9 +304,14 @@ def _cycles_jvp(primals: Any, tangents: Any, *, spec: RunSpec) -> Any:
         for t, a in zip(rates, arrays, strict=False)
     )
     spec = replace(spec, moving=moving, keeps=spec.length is not None)
-    made = cycles_p.bind(steps, *arrays, spec=replace(spec, moving=()))
+    made = cycles_p.bind(
+        steps, *arrays, spec=replace(spec, moving=(), keeps=spec.stores)
+    )
+    constants, points = parted(arrays, body.n_constants)
     n_carry = len(body.avals)
-    carry, kept = made[:n_carry], made[n_carry:]
+    carry = made[:n_carry]
+    if spec.stores:
+        points = made[n_carry:]
     given = [
         jnp.zeros_like(array) if is_zero(tangent) else tangent
         for array, tangent, floats in zip(
@@ -317,20 +322,19 @@ def _cycles_jvp(primals: Any, tangents: Any, *, spec: RunSpec) -> Any:
     rows = None
     if spec.batch is not None:
         of_constants = spec.batch.rows[: body.n_constants]
-        carried = [True] * (n_carry + len(kept))
         rows = Batch(
             spec.batch.size,
             (
                 *of_constants,
-                *carried,
+                *[True] * n_carry,
                 *chosen(of_constants, moving),
                 *[True] * len(given),
             ),
         )
     after = tangent_p.bind(
         steps,
-        *arrays,
-        *kept,
+        *constants,
+        *points,
         *chosen(rates, moving),
         *given,
         spec=replace(spec, batch=rows),
@@ -357,9 +361,12 @@ def _tangent_transpose(cotangents: Any, steps: Any, *arrays: Any, spec: RunSpec)
             "is traced: give `advance` an `int`, or use forward mode (jax.jvp, "
             "jax.jacfwd)."
         )
-    constants, _, kept, rates, tangents = parted(
-        arrays, body.n_constants, n_carry, n_carry, sum(spec.moving)
+    constants, kept, rates, tangents = parted(
+        arrays, body.n_constants, n_carry, sum(spec.moving)
     )
+    if not spec.stores:
+        axis = 0 if spec.batch is None else 1
+        kept = [jnp.expand_dims(array, axis) for array in kept]
     seeds = [filled_in(cotangent) for cotangent in cotangents]
     moving = spec.moving
     batch = None
@@ -378,7 +385,7 @@ def _tangent_transpose(cotangents: Any, steps: Any, *arrays: Any, spec: RunSpec)
     found = iter(sums)
     of_rates: list[Any] = []
     flags = spec.batch.rows if spec.batch is not None else (True,) * len(arrays)
-    rate_flags = flags[body.n_constants + 2 * n_carry :][: len(rates)]
+    rate_flags = flags[body.n_constants + n_carry :][: len(rates)]
     for rate, has_rows in zip(rates, rate_flags, strict=True):
         if not is_linear_input(rate):
             of_rates.append(None)
@@ -389,7 +396,7 @@ def _tangent_transpose(cotangents: Any, steps: Any, *arrays: Any, spec: RunSpec)
         ct if is_linear_input(tangent) else None
         for tangent, ct in zip(tangents, earlier, strict=True)
     ]
-    none = [None] * (1 + body.n_constants + 2 * n_carry)
+    none = [None] * (1 + body.n_constants + n_carry)
     return [*none, *of_rates, *of_tangents]
 
 

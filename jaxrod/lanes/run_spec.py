@@ -134,6 +134,14 @@ class RunSpec:
         """Number of checkpoints, `length / every` rounded up."""
         return -(-(self.length or 0) // self.every)
 
+    @property
+    def stores(self) -> bool:
+        """Whether checkpoints are results of the run.
+
+        A single one is the carry before the run, which nobody has to store.
+        """
+        return self.keeps and self.n_kept > 1
+
 
 def as_step(closed: Any, n_constants: int) -> LoopBody:
     """Returns a program as a step, whose carry is its arguments and its results.
