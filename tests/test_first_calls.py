@@ -1,5 +1,6 @@
 """First calls: programs and equations are counted, so that they cannot creep back."""
 
+from dataclasses import replace
 from typing import ClassVar
 
 import jax
@@ -8,11 +9,13 @@ import jax.numpy as jnp
 import pytest
 
 import jaxrod
-from jaxrod import control
+from jaxrod import control, envs, training
 from jaxrod.control.local_coordinates import tangent_map
 from jaxrod.jax_internals.equations import program_of, programs_within
 from jaxrod.structure import pytree
 from jaxrod.systems.stepping.runs import stable_system_dt
+from jaxrod.training.algorithms.ppo import PPO
+from jaxrod.training.runs.hosts import device_mesh, lower_updates
 from physics.rods import arm
 
 COMPILED = "/jax/core/compile/backend_compile_duration"
@@ -139,6 +142,22 @@ def test_runs_and_their_derivatives_trace_a_step_once():
     jax.make_jaxpr(jax.grad(lambda dt: tip(dt, 7)))(1e-4)
     jax.make_jaxpr(jax.vmap(lambda dt: tip(dt, 7)))(jnp.full(3, 1e-4))
     assert len(Counted.traces) == before
+
+
+def test_an_update_is_traced_once_for_its_shapes_and_its_loop():
+    env = envs.make("trivial")
+    traces = []
+
+    def update(state):
+        traces.append(state)
+        return PPO.update(state)
+
+    learner = replace(PPO, update=update, partition=None)
+    config = training.PPOConfig(num_envs=2, rollout_steps=4, minibatches=2, epochs=1)
+    start = lambda key: learner.init(key, env, config, env.default_params(), 16)
+    state = jax.eval_shape(start, jax.random.key(0))
+    lower_updates(learner, state, 2, device_mesh(jax.devices()[:1]))
+    assert len(traces) == 1
 
 
 def test_the_columns_of_a_linear_model_are_no_batch():

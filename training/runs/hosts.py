@@ -270,15 +270,18 @@ def lower_updates(
     along_devices: Any = PartitionSpec(None, None, DEVICE_AXIS)
     metric_specs = Metrics(scalars=repeated, episodes=along_devices)
 
+    # Compiled, so that it is traced once for its shapes and for the loop.
+    update = jax.jit(lambda state: algorithm.update(state, *axis))
+
     def updates(state: Any, count: Int[Array, ""]) -> tuple[Any, Metrics]:
-        shapes = jax.eval_shape(lambda s: algorithm.update(s, *axis)[1], state)
+        _, shapes = jax.eval_shape(update, state)
         metrics = jax.tree.map(
             lambda leaf: jnp.zeros((capacity, *leaf.shape), leaf.dtype), shapes
         )
 
         def body(i: Int[Array, ""], carry: tuple[Any, Metrics]) -> tuple[Any, Metrics]:
             state, metrics = carry
-            state, new = algorithm.update(state, *axis)
+            state, new = update(state)
             return state, jax.tree.map(lambda a, b: a.at[i].set(b), metrics, new)
 
         return jax.lax.fori_loop(0, count, body, (state, metrics))
