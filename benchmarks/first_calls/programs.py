@@ -36,6 +36,13 @@ def readme_rod() -> Call:
     return lambda: _run(first) and None
 
 
+def readme_numbers() -> Call:
+    """README's first program without its replay and its picture."""
+    first, *_ = _blocks("README.md")
+    numbers, *_ = first.partition("\nscene, state = arm")
+    return lambda: _run(numbers) and None
+
+
 def readme_system() -> Call:
     """README's system."""
     *_, last = _blocks("README.md")

@@ -25,6 +25,7 @@ from jaxrod.envs import names as task_names
 
 PROGRAMS = (
     "readme_rod",
+    "readme_numbers",
     "readme_system",
     "system_advance",
     "system_rollout",

@@ -54,7 +54,7 @@ def random_scene(seed):
         return (x, y, 0.0 if flat else z)
 
     ball = jaxrod.shapes.sphere((0.5, -0.1, 0.0), 0.09)
-    touch = {"stiffness": 500.0, "damping": 0.5, "friction": 0.3}
+    touch = {"stiffness": 5000.0, "damping": 0.5, "friction": 0.3}
     touch["points_per_element"] = 3
     tip = (0.0, 0.0, 0.0)
     pushed = jaxrod.end_load(jaxrod.schedules.ramp(tip, vector(1.0), 0.02), tip)
