@@ -23,15 +23,15 @@ import jax.numpy as jnp
 import numpy as np
 
 import jaxrod
-from benchmarks.c_programs.run import (
-    COMPARED,
-    DTYPES,
+from benchmarks.c_programs.programs import (
     FIELDS,
     FLAGS,
-    numbers_of,
-    scene_of,
-    times,
+    constants_of_scene,
+    kind,
+    numbers_of_state,
 )
+from benchmarks.c_programs.run import COMPARED, DTYPES, times
+from benchmarks.c_programs.scenes import rod
 from jaxrod.installation.machine import processor_and_versions
 
 LENGTHS = (20, 50, 100, 200, 500, 1000)
@@ -43,10 +43,9 @@ MODES = {"auto": "chosen", "loops": "lanes in loops", "rows": "rows", "never": "
 def compiled(n: int, dtype: str) -> Any:
     """The C program for `n` elements."""
     source = Path(__file__).with_name("rods.c")
-    kind = {"float32": "float", "float64": "double"}[dtype]
     with tempfile.TemporaryDirectory() as folder:
         library = Path(folder) / "rods.so"
-        words = f"cc {FLAGS} -DN={n} -DT={kind} -shared -fPIC {source} -o {library} -lm"
+        words = f"cc {FLAGS} -DN={n} -DT={kind(dtype)} -shared -fPIC {source} -o {library} -lm"
         subprocess.run(words.split(), check=True)
         found = ctypes.CDLL(str(library))
     given = (ctypes.c_void_p, ctypes.c_void_p, ctypes.c_double, *[ctypes.c_int] * 2)
@@ -66,11 +65,11 @@ def row(n: int, dtype: str, rods: int, modes: list[str], window: float) -> str:
         FloatingPointError: If the programs do not agree.
     """
     with jax.enable_x64(dtype == "float64"):
-        scene, state, dt = scene_of(n, dtype)
+        scene, state, dt = rod(n, dtype)
         dt = jnp.asarray(dt, dtype)
-        program, constants = compiled(n, dtype), numbers_of(scene, dt, dtype)
-        start = np.concatenate([np.asarray(getattr(state, f)).ravel() for f in FIELDS])
-        begun = np.tile(start, (rods, 1))
+        program = compiled(n, dtype)
+        constants = constants_of_scene(scene, state, float(dt), dtype)
+        begun = np.tile(numbers_of_state(state, ()), (rods, 1))
         # The rods begin with different velocities, which grow along them.
         rates = slice(3 * (n + 1), 6 * (n + 1))
         along = np.tile(np.linspace(0, 0.01, n + 1), 3)

@@ -102,6 +102,14 @@ def test_every_folder_is_a_benchmark_and_is_listed(capsys):
 
 
 @pytest.mark.parametrize("name", benchmarks.names())
+def test_a_benchmark_can_be_imported_and_takes_arguments(name, capsys):
+    with pytest.raises(SystemExit) as ended:
+        benchmarks.parser_of(name).parse_args(["--help"])
+    assert ended.value.code == 0
+    assert f"python -m benchmarks {name}" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize("name", benchmarks.names())
 def test_a_readme_has_the_question_and_the_command(name):
     text = (FOLDER / name / "README.md").read_text()
     assert f"python -m benchmarks {name}" in text
