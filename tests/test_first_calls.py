@@ -15,7 +15,7 @@ from jaxrod.jax_internals.equations import program_of, programs_within
 from jaxrod.structure import pytree
 from jaxrod.systems.stepping.runs import stable_system_dt
 from jaxrod.training.algorithms.ppo import PPO
-from jaxrod.training.runs.hosts import device_mesh, lower_updates
+from jaxrod.training.runs.hosts import device_mesh, trace_updates
 from physics.rods import arm
 
 COMPILED = "/jax/core/compile/backend_compile_duration"
@@ -156,7 +156,7 @@ def test_an_update_is_traced_once_for_its_shapes_and_its_loop():
     config = training.PPOConfig(num_envs=2, rollout_steps=4, minibatches=2, epochs=1)
     start = lambda key: learner.init(key, env, config, env.default_params(), 16)
     state = jax.eval_shape(start, jax.random.key(0))
-    lower_updates(learner, state, 2, device_mesh(jax.devices()[:1]))
+    trace_updates(learner, state, 2, device_mesh(jax.devices()[:1]))
     assert len(traces) == 1
 
 

@@ -45,8 +45,8 @@ def compiled(n: int, dtype: str) -> Any:
     source = Path(__file__).with_name("rods.c")
     with tempfile.TemporaryDirectory() as folder:
         library = Path(folder) / "rods.so"
-        words = f"cc {FLAGS} -DN={n} -DT={kind(dtype)} -shared -fPIC {source} -o {library} -lm"
-        subprocess.run(words.split(), check=True)
+        given = f"-DN={n} -DT={kind(dtype)} -shared -fPIC {source} -o {library} -lm"
+        subprocess.run(["cc", *FLAGS.split(), *given.split()], check=True)
         found = ctypes.CDLL(str(library))
     given = (ctypes.c_void_p, ctypes.c_void_p, ctypes.c_double, *[ctypes.c_int] * 2)
     found.advance.argtypes = given

@@ -32,9 +32,9 @@ from jaxrod.installation.machine import available_cores
 from jaxrod.training import find_algorithm
 from jaxrod.training.runs.hosts import (
     device_mesh,
-    lower_updates,
     partition_of,
     place,
+    trace_updates,
 )
 
 PAGE = ROOT / "docs" / "scaling.md"
@@ -62,7 +62,7 @@ def updates(
     params = env.default_params()
     state = start(jax.random.key(0), env, config, params, 1_000_000_000)
     state = place(state, partition_of(learner, state), mesh)
-    return state, lower_updates(learner, state, 1, mesh)
+    return state, trace_updates(learner, state, 1, mesh).lower()
 
 
 def nest(rods: int, devices: Sequence[jax.Device]) -> tuple[Callable[[], Any], str]:

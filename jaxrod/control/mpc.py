@@ -163,7 +163,7 @@ class PlanningPolicy:
             key, own = jax.random.split(memory.key)
             keys = jax.random.split(own, values.shape[0])
 
-        def begin(values: Array, state: Any, key: Array) -> Array:
+        def begin(values: Array, state: Any, key: Any) -> Array:
             wide = jnp.asarray(START_DEVIATION, dtype)
             knots, _ = by_sampling(
                 cost,
@@ -185,7 +185,7 @@ class PlanningPolicy:
                 values,
             )
 
-        def one(values: Array, state: Any, key: Array) -> tuple[Array, Array]:
+        def one(values: Array, state: Any, key: Any) -> tuple[Array, Array]:
             now, knots = values[0], values[1:]
             if self.method == "gauss-newton":
                 knots, reached = by_gauss_newton(cost, now, knots, state, iterations)

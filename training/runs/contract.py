@@ -77,10 +77,29 @@ def updates_of(algorithm: Algorithm, config: Any) -> int:
     return check_count(f"steps_per_update of {algorithm.name}", steps, 1)
 
 
-def check_state(algorithm: Algorithm, state: Any, env: Environment) -> None:
-    """Checks `update`, `policy` and `partition` of an algorithm on a train state.
+def check_update(algorithm: Algorithm, state: Any, after: Any) -> None:
+    """Checks what `update` of an algorithm returns.
 
-    It traces `update` and `policy`, and calls `partition`.
+    Args:
+        algorithm: The algorithm.
+        state: Types of a train state.
+        after: Types of what `update` returns for it.
+
+    Raises:
+        ValueError: `update` breaks the contract of `Algorithm`.
+    """
+    name = algorithm.name
+    if not (isinstance(after, tuple) and len(after) == 2):
+        raise ValueError(f"update of {name} must return (state, Metrics)")
+    _check_same_form(name, state, after[0])
+    _check_metrics(name, after[1])
+
+
+def check_state(algorithm: Algorithm, state: Any, env: Environment) -> None:
+    """Checks `policy` and `partition` of an algorithm on a train state.
+
+    It traces `policy` and calls `partition`. `update` is checked by `check_update`
+    while it is traced for the run.
 
     Args:
         algorithm: Algorithm that made the state.
@@ -88,15 +107,9 @@ def check_state(algorithm: Algorithm, state: Any, env: Environment) -> None:
         env: The environment.
 
     Raises:
-        ValueError: `update`, `policy` or `partition` breaks the contract of
-            `Algorithm`.
+        ValueError: `policy` or `partition` breaks the contract of `Algorithm`.
     """
     name = algorithm.name
-    after = jax.eval_shape(lambda state: algorithm.update(state), state)
-    if not (isinstance(after, tuple) and len(after) == 2):
-        raise ValueError(f"update of {name} must return (state, Metrics)")
-    _check_same_form(name, state, after[0])
-    _check_metrics(name, after[1])
     _check_policy(name, jax.eval_shape(algorithm.policy, state), env)
     if algorithm.partition is not None:
         specs = algorithm.partition(state)

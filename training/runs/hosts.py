@@ -27,6 +27,7 @@ from jaxtyping import Array, Int
 from jaxrod.installation.processes import GO_ON
 from jaxrod.training.algorithm import DEVICE_AXIS, Algorithm, Metrics
 from jaxrod.training.leaves import is_key
+from jaxrod.training.runs.contract import check_update
 
 _DONE, _REFUSED = b"+", b"-"
 # Prefixes of JAX errors that are not caused by the communication of processes.
@@ -229,38 +230,26 @@ def _put_share(leaf: Any, sharding: NamedSharding) -> Any:
     return jax.make_array_from_callback(array.shape, sharding, lambda i: array[i])
 
 
-def compile_updates(
+def trace_updates(
     algorithm: Algorithm, state: Any, capacity: int, mesh: Mesh
-) -> Callable[[Any, int], tuple[Any, Metrics]]:
-    """Compiles a program that makes a given number of updates, up to `capacity`.
-
-    Args:
-        algorithm: The learner.
-        state: A train state on the devices of the mesh; only its form is used.
-        capacity: Largest number of updates of one call.
-        mesh: Mesh from `device_mesh`.
-
-    Returns:
-        `(state, count) -> (state, metrics)`, which makes `count` updates. The given
-        state is donated and cannot be used again. The metrics have a leading axis of
-        length `capacity`, of which the first `count` entries are valid.
-    """
-    compiled = lower_updates(algorithm, state, capacity, mesh).compile()
-
-    def run(state: Any, count: int) -> tuple[Any, Metrics]:
-        return compiled(state, place(np.int32(count), PartitionSpec(), mesh))
-
-    return run
-
-
-def lower_updates(
-    algorithm: Algorithm, state: Any, capacity: int, mesh: Mesh
-) -> jax.stages.Lowered:
-    """Lowers the program of `compile_updates`, and takes the same arguments.
+) -> jax.stages.Traced:
+    """Traces a program that makes a given number of updates, up to `capacity`.
 
     Every device computes its part of the environments and of every minibatch. Only
     gradients and a few averages are exchanged. The number of updates is an argument of
     the program, so a shorter last chunk recompiles nothing.
+
+    Args:
+        algorithm: The learner.
+        state: A train state; only its form is used.
+        capacity: Largest number of updates of one call.
+        mesh: Mesh from `device_mesh`.
+
+    Returns:
+        The program `(state, count) -> (state, metrics)`, which donates the state.
+
+    Raises:
+        ValueError: `update` breaks the contract of `Algorithm`.
     """
     specs = partition_of(algorithm, state)
     # Without a partition there is one device, and nothing to average over.
@@ -270,13 +259,14 @@ def lower_updates(
     along_devices: Any = PartitionSpec(None, None, DEVICE_AXIS)
     metric_specs = Metrics(scalars=repeated, episodes=along_devices)
 
-    # Compiled, so that it is traced once for its shapes and for the loop.
+    # Compiled, so that it is traced once for its types and for the loop.
     update = jax.jit(lambda state: algorithm.update(state, *axis))
 
     def updates(state: Any, count: Int[Array, ""]) -> tuple[Any, Metrics]:
-        _, shapes = jax.eval_shape(update, state)
+        after = jax.eval_shape(update, state)
+        check_update(algorithm, state, after)
         metrics = jax.tree.map(
-            lambda leaf: jnp.zeros((capacity, *leaf.shape), leaf.dtype), shapes
+            lambda leaf: jnp.zeros((capacity, *leaf.shape), leaf.dtype), after[1]
         )
 
         def body(i: Int[Array, ""], carry: tuple[Any, Metrics]) -> tuple[Any, Metrics]:
@@ -296,7 +286,43 @@ def lower_updates(
         check_vma=False,
     )
     count = jax.ShapeDtypeStruct((), jnp.int32)
-    return jax.jit(program, donate_argnums=0).lower(state, count)
+    forms = _forms(state, specs, mesh)
+    return jax.jit(program, donate_argnums=0).trace(forms, count)
+
+
+def compile_updates(
+    traced: jax.stages.Traced, mesh: Mesh
+) -> Callable[[Any, int], tuple[Any, Metrics]]:
+    """Compiles the program of `trace_updates`.
+
+    Returns:
+        `(state, count) -> (state, metrics)`, which makes `count` updates. The given
+        state is donated and cannot be used again. The metrics have a leading axis of
+        length `capacity`, of which the first `count` entries are valid.
+    """
+    compiled = traced.lower().compile()
+
+    def run(state: Any, count: int) -> tuple[Any, Metrics]:
+        return compiled(state, place(np.int32(count), PartitionSpec(), mesh))
+
+    return run
+
+
+def _forms(tree: Any, specs: Any, mesh: Mesh) -> Any:
+    """Types of the leaves of a pytree that `place` has copied to a mesh."""
+
+    def forms(spec: PartitionSpec, subtree: Any) -> Any:
+        sharding = NamedSharding(mesh, spec)
+
+        def form(leaf: Any) -> jax.ShapeDtypeStruct:
+            kind = jax.typeof(leaf)
+            return jax.ShapeDtypeStruct(
+                kind.shape, kind.dtype, sharding=sharding, weak_type=kind.weak_type
+            )
+
+        return jax.tree.map(form, subtree)
+
+    return jax.tree.map(forms, specs, tree, is_leaf=_is_spec)
 
 
 def _is_spec(leaf: Any) -> bool:
