@@ -80,36 +80,49 @@ class PlanCost:
         acted = table @ jnp.concatenate([now[None], knots])
         return jnp.reshape(acted, (self.knots, -1, acted.shape[-1]))
 
-    def along(self, now: Array, knots: Array, state: Any, of: Any) -> Array:
+    def along(
+        self, now: Array, knots: Array, state: Any, of: Any, sloped: bool
+    ) -> Array:
         """Simulates a plan from `state`; evaluates `of` at the time of every knot.
 
         `of` takes the state at that time, and the last action before it. Its results
-        are stacked.
+        are stacked. If they are differentiated (`sloped`), all states on the way are
+        stored. A single loop then keeps half as many arrays for the derivative as two
+        nested ones. Otherwise only one state is stored at a time.
         """
 
         def piece(state: Any, action: Array) -> tuple[Any, Any]:
-            state = self.env.predict(state, action, self.params, self.hold)
-            return state, state
+            after = self.env.predict(state, action, self.params, self.hold)
+            return after, after if sloped else None
+
+        def interval(state: Any, actions: Array) -> tuple[Any, Array]:
+            state, _ = lax.scan(piece, state, actions)
+            return state, of(state, actions[-1])
 
         actions = self.actions(now, knots)
+        if not sloped:
+            return lax.scan(interval, state, actions)[1]
         pieces = actions.shape[1]
         flat = jnp.reshape(actions, (-1, actions.shape[-1]))
         states = lax.scan(piece, state, flat)[1]
         reached = jax.tree.map(lambda leaf: leaf[pieces - 1 :: pieces], states)
         return jax.vmap(of)(reached, actions[:, -1])
 
-    def residuals(self, now: Array, knots: Array, state: Any) -> Float[Array, " all"]:
+    def residuals(
+        self, now: Array, knots: Array, state: Any, *, sloped: bool = False
+    ) -> Float[Array, " all"]:
         """Returns the environment's residuals at the times of all K knots of a plan.
 
         `now` is the action at the time of planning, `knots` are the actions at the
         knots. The residuals are divided by sqrt(K), so that their squares sum to the
-        mean over the knots.
+        mean over the knots. Set `sloped` where they are differentiated.
         """
         found = self.along(
             now,
             knots,
             state,
             lambda state, action: self.env.residuals(state, action, self.params),
+            sloped,
         )
         return jnp.ravel(found) / jnp.sqrt(self.knots).astype(found.dtype)
 
@@ -124,17 +137,20 @@ class PlanCost:
             self.effort * jnp.sum(knots**2) + self.smoothness * jnp.sum(changes**2)
         ) / self.knots
 
-    def total(self, now: Array, knots: Array, state: Any) -> Float[Array, ""]:
+    def total(
+        self, now: Array, knots: Array, state: Any, *, sloped: bool = False
+    ) -> Float[Array, ""]:
         """Returns the mean of `env.cost` at the times of the knots, plus `regular`.
 
         `now` is the action at the time of planning, `knots` are the actions at the
-        knots.
+        knots. Set `sloped` where the result is differentiated.
         """
         found = self.along(
             now,
             knots,
             state,
             lambda state, action: self.env.cost(state, action, self.params),
+            sloped,
         )
         return jnp.mean(found) + self.regular(now, knots)
 
@@ -160,7 +176,9 @@ def by_gauss_newton(
 
     def again(_: Array, given: tuple[Array, Array]) -> tuple[Array, Array]:
         knots, _ = given
-        values, back = jax.vjp(lambda z: cost.residuals(now, z, state), knots)
+        values, back = jax.vjp(
+            lambda z: cost.residuals(now, z, state, sloped=True), knots
+        )
         rows = jax.vmap(lambda way: back(way)[0])(
             jnp.eye(values.size, dtype=values.dtype)
         )
@@ -249,7 +267,9 @@ def by_gradient(
 
     def again(index: Array, given: Any) -> Any:
         knots, mean, square, best, least = given
-        value, slope = jax.value_and_grad(lambda z: cost.total(now, z, state))(knots)
+        value, slope = jax.value_and_grad(
+            lambda z: cost.total(now, z, state, sloped=True)
+        )(knots)
         value = _or_infinite(value)
         slope = jnp.where(jnp.isfinite(slope), slope, 0)
         best = jnp.where(value < least, knots, best)

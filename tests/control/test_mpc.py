@@ -39,7 +39,7 @@ class Bowl:
     """A cost of knots, least at `LEAST` and steeper in one knot than in the other."""
 
     @staticmethod
-    def total(now, knots, state):
+    def total(now, knots, state, *, sloped=False):
         return jnp.sum(jnp.array([1.0, 30.0])[:, None] * (knots - LEAST) ** 2)
 
 
@@ -57,6 +57,18 @@ def test_gradient_steps_are_those_of_adam():
     found, least = by_gradient(Bowl(), None, knots, None, jnp.int32(7), rate)
     np.testing.assert_allclose(found, wanted, rtol=1e-6)
     np.testing.assert_allclose(least, Bowl.total(None, wanted, None), rtol=1e-6)
+
+
+def test_a_plan_costs_the_same_whether_its_states_are_stored_or_not():
+    cost = small(horizon=12, knots=2, hold=2, replan=2).cost
+    now, knots = jnp.array([0.2]), jnp.array([[0.7], [-0.4]])
+    _, state = cost.env.reset(jax.random.key(0), cost.env.default_params())
+    for method in (cost.residuals, cost.total):
+        stored = method(now, knots, state, sloped=True)
+        np.testing.assert_allclose(method(now, knots, state), stored, rtol=1e-6)
+        slope = jax.jacrev(lambda z, f=method: f(now, z, state, sloped=True))(knots)
+        nested = jax.jacfwd(lambda z, f=method: f(now, z, state))(knots)
+        np.testing.assert_allclose(slope, nested, rtol=1e-5, atol=1e-7)
 
 
 def test_lines_between_knots():
