@@ -18,12 +18,19 @@ from jaxtyping import Array, ArrayLike, Int
 
 from jaxrod.effects.base import Effect, Memory, memory_of, recalled, remembers
 from jaxrod.effects.time import Clock, at_clock, at_largest, clock_at, depends_on_time
-from jaxrod.geometry.vectors import Vec3, subtract
+from jaxrod.geometry.vectors import Vec3, add, join, mapped, scale, subtract
 from jaxrod.model import Stepper
 from jaxrod.rods.elasticity import elastic_law, internal_loads
+from jaxrod.rods.mass_matrix import coupled
 from jaxrod.rods.motion import Loads, Motion, accumulate, motion_of
 from jaxrod.rods.repr import repr_or_class_name, scene_repr
-from jaxrod.rods.rod import Rod, RodState, check_state
+from jaxrod.rods.rod import (
+    Rod,
+    RodState,
+    angular_momentum,
+    check_state,
+    kinetic_energy,
+)
 from jaxrod.structure import pytree
 
 AnyScene = TypeVar("AnyScene", bound="LoadedRod")
@@ -100,6 +107,11 @@ class Method:
 
         Otherwise drag is one of the loads.
         """
+        return False
+
+    @property
+    def couples_masses(self) -> bool:
+        """Whether steps take rods with `mass_matrix="higher_order"`."""
         return False
 
     def stepper(self, scene: LoadedRod, state: RodState, dt: Array) -> Stepper:
@@ -359,6 +371,89 @@ def free_under(
         subtract(moving.velocity, still.velocity),
         subtract(moving.spin, still.spin),
     )
+
+
+@pytree
+class MassCoupling:
+    """Coupling of a rod's nodes by its higher-order mass matrix."""
+
+    inverse_masses: Array
+    """Inverse masses of the nodes [1/kg]."""
+    element_masses: Array
+    """Masses of the elements [kg]."""
+
+    @staticmethod
+    def of(rod: Rod) -> MassCoupling | None:
+        """Coupling of the nodes of a rod; `None` if its masses are lumped."""
+        if rod.mass_matrix == "lumped":
+            return None
+        return MassCoupling(1 / rod.node_masses, rod.element_masses)
+
+    def forces(self, scene: LoadedRod, motion: Motion, forces: Vec3) -> Vec3:
+        """Forces that give lumped masses the accelerations of the mass matrix [N].
+
+        Supports give the nodes that they hold their own accelerations.
+
+        Args:
+            scene: The scene, whose supports hold nodes.
+            motion: Configuration and rates.
+            forces: All forces on the nodes, world frame [N].
+        """
+        change: Motion = jax.tree.map(jnp.zeros_like, motion)
+        change = replace(change, velocity=scale(self.inverse_masses, forces))
+        for effect in scene.effects:
+            change = effect.constrain_accelerations(scene.rod, motion, change)
+        return self.added(forces, change.velocity)
+
+    def added(self, forces: Vec3, accelerations: Vec3) -> Vec3:
+        """Sum of the forces and of those that couple the nodes [N].
+
+        Args:
+            forces: Forces on the nodes [N].
+            accelerations: Accelerations under these forces by lumped masses [m/s^2];
+                those of supports at nodes that they hold.
+        """
+        return add(
+            forces, mapped(lambda a: coupled(self.element_masses, a), accelerations)
+        )
+
+
+def check_masses(scene: LoadedRod) -> None:
+    """Raises ValueError if the method moves each node by its own mass alone."""
+    if scene.rod.mass_matrix != "lumped" and not scene.method.couples_masses:
+        raise ValueError(
+            f"mass_matrix={scene.rod.mass_matrix!r} couples the masses of neighbouring "
+            f"nodes, but {scene.method!r} divides the force on each node by the mass "
+            "of that node alone: use consistent(), planar() or torsion_free(), or "
+            'mass_matrix="lumped"'
+        )
+
+
+def kinetic_energy_of(scene: LoadedRod, state: RodState) -> Array:
+    """Kinetic energy of a scene's rod, with its supports [J]."""
+    check_state(scene.rod, state)
+    return kinetic_energy(scene.rod, state, free_components(scene, state))
+
+
+def angular_momentum_of(scene: LoadedRod, state: RodState) -> Array:
+    """Angular momentum of a scene's rod about the origin [kg m^2/s]."""
+    check_state(scene.rod, state)
+    return angular_momentum(scene.rod, state, free_components(scene, state))
+
+
+def free_components(scene: LoadedRod, state: RodState) -> Array | None:
+    """Flags `(3, n + 1)`: 1 if no support holds a velocity; `None` with lumped masses.
+
+    They are the same at all times.
+    """
+    if scene.rod.mass_matrix == "lumped" or not scene.effects:
+        return None
+    return _free_components(scene.at(0.0), state)
+
+
+@jax.jit
+def _free_components(scene: LoadedRod, state: RodState) -> Array:
+    return join(free_velocity_mask(scene, motion_of(state))[0])
 
 
 def dissipates(scene: LoadedRod) -> bool:

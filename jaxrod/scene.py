@@ -29,8 +29,11 @@ from jaxrod.loaded_rod import (
     Evolvable,
     LoadedRod,
     Method,
+    angular_momentum_of,
+    check_masses,
     check_scene,
     check_scene_and_state,
+    kinetic_energy_of,
     scene_of,
 )
 from jaxrod.methods.consistent import Consistent
@@ -218,7 +221,7 @@ class Scene(LoadedRod, Model, Hinted):
 
     def kinetic_energy(self, state: Any) -> Float[Array, ""]:
         """Kinetic energy of translation and rotation [J]."""
-        return self.rod.kinetic_energy(state)
+        return kinetic_energy_of(self, state)
 
     def potential_energy(self, state: Any) -> Float[Array, ""]:
         """Stored elastic energy plus the potential of all effects [J]."""
@@ -234,7 +237,7 @@ class Scene(LoadedRod, Model, Hinted):
 
     def angular_momentum(self, state: Any) -> Float[Array, "3"]:
         """Angular momentum about the origin, world frame [kg m^2/s]."""
-        return self.rod.angular_momentum(state)
+        return angular_momentum_of(self, state)
 
 
 @knows_constants
@@ -299,6 +302,7 @@ def make_scene(rod: Rod, *effects: Effect, method: Method | None = None) -> Scen
         check_own_loads(effect, rod)
     _warn_of_softness(rod, begins)
     _check_evolution(scene)
+    check_masses(scene)
     check_drag(scene)
     method.check(scene.at(0.0))
     if scene.evolves:

@@ -27,15 +27,18 @@ from jaxrod.geometry.rotations import (
 from jaxrod.geometry.vectors import Vec3
 from jaxrod.loaded_rod import (
     LoadedRod,
+    MassCoupling,
     damping_rates,
     dissipate,
     dissipates,
     external_loads,
     scene_of,
 )
+from jaxrod.methods.drag_kick import drag_on, without_drag
 from jaxrod.model import Model, check_model
+from jaxrod.rods.drag import drag_loads
 from jaxrod.rods.elasticity import elastic_law, internal_loads
-from jaxrod.rods.motion import Loads, Motion, motion_of
+from jaxrod.rods.motion import Loads, Motion, accumulate, motion_of
 from jaxrod.rods.rod import RodState
 
 
@@ -47,7 +50,23 @@ def total_loads(scene: LoadedRod, motion: Motion) -> Loads:
     """
     internal = internal_loads(elastic_law(scene.rod), motion)
     assert internal.forces is not None and internal.couples is not None
-    total = external_loads(scene, motion, internal.forces, internal.couples)
+    coupling = MassCoupling.of(scene.rod)
+    if coupling is None:
+        total = external_loads(scene, motion, internal.forces, internal.couples)
+    else:
+        dry = without_drag(scene)
+        total = external_loads(dry, motion, internal.forces, internal.couples)
+        assert total.forces is not None
+        # As in a step, damping and drag slow every node by itself.
+        forces = coupling.forces(scene, motion, total.forces)
+        total = replace(total, forces=forces)
+        drag = drag_on(scene, motion)
+        if drag is not None:
+            slowed = drag_loads(scene.rod, motion, drag)
+            total = Loads(
+                accumulate(total.forces, slowed.forces),
+                accumulate(total.couples, slowed.couples),
+            )
     rates = damping_rates(scene)
     if rates is None:
         return total

@@ -25,7 +25,12 @@ from jaxtyping import Array, Float
 
 from jaxrod.geometry import vectors
 from jaxrod.geometry.rotations import multiply_quaternions, rotation_exp
-from jaxrod.loaded_rod import LoadedRod, scene_of
+from jaxrod.loaded_rod import (
+    LoadedRod,
+    MassCoupling,
+    free_velocity_mask,
+    scene_of,
+)
 from jaxrod.model import Model, check_model
 from jaxrod.rods.motion import Motion, motion_of
 from jaxrod.rods.rod import Rod, RodState
@@ -158,7 +163,12 @@ def squared_frequencies(scene: LoadedRod, state: RodState) -> np.ndarray:
         sizes = np.sqrt(np.sum(basis**2, axis=0))
         basis = basis[:, sizes > 0] / sizes[sizes > 0]
         matrix = basis.T @ matrix @ basis
-    squares: np.ndarray = np.linalg.eigvalsh(0.5 * (matrix + matrix.T))
+    squares: np.ndarray
+    if scene.rod.mass_matrix == "higher_order":
+        # Scaled by lumped masses the matrix is similar to a symmetric one.
+        squares = np.sort(np.linalg.eigvals(matrix).real)
+    else:
+        squares = np.linalg.eigvalsh(0.5 * (matrix + matrix.T))
     return squares
 
 
@@ -225,7 +235,8 @@ def linearised(
     """Linear map of small motions, M^(-1/2) K M^(-1/2): minus their accelerations.
 
     Coordinates are node displacements, then rotations, scaled by the square root of
-    inertia. In them the map is symmetric if the loads have a potential.
+    inertia. In them the map is symmetric if the loads have a potential and masses are
+    lumped.
     """
     rod = scene.rod
     n = rod.n_elements
@@ -233,6 +244,8 @@ def linearised(
     inertia = inertia_factors[1][None, :] * rod.principal_inertias
     root = jnp.sqrt(jnp.concatenate([masses, masses, masses, jnp.ravel(inertia)]))
     still = motion_of(state).at_rest
+    coupling = MassCoupling.of(rod)
+    free_nodes, _ = free_velocity_mask(scene, still)
 
     def take_apart(flat: Array) -> tuple[vectors.Vec3, vectors.Vec3]:
         nodes = flat[: 3 * n + 3].reshape(3, n + 1)
@@ -249,13 +262,16 @@ def linearised(
         )
         loads = scene.method.loads(scene, moved)
         assert loads.forces is not None and loads.couples is not None
-        couples = loads.couples
+        forces, couples = loads.forces, loads.couples
+        if coupling is not None:
+            sped = vectors.scale(coupling.inverse_masses, forces)
+            forces = coupling.added(forces, vectors.multiply(free_nodes, sped))
         if scene.method.has_energy:
             # Change of the couples due to rotating frames, symmetrised.
             fixed = vectors.split(lax.stop_gradient(vectors.join(couples)))
             half = vectors.scale(0.5, vectors.cross(turn, fixed))
             couples = vectors.add(couples, half)
-        return jnp.concatenate([*loads.forces, *couples])
+        return jnp.concatenate([*forces, *couples])
 
     _, change = jax.linearize(loads_after, jnp.zeros_like(root))
 

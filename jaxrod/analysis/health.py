@@ -32,7 +32,12 @@ from jaxtyping import Array, ArrayLike, Bool, Float
 from jaxrod.geometry import vectors
 from jaxrod.geometry.rotations import directors, split_quaternion
 from jaxrod.lanes.steps import by_kernel
-from jaxrod.loaded_rod import LoadedRod, check_memory, check_scene
+from jaxrod.loaded_rod import (
+    LoadedRod,
+    check_memory,
+    check_scene,
+    kinetic_energy_of,
+)
 from jaxrod.model import Model, check_model
 from jaxrod.rods.elasticity import joint_rotations, stored_energy
 from jaxrod.rods.motion import motion_of
@@ -645,9 +650,9 @@ def energy_account(
         dt: Step size [s].
     """
     rod = scene.rod
-    elastic, kinetic = stored_energy(rod, state), rod.kinetic_energy(state)
+    elastic, kinetic = stored_energy(rod, state), kinetic_energy_of(scene, state)
     total = kinetic + elastic
-    own = rod.kinetic_energy(relative) + elastic
+    own = kinetic_energy_of(scene, relative) + elastic
     for effect in scene.effects:
         energy = effect.energy(rod, state)
         total = total + energy

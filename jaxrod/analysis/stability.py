@@ -13,7 +13,9 @@ $$(\lambda - a)(\lambda - c - \beta) = a c,\qquad
 
 or the squared frequency of stretch, if that is larger. For a long uniform rod this is
 the exact limit. It holds for any taper, curvature and stiffness, and
-`Effect.stability_bound` adds the contribution of effects.
+`Effect.stability_bound` adds the contribution of effects. With
+`mass_matrix="higher_order"` masses are at least those of the nodes divided by 4/3, or
+slightly more at the ends: see `jaxrod.rods.mass_matrix`.
 
 Frequencies change when the rod is deformed. Under PyElastica's law they grow in inverse
 proportion to the stretch of a compressed rod. Under the consistent law compression by a
@@ -81,6 +83,7 @@ from jaxrod.loaded_rod import (
 )
 from jaxrod.methods.drag_kick import without_drag
 from jaxrod.model import Model, check_model
+from jaxrod.rods.mass_matrix import bounds_of_elements
 from jaxrod.rods.motion import Loads, Motion, motion_of
 from jaxrod.rods.rod import Rod, RodState
 from jaxrod.structure import pytree
@@ -703,6 +706,10 @@ def frequency_bounds(
     extent = 1 + rod.rest_strains[2] if extents is None else extents
     lengths = rod.rest_lengths
     mass = rod.element_masses * jnp.minimum(factors[0][1:], factors[0][:-1])
+    nodes = rod.node_masses * factors[0]
+    if rod.mass_matrix == "higher_order":
+        whole, eased = bounds_of_elements(rod.element_masses, rod.rest_lengths)
+        mass, nodes = mass / eased, nodes / whole
     transverse, polar = rod.inertias * factors[1][None, :]
     least = jnp.minimum(transverse, polar) if scene.method.twist else transverse
     shear = jnp.maximum(rod.shear_stretch_stiffness[0], rod.shear_stretch_stiffness[1])
@@ -722,7 +729,7 @@ def frequency_bounds(
     coupling = jnp.abs(lever) * jnp.sqrt(4 / mass) * jnp.sqrt(1 / transverse)
     anchored = _total(scene, "nodes")
     if anchored is not None:
-        anchored = anchored / (rod.node_masses * factors[0])
+        anchored = anchored / nodes
         anchored = jnp.maximum(anchored[1:], anchored[:-1])
         across, along = across + anchored, along + anchored
     squares = jnp.stack([_larger_root(across, rocking + bend, coupling), along, twist])

@@ -47,6 +47,7 @@ from jaxrod.geometry.rotations import (
 from jaxrod.geometry.vectors import Vec3
 from jaxrod.loaded_rod import (
     LoadedRod,
+    MassCoupling,
     Method,
     constrain,
     constrain_rates,
@@ -100,6 +101,8 @@ class ConsistentStepper(Verlet):
     """Kick of the angular momenta by couples."""
     inverse_inertia: Array
     """Inverse of transverse inertia; polar if sections are not round [1/(kg m^2)]."""
+    mass_coupling: MassCoupling | None
+    """Coupling of the nodes by a mass matrix that is not lumped."""
     inertia_contrast: Array | tuple[Array, Array]
     """Inverse of polar minus inverse of transverse inertia [1/(kg m^2)]. For sections
     that are not round, inverses about d1 and d2 minus inverse of polar inertia."""
@@ -121,6 +124,7 @@ class ConsistentStepper(Verlet):
             law=elastic_law(scene.rod),
             velocity_kick=Kick.create(1 / scene.rod.node_masses, rates[0], dt),
             spin_kick=Kick.create(None, rates[1], dt),
+            mass_coupling=MassCoupling.of(scene.rod),
             inverse_inertia=inverse,
             inertia_contrast=contrast,
         )
@@ -174,10 +178,13 @@ class ConsistentStepper(Verlet):
         loads = external_loads(without_drag(self.scene), motion, forces, couples)
         assert loads.forces is not None and loads.couples is not None
         couples = to_world(directors(motion.orientation), loads.couples)
-        rates = drag_kick(self.scene, motion, loads.forces, couples, self.dt)
+        forces = loads.forces
+        if self.mass_coupling is not None:
+            forces = self.mass_coupling.forces(self.scene, motion, forces)
+        rates = drag_kick(self.scene, motion, forces, couples, self.dt)
         if rates is None:
             rates = (
-                vectors.apply(self.velocity_kick, motion.velocity, loads.forces),
+                vectors.apply(self.velocity_kick, motion.velocity, forces),
                 vectors.apply(self.spin_kick, motion.spin, couples),
             )
         kicked = replace(motion, velocity=rates[0], spin=rates[1])
@@ -190,6 +197,11 @@ class Consistent(Method):
     """The consistent law in three dimensions, stepped by position Verlet."""
 
     steps_in_systems = True
+
+    @property
+    def couples_masses(self) -> bool:
+        """True: forces are passed on along elements before the kick."""
+        return True
 
     @property
     def solves_drag(self) -> bool:

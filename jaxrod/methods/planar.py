@@ -71,6 +71,11 @@ class Planar(Method):
         return self.of.solves_damping
 
     @property
+    def couples_masses(self) -> bool:
+        """Whether the law's method takes mass matrices that are not lumped."""
+        return self.of.couples_masses
+
+    @property
     def solves_drag(self) -> bool:
         """Whether the law's method integrates drag together with the loads."""
         return self.of.solves_drag

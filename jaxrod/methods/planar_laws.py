@@ -22,7 +22,7 @@ import jax.numpy as jnp
 from jaxtyping import Array
 
 from jaxrod.geometry.vectors import Vec3
-from jaxrod.loaded_rod import LoadedRod, damping_rates, dissipates
+from jaxrod.loaded_rod import LoadedRod, MassCoupling, damping_rates, dissipates
 from jaxrod.methods.drag_kick import drag_kick, without_drag
 from jaxrod.methods.planar_verlet import (
     PLANES,
@@ -155,6 +155,8 @@ class PlanarConsistentStepper(PlanarVerlet):
 
     velocity_kick: Kick
     spin_kick: Kick
+    mass_coupling: MassCoupling | None
+    """Coupling of the nodes by a mass matrix that is not lumped."""
 
     @staticmethod
     def create(
@@ -178,6 +180,7 @@ class PlanarConsistentStepper(PlanarVerlet):
             inverse_inertia=1 / transverse,
             velocity_kick=Kick.create(1 / rod.node_masses, rates[0], dt),
             spin_kick=Kick.create(None, rates[1], dt),
+            mass_coupling=MassCoupling.of(rod),
         )
 
     def angle_turned(self, spin: Array, dt: Array) -> Array:
@@ -216,6 +219,8 @@ class PlanarConsistentStepper(PlanarVerlet):
         couple = spread(rod.moments(motion.turn)) + (along * shear - across * axial)
         dry = replace(self, scene=without_drag(self.scene))
         forces, couple = dry.add_loads(motion, forces, couple, others)
+        if self.mass_coupling is not None:
+            forces = self._with_coupling(self.mass_coupling, motion, forces)
         if dry.scene is not self.scene:
             dragged = self._dragged(motion, forces, couple)
             return self.constrain_rates(self.dissipate(dragged))
@@ -229,6 +234,16 @@ class PlanarConsistentStepper(PlanarVerlet):
             spin=self.spin_kick(motion.spin, couple),
         )
         return self.constrain_rates(self.dissipate(kicked))
+
+    def _with_coupling(
+        self, coupling: MassCoupling, motion: PlanarMotion, forces: Vec2
+    ) -> Vec2:
+        """Forces with those that couple the nodes by their masses [N]."""
+        a, b, _ = PLANES[self.plane]
+        none = jnp.zeros_like(forces[0])
+        in_space = self._in_space(forces, jnp.stack([none] * 3))
+        added = coupling.forces(self.scene, self.view(motion), in_space)
+        return added[a], added[b]
 
     def _dragged(
         self, motion: PlanarMotion, forces: Vec2, couple: Array

@@ -49,6 +49,7 @@ from jaxrod.geometry.rotations import (
 from jaxrod.geometry.vectors import Vec3
 from jaxrod.loaded_rod import (
     LoadedRod,
+    MassCoupling,
     Method,
     constrain,
     constrain_rates,
@@ -304,6 +305,8 @@ class TorsionFreeStepper(Verlet):
     """Inverse transverse rotary inertia [1/(kg m^2)]."""
     velocity_kick: Kick
     spin_kick: Kick
+    mass_coupling: MassCoupling | None
+    """Coupling of the nodes by a mass matrix that is not lumped."""
     walls: tuple[Vec3 | None, Vec3 | None]
     """Directions d3 of the elastic walls at the rod's base and tip; `None` without such
     a wall."""
@@ -338,6 +341,7 @@ class TorsionFreeStepper(Verlet):
             inverse_inertia=1 / transverse,
             velocity_kick=Kick.create(1 / rod.node_masses, rates[0], dt),
             spin_kick=Kick.create(None, rates[1], dt),
+            mass_coupling=MassCoupling.of(rod),
             walls=(walls[0], walls[1]),
             root="base" if wall is None else wall.end,
         )
@@ -413,6 +417,8 @@ class TorsionFreeStepper(Verlet):
         )
         dry = replace(self, scene=without_drag(self.scene))
         forces, couples = dry.add_loads(motion, forces, couples, others)
+        if self.mass_coupling is not None:
+            forces = self.mass_coupling.forces(self.scene, motion.view, forces)
         rates = drag_kick(self.scene, motion.view, forces, couples, self.dt)
         if rates is None:
             rates = (
@@ -530,6 +536,11 @@ class TorsionFree(Method):
 
     twist: ClassVar[bool] = False
     steps_in_systems = True
+
+    @property
+    def couples_masses(self) -> bool:
+        """True: forces are passed on along elements before the kick."""
+        return True
 
     @property
     def solves_drag(self) -> bool:

@@ -20,7 +20,7 @@ from jaxrod.geometry.material_frames import (
 from jaxrod.geometry.rotations import split_quaternion
 from jaxrod.geometry.vectors import inner_difference, join, split
 from jaxrod.rods.elasticity import joint_rotations, shear_stretch
-from jaxrod.rods.rod import JointMean, Rod, RodState, check_state
+from jaxrod.rods.rod import JointMean, MassMatrix, Rod, RodState, check_state
 from jaxrod.rods.sections import Section, rod_of_section
 from jaxrod.validation import (
     Numbers,
@@ -50,6 +50,7 @@ def straight_rod(
     poisson_ratio: Numbers = 0.5,
     shear_correction: Numbers | None = None,
     joint_mean: JointMean = "arithmetic",
+    mass_matrix: MassMatrix = "lumped",
     start: Numbers = (0.0, 0.0, 0.0),
     direction: Numbers = (0.0, 0.0, 1.0),
     normal: Numbers | None = None,
@@ -75,6 +76,8 @@ def straight_rod(
         joint_mean: Mean of two elements' stiffnesses at their joint: "arithmetic", as
             in PyElastica; or "series", that of springs in series, which is better
             if materials change by more than a few times.
+        mass_matrix: "lumped", masses at the nodes; or "higher_order", coupled along
+            elements, with smaller errors of swings and of waves of stretch.
         start: Position of the first node [m].
         direction: Direction from first to last node; any length but zero.
         normal: Direction of d1; its component along `direction` is removed. By default
@@ -114,6 +117,7 @@ def straight_rod(
         radius=radius,
         section=section,
         joint_mean=joint_mean,
+        mass_matrix=mass_matrix,
         density=density,
         youngs_modulus=youngs_modulus,
         shear_modulus=shear_modulus,
@@ -135,6 +139,7 @@ def rod_along(
     poisson_ratio: Numbers = 0.5,
     shear_correction: Numbers | None = None,
     joint_mean: JointMean = "arithmetic",
+    mass_matrix: MassMatrix = "lumped",
     normal: Numbers | None = None,
     directors: Numbers | None = None,
     dtype: Any = None,
@@ -155,6 +160,7 @@ def rod_along(
         poisson_ratio: Poisson's ratio, as in `straight_rod`.
         shear_correction: Shear correction factor, as in `straight_rod`.
         joint_mean: Mean of stiffnesses at joints, as in `straight_rod`.
+        mass_matrix: Masses at nodes alone or coupled, as in `straight_rod`.
         normal: Direction of d1 of the first element; see `straight_rod`.
         directors: Material frames `(3, 3, n)`, instead of `normal`. Entry `[i, j]` is
             world component j of director i. They are orthonormal and right-handed, with
@@ -206,6 +212,7 @@ def rod_along(
         radius=radius,
         section=section,
         joint_mean=joint_mean,
+        mass_matrix=mass_matrix,
         density=density,
         youngs_modulus=youngs_modulus,
         shear_modulus=shear_modulus,
@@ -225,6 +232,7 @@ def _build(
     radius: Numbers | None,
     section: Section | None,
     joint_mean: JointMean,
+    mass_matrix: MassMatrix,
     density: Numbers,
     youngs_modulus: Numbers,
     shear_modulus: Numbers | None,
@@ -253,7 +261,11 @@ def _build(
         shear_correction=shear_correction,
         dtype=dtype,
     )
-    rod = dataclasses.replace(rod, joint_mean=joint_mean)
+    if mass_matrix not in ("lumped", "higher_order"):
+        raise ValueError(
+            f'mass_matrix must be "lumped" or "higher_order", got {mass_matrix!r}'
+        )
+    rod = dataclasses.replace(rod, joint_mean=joint_mean, mass_matrix=mass_matrix)
     if not is_traced(positions, rest_lengths):
         _check_resolved(placed_by, positions, rest_lengths, dtype)
     state = RodState(

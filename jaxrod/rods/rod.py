@@ -19,11 +19,13 @@ from jaxtyping import Array, Float
 from jaxrod.geometry import vectors
 from jaxrod.geometry.material_frames import module_for
 from jaxrod.geometry.rotations import directors_from_orientations
+from jaxrod.rods import mass_matrix
 from jaxrod.rods.repr import repr_or_class_name, rod_repr, state_repr
 from jaxrod.structure import Hinted, pytree, static
 from jaxrod.validation import Numbers, check_kind, numeric
 
 JointMean = Literal["arithmetic", "series"]
+MassMatrix = Literal["lumped", "higher_order"]
 
 _GUESSES_OF_RODS = {
     **dict.fromkeys(
@@ -118,6 +120,9 @@ class Rod(Hinted):
     joint_mean: JointMean = static(default="arithmetic")
     """Mean of two elements' bend-twist stiffnesses at their joint: weighted by length
     ("arithmetic"), or of springs in series ("series")."""
+    mass_matrix: MassMatrix = static(default="lumped")
+    """Masses at the nodes alone ("lumped"), or coupled along elements, with smaller
+    errors of swings and of waves of stretch ("higher_order")."""
 
     def __repr__(self) -> str:
         """One line with elements, sizes and material; ranges for numbers that vary."""
@@ -150,7 +155,13 @@ class Rod(Hinted):
 
     @property
     def node_masses(self) -> Float[Array, "*batch n+1"]:
-        """Mass of each node [kg]: half of each neighbouring element's."""
+        """Mass of each node [kg]: half of each neighbouring element's.
+
+        With `mass_matrix="higher_order"` 1/24 of the mass of an end element is moved
+        inwards from its end node.
+        """
+        if self.mass_matrix == "higher_order":
+            return mass_matrix.node_masses(self.element_masses, self.rest_lengths)
         half = 0.5 * self.element_masses
         return vectors.pad(half, 0, 1) + vectors.pad(half, 1, 0)
 
@@ -203,9 +214,13 @@ class Rod(Hinted):
         return jnp.cumsum(self.rest_lengths, axis=-1) - 0.5 * self.rest_lengths
 
     def kinetic_energy(self, state: RodState) -> Float[Array, ""]:
-        """Kinetic energy of nodes and elements, m v^2 / 2 and I w^2 / 2 [J]."""
+        """Kinetic energy of nodes and elements, m v^2 / 2 and I w^2 / 2 [J].
+
+        With `mass_matrix="higher_order"` supports count as well, so that
+        `Scene.kinetic_energy` is needed if there are any.
+        """
         check_state(self, state)
-        return _kinetic_energy(self, state)
+        return kinetic_energy(self, state)
 
     def momentum(self, state: RodState) -> Float[Array, "3"]:
         """Linear momentum, the sum of m v over the nodes, world frame [kg m/s]."""
@@ -215,13 +230,18 @@ class Rod(Hinted):
     def angular_momentum(self, state: RodState) -> Float[Array, "3"]:
         """Angular momentum about the origin, world frame [kg m^2/s]."""
         check_state(self, state)
-        return _angular_momentum(self, state)
+        return angular_momentum(self, state)
 
 
 # Compiled: outside of `jit` each of their operations would be a program of its own.
 @jax.jit
-def _kinetic_energy(rod: Rod, state: RodState) -> Array:
-    translation = 0.5 * jnp.sum(rod.node_masses[None, :] * state.velocities**2)
+def kinetic_energy(rod: Rod, state: RodState, free: Array | None = None) -> Array:
+    """Kinetic energy [J]; `free` is 1 for velocities that no support holds, else 0."""
+    if rod.mass_matrix == "lumped":
+        translation = 0.5 * jnp.sum(rod.node_masses[None, :] * state.velocities**2)
+    else:
+        products = _momentum_velocities(rod, state, free) * state.velocities
+        translation = 0.5 * jnp.sum(rod.node_masses[None, :] * products)
     spin = _angular_velocities(rod, state)
     return translation + 0.5 * jnp.sum(rod.principal_inertias * spin**2)
 
@@ -231,10 +251,20 @@ def _momentum(rod: Rod, state: RodState) -> Array:
     return jnp.sum(rod.node_masses[None, :] * state.velocities, axis=1)
 
 
+def _momentum_velocities(rod: Rod, state: RodState, free: Array | None) -> Array:
+    """Momenta of the nodes divided by their masses [m/s]."""
+    if rod.mass_matrix == "lumped":
+        return state.velocities
+    return mass_matrix.momentum_velocities(
+        rod.element_masses, rod.rest_lengths, state.velocities, free
+    )
+
+
 @jax.jit
-def _angular_momentum(rod: Rod, state: RodState) -> Array:
+def angular_momentum(rod: Rod, state: RodState, free: Array | None = None) -> Array:
+    """Angular momentum about the origin [kg m^2/s]; `free` as in `kinetic_energy`."""
     position = vectors.split(state.positions)
-    velocity = vectors.split(state.velocities)
+    velocity = vectors.split(_momentum_velocities(rod, state, free))
     orbital = vectors.join(vectors.cross(position, velocity))
     return jnp.sum(rod.node_masses[None, :] * orbital, axis=1) + jnp.sum(
         state.angular_momenta, axis=1

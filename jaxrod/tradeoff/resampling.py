@@ -157,6 +157,7 @@ def _resampled_rod(rod: Rod, n: int) -> Rod:
         rest_strains=along(rod.rest_strains, middles, new_middles),
         rest_curvatures=along(rod.rest_curvatures, nodes[1:-1], new_joints),
         joint_mean=rod.joint_mean,
+        mass_matrix=rod.mass_matrix,
     )
 
 
