@@ -132,6 +132,7 @@ class Scene(LoadedRod, Model, Hinted):
     def check_run(self, state: Any, dt: ArrayLike, first: Array | None) -> Array:
         """Validates the arguments of a run; returns the step [s] in the rod's dtype."""
         check_scene_and_state(self, state)
+        check_masses(self)
         dtype = self.rod.rest_lengths.dtype
         step = as_array("dt", dt, "s", positive=True, dtype=dtype)
         if state.positions.dtype != dtype:

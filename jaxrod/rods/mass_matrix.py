@@ -37,8 +37,7 @@ Source: Hughes, *The Finite Element Method* (2000), section 9.1 (higher-order ma
 
 from __future__ import annotations
 
-from collections.abc import Callable
-
+import jax
 import jax.numpy as jnp
 from jax import lax
 from jaxtyping import Array
@@ -101,14 +100,20 @@ def momentum_velocities(
         free: 1 for components that no support holds, else 0, in the same shape.
     """
     inverse = 1 / node_masses(masses, lengths)
-    keep: Callable[[Array], Array] = (lambda a: a) if free is None else lambda a: a * free
 
-    def improved(_: Array, found: Array) -> Array:
-        image = found + keep(inverse * coupled(masses, keep(found)))
-        return found + (velocities - image) / _MIDDLE
+    def one(velocity: Array, keep: Array | None) -> Array:
+        def kept(rate: Array) -> Array:
+            return rate if keep is None else keep * rate
 
-    # The number of rounds is fixed, so that the loop has a derivative.
-    return lax.fori_loop(0, _ROUNDS, improved, velocities)
+        def improved(_: Array, found: Array) -> Array:
+            image = found + kept(inverse * coupled(masses, kept(found)))
+            return found + (velocity - image) / _MIDDLE
+
+        # The number of rounds is fixed, so that the loop has a derivative.
+        return lax.fori_loop(0, _ROUNDS, improved, velocity)
+
+    found: Array = jax.vmap(one)(velocities, free)
+    return found
 
 
 def bounds_of_elements(masses: Array, lengths: Array) -> tuple[Array, Array]:

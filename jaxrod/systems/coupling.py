@@ -21,6 +21,7 @@ from jaxrod.geometry.matrices import Matrix
 from jaxrod.geometry.rotations import directors, to_material, to_world
 from jaxrod.geometry.vectors import Vec3
 from jaxrod.rods.motion import Loads, Motion
+from jaxrod.rods.rod import MassMatrix
 from jaxrod.structure import pytree, static
 
 
@@ -55,6 +56,8 @@ class Parts:
     if no node is held, or if they are not known."""
     count: int = static(default=1)
     """Number of rods, bodies or points."""
+    mass_matrix: MassMatrix = static(default="lumped")
+    """Whether masses of rods are at the nodes alone, or coupled along elements."""
     n_elements: int = static(default=1)
     """Number of elements of each rod; 1 for bodies and points, whose nodes are also
     elements."""
@@ -212,6 +215,16 @@ class Coupling:
     def joined_nodes(self) -> Iterable[tuple[str, int]]:
         """Nodes tied to other nodes or attached to bodies, as `(member, node)`."""
         return ()
+
+    @property
+    def is_exact(self) -> bool:
+        """Whether it holds nodes exactly, by impulses in proportion to their masses."""
+        own = type(self)
+        return (
+            own.constrain is not Coupling.constrain
+            or own.constrain_rates is not Coupling.constrain_rates
+            or own.exchange is not Coupling.exchange
+        )
 
     @property
     def followed(self) -> str | None:

@@ -346,6 +346,7 @@ def make_system(
     parts = look(system, state)
     for coupling in ordered:
         coupling.check(parts)
+    _check_masses(ordered, parts)
     tied = ordered[-1].tied_pairs if ties else ()
     free = _free_ends(parts, ordered, system.dtype)
     known = {
@@ -367,6 +368,23 @@ def make_system(
     if state is not None and not is_traced(made, state):
         check_reduced(made, state)
     return made
+
+
+def _check_masses(couplings: Sequence[Coupling], parts: AllParts) -> None:
+    """Raises ValueError if a joint shares impulses of rods with coupled masses."""
+    coupled = [k for k, own in parts.items() if own.mass_matrix == "higher_order"]
+    if not coupled:
+        return
+    for coupling in couplings:
+        joined = {name for name, _ in coupling.joined_nodes()}
+        held = [name for name in coupled if not joined or name in joined]
+        if coupling.is_exact and held:
+            raise ValueError(
+                f"{type(coupling).__name__} holds nodes exactly, by impulses in "
+                f"proportion to the masses of single nodes, but those of member "
+                f'{held[0]!r} are coupled by mass_matrix="higher_order": give its rod '
+                'mass_matrix="lumped", or join it by springs'
+            )
 
 
 def _parts_at(system: System, state: SystemState | None) -> AllParts:

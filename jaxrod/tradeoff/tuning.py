@@ -273,6 +273,8 @@ class _Search:
         substeps = 1
         most = explicit.substeps if explicit is not None else STEPS_FOR_IMPLICIT
         while substeps * STEPS_FOR_IMPLICIT <= most:
+            if not members_for(self.workload, "implicit"):
+                return
             dt = self.workload.period / substeps
             best = self._in_some_precision(index, "implicit", (), dt)
             if best is not None:

@@ -261,6 +261,9 @@ class RodContact(TouchingRods):
         assert own.linear_density is not None
         # Length that a node represents, from its mass.
         lengths = self.max_contacts * own.node_masses / jnp.min(own.linear_density)
+        if own.mass_matrix == "higher_order":
+            # At least 5/12 of an element's mass is at either of its nodes.
+            lengths = 1.2 * lengths
         stiffness = 2 * self.stiffness * lengths
         drag = None if self.damping is None else 2 * self.damping * lengths
         if self.friction_drag is None:

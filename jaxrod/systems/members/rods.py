@@ -26,6 +26,7 @@ from jaxrod.geometry.vectors import Vec3
 from jaxrod.loaded_rod import (
     LoadedRod,
     Method,
+    check_masses,
     check_memory,
     free_velocity_mask,
     memory_in,
@@ -84,6 +85,10 @@ class OneRod(Member):
                 "has no steps in a system: give it a method of jaxrod, or "
                 "`steps_in_systems`"
             )
+        try:
+            check_masses(self.model)
+        except ValueError as error:
+            raise ValueError(f"member {name!r}: {error}") from None
 
     @property
     def method(self) -> Method:
@@ -124,6 +129,7 @@ class OneRod(Member):
     def with_method(self, method: Callable[[Any], Any]) -> Any:
         """Copy of the scene with the method that `method` makes of the present one."""
         scene = replace(self.model, method=method(self.model.method))
+        check_masses(scene)
         scene.method.check(scene.at(0.0))
         if scene.evolves:
             scene.method.check_evolving(scene)
@@ -416,4 +422,5 @@ def parts_of(rod: Rod) -> Parts:
         bend_twist_stiffness=rod.bend_twist_stiffness,
         linear_density=rod.linear_density,
         n_elements=rod.n_elements,
+        mass_matrix=rod.mass_matrix,
     )
