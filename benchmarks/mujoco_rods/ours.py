@@ -17,9 +17,13 @@ METHODS: dict[str, Any] = {
     "in space": jaxrod.consistent(),
 }
 """Methods by what the table calls them."""
+MASSES: dict[str, Any] = {"": "lumped", ", higher-order masses": "higher_order"}
+"""Mass matrices by what the table adds."""
 
 
-def build(problem: Problem, method: Any) -> tuple[Any, Any]:
+def build(
+    problem: Problem, method: Any, mass_matrix: Any = "lumped"
+) -> tuple[Any, Any]:
     """The scene and the state that it starts from."""
     scene = problem.scene
     numbers: dict[str, Any] = {
@@ -30,7 +34,11 @@ def build(problem: Problem, method: Any) -> tuple[Any, Any]:
     }
     along = problem.rest[-1] - problem.rest[0]
     rod, _ = jaxrod.straight_rod(
-        scene.n, length=scene.length, direction=along, **numbers
+        scene.n,
+        length=scene.length,
+        direction=along,
+        mass_matrix=mass_matrix,
+        **numbers,
     )
     _, state = jaxrod.rod_along(problem.start.T, **numbers)
     effects: list[Any] = []
@@ -47,11 +55,11 @@ def build(problem: Problem, method: Any) -> tuple[Any, Any]:
     return jaxrod.make_scene(rod, *effects, method=method), state
 
 
-def run(problem: Problem, method: Any) -> Run:
+def run(problem: Problem, method: Any, mass_matrix: Any = "lumped") -> Run:
     """Runs a problem twice, and measures both."""
 
     def step() -> tuple[Any, Any, float, int]:
-        scene, state = build(problem, method)
+        scene, state = build(problem, method, mass_matrix)
         steps = int(np.ceil(problem.interval / float(jaxrod.stable_dt(scene).dt)))
         return scene, state, problem.interval / steps, steps
 

@@ -106,8 +106,10 @@ def line(table: Table, simulator: str, settings: str, found: Run) -> str:
 
 def lines_here(table: Table) -> Iterator[str]:
     """Rows of what runs in this process."""
-    for words, method in ours.METHODS.items():
-        yield line(table, "jaxrod", words, ours.run(table.problem, method))
+    for more, masses in ours.MASSES.items():
+        for words, method in ours.METHODS.items():
+            found = ours.run(table.problem, method, masses)
+            yield line(table, "jaxrod", f"{words}{more}", found)
     if importlib.util.find_spec("elastica"):
         yield line(table, "PyElastica", "in space", theirs.run(table.problem))
 
@@ -173,7 +175,8 @@ its place over the length of 1 m.
 ## How each is run
 
 - **jaxrod** takes the step of `stable_dt`. In a plane (`planar`) it gives the same
-  result as in space, at a lower cost.
+  result as in space, at a lower cost. Higher-order masses are the option
+  `mass_matrix="higher_order"` of the rod; other rods have lumped masses at their nodes.
 - **MuJoCo, edges held**: what its documentation advises. A constraint keeps the lengths
   of edges, with a time constant of two steps, the shortest it allows, and the
   integrator is `discrete`. A rod like this has no stretch. For the swinging cable the

@@ -195,5 +195,7 @@ def test_the_rods_are_near_their_references_in_jaxrod():
     bent = ours.run(problem.cantilever(), plane)
     assert abs(errors.measure_deflection(bent)[1]) < 1.5e-3
     assert abs(errors.measure_period(ours.run(problem.swinging(), plane))[0]) < 2e-4
+    coupled = ours.run(problem.swinging(), plane, "higher_order")
+    assert 2e-5 < errors.measure_period(coupled)[0] < 3e-5
     shape, sag, rest = errors.measure_shape(ours.run(problem.hanging(), plane))
     assert shape < 6e-4 and abs(sag) < 3e-4 and rest < 1e-4

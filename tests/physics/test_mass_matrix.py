@@ -7,6 +7,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from scipy.special import jn_zeros
 
 import jaxrod
 from jaxrod import systems
@@ -15,6 +16,7 @@ from jaxrod.structure import pytree
 from physics.rods import arm, deformed, difference, largest, random_rod
 from physics.small_motions import held_freedoms, unbalance
 
+G = 9.81  # [m/s^2]
 SPEED = np.sqrt(1e7 / 1000.0)  # of waves of stretch in the arm [m/s]
 
 
@@ -97,6 +99,58 @@ def stretch(n, kind):
     return abs(np.sqrt(np.min(squares)) / (0.5 * np.pi * SPEED) - 1)
 
 
+def swing(n, kind):
+    """Relative error of the first frequency of a chain that hangs from its base."""
+    rod, _ = arm(n, mass_matrix=kind)
+    masses = np.asarray(rod.node_masses)
+    tensions = G * np.cumsum(masses[::-1])[::-1][1:]
+    apart = np.diff(np.eye(n + 1), axis=0)
+    stiffness = apart.T @ np.diag(tensions * n) @ apart
+    moved = mobility(rod) if kind != "lumped" else np.diag(1 / masses)
+    squares = np.linalg.eigvals(moved[1:, 1:] @ stiffness[1:, 1:]).real
+    return abs(np.sqrt(np.min(squares)) / (0.5 * jn_zeros(0, 1)[0] * np.sqrt(G)) - 1)
+
+
+def test_the_swing_of_a_chain_converges_faster_than_with_lumped_masses(record):
+    lumped, coarse, fine = (
+        swing(n, kind)
+        for n, kind in ((25, "lumped"), (25, "higher_order"), (50, "higher_order"))
+    )
+    record(
+        "First frequency of a hanging chain, n = 25, higher-order over lumped: error",
+        "Bernoulli's chain",
+        coarse / lumped,
+        at_most=0.03,
+    )
+    record(
+        "First frequency of a hanging chain, higher-order masses, n doubled: ratio",
+        "8",
+        coarse / fine,
+        between=(7, 9),
+    )
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("clamped", [False, True], ids=["free", "clamped"])
+def test_bending_has_smaller_errors_than_with_lumped_masses(clamped, record):
+    def first(n, kind):
+        rod, state = arm(n, radius=0.02, mass_matrix=kind)
+        walls = [jaxrod.clamp(state)] if clamped else []
+        scene = jaxrod.make_scene(rod, *walls)
+        return jaxrod.natural_frequencies(scene, state, 8)[0 if clamped else 6]
+
+    coarse, fine = first(30, "lumped"), first(60, "lumped")
+    exact = fine + (fine - coarse) / 3
+    for kind, bar in (("lumped", 0.05), ("higher_order", 0.011)):
+        record(
+            f"First bending of a {'clamped' if clamped else 'free'} rod, n = 10, "
+            f"{kind.replace('_', '-')} masses: frequency",
+            "extrapolated from n = 30 and 60",
+            abs(first(10, kind) / exact - 1),
+            at_most=bar,
+        )
+
+
 def test_waves_of_stretch_converge_faster_than_with_lumped_masses(record):
     lumped, coarse, fine = (
         stretch(n, kind)
@@ -136,7 +190,10 @@ def test_natural_frequencies_are_those_of_the_matrix_written_out():
     assert float(fastest) == pytest.approx(expected[-1], rel=1e-2)
 
 
-@pytest.mark.parametrize("method", ["consistent", "torsion_free"])
+@pytest.mark.parametrize(
+    "method",
+    ["consistent", pytest.param("torsion_free", marks=pytest.mark.slow)],
+)
 def test_a_free_rod_keeps_momentum_and_angular_momentum(method):
     if method == "consistent":
         rod, _ = uneven(5, 8)
@@ -259,6 +316,7 @@ def test_methods_agree_on_a_rod_in_a_plane():
     assert difference(lumped.positions, ends[0].positions) > 1e-5
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("method", [jaxrod.consistent(), jaxrod.planar("zx")])
 def test_a_rod_in_free_fall_falls_as_one(method):
     rod, state = uneven(2, 6) if method == jaxrod.consistent() else arm(
