@@ -56,17 +56,16 @@ def total_loads(scene: LoadedRod, motion: Motion) -> Loads:
     else:
         dry = without_drag(scene)
         total = external_loads(dry, motion, internal.forces, internal.couples)
-        assert total.forces is not None
+        assert total.forces is not None and total.couples is not None
         # As in a step, damping and drag slow every node by itself.
         forces = coupling.forces(scene, motion, total.forces)
-        total = replace(total, forces=forces)
+        couples = total.couples
         drag = drag_on(scene, motion)
         if drag is not None:
             slowed = drag_loads(scene.rod, motion, drag)
-            total = Loads(
-                accumulate(total.forces, slowed.forces),
-                accumulate(total.couples, slowed.couples),
-            )
+            forces = accumulate(forces, slowed.forces)
+            couples = accumulate(couples, slowed.couples)
+        total = Loads(forces, couples)
     rates = damping_rates(scene)
     if rates is None:
         return total
