@@ -438,12 +438,11 @@ def test_kernels_step_coupled_masses_like_xla(request):
     request.addfinalizer(partial(jaxrod.use_lanes, lane_mode()))
     scene, state = swinging(jaxrod.planar("zx"))
     ends = []
-    for mode in ("rows", "never"):
+    for mode in ("never", "rows", "always", "loops"):
         jaxrod.use_lanes(mode)
         ends.append(jaxrod.advance(scene, state, 1e-4, 200))
-        if mode == "rows":
-            assert jaxrod.lane_choices()[-1].taken
-    assert difference(*ends) < 1e-12
+        assert mode == "never" or jaxrod.lane_choices()[-1].taken
+    assert all(difference(ends[0], end) < 1e-12 for end in ends[1:])
 
 
 @pytest.mark.slow
