@@ -11,6 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, ArrayLike
 
+from jaxrod.effects.own_classes import remedy
 from jaxrod.envs.protocol import Environment, Snapshot
 
 _COUNTS = ("observation_size", "action_size", "episode_length")
@@ -116,25 +117,12 @@ def _called(
 
 def _remedy(error: Exception) -> str:
     """Advice to append to a JAX error that does not say what to change, or ""."""
-    if isinstance(error, jax.errors.TracerBoolConversionError):
-        # JAX names the place in the lines that follow the first.
-        return (
-            ". What `if`, `while`, `and` or `or` decides by must be known before the "
-            "program runs: jnp.where and jax.lax.cond decide while it runs"
-        )
-    if isinstance(error, jax.errors.TracerArrayConversionError):
-        return ". NumPy cannot compute here: jax.numpy has the same functions"
-    if isinstance(error, jax.errors.ConcretizationTypeError):
-        return (
-            ". float(), int() and shapes need a number known before the program runs: "
-            "keep it an array"
-        )
     if "not a valid JAX type" in str(error):
         return (
             ". Return arrays, and a state as a pytree of them: `@jaxrod.extend.pytree` "
             "makes one of a class"
         )
-    return ""
+    return remedy(error)
 
 
 def _traced(

@@ -110,7 +110,10 @@ def _hint(name: str) -> str:
         for file in (here / f"{space}.py", here / space / "__init__.py"):
             if file.exists() and f'\n    "{name}",\n' in file.read_text():
                 return f": it is jaxrod.{space}.{name}"
-    return ""
+    # Only for a mistake, because `import jaxrod` loads as little as possible.
+    difflib = importlib.import_module("difflib")
+    meant = difflib.get_close_matches(name, _MODULE_OF, 1, 0.75)
+    return f": is jaxrod.{meant[0]} meant?" if meant else ""
 
 
 def _namespace(name: str) -> Any:

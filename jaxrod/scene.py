@@ -21,7 +21,11 @@ from jaxrod.analysis.stability import (
 )
 from jaxrod.effects.base import Effect, Reaction, memory_fields, memory_of
 from jaxrod.effects.ends import check_held_once
-from jaxrod.effects.own_classes import check_own_class, check_own_loads
+from jaxrod.effects.own_classes import (
+    check_own_class,
+    check_own_hooks,
+    check_own_loads,
+)
 from jaxrod.effects.time import Clock, at_clock, clock_at, depends_on_time
 from jaxrod.effects.unlikely import warn_of_softness, warn_of_thickness
 from jaxrod.geometry.vectors import Vec3
@@ -140,6 +144,14 @@ class Scene(LoadedRod, Model, Hinted):
                 f"state must be {dtype}, as the scene's rod is, got "
                 f"{state.positions.dtype}"
             )
+        for field in ("orientations", "velocities", "angular_momenta", "remainders"):
+            own = getattr(state, field)
+            kind = getattr(own, "dtype", type(own).__name__)
+            if own is not None and kind != dtype:
+                raise ValueError(
+                    f"{field} of the state must be {dtype}, as the scene's rod is, got "
+                    f"{kind}"
+                )
         # Within jit the step is traced, and so is whatever is computed there.
         if not is_traced(self, state, step, first):
             now = self.recalling(state)
@@ -274,7 +286,7 @@ def make_scene(rod: Rod, *effects: Effect, method: Method | None = None) -> Scen
         if not isinstance(effect, Effect):
             raise TypeError(
                 f"effects must be jaxrod effects, got {type(effect).__name__}"
-                + (": write *effects" if isinstance(effect, list | tuple) else "")
+                + _advice(effect)
             )
         check_own_class(effect, Effect, "an effect")
     dtype = rod.rest_lengths.dtype
@@ -301,6 +313,7 @@ def make_scene(rod: Rod, *effects: Effect, method: Method | None = None) -> Scen
     begins = scene.at(0.0).effects
     for effect in begins:
         check_own_loads(effect, rod)
+        check_own_hooks(effect, rod)
     _warn_of_softness(rod, begins)
     _check_evolution(scene)
     check_masses(scene)
@@ -310,6 +323,18 @@ def make_scene(rod: Rod, *effects: Effect, method: Method | None = None) -> Scen
         # Values that are zero now may leave the plane or act about the axis later.
         method.check(scene.stirred)
     return scene
+
+
+def _advice(given: Any) -> str:
+    """Advice for a thing that was given as an effect, or ""."""
+    if isinstance(given, list | tuple):
+        return ": write *effects"
+    if hasattr(given, "tied_pairs"):
+        return ": a coupling acts in a system, so give it to jaxrod.make_system"
+    if callable(given):
+        name = getattr(given, "__name__", "it")
+        return f": call {name}(...), which returns an effect"
+    return ""
 
 
 def _warn_of_softness(rod: Rod, effects: tuple[Effect, ...]) -> None:

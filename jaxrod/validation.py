@@ -217,7 +217,10 @@ def check_array(
     value = numeric(name, value, unit)
     if tuple(value.shape) not in [tuple(s) for s in shapes]:
         allowed = " or ".join(str(tuple(s)) for s in shapes)
-        raise ValueError(f"{name} must have shape {allowed}, got {tuple(value.shape)}")
+        raise ValueError(
+            f"{name} must have shape {allowed}, got {tuple(value.shape)}"
+            + (f"; its unit is {unit}" if unit else "")
+        )
     if is_traced(value):
         return value
     for is_bad, demand in (
@@ -420,7 +423,9 @@ def numeric(name: str, value: Any, unit: str = "") -> Any:
     leaves = list(_leaves(value))
     wanted = f"{name} must be real numbers{f' in {unit}' if unit else ''}"
     if not all(map(_is_real, leaves)):
-        raise ValueError(f"{wanted}, got {_shown(value)}")
+        # `dt` of a `StableStep`, for example.
+        hint = f": is its {name} meant?" if hasattr(value, name) else ""
+        raise ValueError(f"{wanted}, got {_shown(value)}{hint}")
     traced = is_traced(leaves)
     if traced and len(leaves) > 1:
         # Known values become traced once they are in an array with traced ones.

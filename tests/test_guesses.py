@@ -94,3 +94,10 @@ def test_copies_and_pickles_need_no_state_to_be_looked_up():
     for thing in (copy.deepcopy(STATE), copy.copy(STATE)):
         assert thing.positions.shape == (3, 3)
     assert pickle.loads(pickle.dumps(ROD)).n_elements == 2
+
+
+def test_a_misspelt_name_is_answered_with_the_one_that_was_meant():
+    with pytest.raises(AttributeError, match=r": is jaxrod\.straight_rod meant\?"):
+        _ = jaxrod.straigth_rod
+    with pytest.raises(AttributeError, match=r": is jaxrod\.systems\.ball_joint me"):
+        _ = jaxrod.systems.ball_jont

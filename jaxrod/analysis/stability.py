@@ -85,6 +85,7 @@ from jaxrod.methods.drag_kick import without_drag
 from jaxrod.model import Model, check_model
 from jaxrod.rods.mass_matrix import bounds_of_elements
 from jaxrod.rods.motion import Loads, Motion, motion_of
+from jaxrod.rods.repr import repr_or_class_name, step_repr
 from jaxrod.rods.rod import Rod, RodState
 from jaxrod.structure import pytree
 from jaxrod.validation import as_array, check_array
@@ -131,6 +132,10 @@ class StableStep:
     """Fraction by which the exact step with damping or drag may be larger than the one
     found [1]: round-off for the bound, a thousandth at a given state, zero without
     damping and drag."""
+
+    def __repr__(self) -> str:
+        """One line: the step and what limits it."""
+        return repr_or_class_name(step_repr, self)
 
     @property
     def limiting_mode(self) -> str:

@@ -25,6 +25,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, ArrayLike, Float
 
+from jaxrod.closures import with_parameters
 from jaxrod.geometry import surfaces, vectors
 from jaxrod.geometry.rotations import (
     directors,
@@ -870,7 +871,8 @@ def signed_distance(
         raise ValueError(
             f"function must give one distance [m] at a point of shape (3,), got {got}"
         )
-    ranks = tuple(leaf.ndim for leaf in jax.tree.leaves(numbers))
+    function, numbers = with_parameters(function, jnp.zeros((3,), dtype), numbers)
+    ranks = tuple(jnp.ndim(leaf) for leaf in jax.tree.leaves(numbers))
     return SignedDistance(numbers, function, ranks)
 
 

@@ -34,6 +34,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, ArrayLike, Float
 
+from jaxrod.closures import with_parameters
 from jaxrod.effects.base import Effect, Reach, StabilityBound
 from jaxrod.effects.time import Timed, as_timed, at_clock, clock_at, is_schedule
 from jaxrod.geometry import vectors
@@ -140,7 +141,12 @@ def flow_field(
             "function must give one velocity of shape (3,) [m/s] at a point of shape "
             f"(3,), got {got}"
         )
-    return FlowField(numbers, function)
+    point = jnp.zeros((3,), dtype)
+    opened, held = with_parameters(function, point, now)
+    if opened is function:
+        return FlowField(numbers, function)
+    # Schedules stay schedules among the parameters.
+    return FlowField((numbers, held[1]), opened)
 
 
 def as_flow(flow: Flow | Timed | None) -> Flow | None:

@@ -7,8 +7,11 @@ tested numerically on a motion without symmetries.
 
 from __future__ import annotations
 
+import contextlib
+import dataclasses
 import difflib
 import functools
+from collections.abc import Callable, Iterator
 from typing import Any
 
 import jax
@@ -19,7 +22,7 @@ from jaxrod.effects.directions import frame_along
 from jaxrod.geometry import vectors
 from jaxrod.geometry.vectors import Vec3
 from jaxrod.rods.motion import Loads, Motion
-from jaxrod.rods.rod import Rod
+from jaxrod.rods.rod import Rod, RodState
 
 ALIKE = 0.85
 """Similarity by `difflib` above which a name counts as a misspelling of a hook."""
@@ -49,6 +52,115 @@ def check_own_class(thing: Any, base: type, noun: str) -> None:
     words = _slip(kind, base, noun)  # type: ignore[arg-type]
     if words is not None:
         raise TypeError(words)
+    _check_structure(thing)
+
+
+def _check_structure(thing: Any) -> None:
+    """Raises a TypeError if a static field, also of a part, is not hashable.
+
+    A list that was changed after compiling would keep its old values in programs.
+    """
+    if isinstance(thing, list | tuple):
+        for part in thing:
+            _check_structure(part)
+    if isinstance(thing, type) or not dataclasses.is_dataclass(thing):
+        return
+    for field in dataclasses.fields(thing):
+        value = getattr(thing, field.name)
+        if not field.metadata.get("static"):
+            _check_structure(value)
+            continue
+        try:
+            hash(value)
+        except TypeError:
+            remedy = "give a tuple" if isinstance(value, list) else "give tuples"
+            raise TypeError(
+                f"{type(thing).__name__}.{field.name} is static, so it must be "
+                f"hashable, got {type(value).__name__}: compiled programs would keep "
+                f"the old value after a change; {remedy}, or make it a traced field"
+            ) from None
+
+
+@contextlib.contextmanager
+def called_hook(thing: Any, name: str) -> Iterator[None]:
+    """Context of a call of a hook, in which errors of traced values name the hook.
+
+    Args:
+        thing: The effect or coupling whose hook is called.
+        name: Name of the hook.
+
+    Raises:
+        TypeError: If the hook needs the value of a traced number, with JAX's error as
+            the cause.
+    """
+    try:
+        yield
+    except jax.errors.JAXTypeError as error:
+        raise TypeError(
+            f"{type(thing).__name__}.{name} reads a number that is known "
+            f"only while a program runs{remedy(error)}"
+        ) from error
+
+
+def remedy(error: Exception) -> str:
+    """Advice to append to a JAX error that does not say what to change, or ""."""
+    if isinstance(error, jax.errors.TracerBoolConversionError):
+        # JAX names the place in the lines that follow the first.
+        return (
+            ". What `if`, `while`, `and` or `or` decides by must be known before the "
+            "program runs: jnp.where and jax.lax.cond decide while it runs"
+        )
+    if isinstance(error, jax.errors.TracerArrayConversionError):
+        return ". NumPy cannot compute here: jax.numpy has the same functions"
+    if isinstance(error, jax.errors.ConcretizationTypeError):
+        return (
+            ". float(), int() and shapes need a number known before the program runs: "
+            "keep it an array"
+        )
+    return ""
+
+
+def check_own_hooks(effect: Effect, rod: Rod) -> None:
+    """Traces hooks of an effect that a user wrote, to find those that read values.
+
+    All other errors are left to the functions that need the hook.
+
+    Args:
+        effect: The effect, with schedules replaced by their values at one time.
+        rod: The rod.
+
+    Raises:
+        TypeError: If a hook needs the value of a traced number.
+    """
+    kind = type(effect)
+    if _is_of_jaxrod(kind) or rod.batch_shape:
+        return
+    hooks: dict[str, Callable[[Effect, Rod], Any]] = {
+        "energy": lambda effect, rod: effect.energy(rod, _trial_state(rod)),
+        "stability_bound": lambda effect, rod: effect.stability_bound(rod),
+        "damping_rates": lambda effect, rod: effect.damping_rates(rod),
+        "constrain": lambda effect, rod: effect.constrain(rod, trial_motion(rod)),
+        "constrain_rates": lambda effect, rod: effect.constrain_rates(
+            rod, trial_motion(rod)
+        ),
+    }
+    for name, call in hooks.items():
+        if getattr(kind, name) is getattr(Effect, name):
+            continue
+        try:
+            jax.eval_shape(call, effect, rod)
+        except jax.errors.JAXTypeError:
+            with called_hook(effect, name):
+                raise
+        except Exception:
+            pass
+
+
+def _trial_state(rod: Rod) -> RodState:
+    """State of `trial_motion`."""
+    motion = trial_motion(rod)
+    fields = (motion.position, motion.orientation, motion.velocity, motion.spin)
+    return RodState(*(jnp.stack(field) for field in fields))
 
 
 def check_own_loads(effect: Effect, rod: Rod) -> None:
@@ -74,7 +186,14 @@ def check_own_loads(effect: Effect, rod: Rod) -> None:
         none = Loads(*jax.tree.map(jnp.zeros_like, (motion.position, motion.spin)))
         _check_loads(kind, effect.loads_after(rod, motion, none), rod.n_elements)
 
-    jax.eval_shape(look, effect, rod)
+    with called_hook(effect, _hook_of_loads(kind)):
+        jax.eval_shape(look, effect, rod)
+
+
+def _hook_of_loads(kind: type) -> str:
+    """Name of the hook that a class of effects defines for its loads."""
+    # `kind` is a subclass of `Effect`, which its annotation does not show.
+    return "loads" if kind.loads is not Effect.loads else "loads_after"  # type: ignore[attr-defined]
 
 
 def _check_loads(kind: type, found: Any, n_elements: int) -> None:
@@ -82,8 +201,7 @@ def _check_loads(kind: type, found: Any, n_elements: int) -> None:
 
     `kind` is the class of the effect, for the message; the rod has `n_elements`.
     """
-    # `kind` is a subclass of `Effect`, which its annotation does not show.
-    name = "loads" if kind.loads is not Effect.loads else "loads_after"  # type: ignore[attr-defined]
+    name = _hook_of_loads(kind)
     if not isinstance(found, Loads):
         raise TypeError(
             f"{kind.__name__}.{name} must return jaxrod.extend.Loads(forces=(x, y, z), "

@@ -286,6 +286,12 @@ def as_timed(
         ValueError: If the value does not fit; the message names the argument.
     """
     if not isinstance(value, Schedule):
+        if callable(value):
+            raise ValueError(
+                f"{name} must be real numbers{f' in {unit}' if unit else ''} or a "
+                f"schedule of them, got {value!r:.80}: jaxrod.schedules has ramp, sine "
+                "and table, and Schedule for a function of your own"
+            )
         return as_array(name, value, unit, shapes, **limits)
     kind = jnp.result_type(float)
     now = Clock(jnp.zeros((), np.int32), jnp.zeros((), kind), jnp.zeros((), kind))

@@ -61,6 +61,17 @@ def scene_repr(scene: Any) -> str:
     return f"Scene({', '.join(parts)})"
 
 
+def step_repr(step: Any) -> str:
+    """Describes a stable step by its size, or sizes of a batch, and what limits it."""
+    sizes = _known(step.dt)
+    if sizes is None:
+        raise ValueError("the step is traced")
+    shown = f"dt {_range(sizes, 's', prefixed=False)}"
+    if sizes.ndim == 0:
+        shown += f", limited by {step.limiting_mode}"
+    return f"{type(step).__name__}({shown})"
+
+
 def repr_or_class_name(words: Any, thing: Any) -> str:
     """Description `words(thing)`, or only the class name of `thing` if that fails."""
     try:

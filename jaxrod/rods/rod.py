@@ -472,7 +472,8 @@ def check_size(rod: Rod, state: RodState) -> None:
     """Raises unless a state has the nodes and elements of a scene's rod, traced or not.
 
     Raises:
-        ValueError: If their numbers of elements or nodes differ, or either is a batch.
+        ValueError: If their numbers of elements or nodes differ, a field of the state
+            has another shape, or either is a batch.
     """
     check_one(state)
     if rod.batch_shape:
@@ -489,6 +490,19 @@ def check_size(rod: Rod, state: RodState) -> None:
         raise ValueError(
             f"state must have {n + 1} nodes, one more than elements, got {nodes}"
         )
+    for field, unit, wanted in (
+        ("positions", "m", (3, n + 1)),
+        ("orientations", "1", (4, n)),
+        ("velocities", "m/s", (3, n + 1)),
+        ("angular_momenta", "kg m^2/s", (3, n)),
+        ("remainders", "m", (3, n + 1)),
+    ):
+        own = getattr(state, field)
+        if own is not None and jnp.shape(own) != wanted:
+            raise ValueError(
+                f"{field} of the state [{unit}] must have shape {wanted}, got "
+                f"{jnp.shape(own)}"
+            )
 
 
 def interpolated(values: np.ndarray, old: np.ndarray, new: np.ndarray) -> np.ndarray:

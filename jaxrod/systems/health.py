@@ -28,6 +28,7 @@ from jaxtyping import Array, ArrayLike, Bool, Float
 
 from jaxrod.analysis.health import EnergyAccount, HealthLimits, with_faults
 from jaxrod.effects.base import Effect
+from jaxrod.effects.own_classes import called_hook
 from jaxrod.lanes.steps import by_kernel
 from jaxrod.rods.repr import repr_or_class_name
 from jaxrod.structure import pytree, static
@@ -219,8 +220,11 @@ class CouplingEnergy:
     def energy(self, state: SystemState) -> Float[Array, ""]:
         """Sum of the potential energies of all couplings in a state [J]."""
         seen, prepared = seen_at_rest(self.system, state)
-        zero = jnp.zeros((), self.system.dtype)
-        return sum((coupling.energy(seen) for coupling in prepared), zero)
+        total = jnp.zeros((), self.system.dtype)
+        for coupling in prepared:
+            with called_hook(coupling, "energy"):
+                total = total + coupling.energy(seen)
+        return total
 
 
 @jax.jit

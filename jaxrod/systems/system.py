@@ -12,6 +12,7 @@ import numpy as np
 from jaxtyping import Array, ArrayLike, Float
 
 from jaxrod.analysis.health import HealthLimits
+from jaxrod.effects.base import Effect
 from jaxrod.effects.own_classes import check_own_class
 from jaxrod.geometry.vectors import Vec3
 from jaxrod.lanes.steps import by_kernel
@@ -314,7 +315,8 @@ def make_system(
 
     Raises:
         ValueError: If a coupling does not fit the members, dtypes differ, a member's
-            method has no steps in a system, or an effect does not act on rigid bodies.
+            method has no steps in a system, an effect does not act on rigid bodies, or
+            a member's state is missing or of another size.
         TypeError: If a member or a coupling is of the wrong type.
 
     Example:
@@ -341,6 +343,8 @@ def make_system(
             "members must all be of one type, got "
             + ", ".join(f"{name!r}: {dtype}" for name, dtype in types.items())
         )
+    if state is not None:
+        _check_sizes(system, state)
     # One compiled program. Under tracing `jit` would hide the numbers that are known.
     look = _parts_at if is_traced(system, state) else jax.jit(_parts_at)
     parts = look(system, state)
@@ -387,6 +391,23 @@ def _check_masses(couplings: Sequence[Coupling], parts: AllParts) -> None:
             )
 
 
+def _check_sizes(system: System, state: Any) -> None:
+    """Raises unless every member has its state; states of others are not looked at."""
+    if not isinstance(state, Mapping):
+        raise TypeError(
+            "state must be a dict of the states of all members by name, got "
+            f"{type(state).__name__}"
+        )
+    missing = sorted(set(system.members) - set(state))
+    if missing:
+        raise ValueError(
+            f"state must have the members {sorted(system.members)}, got "
+            f"{sorted(state)}: add the state of {missing[0]!r}"
+        )
+    for name, member in system.interfaces().items():
+        member.check_state(name, state[name], system.dtype)
+
+
 def _parts_at(system: System, state: SystemState | None) -> AllParts:
     """Constants of all members; given a state, with flags of nodes held by supports."""
     return system.parts() if state is None else held_parts(system, state)
@@ -402,7 +423,21 @@ def _flat(couplings: Any) -> Any:
         else:
             raise TypeError(
                 f"couplings must be jaxrod couplings, got {type(coupling).__name__}"
+                + _advice(coupling)
             )
+
+
+def _advice(given: Any) -> str:
+    """Advice for a thing that was given as a coupling, or ""."""
+    if isinstance(given, Effect):
+        return (
+            ": an effect acts on one member, so give it to jaxrod.make_scene, or as "
+            "effects=... to rigid_body"
+        )
+    if callable(given):
+        name = getattr(given, "__name__", "it")
+        return f": call {name}(...), which returns a coupling"
+    return ""
 
 
 def _member(name: Any, given: Any) -> Member:
@@ -414,6 +449,11 @@ def _member(name: Any, given: Any) -> Member:
         raise TypeError(
             f"member {name!r} must be a scene (jaxrod.make_scene), a rigid body or a "
             f"Member, got {type(given).__name__}"
+            + (
+                " (factories return a pair: the member, and its state)"
+                if isinstance(given, tuple)
+                else ""
+            )
         )
     member: Member = as_member()
     member.check(name)

@@ -128,6 +128,13 @@ CASES = {
         jnp.zeros(3), jnp.ones(3), -1.0
     ),
     # Scenes and steps.
+    "acceleration must have shape (3,), got (); its unit is m/s^2": lambda: (
+        jaxrod.gravity(9.81)
+    ),
+    "limited by shear and bending of element 1): is its dt meant?": lambda: (
+        jaxrod.advance(SCENE, STATE, jaxrod.stable_dt(SCENE), 1)
+    ),
+    "jaxrod.schedules has ramp, sine and table": lambda: jaxrod.end_load(print),
     "plane must be one of xy, yz, zx, got 'xz'": lambda: jaxrod.planar("xz"),
     "safety must be positive, got 0": lambda: jaxrod.stable_dt(SCENE, 0.0),
     "safety must be at most 1, got 2": lambda: jaxrod.stable_dt(SCENE, 2.0),
@@ -185,6 +192,41 @@ def test_a_state_of_another_size_is_refused(ask):
         ask(short)
 
 
+@pytest.mark.parametrize(
+    ("field", "given", "message"),
+    [
+        (
+            "velocities",
+            STATE.velocities.T,
+            "velocities of the state [m/s] must have shape (3, 6), got (6, 3)",
+        ),
+        (
+            "velocities",
+            jnp.zeros(3),
+            "velocities of the state [m/s] must have shape (3, 6), got (3,)",
+        ),
+        (
+            "orientations",
+            STATE.orientations[:3],
+            "orientations of the state [1] must have shape (4, 5), got (3, 5)",
+        ),
+        (
+            "angular_momenta",
+            STATE.velocities,
+            "angular_momenta of the state [kg m^2/s] must have shape (3, 5), got (3,",
+        ),
+        (
+            "velocities",
+            jnp.zeros((3, 6), int),
+            "velocities of the state must be float64, as the scene's rod is, got int64",
+        ),
+    ],
+)
+def test_every_field_of_a_state_fits(field, given, message):
+    with pytest.raises(ValueError, match=re.escape(message)):
+        jaxrod.advance(SCENE, replace(STATE, **{field: given}), 1e-4, 1)
+
+
 @pytest.mark.parametrize("run", [jaxrod.advance, jaxrod.rollout])
 @pytest.mark.parametrize(
     ("steps", "message"),
@@ -207,6 +249,26 @@ def test_the_number_of_steps_is_a_count(run, steps, message):
             "rod must be a jaxrod Rod, got tuple",
         ),
         (lambda: jaxrod.make_scene(ROD, 3), "effects must be jaxrod effects, got int"),
+        (
+            lambda: jaxrod.make_scene(ROD, jaxrod.gravity),
+            "got function: call gravity(...), which returns an effect",
+        ),
+        (
+            lambda: jaxrod.make_scene(ROD, jaxrod.systems.rod_contact("a")),
+            "got RodContact: a coupling acts in a system, so give it to jaxrod.make_s",
+        ),
+        (
+            lambda: jaxrod.make_system({"a": SCENE}, jaxrod.gravity()),
+            "got Gravity: an effect acts on one member, so give it to jaxrod.make_sc",
+        ),
+        (
+            lambda: jaxrod.make_system({"a": SCENE}, jaxrod.systems.tie),
+            "got function: call tie(...), which returns a coupling",
+        ),
+        (
+            lambda: jaxrod.make_system({"a": (ROD, STATE)}),
+            "got tuple (factories return a pair: the member, and its state)",
+        ),
         (
             lambda: jaxrod.make_scene(ROD, [jaxrod.gravity()]),
             "effects must be jaxrod effects, got list: write *effects",

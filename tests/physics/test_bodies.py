@@ -227,3 +227,57 @@ def test_structures_of_different_classes_with_the_same_numbers_differ():
     assert jax.tree.structure(capsule) == jax.tree.structure(
         jax.tree.map(jnp.square, capsule)
     )
+
+
+def held(number):
+    """Height of the tip after it fell on a floor that holds a number as parameter."""
+    return fallen(jaxrod.shapes.signed_distance(lambda x, top: x[2] - top, number))
+
+
+def holding(number):
+    """The same with a floor whose function holds the number itself."""
+    return fallen(jaxrod.shapes.signed_distance(lambda x, _: x[2] - number))
+
+
+def fallen(floor):
+    rod, state = jaxrod.straight_rod(
+        4, length=0.4, radius=0.02, density=1e3, youngs_modulus=1e5, direction=(1, 0, 0)
+    )
+    contact = jaxrod.contact(floor, stiffness=1e4, damping=1.0, onset=0.5)
+    scene = jaxrod.make_scene(rod, jaxrod.clamp(state), jaxrod.gravity(), contact)
+    return jaxrod.advance(scene, state, 2e-4, 600).tip[2]
+
+
+def test_traced_numbers_that_a_function_holds_become_parameters():
+    """A run sees by them that it is differentiated, and fixes its number of steps."""
+    plain = jaxrod.shapes.signed_distance(lambda x, top: x[2] - top, 1.0)
+    assert jax.tree.leaves(plain.parameters) == [1.0]
+
+    def distances(size, add):
+        body = jaxrod.shapes.signed_distance(lambda x, top: size * x[2] - top, add)
+        assert len(jax.tree.leaves(body.parameters)) == 2
+        return surface(body, jnp.asarray([[0.0], [0.0], [3.0]]))[0][0]
+
+    slopes = jax.grad(distances, argnums=(0, 1))(2.0, 0.5)
+    assert [float(slope) for slope in slopes] == [3.0, -1.0]
+    assert float(jax.vmap(distances)(jnp.ones(2), jnp.ones(2))[1]) == 2.0
+
+    def blown(size):
+        flow = jaxrod.fluids.flow_field(lambda x, _: size * x)
+        return flow.at((jnp.ones(1), jnp.ones(1), jnp.ones(1)))[0][0]
+
+    assert float(jax.grad(blown)(2.0)) == 1.0
+
+
+@pytest.mark.slow
+def test_a_run_with_a_function_that_holds_a_traced_number_is_differentiated():
+    """As one that has the number as a parameter, in both modes and in batches."""
+    top = -0.04
+    expected = jax.grad(held)(top)
+    assert abs(expected) > 0.1
+    np.testing.assert_allclose(jax.grad(holding)(top), expected, rtol=1e-9)
+    np.testing.assert_allclose(jax.jacfwd(holding)(top), expected, rtol=1e-9)
+    tops = jnp.asarray([top, -0.05])
+    np.testing.assert_allclose(
+        jax.vmap(jax.grad(holding))(tops), jax.vmap(jax.grad(held))(tops), rtol=1e-9
+    )

@@ -155,3 +155,60 @@ def test_a_slip_in_a_coupling_is_refused_by_name(coupling, words):
     rod, _ = arm(5)
     with pytest.raises(TypeError, match=words):
         jaxrod.make_system({"one": jaxrod.make_scene(rod)}, coupling)
+
+
+@pytree
+class Reading(jaxrod.extend.Effect):
+    """One hook, chosen when it is made, reads a number that is traced."""
+
+    size: jaxrod.extend.Leaf
+    hook: str = jaxrod.extend.static(default="")
+
+    def _read(self, hook, number):
+        return float(number) if hook == self.hook else number
+
+    def loads(self, rod, motion):
+        forces = tuple(self._read("loads", self.size) * x for x in motion.position)
+        return jaxrod.extend.Loads(forces=forces)
+
+    def constrain_rates(self, rod, motion):
+        self._read("constrain_rates", self.size)
+        return motion
+
+    def energy(self, rod, state):
+        return self._read("energy", self.size) * jnp.sum(state.positions)
+
+    def stability_bound(self, rod):
+        stiffness = self._read("stability_bound", self.size)
+        return jaxrod.extend.StabilityBound(nodes=stiffness + 0 * rod.node_masses)
+
+
+@pytest.mark.parametrize(
+    "hook", ["loads", "constrain_rates", "energy", "stability_bound"]
+)
+def test_a_hook_that_reads_a_traced_number_is_named(hook):
+    rod, _ = arm(3)
+    assert jaxrod.make_scene(rod, Reading(1.0)).effects
+    with pytest.raises(TypeError, match=rf"Reading\.{hook} reads .* keep it an array"):
+        jaxrod.make_scene(rod, Reading(1.0, hook))
+
+
+@pytree
+class Listed(jaxrod.schedules.Schedule):
+    """A schedule with a list as structure: changed later, it would keep its values."""
+
+    values: list[float] = jaxrod.extend.static()
+
+    def __call__(self, clock):
+        return jnp.asarray(self.values)[jnp.clip(clock.step, 0, 1)]
+
+    @property
+    def largest(self):
+        return jnp.max(jnp.asarray(self.values))
+
+
+def test_a_list_as_structure_is_refused():
+    rod, _ = arm(3)
+    assert jaxrod.make_scene(rod, Helped(Listed((1.0, 2.0)))).effects
+    with pytest.raises(TypeError, match=r"Listed\.values is static.*got list.*a tuple"):
+        jaxrod.make_scene(rod, Helped(Listed([1.0, 2.0])))

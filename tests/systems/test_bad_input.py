@@ -175,6 +175,21 @@ def test_members_of_other_kinds_and_types(given):
         jaxrod.make_system([members["two"]])
 
 
+def test_a_system_is_made_with_the_states_of_its_members_alone(given):
+    members, state = given
+    missing = {name: own for name, own in state.items() if name != "two"}
+    with pytest.raises(ValueError, match="add the state of 'two'"):
+        jaxrod.make_system(members, state=missing)
+    short = jax.tree.map(lambda leaf: leaf[..., :-1], state["one"])
+    with pytest.raises(ValueError, match=r"positions of 'one' must have shape \(3, "):
+        jaxrod.make_system(members, state={**state, "one": short})
+    turned = replace(state["one"], velocities=state["one"].velocities.T)
+    with pytest.raises(ValueError, match=r"velocities of 'one' must have shape \(3, "):
+        jaxrod.make_system(members, state={**state, "one": turned})
+    with pytest.raises(TypeError, match="state must be a dict of the states"):
+        jaxrod.make_system(members, state=state["one"])
+
+
 def test_states_that_do_not_fit(given):
     members, state = given
     system = jaxrod.make_system(members)

@@ -352,6 +352,18 @@ def test_reserved_name_and_record_of_another_kind():
     system = jaxrod.make_system(
         {"a": scene, "b": scene}, jaxrod.systems.crossing_contact("a", "b", **contact)
     )
+    unsized = {"stiffness": 1e4, "lists": jaxrod.systems.neighbour_lists()}
+
+    @jax.jit
+    def counted(stiffness):
+        contact = {**unsized, "stiffness": stiffness}
+        joined = jaxrod.systems.crossing_contact("a", "b", **contact)
+        both = {"a": state, "b": state}
+        jaxrod.make_system({"a": scene, "b": scene}, joined, state=both)
+        return stiffness
+
+    with pytest.raises(ValueError, match="numbers of the contact are traced: give nei"):
+        counted(1e4)
     with pytest.raises(TypeError, match="leave it out to start again"):
         jaxrod.advance(system, {"a": state, "b": state, "neighbours": 1.0}, 1e-5, 1)
     without = jaxrod.make_system(

@@ -460,15 +460,22 @@ class TouchingRods(PenaltyContact):
         """The coupling with lists sized for a concrete state, with spare entries.
 
         Raises:
-            ValueError: If the state is traced.
+            ValueError: If the state is traced, or numbers of the members or contact.
         """
         lists = self.lists
         if lists is None or self.is_sized:
             return self
-        if is_traced(self, seen):
+        places = {
+            "the contact": self,
+            "the members": [own.parts for own in seen.values()],
+            "the state": [own.motion for own in seen.values()],
+        }
+        traced = [words for words, tree in places.items() if is_traced(tree)]
+        if traced:
             raise ValueError(
-                "neighbours cannot be counted in a state that is traced: give "
-                "neighbour_lists the numbers pairs, candidates and cell_slots"
+                f"neighbours cannot be counted, as numbers of {' and '.join(traced)} "
+                "are traced: give neighbour_lists the numbers pairs, candidates and "
+                "cell_slots, or make the system outside jit, grad and vmap"
             )
         return replace(self, lists=self.needed(seen, with_spare))
 

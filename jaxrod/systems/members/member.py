@@ -321,14 +321,20 @@ class Member(ABC):
 
 
 def check_fields(
-    name: str, state: Any, shape: tuple[int, ...], dtype: Any, spins: str
+    name: str,
+    state: Any,
+    shape: tuple[int, ...],
+    elements: int,
+    dtype: Any,
+    spins: str,
 ) -> None:
     """Raises a ValueError if fields of a state have the wrong shape or dtype.
 
     Args:
         name: Name of the member.
         state: Its state.
-        shape: Shape that positions must have.
+        shape: Shape that positions must have, and velocities.
+        elements: Number of elements, each with an orientation.
         dtype: Dtype of the system, which the fields must have.
         spins: Name of the field of angular velocities or angular momenta.
     """
@@ -342,11 +348,20 @@ def check_fields(
             f"state of {name!r} must be {dtype}, as the system is, got "
             f"{state.positions.dtype}"
         )
-    for field in ("orientations", "velocities", spins):
-        own = getattr(state, field).dtype
-        if own != dtype:
+    for field, wanted in (
+        ("orientations", (*shape[:-2], 4, elements)),
+        ("velocities", shape),
+        (spins, (*shape[:-2], 3, elements)),
+    ):
+        own = getattr(state, field)
+        if jnp.shape(own) != wanted:
             raise ValueError(
-                f"{field} of {name!r} must be {dtype}, as the system is, got {own}"
+                f"{field} of {name!r} must have shape {wanted}, got {jnp.shape(own)}"
+            )
+        kind = getattr(own, "dtype", type(own).__name__)
+        if kind != dtype:
+            raise ValueError(
+                f"{field} of {name!r} must be {dtype}, as the system is, got {kind}"
             )
 
 

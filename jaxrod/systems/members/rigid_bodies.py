@@ -19,7 +19,7 @@ from jaxtyping import Array, ArrayLike, Bool, Float
 from jaxrod.analysis.health import HealthLimits
 from jaxrod.contacts.bodies import Body, Solid
 from jaxrod.effects.base import Effect, StabilityBound, added_bounds, remembers
-from jaxrod.effects.own_classes import check_own_class
+from jaxrod.effects.own_classes import called_hook, check_own_class
 from jaxrod.effects.time import at_clock, clock_at, depends_on_time
 from jaxrod.geometry import vectors
 from jaxrod.geometry.rotations import (
@@ -136,7 +136,8 @@ class RigidBodies(Member):
     def check_state(self, name: str, state: Any, dtype: Any) -> None:
         """Raises a TypeError or a ValueError if a state is not of these bodies."""
         check_kind(f"state of {name!r}", state, BodyState)
-        check_fields(name, state, (3, *self.array_shape), dtype, "angular_velocities")
+        shape = (3, *self.array_shape)
+        check_fields(name, state, shape, shape[-1], dtype, "angular_velocities")
 
     def parts(self) -> Parts:
         """Constants of the bodies, for couplings: each is one node and one element."""
@@ -496,12 +497,17 @@ def _try(name: str, effect: Effect, bodies: Any) -> None:
         zero = vectors.split(rows)
         motion = Motion(zero, split_quaternion(turns), zero, zero)
         state: Any = BodyState(rows, turns, rows, rows)
-        return (
-            own.loads(bodies, motion),
-            own.energy(bodies, state),
-            own.damping_rates(bodies),
-            own.stability_bound(bodies),
-        )
+        given = {
+            "loads": (bodies, motion),
+            "energy": (bodies, state),
+            "damping_rates": (bodies,),
+            "stability_bound": (bodies,),
+        }
+        answers = []
+        for hook, arguments in given.items():
+            with called_hook(own, hook):
+                answers.append(getattr(own, hook)(*arguments))
+        return tuple(answers)
 
     try:
         loads, energy, rates, bound = jax.eval_shape(asked, bodies)

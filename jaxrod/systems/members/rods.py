@@ -192,7 +192,7 @@ class OneRod(Member):
         """Raises a TypeError or a ValueError if a state is not of this rod."""
         check_kind(f"state of {name!r}", state, RodState)
         *batch, n = self.array_shape
-        check_fields(name, state, (*batch, 3, n + 1), dtype, "angular_momenta")
+        check_fields(name, state, (*batch, 3, n + 1), n, dtype, "angular_momenta")
         check_memory(self.model, state, f"state of {name!r}: state")
 
     def parts(self) -> Parts:

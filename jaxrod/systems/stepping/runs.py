@@ -11,6 +11,7 @@ from jaxtyping import Array, ArrayLike, Float
 
 from jaxrod.analysis.stability import StableStep
 from jaxrod.effects.base import StabilityBound, added_bounds
+from jaxrod.rods.repr import repr_or_class_name, step_repr
 from jaxrod.structure import pytree, static
 from jaxrod.systems.contact.neighbour_lists import RECORD, NeighbourRecord, no_record
 from jaxrod.systems.coupling import refresh_every
@@ -110,6 +111,10 @@ class StableSystemStep:
     `None` for rigid bodies. The order is that of `names`."""
     names: tuple[str, ...] = static()
     """Names of the members."""
+
+    def __repr__(self) -> str:
+        """One line: the step and what limits it."""
+        return repr_or_class_name(step_repr, self)
 
     @property
     def limiting_mode(self) -> str:
