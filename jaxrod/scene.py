@@ -329,12 +329,11 @@ def _advice(given: Any) -> str:
     """Advice for a thing that was given as an effect, or ""."""
     if isinstance(given, list | tuple):
         return ": write *effects"
-    if hasattr(given, "tied_pairs"):
-        return ": a coupling acts in a system, so give it to jaxrod.make_system"
     if callable(given):
-        name = getattr(given, "__name__", "it")
-        return f": call {name}(...), which returns an effect"
-    return ""
+        return (
+            f": call {getattr(given, '__name__', 'it')}(...), which returns an effect"
+        )
+    return getattr(given, "misplaced", "")
 
 
 def _warn_of_softness(rod: Rod, effects: tuple[Effect, ...]) -> None:

@@ -38,6 +38,39 @@ def is_traced(*values: Any) -> bool:
     return any(isinstance(leaf, jax.core.Tracer) for leaf in jax.tree.leaves(values))
 
 
+def with_parameters(
+    function: Callable[[Any, Any], Any], point: Array, parameters: Any
+) -> tuple[Callable[[Any, Any], Any], Any]:
+    """Function and parameters in which traced numbers of the function are parameters.
+
+    A run fixes its number of steps, as reverse mode needs it, if something in its scene
+    is traced. It cannot see a traced number inside a function.
+
+    Args:
+        function: Function of a point and of parameters that returns one array.
+        point: A point.
+        parameters: Its parameters, a pytree of arrays.
+
+    Returns:
+        What was given, unless the function holds traced numbers.
+    """
+    converted, held = jax.closure_convert(function, point, parameters)
+    if not held:
+        return function, parameters
+    types = jax.tree.map(jnp.result_type, (point, parameters, held))
+
+    def opened(point: Any, given: Any) -> Any:
+        # The converted function has the types with which it was traced.
+        fitting, own, numbers = jax.tree.map(
+            lambda leaf, kind: jnp.asarray(leaf, kind),
+            (point, *given),
+            types,
+        )
+        return converted(fitting, own, *numbers).astype(point.dtype)
+
+    return opened, (parameters, held)
+
+
 def knows_constants(function: Callable[Given, Made]) -> Callable[Given, Made]:
     """Decorates a function so that it can read known values inside `jax.jit`, too.
 
@@ -424,7 +457,8 @@ def numeric(name: str, value: Any, unit: str = "") -> Any:
     wanted = f"{name} must be real numbers{f' in {unit}' if unit else ''}"
     if not all(map(_is_real, leaves)):
         # `dt` of a `StableStep`, for example.
-        hint = f": is its {name} meant?" if hasattr(value, name) else ""
+        own = getattr(value, name, None)
+        hint = "" if own is None else f": is its {name} meant?"
         raise ValueError(f"{wanted}, got {_shown(value)}{hint}")
     traced = is_traced(leaves)
     if traced and len(leaves) > 1:

@@ -25,7 +25,6 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, ArrayLike, Float
 
-from jaxrod.closures import with_parameters
 from jaxrod.geometry import surfaces, vectors
 from jaxrod.geometry.rotations import (
     directors,
@@ -38,7 +37,13 @@ from jaxrod.geometry.surfaces import Triangles
 from jaxrod.geometry.vectors import Vec3
 from jaxrod.rods.rod import Rod
 from jaxrod.structure import pytree, static
-from jaxrod.validation import Numbers, as_array, check_array, is_traced
+from jaxrod.validation import (
+    Numbers,
+    as_array,
+    check_array,
+    is_traced,
+    with_parameters,
+)
 
 IDENTITY = (1.0, 0.0, 0.0, 0.0)
 """Quaternion of no rotation."""

@@ -162,6 +162,11 @@ class Effect:
         -3.0
     """
 
+    misplaced: ClassVar[str] = (
+        ": an effect acts on one member, so give it to jaxrod.make_scene, or as "
+        "effects=... to rigid_body"
+    )
+    """Advice in the error of a system that got an effect as a coupling."""
     reach: ClassVar[Reach] = "any"
     """Range along the rod over which `loads` depend on the state.
 

@@ -34,7 +34,6 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, ArrayLike, Float
 
-from jaxrod.closures import with_parameters
 from jaxrod.effects.base import Effect, Reach, StabilityBound
 from jaxrod.effects.time import Timed, as_timed, at_clock, clock_at, is_schedule
 from jaxrod.geometry import vectors
@@ -43,7 +42,14 @@ from jaxrod.rods.drag import Drag, drag_loads
 from jaxrod.rods.motion import Loads, Motion
 from jaxrod.rods.rod import Rod, RodState
 from jaxrod.structure import pytree, static
-from jaxrod.validation import Numbers, as_array, check_kind, is_traced, numeric
+from jaxrod.validation import (
+    Numbers,
+    as_array,
+    check_kind,
+    is_traced,
+    numeric,
+    with_parameters,
+)
 
 
 @pytree

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import fields, replace
-from typing import Any
+from typing import Any, ClassVar
 
 import jax.numpy as jnp
 from jaxtyping import Array, ArrayLike, Float
@@ -169,6 +169,11 @@ class Coupling:
         >>> len(system.couplings)
         1
     """
+
+    misplaced: ClassVar[str] = (
+        ": a coupling acts in a system, so give it to jaxrod.make_system"
+    )
+    """Advice in the error of a scene that got a coupling as an effect."""
 
     def check(self, parts: AllParts) -> None:
         """Raises a `ValueError` if the coupling does not fit the members."""

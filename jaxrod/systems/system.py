@@ -12,7 +12,6 @@ import numpy as np
 from jaxtyping import Array, ArrayLike, Float
 
 from jaxrod.analysis.health import HealthLimits
-from jaxrod.effects.base import Effect
 from jaxrod.effects.own_classes import check_own_class
 from jaxrod.geometry.vectors import Vec3
 from jaxrod.lanes.steps import by_kernel
@@ -429,15 +428,10 @@ def _flat(couplings: Any) -> Any:
 
 def _advice(given: Any) -> str:
     """Advice for a thing that was given as a coupling, or ""."""
-    if isinstance(given, Effect):
-        return (
-            ": an effect acts on one member, so give it to jaxrod.make_scene, or as "
-            "effects=... to rigid_body"
-        )
     if callable(given):
         name = getattr(given, "__name__", "it")
         return f": call {name}(...), which returns a coupling"
-    return ""
+    return getattr(given, "misplaced", "")
 
 
 def _member(name: Any, given: Any) -> Member:
