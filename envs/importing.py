@@ -76,7 +76,13 @@ def import_callable(
     try:
         found = getattr(module, name)
     except AttributeError:
-        raise ValueError(f"{place} has no {name!r}") from None
+        own = [
+            thing
+            for thing, value in vars(module).items()
+            if callable(value) and getattr(value, "__module__", "") == module.__name__
+        ]
+        there = f"; it has {', '.join(own[:8])}" if own else ""
+        raise ValueError(f"{place} has no {name!r}{there}") from None
     if not callable(found):
         raise ValueError(f"{where} must be callable, got {found!r:.60}")
     if trust is not None:

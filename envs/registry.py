@@ -100,6 +100,7 @@ def factory_of(task: str) -> Callable[..., Any]:
         raise ValueError(
             f"task must be one of {', '.join(names())}, or say where your own is made, "
             f"such as mypackage.mymodule:make_task; got {task!r}"
+            + (f": add its class, {task}:NAME" if task.endswith(".py") else "")
         )
     return import_callable(_FACTORIES.get(task, task))
 

@@ -74,6 +74,11 @@ def save(path: str | os.PathLike[str], thing: Any, *, overwrite: bool = False) -
         >>> jaxrod.load(path).force.tolist()
         [0.0, 0.0, 2.0]
     """
+    if not isinstance(path, str | os.PathLike):
+        raise TypeError(
+            f"path must be the path of a file, got {type(path).__name__}: give the "
+            "path first, and then what to save"
+        )
     target = Path(path)
     writer = _Writer()
     description = {

@@ -124,6 +124,7 @@ class Scene(LoadedRod, Model, Hinted):
 
     def with_effect(self, effect: Effect) -> Scene:
         """The scene with one more effect."""
+        _check_effect(effect)
         listed = (*self.effects, effect)
         if effect.lacks_numbers:
             listed = _with_numbers(self.rod, listed, self.method)
@@ -283,12 +284,7 @@ def make_scene(rod: Rod, *effects: Effect, method: Method | None = None) -> Scen
     """
     check_kind("rod", rod, Rod)
     for effect in effects:
-        if not isinstance(effect, Effect):
-            raise TypeError(
-                f"effects must be jaxrod effects, got {type(effect).__name__}"
-                + _advice(effect)
-            )
-        check_own_class(effect, Effect, "an effect")
+        _check_effect(effect)
     dtype = rod.rest_lengths.dtype
     listed = in_type(dtype, "effects", effects)
     # Only now: a number that the dtype cannot hold must raise before any warning.
@@ -323,6 +319,16 @@ def make_scene(rod: Rod, *effects: Effect, method: Method | None = None) -> Scen
         # Values that are zero now may leave the plane or act about the axis later.
         method.check(scene.stirred)
     return scene
+
+
+def _check_effect(given: Any) -> None:
+    """Raises a TypeError unless a thing is an effect whose class is sound."""
+    if not isinstance(given, Effect):
+        raise TypeError(
+            f"effects must be jaxrod effects, got {type(given).__name__}"
+            + _advice(given)
+        )
+    check_own_class(given, Effect, "an effect")
 
 
 def _advice(given: Any) -> str:

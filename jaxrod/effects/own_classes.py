@@ -130,7 +130,8 @@ def check_own_hooks(effect: Effect, rod: Rod) -> None:
         rod: The rod.
 
     Raises:
-        TypeError: If a hook needs the value of a traced number.
+        TypeError: If a hook needs the value of a traced number, or returns something
+            else than it should.
     """
     kind = type(effect)
     if _is_of_jaxrod(kind) or rod.batch_shape:
@@ -148,12 +149,40 @@ def check_own_hooks(effect: Effect, rod: Rod) -> None:
         if getattr(kind, name) is getattr(Effect, name):
             continue
         try:
-            jax.eval_shape(call, effect, rod)
+            found = jax.eval_shape(call, effect, rod)
         except jax.errors.JAXTypeError:
             with called_hook(effect, name):
                 raise
         except Exception:
-            pass
+            continue
+        fits, wanted = _ANSWERS[name]
+        if not fits(found):
+            raise TypeError(
+                f"{kind.__name__}.{name} must return {wanted}, got {_described(found)}"
+            )
+
+
+_ANSWERS: dict[str, tuple[Callable[[Any], bool], str]] = {
+    "energy": (lambda found: getattr(found, "shape", None) == (), "one number [J]"),
+    "stability_bound": (
+        lambda found: found is None or callable(getattr(found, "drags", None)),
+        "a jaxrod.extend.StabilityBound",
+    ),
+    "damping_rates": (
+        lambda found: (
+            found is None or (isinstance(found, tuple | list) and len(found) == 2)
+        ),
+        "two rates, of velocities and of spins [1/s]",
+    ),
+    **dict.fromkeys(
+        ("constrain", "constrain_rates"),
+        (
+            lambda found: getattr(found, "spin", None) is not None,
+            "the motion, replaced where it is held",
+        ),
+    ),
+}
+"""For each hook a test of its result, and the result as text."""
 
 
 def _trial_state(rod: Rod) -> RodState:
@@ -234,7 +263,7 @@ def _described(given: Any) -> str:
     if isinstance(given, tuple | list):
         shapes = ", ".join(str(jnp.shape(part)) for part in given)
         return f"{len(given)} of shapes {shapes}"
-    if isinstance(given, jax.Array):
+    if isinstance(given, jax.Array | jax.ShapeDtypeStruct):
         return f"an array of shape {given.shape}"
     return type(given).__name__
 

@@ -249,7 +249,12 @@ def test_a_task_without_a_file_is_named_by_the_user(tmp_path, run, run_json):
         ("package_of_mine.tasks:Line.step", [], "must look like mypackage.mymodule:"),
         (":make_task", [], "must look like mypackage.mymodule:make_task"),
         ("os:system", ["command=true"], "'os' is a module of Python's own"),
-        ("package_of_mine.tasks:task", [], "package_of_mine.tasks has no 'task'"),
+        (
+            "package_of_mine.tasks:task",
+            [],
+            "package_of_mine.tasks has no 'task'; it has",
+        ),
+        ("package_of_mine.py", [], "add its class, package_of_mine.py:NAME"),
         ("package_of_mine.tasks:number", [], "must be callable, got 3"),
         ("package_of_mine.hungry:x", [], "failed: No module named 'nothing_like_it'"),
         ("package_of_mine.torn:x", [], "package_of_mine.torn raised SyntaxError"),

@@ -266,6 +266,20 @@ def test_the_number_of_steps_is_a_count(run, steps, message):
             "got function: call tie(...), which returns a coupling",
         ),
         (
+            lambda: SCENE.with_effect(jaxrod.gravity),
+            "got function: call gravity(...), which returns an effect",
+        ),
+        (
+            lambda: jaxrod.systems.rigid_body(
+                jaxrod.shapes.sphere((0, 0, 0), 0.1), mass=1, effects=jaxrod.gravity()
+            ),
+            "such as (jaxrod.gravity(),), got Gravity",
+        ),
+        (
+            lambda: jaxrod.save(SCENE, "scene.jaxrod"),
+            "path must be the path of a file, got Scene: give the path first",
+        ),
+        (
             lambda: jaxrod.make_system({"a": (ROD, STATE)}),
             "got tuple (factories return a pair: the member, and its state)",
         ),

@@ -212,3 +212,39 @@ def test_a_list_as_structure_is_refused():
     assert jaxrod.make_scene(rod, Helped(Listed((1.0, 2.0)))).effects
     with pytest.raises(TypeError, match=r"Listed\.values is static.*got list.*a tuple"):
         jaxrod.make_scene(rod, Helped(Listed([1.0, 2.0])))
+
+
+@pytree
+class Odd(Helped):
+    """Hooks that return something else than they should, if they are asked to."""
+
+    odd: str = jaxrod.extend.static(default="")
+
+    def energy(self, rod, state):
+        return state.positions[2] if self.odd == "energy" else state.positions[2, 0]
+
+    def stability_bound(self, rod):
+        bound = jaxrod.extend.StabilityBound(nodes=self.size + 0 * rod.node_masses)
+        return self.size if self.odd == "stability_bound" else bound
+
+    def damping_rates(self, rod):
+        return self.size if self.odd == "damping_rates" else (self.size, self.size)
+
+    def constrain_rates(self, rod, motion):
+        return None if self.odd == "constrain_rates" else motion
+
+
+@pytest.mark.parametrize(
+    ("hook", "words"),
+    [
+        ("energy", r"one number \[J\], got an array of shape \(4,\)"),
+        ("stability_bound", "a jaxrod.extend.StabilityBound, got an array of shape"),
+        ("damping_rates", r"two rates, .* \[1/s\], got an array of shape"),
+        ("constrain_rates", "the motion, .*, got NoneType"),
+    ],
+)
+def test_what_a_hook_returns_is_checked(hook, words):
+    rod, _ = arm(3)
+    assert jaxrod.make_scene(rod, Odd(1.0)).effects
+    with pytest.raises(TypeError, match=rf"Odd\.{hook} must return {words}"):
+        jaxrod.make_scene(rod, Odd(1.0, hook))

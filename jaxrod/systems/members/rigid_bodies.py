@@ -283,6 +283,11 @@ def rigid_body(
     solid = None if shape is None else shape.solid()
     total, moments = _inertia(solid, density, mass, inertia, dtype)
     place = _place(solid, position, orientation, dtype)
+    if not isinstance(effects, tuple | list):
+        raise TypeError(
+            "effects must be a tuple of effects, such as (jaxrod.gravity(),), got "
+            f"{type(effects).__name__}"
+        )
     for effect in effects:
         check_kind("effect", effect, Effect)
     body = RigidBodies(
