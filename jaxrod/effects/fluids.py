@@ -147,8 +147,7 @@ def flow_field(
             "function must give one velocity of shape (3,) [m/s] at a point of shape "
             f"(3,), got {got}"
         )
-    point = jnp.zeros((3,), dtype)
-    opened, held = with_parameters(function, point, now)
+    opened, held = with_parameters(function, jnp.zeros((3,), dtype), now)
     if opened is function:
         return FlowField(numbers, function)
     # Schedules stay schedules among the parameters.

@@ -188,8 +188,12 @@ _ANSWERS: dict[str, tuple[Callable[[Any], bool], str]] = {
 def _trial_state(rod: Rod) -> RodState:
     """State of `trial_motion`."""
     motion = trial_motion(rod)
-    fields = (motion.position, motion.orientation, motion.velocity, motion.spin)
-    return RodState(*(jnp.stack(field) for field in fields))
+    return RodState(
+        positions=jnp.stack(motion.position),
+        orientations=jnp.stack(motion.orientation),
+        velocities=jnp.stack(motion.velocity),
+        angular_momenta=jnp.stack(motion.spin),
+    )
 
 
 def check_own_loads(effect: Effect, rod: Rod) -> None:
