@@ -3,6 +3,7 @@
 if __name__ != "jaxrod.envs":
     raise ImportError("import jaxrod.envs, not envs: the folder is installed under it")
 
+from difflib import get_close_matches
 from typing import TYPE_CHECKING
 
 from jaxrod.envs.arm.robot_hand import RobotHand, robot_hand
@@ -84,5 +85,7 @@ if not TYPE_CHECKING:
 
     def __getattr__(name: str) -> None:
         """Raises an error, with a hint if the name is a usual guess."""
-        hint = _GUESSES.get(name, "help(jaxrod.envs) lists the names")
+        meant = get_close_matches(name, __all__, 1, 0.75)
+        hint = f"is jaxrod.envs.{meant[0]} meant?" if meant else ""
+        hint = _GUESSES.get(name, hint or "help(jaxrod.envs) lists the names")
         raise AttributeError(f"module 'jaxrod.envs' has no attribute {name!r}: {hint}")

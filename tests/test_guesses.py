@@ -101,3 +101,7 @@ def test_a_misspelt_name_is_answered_with_the_one_that_was_meant():
         _ = jaxrod.straigth_rod
     with pytest.raises(AttributeError, match=r": is jaxrod\.systems\.ball_joint me"):
         _ = jaxrod.systems.ball_jont
+    with pytest.raises(AttributeError, match=r": is jaxrod\.viz\.picture meant\?"):
+        _ = jaxrod.viz.pictrue
+    with pytest.raises(AttributeError, match=r": is jaxrod\.envs\.rollout meant\?"):
+        _ = jaxrod.envs.rolout

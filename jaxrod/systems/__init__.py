@@ -1,6 +1,6 @@
 """Systems of rods and rigid bodies: bodies, joints, contact, neighbour lists."""
 
-import difflib
+from difflib import get_close_matches
 from typing import TYPE_CHECKING
 
 from jaxrod.systems.contact.body_contact import BodyContact, body_contact
@@ -91,13 +91,9 @@ if not TYPE_CHECKING:
 
     def __getattr__(name: str) -> None:
         """Raises an error, with a hint if the name is a usual guess."""
-        meant = difflib.get_close_matches(name, __all__, 1, 0.75)
-        hint = _GUESSES.get(
-            name,
-            f"is jaxrod.systems.{meant[0]} meant?"
-            if meant
-            else "help(jaxrod.systems) lists the names",
-        )
+        meant = get_close_matches(name, __all__, 1, 0.75)
+        hint = f"is jaxrod.systems.{meant[0]} meant?" if meant else ""
+        hint = _GUESSES.get(name, hint or "help(jaxrod.systems) lists the names")
         raise AttributeError(
             f"module 'jaxrod.systems' has no attribute {name!r}: {hint}"
         )
