@@ -48,7 +48,10 @@ def given():
             lambda s: jaxrod.systems.tie([("one", 4), ("one", 0)], [("two", 0)], s),
             "2 and 1",
         ),
-        (lambda s: jaxrod.systems.attach(("ball",), ("ball",), s), "nodes of rods"),
+        (
+            lambda s: jaxrod.systems.attach(("ball",), ("ball",), s),
+            "attach joins rods to a rigid body",
+        ),
         (
             lambda s: jaxrod.systems.attach(("one", "tip"), ("ball",), s),
             "held by a support and attached",
