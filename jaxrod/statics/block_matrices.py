@@ -91,9 +91,15 @@ class BlockTridiagonal:
     ) -> tuple[Float[Array, "n m"], Float[Array, "n m"]]:
         return eliminate(self.lower, self.diagonal, self.upper, right)
 
-    def stiffened(self, index: int, block: Float[Array, "m m"]) -> BlockTridiagonal:
-        """Matrix with a block added to its diagonal block number `index`."""
-        return replace(self, diagonal=self.diagonal.at[index].add(block))
+    def stiffened(self, index: int, block: Float[Array, "2*m 2*m"]) -> BlockTridiagonal:
+        """Matrix with a block added that couples blocks `index` and `index` + 1."""
+        m = len(block) // 2
+        own = self.diagonal.at[index].add(block[:m, :m])
+        return BlockTridiagonal(
+            lower=self.lower.at[index + 1].add(block[m:, :m]),
+            diagonal=own.at[index + 1].add(block[m:, m:]),
+            upper=self.upper.at[index].add(block[:m, m:]),
+        )
 
     def with_blocks(self, blocks: Float[Array, "n m m"]) -> BlockTridiagonal:
         """Matrix with a block added to each of its diagonal blocks."""
@@ -153,10 +159,15 @@ class PairedBlocks:
         """Whether all pivots are positive: see `BlockTridiagonal.is_positive`."""
         return self.pairs.is_positive()
 
-    def stiffened(self, index: int, block: Float[Array, "m m"]) -> PairedBlocks:
-        """Matrix with a block added to its diagonal block number `index`."""
-        blocks = jnp.zeros((self.n, *block.shape), block.dtype).at[index].set(block)
-        return self.with_blocks(blocks)
+    def stiffened(self, index: int, block: Float[Array, "2*m 2*m"]) -> PairedBlocks:
+        """Matrix with a block added that couples blocks `index` and `index` + 1."""
+        first, m = index // 2, len(block) // 2
+        if index % 2 == 0:
+            diagonal = self.pairs.diagonal.at[first].add(block)
+            return replace(self, pairs=replace(self.pairs, diagonal=diagonal))
+        # The second block of a pair and the first of the next one.
+        around = jnp.pad(block, m)
+        return replace(self, pairs=self.pairs.stiffened(first, around))
 
     def with_blocks(self, blocks: Float[Array, "n m m"]) -> PairedBlocks:
         """Matrix with a block added to each of its diagonal blocks."""
@@ -253,9 +264,12 @@ class Dense:
         factor = jnp.linalg.cholesky(0.5 * (scaled + scaled.T), symmetrize_input=False)
         return jnp.all(jnp.isfinite(factor))
 
-    def stiffened(self, index: int, block: Float[Array, "m m"]) -> Dense:
-        """Matrix with a block added to its diagonal block number `index`."""
-        return Dense(self.entries.at[index, :, index, :].add(block))
+    def stiffened(self, index: int, block: Float[Array, "2*m 2*m"]) -> Dense:
+        """Matrix with a block added that couples blocks `index` and `index` + 1."""
+        m = len(block) // 2
+        two = slice(index, index + 2)
+        added = block.reshape(2, m, 2, m)
+        return Dense(self.entries.at[two, :, two, :].add(added))
 
     def with_blocks(self, blocks: Float[Array, "n m m"]) -> Dense:
         """Matrix with a block added to each of its diagonal blocks."""

@@ -20,6 +20,8 @@ rotation, even if it is bent.
 
 from __future__ import annotations
 
+from typing import Any
+
 import jax
 import jax.numpy as jnp
 from jax import lax
@@ -36,6 +38,11 @@ _ROUNDINGS = 16
 """Multiple of the machine epsilon up to which a resistance counts as zero. Loose modes
 reach 3; modes resisted by pins exceed 3000 in float32 even for n = 100 and L/r =
 1000."""
+
+_MIXED = 1 / 16
+"""Share of the largest component of a force or couple whose round-off counts for the
+other two. Out of balance by its round-off, a couple turned with an element resists the
+turn as much."""
 
 _SWEEPS = 8
 """Number of rotations of each pair of vectors. Six make seven vectors orthogonal."""
@@ -65,6 +72,9 @@ def loose_modes(
     # Size of the rows if nothing cancelled.
     sizes = jax.tree.map(jnp.abs, tangent)
     whole = jnp.max(jax.vmap(sizes.multiply)(jnp.abs(steps)), axis=0)
+    largest = jnp.max(whole.reshape(-1, 2, 3), axis=2, keepdims=True)
+    largest = jnp.broadcast_to(largest, (len(whole), 2, 3)).reshape(whole.shape)
+    whole = jnp.maximum(whole, _MIXED * largest)
     resisted = (free / jnp.where(whole > 0, whole, 1))[None] * resisted
     broken = (1 - free)[None] * modes
     both = jnp.concatenate([resisted, broken], axis=1).reshape(len(modes), -1)
@@ -138,16 +148,31 @@ def are_any(modes: Float[Array, "7 n+1 6"]) -> Bool[Array, ""]:
 def held_in_the_middle(
     tangent: Tangent, rod: Rod, modes: Float[Array, "7 n+1 6"]
 ) -> Tangent:
-    """Tangent with springs on the middle node and element that resist the loose modes.
+    """Tangent with springs on the middle of the rod that resist the loose modes.
 
     The springs are as stiff as the rod in bending. So if loads drive a mode, a
-    correction is about as large as the bending under these loads.
+    correction is about as large as the bending under these loads. They act on means
+    over both sides of the middle, so that a symmetric rod stays symmetric.
     """
-    middle = _middle(rod)
-    local = modes[:, middle] / _units(rod)
+    first = (rod.n_elements - 1) // 2
+    local = modes[:, first : first + 2] / _units(rod)[None]
+    local = (local * _shares(rod, local.dtype)[None]).reshape(len(modes), -1)
     stiffness = jnp.mean(rod.bend_twist_stiffness[0]) / jnp.sum(rod.rest_lengths)
     springs = jnp.sum(local[:, :, None] * local[:, None, :], axis=0)
-    return tangent.stiffened(middle, stiffness * springs)
+    return tangent.stiffened(first, stiffness * springs)
+
+
+def _shares(rod: Rod, dtype: Any) -> Float[Array, "2 6"]:
+    """Weights of two blocks in the displacement and rotation of the middle of a rod.
+
+    Displacements of its two middle nodes and rotations of its two middle elements are
+    averaged, or that of the only middle one is taken.
+    """
+    if rod.n_elements % 2:
+        shares = [[0.5] * 3 + [1.0] * 3, [0.5] * 3 + [0.0] * 3]
+    else:
+        shares = [[0.0] * 3 + [0.5] * 3, [1.0] * 3 + [0.5] * 3]
+    return jnp.asarray(shares, dtype)
 
 
 def _modes_of_the_whole(rod: Rod, motion: Motion) -> Float[Array, "7 n+1 6"]:
@@ -156,7 +181,7 @@ def _modes_of_the_whole(rod: Rod, motion: Motion) -> Float[Array, "7 n+1 6"]:
     Rotations are about the middle node; displacements are divided by the rod's length.
     The last candidate rotates all elements about their d3.
     """
-    middle = _middle(rod)
+    middle = rod.n_elements // 2
     length = jnp.sum(rod.rest_lengths)
     x, y, z = ((c - c[middle]) / length for c in motion.position)
     d3 = directors(motion.orientation)[2]
@@ -167,10 +192,6 @@ def _modes_of_the_whole(rod: Rod, motion: Motion) -> Float[Array, "7 n+1 6"]:
         modes.append(stack_dofs(nodes, vectors.scale(0.0, elements)))
         modes.append(stack_dofs(around, elements))
     return jnp.stack([*modes, stack_dofs(vectors.scale(0.0, (x, y, z)), d3)])
-
-
-def _middle(rod: Rod) -> int:
-    return rod.n_elements // 2
 
 
 def _units(rod: Rod) -> Float[Array, "1 6"]:

@@ -149,13 +149,16 @@ def test_what_has_positive_eigenvalues_alone_is_positive(form):
 
 
 @every_form
-def test_what_is_added_to_a_block_of_the_diagonal_is_there(form):
+@pytest.mark.parametrize("first", [1, 2])
+def test_what_is_added_to_two_neighbouring_blocks_is_there(form, first):
     matrix, right = random_matrix(3)
-    block = jnp.arange(M * M, dtype=right.dtype).reshape(M, M)
-    change = form(matrix).stiffened(2, block).multiply(right)
+    block = jnp.arange(4 * M * M, dtype=right.dtype).reshape(2 * M, 2 * M)
+    change = form(matrix).stiffened(first, block).multiply(right)
     change = change - form(matrix).multiply(right)
-    np.testing.assert_allclose(change[2], block @ right[2], rtol=1e-12)
-    assert largest(change.at[2].set(0)) == 0
+    two = slice(first, first + 2)
+    expected = (block @ right[two].ravel()).reshape(2, M)
+    np.testing.assert_allclose(change[two], expected, rtol=1e-12)
+    assert largest(change.at[two].set(0)) == 0
 
 
 @every_form
