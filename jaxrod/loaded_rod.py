@@ -247,6 +247,13 @@ class LoadedRod:
             return self
         return replace(self, effects=recalled(self.effects, state.memory))
 
+    @property
+    def without_slip(self) -> Self:
+        """Copy whose static friction holds; the scene itself if it has none."""
+        effects = tuple(effect.without_slip for effect in self.effects)
+        same = all(a is b for a, b in zip(effects, self.effects, strict=True))
+        return self if same else replace(self, effects=effects)
+
 
 def check_scene(scene: Any) -> None:
     """Raises unless an argument is a single scene, neither a system nor a batch.

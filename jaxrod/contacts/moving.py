@@ -235,6 +235,12 @@ class MovingContact(Effect):
         here = vectors.add(to_material(self._axes, arm), about)
         return here, multiply_quaternions(back, orientation)
 
+    @property
+    def without_slip(self) -> MovingContact:
+        """The same motion of the bodies, and `Contact.without_slip`."""
+        contact = self.contact.without_slip
+        return self if contact is self.contact else replace(self, contact=contact)
+
     def _arm(self, position: Vec3) -> Vec3:
         """Vectors from the moved point to `position` [m]."""
         return vectors.subtract(position, vectors.split(self.place.position))

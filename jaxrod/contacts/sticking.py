@@ -48,7 +48,7 @@ from jaxrod.geometry.rotations import (
 from jaxrod.geometry.vectors import Vec3
 from jaxrod.rods.motion import Motion
 from jaxrod.rods.rod import Rod, RodState, check_state
-from jaxrod.structure import memory, pytree
+from jaxrod.structure import memory, pytree, static
 from jaxrod.validation import Numbers, as_array, check_kind
 
 
@@ -116,6 +116,9 @@ class StickingContact(Contact):
     elongations: tuple[Array, ...] = memory(kw_only=True)
     """Elongations of springs after the last step `(bodies, 3, points)`, for each group
     of contact points [m]."""
+    holds: bool = static(default=False, kw_only=True)
+    """Whether points that touch hold beyond the limit of friction, see
+    `without_slip`."""
 
     def stability_bound(self, rod: Rod) -> StabilityBound:
         """Bounds of contact with the springs of friction, as if all points stuck.
@@ -158,6 +161,15 @@ class StickingContact(Contact):
     def stirred(self) -> StickingContact:
         """The contact itself: its springs lie in the plane of the motion."""
         return self
+
+    @property
+    def without_slip(self) -> StickingContact:
+        """Contact whose points hold while they touch, for small motions about rest.
+
+        At rest many springs are at their limit. They slip in one direction only, and
+        hold in all others.
+        """
+        return dataclasses.replace(self, holds=True)
 
     def seen_by(self, see: See) -> StickingContact:
         """The contact whose last configuration is seen from a frame of the bodies."""
@@ -211,6 +223,8 @@ class StickingContact(Contact):
         assert self.friction is not None and self.friction_drag is not None
         pull = vectors.scale(self.stick_stiffness, grip.elongated(normal, arm))
         pull = vectors.add(pull, vectors.scale(self.friction_drag, slip))
+        if self.holds:
+            return vectors.scale(jnp.where(push > 0, -1, 0), pull)
         return vectors.scale(-1, _at_most(self.friction * push, pull))
 
 

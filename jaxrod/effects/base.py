@@ -334,6 +334,14 @@ class Effect:
         """
         return recalled((self,), stirred(memory_of((self,))))[0]
 
+    @property
+    def without_slip(self) -> Effect:
+        """Effect whose static friction holds whatever it takes; here itself.
+
+        Small motions about a state at rest are those of what sticks.
+        """
+        return self
+
     def damping_rates(self, rod: Rod) -> tuple[Array, Array] | None:
         """Decay rates of velocities and spins [1/s]; `None` without damping.
 

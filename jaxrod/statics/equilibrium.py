@@ -333,15 +333,33 @@ def _equilibrium(
     increment = implicit_solution(balance, _no_increment(found))
     residual, motion = by_kernel(balance, "ended", increment)
     force, couple = unstack_dofs(residual)
+    rest = remembering_rest(scene, state_of(motion))
     return Equilibrium(
-        state=remembering_rest(scene, state_of(motion)),
+        state=rest,
         converged=end.converged,
-        stable=end.converged & end.positive,
+        stable=end.converged & _is_stable(scene, rest, end.positive),
         loose=end.loose,
         iterations=end.iterations,
         force_residual=largest(force),
         couple_residual=largest(couple),
     )
+
+
+def _is_stable(scene: LoadedRod, rest: RodState, positive: Array) -> Array:
+    """Whether the tangent at rest is positive definite, except for loose modes.
+
+    `positive` is the answer at the end of the search, from the springs of friction at
+    its start. Springs that have slipped since hold at `rest`.
+    """
+    known = scene.recalling(rest)
+    sticking = known.without_slip
+    if sticking is known:
+        return positive
+    sticking, motion = lax.stop_gradient((sticking, motion_of(rest)))
+    balance = _at_rest(sticking, motion)
+    held = by_kernel(balance, "stiffness", _no_increment(motion))
+    answer: Array = held.is_positive()
+    return answer
 
 
 def _no_increment(motion: Motion) -> Increment:

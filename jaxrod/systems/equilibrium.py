@@ -182,7 +182,7 @@ def system_equilibrium(
     return Equilibrium(
         state=together,
         converged=converged,
-        stable=converged & _is_positive(here, problem.rounding(start)),
+        stable=converged & _is_positive(_as_it_sticks(system, together, here)),
         loose=jnp.max(jnp.abs(here.loose)) > 0,
         iterations=end.iterations,
         force_residual=force / lax.stop_gradient(problem.scales.length),
@@ -219,15 +219,30 @@ def _last_correction_jvp(primals: Any, tangents: Any) -> tuple[Array, Array]:
     return correction, jnp.linalg.solve(stiffness, here.mass @ change)
 
 
-def _is_positive(here: _SystemPlace, rounding: Array) -> Array:
+def _as_it_sticks(
+    system: Assembly, rest: SystemState, here: _SystemPlace
+) -> _SystemPlace:
+    """The place `here` with the stiffness of static friction that holds at `rest`.
+
+    The search started from the springs of its initial state; they have slipped since.
+    """
+    known = system.recalling(rest)
+    sticking = known.without_slip
+    if sticking is known:
+        return here
+    problem, there = static_problem(*lax.stop_gradient((sticking, rest)))
+    displaced = jnp.asarray(displacements(there))
+    return _SystemAtRest(problem, displaced).place(there)
+
+
+def _is_positive(here: _SystemPlace) -> Array:
     """Whether the symmetric part of the stiffness matrix is positive definite.
 
     Negative eigenvalues within the effect of round-off and of residual loads are
     tolerated: residual loads alone give a free rotation a stiffness of their size.
-    `rounding` is the relative round-off of positions [1].
     """
     matrix = 0.5 * (here.stiffness + here.stiffness.T)
-    spare = rounding * jnp.max(jnp.abs(matrix)) + jnp.max(jnp.abs(here.loads))
+    spare = here.rounding * jnp.max(jnp.abs(matrix)) + jnp.max(jnp.abs(here.loads))
     factor = jnp.linalg.cholesky(
         matrix + _SPARE * spare * jnp.eye(len(matrix), dtype=matrix.dtype)
     )

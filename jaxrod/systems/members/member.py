@@ -183,6 +183,11 @@ class Member(ABC):
         """Copy of the member's entry whose effects have the memory of a state."""
         return self
 
+    @property
+    def without_slip(self) -> Any:
+        """Copy of the member's entry whose static friction holds, if it has any."""
+        return self
+
     def with_memory(self, state: Any) -> Any:
         """Copy of the state with initial memory of effects, if the state holds none."""
         return state

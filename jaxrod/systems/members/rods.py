@@ -170,6 +170,11 @@ class OneRod(Member):
         """Copy of the scene whose effects have the memory that a state holds."""
         return self.each(lambda scene, own: scene.recalling(own), state)
 
+    @property
+    def without_slip(self) -> Any:
+        """Copy of the scene whose static friction holds; itself if it has none."""
+        return self.model.without_slip
+
     def with_memory(self, state: Any) -> Any:
         """Copy of the state with initial memory of effects, if the state holds none."""
         if not self.remembers or state.memory is not None:

@@ -101,6 +101,19 @@ class Assembly:
         }
         return replace(self, members=members)
 
+    @property
+    def without_slip(self) -> Self:
+        """Copy whose static friction holds; the system itself if it has none."""
+        if not self.remembers:
+            return self
+        members = {
+            name: member.without_slip if member.remembers else self.members[name]
+            for name, member in self.interfaces().items()
+        }
+        if all(members[name] is self.members[name] for name in members):
+            return self
+        return replace(self, members=members)
+
     def parts(self) -> dict[str, Parts]:
         """Constants of all members, for couplings, without flags of supports."""
         return {name: member.parts() for name, member in self.interfaces().items()}
