@@ -148,7 +148,7 @@ def natural_frequencies(
 
 def squared_frequencies(scene: LoadedRod, state: RodState) -> np.ndarray:
     """Squares of all angular frequencies of a rod, increasing [rad^2/s^2]."""
-    scene = scene_of(scene, state)
+    scene = scene_of(scene, state).without_slip
     if not scene.method.has_energy:
         raise ValueError(
             f"natural_frequencies needs the consistent law, got {scene.method!r}: "

@@ -55,7 +55,8 @@ class Equilibrium:
     """Whether it has converged at a minimum of the stored energy: the tangent is
     positive definite, except for `loose` modes.
 
-    It is meant for loads with a potential. For loads that turn with the rod (follower
+    Static friction counts as holding wherever a rod touches. It is meant for loads with
+    a potential. For loads that turn with the rod (follower
     couples) it does not exclude instability in motion (flutter).
     """
     loose: Bool[Array, ""]
@@ -93,6 +94,11 @@ def equilibrium(
     unstable equilibrium only if it starts there or if loads do not push away from it,
     as for a straight column under an axial load: check `stable`. If no equilibrium
     exists it does not converge: check `converged`.
+
+    Friction of `contact` holds nothing at rest. A free rod laid over a cylinder only
+    balances if it is symmetric, and is `loose` along the cylinder. Otherwise it slides
+    off, and the search does not converge. `sticking_contact` holds it, and so does a
+    support that holds one node across the cylinder.
 
     The cost of a correction grows with the number of elements for one rod. With effects
     that couple distant parts, and for systems, matrices are dense, with six unknowns

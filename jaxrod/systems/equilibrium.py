@@ -69,7 +69,7 @@ class _SystemPlace:
     def balanced(self) -> Bool[Array, ""]:
         """Whether the loads are no more than round-off, compared with the stiffness."""
         sizes = jnp.sum(jnp.abs(self.stiffness), axis=1)
-        return jnp.all(jnp.abs(self.loads) <= _ROUNDINGS * self.rounding * sizes)
+        return jnp.all(jnp.abs(self.loads) <= _BALANCED * self.rounding * sizes)
 
     @property
     def loads(self) -> Float[Array, " m"]:
@@ -240,9 +240,15 @@ def _is_positive(here: _SystemPlace) -> Array:
 
     Negative eigenvalues within the effect of round-off and of residual loads are
     tolerated: residual loads alone give a free rotation a stiffness of their size.
+    So are those that the other part of the matrix may account for. Static friction has
+    one. It couples soft motions to stiff ones and takes its square over the stiffness
+    from the eigenvalues of the symmetric part, but not from those of the matrix.
     """
     matrix = 0.5 * (here.stiffness + here.stiffness.T)
-    spare = here.rounding * jnp.max(jnp.abs(matrix)) + jnp.max(jnp.abs(here.loads))
+    stiffest = jnp.max(jnp.abs(matrix))
+    turning = jnp.max(jnp.abs(here.stiffness - matrix))
+    spare = here.rounding * stiffest + jnp.max(jnp.abs(here.loads))
+    spare = spare + turning**2 / stiffest
     factor = jnp.linalg.cholesky(
         matrix + _SPARE * spare * jnp.eye(len(matrix), dtype=matrix.dtype)
     )
@@ -252,6 +258,10 @@ def _is_positive(here: _SystemPlace) -> Array:
 _ROUNDINGS = 64
 """Largest relative resistance to a motion that counts as zero, in units of the relative
 round-off of positions, `StaticProblem.rounding` [1]."""
+
+_BALANCED = 4
+"""Largest load that counts as balanced where a search no longer reduces it, relative to
+the stiffness, in units of the relative round-off of positions [1]."""
 
 _SLIGHT = 1e-9
 """Largest relative resistance that can count as zero when the tolerance is raised for

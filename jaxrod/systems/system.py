@@ -257,7 +257,7 @@ class System(Assembly, Model, Hinted):
     def squared_frequencies(self, state: Any) -> np.ndarray:
         """Squares of all angular frequencies about a state at rest [rad^2/s^2]."""
         self._check_statics(state)
-        return squared_frequencies(self.recalling(state), state)
+        return squared_frequencies(self.recalling(state).without_slip, state)
 
     def _check_statics(self, state: Any) -> None:
         check_system_state(self, state)

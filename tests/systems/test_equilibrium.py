@@ -564,3 +564,85 @@ def test_a_rod_that_starts_just_touching_a_rough_body_comes_to_rest(kind):
     lowest = [s.positions[2].min() for s in (found.state["rod"], alone.state)]
     # On the cylinder it may have rolled a little on the way: a tenth of a radius.
     np.testing.assert_allclose(*lowest, atol=2e-3)
+
+
+def laid_over(kind, friction, dtype=jnp.float64, sticks=False):
+    """A soft rod that just touches the top of a body with its middle, and its scene."""
+    radius, top = 0.005, -0.105 + 1e-5
+    made, state = jaxrod.straight_rod(
+        10,
+        length=0.3,
+        radius=radius,
+        density=1e3,
+        youngs_modulus=1e6,
+        start=(-0.15, 0.0, 0.0),
+        direction=(1.0, 0.0, 0.0),
+        dtype=dtype,
+    )
+    body = {
+        "cylinder": lambda: shapes.cylinder((0.0, -1.0, top), (0.0, 1.0, top), 0.1),
+        "capsule": lambda: shapes.capsule((0.0, -0.2, top), (0.0, 0.2, top), 0.1),
+        "sphere": lambda: shapes.sphere((0.0, 0.0, top), 0.1),
+        "plane": lambda: shapes.plane((0.0, 0.0, 1e-5 - radius)),
+    }[kind]()
+    touch = jaxrod.contact(
+        body, stiffness=1e5, damping=10.0, friction=friction, points_per_element=2
+    )
+    if sticks:
+        touch = jaxrod.sticking_contact(touch, made, state)
+    return jaxrod.make_scene(made, touch, jaxrod.gravity()), state
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("kind", ["cylinder", "sphere", "capsule", "plane"])
+def test_friction_that_does_not_stick_balances_alike_alone_and_in_a_system(kind):
+    """On top of a round body nothing else holds the rod: it balances, and may slide."""
+    scene, state = laid_over(kind, 0.5)
+    alone = jaxrod.equilibrium(scene, state)
+    system = jaxrod.make_system({"rod": scene})
+    member = jaxrod.equilibrium(system, {"rod": state})
+    for found in (alone, member):
+        assert found.converged and found.loose
+        assert bool(found.stable) == (kind == "plane")
+    apart = alone.state.positions - member.state["rod"].positions
+    # Along the cylinder, y, nothing decides on the place.
+    assert float(jnp.max(jnp.abs(apart[jnp.array([0, 2])]))) < 1e-10
+    single = jaxrod.equilibrium(*laid_over(kind, 0.5, jnp.float32))
+    assert single.converged and bool(single.stable) == (kind == "plane")
+    if kind == "cylinder":
+        aside = replace(state, positions=state.positions.at[0].add(0.02))
+        assert not jaxrod.equilibrium(scene, aside).converged
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("kind", ["cylinder", "sphere"])
+def test_what_sticks_is_stable_where_a_push_dies_out(kind, record):
+    """A soft rod hangs on a rough cylinder, but rolls off a rough ball sideways."""
+    scene, state = laid_over(kind, 0.5, sticks=True)
+    found = jaxrod.equilibrium(scene, state)
+    system = jaxrod.make_system({"rod": scene})
+    member = jaxrod.equilibrium(system, {"rod": state})
+    holds = kind == "cylinder"
+    assert found.converged and member.converged
+    assert bool(found.stable) == bool(member.stable) == holds
+    # The rod can roll along the cylinder, which hardly anything resists.
+    second = (
+        float(jaxrod.natural_frequencies(scene, found.state, 2)[1]),
+        float(jaxrod.natural_frequencies(system, member.state, 2)[1]),
+    )
+    np.testing.assert_allclose(*second, rtol=1e-3)
+    assert not holds or second[0] > 10
+    push = 1e-5 * np.random.default_rng(0).normal(size=state.velocities.shape)
+    dt = jaxrod.stable_dt(scene, state=found.state).dt
+    pushed = replace(found.state, velocities=jnp.asarray(push))
+    after = jaxrod.advance(scene, pushed, dt, int(2 / dt))
+    moved = float(jnp.max(jnp.abs(after.positions - found.state.positions)))
+    assert (moved < 1e-3) == holds
+    if holds:
+        record(
+            "Rod that hangs on a rough cylinder, two seconds after a push of 1e-5 m/s: "
+            "displacement [m]",
+            "below the push times the time",
+            moved,
+            at_most=2e-5,
+        )
