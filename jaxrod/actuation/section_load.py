@@ -154,7 +154,8 @@ class SectionLoad(Effect):
         stress = self.at_speed(rod, motion).stress(rod, strains)
         forces, couples = None, None
         if stress.force is not None:
-            frame = directors(motion.orientation)
+            known = motion.sections
+            frame = known.frame if known else directors(motion.orientation)
             forces = vectors.difference(to_world(frame, stress.force))
             couples = vectors.cross(strains.edges, stress.force)
         if stress.moment is not None:
@@ -182,8 +183,14 @@ class SectionLoad(Effect):
         Joints with `walls` are included. For the coefficient see
         `elasticity.joint_couples`.
         """
-        edges = to_material(directors(motion.orientation), motion.edges)
-        rotation, coupling = joint_rotations(motion.orientation)
+        known = motion.sections
+        if known:
+            # In a plane the terms with couplings turn elements out of it only.
+            edges, rotation = known.edges, known.rotations
+            coupling = jnp.zeros_like(rotation[0])
+        else:
+            edges = to_material(directors(motion.orientation), motion.edges)
+            rotation, coupling = joint_rotations(motion.orientation)
         x, y, z = (vectors.pad(part, 1, 1) for part in rotation)
         rotations, couplings = (x, y, z), vectors.pad(coupling, 1, 1)
         for wall in self.walls:

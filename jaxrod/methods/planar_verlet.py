@@ -35,7 +35,7 @@ from jaxrod.geometry.vectors import Vec3
 from jaxrod.loaded_rod import constrain, constrain_rates, dissipate, dissipates
 from jaxrod.methods.verlet import Verlet
 from jaxrod.rods.elasticity import joint_rotations
-from jaxrod.rods.motion import Loads, Motion
+from jaxrod.rods.motion import Loads, Motion, Sections
 from jaxrod.rods.rod import Rod, RodState
 from jaxrod.structure import pytree, static
 
@@ -121,6 +121,8 @@ class PlanarRod:
     """Bending stiffness about the normal over joint length [N m]."""
     joint_offsets: Array
     """Joint angle at the start of the run minus that at rest [rad]."""
+    joint_angles: Array
+    """Joint angle at the start of the run [rad]."""
 
     @staticmethod
     def create(rod: Rod, state: RodState, plane: PlaneName) -> PlanarRod:
@@ -143,6 +145,7 @@ class PlanarRod:
             stiffness=(n2 * n2 * shear1 + n1 * n1 * shear2, axial),
             rest_strains=(n2 * strain1 - n1 * strain2, stretch),
             joint=(m1 * m1 * bend1 + m2 * m2 * bend2) / rod.joint_lengths,
+            joint_angles=turned,
             joint_offsets=turned - (m1 * rest1 + m2 * rest2) * rod.joint_lengths,
         )
 
@@ -262,6 +265,8 @@ class PlanarVerlet(Verlet):
         a, b, _ = PLANES[self.plane]
         n1, n2 = self.constants.normal
         in_space = self.view(motion)
+        sections = self._sections(motion, in_space.orientation)
+        in_space = replace(in_space, known=sections)
         none = jnp.zeros_like(motion.position[0])
 
         def added(forces: Vec2, couple: Array, loads: Loads) -> tuple[Vec2, Array]:
@@ -375,6 +380,30 @@ class PlanarVerlet(Verlet):
         components = [outside[0], outside[1], outside[2]]
         components[a], components[b] = inside
         return components[0], components[1], components[2]
+
+    def _sections(self, motion: PlanarMotion, of: Quaternion) -> Sections:
+        """Frames and strains without quaternions, from directions and angles.
+
+        With the normal e and t = e x d3, d1 is n1 e + n2 t, and d2 is n2 e - n1 t.
+        """
+        none = jnp.zeros_like(motion.turn)
+        n1, n2 = self.constants.normal
+        x, y = motion.direction
+        along = self._in_space((x, y), jnp.stack([none] * 3))
+        frame = (
+            self._in_space((-n2 * y, n2 * x), jnp.stack([n1] * 3)),
+            self._in_space((n1 * y, -n1 * x), jnp.stack([n2] * 3)),
+            along,
+        )
+        dx, dy = motion.edges
+        across, forwards = x * dy - y * dx, x * dx + y * dy
+        angle = motion.turn[1:] - motion.turn[:-1] + self.constants.joint_angles
+        return Sections(
+            of=of,
+            frame=frame,
+            edges=(n2 * across, -n1 * across, forwards),
+            rotations=(n1[1:] * angle, n2[1:] * angle, jnp.zeros_like(angle)),
+        )
 
     def _orientation(self, motion: PlanarMotion) -> Quaternion:
         """Orientations of the first state, rotated about the normal by `turn`."""

@@ -36,6 +36,20 @@ from jaxrod.structure import pytree, static
 
 
 @pytree
+class Sections:
+    """Frames and strains of a rod that are known otherwise than from quaternions."""
+
+    of: Quaternion
+    """Orientations that have these frames, the very arrays of a motion."""
+    frame: tuple[Vec3, Vec3, Vec3]
+    """Directors of the elements, world frame."""
+    edges: Vec3
+    """Vectors from each node to the next, in the frames of the elements [m]."""
+    rotations: Vec3
+    """Rotation vectors of the inner joints, material frame [rad]."""
+
+
+@pytree
 class Motion:
     """State of a rod as tuples of component arrays, for integrators and effects.
 
@@ -65,6 +79,19 @@ class Motion:
     compensation."""
     spin_is_velocity: bool = static(default=False)
     """Whether `spin` is angular velocity (PyElastica mode) or angular momentum."""
+    known: Sections | None = None
+    """Frames and strains of a rod in a plane, for loads; see `sections`."""
+
+    @property
+    def sections(self) -> Sections | None:
+        """Frames and strains, if they are known for this very orientation.
+
+        A copy with another orientation has none.
+        """
+        if self.known is None:
+            return None
+        pairs = zip(self.known.of, self.orientation, strict=True)
+        return self.known if all(a is b for a, b in pairs) else None
 
     @property
     def edges(self) -> Vec3:
