@@ -8,7 +8,10 @@ import numpy as np
 import pytest
 
 import jaxrod
+from jaxrod.extend import Effect, Loads
+from jaxrod.geometry.rotations import directors, to_material
 from jaxrod.methods.laws import IN_SPACE
+from jaxrod.rods.elasticity import joint_rotations
 from jaxrod.rods.motion import motion_of
 from physics.reductions import arithmetic_left, check_one_program
 from physics.rods import arm, difference, turn
@@ -118,6 +121,63 @@ def test_principal_axes_may_lie_obliquely_where_all_axes_are_alike():
     full = jaxrod.advance(in_space(scene), state, 2e-4, 200)
     np.testing.assert_allclose(flat.positions, full.positions, atol=1e-13)
     np.testing.assert_allclose(flat.orientations, full.orientations, atol=1e-13)
+
+
+class Watch(Effect):
+    """Keeps the motions that it sees."""
+
+    def __init__(self):
+        self.motions = []
+
+    def loads(self, rod, motion):
+        self.motions.append(motion)
+        return Loads()
+
+
+@pytest.mark.parametrize("aligned", [True, False])
+def test_frames_and_strains_that_effects_get_are_those_of_the_quaternions(aligned):
+    scene, state = swinging("zx", aligned=aligned)
+    stepper = scene.method.stepper_in_system(scene, state, jnp.asarray(0.01))
+    motion = stepper.enter(state)
+    motion = motion.turned(jnp.linspace(-1.0, 1.5, scene.rod.n_elements))
+    watch, none = Watch(), jnp.zeros_like(motion.position[0])
+    stepper = replace(stepper, scene=replace(scene, effects=(watch,)))
+    stepper.add_loads(motion, (none, none), jnp.zeros_like(motion.turn), None)
+    (seen,) = watch.motions
+    frame = directors(seen.orientation)
+    rotations, _ = joint_rotations(seen.orientation)
+    expected = frame, to_material(frame, seen.edges), rotations
+    known = seen.sections
+    found = known.frame, known.edges, known.rotations
+    assert difference(jax.tree.leaves(found), jax.tree.leaves(expected)) < 1e-14
+    # What turns the rod does not take them along.
+    turned = replace(seen, orientation=seen.orientation[1:] + seen.orientation[:1])
+    assert turned.sections is None
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("mode", MODES)
+@pytest.mark.parametrize("plane", AXES)
+def test_actuators_in_sections_act_as_in_space(plane, mode):
+    """A chamber, which goes into the wall, and a tendon, both beside the axis."""
+    scene, state = swinging(plane, aligned=False, mode=mode)
+    out = 3 - sum(AXES[plane])
+    n1, n2, _ = np.asarray(state.directors)[:, out, 0]
+    beside = 0.02 * np.array([n2, -n1])
+    rod, wall = scene.rod, scene.effects[0]
+    inside = (
+        jaxrod.actuation.chamber(rod, 3e5, 5e-4, offsets=beside, into=wall),
+        jaxrod.actuation.tendon(rod, -beside, tension=20.0),
+    )
+    scene = replace(scene, effects=(*scene.effects, *inside))
+    dt = float(jaxrod.stable_dt(scene).dt)
+    flat = jaxrod.advance(scene, state, dt, 1000)
+    full = jaxrod.advance(in_space(scene), state, dt, 1000)
+    without = replace(scene, effects=scene.effects[:-2])
+    bare = jaxrod.advance(without, state, dt, 1000)
+    assert float(jnp.max(jnp.abs(full.positions - bare.positions))) > 0.01
+    np.testing.assert_allclose(flat.positions, full.positions, atol=1e-12)
+    np.testing.assert_allclose(flat.orientations, full.orientations, atol=1e-11)
 
 
 @pytest.mark.slow
