@@ -273,6 +273,11 @@ class Contact(Effect):
         """The contact with flags of free ends; only free ends have an end face."""
         return dataclasses.replace(self, free_ends=free)
 
+    @property
+    def without_slip(self) -> Contact:
+        """The same contact, whose static friction holds if it has any."""
+        return self
+
     def seen_by(self, see: See) -> Contact:
         """The same contact for bodies with a frame of their own; here itself.
 
