@@ -69,7 +69,8 @@ class _SystemPlace:
     def balanced(self) -> Bool[Array, ""]:
         """Whether the loads are no more than round-off, compared with the stiffness."""
         sizes = jnp.sum(jnp.abs(self.stiffness), axis=1)
-        return jnp.all(jnp.abs(self.loads) <= _BALANCED * self.rounding * sizes)
+        least = jnp.minimum(_ROUNDINGS * self.rounding, _BALANCED)
+        return jnp.all(jnp.abs(self.loads) <= least * sizes)
 
     @property
     def loads(self) -> Float[Array, " m"]:
@@ -259,9 +260,10 @@ _ROUNDINGS = 64
 """Largest relative resistance to a motion that counts as zero, in units of the relative
 round-off of positions, `StaticProblem.rounding` [1]."""
 
-_BALANCED = 4
-"""Largest load that counts as balanced where a search no longer reduces it, relative to
-the stiffness, in units of the relative round-off of positions [1]."""
+_BALANCED = 5e-7
+"""Largest load relative to the stiffness that can count as balanced where a search no
+longer reduces it [1]. In single precision `_ROUNDINGS` alone would accept loads that
+bend slender rods."""
 
 _SLIGHT = 1e-9
 """Largest relative resistance that can count as zero when the tolerance is raised for
