@@ -18,7 +18,7 @@ from jaxtyping import Array, ArrayLike, Int
 
 from jaxrod.effects.base import Effect, Memory, memory_of, recalled, remembers
 from jaxrod.effects.time import Clock, at_clock, at_largest, clock_at, depends_on_time
-from jaxrod.geometry.vectors import Vec3, add, join, mapped, scale, subtract
+from jaxrod.geometry.vectors import Vec3, add, join, mapped, multiply, scale, subtract
 from jaxrod.model import Stepper
 from jaxrod.rods.elasticity import elastic_law, internal_loads
 from jaxrod.rods.mass_matrix import coupled
@@ -424,6 +424,23 @@ class MassCoupling:
             forces, mapped(lambda a: coupled(self.element_masses, a), accelerations)
         )
 
+    def slowed(self, scene: LoadedRod, before: Motion, after: Motion) -> Motion:
+        """Motion after impulses that have changed each node by its own mass alone.
+
+        The impulses are passed on along elements like forces, so that those in
+        equilibrium keep angular momentum.
+
+        Args:
+            scene: The scene, whose supports hold nodes.
+            before: The motion before the impulses.
+            after: The motion that they would give lumped masses.
+        """
+        free, _ = free_velocity_mask(scene, before)
+        change = multiply(free, subtract(after.velocity, before.velocity))
+        none = scale(0.0, change)
+        passed = scale(self.inverse_masses, self.added(none, change))
+        return replace(after, velocity=add(after.velocity, passed))
+
 
 def check_masses(scene: LoadedRod) -> None:
     """Raises ValueError if the method moves each node by its own mass alone."""
@@ -482,10 +499,14 @@ def without_dissipation(scene: LoadedRod) -> LoadedRod:
 
 def dissipate(scene: LoadedRod, motion: Motion, dt: Array) -> Motion:
     """Applies all effects' `Effect.dissipate` to velocities and spins, for `dt` [s]."""
+    coupling = MassCoupling.of(scene.rod)
     for effect in scene.effects:
         if type(effect).dissipate is not Effect.dissipate:
             # The kick has given held components a rate, which is removed first.
-            motion = effect.dissipate(scene, constrain_rates(scene, motion), dt)
+            held = constrain_rates(scene, motion)
+            motion = effect.dissipate(scene, held, dt)
+            if coupling is not None:
+                motion = coupling.slowed(scene, held, motion)
     return motion
 
 

@@ -216,6 +216,27 @@ def test_a_free_rod_keeps_momentum_and_angular_momentum(method):
         assert largest(now - before) > 1e-6 * largest(before)
 
 
+@pytest.mark.parametrize(
+    "damping",
+    [
+        jaxrod.internal_damping(0.01),
+        pytest.param(jaxrod.short_wave_damping(1e4), marks=pytest.mark.slow),
+    ],
+)
+def test_damping_of_deformation_keeps_momenta_and_never_adds_energy(damping):
+    rod, _ = uneven(5, 6)
+    scene = jaxrod.make_scene(rod, damping)
+    state = deformed(rod, 5, largest_angle=0.3, largest_strain=0.05, speed=0.3)
+    after = jaxrod.step(scene, state, 1e-3 * float(jaxrod.stable_dt(scene).dt))
+    for quantity in (scene.momentum, scene.angular_momentum):
+        before = quantity(state)
+        assert largest(quantity(after) - before) < 1e-13 * largest(before)
+    noise = replace(state, velocities=jnp.sin(jnp.arange(21.0) ** 2).reshape(3, 7))
+    dt = jaxrod.stable_dt(scene, 0.5).dt
+    after = jaxrod.step(scene, noise, dt)
+    assert scene.total_energy(after) < scene.total_energy(noise)
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("wall", [False, True])
 def test_energy_varies_with_the_square_of_the_step_and_has_no_trend(wall):
