@@ -645,8 +645,11 @@ def _drag_rates(
                 own = total[k]
                 total[k] = part if own is None else own + part
     nodes_total, elements_total = total
+    masses = rod.node_masses
+    if rod.mass_matrix == "higher_order":
+        masses = masses / bounds_of_elements(rod.element_masses, rod.rest_lengths)[0]
     return (
-        None if nodes_total is None else nodes_total / rod.node_masses,
+        None if nodes_total is None else nodes_total / masses,
         None if elements_total is None else elements_total / least,
     )
 

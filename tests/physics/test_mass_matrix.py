@@ -303,6 +303,32 @@ def test_the_stable_step_is_a_bound_on_random_rods(record):
     assert min(ratios) > 0.85
 
 
+@pytree
+class Slowing(jaxrod.extend.Effect):
+    """Drag in proportion to the velocity of each node, as a load."""
+
+    drag_of_nodes: jax.Array  # [kg/s]
+
+    def loads(self, rod, motion):
+        """The force of each node."""
+        return jaxrod.extend.Loads(
+            tuple(-self.drag_of_nodes * one for one in motion.velocity)
+        )
+
+    def stability_bound(self, rod):
+        """The same drag at all nodes."""
+        drag = jnp.full(rod.n_elements + 1, self.drag_of_nodes)
+        return jaxrod.extend.StabilityBound(node_drag=drag)
+
+
+def test_the_stable_step_is_a_bound_with_drag_among_the_loads():
+    rod, state = arm(6, mass_matrix="higher_order", youngs_modulus=1e3)
+    scene = jaxrod.make_scene(rod, Slowing(jnp.asarray(1e3)))
+    zigzag = replace(state, velocities=state.velocities.at[1, ::2].set(1e-9))
+    after = jaxrod.advance(scene, zigzag, 0.99 * jaxrod.stable_dt(scene, 1.0).dt, 100)
+    assert largest(after.velocities) < 1e-9
+
+
 def swinging(method, mass_matrix="higher_order", *more):
     """A rod in a vertical plane, pinned, under gravity, released aside."""
     rod, _ = jaxrod.straight_rod(
