@@ -269,6 +269,7 @@ def excursion(scene, state, dt):
     return largest(after.positions - state.positions)
 
 
+# A step above the bound is one of the two that are compared.
 @pytest.mark.slow
 @pytest.mark.filterwarnings("ignore::jaxrod.UnstableStepWarning")
 @pytest.mark.parametrize("radius", [0.01, 0.05, 0.3])
