@@ -77,9 +77,9 @@ def test_a_scan_of_short_runs_keeps_each_state_once():
     """XLA compiles a program for each array that a scan keeps for its derivative."""
     scene, state = held_arm()
 
-    def tip(dt):
+    def tip(dt, n_steps=4):
         def later(state, _):
-            return jaxrod.advance(scene, state, dt, 4), None
+            return jaxrod.advance(scene, state, dt, n_steps), None
 
         return jax.lax.scan(later, state, length=3)[0].tip[2]
 
@@ -89,6 +89,11 @@ def test_a_scan_of_short_runs_keeps_each_state_once():
         if equation.primitive.name == "scan"
     )
     assert kept < 50  # 86 with the carry beside its checkpoints
+    # Nothing is kept for a traced number of steps.
+    _, expected = jax.jvp(lambda dt: tip(dt, jnp.int32(4)), (1e-4,), (1.0,))
+    _, forward = jax.jvp(tip, (1e-4,), (1.0,))
+    assert float(forward) == pytest.approx(float(expected), rel=1e-12)
+    assert float(jax.grad(tip)(1e-4)) == pytest.approx(float(expected), rel=1e-12)
 
 
 @pytree

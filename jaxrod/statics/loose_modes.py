@@ -156,13 +156,13 @@ def held_in_the_middle(
     """
     first = (rod.n_elements - 1) // 2
     local = modes[:, first : first + 2] / _units(rod)[None]
-    local = (local * _shares(rod, local.dtype)[None]).reshape(len(modes), -1)
+    local = (local * middle_shares(rod, local.dtype)[None]).reshape(len(modes), -1)
     stiffness = jnp.mean(rod.bend_twist_stiffness[0]) / jnp.sum(rod.rest_lengths)
     springs = jnp.sum(local[:, :, None] * local[:, None, :], axis=0)
     return tangent.stiffened(first, stiffness * springs)
 
 
-def _shares(rod: Rod, dtype: Any) -> Float[Array, "2 6"]:
+def middle_shares(rod: Rod, dtype: Any) -> Float[Array, "2 6"]:
     """Weights of two blocks in the displacement and rotation of the middle of a rod.
 
     Displacements of its two middle nodes and rotations of its two middle elements are

@@ -270,7 +270,7 @@ def test_traced_numbers_that_a_function_holds_become_parameters():
 
 @pytest.mark.slow
 def test_a_run_with_a_function_that_holds_a_traced_number_is_differentiated():
-    """It equals a function with the number as a parameter, in both modes and batches."""
+    """It is the one with the number as a parameter, in both modes and batches."""
     top = -0.04
     expected = jax.grad(held)(top)
     assert abs(expected) > 0.1

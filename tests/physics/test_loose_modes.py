@@ -12,7 +12,7 @@ import jaxrod
 from jaxrod.rods.elasticity import elastic_law
 from jaxrod.rods.motion import motion_of
 from jaxrod.statics.degrees_of_freedom import degrees_of_freedom
-from jaxrod.statics.loose_modes import singular_mixtures
+from jaxrod.statics.loose_modes import middle_shares, singular_mixtures
 from jaxrod.statics.residual import Increment, LoadBalance
 from physics.pins import Pin, Place, pinned
 from physics.rods import arm, difference
@@ -247,3 +247,14 @@ def test_orthogonal_mixtures_are_those_of_lapack(kind, dtype):
     assert (
         difference(products @ products.T, np.diag(sizes**2)) <= few * expected[0] ** 2
     )
+
+
+@pytest.mark.parametrize("n", [2, 3, 4, 7])
+def test_springs_on_loose_modes_act_on_the_middle_of_the_rod(n):
+    """Beside it they would make a symmetric rod unsymmetric."""
+    rod, _ = arm(n, jnp.float64)
+    shares = np.asarray(middle_shares(rod, jnp.float64))
+    first = (n - 1) // 2
+    places = np.add([[first] * 3 + [first + 0.5] * 3], [[0], [1]])
+    np.testing.assert_array_equal(shares.sum(axis=0), np.ones(6))
+    np.testing.assert_array_equal((shares * places).sum(axis=0), np.full(6, n / 2))

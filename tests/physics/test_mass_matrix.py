@@ -49,6 +49,21 @@ def moments(masses, places, pairs=None):
     return np.sum(masses), np.sum(masses * places), inertia
 
 
+def test_kinetic_energy_is_that_of_the_matrix_written_out():
+    rod, state = uneven(3, 4)
+    rates = np.random.default_rng(0).normal(size=(3, 5))
+    moving = replace(state, velocities=jnp.asarray(rates))
+    inverse = mobility(rod)
+    free = 0.5 * np.sum(rates * np.linalg.solve(inverse, rates.T).T)
+    np.testing.assert_allclose(rod.kinetic_energy(moving), free, rtol=1e-12)
+    rates[:, 0] = 0.0
+    held = replace(state, velocities=jnp.asarray(rates))
+    scene = jaxrod.make_scene(rod, jaxrod.pin_support(state, 0))
+    momenta = np.linalg.solve(inverse[1:, 1:], rates[:, 1:].T).T
+    expected = 0.5 * np.sum(rates[:, 1:] * momenta)
+    np.testing.assert_allclose(scene.kinetic_energy(held), expected, rtol=1e-12)
+
+
 def test_nodes_at_the_ends_are_lighter_and_their_neighbours_heavier():
     rod, _ = arm(6, mass_matrix="higher_order")
     shares = np.asarray(rod.node_masses / rod.element_masses[0])

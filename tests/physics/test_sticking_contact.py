@@ -9,6 +9,7 @@ import pytest
 
 import jaxrod
 from jaxrod import shapes
+from jaxrod.rods.motion import motion_of
 
 RADIUS, DENSITY, SLOPE = 0.02, 1000.0, 0.3
 WEIGHT = 9.81 * DENSITY * np.pi * RADIUS**2  # per length [N/m]
@@ -354,3 +355,24 @@ def test_bad_input():
     sticking = jaxrod.sticking_contact(many, rod, state)
     with pytest.raises(ValueError, match="cannot have it"):
         jaxrod.make_scene(rod, jaxrod.near_contact(sticking, rod, state, 2))
+
+
+def test_springs_beyond_their_limit_hold_without_slip():
+    rod, state = jaxrod.straight_rod(
+        2, length=0.2, radius=0.01, density=1e3, youngs_modulus=1e6, dtype=jnp.float64
+    )
+    floor = shapes.plane((0.0, 0.0, -0.0099), (0.0, 0.0, 1.0))
+    touch = jaxrod.contact(floor, stiffness=1e4, damping=1.0, friction=0.3)
+    contact = jaxrod.sticking_contact(touch, rod, state)
+    aside = tuple(e.at[..., 0, :].set(0.01) for e in contact.elongations)
+    contact = replace(contact, elongations=aside)
+
+    def sideways(contact):
+        x, _, z = contact.loads(rod, motion_of(state)).forces
+        return float(jnp.sum(x)), float(jnp.sum(z))
+
+    slips, push = sideways(contact)
+    holds, same = sideways(contact.without_slip)
+    assert push == same > 0
+    assert abs(slips) == pytest.approx(0.3 * push, rel=2e-3)
+    assert abs(holds) > 100 * abs(slips)
