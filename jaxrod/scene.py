@@ -22,6 +22,7 @@ from jaxrod.analysis.stability import (
 from jaxrod.effects.base import Effect, Reaction, memory_fields, memory_of
 from jaxrod.effects.ends import check_held_once
 from jaxrod.effects.own_classes import (
+    advice_for,
     check_own_class,
     check_own_hooks,
     check_own_loads,
@@ -326,20 +327,9 @@ def _check_effect(given: Any) -> None:
     if not isinstance(given, Effect):
         raise TypeError(
             f"effects must be jaxrod effects, got {type(given).__name__}"
-            + _advice(given)
+            + advice_for(given, "effect")
         )
     check_own_class(given, Effect, "an effect")
-
-
-def _advice(given: Any) -> str:
-    """Advice for a thing that was given as an effect, or ""."""
-    if isinstance(given, list | tuple):
-        return ": write *effects"
-    if callable(given):
-        return (
-            f": call {getattr(given, '__name__', 'it')}(...), which returns an effect"
-        )
-    return getattr(given, "misplaced", "")
 
 
 def _warn_of_softness(rod: Rod, effects: tuple[Effect, ...]) -> None:

@@ -120,6 +120,23 @@ def remedy(error: Exception) -> str:
     return ""
 
 
+def advice_for(given: Any, noun: str) -> str:
+    """Advice to append to the error about a thing in the wrong place, or "".
+
+    Args:
+        given: What was given.
+        noun: Word for what was wanted, `"effect"` or `"coupling"`.
+    """
+    if isinstance(given, list | tuple):
+        return f": write *{noun}s"
+    if callable(given):
+        name = getattr(given, "__name__", "it")
+        article = "an" if noun == "effect" else "a"
+        return f": call {name}(...), which returns {article} {noun}"
+    advice: str = getattr(given, "misplaced", "")
+    return advice
+
+
 def check_own_hooks(effect: Effect, rod: Rod) -> None:
     """Traces hooks of an effect that a user wrote, to find those that read values.
 

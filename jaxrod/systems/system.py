@@ -12,7 +12,7 @@ import numpy as np
 from jaxtyping import Array, ArrayLike, Float
 
 from jaxrod.analysis.health import HealthLimits
-from jaxrod.effects.own_classes import check_own_class
+from jaxrod.effects.own_classes import advice_for, check_own_class
 from jaxrod.geometry.vectors import Vec3
 from jaxrod.lanes.steps import by_kernel
 from jaxrod.model import GUESSES, Model, Stepper
@@ -422,16 +422,8 @@ def _flat(couplings: Any) -> Any:
         else:
             raise TypeError(
                 f"couplings must be jaxrod couplings, got {type(coupling).__name__}"
-                + _advice(coupling)
+                + advice_for(coupling, "coupling")
             )
-
-
-def _advice(given: Any) -> str:
-    """Advice for a thing that was given as a coupling, or ""."""
-    if callable(given):
-        name = getattr(given, "__name__", "it")
-        return f": call {name}(...), which returns a coupling"
-    return getattr(given, "misplaced", "")
 
 
 def _member(name: Any, given: Any) -> Member:

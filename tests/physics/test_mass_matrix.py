@@ -41,6 +41,21 @@ def mobility(rod):
     return inverse + inverse @ pairs @ inverse
 
 
+def test_masses_of_nodes_do_not_depend_on_direction_or_units():
+    rod, _ = uneven(5, 7)
+    turned = replace(
+        rod,
+        linear_density=rod.linear_density[::-1],
+        rest_lengths=rod.rest_lengths[::-1],
+    )
+    np.testing.assert_allclose(turned.node_masses, rod.node_masses[::-1], rtol=1e-14)
+    small = replace(rod, rest_lengths=1e-3 * rod.rest_lengths)
+    np.testing.assert_allclose(small.node_masses, 1e-3 * rod.node_masses, rtol=1e-14)
+    np.testing.assert_allclose(
+        rod.node_masses.sum(), rod.element_masses.sum(), rtol=1e-14
+    )
+
+
 def moments(masses, places, pairs=None):
     """Mass, its first moment and its moment of inertia about the origin."""
     inertia = np.sum(masses * places**2)
