@@ -124,7 +124,7 @@ def advice_for(given: Any, noun: str) -> str:
     """Advice to append to the error about a thing in the wrong place, or "".
 
     Args:
-        given: What was given.
+        given: The thing in the wrong place.
         noun: Word for what was wanted, `"effect"` or `"coupling"`.
     """
     if isinstance(given, list | tuple):
