@@ -70,12 +70,12 @@ the outcome. A semicolon separates values in the order of the algorithms named.
 IN_OUR_PHYSICS = """\
 ## Differences in the `clean` obstacle tasks
 
-In the variant `clean` a control step of the same two tasks takes less time ([how fast
-the tasks are](environments.md)), and no published number of control steps limits a run.
-Runs therefore use more environments, two to six million control steps, and actions held
-for 4 or 7 ms. For these cases `jaxrod reproduce --variant clean` takes the settings
-below instead of those above. TRPO and DDPG were not tried in `clean`, and keep those
-above.
+Two tasks have obstacles: `structured` and `unstructured`. In their variant `clean` a
+control step takes less time to compute ([how fast the tasks are](environments.md)), and
+no published number of control steps limits a run. Runs therefore use more environments,
+two to six million control steps, and actions held for 4 or 7 ms. For these cases
+`jaxrod reproduce --variant clean` takes the settings below instead of those above. TRPO
+and DDPG were not tried in `clean`, and keep the settings above.
 """
 
 BY_GRADIENTS = """\
