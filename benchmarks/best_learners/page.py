@@ -53,7 +53,7 @@ Other runs of the same kind, on the 64 episodes of seed 1 unless noted:
 - `tracking`, seed 100: `dagger` reaches 11,482. From there PPO reaches 12,753 after
   5,000,000 control steps, and 12,642 after 10,000,000 with four `epochs` instead of
   eight. With episodes of 1500 control steps for both (`short_length`), more targets
-  start so close to a wall that they never move along its axis. `dagger` then reaches
+  start so close to a wall that they never move away from it. `dagger` then reaches
   11,015, and PPO 12,646 after 6,000,000.
 - `tracking` with PPO alone, seed 100, `action_repeat` 4, `rollout_steps` 64, `discount`
   0.97 and two layers of 128, reaches 11,599 after 4,000,000 of 20,000,000 control steps
