@@ -88,8 +88,8 @@ action for `lookahead` control steps and takes one Gauss-Newton step on the task
 residuals there. The network is fitted by least squares to all improved actions so far.
 `dagger` needs a task with `predict` and `residuals` ([planning](planning.md)) and uses
 no reward. [Learning by gradients](first_order.md) compares it with PPO. `progress.csv`
-counts the planner's control steps as `model_steps`, separately from those acted.
-Settings that are not listed are common to all learners
+counts the planner's control steps as `model_steps`, separately from those in which the
+policy acts. Settings that are not listed are common to all learners
 (`jaxrod.training.LearnerConfig`); `discount` and `reward_scale` are rejected.
 
 `shac` ([short-horizon actor-critic](https://arxiv.org/abs/2204.07137)) maximises the

@@ -28,7 +28,7 @@ same for all (seed 1 of `evaluate`). The table has the mean over the seeds, with
 smallest and largest in brackets. Times are those of training, including compiling but
 not evaluation. Other work shared the machine, so processor time is more meaningful than
 wall-clock time. **Model steps** are control steps that the planner simulates in
-addition to those acted, without backward passes.
+addition to those in which the policy acts. Backward passes are not counted.
 
 ![Score against steps and time](../benchmarks/first_order/records/first_order.png)
 

@@ -43,9 +43,10 @@ HEADER = """\
 Written by `python -m benchmarks validation` from runs of the tests that assert every
 row; do not edit. {outcome}
 
-Unless a row says otherwise: float64, one CPU core. Errors are relative where they have
-no unit. The arm is 1 m long, 5 cm in radius, 10 MPa, 1000 kg/m^3. Measured on
-{machine} with {software}.
+Unless a row says otherwise, programs compute in float64 on one CPU core. Errors are
+relative where they have no unit. The arm is 1 m long and 5 cm in radius, with a Young's
+modulus of 10 MPa and a density of 1000 kg/m^3. Measured on {machine} with
+{software}.
 """
 COLUMNS = ("Feature", "Reference", "Measured", "Bar")
 
