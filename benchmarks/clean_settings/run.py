@@ -31,8 +31,8 @@ Written by `python -m benchmarks clean_settings`; do not edit. The arm of every 
 `clean` variant is simulated under one second of recorded actions
 (`benchmarks.clean_settings.problem`). Actions in `tracking` are those of a trained
 policy, a third of them at their limits. Actions in `reaching` are random and redrawn
-every 0.1 s. Those in the two obstacle tasks are the same at 0.3 of full strength: at full
-strength, arms that differ by round-off soon diverge. The error is the root mean
+every 0.1 s. Those in the two obstacle tasks are the same at 0.3 of full strength: at
+full strength, arms that differ by round-off soon diverge. The error is the root mean
 square over time of the tip's distance from a reference, in lengths of the arm. The
 reference has {n} elements at an eighth of the stable step, in float64. The task has its
 default number of elements, in float32, and its default number of steps for each control
