@@ -59,11 +59,11 @@ environments.
 
 ## Differences from the reference
 
-The table lists every deviation of the published grid from the paper. Rows of a single
-case replace those of all cases there. `jaxrod reproduce` runs every case with these
-settings, the same for all seeds (`benchmarks/paper/settings.py`), and makes as many
-whole updates as fit into its control steps. [Reproducing the benchmark](reproduce.md)
-explains the reasons. [All trials](../benchmarks/paper/tried.md) are the runs with which
+The table lists every deviation of the published grid from the paper. A row for a
+single case replaces, in that case, the row for all cases. `jaxrod reproduce` runs every
+case with these settings, the same for all seeds (`benchmarks/paper/settings.py`), and
+makes as many whole updates as fit into its control steps. [Reproducing the
+benchmark](reproduce.md) explains the reasons. [All trials](../benchmarks/paper/tried.md) are the runs with which
 we chose the settings, and [the results](../benchmarks/paper/records/results.md) show
 the outcome. A semicolon separates values in the order of the algorithms named.
 """
