@@ -63,7 +63,8 @@ The table lists every deviation of the published grid from the paper. A row for 
 single case replaces, in that case, the row for all cases. `jaxrod reproduce` runs every
 case with these settings, the same for all seeds (`benchmarks/paper/settings.py`), and
 makes as many whole updates as fit into its control steps. [Reproducing the
-benchmark](reproduce.md) explains the reasons. [All trials](../benchmarks/paper/tried.md) are the runs with which
+benchmark](reproduce.md) explains the reasons. [All
+trials](../benchmarks/paper/tried.md) are the runs with which
 we chose the settings, and [the results](../benchmarks/paper/records/results.md) show
 the outcome. A semicolon separates values in the order of the algorithms named.
 """

@@ -44,8 +44,8 @@ HEADER = """\
 
 Written by `python -m benchmarks optimum`; do not edit. The table has the tasks of the
 arm with a record (`python -m benchmarks optimum TASK`), in the variant `clean`. All
-columns but *learned* use the same episodes (seed {seed} of `evaluate`; their random events
-depend on the duration of actions):
+columns but *learned* use the same episodes (seed {seed} of `evaluate`; their random
+events depend on the duration of actions):
 
 - **ceiling**: the reward with the tip on the target, or as close to it as the arm's
   length from its base allows, and in `reaching` with the goal's orientation. It is
