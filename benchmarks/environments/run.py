@@ -48,7 +48,8 @@ Written by `python -m benchmarks environments`; do not edit. The table has contr
 steps per second in float32, with {batches} environments on each of {cores} cores,
 under new random actions in every step. Values are medians of {windows} windows of
 {seconds:g} s, without compiling. The time of a control step, the elements of a rod
-and the simulation steps per control step are the tasks' defaults. The octopus has eight arms, the gripper three
+and the simulation steps per control step are the tasks' defaults. The
+octopus has eight arms, the gripper three
 fingers and a ball. {lanes}
 The machine is shared: at a busy hour a task may show half the speed of a quiet one.
 {machine}.
