@@ -8,7 +8,7 @@ import jax
 import jax.numpy as jnp
 
 import jaxrod
-from jaxrod import actuation, control, extend
+from jaxrod import actuation, extend
 
 SCALE, WIDEST, UNITS = 0.01, 20.0, 3  # energy [J/m], curvature [1/m], hidden units
 TAUGHT, NEW, NOISE = (0.02, 0.05, 0.1, 0.2), (0.0, 0.035, 0.15), 1e-4  # loads [N]; [m]
@@ -38,7 +38,7 @@ class Learned(Truth):
     def density(self, bend):
         """The same by the network; zero for a straight rod."""
         w1, b, w2 = self.weights[..., None]
-        return jnp.sum(w2 * (jnp.tanh(w1 * bend + b) - jnp.tanh(b)), axis=0)
+        return jnp.sum(w2 * (jnp.tanh(w1 * bend[None] + b) - jnp.tanh(b)), axis=0)
 
 
 def scene_of(extra, load):
@@ -63,7 +63,7 @@ def learn():
     noise = {"poses": NOISE, "swing": NOISE, "weights": 1.0}
     made = lambda p: seen(Learned(**p)) | p
     data = seen(Truth()) | start
-    return control.fit(made, data, start, noise=noise, logarithmic=False).values
+    return jaxrod.control.fit(made, data, start, noise=noise, logarithmic=False).values
 
 
 def errors(weights):
