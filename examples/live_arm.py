@@ -8,12 +8,13 @@ ball. Ctrl-C ends it.
 from dataclasses import replace
 
 import jax.numpy as jnp
+import numpy as np
 
 import jaxrod
 from jaxrod import actuation, viz
 
 LENGTH, RADIUS, OFFSET = 0.25, 0.008, 0.007  # [m]
-WAYS = jnp.asarray([[1.0, 0.0], [0.0, 1.0], [-1.0, 0.0], [0.0, -1.0]])
+WAYS = np.array([[1.0, 0.0], [0.0, 1.0], [-1.0, 0.0], [0.0, -1.0]])
 
 
 def build():

@@ -77,6 +77,7 @@ def test_page_lists_the_pythons_of_the_classifiers_with_what_is_pinned():
         ("torch", "PyTorch"),
         ("llvmlite", "llvmlite"),
         ("trimesh", "trimesh"),
+        ("rosbags", "rosbags"),
         ("ray", "Ray"),
     ],
 )

@@ -1,10 +1,10 @@
 """Returns of TRPO without the noise of its training.
 
-Trains TRPO on `tracking` (variant "paper") with the settings of the published grid. The
-bound on the logarithm of the standard deviation falls from 0 to a number, or is too
-large to matter (`none`). Each policy is then evaluated on the same episodes without
-noise, and with the noise that it had at the end. Writes a record of every run into
-records.
+Trains TRPO on `tracking` or `reaching` (variant "paper") with the settings of the
+published grid. The bound on the logarithm of the standard deviation falls from 0 to a
+number, or is too large to matter (`none`). Each policy is then evaluated on the same
+episodes without noise, and with the noise that it had at the end. Writes a record of
+every run into records.
 """
 
 from __future__ import annotations
@@ -21,22 +21,25 @@ from jaxrod.installation.machine import processor_and_versions
 from jaxrod.training import TRPOConfig, train
 
 RECORDS = Path(__file__).with_name("records")
-SCHEDULES: dict[str, dict[str, float]] = {
-    "none": {},
-    "to-0.37": {"max_log_std": 0.0, "final_max_log_std": -1.0},
-    "to-0.14": {"max_log_std": 0.0, "final_max_log_std": -2.0},
-    "late-to-0.37": {"max_log_std": 2.0, "final_max_log_std": -1.0},
+LATE = {"max_log_std": 2.0, "final_max_log_std": -1.0}
+"""Schedule that does not matter before about three quarters of the training."""
+RUNS: dict[str, tuple[str, dict[str, float]]] = {
+    "none": ("tracking", {}),
+    "to-0.37": ("tracking", {"max_log_std": 0.0, "final_max_log_std": -1.0}),
+    "to-0.14": ("tracking", {"max_log_std": 0.0, "final_max_log_std": -2.0}),
+    "late-to-0.37": ("tracking", LATE),
+    "reaching-none": ("reaching", {}),
+    "reaching-late-to-0.37": ("reaching", LATE),
 }
-"""Settings by schedule, named after the standard deviation at the end.
-
-A late schedule does not matter before about three quarters of the training."""
+"""Task and settings by schedule, named after the standard deviation at the end."""
 
 
 def trained(name: str, seed: int, steps: int) -> dict[str, Any]:
     """The record of a run."""
-    settings = dict(GRID["tracking"]["trpo"].settings) | SCHEDULES[name]
+    task, schedule = RUNS[name]
+    settings = dict(GRID[task]["trpo"].settings) | schedule
     config = dataclasses.replace(TRPOConfig(), **settings)
-    env = make("tracking", variant="paper")
+    env = make(task, variant="paper")
     result = train(
         env,
         "trpo",
@@ -47,6 +50,7 @@ def trained(name: str, seed: int, steps: int) -> dict[str, Any]:
         progress=False,
     )
     return {
+        "task": task,
         "schedule": name,
         "seed": seed,
         "control_steps": result.summary["env_steps"],
@@ -63,7 +67,7 @@ def trained(name: str, seed: int, steps: int) -> dict[str, Any]:
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declares schedules, seeds and steps."""
-    add_run_arguments(parser, SCHEDULES, "SCHEDULE")
+    add_run_arguments(parser, RUNS, "SCHEDULE")
 
 
 def run(args: argparse.Namespace) -> int:

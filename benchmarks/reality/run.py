@@ -2,15 +2,17 @@
 
 The task is `tracking` (variant "clean"). The arm is up to 30 % stiffer or softer than
 its model, drawn for every episode. Commands arrive 20 ms late. Positions have noise of
-5 mm, and each marker on the arm is missing half of the time. Five learners train on
+5 mm, and each marker on the arm is missing half of the time. Six learners train on
 this: PPO without memory (`mlp`), with a recurrent policy (`recurrent`), each of them
-also with a critic that sees everything (`mlp-privileged`, `recurrent-privileged`), and
-DAgger (`imitator`). It imitates a planner that sees everything and knows the delay, and
-its policy, without memory, sees its own last actions beside the sensors. `ideal` is PPO
-without memory and without any of these faults, and `mlp-delay`, `mlp-dropout`,
-`mlp-noise`, `mlp-stiffness` and `imitator-delay` have one of them. Each policy is then
-evaluated without noise in its actions, on the task on which it was
-trained, and on arms ten per cent softer and stiffer than any of the training.
+also with a critic that sees everything (`mlp-privileged`, `recurrent-privileged`),
+DAgger (`imitator`), and both together (`recurrent-imitated`). DAgger imitates a planner
+that sees everything and knows the delay. Its policy, without memory, sees its own last
+actions beside the sensors. In `recurrent-imitated` DAgger has a quarter of the control
+steps, and recurrent PPO begins with its policy. `ideal` is PPO without memory and
+without any of these faults, and `mlp-delay`, `mlp-dropout`, `mlp-noise`,
+`mlp-stiffness` and `imitator-delay` have one of them. Each policy is then evaluated
+without noise in its actions, on the task on which it was trained, and on arms ten per
+cent softer and stiffer than any of the training.
 
 `faults` trains nothing on faults. It evaluates the policy of `ideal` under each fault,
 and a planner that knows everything (`jaxrod.control.mpc`), with the delay and without.
@@ -33,7 +35,13 @@ from benchmarks.shared.learners import EPISODES, add_run_arguments, returns, run
 from jaxrod.control import mpc
 from jaxrod.envs import Environment, make
 from jaxrod.installation.machine import processor_and_versions
-from jaxrod.training import DAggerConfig, PPOConfig, evaluate, train
+from jaxrod.training import (
+    DAggerConfig,
+    evaluate,
+    find_algorithm,
+    train,
+    warm_start,
+)
 
 RECORDS = Path(__file__).with_name("records")
 DELAY = 0.02
@@ -69,6 +77,18 @@ COMMON: dict[str, Any] = {
 GRU: dict[str, Any] = {"gru_units": 64, "epochs": 4}
 IMITATOR: dict[str, Any] = {"lookahead": 48, "planner_steps": 1.5e5}
 """Settings of DAgger that differ from its defaults: plans look beyond the delay."""
+CLIMB: dict[str, Any] = GRU | {
+    "num_envs": 128,
+    "action_repeat": 16,
+    "rollout_steps": 16,
+    "discount": 0.93**2,
+    "hidden_sizes": DAggerConfig().hidden_sizes,
+    "initial_log_std": -3.0,
+    "learning_rate": 5e-5,
+}
+"""Settings of PPO that begins with the imitator's policy: small noise and steps."""
+IMITATED = 0.25
+"""Part of the control steps of `recurrent-imitated` that DAgger takes [1]."""
 PAST_ACTIONS = (1, 17)
 """Past actions that the imitator sees [control steps ago]: its last two, as it holds
 each for 16."""
@@ -82,6 +102,7 @@ LEARNERS: dict[str, dict[str, Any]] = {
     **{f"mlp-{fault}": {} for fault in FAULTS},
     "imitator": IMITATOR,
     "imitator-delay": IMITATOR,
+    "recurrent-imitated": IMITATOR,
     "faults": {},
 }
 """Settings by learner, beside those common to all."""
@@ -157,21 +178,34 @@ def without_learning(plain: Environment, policy: Any) -> dict[str, float]:
     return found
 
 
+def stages(name: str, steps: int) -> list[tuple[str, int, dict[str, Any]]]:
+    """Learners, control steps and settings; each begins with the policy before it."""
+    if LEARNERS[name] is not IMITATOR:
+        return [("ppo", steps, COMMON | LEARNERS[name])]
+    if name != "recurrent-imitated":
+        return [("dagger", steps, IMITATOR)]
+    first = round(IMITATED * steps)
+    return [("dagger", first, IMITATOR), ("ppo", steps - first, CLIMB)]
+
+
 def trained(name: str, seed: int, steps: int) -> dict[str, Any]:
     """The record of a run."""
-    env, imitates = task(name), LEARNERS[name] is IMITATOR
-    settings = LEARNERS[name] if imitates else COMMON | LEARNERS[name]
+    env, policy, taken = task(name), None, 0
     clocks = Clocks()
-    result = train(
-        env,
-        "dagger" if imitates else "ppo",
-        steps=steps,
-        seed=seed,
-        config=DAggerConfig(**settings) if imitates else PPOConfig(**settings),
-        chunk_steps=max(steps // 20, 1),
-        evaluation_episodes=0,
-        progress=False,
-    )
+    for learner, count, settings in stages(name, steps):
+        algorithm = find_algorithm(learner)
+        result = train(
+            env,
+            algorithm if policy is None else warm_start(algorithm, policy),
+            steps=count,
+            seed=seed,
+            config=algorithm.config_type(**settings),
+            chunk_steps=max(count // 20, 1),
+            evaluation_episodes=0,
+            progress=False,
+        )
+        policy = result.policy
+        taken += result.summary["env_steps"]
     wall, cpu = clocks.read()
     columns = ("env_steps", "episode_return_mean", "action_std")
     more: dict[str, Any] = {}
@@ -182,7 +216,7 @@ def trained(name: str, seed: int, steps: int) -> dict[str, Any]:
     return {
         "learner": name,
         "seed": seed,
-        "control_steps": result.summary["env_steps"],
+        "control_steps": taken,
         **returns(env, result.policy),
         **more,
         "return_in_training": result.summary["final_score"],

@@ -2,8 +2,9 @@
 
 The arm is a TOML file: its rod, tendons and markers as drawn, and a standard deviation
 of each parameter that is not known exactly. Recordings are CSV files with a time, the
-inputs of the tendons, and the coordinates of the markers, in any order (docs/twin.md
-has both). A recording at rest gives a pose, and one of a moving arm gives a motion.
+inputs of the tendons, and the coordinates of the markers, in any order; or they are ROS
+bags or MCAP files, whose topics the arm's file names (docs/twin.md has all of them). A
+recording at rest gives a pose, and one of a moving arm gives a motion.
 
 The folder gets twin.json (the parameters with their standard deviations, and the errors
 of all recordings) and report.html. With --forecast, recordings that are not fitted are
@@ -44,7 +45,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         nargs="+",
         type=settings.path,
         metavar="LOG",
-        help="recordings to fit: CSV",
+        help="recordings to fit: CSV, ROS bag or MCAP",
     )
     parser.add_argument(
         "--arm",

@@ -51,6 +51,9 @@ from jaxrod.rods.rod import Rod, RodState, check_state
 from jaxrod.structure import memory, pytree, static
 from jaxrod.validation import Numbers, as_array, check_kind
 
+STICKING = 0.5
+"""Stiffness of the springs of static friction, by default, over that of contact [1]."""
+
 
 class _Grip(NamedTuple):
     """Springs of a group of contact points on one body, and how the points moved."""
@@ -119,6 +122,21 @@ class StickingContact(Contact):
     holds: bool = static(default=False, kw_only=True)
     """Whether points that touch hold beyond the limit of friction, see
     `without_slip`."""
+
+    def with_numbers(self, rod: Rod, step: Array) -> StickingContact:
+        """Copy with the numbers that are left out, see `Contact.with_numbers`."""
+        if not self.lacks_numbers:
+            return self
+        # The springs grow with the stiffness that is looked for, so that the step
+        # which the contact allows counts them.
+        share = jnp.full_like(self.stiffness, STICKING)
+        unit = dataclasses.replace(self, stick_stiffness=share)
+        chosen = Contact.with_numbers(unit, rod, step)
+        stiffness = chosen.stiffness * share
+        if "stick_stiffness" not in self.left_out:
+            stiffness = self.stick_stiffness
+        found: StickingContact = dataclasses.replace(chosen, stick_stiffness=stiffness)
+        return found
 
     def stability_bound(self, rod: Rod) -> StabilityBound:
         """Bounds of contact with the springs of friction, as if all points stuck.
@@ -257,7 +275,7 @@ def sticking_contact(
         state: State of the rod in which the springs have no elongation.
         stick_stiffness: Friction per length of rod and elongation [N/m^2]; by default
             half the stiffness of the contact, with which nodes are no stiffer than
-            without.
+            without. `make_scene` chooses it too if the contact has no stiffness.
 
     Returns:
         An effect to list in a scene in place of `contact`, for this rod.
@@ -286,17 +304,17 @@ def sticking_contact(
         raise ValueError(f"static friction needs a contact with friction, got {kind}")
     if contact.near is not None:
         raise ValueError("static friction needs all bodies, got a near_contact")
-    if contact.lacks_numbers:
-        raise ValueError("static friction needs a contact with a stiffness, got none")
     dtype = contact.stiffness.dtype
     stiffness = (
-        0.5 * contact.stiffness
+        STICKING * contact.stiffness
         if stick_stiffness is None
         else as_array(
             "stick_stiffness", stick_stiffness, "N/m^2", positive=True, dtype=dtype
         )
     )
     own = {f.name: getattr(contact, f.name) for f in dataclasses.fields(Contact)}
+    if contact.lacks_numbers and stick_stiffness is None:
+        own["left_out"] = (*contact.left_out, "stick_stiffness")
     zeros = [
         jnp.zeros(
             (

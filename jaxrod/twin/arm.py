@@ -203,6 +203,9 @@ class Arm:
     friction: float = 0.0
     """Coefficient of friction between tendons and eyelets [1]."""
     frame: Frame = field(default_factory=Frame)
+    topics: Mapping[str, str] = field(default_factory=dict)
+    """Topic and field of each input and marker in bags, "TOPIC:FIELD" by name; see
+    `read_recording`."""
 
     def __post_init__(self) -> None:
         """Validates the ranges of all fields, and names of unknowns and markers.
@@ -251,6 +254,9 @@ class Arm:
         origin = self.frame.origin
         if isinstance(origin, str) and origin not in names:
             raise ValueError(f"origin of the frame is {origin!r}, no marker's name")
+        for name, topic in self.topics.items():
+            if not isinstance(topic, str):
+                raise ValueError(f"the topic of {name!r} must be text, got {topic!r}")
 
     @property
     def inputs(self) -> tuple[str, ...]:
@@ -573,13 +579,15 @@ def _arm(content: dict[str, Any]) -> Arm:
         for entry in content.get("markers", [])
     ]
     frame = _taken(content.get("frame", {}), "frame", (), ("axes", "origin", "scale"))
-    _taken(content, "the file", ("rod", "markers", "unknown"), ("tendons", "frame"))
+    allowed = ("tendons", "frame", "topics")
+    _taken(content, "the file", ("rod", "markers", "unknown"), allowed)
     return Arm(
         **rod,
         tendons=tuple(tendons),
         markers=tuple(seen),
         unknown=dict(content["unknown"]),
         frame=Frame(**frame),
+        topics=dict(content.get("topics", {})),
     )
 
 

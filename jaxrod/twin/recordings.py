@@ -1,4 +1,4 @@
-"""Recordings of an arm: markers and inputs over time, read from CSV files."""
+"""Recordings of an arm: markers and inputs over time, read from CSV files or bags."""
 
 from __future__ import annotations
 
@@ -10,8 +10,9 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float
 
-from jaxrod.files import DamagedFileError, read_csv
+from jaxrod.files import DamagedFileError, read_csv, reading
 from jaxrod.twin.arm import Arm
+from jaxrod.twin.bags import is_bag, read_columns
 
 STILL = 2e-3
 """An arm counts as at rest if no coordinate of a marker has a larger standard deviation
@@ -108,13 +109,18 @@ class Recording:
 
 
 def read_recording(path: str | Path, arm: Arm) -> Recording:
-    """Reads a recording from a CSV file with a header.
+    """Reads a recording from a CSV file with a header, or from a bag.
 
     Columns are `time` [s], one for each of `Arm.inputs`, and `NAME_x`, `NAME_y`,
     `NAME_z` for each marker, in recorded units (`Frame.scale`). If the names are those
     of the arm's markers, they identify the markers. Otherwise there must be as many
     markers as the arm has, and `register` identifies them. Other columns are ignored.
     An empty cell, or `nan`, is a marker that was not seen.
+
+    Bags are ROS bags (`.bag`, folders of ROS 2) and MCAP files of ROS 2; they need the
+    extra `ros`: `pip install "jaxrod[ros]"`. `Arm.topics` names the topic and field of
+    each input and marker. Each message of the first marker is a frame. Other markers
+    are those seen within half a frame, and inputs keep their last value.
 
     Args:
         path: Path of the file.
@@ -125,7 +131,9 @@ def read_recording(path: str | Path, arm: Arm) -> Recording:
         the markers is the arm's.
 
     Raises:
-        DamagedFileError: If the file is not such a table; the message names the file.
+        DamagedFileError: If the file is not such a table or bag; the message names the
+            file.
+        ImportError: If the file is a bag and rosbags is not installed.
         OSError: If the file cannot be opened.
 
     Example:
@@ -151,6 +159,9 @@ def read_recording(path: str | Path, arm: Arm) -> Recording:
         ((2, 1, 3), True)
     """
     file = Path(path)
+    if is_bag(file):
+        with reading(file):
+            return _from_bag(file, arm)
     columns, rows = read_csv(file)
     numbers = {name: k for k, name in enumerate(columns)}
     names = [
@@ -158,25 +169,11 @@ def read_recording(path: str | Path, arm: Arm) -> Recording:
         for name in columns
         if name.endswith("_x") and {name[:-2] + "_y", name[:-2] + "_z"} <= {*columns}
     ]
-    wanted = [marker.name for marker in arm.markers]
-    known = [name for name in wanted if name in names]
-    labelled = len(known) == len(wanted)
-    names = wanted if labelled else names
     try:
         for name in ("time", *arm.inputs):
             if name not in numbers:
                 raise ValueError(f"it has no column {name!r}")
-        if known and not labelled:
-            missing = ", ".join(name for name in wanted if name not in known)
-            raise ValueError(
-                f"it has columns of the markers {', '.join(known)}, and none of "
-                f"{missing}: name all of them, or none"
-            )
-        if len(names) != len(wanted):
-            raise ValueError(
-                f"it has the markers {', '.join(names) or 'none'}, and the arm has "
-                f"{', '.join(wanted)}: the numbers must be equal"
-            )
+        names, labelled = _chosen(names, arm)
         marked = [numbers[f"{name}_{axis}"] for name in names for axis in "xyz"]
         points = _numbers(rows, marked, columns)
         return Recording(
@@ -188,6 +185,40 @@ def read_recording(path: str | Path, arm: Arm) -> Recording:
         )
     except ValueError as error:
         raise DamagedFileError(f"{file}: {error}") from error
+
+
+def _from_bag(file: Path, arm: Arm) -> Recording:
+    """The recording in a bag."""
+    for name in arm.inputs:
+        if name not in arm.topics:
+            raise ValueError(f"the arm has no topic of the input {name!r} ([topics])")
+    others = [name for name in arm.topics if name not in arm.inputs]
+    names, labelled = _chosen(others, arm)
+    times, inputs, points = read_columns(file, arm.topics, arm.inputs, names)
+    return Recording(file.stem, times, inputs, arm.frame.scale * points, labelled)
+
+
+def _chosen(found: list[str], arm: Arm) -> tuple[list[str], bool]:
+    """Names of the markers to read, and whether they are the arm's, in its order.
+
+    `found` are the names of all markers that are recorded.
+    """
+    wanted = [marker.name for marker in arm.markers]
+    known = [name for name in wanted if name in found]
+    if len(known) == len(wanted):
+        return wanted, True
+    if known:
+        missing = ", ".join(name for name in wanted if name not in known)
+        raise ValueError(
+            f"it has columns of the markers {', '.join(known)}, and none of "
+            f"{missing}: name all of them, or none"
+        )
+    if len(found) != len(wanted):
+        raise ValueError(
+            f"it has the markers {', '.join(found) or 'none'}, and the arm has "
+            f"{', '.join(wanted)}: the numbers must be equal"
+        )
+    return found, False
 
 
 def _numbers(

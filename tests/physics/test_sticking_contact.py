@@ -277,14 +277,8 @@ def hanging_rope(friction, share, n=100):
     )
     _, bent = jaxrod.rod_along(places, **material)
     state = replace(straight, positions=bent.positions, orientations=bent.orientations)
-    free = jaxrod.stable_dt(jaxrod.make_scene(rod), state=state).dt
-    stiffness = LINE * float(0.5 / free) ** 2
-    rough = jaxrod.contact(
-        shapes.cylinder((0.0, -0.1, 0.0), (0.0, 0.1, 0.0), POST),
-        stiffness=stiffness,
-        damping=np.sqrt(stiffness * LINE),
-        friction=friction,
-    )
+    post = shapes.cylinder((0.0, -0.1, 0.0), (0.0, 0.1, 0.0), POST)
+    rough = jaxrod.contact(post, friction=friction)
     scene = jaxrod.make_scene(
         rod,
         jaxrod.gravity(),
@@ -314,6 +308,22 @@ def test_a_rope_over_a_cylinder_holds_up_to_the_capstan_limit(friction, share, r
     second = jaxrod.advance(scene, first, dt, int(10 / dt), first=int(2 / dt))
     crept = float(second.positions[2, 0] - first.positions[2, 0])
     record("Its light end in the 10 s after [m]", "0", abs(crept), at_most=5e-5)
+
+
+@pytest.mark.parametrize("given", [None, 3e3])
+def test_numbers_that_are_left_out_halve_the_step_at_most(given):
+    scene, state = lying(0.5)
+    rough = jaxrod.contact(shapes.plane(), friction=0.5)
+    bare = jaxrod.sticking_contact(rough, scene.rod, state, stick_stiffness=given)
+    assert bare.lacks_numbers
+    whole = jaxrod.make_scene(scene.rod, jaxrod.gravity(), bare)
+    found = whole.effects[-1]
+    assert not found.lacks_numbers
+    assert found.damping > 0 and found.friction_drag > 0
+    stick = 0.5 * found.stiffness if given is None else given
+    np.testing.assert_allclose(found.stick_stiffness, stick, rtol=1e-12)
+    free = jaxrod.stable_dt(jaxrod.make_scene(scene.rod)).dt
+    assert 0.5 - 1e-6 < jaxrod.stable_dt(whole).dt / free < 0.7
 
 
 def test_what_leaves_the_ground_forgets():

@@ -77,6 +77,19 @@ def test_the_first_policy_is_the_one_that_is_given(algorithm, config, output):
         )
 
 
+def test_a_recurrent_policy_begins_as_the_perceptron_that_is_given():
+    given, config = some_policy(), dataclasses.replace(SMALL, gru_units=4)
+    learner = warm_start(PPO, given)
+    state = jax.jit(lambda key: learner.init(key, Trivial(), config))(jax.random.key(0))
+    policy = learner.policy(state)
+    memory = policy.init(SEEN, None)
+    for seen in (SEEN, 2 * SEEN):
+        action, memory = policy.act(memory, seen, None)
+        np.testing.assert_array_equal(action, given(seen))
+    # It remembers.
+    assert np.all(np.std(memory, axis=0) > 1e-3)
+
+
 def _numbers(leaf):
     keys = jnp.issubdtype(leaf.dtype, jax.dtypes.prng_key)
     return jax.random.key_data(leaf) if keys else leaf
@@ -110,6 +123,11 @@ def test_what_cannot_be_begun_with_is_refused():
         started(SHAC, given, SHACConfig(num_envs=8, hidden_sizes=(8,)))
     with pytest.raises(ValueError, match=r"\[\(1, 8\), \(8, 1\)\].* got \[\(1, 4\)"):
         started(PPO, some_policy(hidden=4), SMALL)
+    recurrent = dataclasses.replace(SMALL, gru_units=4)
+    with pytest.raises(ValueError, match=r"\[\(1, 8\), \(8, 1\)\].* got \[\(1, 4\)"):
+        started(PPO, some_policy(hidden=4), recurrent)
+    with pytest.raises(ValueError, match="activation 'tanh' and output 'clip'"):
+        started(PPO, dataclasses.replace(given, activation="relu"), recurrent)
     with pytest.raises(ValueError, match="network must be None"):
         started(PPO, given, dataclasses.replace(SMALL, network=own_network))
     with pytest.raises(ValueError, match="sac cannot begin with a policy"):

@@ -610,6 +610,9 @@ def warm_start(algorithm: Algorithm, policy: MLPPolicy) -> Algorithm:
     configuration: `initial_log_std` should be far below 0, or the first updates destroy
     what was learned. The value network starts from random weights.
 
+    With `gru_units` the run trains a recurrent policy. Its perceptron begins as the
+    given one, with weights of zero for the memory, which starts from random weights.
+
     Args:
         algorithm: `PPO`, `TRPO` or `SHAC`, whose configuration must have the policy's
             `hidden_sizes`.
@@ -651,15 +654,12 @@ def warm_start(algorithm: Algorithm, policy: MLPPolicy) -> Algorithm:
                 "privileged_critic must be false to begin with an MLPPolicy, which has "
                 "no moments of the critic's observations"
             )
-        own = algorithm.policy(state)
-        if not isinstance(own, MLPPolicy):
+        own: Any = algorithm.policy(state)
+        units = state.config.recurrent_units("policy")
+        activation = (own.network if units else own).activation
+        if (policy.activation, policy.output) != (activation, own.output):
             raise ValueError(
-                f"{algorithm.name} cannot begin with an MLPPolicy: its own policy is "
-                f"a {type(own).__name__}"
-            )
-        if (policy.activation, policy.output) != (own.activation, own.output):
-            raise ValueError(
-                f"policy must have activation {own.activation!r} and output "
+                f"policy must have activation {activation!r} and output "
                 f"{own.output!r}, as {algorithm.name} has; got {policy.activation!r} "
                 f"and {policy.output!r}"
             )
@@ -673,8 +673,11 @@ def warm_start(algorithm: Algorithm, policy: MLPPolicy) -> Algorithm:
 def _with_policy(state: OnPolicyState, policy: MLPPolicy) -> OnPolicyState:
     """The train state with the policy's network, moments and observation bound."""
     weights: dict[str, Any] = dict(state.weights)
-    usual = weights["policy"]["mean"]
-    own, given = _sizes(layers(usual)), _sizes(policy.layers)
+    mean = weights["policy"]["mean"]
+    units = state.config.recurrent_units("policy")
+    perceptron = mean["perceptron"] if units else mean
+    own, given = _sizes(layers(perceptron)), _sizes(policy.layers)
+    own[0] = (own[0][0] - units, own[0][1])
     if own != given:
         raise ValueError(
             f"the policy's layers must have the sizes of the run's, {own}, as "
@@ -682,11 +685,15 @@ def _with_policy(state: OnPolicyState, policy: MLPPolicy) -> OnPolicyState:
         )
     dtype = state.moments.mean.dtype
     names = [f"hidden_{i}" for i in range(len(own) - 1)] + ["output"]
-    mean = {
+    begun = {
         name: {"kernel": jnp.asarray(kernel, dtype), "bias": jnp.asarray(bias, dtype)}
         for name, (kernel, bias) in zip(names, policy.layers, strict=True)
     }
-    weights["policy"] = {**weights["policy"], "mean": mean}
+    # The perceptron sees the memory after the observation.
+    first = begun[names[0]]
+    first["kernel"] = jnp.pad(first["kernel"], ((0, units), (0, 0)))
+    begun = {**mean, "perceptron": begun} if units else begun
+    weights["policy"] = {**weights["policy"], "mean": begun}
     limit = jnp.asarray(policy.limit, state.config.observation_limit.dtype)
     return dataclasses.replace(
         state,

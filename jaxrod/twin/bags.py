@@ -1,0 +1,160 @@
+"""Columns of a recording from the messages of a ROS bag or an MCAP file."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+SUFFIXES = (".bag", ".mcap", ".db3")
+"""Suffixes of files that are bags; bags of ROS 2 may also be folders."""
+PART = re.compile(r"(\w+)((?:\[\d+\])*)")
+"""One name of a field, with indices."""
+Rows = tuple[np.ndarray, np.ndarray]
+"""Times [ns] of messages, and the values of a field `(messages, size)`."""
+
+
+def is_bag(path: Path) -> bool:
+    """Whether a path is that of a bag, by its suffix or because it is a folder."""
+    return path.suffix.lower() in SUFFIXES or path.is_dir()
+
+
+def read_columns(
+    path: Path, topics: Mapping[str, str], inputs: Sequence[str], names: Sequence[str]
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Times, inputs and markers of a bag, a row for each message of the first marker.
+
+    Other markers are those seen within half a frame, else NaN. Inputs keep their last
+    value; before the first message they have the first.
+
+    Args:
+        path: The bag.
+        topics: Topic and field of each input and marker, "TOPIC:FIELD".
+        inputs: Names of the inputs.
+        names: Names of the markers, at least one.
+
+    Returns:
+        Times since the first frame [s], inputs `(frames, inputs)`, and positions of the
+        markers in recorded units `(frames, markers, 3)`.
+
+    Raises:
+        ImportError: If rosbags is not installed.
+        ValueError: If a topic or a field is missing, or a field has another size.
+    """
+    sizes = dict.fromkeys(inputs, 1) | dict.fromkeys(names, 3)
+    rows = _fields(path, {name: topics[name] for name in sizes}, sizes)
+    frames = rows[names[0]][0]
+    half = 0.5 * np.median(np.diff(frames)) if len(frames) > 1 else np.inf
+    seen = np.full((len(frames), len(names), 3), np.nan)
+    for k, name in enumerate(names):
+        times, values = rows[name]
+        nearest = _nearest(times, frames)
+        near = np.abs(times[nearest] - frames) <= half
+        seen[near, k] = values[nearest[near]]
+    pulled = np.empty((len(frames), len(inputs)))
+    for k, name in enumerate(inputs):
+        times, values = rows[name]
+        last = np.searchsorted(times, frames, side="right") - 1
+        pulled[:, k] = values[np.maximum(last, 0), 0]
+    return 1e-9 * (frames - frames[0]), pulled, seen
+
+
+def _nearest(times: np.ndarray, frames: np.ndarray) -> np.ndarray:
+    """Indices of the times nearest to each frame."""
+    after = np.clip(np.searchsorted(times, frames), 1, max(len(times) - 1, 1))
+    after = np.minimum(after, len(times) - 1)
+    before = np.maximum(after - 1, 0)
+    closer = np.abs(times[before] - frames) <= np.abs(times[after] - frames)
+    return np.where(closer, before, after)
+
+
+def _fields(
+    path: Path, wanted: Mapping[str, str], sizes: Mapping[str, int]
+) -> dict[str, Rows]:
+    """Rows of each field, by name, in the order of their times."""
+    try:
+        from rosbags.highlevel import AnyReader
+        from rosbags.typesys import Stores, get_typestore
+    except ImportError as error:
+        raise ImportError(
+            'bags need the package rosbags: pip install "jaxrod[ros]"'
+        ) from error
+    places = {name: _place(name, text) for name, text in wanted.items()}
+    found: dict[str, list[tuple[int, list[float]]]] = {name: [] for name in wanted}
+    # Bags of ROS 2 before Iron do not say how their messages are built.
+    known = get_typestore(Stores.LATEST)
+    with AnyReader([path], default_typestore=known) as reader:
+        for name, (topic, _) in places.items():
+            if topic not in reader.topics:
+                raise ValueError(
+                    f"it has no topic {topic!r} for {name!r}; its topics are "
+                    f"{', '.join(sorted(reader.topics)) or 'none'}"
+                )
+        topics = {topic for topic, _ in places.values()}
+        chosen = [c for c in reader.connections if c.topic in topics]
+        for connection, received, data in reader.messages(connections=chosen):
+            message = reader.deserialize(data, connection.msgtype)
+            time = _stamp(message, received)
+            for name, (topic, parts) in places.items():
+                if topic == connection.topic:
+                    value = _value(message, parts, wanted[name], sizes[name])
+                    found[name].append((time, value))
+    return {name: _rows(wanted[name], some) for name, some in found.items()}
+
+
+def _rows(text: str, found: Sequence[tuple[int, list[float]]]) -> Rows:
+    """Values of a field as arrays, without repeated times."""
+    if not found:
+        raise ValueError(f"{text!r} has no messages")
+    times, first = np.unique([time for time, _ in found], return_index=True)
+    return times, np.array([found[k][1] for k in first], float)
+
+
+def _place(name: str, text: str) -> tuple[str, list[str | int]]:
+    """The topic of "TOPIC:FIELD", and the names and indices that lead to the field."""
+    topic, colon, field = text.partition(":")
+    parts: list[str | int] = []
+    for word in field.split("."):
+        match = PART.fullmatch(word)
+        if not colon or match is None:
+            raise ValueError(
+                f"the topic of {name!r} must be TOPIC:FIELD, such as "
+                f"'/mocap/tip:pose.position' or '/motors:effort[1]', got {text!r}"
+            )
+        parts.append(match[1])
+        parts += [int(index) for index in re.findall(r"\d+", match[2])]
+    return topic, parts
+
+
+def _stamp(message: Any, received: int) -> int:
+    """Time of a message by its header, else that of its arrival [ns]."""
+    stamp = getattr(getattr(message, "header", None), "stamp", None)
+    time = 0 if stamp is None else stamp.sec * 10**9 + stamp.nanosec
+    return time or received
+
+
+def _value(
+    message: Any, parts: Sequence[str | int], text: str, size: int
+) -> list[float]:
+    """Numbers of a field: one, or the x, y and z of a point."""
+    for part in parts:
+        try:
+            message = message[part] if isinstance(part, int) else getattr(message, part)
+        except (AttributeError, IndexError, TypeError):
+            has = ", ".join(getattr(message, "__dataclass_fields__", ())) or "no fields"
+            raise ValueError(
+                f"{text!r}: there is no {part!r}; a message has {has}"
+            ) from None
+    if hasattr(message, "x") and hasattr(message, "z"):
+        message = [message.x, message.y, message.z]
+    try:
+        numbers = np.asarray(message, float).reshape(-1)
+    except (TypeError, ValueError):
+        numbers = np.empty(0)
+    if numbers.size != size:
+        kind = "a number" if size == 1 else "a point with x, y and z"
+        raise ValueError(f"{text!r} must be {kind}, got {type(message).__name__}")
+    return numbers.tolist()

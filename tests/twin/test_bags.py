@@ -1,0 +1,169 @@
+"""Recordings in ROS bags and MCAP files are those of the same numbers as CSV."""
+
+import gc
+import warnings
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from rosbags.rosbag1 import Writer as Writer1
+from rosbags.rosbag2 import StoragePlugin
+from rosbags.rosbag2 import Writer as Writer2
+from rosbags.typesys import Stores, get_typestore
+
+from jaxrod import twin
+from jaxrod.files import DamagedFileError
+from missing import pretend_missing
+from twin.made_up import drawing
+
+TOPICS = {
+    "first": "/motors:effort[0]",
+    "second": "/motors:effort[1]",
+    "middle": "/middle:pose.position",
+    "tip": "/tip:point",
+}
+KINDS = ("ros1", "sqlite3", "mcap")
+BASE = 1_700_000_000_000_000_000
+
+
+@pytest.fixture(autouse=True)
+def files_that_rosbags_leaves_open():
+    """Its writers leave files to the garbage collector, which warns."""
+    yield
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", ResourceWarning)
+        gc.collect()
+
+
+def arm():
+    """An arm with two inputs and two markers."""
+    pulls = [twin.TendonDrawing(name, 0.0, 0.008) for name in ("first", "second")]
+    seen = (twin.Marker("middle", at=0.1), twin.Marker("tip", at=0.3))
+    return replace(drawing(), tendons=tuple(pulls), markers=seen, topics=TOPICS)
+
+
+class Bag:
+    """A bag to which messages are added by topic."""
+
+    def __init__(self, path, kind):
+        self.is_2 = kind != "ros1"
+        if self.is_2:
+            self.types = get_typestore(Stores.ROS2_HUMBLE)
+            storage = StoragePlugin[kind.upper()]
+            self.writer = Writer2(path, version=9, storage_plugin=storage)
+            self.pack = self.types.serialize_cdr
+        else:
+            self.types = get_typestore(Stores.ROS1_NOETIC)
+            self.writer, self.pack = Writer1(path), self.types.serialize_ros1
+        self.writer.open()
+        self.topics = {}
+
+    def made(self, kind, /, **fields):
+        """A message with a header's time if `time` is given [ns]."""
+        if (time := fields.pop("time", None)) is not None:
+            stamp = self.made(
+                "builtin_interfaces/msg/Time", sec=time // 10**9, nanosec=time % 10**9
+            )
+            more = {} if self.is_2 else {"seq": 0}
+            fields["header"] = self.made(
+                "std_msgs/msg/Header", stamp=stamp, frame_id="", **more
+            )
+        return self.types.types[kind](**fields)
+
+    def point(self, place):
+        """A point."""
+        x, y, z = map(float, place)
+        return self.made("geometry_msgs/msg/Point", x=x, y=y, z=z)
+
+    def add(self, topic, name, message, arrived):
+        """Writes a message that arrived at a time [ns]."""
+        if topic not in self.topics:
+            self.topics[topic] = self.writer.add_connection(
+                topic, name, typestore=self.types
+            )
+        self.writer.write(self.topics[topic], arrived, self.pack(message, name))
+
+
+def write(path, kind, points, efforts):
+    """Frames at 100 Hz, whose messages arrive 3 ms late; the tip misses frame 2."""
+    bag = Bag(path, kind)
+    for k, effort in efforts:
+        time = BASE + k * 10**7
+        none = {"name": [], "position": np.zeros(0), "velocity": np.zeros(0)}
+        name = "sensor_msgs/msg/JointState"
+        message = bag.made(name, time=time, effort=np.array(effort), **none)
+        bag.add("/motors", name, message, time + 3_000_000)
+    for k, (middle, tip) in enumerate(points):
+        time = BASE + k * 10**7
+        place = bag.point(middle)
+        turn = bag.made("geometry_msgs/msg/Quaternion", x=0.0, y=0.0, z=0.0, w=1.0)
+        pose = bag.made("geometry_msgs/msg/Pose", position=place, orientation=turn)
+        name = "geometry_msgs/msg/PoseStamped"
+        message = bag.made(name, time=time, pose=pose)
+        bag.add("/middle", name, message, time + 3_000_000)
+        if k != 2:
+            name = "geometry_msgs/msg/PointStamped"
+            message = bag.made(name, time=time + 2_000_000, point=bag.point(tip))
+            bag.add("/tip", name, message, time + 3_000_000)
+    bag.writer.close()
+
+
+POINTS = np.random.default_rng(0).normal(size=(5, 2, 3))
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_bags_hold_what_was_written(kind, tmp_path):
+    path = tmp_path / ("log.bag" if kind == "ros1" else "log")
+    write(path, kind, POINTS, [(0, (1.0, 2.0)), (3, (4.0, 5.0))])
+    found = twin.read_recording(path, arm())
+    assert found.name == "log" and found.labelled
+    np.testing.assert_allclose(found.times, 0.01 * np.arange(5), atol=1e-12)
+    np.testing.assert_array_equal(found.inputs[:, 0], [1, 1, 1, 4, 4])
+    np.testing.assert_array_equal(found.inputs[:, 1], [2, 2, 2, 5, 5])
+    seen = POINTS.copy()
+    seen[2, 1] = np.nan
+    np.testing.assert_array_equal(found.points, seen)
+
+
+def test_a_file_of_mcap_is_read_without_its_folder(tmp_path):
+    write(tmp_path / "log", "mcap", POINTS, [(0, (1.0, 2.0))])
+    (file,) = (tmp_path / "log").glob("*.mcap")
+    moved = file.rename(tmp_path / "alone.mcap")
+    found = twin.read_recording(moved, arm())
+    np.testing.assert_array_equal(found.points[:, 0], POINTS[:, 0])
+
+
+def test_names_that_are_not_those_of_markers_are_found_by_registration(tmp_path):
+    write(tmp_path / "log", "sqlite3", POINTS, [(0, (1.0, 2.0))])
+    topics = dict(zip(["first", "second", "a", "b"], TOPICS.values(), strict=True))
+    found = twin.read_recording(tmp_path / "log", replace(arm(), topics=topics))
+    assert not found.labelled and found.points.shape == (5, 2, 3)
+
+
+@pytest.mark.parametrize(
+    ("name", "topic", "message"),
+    [
+        ("tip", "/nose:point", "no topic '/nose'.*its topics are /middle, /motors"),
+        ("tip", "/tip:pose.position", "no 'pose'; a message has header, point"),
+        ("tip", "/tip:header", "must be a point with x, y and z, got"),
+        ("tip", "/tip", "must be TOPIC:FIELD"),
+        ("first", "/motors:effort[7]", "there is no 7"),
+        ("first", "/motors:effort", "must be a number, got ndarray"),
+    ],
+)
+def test_wrong_topics_are_named(name, topic, message, tmp_path):
+    write(tmp_path / "log", "sqlite3", POINTS, [(0, (1.0, 2.0))])
+    wrong = replace(arm(), topics=TOPICS | {name: topic})
+    with pytest.raises(DamagedFileError, match=message):
+        twin.read_recording(tmp_path / "log", wrong)
+
+
+def test_what_is_missing_is_named(tmp_path, monkeypatch):
+    with pytest.raises(DamagedFileError, match=r"no topic of the input 'first'"):
+        twin.read_recording(tmp_path, replace(arm(), topics={"tip": "/tip:point"}))
+    (tmp_path / "log.mcap").write_bytes(b"not a bag")
+    with pytest.raises(DamagedFileError, match=r"log\.mcap"):
+        twin.read_recording(tmp_path / "log.mcap", arm())
+    pretend_missing(monkeypatch, "rosbags")
+    with pytest.raises(ImportError, match=r'pip install "jaxrod\[ros\]"'):
+        twin.read_recording(tmp_path / "log.mcap", arm())
