@@ -16,7 +16,7 @@ TAUGHT, NEW, NOISE = (0.02, 0.05, 0.1, 0.2), (0.0, 0.035, 0.15), 1e-4  # loads [
 
 @extend.pytree
 class Truth(actuation.SectionLoad):
-    """What the model lacks: an energy per length of the squared curvature."""
+    """The missing part: an energy per length of the squared curvature."""
 
     def stored(self, rod, strains):
         """Stored energy [J]."""
