@@ -63,7 +63,11 @@ def knot(n: int, contact: float = 1.0, share: float = 1.0, nudge: float = 0.0) -
         damping=dashpot,
         self_contact=True,
         lists=systems.neighbour_lists(
-            skin=1.0, refresh_every=4, pairs=20 * n, candidates=40 * n, cell_slots=0
+            skin=1.0,
+            refresh_every=max(4, n // 16),
+            pairs=5 * n,
+            candidates=14 * n,
+            cell_slots=0,
         ),
     )
     system = jaxrod.make_system({"rope": scene}, touch, state=state)

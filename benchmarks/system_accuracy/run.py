@@ -231,7 +231,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--n", type=int, nargs="+", default=[50, 51, 100], help="of our crossing ropes"
     )
     parser.add_argument(
-        "--their-n", type=int, nargs="+", default=[50, 51], help="of PyElastica's"
+        "--graded",
+        type=float,
+        nargs="+",
+        default=[1.0],
+        help="longest element over shortest, in the middle, of our crossing ropes",
+    )
+    parser.add_argument(
+        "--their-n", type=int, nargs="*", default=[50, 51], help="of PyElastica's"
     )
     parser.add_argument(
         "--their-share",
@@ -246,7 +253,7 @@ def run(args: argparse.Namespace) -> int:
     on_one_core()
     for name in args.scenes:
         if name == "crossing":
-            crossing(tuple(args.n), tuple(args.their_n))
+            crossing(tuple(args.n), tuple(args.their_n), tuple(args.graded))
         elif name == "heap":
             heap(100, args.their_share)
         elif name in CONTACT:
