@@ -143,6 +143,7 @@ def measure_contact(name: str, of: ContactScene) -> tuple[list[Row], float]:
     all rows. Otherwise its stiffness is part of the scene.
     """
     exact, _ = our_points(of, of.build(*of.finest))
+    assert np.all(np.isfinite(exact)), "the reference must be finite"
     of.build(of.sizes[0]).step()  # Compiles PyElastica.
     checks = checks_of(of, exact)
     print(f"## {name}: {of.duration:g} s\n")

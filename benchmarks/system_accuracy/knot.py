@@ -64,9 +64,9 @@ def knot(n: int, contact: float = 1.0, share: float = 1.0, nudge: float = 0.0) -
         self_contact=True,
         lists=systems.neighbour_lists(
             skin=1.0,
-            refresh_every=max(4, n // 16),
-            pairs=5 * n,
-            candidates=14 * n,
+            refresh_every=max(4, n // 24),
+            pairs=3 * n + n * n // 24,
+            candidates=6 * n + n * n // 10,
             cell_slots=0,
         ),
     )

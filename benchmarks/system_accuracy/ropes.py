@@ -359,16 +359,20 @@ def overlaps(nodes: np.ndarray) -> np.ndarray:
     return np.asarray([THIN - np.min(nodes[2]), 2 * THIN - np.min(distance)]) / THIN
 
 
-def heap(n: int, their_share: float) -> None:
-    """Prints the table of the heap."""
+def heap(n: int, their_share: float, floors: tuple[float, ...] = (1.5e7,)) -> None:
+    """Prints the table of the heap.
+
+    `floors` are stiffnesses of the floor, next to the default one [N/m^2].
+    """
     import elastica as ea
 
     print(f"## heap: n = {n}, overlaps with the floor; with itself [radii]\n")
     print("| | step [us] | floor: greatest; last | itself | processor time [s] |")
     print("|---|---:|---:|---:|---:|")
-    # The second floor takes the blow of a free end at a metre per second.
-    for label, stiffness in (("jaxrod", None), ("jaxrod, stiff floor", 1.5e7)):
+    for stiffness in (None, *floors):
         system, state, until = our_heap(n, stiffness)
+        floor = float(system.members["rope"].effects[-1].stiffness)
+        label = f"jaxrod, floor of {floor:.2g} N/m^2"
         dt = float(jaxrod.stable_dt(system).dt)
         looks, every = 400, int(np.ceil((until + 1) / dt / 400))
         paths: list[np.ndarray] = []

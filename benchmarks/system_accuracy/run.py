@@ -215,7 +215,7 @@ def save(folder: Path, name: str, rows: list[Row], floor: float = 0.0) -> None:
         single="",
         line="1 %",
     )
-    title = f"{name}: error against cost, one core"
+    title = f"{name}, one core" if touching else f"{name}: error against cost, one core"
     picture = folder / f"{name}.png"
     work_precision(rows, picture, title=title, floor=floor, words=words)
 
@@ -241,6 +241,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--their-n", type=int, nargs="*", default=[50, 51], help="of PyElastica's"
     )
     parser.add_argument(
+        "--floors",
+        type=float,
+        nargs="*",
+        default=[1.5e7],
+        help="stiffnesses of the heap's floor, next to the default one [N/m^2]",
+    )
+    parser.add_argument(
         "--their-share",
         type=float,
         default=1.0,
@@ -255,7 +262,7 @@ def run(args: argparse.Namespace) -> int:
         if name == "crossing":
             crossing(tuple(args.n), tuple(args.their_n), tuple(args.graded))
         elif name == "heap":
-            heap(100, args.their_share)
+            heap(100, args.their_share, tuple(args.floors))
         elif name in CONTACT:
             save(args.out, name, *measure_contact(name, CONTACT[name]))
         else:
