@@ -48,7 +48,7 @@ class ContactScene(NamedTuple):
 
 
 class Checks(NamedTuple):
-    """How far the end of the reference moves, in lengths of a rod [1]."""
+    """Changes of the end of the reference, in lengths of a rod [1]."""
 
     coarser: float
     """With half the elements."""
@@ -57,9 +57,9 @@ class Checks(NamedTuple):
     theirs: float
     """In PyElastica, with the elements and the stiffness of the reference."""
     loose: float
-    """Nearly without contact: the most that contact can matter."""
+    """Nearly without contact."""
     nudged: tuple[float, float]
-    """If the start is displaced one way or the other, over that displacement."""
+    """With the start displaced one way or the other, over that displacement."""
 
 
 def whole_step(system: Any, duration: float, share: float) -> float:

@@ -2,7 +2,6 @@
 
 import csv
 
-import jax
 import numpy as np
 import pytest
 
@@ -112,18 +111,16 @@ COARSE = {
 def test_both_libraries_converge_to_one_end_of_a_scene_in_contact(name):
     n, ours, theirs, theirs_finer = COARSE[name]
     scene = run.CONTACT[name]
-    with jax.enable_x64(True):
-        exact = our_points(scene, scene.build(n))[0]
-        coarse = scene.build(n // 2)
-        assert apart(our_points(scene, coarse)[0], exact, scene.length) < ours
-        far = apart(their_points(scene, coarse)[0], exact, scene.length)
-        near = apart(their_points(scene, scene.build(n))[0], exact, scene.length)
+    exact = our_points(scene, scene.build(n))[0]
+    coarse = scene.build(n // 2)
+    assert apart(our_points(scene, coarse)[0], exact, scene.length) < ours
+    far = apart(their_points(scene, coarse)[0], exact, scene.length)
+    near = apart(their_points(scene, scene.build(n))[0], exact, scene.length)
     assert near < far < theirs and near < theirs_finer
 
 
 @pytest.mark.slow
 def test_contact_decides_where_the_fingers_of_the_gripper_end():
     scene = run.CONTACT["gripper"]
-    with jax.enable_x64(True):
-        ends = [our_points(scene, scene.build(8, k))[0] for k in (1.0, 1e-6)]
+    ends = [our_points(scene, scene.build(8, k))[0] for k in (1.0, 1e-6)]
     assert apart(*ends, scene.length) > 0.05
