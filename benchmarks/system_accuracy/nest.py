@@ -43,9 +43,14 @@ def rods(n: int, nudge: float) -> tuple[Any, Any]:
         across = ASIDE * (place - 0.5 * (PER_LAYER - 1)) + nudge * jnp.sin(3.0 * number)
         middle = jnp.stack([-across * s, across * c, (1 + 2 * layer) * RADIUS])
         start = middle - 0.5 * LENGTH * along
-        shape = {"length": LENGTH, "radius": RADIUS, "direction": along}
+        shape: dict[str, Any] = {"length": LENGTH, "radius": RADIUS}
         return jaxrod.straight_rod(
-            n, start=start, normal=jnp.asarray([0.0, 0.0, 1.0]), **shape, **MATERIAL
+            n,
+            start=start,
+            direction=along,
+            normal=jnp.asarray([0.0, 0.0, 1.0]),
+            **shape,
+            **MATERIAL,
         )
 
     return jax.vmap(one)(jnp.arange(RODS))
