@@ -19,6 +19,7 @@ with the floor and with itself, in radii, over the run and at its end.
 from __future__ import annotations
 
 import functools
+import itertools
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
@@ -90,44 +91,55 @@ def touching(gap: float) -> Touching:
     return Touching(ropes, float(ropes[1].y[1, -1] - half_rope(0.0).y[1, -1]))
 
 
-def nodes_of(both: Touching, n: int) -> list[np.ndarray]:
-    """Nodes of both ropes in space [m]."""
-    s = np.linspace(0, LENGTH, n + 1)
+def graded(n: int, ratio: float) -> np.ndarray:
+    """Arc lengths of nodes of elements that shrink towards the middle [m].
+
+    The longest element, at the ends, is `ratio` times the shortest.
+    """
+    from_middle = np.abs(np.arange(n) - 0.5 * (n - 1))
+    away = (from_middle - from_middle.min()) / (from_middle.max() - from_middle.min())
+    s = np.append(0, np.cumsum(ratio**away))
+    return LENGTH * s / s[-1]
+
+
+def nodes_of(both: Touching, s: np.ndarray) -> list[np.ndarray]:
+    """Nodes of both ropes in space, at arc lengths `s` [m]."""
     found = []
     for axis, rope in enumerate(both.ropes):
         x, z = rope.sol(np.minimum(s, LENGTH - s))[:2]
-        places = np.zeros((3, n + 1))
+        places = np.zeros((3, len(s)))
         places[axis] = np.where(s <= LENGTH / 2, x - SPAN / 2, SPAN / 2 - x)
         places[2] = z - axis * LOWER
         found.append(places)
     return found
 
 
-def crossing_errors(nodes: list[np.ndarray], exact: Touching) -> tuple[float, float]:
+def crossing_errors(
+    nodes: list[np.ndarray], exact: Touching, s: np.ndarray
+) -> tuple[float, float]:
     """Shape over length, and lift, relative [1]."""
-    there = nodes_of(exact, nodes[0].shape[1] - 1)
+    there = nodes_of(exact, s)
     away = [one - other for one, other in zip(nodes, there, strict=True)]
     shape = max(np.max(np.linalg.norm(each, axis=0)) for each in away)
     middle = away[1].shape[1] // 2
     return float(shape) / LENGTH, abs(float(away[1][2, middle])) / exact.lifted
 
 
-def our_rope(places: np.ndarray, radius: float) -> tuple[Any, Any]:
+def our_rope(places: np.ndarray, radius: float, s: np.ndarray) -> tuple[Any, Any]:
     """A rope that is straight at rest, and its state along `places` [m]."""
-    n = places.shape[1] - 1
-    length = LENGTH if radius == RADIUS else LONG
-    rod, _ = jaxrod.straight_rod(n, length=length, radius=radius, **MATERIAL)
+    straight = jnp.stack([jnp.asarray(s), jnp.zeros(len(s)), jnp.zeros(len(s))])
+    rod, _ = jaxrod.rod_along(straight, radius=radius, **MATERIAL)
     return rod, jaxrod.rod_along(jnp.asarray(places), radius=radius, **MATERIAL)[1]
 
 
-def our_crossing(n: int, start: Touching, exact: Touching) -> tuple[Any, Any]:
-    """The two ropes and their state, apart."""
+def our_crossing(s: np.ndarray, start: Touching, exact: Touching) -> tuple[Any, Any]:
+    """The two ropes with nodes at arc lengths `s`, and their state, apart."""
     scenes, state, lists_at = {}, {}, {}
     for name, apart, near in zip(
-        ("first", "second"), nodes_of(start, n), nodes_of(exact, n), strict=True
+        ("first", "second"), nodes_of(start, s), nodes_of(exact, s), strict=True
     ):
-        rod, state[name] = our_rope(apart, RADIUS)
-        lists_at[name] = our_rope(near, RADIUS)[1]
+        rod, state[name] = our_rope(apart, RADIUS, s)
+        lists_at[name] = our_rope(near, RADIUS, s)[1]
         scenes[name] = jaxrod.make_scene(
             rod,
             jaxrod.pin_support(state[name], "base"),
@@ -215,16 +227,27 @@ def repeated(step: Callable[[], None], steps: int) -> None:
         step()
 
 
-def crossing(sizes: tuple[int, ...], their_sizes: tuple[int, ...]) -> None:
-    """Prints the table of the ropes that cross."""
+def crossing(
+    sizes: tuple[int, ...],
+    their_sizes: tuple[int, ...],
+    ratios: tuple[float, ...] = (1.0,),
+) -> None:
+    """Prints the table of the ropes that cross.
+
+    `ratios` are those of the longest to the shortest element of our ropes.
+    """
     import elastica as ea
 
     start, exact = touching(2 * RADIUS + APART), touching(2 * RADIUS)
     print("## crossing: 8 s\n")
-    print("| | n | step [us] | shape / L | lift | processor time [s] |")
-    print("|---|---:|---:|---:|---:|---:|")
-    for n in sizes:
-        system, state = our_crossing(n, start, exact)
+    print(
+        "| | n | longest / shortest | step [us] | shape / L | lift | "
+        "processor time [s] |"
+    )
+    print("|---|---:|---:|---:|---:|---:|---:|")
+    for n, ratio in itertools.product(sizes, ratios):
+        s = graded(n, ratio)
+        system, state = our_crossing(s, start, exact)
         dt = float(jaxrod.stable_dt(system).dt)
         steps = int(np.ceil(SECONDS / dt))
         after: dict[str, Any] = {}
@@ -243,14 +266,15 @@ def crossing(sizes: tuple[int, ...], their_sizes: tuple[int, ...]) -> None:
         seconds = processor(move)
         nodes = [np.asarray(after[name].positions) for name in ("first", "second")]
         assert not after["neighbours"].overflow and not after["neighbours"].stale
-        shape, lift = crossing_errors(nodes, exact)
+        shape, lift = crossing_errors(nodes, exact, s)
         print(
-            f"| jaxrod | {n} | {1e6 * dt:.1f} | {shape:.2e} | {lift:.2e} | "
+            f"| jaxrod | {n} | {ratio:g} | {1e6 * dt:.1f} | {shape:.2e} | {lift:.2e} | "
             f"{seconds:.2f} |",
             flush=True,
         )
     for n in their_sizes:
-        _, state = our_crossing(n, start, exact)
+        s = graded(n, 1.0)
+        _, state = our_crossing(s, start, exact)
         dt, rods = 1e-4, []
         collection = simulator("Constraints", "Forcing", "Damping", "Contact")
         for name in ("first", "second"):
@@ -262,9 +286,10 @@ def crossing(sizes: tuple[int, ...], their_sizes: tuple[int, ...]) -> None:
         step = stepping(collection, dt)
         step()
         seconds = processor(functools.partial(repeated, step, round(SECONDS / dt)))
-        shape, lift = crossing_errors([rod.position_collection for rod in rods], exact)
+        nodes = [rod.position_collection for rod in rods]
+        shape, lift = crossing_errors(nodes, exact, s)
         print(
-            f"| PyElastica | {n} | {1e6 * dt:.1f} | {shape:.2e} | {lift:.2e} | "
+            f"| PyElastica | {n} | 1 | {1e6 * dt:.1f} | {shape:.2e} | {lift:.2e} | "
             f"{seconds:.2f} |",
             flush=True,
         )
@@ -286,7 +311,7 @@ def our_heap(n: int, stiffness: float | None) -> tuple[Any, Any, float]:
             top - stretched,
         ]
     )
-    rod, state = our_rope(places, THIN)
+    rod, state = our_rope(places, THIN, s)
     until = (top - END) / SPEED
     down = jaxrod.schedules.ramp((0.0, 0.0, 0.0), (0.0, 0.0, END - top), until)
     mass = DENSITY * np.pi * THIN**2
@@ -334,16 +359,20 @@ def overlaps(nodes: np.ndarray) -> np.ndarray:
     return np.asarray([THIN - np.min(nodes[2]), 2 * THIN - np.min(distance)]) / THIN
 
 
-def heap(n: int, their_share: float) -> None:
-    """Prints the table of the heap."""
+def heap(n: int, their_share: float, floors: tuple[float, ...] = (1.5e7,)) -> None:
+    """Prints the table of the heap.
+
+    `floors` are stiffnesses of the floor, next to the default one [N/m^2].
+    """
     import elastica as ea
 
     print(f"## heap: n = {n}, overlaps with the floor; with itself [radii]\n")
     print("| | step [us] | floor: greatest; last | itself | processor time [s] |")
     print("|---|---:|---:|---:|---:|")
-    # The second floor takes the blow of a free end at a metre per second.
-    for label, stiffness in (("jaxrod", None), ("jaxrod, stiff floor", 1.5e7)):
+    for stiffness in (None, *floors):
         system, state, until = our_heap(n, stiffness)
+        floor = float(system.members["rope"].effects[-1].stiffness)
+        label = f"jaxrod, floor of {floor:.2g} N/m^2"
         dt = float(jaxrod.stable_dt(system).dt)
         looks, every = 400, int(np.ceil((until + 1) / dt / 400))
         paths: list[np.ndarray] = []

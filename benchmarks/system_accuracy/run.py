@@ -21,6 +21,11 @@ import numpy as np
 
 import jaxrod
 from benchmarks.shared.arguments import add_names
+from benchmarks.system_accuracy import gripper, knot, nest
+from benchmarks.system_accuracy.contact_scenes import (
+    as_csv_with_contact,
+    measure_contact,
+)
 from benchmarks.system_accuracy.ropes import crossing, heap
 from benchmarks.system_speed.run import Scene, joint, on_one_core, processor, snake
 from benchmarks.tradeoff.grid import Row, as_csv
@@ -58,6 +63,9 @@ class Case(NamedTuple):
     """PyElastica's step, of its example [s]."""
     observed: Any
     """Numbers to be right, from places over time."""
+
+
+CONTACT = {"gripper": gripper.SCENE, "knot": knot.SCENE, "nest": nest.SCENE}
 
 
 def centre(rods: list[tuple[np.ndarray, np.ndarray]]) -> np.ndarray:
@@ -191,23 +199,30 @@ def measure(name: str) -> list[Row]:
     return rows
 
 
-def save(folder: Path, name: str, rows: list[Row]) -> None:
-    """Writes a record of the rows, `NAME.csv`, and their picture, `NAME.png`."""
+def save(folder: Path, name: str, rows: list[Row], floor: float = 0.0) -> None:
+    """Writes a record of the rows, `NAME.csv`, and their picture, `NAME.png`.
+
+    `floor` is the error of the reference, which is shaded.
+    """
     folder.mkdir(parents=True, exist_ok=True)
-    write_atomically(folder / f"{name}.csv", as_csv(rows).encode())
+    touching = name in CONTACT
+    text = as_csv_with_contact(rows) if touching else as_csv(rows)
+    write_atomically(folder / f"{name}.csv", text.encode())
+    most = "largest distance from the reference [lengths of a rod]"
     words = Words(
-        error="relative error, RMS over time [1]",
+        error=most if touching else "relative error, RMS over time [1]",
         cost="processor time per simulated second [s]",
         single="",
         line="1 %",
     )
-    title = f"{name}: error against cost, one core"
-    work_precision(rows, folder / f"{name}.png", title=title, words=words)
+    title = f"{name}, one core" if touching else f"{name}: error against cost, one core"
+    picture = folder / f"{name}.png"
+    work_precision(rows, picture, title=title, floor=floor, words=words)
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declares the scenes."""
-    names = (*CASES, "crossing", "heap")
+    names = (*CASES, *CONTACT, "crossing", "heap")
     add_names(parser, "scenes", names, "SCENE")
     parser.add_argument(
         "--out", type=Path, default=FOLDER, help="folder of records and pictures"
@@ -216,7 +231,21 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--n", type=int, nargs="+", default=[50, 51, 100], help="of our crossing ropes"
     )
     parser.add_argument(
-        "--their-n", type=int, nargs="+", default=[50, 51], help="of PyElastica's"
+        "--graded",
+        type=float,
+        nargs="+",
+        default=[1.0],
+        help="longest element over shortest, in the middle, of our crossing ropes",
+    )
+    parser.add_argument(
+        "--their-n", type=int, nargs="*", default=[50, 51], help="of PyElastica's"
+    )
+    parser.add_argument(
+        "--floors",
+        type=float,
+        nargs="*",
+        default=[1.5e7],
+        help="stiffnesses of the heap's floor, next to the default one [N/m^2]",
     )
     parser.add_argument(
         "--their-share",
@@ -231,9 +260,11 @@ def run(args: argparse.Namespace) -> int:
     on_one_core()
     for name in args.scenes:
         if name == "crossing":
-            crossing(tuple(args.n), tuple(args.their_n))
+            crossing(tuple(args.n), tuple(args.their_n), tuple(args.graded))
         elif name == "heap":
-            heap(100, args.their_share)
+            heap(100, args.their_share, tuple(args.floors))
+        elif name in CONTACT:
+            save(args.out, name, *measure_contact(name, CONTACT[name]))
         else:
             save(args.out, name, measure(name))
     return 0
