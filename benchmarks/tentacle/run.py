@@ -26,6 +26,7 @@ import numpy as np
 import jaxrod
 from benchmarks.shared.files import ROOT
 from benchmarks.shared.page_tables import measured_table
+from benchmarks.tentacle import network
 from jaxrod import twin
 from jaxrod.twin.report import save_report
 
@@ -60,6 +61,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         action="store_true",
         help="only find the pose of each recording for the arm as drawn, from the "
         "straight one, and print how long it takes",
+    )
+    parser.add_argument(
+        "--network",
+        action="store_true",
+        help="also fit a network inside the twin, and print what it adds",
     )
 
 
@@ -147,6 +153,31 @@ def _time_poses(every: Sequence[twin.Recording], rounds: int = 9) -> None:
         )
 
 
+def _with_network(found: twin.Twin, groups: dict[str, Any]) -> None:
+    """Prints errors with and without a network that learns from the fitted poses."""
+    known = [c.recording for c in groups["fitted"]]
+    began = time.process_time()
+    trained = network.learn(found, known)
+    print(f"network: {time.process_time() - began:.0f} s of processor time")
+    left = []
+    for k, one in enumerate(known):
+        others = network.learn(found, known[:k] + known[k + 1 :])
+        left.append(network.errors(found, others, [one])[0])
+    print(f"each pose, the network by the seven others: {_mean(np.array(left)):.1f} mm")
+    for title, compared in groups.items():
+        seen = [c.recording for c in compared]
+        without, after = (
+            _mean(network.errors(found, weights, seen))
+            for weights in (network.start(), trained)
+        )
+        print(f"{title}: {without:.1f} mm without, {after:.1f} mm with the network")
+
+
+def _mean(errors: np.ndarray) -> float:
+    """Root mean square [mm] of distances [m]."""
+    return float(1000 * np.sqrt(np.mean(errors**2)))
+
+
 def _apart_from_named(found: twin.Twin, every: Sequence[twin.Recording]) -> float:
     """Largest distance between the tips of the fitted twin and of `twin.tentacle` [m].
 
@@ -201,6 +232,11 @@ def run(args: argparse.Namespace) -> int:
     print(f"tips of twin.tentacle: at most {apart:.2f} mm from those of this twin")
     one = [c for c in forecasts if not c.recording.name.startswith("m12")]
     two = [c for c in forecasts if c.recording.name.startswith("m12")]
+    if args.network:
+        with jax.enable_x64(True):
+            groups = {"fitted": fitted, "one tendon": one, "both tendons": two}
+            _with_network(found, groups)
+        return 0
     theirs = " | ".join(f"{e:.1f}" for e in THEIRS)
     rows = [
         f"| eight poses, the makers' model | {theirs} "
