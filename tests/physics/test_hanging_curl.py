@@ -186,7 +186,7 @@ def weight_of_change(n, guess):
     return low
 
 
-@pytest.mark.fast_sets(1)
+@pytest.mark.slow
 @pytest.mark.parametrize("guess", [14.5, 76.0])
 def test_a_hook_leaves_its_plane_where_its_second_variation_vanishes(guess, record):
     exact, _ = critical_weight(guess)
@@ -201,7 +201,7 @@ def test_a_hook_leaves_its_plane_where_its_second_variation_vanishes(guess, reco
     assert np.log2(errors[0] / errors[1]) > 1.8
 
 
-@pytest.mark.fast_sets(1)
+@pytest.mark.slow
 @pytest.mark.parametrize("weights", [(60.0,), (60.0, 45.0, 30.0), (60.0, 30.0, 18.0)])
 def test_a_curl_in_space_hangs_as_kirchhoffs_equations_say(weights, record):
     _, mode = critical_weight(76.0)
