@@ -16,6 +16,9 @@ $$\ell = \frac{h}{2}\,\frac{p}{\sqrt[4]{p^4 + (3hm/2)^4}} + 2 a m^2.$$
   grid. Its face counts as much length as the rod is thick; the rest comes from its
   side.
 
+Friction is at most its coefficient times this force. At a constant m it is the force at
+the point itself, k l p, and the energy per length times dl/dp (`Ends.deepened`).
+
 The energy is proportional to this length. Its derivative with respect to $m$ is a pair
 of forces along the normals at the end and at a point beside it, between which the rise
 is measured. This point is one element away, or a radius but at most half the rod,
