@@ -337,7 +337,8 @@ class Contact(Effect):
             distance, normal = body.surface(place)
             density = self._density(radii, distance)
             if grip is not None:
-                density = density + grip.density(radii, distance, normal)
+                push = self._still_push(points, body, place, distance, radii)
+                density = density + grip.density(push, radii, normal)
             total = jnp.sum(points.lengths * density)
             if points.ends is None:
                 return total
@@ -393,7 +394,8 @@ class Contact(Effect):
                 arm = vectors.scale(-radii, normal)
                 slip = vectors.add(velocity, vectors.cross(spin, arm))
                 along = vectors.subtract(slip, vectors.scale(leaving, normal))
-                drag = self._friction(push, along, normal, axis, arm, grip)
+                more = self._more_at_ends(points, body, position, distance, radii)
+                drag = self._friction(push + more, along, normal, axis, arm, grip)
                 pressed = vectors.add(pressed, drag)
 
             def counted(lengths: Array, at: Callable[[Array], Array]) -> _Pushed:
@@ -415,7 +417,8 @@ class Contact(Effect):
             own, own_radii = ends.of_points(distance), ends.of_points(radii)
             density = self._density(own_radii, own)
             if grip is not None:
-                held = grip.density(radii, distance, normal)
+                still = self._still_push(points, body, position, distance, radii)
+                held = grip.density(still, radii, normal)
                 density = density + ends.of_points(held)
             lengths, change, pulls = ends.counted_and_changes(
                 own, beside, self._depth(own_radii), density
@@ -442,6 +445,30 @@ class Contact(Effect):
             return Loads(forces)
         x, y, z = (points.to_elements(c) for c in couple)
         return Loads(forces, accumulate((x, y, z), loads.couples))
+
+    def _more_at_ends(
+        self, points: Points, body: Body, place: Vec3, distance: Array, radii: Array
+    ) -> Array | float:
+        """Force per length by which ends press more than `normal_force` [N/m].
+
+        It limits friction with the rest. Pairs of forces at an end and beside it do
+        not: they cancel.
+        """
+        if points.ends is None:
+            return 0.0
+        ends = points.ends
+        own, own_radii = ends.of_points(distance), ends.of_points(radii)
+        beside, _ = body.of_ends().surface(ends.beside(place))
+        grows = ends.deepened(own, beside, self._depth(own_radii))
+        return ends.to_points(self._density(own_radii, own) * grows)
+
+    def _still_push(
+        self, points: Points, body: Body, place: Vec3, distance: Array, radii: Array
+    ) -> Array:
+        """Normal force per length that limits friction, at rest [N/m]."""
+        still = jnp.zeros_like(distance)
+        push = normal_force(radii - distance, still, self.onset * radii, self.stiffness)
+        return push + self._more_at_ends(points, body, place, distance, radii)
 
     def _depth(self, radii: Array) -> Callable[[Array], Array]:
         """Function from the distance d of the centreline to r - d + w/2 [m].

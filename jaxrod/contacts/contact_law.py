@@ -160,6 +160,7 @@ class PenaltyLaw:
         normal: Vec3,
         rate: Vec3 | None,
         turning: Vec3 | None = None,
+        more: Array | float = 0.0,
     ) -> tuple[Array, Vec3 | None]:
         """Size of the normal force, and vector of friction (`None` without friction).
 
@@ -170,6 +171,8 @@ class PenaltyLaw:
             rate: Relative velocity [m/s]; `None` if `has_rates` is false.
             turning: Slip velocity along the surface from the spins of the bodies, added
                 to that of `rate` [m/s].
+            more: Normal force that limits friction besides this one, which does not
+                count it: [N/m] or [N].
         """
         leaving = jnp.zeros_like(depth) if rate is None else vectors.dot(rate, normal)
         push = normal_force(depth, leaving, width, self.stiffness, self.damping)
@@ -179,7 +182,8 @@ class PenaltyLaw:
         slip = vectors.subtract(rate, vectors.scale(leaving, normal))
         if turning is not None:
             slip = vectors.add(slip, turning)
-        return push, friction_force(push, slip, self.friction, self.friction_drag)
+        presses = push + more
+        return push, friction_force(presses, slip, self.friction, self.friction_drag)
 
 
 def directional_friction_force(

@@ -16,6 +16,9 @@ $$\ell = \frac{h}{2}\,\frac{p}{\sqrt[4]{p^4 + (3hm/2)^4}} + 2 a m^2.$$
   grid. Its face counts as much length as the rod is thick; the rest comes from its
   side.
 
+Friction is at most its coefficient times this force. At a constant m it is the force at
+the point itself, k l p, and the energy per length times dl/dp (`Ends.deepened`).
+
 The energy is proportional to this length. Its derivative with respect to $m$ is a pair
 of forces along the normals at the end and at a point beside it, between which the rise
 is measured. This point is one element away, or a radius but at most half the rod,
@@ -101,13 +104,42 @@ class Ends:
             depth: Function from distances to penetrations [m]. Its values must be
                 positive; without contact any positive value will do.
         """
+        side, face, _ = self._side_and_face(own, beside, depth(own))
+        return self.free * (side + face) + (1 - self.free) * self.half_spacings
+
+    def deepened(
+        self,
+        own: Float[Array, " ends"],
+        beside: Float[Array, " ends"],
+        depth: Callable[[Array], Array],
+    ) -> Float[Array, " ends"]:
+        """Derivative of the logarithm of `counted` by the penetration [1/m].
+
+        The slope of the rod to the surface is constant. Times the energy per length it
+        is the force per counted length by which an end presses more than its points do:
+        a deeper end has more of its side in contact.
+
+        Args:
+            own: Distances of the ends from the surface [m].
+            beside: Distances of the points beside the ends from the surface [m].
+            depth: Function from distances to penetrations, as for `counted` [m].
+        """
         depths = depth(own)
+        side, face, fourth = self._side_and_face(own, beside, depths)
+        # Both terms of the second factor are at most one: no overflow.
+        grows = side / (side + face) * (fourth / (1 + fourth))
+        return self.free * grows / depths
+
+    def _side_and_face(
+        self, own: Array, beside: Array, depths: Array
+    ) -> tuple[Array, Array, Array]:
+        """Lengths of side and face of free ends [m], and (3 h m / (2 p))^4 [1]."""
         rise = jnp.maximum((beside - own) / self.reaches, 0)
         ratio = jnp.minimum(3 * self.half_spacings * rise / depths, MOST_RATIO)
         square = ratio * ratio
-        line = jax.lax.rsqrt(jnp.sqrt(1 + square * square))
-        counted = self.half_spacings * line + 2 * self.radii * rise * rise
-        return self.free * counted + (1 - self.free) * self.half_spacings
+        fourth = square * square
+        line = jax.lax.rsqrt(jnp.sqrt(1 + fourth))
+        return self.half_spacings * line, 2 * self.radii * rise * rise, fourth
 
     def counted_and_changes(
         self,

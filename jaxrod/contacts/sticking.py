@@ -34,7 +34,6 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from jaxrod.contacts.contact import Contact, See
-from jaxrod.contacts.contact_law import normal_force
 from jaxrod.contacts.points import contact_points
 from jaxrod.effects.base import StabilityBound
 from jaxrod.geometry import vectors
@@ -77,24 +76,23 @@ class _Grip(NamedTuple):
         inwards = vectors.scale(vectors.dot(whole, normal), normal)
         return vectors.subtract(whole, inwards)
 
-    def held(self, radii: Array, distance: Array, normal: Vec3) -> Vec3:
+    def held(self, push: Array, radii: Array, normal: Vec3) -> Vec3:
         """Elongation of each spring after it has slipped as far as it must [m].
 
         Args:
+            push: Normal force per length [N/m].
             radii: Radii of the rod [m].
-            distance: Distance of its axis from the body [m].
             normal: Unit normal of the body's surface.
         """
-        law, still = self.contact, jnp.zeros_like(distance)
-        push = normal_force(radii - distance, still, law.onset * radii, law.stiffness)
+        law = self.contact
         assert law.friction is not None
         most = law.friction * push / law.stick_stiffness
         arm = vectors.scale(-radii, normal)
         return _at_most(most, self.elongated(normal, arm))
 
-    def density(self, radii: Array, distance: Array, normal: Vec3) -> Array:
+    def density(self, push: Array, radii: Array, normal: Vec3) -> Array:
         """Energy of the springs per length [J/m]; arguments are those of `held`."""
-        held = self.held(radii, distance, normal)
+        held = self.held(push, radii, normal)
         return 0.5 * self.contact.stick_stiffness * vectors.dot(held, held)
 
 
@@ -166,7 +164,8 @@ class StickingContact(Contact):
             held = []
             for body, grip in zip(bodies, grips, strict=True):
                 distance, normal = body.surface(place)
-                held.append(vectors.join(grip.held(radii, distance, normal)))
+                push = self._still_push(points, body, place, distance, radii)
+                held.append(vectors.join(grip.held(push, radii, normal)))
             kept.append(jnp.stack(held))
         return dataclasses.replace(
             self,

@@ -90,10 +90,11 @@ def equilibrium(
 
     Loads are those at rest: drag and dashpots are zero, and so is friction, except for
     the friction of tendons with `friction_at_rest`. The search follows the direction of
-    the loads, past folds (buckling, snap-through), to a stable equilibrium. It finds an
-    unstable equilibrium only if it starts there or if loads do not push away from it,
-    as for a straight column under an axial load: check `stable`. If no equilibrium
-    exists it does not converge: check `converged`.
+    the loads, past folds (buckling, snap-through), in general to a stable equilibrium.
+    It can end at an unstable one: if it starts there, if loads do not push away from
+    it, as for a straight column under an axial load, or if it comes near one on its
+    way. So check `stable`. If no equilibrium exists it does not converge: check
+    `converged`.
 
     Friction of `contact` holds nothing at rest. A free rod laid over a cylinder only
     balances if it is symmetric, and is `loose` along the cylinder. Otherwise it slides

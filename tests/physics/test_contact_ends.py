@@ -144,6 +144,49 @@ def test_a_leaning_rod_is_pushed_alike_on_every_grid():
         assert np.max(np.abs(forces[:2])) < 1e-12
 
 
+def leaning(n, angle, depth):
+    """A rod whose first end has this depth in the plane z = 0."""
+    return jaxrod.straight_rod(
+        n,
+        length=LENGTH,
+        radius=RADIUS,
+        density=1000.0,
+        youngs_modulus=1e7,
+        start=(0.0, 0.0, RADIUS - depth),
+        direction=(np.cos(angle), 0.0, np.sin(angle)),
+        dtype=jnp.float64,
+    )
+
+
+def rubbing_ball():
+    """A heavy ball so large that it is flat, its highest point at the origin."""
+    ball = jaxrod.shapes.sphere((0.0, 0.0, -1e4), 1e4)
+    return jaxrod.systems.rigid_body(ball, density=1.0, dtype=jnp.float64)
+
+
+@pytest.mark.fast_sets(1)
+@pytest.mark.parametrize("kind", ["fixed", "sticking", "moving body"])
+def test_friction_of_a_leaning_rod_is_its_coefficient_times_the_normal_force(kind):
+    """Most of what presses is the side of the rod next to its end."""
+    rod, state = leaning(12, np.deg2rad(10.0), 2e-3)
+    state = dataclasses.replace(state, velocities=state.velocities.at[1].set(9.0))
+    numbers = {"stiffness": STIFFNESS, "friction": 0.3, "friction_drag": 1e9}
+    if kind == "moving body":
+        ball, at = rubbing_ball()
+        rubs = jaxrod.systems.body_contact("rod", "ball", damping=1e-9, **numbers)
+        states = {"rod": state, "ball": at}
+        system = jaxrod.make_system({"rod": jaxrod.make_scene(rod), "ball": ball}, rubs)
+        push = jaxrod.reactions(system, states).on("ball").force
+    else:
+        ground = jaxrod.contact(jaxrod.shapes.plane(), damping=1e-9, **numbers)
+        if kind == "sticking":
+            ground = jaxrod.sticking_contact(ground, rod, state)
+        forces, _ = contact_loads(ground, rod, state)
+        push = jnp.sum(forces, axis=1)
+    assert abs(float(push[2])) > 0.02
+    assert abs(float(push[1] / push[2])) == pytest.approx(0.3, rel=1e-6)
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("per", [1, 3])
 def test_loads_at_an_end_are_minus_the_gradient_of_the_energy(per):

@@ -207,14 +207,19 @@ class BodyContact(PenaltyContact):
         turning = None
         if points.spin is not None:
             turning = vectors.cross(points.spin, arm)
-        push, rub = self.law.forces(
-            radii - distance, self.onset * radii, normal, rate, turning
-        )
         beside, outward = body.surface(ends.beside(points.position))
         own, own_radii = ends.of_points(distance), ends.of_points(radii)
-        lengths, at_ends, pulls = ends.counted_and_changes(
-            own, beside, self._depth(own_radii), self._density(own_radii, own)
+        depth, density = self._depth(own_radii), self._density(own_radii, own)
+        more = density * ends.deepened(own, beside, depth)
+        push, rub = self.law.forces(
+            radii - distance,
+            self.onset * radii,
+            normal,
+            rate,
+            turning,
+            ends.to_points(more),
         )
+        lengths, at_ends, pulls = ends.counted_and_changes(own, beside, depth, density)
         counted = segments.lengths + ends.to_points(lengths)
         pressed = counted * push + ends.to_points(at_ends)
         force = vectors.scale(pressed, normal)
