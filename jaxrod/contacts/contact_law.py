@@ -171,8 +171,8 @@ class PenaltyLaw:
             rate: Relative velocity [m/s]; `None` if `has_rates` is false.
             turning: Slip velocity along the surface from the spins of the bodies, added
                 to that of `rate` [m/s].
-            more: Normal force that limits friction besides this one, which does not
-                count it: [N/m] or [N].
+            more: Further normal force that limits friction, not part of the result:
+                [N/m] or [N].
         """
         leaving = jnp.zeros_like(depth) if rate is None else vectors.dot(rate, normal)
         push = normal_force(depth, leaving, width, self.stiffness, self.damping)
