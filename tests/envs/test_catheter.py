@@ -99,7 +99,7 @@ def test_starts_are_straight_in_the_trunk_and_every_branch_is_drawn():
     expected = np.stack([0 * turn, np.cos(turn), np.sin(turn)], axis=1)
     np.testing.assert_allclose(d1, expected, atol=1e-12)
     drawn = np.argmax(states.branch @ branch_directions(), axis=1)
-    assert np.all(np.bincount(drawn) > 70)
+    assert np.all(np.bincount(drawn, minlength=3) > 70)
     np.testing.assert_allclose(states.branch, branch_directions()[:, drawn].T)
 
 
