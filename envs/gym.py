@@ -44,6 +44,7 @@ VARIANTS = {
     "gripper": ("clean",),
     "lift": ("clean",),
     "insert": ("clean",),
+    "catheter": ("clean",),
     "following": ("clean",),
 }
 """Tasks that are registered with Gymnasium, and the variants of each."""

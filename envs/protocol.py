@@ -145,10 +145,10 @@ class Drawable(Environment, Protocol):
 class Plannable(Environment, Protocol):
     """An environment that planners can use; training and evaluation do not need this.
 
-    The tasks of the arm, `lift`, `insert` and `trivial` are plannable. `predict` and
-    `cost` are pure and differentiable. They do not foresee random events, so a plan
-    knows no more than an agent could. `jaxrod.control.mpc` takes such an environment;
-    it needs `residuals` only for planning by Gauss-Newton.
+    The tasks of the arm, `lift`, `insert`, `catheter` and `trivial` are plannable.
+    `predict` and `cost` are pure and differentiable. They do not foresee random events,
+    so a plan knows no more than an agent could. `jaxrod.control.mpc` takes such an
+    environment; it needs `residuals` only for planning by Gauss-Newton.
 
     Example:
         >>> env = envs.make("tracking")

@@ -15,6 +15,7 @@ from jaxrod.envs.randomisation import Randomisation
 from jaxrod.envs.randomised import Randomised
 
 _FACTORIES = {
+    "catheter": "jaxrod.envs.tasks.catheter:catheter",
     "following": "jaxrod.envs.tasks.following:following",
     "gripper": "jaxrod.envs.tasks.gripper:gripper",
     "insert": "jaxrod.envs.tasks.insert:insert",

@@ -33,7 +33,7 @@ ARMS = ("tracking", "reaching", "structured", "unstructured")
 TASKS = (
     *((name, variant) for name in ARMS for variant in ("clean", "paper")),
     *((name, "clean") for name in ("following", "snake", "octopus", "gripper")),
-    *((name, "clean") for name in ("lift", "insert")),
+    *((name, "clean") for name in ("lift", "insert", "catheter")),
 )
 BATCHES = (16, 64, 256)
 """Environments per core."""

@@ -121,6 +121,7 @@ TASKS = {
     "gripper": Task(100_000, "body.system.members.fingers.rod", BODIES),
     "lift": Task(400_000, "body.scene.rod", BODIES),
     "insert": Task(400_000, "body.scene.rod", BODIES),
+    "catheter": Task(60_000, "body.scene.rod", BODIES),
     "own": Task(
         200_000,
         "scene.rod",

@@ -2,9 +2,9 @@
 
 Plays each policy, the planner (`planner`) and random actions (`random`) from the same
 starts, which no training has seen. A start is solved if its episode ends with
-`info["success"]`, as the task defines it: a rope's end at a target (`lift`), or a
-cable's tip in a socket (`insert`). Writes a record of each into records. In single
-precision, as trained.
+`info["success"]`, as the task defines it: a rope's end at a target (`lift`), a cable's
+tip in a socket (`insert`), or a catheter's in a branch of a vessel (`catheter`). Writes
+a record of each into records. In single precision, as trained.
 """
 
 from __future__ import annotations
@@ -43,6 +43,7 @@ INSERTING: dict[str, Any] = {"horizon": 12, "knots": 4, "hold": 3, "replan": 3}
 TASKS: dict[str, tuple[dict[str, Any], dict[str, str]]] = {
     "lift": (LIFTING, {"distance": "m"}),
     "insert": (INSERTING, {"depth": "m", "offset": "m", "angle": "rad"}),
+    "catheter": (INSERTING, {"depth": "m", "offset": "m"}),
 }
 """Settings of the planner, and entries of `info` with their units, by task."""
 

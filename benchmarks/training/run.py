@@ -1,4 +1,4 @@
-"""Training runs of PPO on six tasks, a folder for each seed.
+"""Training runs of PPO on seven tasks, a folder for each seed.
 
 Each run is a call of `jaxrod train` in a separate process, and its command is printed
 first. Existing runs are not replaced; `--out` names another folder.
@@ -55,6 +55,14 @@ TASKS = {
     "insert": Runs(
         (0, 1, 2),
         "--steps 1M --set num_envs=64 --set rollout_steps=32 --set epochs=8 "
+        "--set minibatches=8 --set learning_rate=5e-4 "
+        "--set final_learning_rate=1e-4 --set entropy_weight=0.01 "
+        "--set discount=0.95 --set trace_decay=0.9 --set initial_log_std=-0.5 "
+        "--no-replay",
+    ),
+    "catheter": Runs(
+        (0, 1, 2),
+        "--steps 200k --set num_envs=64 --set rollout_steps=32 --set epochs=8 "
         "--set minibatches=8 --set learning_rate=5e-4 "
         "--set final_learning_rate=1e-4 --set entropy_weight=0.01 "
         "--set discount=0.95 --set trace_decay=0.9 --set initial_log_std=-0.5 "

@@ -1,6 +1,7 @@
 """A hand that moves freely in a box, and the smooth path of a held end.
 
-A hand has coordinates: here x, y and z of the place that it holds. Actions set the
+A hand has coordinates: here x, y and z of the place that it holds. Those of a catheter
+are a way and two angles, and the path has them in place of x, y and z. Actions set the
 velocity of each coordinate, as a share of its largest velocity. Velocities change
 linearly in time over a control step, no faster than the acceleration allows. The hand
 brakes in time, so that no coordinate leaves its range.

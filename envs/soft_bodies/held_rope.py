@@ -98,6 +98,13 @@ class HeldRope:
             orientations=join_quaternion(turned),
         )
 
+    def driven_along(self, path: Glide) -> Scene:
+        """Scene whose held end follows a path."""
+        hand: Any
+        hand, *others = self.scene.effects
+        held = dataclasses.replace(hand, place=path)
+        return dataclasses.replace(self.scene, effects=(held, *others))
+
     def advance(
         self, state: RodState, path: Glide, dt: Array, n_steps: int
     ) -> tuple[RodState, Bool[Array, ""]]:
@@ -112,10 +119,7 @@ class HeldRope:
         Returns:
             The state, and whether a health flag rose; if so, the state is unchanged.
         """
-        hand: Any
-        hand, *others = self.scene.effects
-        held = dataclasses.replace(hand, place=path)
-        acting = dataclasses.replace(self.scene, effects=(held, *others))
+        acting = self.driven_along(path)
         moved = advance(acting, state, dt, n_steps)
         at_end = acting.at(n_steps * dt)
         flagged = health(at_end, moved, dt, limits=self.limits).flagged

@@ -4,12 +4,13 @@ TASK is `tracking` (a soft arm follows a moving target), `reaching` (it reaches 
 with an orientation), `structured` (a planar arm in a maze), `unstructured` (an arm in a
 nest), `following` (an arm follows a moving target by commanded curvatures), `snake` or
 `octopus` (they crawl along a heading), `gripper` (it lifts a ball), `lift` (a hand
-lifts a rope), `insert` (a hand pushes a cable into a socket) or `trivial` (solved in
-seconds, to try things out). The first four have the variants `paper`, whose scores can
-be compared with the published ones, and `clean`; `trivial` has no variants, the others
-have `clean` only. TASK may also be your own: `mypackage.mymodule:make_task` or
-`folder/file.py:make_task` names the callable that makes it. Modules are also searched
-in the current folder (docs/extending.md).
+lifts a rope), `insert` (a hand pushes a cable into a socket), `catheter` (it is steered
+into a branch of a vessel) or `trivial` (solved in seconds, to try things out). The
+first four have the variants `paper`, whose scores can be compared with the published
+ones, and `clean`; `trivial` has no variants, the others have `clean` only. TASK may
+also be your own: `mypackage.mymodule:make_task` or `folder/file.py:make_task` names the
+callable that makes it. Modules are also searched in the current folder
+(docs/extending.md).
 
 The run folder gets config.json, progress.csv (env_steps, wall_s,
 episode_return_mean, ...), episodes.csv, checkpoints/, policy/, summary.json,

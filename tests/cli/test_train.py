@@ -173,9 +173,10 @@ def test_no_more_devices_than_cores_are_made_of_them(tmp_path):
     [
         (
             ["swimming"],
-            "task must be one of following, gripper, insert, lift, octopus, reaching, "
-            "snake, structured, tracking, trivial, unstructured, or say where your own "
-            "is made, such as mypackage.mymodule:make_task; got 'swimming'",
+            "task must be one of catheter, following, gripper, insert, lift, octopus, "
+            "reaching, snake, structured, tracking, trivial, unstructured, or say "
+            "where your own is made, such as mypackage.mymodule:make_task; "
+            "got 'swimming'",
         ),
         (["tracking", "--variant", "dirty"], "variant must be one of"),
         (["trivial", "--variant", "paper"], "'trivial' has no option 'variant'"),

@@ -39,6 +39,16 @@ def test_channels_of_a_task_are_its_whole_vector(task, vector):
         ("lift", ("target",), ["vector from the free end", "vector from the hand"]),
         ("insert", ("inwards",), ["axis of the socket"]),
         ("insert", ("mouth",), ["vector from the tip", "vector from the hand"]),
+        ("catheter", ("branch",), ["vector from the tip", "direction of the branch"]),
+        (
+            "catheter",
+            ("velocity",),
+            [
+                "velocity of the base",
+                "velocity of its turn",
+                "velocity of the tip's angle",
+            ],
+        ),
         ("gripper", ("controls",), ["current control values", "offset of the ball"]),
     ],
 )

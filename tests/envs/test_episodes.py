@@ -9,6 +9,7 @@ import pytest
 from jaxrod.envs import make, names
 
 SMALLEST = {
+    "catheter": {"n_elements": 12},
     "gripper": {"n_elements": 4},
     "octopus": {"n_elements": 4},
     "snake": {"n_elements": 14},

@@ -19,6 +19,7 @@ from jaxrod.envs.trivial import Trivial
 ZERO = {"dropout": 0.1, "delay": (0, 2), "lag": 1.0, "rate": 0.5, "saturation": 0.5}
 """Faults that `nothing` turns off again, so that their programs are compiled."""
 SMALL = {
+    "catheter": {},
     "following": {},
     "gripper": {},
     "insert": {},

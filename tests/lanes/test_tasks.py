@@ -88,6 +88,7 @@ def test_arms_that_break_are_flagged_and_restart_alike():
         *("tracking", "reaching", "structured", "unstructured", "following", "snake"),
         pytest.param("lift", marks=pytest.mark.slow),
         pytest.param("insert", marks=pytest.mark.slow),
+        pytest.param("catheter", marks=pytest.mark.slow),
         pytest.param("octopus", marks=pytest.mark.slow),
         pytest.param("gripper", marks=pytest.mark.slow),
     ],
