@@ -168,6 +168,23 @@ def as_carry(closed: Any, first: int) -> Any:
     return closed.replace(jaxpr=changed)
 
 
+def computed_results(closed: Any) -> tuple[Any, list[int | None]]:
+    """Returns a program without the results that are operands, and which these are.
+
+    Returns:
+        The closed jaxpr whose results are all computed, and for each result of `closed`
+        the index of the operand that it is; `None` if it is computed.
+    """
+    jaxpr = program_of(closed).jaxpr
+    numbers = {variable: i for i, variable in enumerate(jaxpr.invars)}
+    given = [None if is_literal(a) else numbers.get(a) for a in jaxpr.outvars]
+    computed = [a for a, i in zip(jaxpr.outvars, given, strict=True) if i is None]
+    names = jaxpr.debug_info.with_unknown_names()
+    return closed.replace(
+        jaxpr=jaxpr.replace(outvars=computed, debug_info=names)
+    ), given
+
+
 def is_literal(atom: Any) -> bool:
     """Whether an operand of an equation is a literal number rather than a variable."""
     return hasattr(atom, "val")
