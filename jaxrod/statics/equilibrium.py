@@ -284,9 +284,14 @@ class _RodAtRest:
 
     def place(self, configuration: Motion) -> _RodPlace:
         """Loads, tangent and mass at a configuration."""
+        place: _RodPlace = by_kernel(self, "linear", configuration)
+        return place
+
+    def linear(self, configuration: Motion) -> _RodPlace:
+        """The result of `place`, for a kernel."""
         here = replace(self.balance, base=configuration)
         none = _no_increment(configuration)
-        residual, bare, mass = by_kernel(here, "about", none)
+        residual, bare, mass = here.about(none)
         tangent, loose = here.held(bare, none)
         loads = -self.units * residual
         return _RodPlace(configuration, self.units, loads, tangent, mass, loose)
@@ -300,10 +305,16 @@ class _RodAtRest:
 
         Edges turn with their elements, so that strains change linearly.
         """
-        here = replace(self.balance, base=place.configuration)
-        none = _no_increment(place.configuration)
-        moved: Motion = by_kernel(here, "moved_along_edges", (none, self.units * step))
+        given = place.configuration, step
+        moved: Motion = by_kernel(self, "moved_along_edges", given)
         return moved
+
+    def moved_along_edges(self, given: tuple[Motion, Array]) -> Motion:
+        """The result of `moved` from a configuration, the two entries of `given`."""
+        configuration, step = given
+        here = replace(self.balance, base=configuration)
+        none = _no_increment(configuration)
+        return here.motion(here.retract_along_edges(none, self.units * step))
 
 
 def _six(length: Array, radian: float) -> Float[Array, "1 6"]:
@@ -325,8 +336,8 @@ class _RodStatics:
         `given` are the state, the tolerance and the largest number of corrections.
         """
         state, *limits = given
-        start = self.start(state)
-        end = find_rest(_RodAtRest(_at_rest(self.scene, start)), start, *limits)
+        problem, start = by_kernel(self, "begun", state)
+        end = find_rest(problem, start, *limits)
         force, couple = unstack_dofs(end.here.loads / end.here.units)
         return _Rest(
             configuration=end.here.configuration,
@@ -337,6 +348,11 @@ class _RodStatics:
             force=largest(force),
             couple=largest(couple),
         )
+
+    def begun(self, state: RodState) -> tuple[_RodAtRest, Motion]:
+        """The static problem, and the configuration of a state."""
+        start = self.start(state)
+        return _RodAtRest(_at_rest(self.scene, start)), start
 
     def start(self, state: RodState) -> Motion:
         """Configuration at rest of a state, with supports enforced."""

@@ -134,7 +134,8 @@ class _SystemAtRest:
     @property
     def largest_step(self) -> Float[Array, " m"]:
         """Largest scaled step allowed in one correction, for each unknown."""
-        return jnp.where(self.displaced, LARGEST_DISPLACEMENT, LARGEST_TURN)
+        longest = jnp.where(self.displaced, LARGEST_DISPLACEMENT, LARGEST_TURN)
+        return longest.astype(self.problem.system.dtype)
 
     def place(self, motions: Motions) -> _SystemPlace:
         """Loads, stiffness matrix and loose motions at a configuration."""
