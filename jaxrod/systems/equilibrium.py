@@ -185,10 +185,8 @@ def system_equilibrium(
     parts = lax.stop_gradient((end.step, here.loads))
     last, force, couple = by_kernel(outcome, "parts", parts)
     correction = _last_correction(problem, found, last)
-    rest = by_kernel(problem, "left_after", (found, correction))
+    together = by_kernel(problem, "left_after", (found, correction))
     converged = end.converged
-    members = system.interfaces()
-    together = {name: members[name].remembering_rest(rest[name]) for name in rest}
     if RECORD in state:
         # Contacts that did not fit into the lists are not balanced.
         couplings = problem.listed(here.linear.motions).stepper.couplings

@@ -266,9 +266,11 @@ class StaticProblem:
 
         `given` is (configuration, r). The vector r has the velocities of all members
         divided by the scale of length, and their angular velocities. Ties and
-        attachments hold exactly.
+        attachments hold exactly. Effects have the memory that they have there.
         """
-        return self.stepper.leave(self.placed((given[0], self.rates(given))))
+        rest = self.stepper.leave(self.placed((given[0], self.rates(given))))
+        members = self.system.interfaces()
+        return {name: members[name].remembering_rest(rest[name]) for name in rest}
 
     def accelerations_scaled(self, given: tuple[Motions, Array]) -> Array:
         """Accelerations at the configuration reached in one second at scaled rates r.
