@@ -284,14 +284,15 @@ class _RodAtRest:
 
     def place(self, configuration: Motion) -> _RodPlace:
         """Loads, tangent and mass at a configuration."""
-        place: _RodPlace = by_kernel(self, "linear", configuration)
+        # Only rows take the loops over loose modes well.
+        place: _RodPlace = by_kernel(self, "linear", configuration, iterates=True)
         return place
 
     def linear(self, configuration: Motion) -> _RodPlace:
         """The result of `place`, for a kernel."""
         here = replace(self.balance, base=configuration)
         none = _no_increment(configuration)
-        residual, bare, mass = here.about(none)
+        residual, bare, mass = by_kernel(here, "about", none)
         tangent, loose = here.held(bare, none)
         loads = -self.units * residual
         return _RodPlace(configuration, self.units, loads, tangent, mass, loose)
