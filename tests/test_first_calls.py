@@ -96,6 +96,44 @@ def test_a_scan_of_short_runs_keeps_each_state_once():
     assert float(jax.grad(tip)(1e-4)) == pytest.approx(float(expected), rel=1e-12)
 
 
+def kernels_of(function, *arrays):
+    """Programs of kernels, one for each time that one runs."""
+    return [
+        id(equation.params["spec"].body)
+        for equation in equations_of(jax.make_jaxpr(function)(*arrays))
+        if equation.primitive.name.startswith("jaxrod_")
+    ]
+
+
+def sticking_rod():
+    rod, state = arm(4, jnp.float64)
+    floor = jaxrod.shapes.plane((0.0, 0.0, -0.0199), (0.0, 0.0, 1.0))
+    touch = jaxrod.contact(floor, stiffness=1e4, damping=1.0, friction=0.3)
+    sticks = jaxrod.sticking_contact(touch, rod, state)
+    return jaxrod.make_scene(rod, jaxrod.gravity(), sticks), state
+
+
+def test_what_sticks_is_searched_and_judged_by_one_kernel():
+    """Stability is judged with the springs of friction that hold at rest."""
+    scene, state = sticking_rod()
+    rest = lambda state: jaxrod.equilibrium(scene, state)
+    kernels = kernels_of(rest, state)
+    # The search, then the held components and the state, then a search of no steps.
+    assert len(kernels) == 4 and kernels[0] == kernels[3]
+    assert len(set(kernels)) == 3
+    assert count_of(rest, state) < 300
+
+
+def test_a_system_at_rest_leaves_little_to_xla():
+    scene, state = sticking_rod()
+    system = jaxrod.make_system({"rod": scene}, state={"rod": state})
+    rest = lambda state: jaxrod.equilibrium(system, {"rod": state})
+    kernels = kernels_of(rest, state)
+    # What sticks has a beginning and a place of its own, by the kernels of the search.
+    assert len(kernels) > len(set(kernels)) == 11
+    assert count_of(rest, state) < 1500
+
+
 @pytree
 class Pulled(jaxrod.extend.Effect):
     """A pull on every node towards the tip, which may reach any distance."""

@@ -120,6 +120,62 @@ def system_equilibrium() -> Call:
     return lambda: names["at_rest"](0.05)
 
 
+def friction_equilibrium() -> Call:
+    """The equilibrium of a rod of 40 elements that sticks to a cylinder."""
+    import jaxrod
+
+    radius = 0.005
+    rod, state = jaxrod.straight_rod(
+        40,
+        length=1.0,
+        radius=radius,
+        density=1000.0,
+        youngs_modulus=1e6,
+        start=(-0.48, 0.0, 0.1 + radius),
+        direction=(1.0, 0.0, 0.0),
+    )
+    post = jaxrod.shapes.cylinder((0.0, -0.5, 0.0), (0.0, 0.5, 0.0), 0.1)
+    rough = jaxrod.contact(
+        post, stiffness=1e6, damping=1.0, friction=0.3, points_per_element=4
+    )
+    sticks = jaxrod.sticking_contact(rough, rod, state)
+    scene = jaxrod.make_scene(rod, sticks, jaxrod.gravity())
+    return lambda: jaxrod.equilibrium(scene, state)
+
+
+def tendon_equilibrium() -> Call:
+    """The equilibrium of `twin.tentacle`, pulled by both tendons."""
+    import jaxrod
+    from jaxrod import twin
+
+    scene, state = twin.tentacle((3.0, 0.5))
+    return lambda: jaxrod.equilibrium(scene, state)
+
+
+def tendon_friction_equilibrium() -> Call:
+    """The equilibrium of an arm of 36 elements whose two tendons rub at rest."""
+    import jaxrod
+
+    rod, state = jaxrod.straight_rod(
+        36,
+        length=0.36,
+        radius=0.01,
+        density=1000.0,
+        youngs_modulus=5.6e5,
+        direction=(0.0, 0.0, -1.0),
+        normal=(0.0, 1.0, 0.0),
+    )
+    tendons = jaxrod.actuation.tendon(
+        rod,
+        ((0.008, 0.0), (-0.004, 0.007)),
+        tension=(3.0, 0.5),
+        friction=0.2,
+        friction_at_rest=1.0,
+    )
+    scene = jaxrod.make_scene(rod, jaxrod.clamp(state), jaxrod.gravity(), tendons)
+    return lambda: jaxrod.equilibrium(scene, state)
+
+
 def implicit_advance() -> Call:
     """Implicit steps of the same rod of 20 elements."""
     import jaxrod

@@ -47,11 +47,13 @@ from jaxrod.geometry.rotations import (
 from jaxrod.geometry.vectors import Vec3
 from jaxrod.rods.motion import Motion
 from jaxrod.rods.rod import Rod, RodState, check_state
-from jaxrod.structure import memory, pytree, static
+from jaxrod.structure import memory, pytree
 from jaxrod.validation import Numbers, as_array, check_kind
 
 STICKING = 0.5
 """Stiffness of the springs of static friction, by default, over that of contact [1]."""
+_ENOUGH = 1e12
+"""Coefficient of friction with which whatever touches holds [1]."""
 
 
 class _Grip(NamedTuple):
@@ -110,6 +112,9 @@ class StickingContact(Contact):
 
     stick_stiffness: Float[Array, ""] = dataclasses.field(kw_only=True)
     """Friction per length of rod and elongation of its spring [N/m^2]."""
+    hold: Float[Array, ""] = dataclasses.field(kw_only=True)
+    """What `without_slip` adds to the coefficient of friction for the limit of the
+    springs: zero, or enough that whatever touches holds [1]."""
     positions: Float[Array, "3 n+1"] = memory(kw_only=True)
     """Positions of the nodes after the last step [m]."""
     orientations: Float[Array, "4 n"] = memory(kw_only=True)
@@ -117,9 +122,6 @@ class StickingContact(Contact):
     elongations: tuple[Array, ...] = memory(kw_only=True)
     """Elongations of springs after the last step `(bodies, 3, points)`, for each group
     of contact points [m]."""
-    holds: bool = static(default=False, kw_only=True)
-    """Whether points that touch hold beyond the limit of friction, see
-    `without_slip`."""
 
     def with_numbers(self, rod: Rod, step: Array) -> StickingContact:
         """Copy with the numbers that are left out, see `Contact.with_numbers`."""
@@ -186,7 +188,8 @@ class StickingContact(Contact):
         At rest many springs are at their limit. They slip in one direction only, and
         hold in all others.
         """
-        return dataclasses.replace(self, holds=True)
+        # A number, so that what holds and what slips are one program.
+        return dataclasses.replace(self, hold=jnp.full_like(self.hold, _ENOUGH))
 
     def seen_by(self, see: See) -> StickingContact:
         """The contact whose last configuration is seen from a frame of the bodies."""
@@ -240,9 +243,8 @@ class StickingContact(Contact):
         assert self.friction is not None and self.friction_drag is not None
         pull = vectors.scale(self.stick_stiffness, grip.elongated(normal, arm))
         pull = vectors.add(pull, vectors.scale(self.friction_drag, slip))
-        if self.holds:
-            return vectors.scale(jnp.where(push > 0, -1, 0), pull)
-        return vectors.scale(-1, _at_most(self.friction * push, pull))
+        most = (self.friction + self.hold) * push
+        return vectors.scale(-1, _at_most(most, pull))
 
 
 def _at_most(limit: Array, vector: Vec3) -> Vec3:
@@ -328,6 +330,7 @@ def sticking_contact(
     return StickingContact(
         **own,
         stick_stiffness=stiffness,
+        hold=jnp.zeros_like(contact.friction),
         positions=state.positions,
         orientations=state.orientations,
         elongations=tuple(zeros),

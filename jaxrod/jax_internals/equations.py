@@ -15,6 +15,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from jaxrod.jax_internals.mesh_axes import varying_shape
+
 _PARAMETERS: dict[str, str] = {
     # Primitives that only move numbers.
     "broadcast_in_dim": "broadcast_dimensions shape",
@@ -146,6 +148,41 @@ def operand_types(closed: Any) -> list[Any]:
 def result_types(closed: Any) -> list[Any]:
     """Returns the types (shape and dtype) of the results of a closed jaxpr."""
     return [atom.aval for atom in program_of(closed).jaxpr.outvars]
+
+
+def as_carry(closed: Any, first: int) -> Any:
+    """Returns a program whose operands from `first` on are a carry with its results.
+
+    It takes the operands and old results, which it ignores, and returns the operands
+    from `first` on and new results. Its equations are those of `closed`: nothing is
+    traced again.
+    """
+    jaxpr = program_of(closed).jaxpr
+    types = map(varying_shape, result_types(closed))
+    old = jax.make_jaxpr(lambda *arrays: arrays)(*types)
+    changed = jaxpr.replace(
+        invars=[*jaxpr.invars, *old.jaxpr.invars],
+        outvars=[*jaxpr.invars[first:], *jaxpr.outvars],
+        debug_info=jaxpr.debug_info.with_unknown_names(),
+    )
+    return closed.replace(jaxpr=changed)
+
+
+def computed_results(closed: Any) -> tuple[Any, list[int | None]]:
+    """Returns a program without the results that are operands, and which these are.
+
+    Returns:
+        The closed jaxpr whose results are all computed, and for each result of `closed`
+        the index of the operand that it is; `None` if it is computed.
+    """
+    jaxpr = program_of(closed).jaxpr
+    numbers = {variable: i for i, variable in enumerate(jaxpr.invars)}
+    given = [None if is_literal(a) else numbers.get(a) for a in jaxpr.outvars]
+    computed = [a for a, i in zip(jaxpr.outvars, given, strict=True) if i is None]
+    names = jaxpr.debug_info.with_unknown_names()
+    return closed.replace(
+        jaxpr=jaxpr.replace(outvars=computed, debug_info=names)
+    ), given
 
 
 def is_literal(atom: Any) -> bool:

@@ -13,7 +13,7 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 
-from jaxrod.jax_internals.equations import operand_types, result_types
+from jaxrod.jax_internals.equations import as_carry, operand_types, result_types
 from jaxrod.jax_internals.mesh_axes import varying_shape
 from jaxrod.jax_internals.primitives import evaluate
 
@@ -148,16 +148,7 @@ def as_step(closed: Any, n_constants: int) -> LoopBody:
 
     So a program that is evaluated once can use the kernels and derivatives of steps.
     """
-    given = operand_types(closed)
-    n = len(given)
-
-    def body(*arrays: Any) -> list[Any]:
-        return [*arrays[n_constants:n], *evaluate(closed, *arrays[:n])]
-
-    with in_one_kernel():
-        types = map(varying_shape, [*given, *result_types(closed)])
-        whole = jax.make_jaxpr(body)(*types)
-    return LoopBody(whole, n_constants)
+    return LoopBody(as_carry(closed, n_constants), n_constants)
 
 
 def tangent_body(spec: RunSpec) -> tuple[Any, int]:

@@ -10,7 +10,11 @@ import jax
 import jax.numpy as jnp
 from jax import lax
 
-from jaxrod.jax_internals.equations import program_of, result_types
+from jaxrod.jax_internals.equations import (
+    computed_results,
+    program_of,
+    result_types,
+)
 from jaxrod.jax_internals.mesh_axes import axes_of, pvary, varying_shape
 from jaxrod.lanes.choice import (
     NEVER,
@@ -38,6 +42,7 @@ oldest first. Runs and derivatives of equal models thus share programs and kerne
 _body = lru_cache(MOST_PROGRAMS)(LoopBody)
 _ends = lru_cache(MOST_PROGRAMS)(Ends)
 _step = lru_cache(MOST_PROGRAMS)(as_step)
+_computed = lru_cache(MOST_PROGRAMS)(computed_results)
 
 
 def try_lanes(integrator: Any, given: Any, n_times: Any) -> Any:
@@ -122,8 +127,14 @@ def by_kernel(integrator: Any, name: str, given: Any, *, iterates: bool = False)
         refused(words)
         return getattr(integrator, name)(given)
     _, *arrays = parts.operands
-    made = run_once(_step(closed, parts.n), arrays[: parts.n], arrays[parts.n :])
-    return jax.tree.unflatten(made_tree, made)
+    # What a method only passes on is no result of the kernel.
+    closed, passed_on = _computed(closed)
+    made = iter(())
+    if None in passed_on:
+        step = _step(closed, parts.n)
+        made = iter(run_once(step, arrays[: parts.n], arrays[parts.n :]))
+    results = [next(made) if i is None else arrays[i] for i in passed_on]
+    return jax.tree.unflatten(made_tree, results)
 
 
 def _kernels_wanted() -> bool:

@@ -279,7 +279,7 @@ class Dense:
     def factored(self) -> FactoredDense:
         """LU factors of the scaled matrix, for several solutions."""
         scale, scaled = self._scaled()
-        return FactoredDense(scale, *jax.scipy.linalg.lu_factor(scaled))
+        return FactoredDense(scale, lu_factors(scaled))
 
     def _scaled(self) -> tuple[Float[Array, "n m"], Float[Array, "size size"]]:
         """Scale s of the unknowns, and the matrix s A s, whose diagonal is one.
@@ -299,16 +299,46 @@ class FactoredDense:
 
     scale: Float[Array, "n m"]
     """Factors that scale rows and columns, 1 / sqrt(diagonal)."""
-    factors: Float[Array, "size size"]
-    """Both triangular factors in one matrix, as `lu_factor` returns them."""
-    pivots: Int[Array, " size"]
-    """Row with which each row was exchanged, as `lu_factor` returns it."""
+    factors: LU
+    """Factors of the scaled matrix."""
 
     def solve(self, right: Float[Array, "n m"]) -> Float[Array, "n m"]:
         """Solution for a right-hand side; not finite if the matrix is singular."""
-        scaled = jnp.ravel(self.scale * right)
-        solution = jax.scipy.linalg.lu_solve((self.factors, self.pivots), scaled)
+        solution = self.factors.solve(jnp.ravel(self.scale * right))
         return self.scale * solution.reshape(right.shape)
+
+
+@pytree
+class LU:
+    """LU factors of a square matrix with permuted rows, for several solutions.
+
+    Unlike those of `jax.scipy.linalg` they have the permutation itself, which XLA would
+    otherwise find for every solution.
+    """
+
+    triangles: Float[Array, "size size"]
+    """Both triangular factors in one matrix; the lower one has a diagonal of one."""
+    order: Int[Array, " size"]
+    """Numbers of the matrix's rows, in the order of the factors' rows."""
+
+    def solve(self, right: Float[Array, " size"]) -> Float[Array, " size"]:
+        """Solution for a right-hand side; not finite if the matrix is singular."""
+        column = right[self.order][:, None]
+        for lower in (True, False):
+            column = lax.linalg.triangular_solve(
+                self.triangles,
+                column,
+                left_side=True,
+                lower=lower,
+                unit_diagonal=lower,
+            )
+        return column[:, 0]
+
+
+def lu_factors(matrix: Float[Array, "size size"]) -> LU:
+    """LU factors of a square matrix, with partial pivoting."""
+    triangles, _, order = lax.linalg.lu(matrix)
+    return LU(triangles, order)
 
 
 def as_dense(matrix: BlockTridiagonal) -> Dense:

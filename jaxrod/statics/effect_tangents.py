@@ -49,6 +49,14 @@ def has_closed_form(effect: Effect) -> bool:
     return knows or kind.loads is Effect.loads
 
 
+def reaches_any(scene: LoadedRod) -> bool:
+    """Whether effects couple distant parts of the rod, so that its tangent is dense."""
+    return any(
+        not has_closed_form(effect) and effect.actual_reach == "any"
+        for effect in scene.effects
+    )
+
+
 def with_turning_tangents(turning: Matrix, scene: LoadedRod, motion: Motion) -> Matrix:
     """Adds the `turning_tangent` of all effects to `turning` [N m].
 

@@ -25,7 +25,7 @@ from jaxrod.rods.motion import Motion, motion_of, state_of
 from jaxrod.rods.rod import RodState
 from jaxrod.statics.declared_properties import check_declared_properties
 from jaxrod.statics.degrees_of_freedom import unstack_dofs
-from jaxrod.statics.effect_tangents import Tangent, has_closed_form
+from jaxrod.statics.effect_tangents import Tangent, has_closed_form, reaches_any
 from jaxrod.statics.newton import default_tolerance, largest
 from jaxrod.statics.pseudo_transient import (
     LARGEST_DISPLACEMENT,
@@ -168,7 +168,6 @@ def scene_equilibrium(
             "jaxrod.fixed_end(state)"
         )
     check_declared_properties(scene)
-    # The scene has the memory: states with and without are one program.
     return _equilibrium(scene, replace(state, memory=None), bound, most)
 
 
@@ -251,6 +250,10 @@ class _Rest:
     """Whether the tangent is positive definite, except for loose modes."""
     loose: Bool[Array, ""]
     iterations: Int[Array, ""]
+    force: Float[Array, ""]
+    """Largest component of unbalanced force at a node [N]."""
+    couple: Float[Array, ""]
+    """Largest component of unbalanced couple on an element [N m]."""
 
 
 @pytree
@@ -280,23 +283,14 @@ class _RodAtRest:
         one = jnp.ones((), self.balance.scene.rod.rest_lengths.dtype)
         return _six(LARGEST_DISPLACEMENT * one, LARGEST_TURN)
 
-    def rest(self, given: tuple[Motion, Array, Array]) -> _Rest:
-        """End of the search from a configuration, for a kernel.
-
-        `given` are the configuration, the tolerance and the largest number of
-        corrections.
-        """
-        end = find_rest(self, *given)
-        return _Rest(
-            configuration=end.here.configuration,
-            converged=end.converged,
-            positive=end.here.tangent.is_positive(),
-            loose=end.here.loose,
-            iterations=end.iterations,
-        )
-
     def place(self, configuration: Motion) -> _RodPlace:
         """Loads, tangent and mass at a configuration."""
+        # Only rows take the loops over loose modes well.
+        place: _RodPlace = by_kernel(self, "linear", configuration, iterates=True)
+        return place
+
+    def linear(self, configuration: Motion) -> _RodPlace:
+        """The result of `place`, for a kernel."""
         here = replace(self.balance, base=configuration)
         none = _no_increment(configuration)
         residual, bare, mass = by_kernel(here, "about", none)
@@ -313,10 +307,16 @@ class _RodAtRest:
 
         Edges turn with their elements, so that strains change linearly.
         """
-        here = replace(self.balance, base=place.configuration)
-        none = _no_increment(place.configuration)
-        moved: Motion = by_kernel(here, "moved_along_edges", (none, self.units * step))
+        given = place.configuration, step
+        moved: Motion = by_kernel(self, "moved_along_edges", given)
         return moved
+
+    def moved_along_edges(self, given: tuple[Motion, Array]) -> Motion:
+        """The result of `moved` from a configuration, the two entries of `given`."""
+        configuration, step = given
+        here = replace(self.balance, base=configuration)
+        none = _no_increment(configuration)
+        return here.motion(here.retract_along_edges(none, self.units * step))
 
 
 def _six(length: Array, radian: float) -> Float[Array, "1 6"]:
@@ -325,48 +325,101 @@ def _six(length: Array, radian: float) -> Float[Array, "1 6"]:
     return jnp.stack([length, length, length, turn, turn, turn])[None]
 
 
+@pytree
+class _RodStatics:
+    """The search for the equilibrium of one rod, in parts that are a kernel each."""
+
+    scene: LoadedRod
+    """The scene whose loads are to balance."""
+
+    def rest(self, given: tuple[RodState, Array, Array]) -> _Rest:
+        """End of the search from a state.
+
+        `given` are the state, the tolerance and the largest number of corrections.
+        """
+        state, *limits = given
+        problem, start = by_kernel(self, "begun", state)
+        end = find_rest(problem, start, *limits)
+        force, couple = unstack_dofs(end.here.loads / end.here.units)
+        return _Rest(
+            configuration=end.here.configuration,
+            converged=end.converged,
+            positive=end.here.tangent.is_positive(),
+            loose=end.here.loose,
+            iterations=end.iterations,
+            force=largest(force),
+            couple=largest(couple),
+        )
+
+    def begun(self, state: RodState) -> tuple[_RodAtRest, Motion]:
+        """The static problem, and the configuration of a state."""
+        start = self.start(state)
+        return _RodAtRest(_at_rest(self.scene, start)), start
+
+    def start(self, state: RodState) -> Motion:
+        """Configuration at rest of a state, with supports enforced."""
+        at_rest = motion_of(state).at_rest
+        return constrain_rates(self.scene, constrain(self.scene, at_rest))
+
+    def kept(self, given: tuple[Motion, RodState]) -> tuple[Motion, Increment]:
+        """Configuration with the held components of a state, and no increment from it.
+
+        `given` are the configuration and the state.
+        """
+        found, state = given
+        kept = _keep_held(self.scene, found, self.start(state))
+        return kept, _no_increment(found)
+
+    def left(self, given: tuple[Motion, Increment]) -> RodState:
+        """State at rest after an increment, with the memory that effects then have.
+
+        `given` are the configuration and the increment from it.
+        """
+        base, increment = given
+        rest = state_of(_at_rest(self.scene, base).motion(increment))
+        return remembering_rest(self.scene, rest)
+
+    def end_of_search(
+        self, state: RodState, tolerance: Array, max_iterations: Array
+    ) -> _Rest:
+        """The result of `rest`, without derivatives."""
+        # The scene has the memory: states with and without are one program.
+        given = replace(state, memory=None), tolerance, max_iterations
+        statics, given = lax.stop_gradient((self, given))
+        if reaches_any(self.scene):
+            # Its matrices are dense, and LAPACK has no kernel.
+            return statics.rest(given)
+        end: _Rest = by_kernel(statics, "rest", given, iterates=True)
+        return end
+
+
 @jax.jit
 def _equilibrium(
     scene: LoadedRod, state: RodState, tolerance: Array, max_iterations: Array
 ) -> Equilibrium:
-    start = motion_of(state).at_rest
-    start = constrain_rates(scene, constrain(scene, start))
-    problem = _RodAtRest(_at_rest(scene, start))
-    problem, given = lax.stop_gradient((problem, (start, tolerance)))
-    end = by_kernel(problem, "rest", (*given, max_iterations), iterates=True)
-    found = end.configuration
+    statics = _RodStatics(scene)
+    most = max_iterations.astype(jnp.int32)
+    end = statics.end_of_search(state, tolerance, most)
     # Held components take their values from the state and the scene, with derivatives.
-    balance = _at_rest(scene, _keep_held(scene, found, start))
-    increment = implicit_solution(balance, _no_increment(found))
-    residual, motion = by_kernel(balance, "ended", increment)
-    force, couple = unstack_dofs(residual)
-    rest = remembering_rest(scene, state_of(motion))
+    found, none = by_kernel(statics, "kept", (end.configuration, state))
+    increment = implicit_solution(_at_rest(scene, found), none)
+    rest = by_kernel(statics, "left", (found, increment))
+    known, last = scene.recalling(rest), end
+    sticking = known.without_slip
+    if sticking is not known:
+        # The search started from the springs of its initial state; they have slipped
+        # since. A search without corrections ends at its start, by the same kernel.
+        statics, zero = _RodStatics(sticking), jnp.zeros_like(most)
+        last = statics.end_of_search(rest, tolerance, zero)
     return Equilibrium(
         state=rest,
         converged=end.converged,
-        stable=end.converged & _is_stable(scene, rest, end.positive),
+        stable=end.converged & last.positive,
         loose=end.loose,
         iterations=end.iterations,
-        force_residual=largest(force),
-        couple_residual=largest(couple),
+        force_residual=end.force,
+        couple_residual=end.couple,
     )
-
-
-def _is_stable(scene: LoadedRod, rest: RodState, positive: Array) -> Array:
-    """Whether the tangent at rest is positive definite, except for loose modes.
-
-    `positive` is the answer at the end of the search, from the springs of friction at
-    its start. Springs that have slipped since hold at `rest`.
-    """
-    known = scene.recalling(rest)
-    sticking = known.without_slip
-    if sticking is known:
-        return positive
-    sticking, motion = lax.stop_gradient((sticking, motion_of(rest)))
-    balance = _at_rest(sticking, motion)
-    held = by_kernel(balance, "stiffness", _no_increment(motion))
-    answer: Array = held.is_positive()
-    return answer
 
 
 def _no_increment(motion: Motion) -> Increment:

@@ -22,6 +22,7 @@ from jax import lax
 from jaxtyping import Array, Bool, Float, Int
 
 from jaxrod.lanes.run_spec import is_in_one_kernel
+from jaxrod.lanes.steps import by_kernel
 from jaxrod.structure import pytree
 
 LARGEST_TURN = 1.0
@@ -109,8 +110,6 @@ class Search:
     `inertia`."""
     step: Array
     """Full correction from `here`, a scaled step."""
-    share: Float[Array, ""]
-    """Fraction of the full correction that is tried [1]."""
     inertia: Float[Array, ""]
     """Factor sigma of the mass matrix M in K + sigma M, K the stiffness [1/s^2]."""
     shrinking: Float[Array, ""]
@@ -121,6 +120,99 @@ class Search:
     """Number of corrections that were accepted."""
     converged: Bool[Array, ""]
     """Whether the last correction was below the tolerance."""
+
+
+@pytree
+class Trial:
+    """A correction that was tried, and what it has led to."""
+
+    step: Array
+    """Full correction, a scaled step."""
+    tried: Array
+    """Part of it that was tried."""
+    left: Array
+    """Correction that would follow."""
+    loads: Array
+    """Unbalanced loads before, scaled [J]."""
+    momentum: Array
+    """Product of the mass matrix and the full correction [kg m^2]."""
+    inertia: Float[Array, ""]
+    """Factor sigma of the mass matrix in this correction [1/s^2]."""
+    shrinking: Float[Array, ""]
+    """Factor by which inertia shrinks after a good correction [1]."""
+    first: Bool[Array, ""]
+    """Whether it is the start, which is always accepted."""
+    driven: Bool[Array, ""]
+    """Whether loads act along a motion that nothing resists."""
+    balanced: Bool[Array, ""]
+    """Whether the loads before are no more than round-off."""
+    passes: Bool[Array, ""]
+    """Whether things that contact keeps apart have gone through each other."""
+
+
+@pytree
+class _Judge:
+    """The rules by which corrections are tried and accepted, each by a kernel."""
+
+    element_lengths: Array
+    """Factors that turn a scaled step into shortest element lengths and radians."""
+    largest_step: Array
+    """Largest allowed scaled step, component by component."""
+    tolerance: Array
+    """The search ends after a correction of less than this."""
+
+    def trial(self, given: tuple[Array, Array, Array, Array]) -> tuple[Array, Array]:
+        """The part of a correction to try, and the loads to expect after it.
+
+        `given` are the full correction, its momentum, the loads and the inertia.
+        """
+        step, momentum, loads, inertia = given
+        share = 1 / jnp.maximum(1, jnp.max(jnp.abs(step) / self.largest_step))
+        expected = (1 - share) * loads + share * inertia * momentum
+        return share * step, expected
+
+    def verdict(self, trial: Trial) -> tuple[Array, Array, Array, Array]:
+        """Whether a trial is accepted and ends the search, and what inertia comes next.
+
+        Returns:
+            Whether it is accepted, whether the search has converged, the next factor
+            sigma of the mass matrix, and the next factor by which inertia shrinks.
+        """
+        ratio = _size(trial.left) / _size(trial.tried)
+        work = jnp.sum(trial.step * trial.loads)
+        # Near the tolerance the rest may be round-off. So a correction slightly above
+        # the tolerance that no longer shrinks is accepted.
+        largest = jnp.max(jnp.abs(trial.tried) * self.element_lengths)
+        little = (largest <= self.tolerance) | (
+            (largest <= STALLED * self.tolerance) & (ratio > LEFT)
+        )
+        # Below the tolerance nothing moves far enough to pass.
+        full = ~trial.first & (trial.inertia == 0) & ~trial.driven
+        done = full & little
+        # A motion that is hardly resisted takes any correction from round-off alone.
+        # Where loads balance, one that does not reduce them is left out.
+        stuck = full & ~done & trial.balanced & ~(ratio <= LEFT)
+        taken = trial.first | done | ((ratio <= LEFT) & (work > 0) & ~trial.passes)
+        own = jnp.sum(trial.step * trial.momentum)
+        resisted = jnp.abs(work - trial.inertia * own)
+        fast = ratio <= LITTLE
+        lower = trial.inertia * jnp.where(fast, trial.shrinking, 0.5)
+        lower = jnp.where(lower * own < 1e-4 * resisted, 0, lower)
+        # If reduced inertia was too small, it shrinks more slowly from now on.
+        slower = jnp.minimum(jnp.sqrt(trial.shrinking), SLOWEST)
+        faster = jnp.maximum(trial.shrinking**2, FASTEST)
+        shrinking = jnp.where(taken, jnp.where(fast, faster, trial.shrinking), slower)
+        higher = jnp.maximum(trial.inertia / shrinking, STIFFER * resisted / own)
+        # Below the tolerance the ratio may be round-off alone. More inertia would make
+        # the correction smaller still, so the full correction is tried next.
+        higher = jnp.where(largest <= self.tolerance, 0, higher)
+        inertia = jnp.where(trial.first, 0, jnp.where(taken, lower, higher))
+        shrinking = jnp.where(trial.first, FASTEST, shrinking)
+        return taken, done | stuck, inertia, shrinking
+
+
+def _size(step: Array) -> Array:
+    return jnp.sqrt(jnp.sum(step * step))
 
 
 def find_rest(
@@ -136,67 +228,46 @@ def find_rest(
         max_iterations: Largest number of corrections tried, accepted or not.
     """
     in_kernel = is_in_one_kernel()
-
-    def size(step: Array) -> Array:
-        return jnp.sqrt(jnp.sum(step * step))
+    judge = _Judge(problem.element_lengths, problem.largest_step, tolerance)
 
     def unfinished(search: Search) -> Array:
         # Written so that a non-finite correction ends the search.
-        going = (search.trials == 0) | (size(search.step) < jnp.inf)
+        going = (search.trials == 0) | (_size(search.step) < jnp.inf)
         return going & ~search.converged & (search.trials <= max_iterations)
 
     def improve(search: Search) -> Search:
-        before, step, share = search.here, search.step, search.share
-        here = _place(problem, problem.moved(before, share * step), in_kernel)
+        before, step = search.here, search.step
         momentum = before.momentum(step)
-        expected = (1 - share) * before.loads + share * search.inertia * momentum
-        left = before.solve(search.factors, here.loads - expected)
-        ratio = size(left) / (share * size(step))
-        work = jnp.sum(step * before.loads)
-        first = search.trials == 0
-        # Near the tolerance the rest may be round-off. So a correction slightly above
-        # the tolerance that no longer shrinks is accepted.
-        largest = jnp.max(jnp.abs(share * step) * problem.element_lengths)
-        little = (largest <= tolerance) | (
-            (largest <= STALLED * tolerance) & (ratio > LEFT)
+        tried, expected = by_kernel(
+            judge, "trial", (step, momentum, before.loads, search.inertia)
         )
-        # Below the tolerance nothing moves far enough to pass.
-        full = ~first & (search.inertia == 0) & ~before.driven
-        done = full & little
-        # A motion that is hardly resisted takes any correction from round-off alone.
-        # Where loads balance, one that does not reduce them is left out.
-        stuck = full & ~done & before.balanced & ~(ratio <= LEFT)
-        passes = problem.passes(before, here)
-        taken = first | done | ((ratio <= LEFT) & (work > 0) & ~passes)
-        own = jnp.sum(step * momentum)
-        resisted = jnp.abs(work - search.inertia * own)
-        fast = ratio <= LITTLE
-        lower = search.inertia * jnp.where(fast, search.shrinking, 0.5)
-        lower = jnp.where(lower * own < 1e-4 * resisted, 0, lower)
-        # If reduced inertia was too small, it shrinks more slowly from now on.
-        slower = jnp.minimum(jnp.sqrt(search.shrinking), SLOWEST)
-        faster = jnp.maximum(search.shrinking**2, FASTEST)
-        shrinking = jnp.where(taken, jnp.where(fast, faster, search.shrinking), slower)
-        higher = jnp.maximum(search.inertia / shrinking, STIFFER * resisted / own)
-        # Below the tolerance the ratio may be round-off alone. More inertia would make
-        # the correction smaller still, so the full correction is tried next.
-        higher = jnp.where(largest <= tolerance, 0, higher)
-        inertia = jnp.where(taken, lower, higher)
-        inertia = jnp.where(first, 0, inertia)
+        here = _place(problem, problem.moved(before, tried), in_kernel)
+        left = before.solve(search.factors, here.loads - expected)
+        trial = Trial(
+            step=step,
+            tried=tried,
+            left=left,
+            loads=before.loads,
+            momentum=momentum,
+            inertia=search.inertia,
+            shrinking=search.shrinking,
+            first=search.trials == 0,
+            driven=before.driven,
+            balanced=before.balanced,
+            passes=problem.passes(before, here),
+        )
+        taken, converged, inertia, shrinking = by_kernel(judge, "verdict", trial)
         here = jax.tree.map(lambda a, b: jnp.where(taken, a, b), here, before)
         factors = here.factors(inertia)
-        step = here.solve(factors, here.loads)
-        over = jnp.max(jnp.abs(step) / problem.largest_step)
         return Search(
             here=here,
             factors=factors,
-            step=step,
-            share=1 / jnp.maximum(1, over),
+            step=here.solve(factors, here.loads),
             inertia=inertia,
-            shrinking=jnp.where(first, FASTEST, shrinking),
+            shrinking=shrinking,
             trials=search.trials + 1,
-            iterations=search.iterations + (taken & ~first),
-            converged=done | stuck,
+            iterations=search.iterations + (taken & (search.trials > 0)),
+            converged=converged,
         )
 
     def nothing() -> Any:
@@ -211,7 +282,7 @@ def find_rest(
     zero, none = jnp.zeros_like(tolerance), jnp.zeros((), jnp.int32)
     step = jnp.zeros_like(here.loads)
     no = jnp.zeros((), bool)
-    begin = Search(here, factors, step, zero, zero, zero, none, none, no)
+    begin = Search(here, factors, step, zero, zero, none, none, no)
     return lax.while_loop(unfinished, improve, begin)
 
 

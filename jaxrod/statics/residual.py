@@ -188,20 +188,6 @@ class LoadBalance:
         """Tangent at an increment, in statics with springs that resist loose modes."""
         return self.held(self.tangent(increment), increment)[0]
 
-    def ended(self, increment: Increment) -> tuple[Array, Motion]:
-        """Residual at an increment and the motion that goes with it.
-
-        One compiled program can thus return both.
-        """
-        return self.residual(increment), self.motion(increment)
-
-    def moved_along_edges(self, given: tuple[Increment, Array]) -> Motion:
-        """Motion after an increment and a step from it, the two entries of `given`.
-
-        The step is taken as by `retract_along_edges`.
-        """
-        return self.motion(self.retract_along_edges(*given))
-
     def retracted(self, given: tuple[Increment, Array]) -> Increment:
         """Increment after `retract` of the two entries of `given`."""
         return self.retract(*given)

@@ -25,6 +25,7 @@ from jax import lax
 from jaxtyping import Array, Bool, Float
 
 from jaxrod.lanes.steps import by_kernel
+from jaxrod.statics.block_matrices import LU, lu_factors
 from jaxrod.statics.equilibrium import Equilibrium
 from jaxrod.statics.pseudo_transient import (
     LARGEST_DISPLACEMENT,
@@ -62,15 +63,10 @@ class _SystemPlace:
     rows."""
     driven: Bool[Array, ""]
     """Whether the loads drive a loose motion and so cannot balance."""
+    balanced: Bool[Array, ""]
+    """Whether the loads are no more than round-off, compared with the stiffness."""
     rounding: Float[Array, ""]
     """Relative round-off of positions, `StaticProblem.rounding` [1]."""
-
-    @property
-    def balanced(self) -> Bool[Array, ""]:
-        """Whether the loads are no more than round-off, compared with the stiffness."""
-        sizes = jnp.sum(jnp.abs(self.stiffness), axis=1)
-        least = jnp.minimum(_ROUNDINGS * self.rounding, _BALANCED)
-        return jnp.all(jnp.abs(self.loads) <= least * sizes)
 
     @property
     def loads(self) -> Float[Array, " m"]:
@@ -85,15 +81,36 @@ class _SystemPlace:
         """Mass matrix times a step of the scaled unknowns."""
         return self.linear.mass @ step
 
-    def factors(self, inertia: Array) -> tuple[Array, Array]:
+    def factors(self, inertia: Array) -> LU:
         """LU factors of the stiffness plus `inertia` [1/s^2] times the mass matrix."""
-        return jax.scipy.linalg.lu_factor(self.stiffness + inertia * self.linear.mass)
+        return lu_factors(self.stiffness + inertia * self.linear.mass)
 
-    def solve(
-        self, factors: tuple[Array, Array], right: Float[Array, " m"]
-    ) -> Float[Array, " m"]:
+    def solve(self, factors: LU, right: Float[Array, " m"]) -> Float[Array, " m"]:
         """Solution of the linear system with the given LU factors and right side."""
-        return jax.scipy.linalg.lu_solve(factors, right)
+        return factors.solve(right)
+
+
+@pytree
+class _Balance:
+    """Loads at a configuration, compared with their round-off by a kernel."""
+
+    loads: Float[Array, " m"]
+    """Loads out of balance on the scaled unknowns [J]."""
+    rounding: Float[Array, ""]
+    """Relative round-off of positions, `StaticProblem.rounding` [1]."""
+
+    def flags(
+        self, given: tuple[Float[Array, " m"], Array, Array]
+    ) -> tuple[Bool[Array, ""], Bool[Array, ""]]:
+        """Whether the loads drive a loose motion, and whether they are all round-off.
+
+        `given` are the sum of each row of the stiffness, without signs, and for each
+        loose motion the work of the loads and what it would be without cancelling [J].
+        """
+        sizes, work, most = given
+        driven = jnp.any(jnp.abs(work) > _DRIVEN * self.rounding * most)
+        least = jnp.minimum(_ROUNDINGS * self.rounding, _BALANCED)
+        return driven, jnp.all(jnp.abs(self.loads) <= least * sizes)
 
 
 @pytree
@@ -117,19 +134,20 @@ class _SystemAtRest:
     @property
     def largest_step(self) -> Float[Array, " m"]:
         """Largest scaled step allowed in one correction, for each unknown."""
-        return jnp.where(self.displaced, LARGEST_DISPLACEMENT, LARGEST_TURN)
+        longest = jnp.where(self.displaced, LARGEST_DISPLACEMENT, LARGEST_TURN)
+        return longest.astype(self.problem.system.dtype)
 
     def place(self, motions: Motions) -> _SystemPlace:
         """Loads, stiffness matrix and loose motions at a configuration."""
         here = self.problem.linear(motions)
-        loose = loose_motions(self.problem, here)
-        return _SystemPlace(
-            linear=here,
-            stiffness=held(self.problem, here, loose),
-            loose=loose,
-            driven=are_driven(self.problem, here, loose),
-            rounding=self.problem.rounding(motions),
-        )
+        loose, rounding = loose_motions(self.problem, here)
+        stiffness = held(self.problem, here, loose)
+        one = jnp.ones_like(here.loads)
+        bare, springs = jnp.abs(here.stiffness) @ one, jnp.abs(stiffness) @ one
+        work = loose @ here.loads, jnp.abs(loose) @ bare
+        balance = _Balance(here.loads, rounding)
+        driven, balanced = by_kernel(balance, "flags", (springs, *work))
+        return _SystemPlace(here, stiffness, loose, driven, balanced, rounding)
 
     def passes(self, before: _SystemPlace, after: _SystemPlace) -> Bool[Array, ""]:
         """Whether rods that contact keeps apart go through each other in between."""
@@ -163,32 +181,54 @@ def system_equilibrium(
     end = find_rest(*lax.stop_gradient((at_rest, start, tolerance)), max_iterations)
     here = end.here
     found = by_kernel(problem, "with_held", (here.linear.motions, start))
-    # The search has not tested its last correction. It may be large along a motion that
-    # hardly anything resists, and is then left out.
-    largest = jnp.max(jnp.abs(end.step) * at_rest.element_lengths)
-    last = jnp.where(largest <= tolerance, end.step, jnp.zeros_like(end.step))
+    outcome = _Outcome(at_rest.displaced, at_rest.element_lengths, tolerance)
+    parts = lax.stop_gradient((end.step, here.loads))
+    last, force, couple = by_kernel(outcome, "parts", parts)
     correction = _last_correction(problem, found, last)
-    rest = by_kernel(problem, "left_after", (found, correction))
-    loads = lax.stop_gradient(here.loads)
+    together = by_kernel(problem, "left_after", (found, correction))
     converged = end.converged
-    members = system.interfaces()
-    together = {name: members[name].remembering_rest(rest[name]) for name in rest}
     if RECORD in state:
         # Contacts that did not fit into the lists are not balanced.
         couplings = problem.listed(here.linear.motions).stepper.couplings
         together[RECORD] = lax.stop_gradient(with_shortage(state[RECORD], couplings))
         converged &= ~together[RECORD].overflow
-    displaced = displacements(start)
-    force = jnp.max(jnp.abs(loads), where=displaced, initial=0)
     return Equilibrium(
         state=together,
         converged=converged,
         stable=converged & _is_positive(_as_it_sticks(system, together, here)),
-        loose=jnp.max(jnp.abs(here.loose)) > 0,
+        loose=jnp.any(here.loose != 0),
         iterations=end.iterations,
         force_residual=force / lax.stop_gradient(problem.scales.length),
-        couple_residual=jnp.max(jnp.abs(loads), where=~displaced, initial=0),
+        couple_residual=couple,
     )
+
+
+@pytree
+class _Outcome:
+    """The end of a search, read by a kernel."""
+
+    displaced: Bool[Array, " m"]
+    """Flags of the unknowns: true for displacements, false for rotations."""
+    element_lengths: Float[Array, " m"]
+    """Factors that convert a scaled step to element lengths and radians [1]."""
+    tolerance: Float[Array, ""]
+    """Size of a correction that is small enough, in element lengths and radians."""
+
+    def parts(
+        self, given: tuple[Float[Array, " m"], Float[Array, " m"]]
+    ) -> tuple[Array, Array, Array]:
+        """Last correction, and the largest force times length and couple [J].
+
+        `given` are the correction that would follow and the loads. The search has not
+        tested this correction. It may be large along a motion that hardly anything
+        resists, and is then left out.
+        """
+        step, loads = given
+        little = jnp.max(jnp.abs(step) * self.element_lengths) <= self.tolerance
+        sizes = jnp.abs(loads)
+        force = jnp.max(jnp.where(self.displaced, sizes, 0))
+        couple = jnp.max(jnp.where(self.displaced, 0, sizes))
+        return jnp.where(little, step, 0), force, couple
 
 
 @jax.custom_jvp
@@ -209,7 +249,7 @@ def _last_correction_jvp(primals: Any, tangents: Any) -> tuple[Array, Array]:
     correction = _last_correction(problem, found, step)
     there = by_kernel(problem, "moved_after", (found, correction))
     here = problem.linear(there)
-    stiffness = held(problem, here, lax.stop_gradient(loose_motions(problem, here)))
+    stiffness = held(problem, here, lax.stop_gradient(loose_motions(problem, here)[0]))
 
     def accelerations(problem: StaticProblem, found: Motions) -> Array:
         listed = problem.listed(there)
@@ -281,16 +321,19 @@ _LEAST = 0.01
 as zero: the motions are then dependent [1]."""
 
 
-def loose_motions(problem: StaticProblem, here: Linear) -> Float[Array, "modes m"]:
+def loose_motions(
+    problem: StaticProblem, here: Linear
+) -> tuple[Float[Array, "modes m"], Float[Array, ""]]:
     """Independent motions that no load resists, in scaled rates, each of length one.
 
     They are combinations of the rigid motions of rods and bodies at the configuration
     `here`.
 
     Returns:
-        As many rows as there are candidates; rows that are not needed are zero.
+        As many rows as there are candidates; rows that are not needed are zero. And the
+        relative round-off of positions, `StaticProblem.rounding`.
     """
-    whole = by_kernel(problem, "motions_of_the_whole", here.motions)
+    whole, rounding = by_kernel(problem, "motions_of_the_whole", here.motions)
     resisted = here.stiffness @ whole.T
     # Size of the rows if nothing cancelled.
     sizes = jnp.max(jnp.abs(here.stiffness) @ jnp.abs(whole.T), axis=1, keepdims=True)
@@ -298,24 +341,14 @@ def loose_motions(problem: StaticProblem, here: Linear) -> Float[Array, "modes m
     barred = whole.T - here.projection @ whole.T
     both = jnp.concatenate([resisted, barred])
     _, resistance, mixtures = jnp.linalg.svd(both, full_matrices=False)
-    least = _ROUNDINGS * problem.rounding(here.motions)
+    least = _ROUNDINGS * rounding
     walk = len(here.loads) ** 0.5
     none = resistance <= jnp.maximum(least, jnp.minimum(walk * least, _SLIGHT))
     found = jnp.where(none[:, None], mixtures, 0) @ whole
     # Candidates may be dependent: the rotation of a straight rod about its axis minus
     # the rotation of all its elements about theirs is nothing but round-off.
     _, sizes, independent = jnp.linalg.svd(found, full_matrices=False)
-    return jnp.where((sizes > _LEAST)[:, None], independent, 0)
-
-
-def are_driven(
-    problem: StaticProblem, here: Linear, motions: Float[Array, "modes m"]
-) -> Bool[Array, ""]:
-    """Whether loads act along loose `motions` by more than their round-off."""
-    work = jnp.abs(motions @ here.loads)
-    sizes = jnp.sum(jnp.abs(here.stiffness), axis=1)
-    rounding = _DRIVEN * problem.rounding(here.motions)
-    return jnp.any(work > rounding * (jnp.abs(motions) @ sizes))
+    return jnp.where((sizes > _LEAST)[:, None], independent, 0), rounding
 
 
 def held(

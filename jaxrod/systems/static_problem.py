@@ -218,8 +218,8 @@ class StaticProblem:
         )(together)
         return momenta[1], self.scaled(motions, allowed), momenta[0], momenta[2]
 
-    def moved_with_gaps(self, given: tuple[Motions, Any]) -> tuple[Motions, Array]:
-        """Configuration after one second at the given rates, and the gaps of its edges.
+    def moved_with_gaps(self, given: tuple[Motions, Array]) -> tuple[Motions, Array]:
+        """Configuration after one second at scaled rates, and the gaps of its edges.
 
         `given` is the pair of the configuration and the rates. Strains should change
         linearly. But moving at rates stretches the edges of rods in proportion to the
@@ -227,8 +227,8 @@ class StaticProblem:
         bending. The gaps are the relative displacements of the nodes of each element
         that undo this, axis by axis [m].
         """
-        motions, rates = given
-        moved = self.moved(given)
+        motions, rates = given[0], self.rates(given)
+        moved = self.moved((motions, rates))
         before, after = self.stepper.seen(motions), self.stepper.seen(moved)
         moving = self.stepper.seen(with_rates(motions, rates))
         gaps = [jnp.zeros(0, self.system.dtype)]
@@ -266,9 +266,11 @@ class StaticProblem:
 
         `given` is (configuration, r). The vector r has the velocities of all members
         divided by the scale of length, and their angular velocities. Ties and
-        attachments hold exactly.
+        attachments hold exactly. Effects have the memory that they have there.
         """
-        return self.stepper.leave(self.placed((given[0], self.rates(given))))
+        rest = self.stepper.leave(self.placed((given[0], self.rates(given))))
+        members = self.system.interfaces()
+        return {name: members[name].remembering_rest(rest[name]) for name in rest}
 
     def accelerations_scaled(self, given: tuple[Motions, Array]) -> Array:
         """Accelerations at the configuration reached in one second at scaled rates r.
@@ -302,10 +304,13 @@ class StaticProblem:
             together[name] = replace(motion, position=position, orientation=orientation)
         return self.placed(_still(together))
 
-    def motions_of_the_whole(self, motions: Motions) -> Float[Array, "modes m"]:
-        """Rigid motions of each rod and body, in scaled rates: normalised, one per row.
+    def motions_of_the_whole(
+        self, motions: Motions
+    ) -> tuple[Float[Array, "modes m"], Float[Array, ""]]:
+        """Rigid motions of each rod and body, and the `rounding` of positions.
 
-        The rotation of all elements of a rod about their own d3 is one of them.
+        They are scaled rates, normalised, one per row. The rotation of all elements of
+        a rod about their own d3 is one of them.
         """
         still = jax.tree.map(jnp.zeros_like, rates_of(motions))
         found = []
@@ -315,7 +320,8 @@ class StaticProblem:
                 shaped = jax.tree.map(lambda a, b: a.reshape(b.shape), rates, like)
                 found.append(ravel_pytree({**still, name: shaped})[0])
         whole = jnp.stack(found)
-        return whole / jnp.sqrt(jnp.sum(whole**2, axis=1, keepdims=True))
+        whole = whole / jnp.sqrt(jnp.sum(whole**2, axis=1, keepdims=True))
+        return whole, self.rounding(motions)
 
     # Matrices and vectors of scaled rates.
 
@@ -424,8 +430,7 @@ class StaticProblem:
             loose: Motions along which these displacements get no momentum.
         """
         _, tree_of = ravel_pytree(rates_of(here.motions))
-        rates = by_kernel(self, "rates", (here.motions, scaled))
-        moved, gaps = by_kernel(self, "moved_with_gaps", (here.motions, rates))
+        moved, gaps = by_kernel(self, "moved_with_gaps", (here.motions, scaled))
         first, second = self._places_of_edges(here.motions)
         # Gaps are closed by displacements alone, without rotations.
         (columns,) = np.nonzero(displacements(here.motions))
@@ -444,7 +449,8 @@ class StaticProblem:
         size = jnp.sqrt(jnp.where(own > 0, own, 1))
         inertia = inertia / size[:, None] / size[None, :]
         inertia = inertia + jnp.diag(jnp.where(own > 0, 0.0, 1.0))
-        shares = jnp.linalg.solve(inertia, (momenta @ closing) / size) / size
+        carried = (momenta @ closing) / size
+        shares = jax.scipy.linalg.solve(inertia, carried, assume_a="pos") / size
         closing = closing - loose.T @ shares
         closed: Motions = by_kernel(self, "placed", (moved, tree_of(closing)))
         return closed
@@ -481,19 +487,29 @@ def static_problem(
             "statics and frequencies need one plane for all planar members, got "
             f"{len(axes)}: leave out planar(...)"
         )
-    system = system.in_space()
-    scales = scales_of(system)
-    stepper = stepper_at(system, state, INSTANT * scales.time)
-    members = {name: own.at_rest() for name, own in stepper.members.items()}
-    problem = StaticProblem(
-        system,
-        replace(stepper, members=members),
-        scales,
-        next(iter(axes), None),
-    )
-    bare = {name: state[name] for name in system.members}
-    start: Motions = by_kernel(problem, "entered", bare)
+    beginning = _Beginning(system.in_space(), next(iter(axes), None))
+    problem, start = by_kernel(beginning, "problem", state)
     return problem, start
+
+
+@pytree
+class _Beginning:
+    """A system of which a static problem is made, by one kernel."""
+
+    system: Assembly
+    """The system, whose members leave nothing out."""
+    normal_axis: int | None = static()
+    """World axis along which nothing moves; `None` in space."""
+
+    def problem(self, state: SystemState) -> tuple[StaticProblem, Motions]:
+        """The static problem, and the configuration of a state."""
+        scales = scales_of(self.system)
+        stepper = stepper_at(self.system, state, INSTANT * scales.time)
+        members = {name: own.at_rest() for name, own in stepper.members.items()}
+        stepper = replace(stepper, members=members)
+        problem = StaticProblem(self.system, stepper, scales, self.normal_axis)
+        bare = {name: state[name] for name in self.system.members}
+        return problem, problem.entered(bare)
 
 
 def rates_of(motions: Motions) -> Any:

@@ -100,6 +100,16 @@ def test_a_program_and_its_constants_are_found_together_and_apart():
     np.testing.assert_array_equal(evaluate(closed, jnp.full(3, 2.0))[0], 2 * held)
 
 
+def test_a_program_with_its_results_as_carry_has_the_same_equations():
+    closed = jax.make_jaxpr(lambda a, x, y: (a * x, x + y))(2.0, X, X)
+    carried = equations.as_carry(closed, 1)
+    before, after = (equations.program_of(c).jaxpr for c in (closed, carried))
+    assert before.eqns == after.eqns
+    made = evaluate(carried, 2.0, X, 2 * X, 0 * X, 0 * X)
+    for one, expected in zip(made, (X, 2 * X, 2 * X, 3 * X), strict=True):
+        np.testing.assert_array_equal(one, expected)
+
+
 def test_a_literal_has_a_value_and_a_variable_has_none():
     equation = only(lambda x: x + 2.0, 1.0)
     assert [equations.is_literal(atom) for atom in equation.invars] == [False, True]

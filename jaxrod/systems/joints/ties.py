@@ -11,8 +11,10 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from functools import partial
 from typing import Any
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
@@ -140,16 +142,8 @@ class Tie(Coupling):
                 held.append(jnp.zeros_like(masses[-1]))
             else:
                 held.append(gather(own.parts.held[axis], points.nodes))
-        group = self._group()
-        mass, speed, fast = map(jnp.concatenate, (masses, speeds, held))
-
-        def total(field: Array) -> Array:
-            return scatter_add(field, group, self.n_groups)
-
-        free = total(mass * speed) / total(mass)
-        count = total(fast)
-        led = total(fast * speed) / jnp.where(count > 0, count, 1)
-        shared = jnp.where(count > 0, led, free)
+        fields = map(jnp.concatenate, (masses, speeds, held))
+        shared = _means(*fields, group=self._group(), n_groups=self.n_groups)
         return [gather(shared, groups) for groups in self.groups]
 
     def constraint_loads(
@@ -226,6 +220,24 @@ class Tie(Coupling):
             squares.append((place - gather(mean, group)) ** 2)
         apart = jnp.sqrt(squares[0] + squares[1] + squares[2])
         return jnp.max(apart) / jnp.min(jnp.stack(radii))
+
+
+@partial(jax.jit, static_argnames=("group", "n_groups"))
+def _means(
+    mass: Array, value: Array, held: Array, *, group: Indices, n_groups: int
+) -> Array:
+    """Mean of a value over each group of nodes: see `Tie._shared`.
+
+    It is compiled so that it is traced once for all axes, fields and moments.
+    """
+
+    def total(field: Array) -> Array:
+        return scatter_add(field, group, n_groups)
+
+    free = total(mass * value) / total(mass)
+    count = total(held)
+    led = total(held * value) / jnp.where(count > 0, count, 1)
+    return jnp.where(count > 0, led, free)
 
 
 def tie(
