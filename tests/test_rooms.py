@@ -10,7 +10,7 @@ import pytest
 from walk_of_a_scene import files_entered
 
 ROOT = Path(__file__).parents[1]
-MOST_ARROWS = 342
+MOST_ARROWS = 343
 """Between rooms; there were 541 between 123 when most files were rooms of their own."""
 
 MOST_WITHIN_SYSTEMS = 129
