@@ -685,13 +685,13 @@ def _with_policy(state: OnPolicyState, policy: MLPPolicy) -> OnPolicyState:
         )
     dtype = state.moments.mean.dtype
     names = [f"hidden_{i}" for i in range(len(own) - 1)] + ["output"]
-    begun = {
+    begun: dict[str, Any] = {
         name: {"kernel": jnp.asarray(kernel, dtype), "bias": jnp.asarray(bias, dtype)}
         for name, (kernel, bias) in zip(names, policy.layers, strict=True)
     }
     # The perceptron sees the memory after the observation.
-    first = begun[names[0]]
-    first["kernel"] = jnp.pad(first["kernel"], ((0, units), (0, 0)))
+    kernel = begun[names[0]]["kernel"]
+    begun[names[0]]["kernel"] = jnp.pad(kernel, ((0, units), (0, 0)))
     begun = {**mean, "perceptron": begun} if units else begun
     weights["policy"] = {**weights["policy"], "mean": begun}
     limit = jnp.asarray(policy.limit, state.config.observation_limit.dtype)
