@@ -53,7 +53,7 @@ from jaxrod.validation import Numbers, as_array, check_kind
 STICKING = 0.5
 """Stiffness of the springs of static friction, by default, over that of contact [1]."""
 _ENOUGH = 1e12
-"""Coefficient of friction with which whatever touches holds [1]."""
+"""Coefficient of friction with which every point that touches holds [1]."""
 
 
 class _Grip(NamedTuple):
@@ -113,8 +113,8 @@ class StickingContact(Contact):
     stick_stiffness: Float[Array, ""] = dataclasses.field(kw_only=True)
     """Friction per length of rod and elongation of its spring [N/m^2]."""
     hold: Float[Array, ""] = dataclasses.field(kw_only=True)
-    """What `without_slip` adds to the coefficient of friction for the limit of the
-    springs: zero, or enough that whatever touches holds [1]."""
+    """Number that is added to the coefficient of friction for the limit of the springs
+    [1]: zero, and after `without_slip` enough that every point that touches holds."""
     positions: Float[Array, "3 n+1"] = memory(kw_only=True)
     """Positions of the nodes after the last step [m]."""
     orientations: Float[Array, "4 n"] = memory(kw_only=True)

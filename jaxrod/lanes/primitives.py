@@ -358,8 +358,8 @@ def _tangent_transpose(cotangents: Any, steps: Any, *arrays: Any, spec: RunSpec)
     if not spec.keeps:
         raise ValueError(
             "Reverse-mode differentiation does not work for a number of steps that "
-            "is traced: give `advance` an `int`, or use forward mode (jax.jvp, "
-            "jax.jacfwd)."
+            "is a JAX array: give `advance` an `int`, such as int(n_steps) outside of "
+            "jax.jit, or use forward mode (jax.jvp, jax.jacfwd)."
         )
     constants, kept, rates, tangents = parted(
         arrays, body.n_constants, n_carry, sum(spec.moving)

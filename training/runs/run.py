@@ -68,16 +68,16 @@ class Result:
 
     summary: dict[str, Any]
     """Contents of `summary.json`: scores, steps, times and the device."""
-    policy: Any
+    policy: Any = dataclasses.field(repr=False)
     """The deterministic policy: a `Policy`, or with a memory a
     `jaxrod.envs.MemoryPolicy`."""
-    progress: list[dict[str, Any]]
+    progress: list[dict[str, Any]] = dataclasses.field(repr=False)
     """One row per chunk of this call, as in `progress.csv`."""
-    episodes: EpisodeLog
+    episodes: EpisodeLog = dataclasses.field(repr=False)
     """Every complete training episode of the run."""
-    evaluation: Evaluation | None
+    evaluation: Evaluation | None = dataclasses.field(repr=False)
     """Evaluation of `policy`; None if interrupted or not requested."""
-    state: Any
+    state: Any = dataclasses.field(repr=False)
     """The final train state."""
     folder: RunFolder | None
     """The run's folder; None without a folder, and in all processes but the first."""
