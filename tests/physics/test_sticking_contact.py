@@ -326,6 +326,19 @@ def test_numbers_that_are_left_out_halve_the_step_at_most(given):
     assert 0.5 - 1e-6 < jaxrod.stable_dt(whole).dt / free < 0.7
 
 
+def test_softer_contact_has_softer_springs():
+    scene, _ = lying(0.5)
+    hard, soft = scene.effects[1], scene.softened(0.25).effects[1]
+    assert float(soft.stick_stiffness / hard.stick_stiffness) == 0.25
+    assert float(soft.stiffness / hard.stiffness) == 0.25
+
+
+def test_each_point_keeps_its_spring():
+    scene, state = lying(0.5, points=2)
+    thin = scene.thinned(0.5)
+    assert jnp.all(run(thin, state, 0.001).tip == run(scene, state, 0.001).tip)
+
+
 def test_what_leaves_the_ground_forgets():
     scene, state = lying(0.5)
     held = run(scene, state, 0.2)
