@@ -191,6 +191,10 @@ def _from_bag(file: Path, arm: Arm) -> Recording:
     """The recording in a bag."""
     file.stat()  # Raises the error of a file that is not there.
     try:
+        if file.is_dir() and not (file / "metadata.yaml").exists():
+            raise ValueError(
+                "it is a folder without metadata.yaml, no bag: name the files in it"
+            )
         for name in arm.inputs:
             if name not in arm.topics:
                 raise ValueError(

@@ -253,6 +253,8 @@ def test_what_is_missing_is_named(tmp_path, monkeypatch):
     for absent in ("none.mcap", "none.bag"):
         with pytest.raises(FileNotFoundError, match=absent):
             twin.read_recording(tmp_path / absent, arm())
+    with pytest.raises(DamagedFileError, match=r"nowhere: it is a folder without meta"):
+        twin.read_recording(nowhere, arm())
     with pytest.raises(ValueError, match="topics must be a table, got 'tip'"):
         replace(arm(), topics="tip")
     pretend_missing(monkeypatch, "rosbags")
