@@ -141,9 +141,9 @@ class StickingContact(Contact):
 
     def softened(self, share: ArrayLike) -> StickingContact:
         """Copy with a share of both stiffnesses, see `Contact.softened`."""
-        dtype = self.stick_stiffness.dtype
-        springs = (share * self.stick_stiffness).astype(dtype)
-        return softened_law(dataclasses.replace(self, stick_stiffness=springs), share)
+        stick = self.stick_stiffness
+        softer = (stick * jnp.asarray(share)).astype(stick.dtype)
+        return softened_law(dataclasses.replace(self, stick_stiffness=softer), share)
 
     def thinned(self, share: float) -> StickingContact:
         """The contact itself: each of its points has a spring."""
