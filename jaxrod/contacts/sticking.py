@@ -28,7 +28,7 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax.numpy as jnp
 from jaxtyping import Array, ArrayLike, Float
@@ -132,7 +132,7 @@ class StickingContact(Contact):
         # which the contact allows counts them.
         share = jnp.full_like(self.stiffness, STICKING)
         unit = dataclasses.replace(self, stick_stiffness=share)
-        chosen = Contact.with_numbers(unit, rod, step)
+        chosen: Any = Contact.with_numbers(unit, rod, step)
         stiffness = chosen.stiffness * share
         if "stick_stiffness" not in self.left_out:
             stiffness = self.stick_stiffness
