@@ -685,7 +685,7 @@ def _with_policy(state: OnPolicyState, policy: MLPPolicy) -> OnPolicyState:
         )
     dtype = state.moments.mean.dtype
     names = [f"hidden_{i}" for i in range(len(own) - 1)] + ["output"]
-    begun = {
+    begun: dict[str, Any] = {
         name: {"kernel": jnp.asarray(kernel, dtype), "bias": jnp.asarray(bias, dtype)}
         for name, (kernel, bias) in zip(names, policy.layers, strict=True)
     }
