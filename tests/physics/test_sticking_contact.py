@@ -80,6 +80,26 @@ def test_a_rod_on_a_slope_holds_by_the_elongation_of_its_springs(method, record)
 
 
 @pytest.mark.slow
+def test_a_rod_in_float32_creeps_by_rounding_alone(record):
+    rod, state = jaxrod.straight_rod(
+        6,
+        length=0.5,
+        radius=RADIUS,
+        density=DENSITY,
+        youngs_modulus=1e6,
+        direction=(0.6, 0.8, 0.0),
+        start=(0.0, 0.0, 0.995 * RADIUS),
+        dtype=jnp.float32,
+    )
+    rough = jaxrod.contact(shapes.plane(), friction=0.5)
+    holds = jaxrod.sticking_contact(rough, rod, state)
+    scene = jaxrod.make_scene(rod, jaxrod.gravity((1.2, 1.6, -9.81)), holds)
+    first = run(scene, state, 2.0, dt=4e-4)
+    moved = jnp.abs(run(scene, first, 4.0, dt=4e-4).positions - first.positions)
+    record("float32: creep [m/s]", "0", float(jnp.max(moved)) / 4, at_most=2e-7)
+
+
+@pytest.mark.slow
 def test_a_rod_on_a_steep_slope_slides_by_coulombs_law(record):
     scene, state = lying(0.2)
     first = run(scene, state, 0.5)
