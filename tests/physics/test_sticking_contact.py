@@ -346,6 +346,26 @@ def test_numbers_that_are_left_out_halve_the_step_at_most(given):
     assert 0.5 - 1e-6 < jaxrod.stable_dt(whole).dt / free < 0.7
 
 
+@pytest.mark.slow
+def test_springs_shorten_the_step_a_little_or_make_contact_softer(record):
+    shorter, softer = [], []
+    for n, length, radius in ((6, 0.5, 0.02), (50, 0.5, 0.005), (100, 1.0, 0.002)):
+        rod, state = jaxrod.straight_rod(
+            n, length=length, radius=radius, density=1000.0, youngs_modulus=1e6
+        )
+        plain = jaxrod.make_scene(rod, jaxrod.contact(shapes.plane(), friction=0.5))
+        (touch,) = plain.effects
+        springs = jaxrod.make_scene(rod, jaxrod.sticking_contact(touch, rod, state))
+        shorter.append(1 - jaxrod.stable_dt(springs).dt / jaxrod.stable_dt(plain).dt)
+        bare = jaxrod.sticking_contact(
+            jaxrod.contact(shapes.plane(), friction=0.5), rod, state
+        )
+        (found,) = jaxrod.make_scene(rod, bare).effects
+        softer.append(touch.stiffness / found.stiffness)
+    record("Springs shorten the step by", "", float(max(shorter)), at_most=0.2)
+    record("Default contact is softer by", "", float(max(softer)), at_most=2.5)
+
+
 def test_softer_contact_has_softer_springs():
     scene, _ = lying(0.5)
     hard, soft = scene.effects[1], scene.softened(0.25).effects[1]
