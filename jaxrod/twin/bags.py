@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import re
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -56,6 +57,9 @@ def read_columns(
         ValueError: If a topic or a field is missing, a field has another size, or times
             cannot be compared.
     """
+    for one, other in itertools.combinations(names, 2):
+        if topics[one] == topics[other]:
+            raise ValueError(f"{one} and {other} have one topic, {topics[one]!r}")
     sizes = dict.fromkeys(inputs, 1) | dict.fromkeys(names, 3)
     rows = _fields(path, {name: topics[name] for name in sizes}, sizes)
     first = topics[names[0]]
@@ -115,6 +119,7 @@ def _fields(
     places = {name: _place(name, text) for name, text in wanted.items()}
     found: dict[str, list[tuple[int, int, list[float]]]]
     found = {name: [] for name in wanted}
+    children: dict[str, set[str]] = {name: set() for name in wanted}
     # Bags of ROS 2 before Iron do not say how their messages are built.
     known = get_typestore(Stores.LATEST)
     with AnyReader([path], default_typestore=known) as reader:
@@ -131,8 +136,16 @@ def _fields(
             stamp = _stamp(message)
             for name, (topic, parts) in places.items():
                 if topic == connection.topic:
-                    value = _value(message, parts, wanted[name], sizes[name])
+                    led = _path(message, parts, wanted[name])
+                    value = _value(led[-1], wanted[name], sizes[name])
                     found[name].append((stamp, received, value))
+                    children[name] |= {getattr(x, "child_frame_id", "") for x in led}
+    for name, several in children.items():
+        if len(moving := sorted(several - {""})) > 1:
+            raise ValueError(
+                f"{wanted[name]!r} has transforms of {' and of '.join(moving)}: each "
+                "needs a topic of its own"
+            )
     return {name: _rows(wanted[name], some) for name, some in found.items()}
 
 
@@ -183,19 +196,25 @@ def _stamp(message: Any) -> int:
     return 0 if stamp is None else int(stamp.sec * 10**9 + stamp.nanosec)
 
 
-def _value(
-    message: Any, parts: Sequence[str | int], text: str, size: int
-) -> list[float]:
-    """Numbers of a field: one, or the x, y and z of a point."""
+def _path(message: Any, parts: Sequence[str | int], text: str) -> list[Any]:
+    """The message, and all that leads from it to a field, which is the last."""
+    path = [message]
     for part in parts:
+        here = path[-1]
         try:
-            message = message[part] if isinstance(part, int) else getattr(message, part)
+            there = here[part] if isinstance(part, int) else getattr(here, part)
         except (AttributeError, IndexError, TypeError):
-            fields = getattr(message, "__dataclass_fields__", ())
+            fields = getattr(here, "__dataclass_fields__", ())
             has = ", ".join(f for f in fields if not f.startswith("_")) or "no fields"
-            raise ValueError(
-                f"{text!r}: there is no {part!r}; a message has {has}"
-            ) from None
+            if hasattr(here, "__len__"):
+                has = f"{len(here)} entries"
+            raise ValueError(f"{text!r}: there is no {part!r}; it has {has}") from None
+        path.append(there)
+    return path
+
+
+def _value(message: Any, text: str, size: int) -> list[float]:
+    """Numbers of a field: one, or the x, y and z of a point."""
     place = [getattr(message, axis, None) for axis in "xyz"]
     is_place = None not in place and not hasattr(message, "w")  # No quaternion.
     numbers = np.asarray(place if is_place else message).reshape(-1)

@@ -225,10 +225,11 @@ def test_names_that_are_not_those_of_markers_are_found_by_registration(tmp_path)
     ("name", "topic", "message"),
     [
         ("tip", "/nose:point", "no topic '/nose'.*its topics are /middle, /motors"),
-        ("tip", "/tip:pose.position", "no 'pose'; a message has header, point$"),
+        ("tip", "/tip:pose.position", "no 'pose'; it has header, point$"),
         ("tip", "/tip:header", "must be a point with x, y and z, got"),
         ("tip", "/tip", "must be TOPIC:FIELD"),
-        ("first", "/motors:effort[7]", "there is no 7"),
+        ("first", "/motors:effort[7]", r"there is no 7; it has 2 entries"),
+        ("middle", "/tip:point", "middle and tip have one topic, '/tip:point'"),
         ("first", "/motors:effort", "must be a number, got ndarray"),
         ("first", "/motors:header.frame_id", "must be a number, got str"),
         ("middle", "/middle:pose.orientation", "a point with x, y and z, got .*Quat"),
@@ -239,6 +240,26 @@ def test_wrong_topics_are_named(name, topic, message, tmp_path):
     wrong = replace(arm(), topics=TOPICS | {name: topic})
     with pytest.raises(DamagedFileError, match=message):
         twin.read_recording(tmp_path / "log", wrong)
+
+
+def test_a_topic_of_several_transforms_is_refused(tmp_path):
+    bag = Bag(tmp_path / "log", "mcap")
+    for k in range(4):
+        turn = bag.made("geometry_msgs/msg/Quaternion", x=0.0, y=0.0, z=0.0, w=1.0)
+        place = bag.made("geometry_msgs/msg/Vector3", x=float(k), y=0.0, z=0.0)
+        both = {"translation": place, "rotation": turn}
+        moved = bag.made("geometry_msgs/msg/Transform", **both)
+        name = "geometry_msgs/msg/TransformStamped"
+        frame = {"child_frame_id": ("middle", "tip")[k % 2], "transform": moved}
+        one = bag.made(name, time=BASE + k * 10**7, **frame)
+        name = "tf2_msgs/msg/TFMessage"
+        bag.add("/tf", name, bag.made(name, transforms=[one]), BASE + k * 10**7)
+        bag.number("/a", 0.0, BASE)
+        bag.seen("/c", (0, 0, 0), BASE + k * 10**7, BASE + k * 10**7)
+    bag.writer.close()
+    topics = STAMPED | {"middle": "/tf:transforms[0].transform.translation"}
+    with pytest.raises(DamagedFileError, match="has transforms of middle and of tip"):
+        twin.read_recording(tmp_path / "log", replace(arm(), topics=topics))
 
 
 def test_what_is_missing_is_named(tmp_path, monkeypatch):
