@@ -14,7 +14,7 @@ SUFFIXES = (".bag", ".mcap", ".db3")
 """Suffixes of files that are bags; bags of ROS 2 may also be folders."""
 PART = re.compile(r"(\w+)((?:\[\d+\])*)")
 """One name of a field, with indices."""
-ONE_CLOCK = 3600 * 10**9
+ONE_CLOCK = 24 * 3600 * 10**9
 """Times of headers and of arrival that differ by more are those of two clocks [ns]."""
 
 
