@@ -133,11 +133,11 @@ def _fields(
         chosen = [c for c in reader.connections if c.topic in topics]
         for connection, received, data in reader.messages(connections=chosen):
             message = reader.deserialize(data, connection.msgtype)
-            stamp = _stamp(message)
             for name, (topic, parts) in places.items():
                 if topic == connection.topic:
                     led = _path(message, parts, wanted[name])
                     value = _value(led[-1], wanted[name], sizes[name])
+                    stamp = next(filter(None, map(_stamp, led)), 0)
                     found[name].append((stamp, received, value))
                     children[name] |= {getattr(x, "child_frame_id", "") for x in led}
     for name, several in children.items():
@@ -191,9 +191,10 @@ def _place(name: str, text: str) -> tuple[str, list[str | int]]:
 
 
 def _stamp(message: Any) -> int:
-    """Time in the header of a message [ns]; 0 if it has none."""
-    stamp = getattr(getattr(message, "header", None), "stamp", None)
-    return 0 if stamp is None else int(stamp.sec * 10**9 + stamp.nanosec)
+    """Time in the header of a message, or of a part of one [ns]; 0 if it has none."""
+    stamp: Any = getattr(getattr(message, "header", None), "stamp", None)
+    seconds = getattr(stamp, "sec", None)
+    return 0 if seconds is None else int(seconds * 10**9 + stamp.nanosec)
 
 
 def _path(message: Any, parts: Sequence[str | int], text: str) -> list[Any]:

@@ -242,24 +242,34 @@ def test_wrong_topics_are_named(name, topic, message, tmp_path):
         twin.read_recording(tmp_path / "log", wrong)
 
 
-def test_a_topic_of_several_transforms_is_refused(tmp_path):
-    bag = Bag(tmp_path / "log", "mcap")
-    for k in range(4):
+def transforms(path, children):
+    """The recording of transforms at 100 Hz, all of which arrive a second late."""
+    bag = Bag(path, "mcap")
+    for k, child in enumerate(children):
+        time, late = BASE + k * 10**7, BASE + 10**9 + k
         turn = bag.made("geometry_msgs/msg/Quaternion", x=0.0, y=0.0, z=0.0, w=1.0)
         place = bag.made("geometry_msgs/msg/Vector3", x=float(k), y=0.0, z=0.0)
         both = {"translation": place, "rotation": turn}
         moved = bag.made("geometry_msgs/msg/Transform", **both)
         name = "geometry_msgs/msg/TransformStamped"
-        frame = {"child_frame_id": ("middle", "tip")[k % 2], "transform": moved}
-        one = bag.made(name, time=BASE + k * 10**7, **frame)
+        one = bag.made(name, time=time, child_frame_id=child, transform=moved)
         name = "tf2_msgs/msg/TFMessage"
-        bag.add("/tf", name, bag.made(name, transforms=[one]), BASE + k * 10**7)
+        bag.add("/tf", name, bag.made(name, transforms=[one]), late)
         bag.number("/a", 0.0, BASE)
-        bag.seen("/c", (0, 0, 0), BASE + k * 10**7, BASE + k * 10**7)
+        bag.seen("/c", (0, 0, 0), time, late)
     bag.writer.close()
     topics = STAMPED | {"middle": "/tf:transforms[0].transform.translation"}
+    return twin.read_recording(path, replace(arm(), topics=topics))
+
+
+def test_times_are_those_of_headers_within_a_message(tmp_path):
+    found = transforms(tmp_path / "log", 4 * ["middle"])
+    np.testing.assert_allclose(found.times, 0.01 * np.arange(4), atol=1e-9)
+
+
+def test_a_topic_of_several_transforms_is_refused(tmp_path):
     with pytest.raises(DamagedFileError, match="has transforms of middle and of tip"):
-        twin.read_recording(tmp_path / "log", replace(arm(), topics=topics))
+        transforms(tmp_path / "log", 2 * ["middle", "tip"])
 
 
 def test_what_is_missing_is_named(tmp_path, monkeypatch):
