@@ -31,9 +31,10 @@ from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import jax.numpy as jnp
-from jaxtyping import Array, Float
+from jaxtyping import Array, ArrayLike, Float
 
 from jaxrod.contacts.contact import Contact, See
+from jaxrod.contacts.default_law import softened_law
 from jaxrod.contacts.points import contact_points
 from jaxrod.effects.base import StabilityBound
 from jaxrod.geometry import vectors
@@ -137,6 +138,16 @@ class StickingContact(Contact):
             stiffness = self.stick_stiffness
         found: StickingContact = dataclasses.replace(chosen, stick_stiffness=stiffness)
         return found
+
+    def softened(self, share: ArrayLike) -> StickingContact:
+        """Copy with a share of both stiffnesses, see `Contact.softened`."""
+        stick = self.stick_stiffness
+        softer = (stick * jnp.asarray(share)).astype(stick.dtype)
+        return softened_law(dataclasses.replace(self, stick_stiffness=softer), share)
+
+    def thinned(self, share: float) -> StickingContact:
+        """The contact itself: each of its points has a spring."""
+        return self
 
     def stability_bound(self, rod: Rod) -> StabilityBound:
         """Bounds of contact with the springs of friction, as if all points stuck.

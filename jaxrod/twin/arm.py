@@ -254,6 +254,8 @@ class Arm:
         origin = self.frame.origin
         if isinstance(origin, str) and origin not in names:
             raise ValueError(f"origin of the frame is {origin!r}, no marker's name")
+        if not isinstance(self.topics, Mapping):
+            raise ValueError(f"topics must be a table, got {self.topics!r}")
         for name, topic in self.topics.items():
             if not isinstance(topic, str):
                 raise ValueError(f"the topic of {name!r} must be text, got {topic!r}")
@@ -587,7 +589,7 @@ def _arm(content: dict[str, Any]) -> Arm:
         markers=tuple(seen),
         unknown=dict(content["unknown"]),
         frame=Frame(**frame),
-        topics=dict(content.get("topics", {})),
+        topics=content.get("topics", {}),
     )
 
 

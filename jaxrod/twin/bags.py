@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+import itertools
 import re
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -13,8 +14,19 @@ SUFFIXES = (".bag", ".mcap", ".db3")
 """Suffixes of files that are bags; bags of ROS 2 may also be folders."""
 PART = re.compile(r"(\w+)((?:\[\d+\])*)")
 """One name of a field, with indices."""
-Rows = tuple[np.ndarray, np.ndarray]
-"""Times [ns] of messages, and the values of a field `(messages, size)`."""
+ONE_CLOCK = 24 * 3600 * 10**9
+"""Times of headers and of arrival that differ by more are those of two clocks [ns]."""
+
+
+class Rows(NamedTuple):
+    """Values of a field over time."""
+
+    times: np.ndarray
+    """Time of each message, rising [ns]."""
+    values: np.ndarray
+    """Values `(messages, size)`."""
+    delay: float
+    """Median time from the time of a message to its arrival [ns]."""
 
 
 def is_bag(path: Path) -> bool:
@@ -42,21 +54,43 @@ def read_columns(
 
     Raises:
         ImportError: If rosbags is not installed.
-        ValueError: If a topic or a field is missing, or a field has another size.
+        ValueError: If a topic or a field is missing, a field has another size, or times
+            cannot be compared.
     """
+    for one, other in itertools.combinations(names, 2):
+        if topics[one] == topics[other]:
+            raise ValueError(f"{one} and {other} have one topic, {topics[one]!r}")
     sizes = dict.fromkeys(inputs, 1) | dict.fromkeys(names, 3)
     rows = _fields(path, {name: topics[name] for name in sizes}, sizes)
-    frames = rows[names[0]][0]
+    first = topics[names[0]]
+    frames, _, delay = rows[names[0]]
+    for name, row in rows.items():
+        if abs(row.delay - delay) > ONE_CLOCK:
+            raise ValueError(
+                f"the clock of {topics[name]!r} is not that of {first!r}: times from "
+                "messages to their arrival differ by "
+                f"{1e-9 * abs(row.delay - delay):.3g} s"
+            )
     half = 0.5 * np.median(np.diff(frames)) if len(frames) > 1 else np.inf
     seen = np.full((len(frames), len(names), 3), np.nan)
     for k, name in enumerate(names):
-        times, values = rows[name]
+        times, values, _ = rows[name]
         nearest = _nearest(times, frames)
         near = np.abs(times[nearest] - frames) <= half
+        if not np.any(near):
+            raise ValueError(
+                f"{topics[name]!r} has no message within half a frame of those of "
+                f"{first!r}: are both of one clock?"
+            )
         seen[near, k] = values[nearest[near]]
     pulled = np.empty((len(frames), len(inputs)))
     for k, name in enumerate(inputs):
-        times, values = rows[name]
+        times, values, _ = rows[name]
+        if times[0] > frames[-1]:
+            raise ValueError(
+                f"{topics[name]!r} begins after the last message of {first!r}: are "
+                "both of one clock?"
+            )
         last = np.searchsorted(times, frames, side="right") - 1
         pulled[:, k] = values[np.maximum(last, 0), 0]
     return 1e-9 * (frames - frames[0]), pulled, seen
@@ -83,7 +117,9 @@ def _fields(
             'bags need the package rosbags: pip install "jaxrod[ros]"'
         ) from error
     places = {name: _place(name, text) for name, text in wanted.items()}
-    found: dict[str, list[tuple[int, list[float]]]] = {name: [] for name in wanted}
+    found: dict[str, list[tuple[int, int, list[float]]]]
+    found = {name: [] for name in wanted}
+    children: dict[str, set[str]] = {name: set() for name in wanted}
     # Bags of ROS 2 before Iron do not say how their messages are built.
     known = get_typestore(Stores.LATEST)
     with AnyReader([path], default_typestore=known) as reader:
@@ -97,25 +133,50 @@ def _fields(
         chosen = [c for c in reader.connections if c.topic in topics]
         for connection, received, data in reader.messages(connections=chosen):
             message = reader.deserialize(data, connection.msgtype)
-            time = _stamp(message, received)
             for name, (topic, parts) in places.items():
                 if topic == connection.topic:
-                    value = _value(message, parts, wanted[name], sizes[name])
-                    found[name].append((time, value))
+                    led = _path(message, parts, wanted[name])
+                    value = _value(led[-1], wanted[name], sizes[name])
+                    stamp = next(filter(None, map(_stamp, led)), 0)
+                    found[name].append((stamp, received, value))
+                    children[name] |= {getattr(x, "child_frame_id", "") for x in led}
+    for name, several in children.items():
+        if len(moving := sorted(several - {""})) > 1:
+            raise ValueError(
+                f"{wanted[name]!r} has transforms of {' and of '.join(moving)}: each "
+                "needs a topic of its own"
+            )
     return {name: _rows(wanted[name], some) for name, some in found.items()}
 
 
-def _rows(text: str, found: Sequence[tuple[int, list[float]]]) -> Rows:
-    """Values of a field as arrays, without repeated times."""
+def _rows(text: str, found: Sequence[tuple[int, int, list[float]]]) -> Rows:
+    """Values of a field as arrays, in the order of their times.
+
+    `found` are time in the header (0 if it has none), time of arrival, and value of
+    each message.
+    """
     if not found:
         raise ValueError(f"{text!r} has no messages")
-    times, first = np.unique([time for time, _ in found], return_index=True)
-    return times, np.array([found[k][1] for k in first], float)
+    stamps, received = (np.array([row[k] for row in found], np.int64) for k in (0, 1))
+    values = np.array([row[2] for row in found], float)
+    has = stamps != 0
+    # A simulated time may begin at zero; others that are zero were never set.
+    unset = not np.any(has) or np.median((received - stamps)[has]) < ONE_CLOCK
+    times = np.where(has | (not unset), stamps, received)
+    order = np.argsort(times, kind="stable")
+    times, values = times[order], values[order]
+    same = np.diff(times) == 0
+    if values.shape[1] > 1 and not np.array_equal(
+        values[1:][same], values[:-1][same], equal_nan=True
+    ):
+        raise ValueError(f"{text!r} has different positions at one time")
+    last = np.append(~same, True)
+    return Rows(times[last], values[last], float(np.median(received[order] - times)))
 
 
 def _place(name: str, text: str) -> tuple[str, list[str | int]]:
     """The topic of "TOPIC:FIELD", and the names and indices that lead to the field."""
-    topic, colon, field = text.partition(":")
+    topic, colon, field = text.rpartition(":")
     parts: list[str | int] = []
     for word in field.split("."):
         match = PART.fullmatch(word)
@@ -129,32 +190,36 @@ def _place(name: str, text: str) -> tuple[str, list[str | int]]:
     return topic, parts
 
 
-def _stamp(message: Any, received: int) -> int:
-    """Time of a message by its header, else that of its arrival [ns]."""
-    stamp = getattr(getattr(message, "header", None), "stamp", None)
-    time = 0 if stamp is None else stamp.sec * 10**9 + stamp.nanosec
-    return time or received
+def _stamp(message: Any) -> int:
+    """Time in the header of a message, or of a part of one [ns]; 0 if it has none."""
+    stamp: Any = getattr(getattr(message, "header", None), "stamp", None)
+    seconds = getattr(stamp, "sec", None)
+    return 0 if seconds is None else int(seconds * 10**9 + stamp.nanosec)
 
 
-def _value(
-    message: Any, parts: Sequence[str | int], text: str, size: int
-) -> list[float]:
-    """Numbers of a field: one, or the x, y and z of a point."""
+def _path(message: Any, parts: Sequence[str | int], text: str) -> list[Any]:
+    """The message, and all that leads from it to a field, which is the last."""
+    path = [message]
     for part in parts:
+        here = path[-1]
         try:
-            message = message[part] if isinstance(part, int) else getattr(message, part)
+            there = here[part] if isinstance(part, int) else getattr(here, part)
         except (AttributeError, IndexError, TypeError):
-            has = ", ".join(getattr(message, "__dataclass_fields__", ())) or "no fields"
-            raise ValueError(
-                f"{text!r}: there is no {part!r}; a message has {has}"
-            ) from None
-    if hasattr(message, "x") and hasattr(message, "z"):
-        message = [message.x, message.y, message.z]
-    try:
-        numbers = np.asarray(message, float).reshape(-1)
-    except (TypeError, ValueError):
-        numbers = np.empty(0)
-    if numbers.size != size:
+            fields = getattr(here, "__dataclass_fields__", ())
+            has = ", ".join(f for f in fields if not f.startswith("_")) or "no fields"
+            if hasattr(here, "__len__"):
+                has = f"{len(here)} entries"
+            raise ValueError(f"{text!r}: there is no {part!r}; it has {has}") from None
+        path.append(there)
+    return path
+
+
+def _value(message: Any, text: str, size: int) -> list[float]:
+    """Numbers of a field: one, or the x, y and z of a point."""
+    place = [getattr(message, axis, None) for axis in "xyz"]
+    is_place = None not in place and not hasattr(message, "w")  # No quaternion.
+    numbers = np.asarray(place if is_place else message).reshape(-1)
+    if numbers.dtype.kind not in "fiub" or numbers.size != size:
         kind = "a number" if size == 1 else "a point with x, y and z"
         raise ValueError(f"{text!r} must be {kind}, got {type(message).__name__}")
-    return numbers.tolist()
+    return numbers.astype(float).tolist()

@@ -189,13 +189,23 @@ def read_recording(path: str | Path, arm: Arm) -> Recording:
 
 def _from_bag(file: Path, arm: Arm) -> Recording:
     """The recording in a bag."""
-    for name in arm.inputs:
-        if name not in arm.topics:
-            raise ValueError(f"the arm has no topic of the input {name!r} ([topics])")
-    others = [name for name in arm.topics if name not in arm.inputs]
-    names, labelled = _chosen(others, arm)
-    times, inputs, points = read_columns(file, arm.topics, arm.inputs, names)
-    return Recording(file.stem, times, inputs, arm.frame.scale * points, labelled)
+    file.stat()  # Raises the error of a file that is not there.
+    try:
+        if file.is_dir() and not (file / "metadata.yaml").exists():
+            raise ValueError(
+                "it is a folder without metadata.yaml, no bag: name the files in it"
+            )
+        for name in arm.inputs:
+            if name not in arm.topics:
+                raise ValueError(
+                    f"the arm has no topic of the input {name!r} ([topics])"
+                )
+        others = [name for name in arm.topics if name not in arm.inputs]
+        names, labelled = _chosen(others, arm)
+        times, inputs, points = read_columns(file, arm.topics, arm.inputs, names)
+        return Recording(file.stem, times, inputs, arm.frame.scale * points, labelled)
+    except ValueError as error:
+        raise DamagedFileError(f"{file}: {error}") from error
 
 
 def _chosen(found: list[str], arm: Arm) -> tuple[list[str], bool]:

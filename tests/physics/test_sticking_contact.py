@@ -80,6 +80,26 @@ def test_a_rod_on_a_slope_holds_by_the_elongation_of_its_springs(method, record)
 
 
 @pytest.mark.slow
+def test_a_rod_in_float32_creeps_by_rounding_alone(record):
+    rod, state = jaxrod.straight_rod(
+        6,
+        length=0.5,
+        radius=RADIUS,
+        density=DENSITY,
+        youngs_modulus=1e6,
+        direction=(0.6, 0.8, 0.0),
+        start=(0.0, 0.0, 0.995 * RADIUS),
+        dtype=jnp.float32,
+    )
+    rough = jaxrod.contact(shapes.plane(), friction=0.5)
+    holds = jaxrod.sticking_contact(rough, rod, state)
+    scene = jaxrod.make_scene(rod, jaxrod.gravity((1.2, 1.6, -9.81)), holds)
+    first = run(scene, state, 2.0, dt=4e-4)
+    moved = jnp.abs(run(scene, first, 4.0, dt=4e-4).positions - first.positions)
+    record("float32: creep [m/s]", "0", float(jnp.max(moved)) / 4, at_most=2e-7)
+
+
+@pytest.mark.slow
 def test_a_rod_on_a_steep_slope_slides_by_coulombs_law(record):
     scene, state = lying(0.2)
     first = run(scene, state, 0.5)
@@ -324,6 +344,39 @@ def test_numbers_that_are_left_out_halve_the_step_at_most(given):
     np.testing.assert_allclose(found.stick_stiffness, stick, rtol=1e-12)
     free = jaxrod.stable_dt(jaxrod.make_scene(scene.rod)).dt
     assert 0.5 - 1e-6 < jaxrod.stable_dt(whole).dt / free < 0.7
+
+
+@pytest.mark.slow
+def test_springs_shorten_the_step_a_little_or_make_contact_softer(record):
+    shorter, softer = [], []
+    for n, length, radius in ((6, 0.5, 0.02), (50, 0.5, 0.005), (100, 1.0, 0.002)):
+        rod, state = jaxrod.straight_rod(
+            n, length=length, radius=radius, density=1000.0, youngs_modulus=1e6
+        )
+        plain = jaxrod.make_scene(rod, jaxrod.contact(shapes.plane(), friction=0.5))
+        (touch,) = plain.effects
+        springs = jaxrod.make_scene(rod, jaxrod.sticking_contact(touch, rod, state))
+        shorter.append(1 - jaxrod.stable_dt(springs).dt / jaxrod.stable_dt(plain).dt)
+        bare = jaxrod.sticking_contact(
+            jaxrod.contact(shapes.plane(), friction=0.5), rod, state
+        )
+        (found,) = jaxrod.make_scene(rod, bare).effects
+        softer.append(touch.stiffness / found.stiffness)
+    record("Springs shorten the step by", "", float(max(shorter)), at_most=0.2)
+    record("Default contact is softer by", "", float(max(softer)), at_most=2.5)
+
+
+def test_softer_contact_has_softer_springs():
+    scene, _ = lying(0.5)
+    hard, soft = scene.effects[1], scene.softened(0.25).effects[1]
+    assert float(soft.stick_stiffness / hard.stick_stiffness) == 0.25
+    assert float(soft.stiffness / hard.stiffness) == 0.25
+
+
+def test_each_point_keeps_its_spring():
+    scene, state = lying(0.5, points=2)
+    thin = scene.thinned(0.5)
+    assert jnp.all(run(thin, state, 0.001).tip == run(scene, state, 0.001).tip)
 
 
 def test_what_leaves_the_ground_forgets():
