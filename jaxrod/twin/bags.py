@@ -205,20 +205,23 @@ def _path(message: Any, parts: Sequence[str | int], text: str) -> list[Any]:
         try:
             there = here[part] if isinstance(part, int) else getattr(here, part)
         except (AttributeError, IndexError, TypeError):
-            fields = getattr(here, "__dataclass_fields__", ())
-            has = ", ".join(f for f in fields if not f.startswith("_")) or "no fields"
-            if hasattr(here, "__len__"):
-                has = f"{len(here)} entries"
+            has = ", ".join(_names(here)) or f"{np.size(here)} entries"
             raise ValueError(f"{text!r}: there is no {part!r}; it has {has}") from None
         path.append(there)
     return path
 
 
+def _names(message: Any) -> list[str]:
+    """Names of the fields of a message; none for a number or a list."""
+    fields = getattr(message, "__dataclass_fields__", ())
+    return [name for name in fields if not name.startswith("_")]
+
+
 def _value(message: Any, text: str, size: int) -> list[float]:
     """Numbers of a field: one, or the x, y and z of a point."""
-    place = [getattr(message, axis, None) for axis in "xyz"]
-    is_place = None not in place and not hasattr(message, "w")  # No quaternion.
-    numbers = np.asarray(place if is_place else message).reshape(-1)
+    is_place = _names(message) == ["x", "y", "z"]
+    place = [message.x, message.y, message.z] if is_place else message
+    numbers = np.asarray(place).reshape(-1)
     if numbers.dtype.kind not in "fiub" or numbers.size != size:
         kind = "a number" if size == 1 else "a point with x, y and z"
         raise ValueError(f"{text!r} must be {kind}, got {type(message).__name__}")
