@@ -200,7 +200,8 @@ def test_no_wall_is_crossed_whatever_the_hand_does():
         states, jnp.asarray(held, "float32")
     )
     assert not np.any(info["flagged"])
-    assert 0.01 < np.max(deep) < 0.5
+    # Between contact points, which count too, a pressed rod is deeper than at them.
+    assert 0.01 < np.max(deep) < 0.8
     assert not np.any(info["success"])
 
 
