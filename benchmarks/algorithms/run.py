@@ -101,8 +101,9 @@ bonuses have no gradient. Updates with a non-finite gradient are skipped and cou
 `skipped` in `progress.csv`.
 
 `jaxrod.training.warm_start(PPO, policy)` is PPO that starts from a trained policy, for
-example one from `dagger`. Its configuration needs the policy's `hidden_sizes` and a
-small `initial_log_std`. With `gru_units` the policy becomes a recurrent one.
+example one from `dagger`. Its configuration needs the policy's `hidden_sizes` and
+`action_repeat`, and a small `initial_log_std`. With `gru_units` the policy becomes a
+recurrent one.
 `python -m benchmarks best_learners TASK` trains this way in `tracking` and `reaching`;
 [Optimum](optimum.md) has the results.
 """

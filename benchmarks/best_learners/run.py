@@ -87,9 +87,11 @@ def trained(task: str, seed: int, programs: dict[int, tuple[Any, float]]) -> Any
     stages = []
     for number, (name, steps, settings) in enumerate(RECIPES[task]):
         learner = find_algorithm(name)
-        if policy is not None:
-            learner = warm_start(learner, policy)
         config = dataclasses.replace(learner.config_type(), **settings)
+        if policy is not None:
+            # PPO decides more often than the imitator, whose actions are held longer.
+            held = dataclasses.replace(policy, action_repeat=config.action_repeat)
+            learner = warm_start(learner, held)
         learner.validate(config, 1)
         per_update = learner.steps_per_update(config)
         updates = -(-steps // per_update)

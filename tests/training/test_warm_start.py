@@ -130,6 +130,11 @@ def test_what_cannot_be_begun_with_is_refused():
         started(PPO, dataclasses.replace(given, activation="relu"), recurrent)
     with pytest.raises(ValueError, match="network must be None"):
         started(PPO, given, dataclasses.replace(SMALL, network=own_network))
+    held = dataclasses.replace(given, action_repeat=3)
+    for config in (SMALL, recurrent):
+        with pytest.raises(ValueError, match=r"= 3, not .* configuration's 1"):
+            started(PPO, held, config)
+        started(PPO, held, dataclasses.replace(config, action_repeat=3))
     with pytest.raises(ValueError, match="sac cannot begin with a policy"):
         started(SAC, given, SACConfig(num_envs=8, buffer_size=64, hidden_sizes=(8,)))
 

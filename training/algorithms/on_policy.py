@@ -605,8 +605,8 @@ def warm_start(algorithm: Algorithm, policy: MLPPolicy) -> Algorithm:
     """Copy of an algorithm whose runs begin with a policy that was learned before.
 
     The network, the observation moments and the bound of normalised observations are
-    those of the policy. So without noise a run begins with the same actions, if actions
-    are held for the same number of control steps. The exploration noise is that of the
+    those of the policy. So without noise a run begins with the same actions. They must
+    be held for the same number of control steps. The exploration noise is that of the
     configuration: `initial_log_std` should be far below 0, or the first updates destroy
     what was learned. The value network starts from random weights.
 
@@ -615,13 +615,13 @@ def warm_start(algorithm: Algorithm, policy: MLPPolicy) -> Algorithm:
 
     Args:
         algorithm: `PPO`, `TRPO` or `SHAC`, whose configuration must have the policy's
-            `hidden_sizes`.
+            `hidden_sizes` and `action_repeat`.
         policy: The initial policy, for the same task.
 
     Raises:
         ValueError: The policy is no perceptron. When the run begins: the algorithm is
-            not on-policy, or its own policy has another activation, another output or
-            layers of other sizes.
+            not on-policy, its own policy has another activation, another output or
+            layers of other sizes, or `action_repeat` differs.
 
     Example:
         >>> policy = training.untrained_policy(envs.make("trivial"))  # or of a run
@@ -662,6 +662,15 @@ def warm_start(algorithm: Algorithm, policy: MLPPolicy) -> Algorithm:
                 f"policy must have activation {activation!r} and output "
                 f"{own.output!r}, as {algorithm.name} has; got {policy.activation!r} "
                 f"and {policy.output!r}"
+            )
+        if policy.action_repeat != state.config.action_repeat:
+            raise ValueError(
+                f"the policy holds its actions for action_repeat = "
+                f"{policy.action_repeat}, not for the configuration's "
+                f"{state.config.action_repeat} control steps: set action_repeat = "
+                f"{policy.action_repeat} in the configuration, or give "
+                "dataclasses.replace(policy, action_repeat="
+                f"{state.config.action_repeat}) to begin with other holds on purpose"
             )
         return _with_policy(state, policy)
 
