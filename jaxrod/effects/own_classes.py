@@ -240,6 +240,11 @@ def check_own_loads(effect: Effect, rod: Rod) -> None:
         jax.eval_shape(look, effect, rod)
 
 
+def is_own(thing: Any) -> bool:
+    """Whether the class of an effect or a coupling was written by a user."""
+    return not _is_of_jaxrod(type(thing))
+
+
 def _hook_of_loads(kind: type) -> str:
     """Name of the hook that a class of effects defines for its loads."""
     # `kind` is a subclass of `Effect`, which its annotation does not show.

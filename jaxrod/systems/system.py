@@ -12,7 +12,12 @@ import numpy as np
 from jaxtyping import Array, ArrayLike, Float
 
 from jaxrod.analysis.health import HealthLimits
-from jaxrod.effects.own_classes import advice_for, check_own_class
+from jaxrod.effects.own_classes import (
+    advice_for,
+    called_hook,
+    check_own_class,
+    is_own,
+)
 from jaxrod.geometry.vectors import Vec3
 from jaxrod.lanes.steps import by_kernel
 from jaxrod.model import GUESSES, Model, Stepper
@@ -316,7 +321,8 @@ def make_system(
         ValueError: If a coupling does not fit the members, dtypes differ, a member's
             method has no steps in a system, an effect does not act on rigid bodies, or
             a member's state is missing or of another size.
-        TypeError: If a member or a coupling is of the wrong type.
+        TypeError: If a member or a coupling is of the wrong type, or, given a state, if
+            a hook of a coupling of your own needs the value of a traced number.
 
     Example:
         >>> states = {"left": state, "right": state}
@@ -369,8 +375,37 @@ def make_system(
     _check_followers(ordered)
     made = replace(system, couplings=typed, shapes=member_shapes(system.members))
     if state is not None and not is_traced(made, state):
+        _check_own_hooks(made, state)
         check_reduced(made, state)
     return made
+
+
+def _check_own_hooks(system: System, state: SystemState) -> None:
+    """Traces hooks of couplings that a user wrote, to find those that read values.
+
+    All other errors are left to the functions that need the hook.
+
+    Raises:
+        TypeError: If a hook needs the value of a traced number.
+    """
+    own = [k for k, coupling in enumerate(system.couplings) if is_own(coupling)]
+    for hook in ("loads", "energy", "constrain", "constrain_rates"):
+        for k in own:
+            coupling = system.couplings[k]
+            if getattr(type(coupling), hook) is getattr(Coupling, hook):
+                continue
+
+            def called(system: System, state: Any, k: int = k, hook: str = hook) -> Any:
+                seen, prepared = seen_at_rest(system, state)
+                return getattr(prepared[k], hook)(seen)
+
+            try:
+                jax.eval_shape(called, system, state)
+            except jax.errors.JAXTypeError:
+                with called_hook(coupling, hook):
+                    raise
+            except Exception:
+                continue
 
 
 def _check_masses(couplings: Sequence[Coupling], parts: AllParts) -> None:

@@ -158,6 +158,43 @@ def test_a_slip_in_a_coupling_is_refused_by_name(coupling, words):
 
 
 @pytree
+class ReadingCoupling(jaxrod.extend.Coupling):
+    """One hook, chosen when it is made, reads a number that is traced."""
+
+    size: jaxrod.extend.Leaf
+    hook: str = jaxrod.extend.static(default="")
+
+    def _read(self, hook):
+        return float(self.size) if hook == self.hook else self.size
+
+    def loads(self, seen):
+        position = seen["one"].motion.position
+        forces = tuple(self._read("loads") * x for x in position)
+        return {"one": jaxrod.extend.Loads(forces)}
+
+    def energy(self, seen):
+        return self._read("energy") * jnp.sum(seen["one"].motion.position[0])
+
+
+@pytest.mark.parametrize("hook", ["loads", "energy"])
+def test_a_hook_of_a_coupling_that_reads_a_traced_number_is_named(hook):
+    rod, state = arm(3)
+    members, states = {"one": jaxrod.make_scene(rod)}, {"one": state}
+    assert jaxrod.make_system(members, ReadingCoupling(1.0), state=states).couplings
+    words = rf"ReadingCoupling\.{hook} reads .* keep it an array"
+    with pytest.raises(TypeError, match=words):
+        jaxrod.make_system(members, ReadingCoupling(1.0, hook), state=states)
+
+
+def test_a_run_without_a_checked_state_names_the_hook_too():
+    rod, state = arm(3)
+    coupling = ReadingCoupling(1.0, "loads")
+    system = jaxrod.make_system({"one": jaxrod.make_scene(rod)}, coupling)
+    with pytest.raises(TypeError, match=r"ReadingCoupling\.loads reads .* an array"):
+        jaxrod.advance(system, {"one": state}, 1e-5, 1)
+
+
+@pytree
 class Reading(jaxrod.extend.Effect):
     """One hook, chosen when it is made, reads a number that is traced."""
 

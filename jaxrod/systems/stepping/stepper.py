@@ -18,6 +18,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, ArrayLike, Bool, Int
 
+from jaxrod.effects.own_classes import called_hook
 from jaxrod.effects.time import Clock, at_clock
 from jaxrod.lanes.steps import by_kernel
 from jaxrod.methods.strides import Strides, drift_time
@@ -91,7 +92,9 @@ class SystemStepper(Strides):
         """Sum of the loads of all couplings, by name of the member."""
         total: dict[str, Loads] = {}
         for coupling in self.couplings:
-            for name, loads in coupling.loads(seen).items():
+            with called_hook(coupling, "loads"):
+                found = coupling.loads(seen)
+            for name, loads in found.items():
                 total[name] = added(total.get(name, Loads()), loads)
         return total
 
