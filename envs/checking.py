@@ -187,6 +187,22 @@ def _a(word: str) -> str:
     return f"{'an' if word[:1] in 'AEIOUaeiou' else 'a'} {word}"
 
 
+def check_key(key: Any) -> None:
+    """Raises unless `key` may be a random key.
+
+    Raises:
+        TypeError: If it is a number, `None` or anything else without bits of a key.
+    """
+    dtype = getattr(key, "dtype", None)
+    typed = dtype is not None and jnp.issubdtype(dtype, jax.dtypes.prng_key)
+    if typed or (dtype == jnp.uint32 and np.shape(key)[-1:] == (2,)):
+        return
+    seed = key if isinstance(key, int) and not isinstance(key, bool) else 0
+    raise TypeError(
+        f"key must be a random key, such as jax.random.key({seed}), got {key!r}"
+    )
+
+
 def action_of_size(action: ArrayLike, size: int) -> Array:
     """Returns the action as an array, after a check that its shape is `(size,)`.
 

@@ -33,7 +33,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Key
 
-from jaxrod.envs.checking import action_of_size, by_path, dotted, nearest
+from jaxrod.envs.checking import action_of_size, by_path, check_key, dotted, nearest
 from jaxrod.envs.protocol import Channel, Environment, Snapshot, Step
 from jaxrod.envs.randomisation import Randomisation, kind_of
 from jaxrod.envs.wrappers import EnvironmentWrapper
@@ -254,6 +254,7 @@ class Randomised(EnvironmentWrapper):
         self, key: Key[Array, ""], params: RandomisedParams
     ) -> tuple[Float[Array, " observation"], RandomisedState]:
         """Draws the parameters and the actuators of an episode, and starts it."""
+        check_key(key)
         own = jax.random.fold_in(key, _OWN)
         drawn, share = self._draw(jax.random.fold_in(own, 0), params), params.share
         observation, task = self.env.reset(key, self._with(drawn, params.task, share))

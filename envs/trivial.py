@@ -13,7 +13,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, Int, Key
 
-from jaxrod.envs.checking import action_of_size
+from jaxrod.envs.checking import action_of_size, check_key
 from jaxrod.envs.protocol import Channel, Step
 from jaxrod.structure import pytree
 
@@ -77,6 +77,7 @@ class Trivial:
         self, key: Key[Array, ""], params: TrivialParams
     ) -> tuple[Float[Array, " observation"], TrivialState]:
         """Starts the point uniformly in [-1, 1] m."""
+        check_key(key)
         position = jax.random.uniform(key, minval=-1.0, maxval=1.0)
         return position[None], TrivialState(position, jnp.zeros((), jnp.int32))
 

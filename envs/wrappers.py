@@ -18,6 +18,7 @@ from jaxtyping import Array, Bool, Float, Int, Key, UInt
 from jaxrod.envs.checking import (
     by_path,
     check_action_shape,
+    check_key,
     is_below,
     nearest,
 )
@@ -182,7 +183,9 @@ class VectorEnvironment:
 
         Raises:
             ValueError: `num_envs` is below 1, or the parameters do not fit `batched`.
+            TypeError: `key` is no random key.
         """
+        check_key(key)
         if num_envs < 1:
             raise ValueError(f"num_envs must be at least 1, got {num_envs}")
         keys = jax.random.split(key, num_envs)

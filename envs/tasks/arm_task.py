@@ -22,7 +22,7 @@ from jaxrod.actuation import control_spline
 from jaxrod.envs.arm.clean import clean_arm
 from jaxrod.envs.arm.published import published_arm
 from jaxrod.envs.arm.soft_arm import CONTROL_PERIOD, LENGTH, REFERENCE_ELEMENTS
-from jaxrod.envs.checking import action_of_size, check_variant
+from jaxrod.envs.checking import action_of_size, check_key, check_variant
 from jaxrod.envs.protocol import Channel, Snapshot, Step
 from jaxrod.methods.planar_verlet import PlaneName
 from jaxrod.structure import pytree
@@ -391,6 +391,7 @@ class BenchmarkTask(ArmTask):
         self, key: Key[Array, ""], params: Any
     ) -> tuple[Float[Array, " observation"], ArmState]:
         """Starts an episode with the arm straight and at rest."""
+        check_key(key)
         state = ArmState(
             arm=params.arm.rest,
             muscles=params.arm.relaxed(),

@@ -49,7 +49,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int, Key
 
 from jaxrod import RodState
-from jaxrod.envs.checking import check_variant
+from jaxrod.envs.checking import check_key, check_variant
 from jaxrod.envs.protocol import Channel, Snapshot
 from jaxrod.envs.soft_bodies.branching_vessel import (
     BACK,
@@ -200,6 +200,7 @@ class Catheter(HandTask):
         self, key: Key[Array, ""], params: CatheterParams
     ) -> tuple[Float[Array, " observation"], CatheterState]:
         """Starts with the catheter straight and at rest, and draws the branch."""
+        check_key(key)
         kind = params.dt.dtype
         way_key, turn_key, branch_key = jax.random.split(key, 3)
         way = params.ahead * jax.random.uniform(way_key, (), kind)

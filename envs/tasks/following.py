@@ -38,7 +38,7 @@ from jaxtyping import Array, Bool, Float, Int, Key
 from jaxrod import RodState
 from jaxrod.envs.arm import moving_target
 from jaxrod.envs.arm.moving_target import Target, TargetParams, wander
-from jaxrod.envs.checking import action_of_size, check_variant
+from jaxrod.envs.checking import action_of_size, check_key, check_variant
 from jaxrod.envs.protocol import Channel, Snapshot
 from jaxrod.envs.soft_bodies.curved_arm import N_SEGMENTS, CurvedArm, curved_arm
 from jaxrod.envs.tasks.arm_task import ArmTask, Bonus
@@ -147,6 +147,7 @@ class Following(ArmTask):
         self, key: Key[Array, ""], params: FollowingParams
     ) -> tuple[Float[Array, " observation"], FollowingState]:
         """Starts with the arm upright and at rest, and a random target in the box."""
+        check_key(key)
         state = FollowingState(
             arm=params.arm.rest,
             angles=jnp.zeros((2, N_SEGMENTS), params.dt.dtype),

@@ -50,7 +50,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float, Int, Key
 
 from jaxrod.actuation import limit_rate
-from jaxrod.envs.checking import action_of_size, check_variant
+from jaxrod.envs.checking import action_of_size, check_key, check_variant
 from jaxrod.envs.protocol import Channel, Snapshot, Step
 from jaxrod.envs.soft_bodies.gripper_body import (
     BALL,
@@ -192,6 +192,7 @@ class Gripper:
         self, key: Key[Array, ""], params: GripperParams
     ) -> tuple[Float[Array, " observation"], GripperState]:
         """Starts with straight fingers above or around the ball, near the middle."""
+        check_key(key)
         kind = params.dt.dtype
         aside_key, height_key = jax.random.split(key)
         aside = params.spread * jax.random.uniform(aside_key, (2,), kind, -1.0)

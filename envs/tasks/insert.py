@@ -54,7 +54,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int, Key
 
 from jaxrod import RodState
-from jaxrod.envs.checking import check_variant
+from jaxrod.envs.checking import check_key, check_variant
 from jaxrod.envs.protocol import Channel, Snapshot
 from jaxrod.envs.soft_bodies.hand import Hand
 from jaxrod.envs.soft_bodies.held_cable import (
@@ -210,6 +210,7 @@ class Insert(HandTask):
         self, key: Key[Array, ""], params: InsertParams
     ) -> tuple[Float[Array, " observation"], InsertState]:
         """Starts with the cable straight down and at rest, and draws the socket."""
+        check_key(key)
         kind = params.dt.dtype
         start_key, foot_key, lean_key = jax.random.split(key, 3)
         share = jax.random.uniform(start_key, (3,), kind)

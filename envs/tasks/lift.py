@@ -43,7 +43,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float, Int, Key
 
 from jaxrod import RodState
-from jaxrod.envs.checking import check_variant
+from jaxrod.envs.checking import check_key, check_variant
 from jaxrod.envs.protocol import Channel, Snapshot
 from jaxrod.envs.soft_bodies.hand import Hand
 from jaxrod.envs.soft_bodies.held_rope import LENGTH, RADIUS, HeldRope, held_rope
@@ -168,6 +168,7 @@ class Lift(HandTask):
         self, key: Key[Array, ""], params: LiftParams
     ) -> tuple[Float[Array, " observation"], LiftState]:
         """Starts with the rope straight on the floor, and draws the target."""
+        check_key(key)
         kind = params.dt.dtype
         start_key, angle_key, target_key = jax.random.split(key, 3)
         aside = params.start * jax.random.uniform(start_key, (2,), kind, -1.0)

@@ -34,7 +34,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float, Int, Key
 
 from jaxrod.actuation import limit_rate
-from jaxrod.envs.checking import action_of_size, check_variant
+from jaxrod.envs.checking import action_of_size, check_key, check_variant
 from jaxrod.envs.protocol import Channel, Snapshot, Step
 from jaxrod.envs.soft_bodies.octopus_body import (
     HEAD,
@@ -157,6 +157,7 @@ class Octopus:
         self, key: Key[Array, ""], params: OctopusParams
     ) -> tuple[Float[Array, " observation"], OctopusState]:
         """Starts with the octopus at rest, and draws the heading."""
+        check_key(key)
         state = OctopusState(
             body=params.body.rest,
             controls=jnp.zeros((N_ARMS, 2), params.dt.dtype),

@@ -42,7 +42,7 @@ from jaxtyping import Array, Bool, Float, Int, Key
 from jaxrod import RodState, angular_velocities
 from jaxrod.actuation import limit_rate
 from jaxrod.actuation.waves import b_spline_basis
-from jaxrod.envs.checking import action_of_size, check_variant
+from jaxrod.envs.checking import action_of_size, check_key, check_variant
 from jaxrod.envs.protocol import Channel, Snapshot, Step
 from jaxrod.envs.soft_bodies.snake_body import LENGTH, PERIOD, SnakeBody, snake_body
 from jaxrod.envs.tasks.headings import along_heading, check_turn, drawn_heading
@@ -184,6 +184,7 @@ class Snake:
         self, key: Key[Array, ""], params: SnakeParams
     ) -> tuple[Float[Array, " observation"], SnakeState]:
         """Starts with the snake straight and at rest, and draws the heading."""
+        check_key(key)
         state = SnakeState(
             body=params.body.rest,
             controls=jnp.zeros(N_CONTROLS, params.dt.dtype),

@@ -7,6 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from jaxrod import envs
 from jaxrod.envs import check_environment
 from jaxrod.envs.trivial import Trivial
 
@@ -115,3 +116,22 @@ def test_what_a_method_raised_is_the_cause():
 
 def test_an_environment_is_let_pass():
     check_environment(Trivial())
+
+
+@pytest.mark.parametrize("name", ["trivial", "tracking", "following"])
+@pytest.mark.parametrize("key", [3, None, np.int64(3)])
+def test_a_key_that_is_no_key_is_refused(name, key):
+    env = envs.make(name)
+    for reset in (
+        lambda key: env.reset(key, None),
+        lambda key: envs.VectorEnvironment(env).reset(key, 2, None),
+    ):
+        with pytest.raises(TypeError, match=r"key must be a random key, such as jax"):
+            reset(key)
+
+
+def test_old_keys_and_traced_keys_are_taken():
+    env = envs.make("trivial")
+    params = env.default_params()
+    for key in (jax.random.key(0), jax.random.PRNGKey(0)):
+        jax.eval_shape(env.reset, key, params)
