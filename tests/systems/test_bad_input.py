@@ -198,6 +198,8 @@ def test_states_that_do_not_fit(given):
     system = jaxrod.make_system(members)
     with pytest.raises(ValueError, match="must have the members"):
         jaxrod.advance(system, {"one": state["one"]}, 1e-4, 1)
+    with pytest.raises(ValueError, match=r"add .*'ball'.* and leave out 'other'"):
+        jaxrod.advance(system, {"one": state["one"], "other": 1}, 1e-4, 1)
     with pytest.raises(TypeError, match="state of 'ball' must be a jaxrod"):
         jaxrod.advance(system, {**state, "ball": state["one"]}, 1e-4, 1)
     short = replace(state["one"], positions=state["one"].positions[:, :3])

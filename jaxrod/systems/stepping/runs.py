@@ -37,8 +37,16 @@ def check_system_state(system: Assembly, state: Any) -> None:
         )
     also = {RECORD} if lists_neighbours(system) else set()
     if set(state) - also != set(system.members):
+        missing = sorted(set(system.members) - set(state))
+        extra = sorted(set(state) - also - set(system.members), key=str)
         raise ValueError(
-            f"state must have the members {sorted(system.members)}, got {sorted(state)}"
+            f"state must have the members {sorted(system.members)}, "
+            f"got {sorted(state, key=str)}: "
+            + " and ".join(
+                f"{what} {', '.join(map(repr, names))}"
+                for what, names in (("add", missing), ("leave out", extra))
+                if names
+            )
         )
     if RECORD in state:
         _check_record(state[RECORD])
