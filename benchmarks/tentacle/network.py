@@ -30,7 +30,7 @@ class LearnedEnergy(jaxrod.actuation.SectionLoad):
     def stored(self, rod: Any, strains: Any) -> jax.Array:
         """Stored energy [J]; zero for a straight rod."""
         one, two, _ = (angle[1:-1] for angle in strains.rotations)
-        place = 2 * rod.arc_length_midpoints[1:] / rod.length - 1
+        place = 2 * jnp.cumsum(rod.rest_lengths)[:-1] / rod.length - 1
         bent = [angle / (rod.joint_lengths * WIDEST) for angle in (one, two)]
         along, first, second, shift = self.inner.T[..., None]
         straight = along * place[None] + shift
