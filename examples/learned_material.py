@@ -20,6 +20,7 @@ class Truth(actuation.SectionLoad):
 
     def stored(self, rod, strains):
         """Stored energy [J]."""
+        # Only inner joints bend: without `walls` the rotation at both ends is zero.
         one, two, _ = (angle[1:-1] for angle in strains.rotations)
         bend = (one**2 + two**2) / (WIDEST * rod.joint_lengths) ** 2
         return SCALE * jnp.sum(rod.joint_lengths * self.density(bend))
