@@ -448,6 +448,8 @@ class NetworkPolicy:
     """Control steps for which an action is held, as in training."""
     action_std: Float[Array, " action"] | None = None
     """Standard deviation of the noise in training, as in `MLPPolicy`."""
+    quiet_action: str = static(default="median")
+    """Action without noise, "median" or "mean", as in `MLPPolicy`."""
 
     def __call__(
         self,
@@ -461,7 +463,7 @@ class NetworkPolicy:
         network = own_network(self.network, "policy", self.output_size)
         seen = normalise(self.moments, observation, self.limit)
         output = network.apply({"params": self.weights}, seen).astype(seen.dtype)
-        return bounded(self.output, output[..., : self.action_size], noise)
+        return bounded(self, output[..., : self.action_size], noise)
 
 
 @pytree
@@ -496,6 +498,8 @@ class RecurrentPolicy:
     """Control steps for which an action is held, as in training."""
     action_std: Float[Array, " action"] | None = None
     """Standard deviation of the noise in training, as in `MLPPolicy`."""
+    quiet_action: str = static(default="median")
+    """Action without noise, "median" or "mean", as in `MLPPolicy`."""
 
     def init(self, observation: Float[Array, "batch observation"], state: Any) -> Any:
         """Memory at the start of a batch of episodes."""
@@ -518,4 +522,4 @@ class RecurrentPolicy:
         network = own_network(self.network, "policy", self.action_size)
         seen = normalise(self.moments, observation, self.limit)
         output, memory = apply_once(network, self.weights, seen, memory)
-        return bounded(self.output, output.astype(seen.dtype), noise), memory
+        return bounded(self, output.astype(seen.dtype), noise), memory

@@ -9,8 +9,9 @@ DAgger (`imitator`), and both together (`recurrent-imitated`). DAgger imitates a
 that sees everything and knows the delay. Its policy, without memory, sees its own last
 actions beside the sensors. In `recurrent-imitated` DAgger has a quarter of the control
 steps, and recurrent PPO begins with its policy. `ideal` is PPO without memory and
-without any of these faults, and `mlp-delay`, `mlp-dropout`, `mlp-noise`,
-`mlp-stiffness` and `imitator-delay` have one of them. Each policy is then evaluated
+without any of these faults. `ideal-softer` and `ideal-stiffer` are the same on an arm
+that is ten per cent softer or stiffer than any of the training. `mlp-delay`, `mlp-dropout`, `mlp-noise`,
+`mlp-stiffness` and `imitator-delay` have one of the faults. Each policy is then evaluated
 without noise in its actions, on the task on which it was trained, and on arms ten per
 cent softer and stiffer than any of the training.
 
@@ -49,7 +50,7 @@ DELAY = 0.02
 MARKERS = 11
 """Points of the arm in the observation: x of each, then y, then z."""
 STIFFNESS = "arm.rod.bend_twist_stiffness"
-OUTSIDE = (0.9 * 0.7, 1.1 * 1.3)
+OUTSIDE = {"softer": 0.9 * 0.7, "stiffer": 1.1 * 1.3}
 """Stiffness of arms outside of the training [of the nominal one]."""
 DELAYS = (1, 2, 4, 7, 14)
 """Delays under which the policy of `ideal` is tried [control steps]."""
@@ -95,6 +96,7 @@ each for 16."""
 FAULTS = ("delay", "dropout", "noise", "stiffness")
 LEARNERS: dict[str, dict[str, Any]] = {
     "ideal": {},
+    **{f"ideal-{other}": {} for other in OUTSIDE},
     "mlp": {},
     "recurrent": GRU,
     "mlp-privileged": {"privileged_critic": True},
@@ -137,6 +139,11 @@ def task(name: str) -> Environment:
     if name in ("ideal", "faults"):
         return plain
     _, _, last = name.partition("-")
+    if last in OUTSIDE:
+        same = {"uniform": [OUTSIDE[last]] * 2, "scaled": True}
+        return make(
+            "tracking", variant="clean", randomise={"parameters": {STIFFNESS: same}}
+        )
     faults = (last,) if last in FAULTS else FAULTS
     given = options(plain, *faults)
     if LEARNERS[name] is IMITATOR:
@@ -148,7 +155,7 @@ def outside(env: Any, policy: Any) -> list[float]:
     """Mean returns on arms of each stiffness in `OUTSIDE`."""
     params = env.default_params()
     found = []
-    for stiffness in OUTSIDE:
+    for stiffness in OUTSIDE.values():
         ranges = {STIFFNESS: jnp.full_like(params.ranges[STIFFNESS], stiffness)}
         apart = dataclasses.replace(params, ranges=ranges)
         found.append(evaluate(env, policy, env_params=apart, **EPISODES).mean)

@@ -117,6 +117,16 @@ def test_a_perceptron_acts_as_in_jax(tmp_path, activation, output):
     assert re.findall(r"#include .*", text) == ["#include <math.h>"]
 
 
+@pytest.mark.parametrize("output", ["clip", "tanh"])
+def test_a_perceptron_that_acts_with_the_mean_acts_as_in_jax(tmp_path, output):
+    std = jnp.asarray([0.2, 1.0], jnp.float32)
+    policy = perceptron("tanh", output, action_std=std, quiet_action="mean")
+    seen = observations(policy, 2000)
+    actions = assert_same(policy, tmp_path, Sized(), seen)
+    median = dataclasses.replace(policy, quiet_action="median")(seen)
+    assert np.abs(actions - np.clip(median, -1, 1)).max() > 0.1
+
+
 def exactly(policy, seen):
     """Actions of a policy evaluated in float64."""
     with jax.enable_x64(True):

@@ -66,6 +66,7 @@ def quiet(output="clip", std=(0.1, 2.0), bias=(0.0, 0.5)):
         layers=((jnp.zeros((1, 2)), jnp.asarray(bias)),),
         action_std=None if std is None else jnp.asarray(std),
         output=output,
+        quiet_action="median",
     )
 
 
@@ -97,6 +98,56 @@ def test_noise_is_added_before_actions_are_bounded(output):
     assert (acted(policy, 1) != actions).any()
 
 
+@pytest.mark.parametrize("output", ["clip", "tanh"])
+@pytest.mark.parametrize("mean", [-2.0, -0.6, 0.0, 0.9])
+def test_the_quiet_action_is_the_mean_of_the_noisy_ones(output, mean):
+    policy = quiet(output, std=(0.4, 1.0), bias=(mean, mean))
+    actions = acted(policy, 0)
+    found = dataclasses.replace(policy, quiet_action="mean")(jnp.zeros(1))
+    error = np.std(actions, axis=(0, 1)) / actions[..., 0].size ** 0.5
+    assert (np.abs(actions.mean((0, 1)) - found) <= 4 * error + 1e-6).all()
+    median = policy(jnp.zeros(1))
+    np.testing.assert_allclose(np.median(actions, (0, 1)), median, atol=0.02)
+    # Without noise in training both are the same.
+    for std, atol in {(0.0, 0.0): 1e-7, (1e-4, 1e-4): 1e-4}.items():
+        still = dataclasses.replace(
+            policy, action_std=jnp.asarray(std), quiet_action="mean"
+        )
+        np.testing.assert_allclose(still(jnp.zeros(1)), median, rtol=0, atol=atol)
+
+
+@pytest.mark.default_precision
+@pytest.mark.parametrize(("output", "error"), {"clip": 1e-6, "tanh": 5e-4}.items())
+def test_the_mean_action_equals_its_integral(output, error):
+    z = np.linspace(-10, 10, 100_001)
+    weights = np.exp(-(z**2) / 2) / np.sum(np.exp(-(z**2) / 2))
+    bound = {"clip": lambda x: np.clip(x, -1, 1), "tanh": np.tanh}[output]
+    for std in (1e-3, 0.1, 0.5, 1.0):
+        for mean in (-8.0, -1.0, -0.2, 0.0, 0.7, 1.0, 3.0, 8.0):
+            policy = dataclasses.replace(
+                quiet(output, (std, std), (mean, mean)), quiet_action="mean"
+            )
+            found = policy(jnp.zeros(1))
+            wanted = np.sum(weights * bound(mean + std * z))
+            np.testing.assert_allclose(found, wanted, rtol=0, atol=error)
+            assert (np.abs(found) <= 1).all()
+
+
+@pytest.mark.parametrize("std", [0.0, 0.5])
+def test_gradients_of_the_mean_action_are_finite(std):
+    policy = dataclasses.replace(quiet(std=(std, std)), quiet_action="mean")
+    slopes = jax.grad(lambda policy: jnp.sum(policy(jnp.zeros(1))))(policy)
+    assert all(np.isfinite(leaf).all() for leaf in jax.tree.leaves(slopes))
+
+
+@pytest.mark.parametrize("name", SMALL)
+def test_runs_leave_the_quiet_action_of_their_settings(name):
+    for action in ("mean", "median"):
+        config = find_algorithm(name).config_type(**SMALL[name], quiet_action=action)
+        policy = untrained_policy(Trivial(), name, config=config)
+        assert policy.quiet_action == action
+
+
 @pytest.mark.slow
 def test_a_noisy_policy_keeps_what_the_quiet_one_has():
     config = PPOConfig(**SMALL["ppo"], gru_units=4, action_repeat=3)
@@ -121,6 +172,35 @@ def test_files_hold_the_noise_and_older_ones_do_not(tmp_path):
         save_policy(quiet(std=wrong), tmp_path / "wrong")
         with pytest.raises(ValueError, match=f"'action_std' .*{words}"):
             load_policy(tmp_path / "wrong")
+
+
+def test_files_hold_the_quiet_action_and_older_ones_have_the_median(tmp_path):
+    mean = dataclasses.replace(quiet(), quiet_action="mean")
+    save_policy(mean, tmp_path)
+    assert load_policy(tmp_path).quiet_action == "mean"
+    file = tmp_path / "policy.json"
+    entries = json.loads(file.read_text())
+    file.write_text(json.dumps(entries | {"quiet_action": "mode"}))
+    with pytest.raises(ValueError, match="quiet_action"):
+        load_policy(tmp_path)
+    del entries["quiet_action"]
+    file.write_text(json.dumps(entries))
+    assert load_policy(tmp_path).quiet_action == "median"
+
+
+@pytest.mark.parametrize("action", ["mean", "median"])
+def test_files_of_policies_with_memory_hold_the_quiet_action(tmp_path, action):
+    config = PPOConfig(**SMALL["ppo"], gru_units=4, quiet_action=action)
+    policy = ppo.PPO.policy(ppo.init(jax.random.key(0), Trivial(), config))
+    save_policy(policy, tmp_path)
+    like = untrained_policy(Trivial(), config=PPOConfig(**SMALL["ppo"], gru_units=4))
+    assert load_policy(tmp_path, like).quiet_action == action
+
+
+def test_a_quiet_action_that_does_not_exist_is_refused():
+    config = PPOConfig(quiet_action="mode")
+    with pytest.raises(ValueError, match=r"quiet_action must be .* 'mean', got 'mode'"):
+        train(Trivial(), steps=20_000, config=config, progress=False)
 
 
 def test_policies_with_memory_from_before_are_read_without_noise(tmp_path):

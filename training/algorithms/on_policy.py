@@ -50,7 +50,7 @@ from jaxrod.training.normalisation import (
     no_moments,
     normalise,
 )
-from jaxrod.training.policy import MLPPolicy
+from jaxrod.training.policy import QUIET_ACTIONS, MLPPolicy
 from jaxrod.training.settings import (
     LearnerConfig,
     Scalar,
@@ -86,6 +86,10 @@ class OnPolicyConfig(LearnerConfig):
     final_max_log_std: Scalar = 2.0
     """Bound on the logarithm of the standard deviation in the last update; linear in
     between. A bound of -2 at the end makes the policy learn to act without noise."""
+    quiet_action: str = static(default="mean")
+    """Action of the final policy, which acts without noise. "mean" is the mean of the
+    bounded actions that it took in training. "median" is their median: the output of
+    the network, bounded. The two differ if the noise often reaches the bounds."""
 
 
 @pytree
@@ -412,7 +416,7 @@ def partition(state: OnPolicyState) -> OnPolicyState:
 
 
 def deterministic_policy(state: OnPolicyState, output: str = "clip") -> Any:
-    """Deterministic policy: the mean of the action distribution, bounded to [-1, 1]."""
+    """Deterministic policy: mean or median of the bounded actions in training."""
     weights = state.weights["policy"].get("mean", {})
     std = jnp.exp(state.weights["policy"]["log_std"])
     moments = dataclasses.replace(
@@ -421,7 +425,14 @@ def deterministic_policy(state: OnPolicyState, output: str = "clip") -> Any:
         variance=state.moments.variance[: state.actor_size],
     )
     state = dataclasses.replace(state, moments=moments)
-    return network_policy(state, weights, ACTIVATION, output, action_std=std)
+    return network_policy(
+        state,
+        weights,
+        ACTIVATION,
+        output,
+        action_std=std,
+        quiet_action=state.config.quiet_action,
+    )
 
 
 def check_on_policy(config: OnPolicyConfig, num_devices: int) -> None:
@@ -430,6 +441,11 @@ def check_on_policy(config: OnPolicyConfig, num_devices: int) -> None:
     check_fractions(config, "trace_decay")
     check_not_negative(config, "entropy_weight")
     check_finite(config, "initial_log_std", "max_log_std", "final_max_log_std")
+    if config.quiet_action not in QUIET_ACTIONS:
+        raise ValueError(
+            f"quiet_action must be one of {', '.join(map(repr, QUIET_ACTIONS))}, "
+            f"got {config.quiet_action!r}"
+        )
 
 
 def action_noise(state: OnPolicyState) -> Float[Array, "steps num_envs action"]:

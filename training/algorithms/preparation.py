@@ -201,6 +201,7 @@ def network_policy(
     output: str = "clip",
     outputs_per_action: int = 1,
     action_std: Float[Array, " action"] | None = None,
+    quiet_action: str = "median",
 ) -> Any:
     """Deterministic policy: the network's first outputs, bounded to [-1, 1].
 
@@ -211,6 +212,7 @@ def network_policy(
         output: Function that bounds the actions, "clip" or "tanh".
         outputs_per_action: Number of outputs of the network for each action.
         action_std: Standard deviation of the noise in training, if it is a constant.
+        quiet_action: Action without noise, see `OnPolicyConfig.quiet_action`.
     """
     config, size = state.config, state.env.action_size
     common: dict[str, Any] = {
@@ -219,6 +221,7 @@ def network_policy(
         "output": output,
         "action_repeat": config.action_repeat,
         "action_std": action_std,
+        "quiet_action": quiet_action,
     }
     network = network_factory(config, "policy", activation)
     outputs = outputs_per_action * size
