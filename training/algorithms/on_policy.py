@@ -621,8 +621,8 @@ def warm_start(algorithm: Algorithm, policy: MLPPolicy) -> Algorithm:
     """Copy of an algorithm whose runs begin with a policy that was learned before.
 
     The network, the observation moments and the bound of normalised observations are
-    those of the policy. So without noise a run begins with the same actions. They must
-    be held for the same number of control steps. The exploration noise is that of the
+    those of the policy. So a run begins with the same actions, apart from its noise.
+    They must be held for the same number of control steps. The exploration noise is that of the
     configuration: `initial_log_std` should be far below 0, or the first updates destroy
     what was learned. The value network starts from random weights.
 
