@@ -622,9 +622,9 @@ def warm_start(algorithm: Algorithm, policy: MLPPolicy) -> Algorithm:
 
     The network, the observation moments and the bound of normalised observations are
     those of the policy. So a run begins with the same actions, apart from its noise.
-    They must be held for the same number of control steps. The exploration noise is that of the
-    configuration: `initial_log_std` should be far below 0, or the first updates destroy
-    what was learned. The value network starts from random weights.
+    They must be held for the same number of control steps. The exploration noise is
+    that of the configuration: `initial_log_std` should be far below 0, or the first
+    updates destroy what was learned. The value network starts from random weights.
 
     With `gru_units` the run trains a recurrent policy. Its perceptron begins as the
     given one, with weights of zero for the memory, which starts from random weights.
