@@ -1,9 +1,63 @@
-"""Named arms are those of their drawings."""
+"""Named arms are those of their drawings, and bend as they were seen to bend."""
 
 import numpy as np
 import pytest
 
+import jaxrod
 from jaxrod import twin
+
+WEIGHTS = 9.81e-3 * np.array([0.0, 10.5, 20.4, 30.7, 40.6])
+"""Weights at the tip of the fly rod [N]."""
+# How far the fly rod sank 0, 10, 20, 30 and 40 inches from its tip [inch], in a row for
+# each weight: file SpecFiles_Rod/CattanachSirD7ft4wt_RM.txt of the repository
+# RHexMan/RHex on GitHub. In the last two of the four series the guides were on top.
+SINKING = 0.0254 * np.array([
+    [2.058, 1.433, 0.899, 0.537, 0.222], [7.176, 4.445, 2.710, 1.462, 0.753],
+    [11.389, 7.083, 4.324, 2.407, 1.245], [15.483, 9.622, 5.840, 3.312, 1.757],
+    [18.495, 11.748, 7.198, 4.060, 2.151],
+
+    [2.215, 1.512, 0.978, 0.596, 0.300], [7.255, 4.504, 2.789, 1.541, 0.812],
+    [11.546, 7.142, 4.305, 2.328, 1.245], [15.326, 9.661, 5.860, 3.214, 1.678],
+    [18.396, 11.709, 7.159, 4.060, 2.151],
+
+    [1.507, 1.197, 0.840, 0.438, 0.300], [6.585, 4.189, 2.612, 1.501, 0.812],
+    [10.916, 6.846, 4.206, 2.427, 1.304], [14.971, 9.464, 5.801, 3.352, 1.796],
+    [18.121, 11.571, 7.198, 4.100, 2.308],
+
+    [1.625, 1.275, 0.860, 0.517, 0.241], [6.704, 4.307, 2.710, 1.580, 0.832],
+    [11.074, 6.964, 4.285, 2.486, 1.363], [14.971, 9.583, 5.899, 3.391, 1.836],
+    [18.121, 11.590, 7.198, 4.139, 2.269],
+]).reshape(4, 5, 5)  # fmt: skip
+
+
+def sinking(**numbers):
+    """How far the fly rod sinks at the measured stations, a row for each weight [m]."""
+    rows = []
+    for weight in WEIGHTS:
+        scene, level = twin.fly_rod((0.0, 0.0, -weight), **numbers)
+        found = jaxrod.equilibrium(scene, level)
+        rows.append(-np.asarray(found.state.positions)[2, [37, 32, 27, 22, 17]])
+    return np.stack(rows)
+
+
+def rms(differences):
+    return float(np.sqrt(np.mean(differences**2)))
+
+
+def test_the_fly_rod_sinks_as_far_as_was_measured():
+    for one, again in (SINKING[:2], SINKING[2:]):
+        assert 1e3 * rms(one - again) == pytest.approx(2.0, abs=0.05)
+    turned = rms(SINKING[:2].mean(axis=0) - SINKING[2:].mean(axis=0))
+    assert 1e3 * turned == pytest.approx(6.1, abs=0.05)
+    measured = SINKING.mean(axis=0)
+    assert 1e3 * measured[-1, 0] == pytest.approx(464, abs=0.5)
+    error = sinking() - measured
+    assert rms(error) < turned
+    assert 1e3 * rms(error) == pytest.approx(4.6, abs=0.1)
+    assert 1e3 * np.abs(error).max() == pytest.approx(12, abs=0.5)
+    for factor, much in ((0.9, 19), (1.1, 10)):
+        wrong = sinking(youngs_modulus=factor * 4.826e10) - measured
+        assert 1e3 * rms(wrong) == pytest.approx(much, abs=0.5)
 
 
 def test_the_tentacle_hangs_and_tapers_as_it_is_drawn():
@@ -25,3 +79,18 @@ def test_the_tentacle_hangs_and_tapers_as_it_is_drawn():
 def test_bad_numbers_are_refused(arguments, words):
     with pytest.raises(ValueError, match=words):
         twin.tentacle(**arguments)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        ({"force": (0.0, 1.0)}, "shape|three"),
+        ({"youngs_modulus": -1.0}, "youngs_modulus"),
+        ({"density": 0.0}, "density"),
+        ({"n_elements": 2}, "n_elements"),
+        ({"damping": -1.0}, "non-negative"),
+    ],
+)
+def test_bad_numbers_of_the_fly_rod_are_refused(arguments, words):
+    with pytest.raises(ValueError, match=words):
+        twin.fly_rod(**arguments)
