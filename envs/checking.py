@@ -195,7 +195,8 @@ def check_key(key: Any) -> None:
     """
     dtype = getattr(key, "dtype", None)
     typed = dtype is not None and jnp.issubdtype(dtype, jax.dtypes.prng_key)
-    if typed or (dtype == jnp.uint32 and np.shape(key)[-1:] == (2,)):
+    # Raw keys have two numbers, or four with the generators "rbg" and "unsafe_rbg".
+    if typed or (dtype == jnp.uint32 and np.shape(key)[-1:] in ((2,), (4,))):
         return
     seed = key if isinstance(key, int) and not isinstance(key, bool) else 0
     raise TypeError(

@@ -9,6 +9,7 @@ import pytest
 
 from jaxrod import envs
 from jaxrod.envs import check_environment
+from jaxrod.envs.checking import check_key
 from jaxrod.envs.trivial import Trivial
 
 
@@ -135,3 +136,11 @@ def test_old_keys_and_traced_keys_are_taken():
     params = env.default_params()
     for key in (jax.random.key(0), jax.random.PRNGKey(0)):
         jax.eval_shape(env.reset, key, params)
+
+
+def test_raw_keys_of_another_generator_are_keys():
+    with jax.default_prng_impl("rbg"):
+        check_key(jax.random.PRNGKey(0))
+        check_key(jax.random.split(jax.random.PRNGKey(0), 3))
+    with pytest.raises(TypeError, match="must be a random key"):
+        check_key(np.zeros(3, np.uint32))
