@@ -67,6 +67,9 @@ def _mean_of_clip(
     m P(m/s) + s p(m/s), where P is the normal distribution and p its density.
     """
     safe = jnp.where(std > 0, std, 1)
+    # Farther out the result is the bound, but the difference below would lose it.
+    edge = 1 + 10 * std
+    mean = jnp.minimum(jnp.maximum(mean, -edge), edge)
 
     def positive_part(mean: Array) -> Array:
         z = mean / safe

@@ -220,3 +220,13 @@ def test_a_bound_that_is_no_number_is_refused(name):
     config = PPOConfig(**{name: float("nan")})
     with pytest.raises(ValueError, match=f"{name} must be finite, got nan"):
         train(Trivial(), steps=20_000, config=config, progress=False)
+
+
+@pytest.mark.default_precision
+@pytest.mark.parametrize("std", [0.0, 0.5, 7.0])
+@pytest.mark.parametrize("mean", [1e3, 3e7, 1e9, np.inf])
+def test_the_mean_action_far_outside_the_bounds_is_the_bound(std, mean):
+    policy = dataclasses.replace(
+        quiet(std=(std, std), bias=(mean, -mean)), quiet_action="mean"
+    )
+    np.testing.assert_array_equal(policy(jnp.zeros(1)), [1, -1])
