@@ -111,7 +111,7 @@ def disk_robot(
     damping: Numbers = 5.0,
     dtype: Any = None,
 ) -> tuple[Scene, RodState]:
-    r"""A tendon-driven continuum robot: a backbone of 25 cm with disks and three tendons.
+    r"""A tendon-driven continuum robot: a backbone of 25 cm, disks and three tendons.
 
     It is a real robot, and a motor pulls each tendon in by a given length $q$. If the
     backbone is not compressed, it bends to the angle $q / r$ with tendons at the
@@ -122,8 +122,8 @@ def disk_robot(
     square), with tendons at 6 mm from the axis. The holes in their drawing of a disk
     are at 7.00, 7.17 and 7.17 mm. We take the mean, and fit nothing.
 
-    Nothing is published in words of the tube, the stiffness of the tendons, weight and
-    damping. We assume a solid rod of 1 mm, a modulus of 60 GPa, tendons that hardly
+    We found no numbers of the tube, the stiffness of the tendons, the weight or the
+    damping in the texts of the makers. We assume a solid rod of 1 mm, a modulus of 60 GPa, tendons that hardly
     stretch, and no gravity. The tip at rest hardly depends on the modulus. Forces and
     motions do: do not trust them.
 
