@@ -123,9 +123,9 @@ def disk_robot(
     are at 7.00, 7.17 and 7.17 mm. We take the mean, and fit nothing.
 
     We found no numbers of the tube, the stiffness of the tendons, the weight or the
-    damping in the texts of the makers. We assume a solid rod of
-    1 mm, a modulus of 60 GPa, tendons that hardly stretch, and no gravity. The tip at rest hardly depends on the modulus. Forces and
-    motions do: do not trust them.
+    damping in the texts of the makers. We assume a solid rod of 1 mm, a modulus of
+    60 GPa, tendons that hardly stretch, and no gravity. The tip at rest hardly depends
+    on the modulus. Forces and motions do: do not trust them.
 
     Args:
         pull: Lengths by which the tendons are pulled in `(3,)` [m]. A tendon with zero
