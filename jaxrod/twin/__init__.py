@@ -2,7 +2,7 @@
 
 from jaxrod.twin.arm import UNKNOWNS, Arm, Frame, Marker, TendonDrawing, read_arm
 from jaxrod.twin.identification import Comparison, Twin, identify
-from jaxrod.twin.named_arms import fly_rod, tentacle
+from jaxrod.twin.named_arms import disk_robot, fly_rod, tentacle
 from jaxrod.twin.recordings import Recording, read_recording
 from jaxrod.twin.registration import Registration, register
 
@@ -16,6 +16,7 @@ __all__ = [
     "Registration",
     "TendonDrawing",
     "Twin",
+    "disk_robot",
     "fly_rod",
     "identify",
     "read_arm",
