@@ -7,12 +7,12 @@ this: PPO without memory (`mlp`), with a recurrent policy (`recurrent`), each of
 also with a critic that sees everything (`mlp-privileged`, `recurrent-privileged`),
 DAgger (`imitator`), and both together (`recurrent-imitated`). DAgger imitates a planner
 that sees everything and knows the delay. Its policy, without memory, sees its own last
-actions beside the sensors. In `recurrent-imitated` DAgger has a quarter of the control
-steps, and recurrent PPO begins with its policy. `ideal` is PPO without memory and
-without any of these faults. `ideal-softer` and `ideal-stiffer` are the same on an arm
-that is ten per cent softer or stiffer than any of the training. `mlp-delay`,
-`mlp-dropout`, `mlp-noise`, `mlp-stiffness` and `imitator-delay` have one of the faults.
-Each policy is then evaluated without noise in its actions, on the task on which it was
+actions beside the sensors. In `recurrent-imitated` DAgger has three quarters of the
+control steps, and recurrent PPO begins with its policy. `ideal` is PPO without memory
+and without any of these faults. `ideal-softer` and `ideal-stiffer` are the same on an
+arm that is ten per cent softer or stiffer than any of the training. `mlp-delay`, `mlp-
+dropout`, `mlp-noise`, `mlp-stiffness` and `imitator-delay` have one of the faults. Each
+policy is then evaluated without noise in its actions, on the task on which it was
 trained, and on arms ten per cent softer and stiffer than any of the training.
 
 `faults` trains nothing on faults. It evaluates the policy of `ideal` under each fault,
@@ -88,7 +88,7 @@ CLIMB: dict[str, Any] = GRU | {
     "learning_rate": 5e-5,
 }
 """Settings of PPO that begins with the imitator's policy: small noise and steps."""
-IMITATED = 0.25
+IMITATED = 0.75
 """Part of the control steps of `recurrent-imitated` that DAgger takes [1]."""
 PAST_ACTIONS = (1, 17)
 """Past actions that the imitator sees [control steps ago]: its last two, as it holds

@@ -45,6 +45,7 @@ def rms(differences):
     return float(np.sqrt(np.mean(differences**2)))
 
 
+@pytest.mark.slow
 def test_the_fly_rod_sinks_as_far_as_was_measured():
     for one, again in (SINKING[:2], SINKING[2:]):
         assert 1e3 * rms(one - again) == pytest.approx(2.0, abs=0.05)
