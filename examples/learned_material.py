@@ -19,8 +19,7 @@ class Truth(actuation.SectionLoad):
     """The missing part: an energy per length of the squared curvature."""
 
     def stored(self, rod, strains):
-        """Stored energy [J]."""
-        # Only inner joints bend: without `walls` the rotation at both ends is zero.
+        """Stored energy [J] of the inner joints; without `walls` ends do not bend."""
         one, two, _ = (angle[1:-1] for angle in strains.rotations)
         bend = (one**2 + two**2) / (WIDEST * rod.joint_lengths) ** 2
         return SCALE * jnp.sum(rod.joint_lengths * self.density(bend))
