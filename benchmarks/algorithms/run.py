@@ -33,40 +33,45 @@ BEGINNING = """\
 Written by `python -m benchmarks algorithms` from the settings in the code and
 `benchmarks/algorithms/reference.csv`; do not edit.
 
-This page lists the five learners of the published benchmark, and two that differentiate
-the simulation. All are compiled: acting, memory and gradient steps never leave the
-device. The reference is the implementation of the published benchmark (Stable Baselines
-2.10.1, one environment, default settings except those named); its on-policy PPO is
-`PPO1`. `jaxrod train TASK --algorithm NAME --set help` lists all settings. The
-docstrings of `jaxrod.training.PPOConfig`, `TRPOConfig`, `SACConfig`, `TD3Config` and
-`DDPGConfig` explain them; those of `LearnerConfig`, `OnPolicyConfig` and
-`OffPolicyConfig` explain the shared settings. The first two tables list every setting
-with its default. The first and the third list every setting of the grid.
+This page lists the settings of the five learners of the published benchmark, and of two
+learners that differentiate the simulation. All learners are compiled programs: the
+simulation, the stored transitions and the gradient steps stay on the device. The
+reference is the implementation of the published benchmark. It used Stable Baselines
+2.10.1 with one environment and default settings, except for those that it names. Its
+on-policy PPO is `PPO1`.
 
-A decision is one control step, or `action_repeat` control steps under the same action,
-with their rewards summed. All step counts are control steps. An exported policy states
-its `action_repeat`; evaluations and replays apply it.
+`jaxrod train TASK --algorithm NAME --set help` lists all settings. The docstrings of
+`jaxrod.training.PPOConfig`, `TRPOConfig`, `SACConfig`, `TD3Config` and `DDPGConfig`
+explain them. Those of `LearnerConfig`, `OnPolicyConfig` and `OffPolicyConfig` explain
+the settings that several learners share. The first two tables list every setting with
+its default. The first and the third list every setting of the grid, which is all
+combinations of a task (a case of the paper) and a learner.
 
-Off-policy learners alternate `num_envs * rollout_steps` decisions and `gradient_steps`
-gradient steps. By default these are 1024 control steps, and 64 gradient steps on 256
-transitions each. That is one gradient step for every 16 control steps, and each new
-transition is used 16 times. The reference makes one gradient step for each control step
-(DDPG: one for two) on 64 (SAC) or 128 transitions, so it uses each transition 64 to 128
-times. A gradient step costs as much as dozens of control steps of an arm. If samples
-are scarcer than time, change this ratio first. Change `num_envs` second: the first
-episodes end after `num_envs` times the episode length, so scarce samples call for few
-environments.
+In a decision the policy chooses an action. The action is held for one control step, or
+for `action_repeat` control steps, whose rewards are summed. All numbers of steps on
+this page are control steps, unless stated otherwise. An exported policy states its
+`action_repeat`; evaluations and replays apply it.
+
+Off-policy learners (SAC, TD3 and DDPG) alternate between `num_envs * rollout_steps`
+decisions and `gradient_steps` gradient steps. By default these are 1024 control steps,
+and 64 gradient steps on 256 transitions each. That is one gradient step for every 16
+control steps, and each new transition is used 16 times. The reference makes one
+gradient step for each control step (DDPG: one for two) on 64 (SAC) or 128 transitions,
+so it uses each transition 64 to 128 times. A gradient step takes as much time as dozens
+of control steps of an arm. If you have few samples and much time, first increase the
+gradient steps per control step. Then reduce `num_envs`: the first episodes end only
+after `num_envs` times the episode length.
 
 ## Differences from the reference
 
-The table lists every deviation of the published grid from the paper. A row for a
-single case replaces, in that case, the row for all cases. `jaxrod reproduce` runs every
-case with these settings, the same for all seeds (`benchmarks/paper/settings.py`), and
-makes as many whole updates as fit into its control steps. [Reproducing the
-benchmark](reproduce.md) explains the reasons. [All
-trials](../benchmarks/paper/tried.md) are the runs with which
-we chose the settings, and [the results](../benchmarks/paper/records/results.md) show
-the outcome. A semicolon separates values in the order of the algorithms named.
+The table lists every difference between our settings and those of the paper. The
+settings in a row for a single case replace those in the row for all cases.
+`jaxrod reproduce` runs every case with these settings (`benchmarks/paper/settings.py`).
+They are the same for all seeds. Each run makes as many whole updates as fit into its
+control steps. [Reproducing the benchmark](reproduce.md) explains the reasons. We chose
+the settings by [these runs](../benchmarks/paper/tried.md), and the page of
+[results](../benchmarks/paper/records/results.md) has the returns. If a cell has several
+values, a semicolon separates them, in the order of the algorithms of the row.
 """
 IN_OUR_PHYSICS = """\
 ## Differences in the `clean` obstacle tasks
@@ -75,8 +80,8 @@ Two tasks have obstacles: `structured` and `unstructured`. In their variant `cle
 control step takes less time to compute ([how fast the tasks are](environments.md)), and
 no published number of control steps limits a run. Runs therefore use more environments,
 two to six million control steps, and actions held for 4 or 7 ms. For these cases
-`jaxrod reproduce --variant clean` takes the settings below instead of those above. TRPO
-and DDPG were not tried in `clean`, and keep the settings above.
+`jaxrod reproduce --variant clean` uses the settings below instead of those above. TRPO
+and DDPG were not tried in `clean`, and use the settings above.
 """
 
 BY_GRADIENTS = """\
@@ -84,28 +89,29 @@ BY_GRADIENTS = """\
 
 `dagger` fits a network to the actions of a planner
 ([DAgger](https://arxiv.org/abs/1011.0686)). The policy acts. At every decision the
-planner improves the policy's action, with the simulation as its model. It holds the
-action for `lookahead` control steps and takes one Gauss-Newton step on the task's
-residuals there. The network is fitted by least squares to all improved actions so far.
-`dagger` needs a task with `predict` and `residuals` ([planning](planning.md)) and uses
-no reward. [Learning by gradients](first_order.md) compares it with PPO. `progress.csv`
-counts the planner's control steps as `model_steps`, separately from those in which the
-policy acts. Settings that are not listed are common to all learners
-(`jaxrod.training.LearnerConfig`); `discount` and `reward_scale` are rejected.
+planner computes a better action, with the simulation as its model. For this it
+simulates `lookahead` control steps with the policy's action, and takes one Gauss-Newton
+step on the task's residuals at their end. The network is fitted by least squares to all
+improved actions so far. `dagger` needs a task with `predict` and `residuals`
+([planning](planning.md)) and uses no reward. [Learning by gradients](first_order.md)
+compares it with PPO. In `progress.csv` the column `model_steps` counts the control
+steps that the planner simulates; they are not part of the steps of the run. The table
+below omits settings that all learners share (`jaxrod.training.LearnerConfig`). `dagger`
+rejects two of these, `discount` and `reward_scale`.
 
 `shac` ([short-horizon actor-critic](https://arxiv.org/abs/2204.07137)) maximises the
 return of a short window plus the value of its final state, by gradients through the
-simulation. With `critic=false` it is the analytic policy gradient (APG). Its reward is
-minus the task's smooth cost, or with `objective=reward` the task's reward, whose
-bonuses have no gradient. Updates with a non-finite gradient are skipped and counted as
-`skipped` in `progress.csv`.
+simulation. With `critic=false` there is no such value, and the learner is the analytic
+policy gradient (APG). By default the reward is minus the task's smooth cost. With
+`objective=reward` it is the task's reward, whose bonuses have no gradient. Updates with
+a gradient that is not finite are skipped. The column `skipped` of `progress.csv` counts
+them.
 
 `jaxrod.training.warm_start(PPO, policy)` is PPO that starts from a trained policy, for
 example one from `dagger`. Its configuration needs the policy's `hidden_sizes` and
 `action_repeat`, and a small `initial_log_std`. With `gru_units` the policy becomes a
-recurrent one.
-`python -m benchmarks best_learners TASK` trains this way in `tracking` and `reaching`;
-[Optimum](optimum.md) has the results.
+recurrent one. `python -m benchmarks best_learners TASK` trains in this way for
+`tracking` and `reaching`. The page [Optimum](optimum.md) has the results.
 """
 
 

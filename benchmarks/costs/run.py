@@ -26,15 +26,16 @@ TIME_STEP = 2e-4
 HEADER = """\
 # What a step costs
 
-Written by `python -m benchmarks costs`; do not edit. The table is for one step of the
-arm with 20 elements in float32. Operations are those of one step in a run, before
-compiling. Flops and bytes are those of XLA's compiled program (`cost_analysis`); XLA
-may compute a value with many uses several times. Times are medians of seven windows on
-one core, for a single rod and for each of 256 rods at once, with the settings of
-`jaxrod.configure_cpu`.
+Written by `python -m benchmarks costs`; do not edit. The table is for one step of an
+arm with 20 elements in float32. "operations" is the number of arithmetic operations of
+a step in a run, before compiling. "flops" and "bytes" are the numbers that XLA states
+for its compiled program (`cost_analysis`). XLA may compute a value several times if it
+has many uses. The last two columns are the times of a step for a single rod, and for
+each rod in a batch of 256. Times are medians of seven windows on one core, with the
+settings of `jaxrod.configure_cpu`.
 {machine}.
 
-An effect that a scene does not list is not in its program and costs nothing
+An effect that a scene does not contain is not in its program and costs nothing
 (`tests/physics/test_compilation.py`).
 """
 

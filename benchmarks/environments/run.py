@@ -44,14 +44,15 @@ WINDOW_SECONDS = 2.0
 HEADER = """\
 # How fast the tasks are
 
-Written by `python -m benchmarks environments`; do not edit. The table has control
-steps per second in float32, with {batches} environments on each of {cores} cores,
-under new random actions in every step. Values are medians of {windows} windows of
-{seconds:g} s, without compiling. The time of a control step, the elements of a rod
-and the simulation steps per control step are the tasks' defaults. The
-octopus has eight arms, the gripper three
-fingers and a ball. {lanes}
-The machine is shared: at a busy hour a task may show half the speed of a quiet one.
+Written by `python -m benchmarks environments`; do not edit. The three columns "per
+core" have control steps per second in float32, with {batches} environments on each of
+{cores} cores. Every control step has new random actions. Values are medians of
+{windows} windows of {seconds:g} s and exclude compiling. The column "control step" is
+the simulated time of a control step, and "steps" is the number of time steps in it.
+"elements" is the number of elements of each rod. All three are the defaults of the
+tasks. "flagged" is the fraction of control steps that a health flag marked. The octopus
+has eight arms, the gripper three fingers and a ball. {lanes}
+The machine is shared: at a busy hour a task may reach only half of its usual speed.
 {machine}.
 
 | task | variant | control step [ms] | elements | steps | {columns} | flagged |
