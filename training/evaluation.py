@@ -85,7 +85,8 @@ def evaluate(
         env_params: Parameters of the environment, None for its defaults.
 
     Raises:
-        ValueError: `episodes` is below 1, or `seed` is not a valid seed.
+        ValueError: `episodes` is below 1, `seed` is not a valid seed, or the policy has
+            shapes instead of numbers.
 
     Example:
         >>> env = envs.make("trivial")
@@ -97,6 +98,11 @@ def evaluate(
     if episodes < 1:
         raise ValueError(f"episodes must be at least 1, got {episodes}")
     check_seed(seed)
+    if any(isinstance(leaf, jax.ShapeDtypeStruct) for leaf in jax.tree.leaves(policy)):
+        raise ValueError(
+            "policy must have numbers, got shapes alone: untrained_policy makes "
+            "numbers if it is given a seed, such as seed=0"
+        )
     params = env.default_params() if env_params is None else env_params
     env = repeating(env, held_for(policy))
     plain = not has_memory(policy)

@@ -53,9 +53,9 @@ OUTPUTS = {"clip": lambda x: jnp.clip(x, -1, 1), "tanh": jnp.tanh}
 """Functions that bound actions to [-1, 1], by name."""
 MEDIAN, MEAN = QUIET_ACTIONS = ("median", "mean")
 """Names of the actions without noise, see `OnPolicyConfig.quiet_action`."""
-_NODES, _WEIGHTS = np.polynomial.hermite_e.hermegauss(16)
-_RULE = tuple(zip(_NODES.tolist(), (_WEIGHTS / _WEIGHTS.sum()).tolist(), strict=True))
-"""Nodes and weights of a mean over a standard normal number."""
+_NODES = np.linspace(-5, 5, 41)
+"""Nodes of the trapezoidal rule for the mean over a standard normal number."""
+_WEIGHTS = np.exp(-0.5 * _NODES**2) / np.sum(np.exp(-0.5 * _NODES**2))
 
 
 def _mean_of_clip(
@@ -83,18 +83,27 @@ def _mean_of_clip(
 def _mean_of_tanh(
     mean: Float[Array, "*batch action"], std: Float[Array, "*batch action"]
 ) -> Float[Array, "*batch action"]:
-    """Mean of tanh(u) for a normal u, by Gauss-Hermite quadrature.
+    """Mean of tanh(u) for a normal u, by the trapezoidal rule.
 
-    The error is below 5e-4 for standard deviations of at most 1.
+    The error is below 1e-5 for standard deviations of at most 3.
     """
-    return sum(
-        (weight * jnp.tanh(mean + node * std) for node, weight in _RULE),
-        jnp.zeros_like(mean),
-    )
+    across = (len(_NODES),) + mean.ndim * (1,)
+    nodes = jnp.asarray(_NODES, mean.dtype).reshape(across)
+    weights = jnp.asarray(_WEIGHTS, mean.dtype).reshape(across)
+    return jnp.sum(weights * jnp.tanh(mean[None] + nodes * std[None]), axis=0)
 
 
 _MEANS = {"clip": _mean_of_clip, "tanh": _mean_of_tanh}
 """Functions (mean, std) -> mean of the bounded action, by the name of the bound."""
+
+
+def check_quiet_action(name: str) -> None:
+    """Raises ValueError unless there is a quiet action of this name."""
+    if name not in QUIET_ACTIONS:
+        raise ValueError(
+            f"quiet_action must be one of {', '.join(map(repr, QUIET_ACTIONS))}, "
+            f"got {name!r}"
+        )
 
 
 def bounded(
@@ -109,7 +118,11 @@ def bounded(
         action: Output of its network: the mean of the action before it is bounded.
         noise: Noise to add before the action is bounded; None for the action without
             noise.
+
+    Raises:
+        ValueError: The policy's `quiet_action` does not exist.
     """
+    check_quiet_action(policy.quiet_action)
     if noise is not None:
         return OUTPUTS[policy.output](action + noise)
     if policy.quiet_action == MEDIAN or policy.action_std is None:

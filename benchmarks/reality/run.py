@@ -10,9 +10,9 @@ that sees everything and knows the delay. Its policy, without memory, sees its o
 actions beside the sensors. In `recurrent-imitated` DAgger has three quarters of the
 control steps, and recurrent PPO begins with its policy. `ideal` is PPO without memory
 and without any of these faults. `ideal-softer` and `ideal-stiffer` are the same on an
-arm that is ten per cent softer or stiffer than any of the training. `mlp-delay`, `mlp-
-dropout`, `mlp-noise`, `mlp-stiffness` and `imitator-delay` have one of the faults. Each
-policy is then evaluated without noise in its actions, on the task on which it was
+arm that is ten per cent softer or stiffer than any of the training. `mlp-delay`,
+`mlp-dropout`, `mlp-noise`, `mlp-stiffness` and `imitator-delay` have one of the faults.
+Each policy is then evaluated without noise in its actions, on the task on which it was
 trained, and on arms ten per cent softer and stiffer than any of the training.
 
 `faults` trains nothing on faults. It evaluates the policy of `ideal` under each fault,

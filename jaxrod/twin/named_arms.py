@@ -139,8 +139,8 @@ def disk_robot(
     on the modulus. Forces and motions do: do not trust them.
 
     Args:
-        pull: Lengths by which the tendons are pulled in `(3,)` [m]. A tendon with zero
-            is slack.
+        pull: Lengths by which the tendons are pulled in `(3,)`, at most the length of a
+            tendon, 0.25 (n - 1) / n [m]. A tendon with zero is slack.
         distance: Distance of the tendons from the axis, above 0 [m].
         youngs_modulus: Young's modulus of the assumed rod, above 0 [Pa].
         n_elements: Number of elements, at least 4.
@@ -178,12 +178,14 @@ def disk_robot(
         dtype=dtype,
     )
     kind = rod.rest_lengths.dtype
-    pulled = as_array("pull", pull, "m", [(3,)], non_negative=True, dtype=kind)
     apart = as_array("distance", distance, "m", positive=True, dtype=kind)
     angles = np.radians([0.0, 120.0, 240.0])
     across = np.stack([np.cos(angles), np.sin(angles)], axis=1)
     # Cables reach from the middle of the first element to that of the last.
     straight = _BACKBONE * (n - 1) / n
+    pulled = as_array(
+        "pull", pull, "m", [(3,)], at_least=0.0, at_most=straight, dtype=kind
+    )
     tendons = tendon(
         rod,
         apart * jnp.asarray(across, kind),

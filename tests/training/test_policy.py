@@ -14,6 +14,7 @@ from jaxrod.envs.trivial import Trivial
 from jaxrod.training import (
     PPOConfig,
     SACConfig,
+    evaluate,
     load_policy,
     save_policy,
     train,
@@ -30,15 +31,26 @@ def some_state():
 
 
 @pytest.mark.slow
-def test_policy_is_the_mean_of_the_learners_distribution():
+def test_policy_is_the_median_or_the_mean_of_the_learners_distribution():
     state = some_state()
-    policy = ppo.PPO.policy(state)
+    policy = dataclasses.replace(ppo.PPO.policy(state), quiet_action="median")
     observation = jnp.linspace(-3, 3, 20)[:, None]
-    mean, _ = policy_network(state.env, state.config, observation.dtype).apply(
+    mean, log_std = policy_network(state.env, state.config, observation.dtype).apply(
         {"params": state.weights["policy"]},
         normalise(state.moments, observation, state.config.observation_limit),
     )
     np.testing.assert_allclose(policy(observation), jnp.clip(mean, -1, 1), rtol=1e-12)
+    drawn = np.random.default_rng(0).normal(size=(200_000, 1, 1))
+    noisy = np.clip(mean[None] + np.exp(log_std) * drawn, -1, 1)
+    found = ppo.PPO.policy(state)(observation)
+    np.testing.assert_allclose(found, noisy.mean(axis=0), atol=1e-2)
+
+
+@pytest.mark.parametrize("gru_units", [0, 4])
+def test_a_policy_of_shapes_alone_is_not_evaluated(gru_units):
+    policy = untrained_policy(Trivial(), config=PPOConfig(gru_units=gru_units))
+    with pytest.raises(ValueError, match=r"policy must have numbers, .* seed=0"):
+        evaluate(Trivial(), policy)
 
 
 @pytest.mark.fast_sets(1)

@@ -32,7 +32,7 @@ SINKING = 0.0254 * np.array([
 
 
 def sinking(**numbers):
-    """How far the fly rod sinks at the measured stations, a row for each weight [m]."""
+    """Sinking of the fly rod at the measured stations, a row for each weight [m]."""
     rows = []
     for weight in WEIGHTS:
         scene, level = twin.fly_rod((0.0, 0.0, -weight), **numbers)
@@ -126,11 +126,29 @@ def test_the_disk_robot_is_as_near_to_its_measured_heights_as_its_makers_say():
     angles = np.array([*HEIGHTS]) / (1e3 * (7.00e-3 + 2 * 7.17e-3) / 3)
     np.testing.assert_allclose(heights, 250 * np.sin(angles) / angles, atol=0.5)
     assert distance_from_measured(heights) < PUBLISHED_ERROR
+    assert distance_from_measured(heights) == pytest.approx(5.3, abs=0.1)
     # The distance of 6 mm in the makers' model is not that of the drawn disk.
     wrong = heights_of_the_disk_robot(distance=0.006)
     assert distance_from_measured(wrong) > PUBLISHED_ERROR
+    assert distance_from_measured(wrong) == pytest.approx(15.9, abs=0.1)
     soft = heights_of_the_disk_robot(youngs_modulus=3e10)
     np.testing.assert_allclose(soft, heights, atol=0.3)
+
+
+@pytest.mark.slow
+def test_each_tendon_of_the_disk_robot_bends_it_towards_its_own_side():
+    with jax.enable_x64(True):
+        tips = np.array([
+            jaxrod.equilibrium(*twin.disk_robot(0.01 * np.eye(3)[k])).state.tip
+            for k in range(3)
+        ])  # fmt: skip
+    np.testing.assert_allclose(tips[:, 2], tips[0, 2], rtol=0, atol=1e-6)
+    aside = np.hypot(tips[:, 0], tips[:, 1])
+    assert aside.min() > 0.1
+    angles = np.radians([0.0, 120.0, 240.0])
+    found = tips[:, :2] / aside[:, None]
+    towards = np.stack([np.cos(angles), np.sin(angles)], axis=1)
+    np.testing.assert_allclose(found, towards, rtol=0, atol=1e-6)
 
 
 @pytest.mark.parametrize(
@@ -138,6 +156,7 @@ def test_the_disk_robot_is_as_near_to_its_measured_heights_as_its_makers_say():
     [
         ({"pull": (1e-3, -1e-3, 0.0)}, "at least 0|non-negative"),
         ({"pull": (1e-3, 0.0)}, "shape"),
+        ({"pull": (0.3, 0.0, 0.0)}, r"pull must be at most 0\.24375, got 0\.3 m"),
         ({"distance": 0.0}, "distance"),
         ({"youngs_modulus": -1.0}, "youngs_modulus"),
         ({"n_elements": 2}, "n_elements"),

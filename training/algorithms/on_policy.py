@@ -50,7 +50,7 @@ from jaxrod.training.normalisation import (
     no_moments,
     normalise,
 )
-from jaxrod.training.policy import QUIET_ACTIONS, MLPPolicy
+from jaxrod.training.policy import MLPPolicy, check_quiet_action
 from jaxrod.training.settings import (
     LearnerConfig,
     Scalar,
@@ -441,11 +441,7 @@ def check_on_policy(config: OnPolicyConfig, num_devices: int) -> None:
     check_fractions(config, "trace_decay")
     check_not_negative(config, "entropy_weight")
     check_finite(config, "initial_log_std", "max_log_std", "final_max_log_std")
-    if config.quiet_action not in QUIET_ACTIONS:
-        raise ValueError(
-            f"quiet_action must be one of {', '.join(map(repr, QUIET_ACTIONS))}, "
-            f"got {config.quiet_action!r}"
-        )
+    check_quiet_action(config.quiet_action)
 
 
 def action_noise(state: OnPolicyState) -> Float[Array, "steps num_envs action"]:
@@ -624,7 +620,8 @@ def warm_start(algorithm: Algorithm, policy: MLPPolicy) -> Algorithm:
     those of the policy. So a run begins with the same actions, apart from its noise.
     They must be held for the same number of control steps. The exploration noise is
     that of the configuration: `initial_log_std` should be far below 0, or the first
-    updates destroy what was learned. The value network starts from random weights.
+    updates destroy what was learned. With other noise, `quiet_action="mean"` also
+    differs near the bounds. The value network starts from random weights.
 
     With `gru_units` the run trains a recurrent policy. Its perceptron begins as the
     given one, with weights of zero for the memory, which starts from random weights.
