@@ -400,15 +400,11 @@ def _draw(
 
 def _lines(summary: Mapping[str, Any], config: Mapping[str, Any]) -> list[str]:
     """Summary of a finished run as lines of text."""
-    final = summary["final_score"]
-    score = "none, because no training episode ended in these steps"
-    if final is not None:
-        episodes = min(summary["score_window"], summary["episodes"])
-        score = f"{final:,.1f}, mean return of the last {episodes} training episodes"
     lines = [
         f"{runs.describe(config)}: {summary['env_steps']:,} control steps in "
         f"{summary['wall_s']:.0f} s, {summary['steps_per_s']:,.0f} steps/s",
-        f"final score   {score}",
+        f"first score   {_score(summary, 'first')}",
+        f"final score   {_score(summary, 'final')}",
     ]
     if "evaluation_score" in summary:
         lines.append(
@@ -420,6 +416,16 @@ def _lines(summary: Mapping[str, Any], config: Mapping[str, Any]) -> list[str]:
         f"flagged       {summary['flagged_fraction']:.1%} of the training episodes"
     )
     return lines
+
+
+def _score(summary: Mapping[str, Any], which: str) -> str:
+    """Words on the mean return of the first or of the final training episodes."""
+    score = summary[f"{which}_score"]
+    if score is None:
+        return "none, because no training episode ended in these steps"
+    episodes = min(summary["score_window"], summary["episodes"])
+    place = {"first": "first", "final": "last"}[which]
+    return f"{score:,.1f}, mean return of the {place} {episodes} training episodes"
 
 
 def _folder(args: argparse.Namespace, variant: str | None) -> Path:

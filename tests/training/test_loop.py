@@ -258,11 +258,12 @@ def test_a_finished_run_whose_checkpoints_are_gone_is_not_begun_anew(
     assert before == {p.name: p.read_bytes() for p in folder.iterdir() if p.is_file()}
 
 
-def test_final_score_is_the_mean_of_the_last_episodes(whole_run):
+def test_scores_are_the_means_of_the_last_and_of_the_first_episodes(whole_run):
     returns = [float(row["episode_return"]) for row in whole_run.folder.episodes.read()]
     assert returns == whole_run.episodes.returns
     assert len(returns) > 50
     assert whole_run.summary["final_score"] == np.mean(returns[-50:])
+    assert whole_run.summary["first_score"] == np.mean(returns[:50])
 
 
 @pytest.mark.default_precision

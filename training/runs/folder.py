@@ -65,6 +65,7 @@ _SUMMARY_KINDS = {
     "score_window": whole(1),
 }
 _SUMMARY_MAY_LACK = {
+    "first_score": optional(NUMBER),
     "evaluation_score": NUMBER,
     "evaluation_std": NUMBER,
     "evaluation_episodes": whole(1),

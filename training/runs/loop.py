@@ -72,8 +72,8 @@ def train(
         env_params: Parameters of the environment, None for its defaults.
         resume: Whether to continue the run in `out`.
         overwrite: Whether to replace the run in `out`; other files there are kept.
-        score_window: Number of complete training episodes at the end of the run whose
-            mean return is `final_score`.
+        score_window: Number of complete training episodes whose mean return is a
+            score: the first ones for `first_score`, the last ones for `final_score`.
         evaluation_episodes: Number of episodes of the evaluation at the end, 0 for
             none.
         checkpoint_seconds: Time between checkpoints [s]; there is always one at the

@@ -360,6 +360,7 @@ class Run:
     def _summary(self) -> dict[str, Any]:
         names = ("task", "variant", "algorithm", "seed", "score_window")
         return {name: self.requested[name] for name in names} | {
+            "first_score": self.episodes.first(self.requested["score_window"]),
             "final_score": self.episodes.recent(self.requested["score_window"]),
             "env_steps": self.env_steps,
             "wall_s": self.wall_s,
@@ -463,6 +464,13 @@ class EpisodeLog:
         50) this is the final score, which can be compared with the published one.
         """
         return float(np.mean(self.returns[-window:])) if self.returns else None
+
+    def first(self, window: int) -> float | None:
+        """Mean return of the first `window` episodes, None before the first.
+
+        At the end of a run it shows what the policy earned before it learned.
+        """
+        return float(np.mean(self.returns[:window])) if self.returns else None
 
     @property
     def flagged_fraction(self) -> float:
