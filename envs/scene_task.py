@@ -50,7 +50,7 @@ class SceneTaskState:
     body: Any
     """State of the scene or of the system."""
     goal: Any
-    """The goal that `SceneTask.goal` drew for the episode."""
+    """The goal that `SceneTask.goal` drew for the episode, as it has moved since."""
 
 
 class SceneTask(ABC):
@@ -153,7 +153,7 @@ class SceneTask(ABC):
 
         Args:
             state: State of the scene after the step.
-            goal: The goal of the episode.
+            goal: The goal of the episode, as it has moved since.
         """
 
     def goal(self, key: Key[Array, ""]) -> Any:
@@ -164,6 +164,15 @@ class SceneTask(ABC):
         """
         del key
         return ()
+
+    def moved_goal(self, goal: Any) -> Any:
+        """Returns the goal one control period later. By default it stays.
+
+        Args:
+            goal: The goal at the start of the control step. If it moves at random, it
+                may hold a random key.
+        """
+        return goal
 
     def ended(self, state: Any, goal: Any) -> Bool[Array, ""]:
         """Whether the task has ended, by success or failure. By default it never does.
@@ -271,16 +280,16 @@ class SceneTask(ABC):
         del key
         scene = self.act(params.scene, action_of_size(action, self.action_size))
         body = advance(scene, state.body, self.dt, self.substeps)
+        goal = self.moved_goal(state.goal)
         flagged = health(
             scene, body, self.dt, limits=self.limits, before=state.body
         ).flagged
         body = freeze(flagged, state.body, body)
-        after = SceneTaskState(body, state.goal)
         return (
-            self.observe(body, state.goal),
-            after,
-            self.reward(body, state.goal),
-            self.ended(body, state.goal),
+            self.observe(body, goal),
+            SceneTaskState(body, goal),
+            self.reward(body, goal),
+            self.ended(body, goal),
             flagged,
             {"flagged": flagged},
         )
@@ -302,7 +311,10 @@ class SceneTask(ABC):
         """
         scene = self.act(params.scene, action)
         body = advance(scene, state.body, self.dt, control_steps * self.substeps)
-        return SceneTaskState(body, state.goal)
+        goal = state.goal
+        for _ in range(control_steps):
+            goal = self.moved_goal(goal)
+        return SceneTaskState(body, goal)
 
     def cost(
         self,

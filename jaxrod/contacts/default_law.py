@@ -18,7 +18,7 @@ carries this weight is taken, and the step is shorter.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 from typing import Any, TypeVar
 
@@ -84,8 +84,8 @@ def with_default_law(
     one = jnp.ones_like(law.stiffness)
     bare = replace(law, stiffness=one, damping=None, friction=None, friction_drag=None)
     square = fastest(bare)[0]
-    affordable = SHARE * (2 / step) ** 2 / square
-    stiffness = jnp.maximum(affordable.astype(one.dtype), least.astype(one.dtype))
+    affordable = affordable_stiffness(step, square).astype(one.dtype)
+    stiffness = jnp.maximum(affordable, least.astype(one.dtype))
     rate = DECAY * jnp.sqrt(stiffness * square)
     chosen = {"stiffness": stiffness}
     for name, probe in (
@@ -96,6 +96,33 @@ def with_default_law(
             chosen[name] = (rate / fastest(probe)[1]).astype(one.dtype)
     found: C = replace(law, left_out=(), **chosen)
     return found
+
+
+def affordable_stiffness(step: Array, square: Array) -> Array:
+    """Largest stiffness of springs with which `stable_dt` allows half of the step.
+
+    Args:
+        step: Largest stable step without these springs [s].
+        square: Squared frequency that they add, for a stiffness of one [rad^2/s^2].
+    """
+    return SHARE * (2 / step) ** 2 / square
+
+
+def largest_rates(
+    bounds: Mapping[str, StabilityBound], parts: Mapping[str, Any]
+) -> tuple[Array, Array]:
+    """Largest squared frequency and rate of all members [rad^2/s^2], [1/s].
+
+    Args:
+        bounds: Stiffness and drag that a coupling adds, by member.
+        parts: Constants of the members.
+    """
+    found = [
+        added_rates(bound, parts[k].node_masses, jnp.min(parts[k].inertias, axis=0))
+        for k, bound in bounds.items()
+    ]
+    squares, rates = (jnp.stack(each) for each in zip(*found, strict=True))
+    return jnp.max(squares), jnp.max(rates)
 
 
 def softened_law(contact: C, share: ArrayLike) -> C:

@@ -185,7 +185,7 @@ class Coupling:
 
         Args:
             parts: Constants of the members.
-            tied: Pairs of nodes that are tied together.
+            tied: Pairs of nodes that are tied together, or held together by springs.
         """
         return self
 
@@ -243,6 +243,16 @@ class Coupling:
         Couplings with such pairs are merged into one, which is applied last.
         """
         return ()
+
+    def adjacent_pairs(self, parts: AllParts) -> tuple[TiedPair, ...]:
+        """Pairs of nodes of rods that springs hold at one place, each in both orders.
+
+        Contact between rods leaves out the elements near them, as near tied nodes.
+
+        Args:
+            parts: Constants of the members.
+        """
+        return self.tied_pairs
 
     def merged(self, others: Sequence[Any]) -> Coupling:
         """Merges this coupling and `others`, which all have `tied_pairs`, into one."""

@@ -356,7 +356,8 @@ def make_system(
     for coupling in ordered:
         coupling.check(parts)
     _check_masses(ordered, parts)
-    tied = ordered[-1].tied_pairs if ties else ()
+    adjacent = (pair for c in ordered for pair in c.adjacent_pairs(parts))
+    tied = tuple(dict.fromkeys(adjacent))  # a tie and a hinge may join the same nodes
     free = _free_ends(parts, ordered, system.dtype)
     known = {
         name: member.with_free_ends(free[name])

@@ -118,6 +118,37 @@ def test_goals_are_drawn_for_each_episode():
     assert abs(goals[0] - goals[2]).max() > 1e-3
 
 
+def test_a_goal_may_move():
+    class Circling(Bend):
+        def goal(self, key):
+            return jax.random.uniform(key, maxval=2 * jnp.pi)
+
+        def moved_goal(self, goal):
+            return goal + 0.1
+
+        def target(self, goal):
+            return jnp.array([0.1 * jnp.cos(goal), 0.1 * jnp.sin(goal), 0.25])
+
+        def observe(self, state, goal):
+            return jnp.concatenate([state.tip, self.target(goal)])
+
+        def reward(self, state, goal):
+            return -jnp.sum((state.tip - self.target(goal)) ** 2)
+
+        def spheres(self, state, goal):
+            return [(self.target(goal), 0.01)]
+
+    env = Circling()
+    params, _, state = begun(env)
+    seen, after, reward, *_ = env.step(None, state, jnp.zeros(2), params)
+    assert float(after.goal) == pytest.approx(float(state.goal) + 0.1)
+    np.testing.assert_array_equal(seen[3:], env.target(after.goal))
+    assert float(reward) == float(env.reward(after.body, after.goal))
+    predicted = env.predict(state, jnp.zeros(2), params, control_steps=3)
+    assert float(predicted.goal) == pytest.approx(float(state.goal) + 0.3)
+    envs.check_environment(env)
+
+
 @pytest.mark.parametrize(
     "env",
     [

@@ -18,7 +18,7 @@ from jaxrod.contacts.contact_law import PenaltyLaw
 from jaxrod.contacts.default_law import (
     GRAVITY,
     OVERLAP,
-    added_rates,
+    largest_rates,
     left_out,
     softened_law,
     with_default_law,
@@ -68,14 +68,7 @@ class PenaltyContact(Coupling):
 
         def fastest(contact: C) -> tuple[Array, Array]:
             bounds = contact.prepared(parts).stability_bounds(parts)
-            found = [
-                added_rates(
-                    bound, parts[k].node_masses, jnp.min(parts[k].inertias, axis=0)
-                )
-                for k, bound in bounds.items()
-            ]
-            squares, rates = (jnp.stack(each) for each in zip(*found, strict=True))
-            return jnp.max(squares), jnp.max(rates)
+            return largest_rates(bounds, parts)
 
         return with_default_law(self, step, self.least_stiffness(parts), fastest)
 

@@ -14,6 +14,7 @@ from typing import Any
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
+from jaxrod.contacts.default_law import affordable_stiffness, largest_rates
 from jaxrod.effects.base import StabilityBound
 from jaxrod.effects.time import Timed, as_timed
 from jaxrod.geometry import vectors
@@ -21,10 +22,9 @@ from jaxrod.geometry.material_frames import unit_vector
 from jaxrod.geometry.rotations import directors, to_material, to_world
 from jaxrod.geometry.vectors import Vec3
 from jaxrod.rods.motion import Loads
-from jaxrod.structure import pytree
+from jaxrod.structure import pytree, static
 from jaxrod.systems.coupling import AllParts, AllSeen, Coupling
 from jaxrod.systems.joints.elastic_joints import (
-    ElasticJoint,
     elastic_joints,
     turning_bounds,
 )
@@ -37,7 +37,7 @@ from jaxrod.systems.joints.places import (
     spin_at,
     sum_of_loads,
 )
-from jaxrod.systems.joints.springs import ball_joint
+from jaxrod.systems.joints.springs import ball_joint, check_limited, number_or_nan
 from jaxrod.validation import Numbers, as_array, optional_number
 
 
@@ -61,6 +61,8 @@ class AxisSprings(Coupling):
     motor: Float[Array, ""] | None = None
     """Couple on `b` about the mean axis, and its opposite on `a` [N m]; if `None`,
     there is no motor."""
+    left_out: bool = static(default=False)
+    """Whether `make_system` chooses the stiffness; until then it is NaN."""
 
     def regridded(self, grids: Any) -> AxisSprings:
         """The same axes on rods with other numbers of elements."""
@@ -73,9 +75,33 @@ class AxisSprings(Coupling):
         )
 
     def check(self, parts: AllParts) -> None:
-        """Raises ValueError if a member is missing or has too few nodes."""
+        """Raises ValueError if a member is missing or has too few nodes.
+
+        Raises:
+            ValueError: Also if the stiffness is left out between two rigid bodies.
+        """
         self.a.check(parts)
         self.b.check(parts)
+        if self.left_out:
+            check_limited("axis_stiffness", "N m", self.a, self.b, parts)
+
+    @property
+    def lacks_numbers(self) -> bool:
+        """Whether its stiffness is left out."""
+        return self.left_out
+
+    def with_numbers(self, parts: AllParts, step: Array) -> AxisSprings:
+        """Copy with the stiffness that makes the stable step half as long.
+
+        Args:
+            parts: Constants of the members.
+            step: Largest stable step of the system without these springs [s].
+        """
+        one = jnp.ones_like(self.stiffness)
+        bare = replace(self, stiffness=one, damping=None, motor=None)
+        square, _ = largest_rates(bare.stability_bounds(parts), parts)
+        chosen = affordable_stiffness(step, square).astype(one.dtype)
+        return replace(self, stiffness=chosen, left_out=False)
 
     def _axes(self, seen: AllSeen) -> tuple[Vec3, Vec3]:
         """Unit vectors of the axes fixed in `a` and in `b`, world frame."""
@@ -132,8 +158,8 @@ def hinge_joint(
     state: Mapping[str, Any],
     *,
     axis: Numbers,
-    stiffness: Numbers,
-    axis_stiffness: Numbers,
+    stiffness: Numbers | None = None,
+    axis_stiffness: Numbers | None = None,
     damping: Numbers | None = None,
     axis_damping: Numbers | None = None,
     motor: Timed | None = None,
@@ -147,7 +173,9 @@ def hinge_joint(
         state: State of the system at rest.
         axis: Direction of the hinge in `state`, world frame `(3,)`.
         stiffness: Force per distance between the two points [N/m].
-        axis_stiffness: Couple per angle between the axes of both members [N m].
+        axis_stiffness: Couple per angle between the axes of both members [N m]. If this
+            or `stiffness` is left out, `make_system` takes the one that makes the
+            stable time step half as long.
         damping: Force per relative speed [kg/s].
         axis_damping: Couple per relative angular velocity [N m s].
         motor: Couple on `b` about the axis, and its opposite on `a`; may be a schedule
@@ -159,6 +187,8 @@ def hinge_joint(
 
     Raises:
         ValueError: If there is no such place, or a number is out of range.
+            `make_system` also raises it if a stiffness is left out between two rigid
+            bodies.
 
     Example:
         >>> tips = ("left", "tip"), ("right", "tip")
@@ -186,7 +216,8 @@ def hinge_joint(
         b=held.b.points,
         axes_a=own[0],
         axes_b=own[1],
-        stiffness=as_array("axis_stiffness", axis_stiffness, "N m", positive=True),
+        stiffness=number_or_nan("axis_stiffness", axis_stiffness, "N m"),
+        left_out=axis_stiffness is None,
         damping=optional_number("axis_damping", axis_damping, "N m s"),
         motor=None if motor is None else as_timed("motor", motor, "N m", ()),
     )
@@ -198,8 +229,8 @@ def fixed_joint(
     b: Place | Sequence[Place],
     state: Mapping[str, Any],
     *,
-    stiffness: Numbers,
-    turning_stiffness: Numbers,
+    stiffness: Numbers | None = None,
+    turning_stiffness: Numbers | None = None,
     damping: Numbers | None = None,
     turning_damping: Numbers | None = None,
     at: Numbers | None = None,
@@ -212,8 +243,10 @@ def fixed_joint(
         a: A place on the first member, or several.
         b: A place on the second member, or one for each place of `a`.
         state: State of the system at rest.
-        stiffness: Force per distance between the two points [N/m].
-        turning_stiffness: Couple per angle from rest [N m].
+        stiffness: Force per distance between the two points [N/m]. If it is left out,
+            `make_system` takes the one that makes the stable time step half as long.
+        turning_stiffness: Couple per angle from rest [N m]. If it is left out, the
+            joint bends and twists like half an element of each rod.
         damping: Force per relative speed [kg/s].
         turning_damping: Couple per relative angular velocity [N m s].
         at: Position of the joint in `state`, world frame `(3,)` [m]; by default at `a`.
@@ -223,6 +256,8 @@ def fixed_joint(
 
     Raises:
         ValueError: If there is no such place, or a number is out of range.
+            `make_system` also raises it if a stiffness is left out between two rigid
+            bodies.
 
     Example:
         >>> states = {"left": state, "right": state}
@@ -235,12 +270,13 @@ def fixed_joint(
         2
     """
     held = ball_joint(a, b, state, stiffness=stiffness, damping=damping, at=at)
-    couple = as_array("turning_stiffness", turning_stiffness, "N m", positive=True)
     drag = optional_number("turning_damping", turning_damping, "N m s")
     first, second = pairs(a, b)
-    joints: list[ElasticJoint] = []
-
-    for joint in elastic_joints(first, second, state):
-        each = jnp.broadcast_to(couple, (3, len(joint.a.nodes)))
-        joints.append(replace(joint, stiffness=each, damping=drag))
+    joints = [replace(j, damping=drag) for j in elastic_joints(first, second, state)]
+    if turning_stiffness is not None:
+        couple = as_array("turning_stiffness", turning_stiffness, "N m", positive=True)
+        joints = [
+            replace(j, stiffness=jnp.broadcast_to(couple, (3, len(j.a.nodes))))
+            for j in joints
+        ]
     return (held, *joints)

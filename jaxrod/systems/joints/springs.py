@@ -15,13 +15,14 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from jaxrod.contacts.default_law import affordable_stiffness, largest_rates
 from jaxrod.effects.base import StabilityBound
 from jaxrod.geometry import vectors
 from jaxrod.rods.motion import Loads
-from jaxrod.structure import pytree
-from jaxrod.systems.coupling import AllParts, AllSeen, Coupling
+from jaxrod.structure import pytree, static
+from jaxrod.systems.coupling import AllParts, AllSeen, Coupling, TiedPair
 from jaxrod.systems.joints.anchors import Anchors, anchors, spring_bounds
-from jaxrod.systems.joints.places import Place, pairs, position_of, sum_of_loads
+from jaxrod.systems.joints.places import Place, Points, pairs, position_of, sum_of_loads
 from jaxrod.validation import Numbers, as_array, is_traced, optional_number
 
 
@@ -41,11 +42,58 @@ class Springs(Coupling):
     rest_lengths: Float[Array, " springs"] | None = None
     """Distances at which springs exert no force [m]; if `None`, they are zero and the
     springs are isotropic."""
+    left_out: bool = static(default=False)
+    """Whether `make_system` chooses the stiffness; until then it is NaN."""
 
     def check(self, parts: AllParts) -> None:
-        """Raises ValueError if a member is missing or has too few nodes."""
+        """Raises ValueError if a member is missing or has too few nodes.
+
+        Raises:
+            ValueError: Also if the stiffness is left out between two rigid bodies.
+        """
         self.a.check(parts)
         self.b.check(parts)
+        if self.left_out:
+            check_limited("stiffness", "N/m", self.a.points, self.b.points, parts)
+
+    @property
+    def lacks_numbers(self) -> bool:
+        """Whether its stiffness is left out."""
+        return self.left_out
+
+    def with_numbers(self, parts: AllParts, step: Array) -> Springs:
+        """Copy with the stiffness that makes the stable step half as long.
+
+        Args:
+            parts: Constants of the members.
+            step: Largest stable step of the system without these springs [s].
+        """
+        one = jnp.ones_like(self.stiffness)
+        bare = replace(self, stiffness=one, damping=None)
+        square, _ = largest_rates(bare.stability_bounds(parts), parts)
+        chosen = affordable_stiffness(step, square).astype(one.dtype)
+        return replace(self, stiffness=chosen, left_out=False)
+
+    def adjacent_pairs(self, parts: AllParts) -> tuple[TiedPair, ...]:
+        """Pairs of nodes whose springs have no length; see `Coupling.adjacent_pairs`.
+
+        An anchor that is known to be more than a radius away from its node is no pair.
+        """
+        ends = self.a, self.b
+        rods = all(parts[own.points.member].is_rod for own in ends)
+        if self.rest_lengths is not None or not rods:
+            return ()
+        near = np.ones(len(self.a.points.nodes), bool)
+        for own in ends:
+            if not is_traced(own, parts):
+                away = np.linalg.norm(np.asarray(own.offsets), axis=0)
+                near &= away <= np.asarray(own.sizes(parts[own.points.member]))
+        one, two = (
+            [(own.points.member, int(node)) for node in own.points.nodes.values[near]]
+            for own in ends
+        )
+        found = [(*a, *b) for a, b in zip(one, two, strict=True) if a != b]
+        return tuple(found + [(*pair[2:], *pair[:2]) for pair in found])
 
     def loads(self, seen: AllSeen) -> dict[str, Loads]:
         """Loads of springs and dashpots, which act halfway between both anchors.
@@ -160,7 +208,7 @@ def ball_joint(
     b: Place | Sequence[Place],
     state: Mapping[str, Any],
     *,
-    stiffness: Numbers,
+    stiffness: Numbers | None = None,
     damping: Numbers | None = None,
     at: Numbers | None = None,
 ) -> Springs:
@@ -168,12 +216,14 @@ def ball_joint(
 
     `tie` does the same for nodes of rods, without compliance and without a limit on the
     time step. This joint has a stiffness, and also works for points on rigid bodies.
+    Contact between two rods leaves out the elements near it, as near ties.
 
     Args:
         a: A place on the first member, or several.
         b: A place on the second member, or one for each place of `a`.
         state: State of the system at rest.
-        stiffness: Force per distance between the two points [N/m].
+        stiffness: Force per distance between the two points [N/m]. If it is left out,
+            `make_system` takes the one that makes the stable time step half as long.
         damping: Force per relative speed [kg/s].
         at: Position of the joint in `state`, world frame `(3,)` [m]; by default the
             places of `a`.
@@ -184,6 +234,8 @@ def ball_joint(
     Raises:
         ValueError: If there is no such place, a number is out of range, or `at` is not
             given and two nodes of rods are further apart than the longer element there.
+            `make_system` also raises it if the stiffness is left out between two rigid
+            bodies.
 
     Example:
         >>> states = {"left": state, "right": state}
@@ -208,7 +260,7 @@ def _springs(
     a: Any,
     b: Any,
     state: Mapping[str, Any],
-    stiffness: Numbers,
+    stiffness: Numbers | None,
     damping: Numbers | None,
     at: tuple[Any, Any],
 ) -> Springs:
@@ -222,9 +274,30 @@ def _springs(
     return Springs(
         a=anchors(first, state, at=listed(at[0], len(first)), name="a"),
         b=anchors(second, state, at=listed(at[1], len(second)), name="b"),
-        stiffness=as_array("stiffness", stiffness, "N/m", positive=True),
+        stiffness=number_or_nan("stiffness", stiffness, "N/m"),
         damping=optional_number("damping", damping, "kg/s"),
+        left_out=stiffness is None,
     )
+
+
+def number_or_nan(name: str, given: Numbers | None, unit: str) -> Array:
+    """A positive number, or NaN for one that `make_system` chooses."""
+    if given is None:
+        return jnp.asarray(jnp.nan)
+    return as_array(name, given, unit, positive=True)
+
+
+def check_limited(name: str, unit: str, a: Points, b: Points, parts: AllParts) -> None:
+    """Raises unless a rod is joined, whose time step determines a stiffness.
+
+    Raises:
+        ValueError: If both members are rigid bodies.
+    """
+    if not (parts[a.member].is_rod or parts[b.member].is_rod):
+        raise ValueError(
+            f"a joint between rigid bodies {a.member!r} and {b.member!r} needs the "
+            f"number {name} [{unit}]"
+        )
 
 
 def _check_near(a: Place, b: Place, state: Mapping[str, Any]) -> None:

@@ -540,5 +540,6 @@ def _try(name: str, effect: Effect, bodies: Any) -> None:
 def _unfit(name: str, effect: Effect, why: str) -> ValueError:
     return ValueError(
         f"member {name!r}: {type(effect).__name__} does not act on rigid bodies "
-        f"({why}); gravity and exponential_damping do"
+        f"({why}); gravity and exponential_damping do. For contact with walls and the "
+        "floor give make_system a rigid_contact, with rods a body_contact"
     )
