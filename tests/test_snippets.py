@@ -57,8 +57,10 @@ def test_readme_prints_what_it_says(tmp_path):
     said = re.findall(r"^```text\n(.*?)^```", PAGES[0].read_text(), re.S | re.M)
     number = re.compile(r"-?\d+\.\d*(?:e[-+]\d+)?")
     expected = [float(x) for x in number.findall("".join(said))]
-    printed = [float(x) for x in number.findall(printed_by(program, tmp_path))]
+    out = printed_by(program, tmp_path)
+    printed = [float(x) for x in number.findall(out)]
     assert len(expected) == 6
+    assert out.splitlines()[-1] == said[-1].splitlines()[-1] == "()"
     assert printed == pytest.approx(expected, rel=1e-3)
 
 
