@@ -33,7 +33,7 @@ from jaxrod.envs.randomised import (
 )
 from jaxrod.envs.registry import make, names
 from jaxrod.envs.rollout import Rollout, rollout
-from jaxrod.envs.scene_task import SceneTask, SceneTaskParams, SceneTaskState
+from jaxrod.envs.tasks.scene_task import SceneTask, SceneTaskParams, SceneTaskState
 from jaxrod.envs.wrappers import (
     ActionRepeat,
     EpisodeRecord,

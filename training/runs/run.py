@@ -466,10 +466,7 @@ class EpisodeLog:
         return float(np.mean(self.returns[-window:])) if self.returns else None
 
     def first(self, window: int) -> float | None:
-        """Mean return of the first `window` episodes, None before the first.
-
-        At the end of a run it shows what the policy earned before it learned.
-        """
+        """Mean return of the first `window` episodes, None before the first."""
         return float(np.mean(self.returns[:window])) if self.returns else None
 
     @property

@@ -16,7 +16,6 @@ from jaxtyping import Array, Bool, Float, Key
 from jaxrod.analysis.health import HealthLimits, freeze, health
 from jaxrod.envs.checking import action_of_size, check_key
 from jaxrod.envs.protocol import Number, Point, Snapshot, Step
-from jaxrod.model import Model
 from jaxrod.stepping.runs import advance
 from jaxrod.structure import pytree
 
@@ -126,7 +125,7 @@ class SceneTask(ABC):
         )
 
     @abstractmethod
-    def build(self) -> tuple[Model, Any]:
+    def build(self) -> tuple[Any, Any]:
         """Makes the scene, or the system, and the state in which episodes start."""
 
     @abstractmethod
