@@ -41,7 +41,7 @@ include_patterns = [
     "benchmarks/*.md",
     "benchmarks/**/*.md",
 ]
-exclude_patterns = ["docs/conf.py", "docs/reference_pages.py", "docs/static/**"]
+exclude_patterns = ["docs/*.py", "docs/static/**"]
 
 extensions = [
     "myst_nb",
@@ -132,9 +132,10 @@ def math_in_docstrings(
 
 
 def mathml(formula: str, as_block: bool) -> str:
-    r"""MathML of a formula. docutils knows `\Bigl` and `\Bigr`, but not `\Big`."""
-    known = re.sub(r"\\([Bb]igg?)(?![a-zA-Z])", r"\\\1l", formula)
-    return str(tex2mathml(known, as_block=as_block))
+    """MathML of a formula, read as TeX reads it."""
+    from formulas import spelled_out
+
+    return str(tex2mathml(spelled_out(formula), as_block=as_block))
 
 
 def inline_math(translator: Any, node: nodes.Element) -> None:
