@@ -65,8 +65,9 @@ html_title = "jaxrod"
 html_math_renderer = "mathml"
 html_extra_path = ["site"]
 html_static_path = ["static"]
-html_css_files = ["gallery.css"]
-html_js_files = ["gallery.js"]
+html_css_files = ["site.css"]
+html_js_files = ["site.js"]
+html_context = {"default_mode": "auto"}
 html_theme_options = {
     "show_navbar_depth": 1,
     "use_download_button": False,
@@ -147,8 +148,21 @@ def inline_math(translator: Any, node: nodes.Element) -> None:
 def display_math(translator: Any, node: nodes.Element) -> None:
     """A formula of its own."""
     formula = mathml(node.astext(), as_block=True)
-    translator.body.append(f'<div style="margin: 1em 0">{formula}</div>')
+    translator.body.append(f'<div class="formula">{formula}</div>')
     raise nodes.SkipNode
+
+
+def table_cell(translator: Any, node: nodes.Element) -> None:
+    """A cell of a table. One without words names no column, so it is no header."""
+    type(translator).visit_entry(translator, node)
+    if not node.astext():
+        translator.body[-1] = translator.body[-1].replace("<th", "<td", 1)
+        translator.context[-1] = translator.context[-1].replace("</th", "</td", 1)
+
+
+def end_of_cell(translator: Any, node: nodes.Element) -> None:
+    """Ends a cell of a table."""
+    type(translator).depart_entry(translator, node)
 
 
 def pictures_that_play(app: Any, page: str, source: list[str]) -> None:
@@ -180,6 +194,7 @@ def setup(app: Any) -> None:
     from reference_pages import write_reference
 
     write_reference(ROOT / "docs" / "reference")
+    app.add_node(nodes.entry, override=True, html=(table_cell, end_of_cell))
     app.connect("source-read", pictures_that_play)
     app.connect("build-finished", players)
     app.add_html_math_renderer("mathml", (inline_math, None), (display_math, None))
