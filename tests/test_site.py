@@ -183,3 +183,16 @@ def test_formulas_are_spelled_out_as_tex_reads_them(short, spelled):
     """A digit alone is an argument, and an index belongs beside its letter."""
     assert formulas.spelled_out(short) == spelled
     assert formulas.spelled_out(spelled) == spelled
+
+
+def test_records_have_a_group_and_a_title_of_their_own():
+    page = (DOCS / "records.md").read_text()
+    listed = [line for text in TOCTREE.findall(page) for line in text.splitlines()]
+    titles = {}
+    for line in filter(re.compile("[^:]").match, listed):
+        title, path = re.fullmatch(r"(?:(.*) <)?(.*?)>?", line).groups()
+        text = (DOCS / f"{path}.md").resolve()
+        titles[text] = title or re.search("^# (.*)", text.read_text(), re.M)[1]
+    assert set(titles) == set((ROOT / "benchmarks").rglob("*.md"))
+    assert len(set(titles.values())) == len(titles)
+    assert page.count("\n## ") == 4
