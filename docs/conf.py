@@ -134,9 +134,9 @@ def math_in_docstrings(
 
 def mathml(formula: str, as_block: bool) -> str:
     """MathML of a formula, read as TeX reads it."""
-    from formulas import spelled_out
+    from formulas import spelled_out, tightened
 
-    return str(tex2mathml(spelled_out(formula), as_block=as_block))
+    return tightened(str(tex2mathml(spelled_out(formula), as_block=as_block)))
 
 
 def inline_math(translator: Any, node: nodes.Element) -> None:
@@ -163,6 +163,26 @@ def table_cell(translator: Any, node: nodes.Element) -> None:
 def end_of_cell(translator: Any, node: nodes.Element) -> None:
     """Ends a cell of a table."""
     type(translator).depart_entry(translator, node)
+
+
+def back_links(app: Any, page: str, template: str, context: Any, tree: Any) -> None:
+    """Corrects links from a source to the docstrings of names.
+
+    `viewcode` takes it that a file has names of one package. Files with names of
+    several would lead to names that are on no page.
+    """
+
+    def known(found: re.Match[str]) -> str:
+        page, words = found[1], found[2].split(".")
+        home = page.lstrip("./").removesuffix(".html")
+        names = [n for n, o in objects.items() if o.docname == home]
+        tails = [".".join(["", *words[k:]]) for k in range(1, len(words))]
+        ours = [n for tail in tails for n in names if n.endswith(tail)]
+        return found[0] if found[2] in objects or not ours else f'"{page}#{ours[0]}"'
+
+    if page.startswith("_modules/") and "body" in context:
+        objects = app.env.domaindata["py"]["objects"]
+        context["body"] = re.sub(r'"([^"#]+)#(jaxrod[\w.]+)"', known, context["body"])
 
 
 def pictures_that_play(app: Any, page: str, source: list[str]) -> None:
@@ -197,6 +217,7 @@ def setup(app: Any) -> None:
     app.add_node(nodes.entry, override=True, html=(table_cell, end_of_cell))
     app.connect("source-read", pictures_that_play)
     app.connect("build-finished", players)
+    app.connect("html-page-context", back_links)
     app.add_html_math_renderer("mathml", (inline_math, None), (display_math, None))
     app.connect("autodoc-process-signature", signature_as_written)
     app.connect("autodoc-process-docstring", google_docstring)

@@ -1,4 +1,4 @@
-"""Formulas in TeX, spelled out so that docutils reads them as TeX does."""
+"""Formulas in TeX, spelled out for docutils, and the MathML that it makes of them."""
 
 import re
 
@@ -23,3 +23,9 @@ def spelled_out(formula: str) -> str:
     for written, for_both in READ_DIFFERENTLY:
         formula = re.sub(written, for_both, formula)
     return formula
+
+
+def tightened(mathml: str) -> str:
+    """MathML in which the bars of `|x|` are no operators with space on both sides."""
+    tight = r'<mo\1 lspace="0" rspace="0">\2</mo>'
+    return re.sub(r"<mo([^>]*)>([|‖])</mo>", tight, mathml)

@@ -185,6 +185,13 @@ def test_formulas_are_spelled_out_as_tex_reads_them(short, spelled):
     assert formulas.spelled_out(spelled) == spelled
 
 
+def test_bars_are_close_to_what_is_between_them():
+    bar = '<mo stretchy="false">|</mo>'
+    tight = '<mo stretchy="false" lspace="0" rspace="0">|</mo>'
+    assert formulas.tightened(f"{bar}<mi>w</mi>{bar}") == f"{tight}<mi>w</mi>{tight}"
+    assert formulas.tightened("<mo>+</mo>") == "<mo>+</mo>"
+
+
 def test_records_have_a_group_and_a_title_of_their_own():
     page = (DOCS / "records.md").read_text()
     listed = [line for text in TOCTREE.findall(page) for line in text.splitlines()]

@@ -29,4 +29,9 @@ document.addEventListener("DOMContentLoaded", () => {
     const page = arrow.closest("li").querySelector("a").textContent.trim();
     arrow.closest("summary").setAttribute("aria-label", `Pages below ${page}`);
   }
+
+  // Keys scroll what is wider than the page.
+  for (const formula of document.querySelectorAll(".formula")) {
+    if (formula.scrollWidth > formula.clientWidth) formula.tabIndex = 0;
+  }
 });
