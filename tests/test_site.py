@@ -203,3 +203,10 @@ def test_records_have_a_group_and_a_title_of_their_own():
     assert set(titles) == set((ROOT / "benchmarks").rglob("*.md"))
     assert len(set(titles.values())) == len(titles)
     assert page.count("\n## ") == 4
+
+
+def test_styles_and_scripts_of_the_site_exist():
+    """Sphinx says nothing about those that are missing."""
+    settings = (DOCS / "conf.py").read_text()
+    named = re.findall(r'^html_(?:css|js)_files = \["(.*)"\]$', settings, re.M)
+    assert {*named} == {path.name for path in (DOCS / "static").iterdir()}
