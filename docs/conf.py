@@ -41,7 +41,7 @@ include_patterns = [
     "benchmarks/*.md",
     "benchmarks/**/*.md",
 ]
-exclude_patterns = ["docs/conf.py", "docs/reference_pages.py", "docs/static/**"]
+exclude_patterns = ["docs/*.py", "docs/static/**"]
 
 extensions = [
     "myst_nb",
@@ -65,8 +65,9 @@ html_title = "jaxrod"
 html_math_renderer = "mathml"
 html_extra_path = ["site"]
 html_static_path = ["static"]
-html_css_files = ["gallery.css"]
-html_js_files = ["gallery.js"]
+html_css_files = ["site.css"]
+html_js_files = ["site.js"]
+html_context = {"default_mode": "auto"}
 html_theme_options = {
     "show_navbar_depth": 1,
     "use_download_button": False,
@@ -132,9 +133,10 @@ def math_in_docstrings(
 
 
 def mathml(formula: str, as_block: bool) -> str:
-    r"""MathML of a formula. docutils knows `\Bigl` and `\Bigr`, but not `\Big`."""
-    known = re.sub(r"\\([Bb]igg?)(?![a-zA-Z])", r"\\\1l", formula)
-    return str(tex2mathml(known, as_block=as_block))
+    """MathML of a formula, read as TeX reads it."""
+    from formulas import spelled_out, tightened
+
+    return tightened(str(tex2mathml(spelled_out(formula), as_block=as_block)))
 
 
 def inline_math(translator: Any, node: nodes.Element) -> None:
@@ -146,8 +148,41 @@ def inline_math(translator: Any, node: nodes.Element) -> None:
 def display_math(translator: Any, node: nodes.Element) -> None:
     """A formula of its own."""
     formula = mathml(node.astext(), as_block=True)
-    translator.body.append(f'<div style="margin: 1em 0">{formula}</div>')
+    translator.body.append(f'<div class="formula">{formula}</div>')
     raise nodes.SkipNode
+
+
+def table_cell(translator: Any, node: nodes.Element) -> None:
+    """A cell of a table. One without words names no column, so it is no header."""
+    type(translator).visit_entry(translator, node)
+    if not node.astext():
+        translator.body[-1] = translator.body[-1].replace("<th", "<td", 1)
+        translator.context[-1] = translator.context[-1].replace("</th", "</td", 1)
+
+
+def end_of_cell(translator: Any, node: nodes.Element) -> None:
+    """Ends a cell of a table."""
+    type(translator).depart_entry(translator, node)
+
+
+def back_links(app: Any, page: str, template: str, context: Any, tree: Any) -> None:
+    """Corrects links from a source to the docstrings of names.
+
+    `viewcode` takes it that a file has names of one package. Files with names of
+    several would lead to names that are on no page.
+    """
+
+    def known(found: re.Match[str]) -> str:
+        page, words = found[1], found[2].split(".")
+        home = page.lstrip("./").removesuffix(".html")
+        names = [n for n, o in objects.items() if o.docname == home]
+        tails = [".".join(["", *words[k:]]) for k in range(1, len(words))]
+        ours = [n for tail in tails for n in names if n.endswith(tail)]
+        return found[0] if found[2] in objects or not ours else f'"{page}#{ours[0]}"'
+
+    if page.startswith("_modules/") and "body" in context:
+        objects = app.env.domaindata["py"]["objects"]
+        context["body"] = re.sub(r'"([^"#]+)#(jaxrod[\w.]+)"', known, context["body"])
 
 
 def pictures_that_play(app: Any, page: str, source: list[str]) -> None:
@@ -179,8 +214,10 @@ def setup(app: Any) -> None:
     from reference_pages import write_reference
 
     write_reference(ROOT / "docs" / "reference")
+    app.add_node(nodes.entry, override=True, html=(table_cell, end_of_cell))
     app.connect("source-read", pictures_that_play)
     app.connect("build-finished", players)
+    app.connect("html-page-context", back_links)
     app.add_html_math_renderer("mathml", (inline_math, None), (display_math, None))
     app.connect("autodoc-process-signature", signature_as_written)
     app.connect("autodoc-process-docstring", google_docstring)

@@ -12,7 +12,7 @@ N_ELEMENTS, LENGTH, RADIUS = 40, 0.16, 0.001
 LUMEN, BEND, STRAIGHT = 0.0025, 0.05, 0.17  # radii of vessel and bend, way to it [m]
 MODULUS, SPEED, END = 1e9, 0.1, 1.2  # [Pa], [m/s], [s]
 NUMBER = "energy per way of the catheter, and per length of the bend [J/m]"
-LOOK = {"frame": -1, "azimuth": -90, "elevation": 70, "field": "bending [1/m]"}
+LOOK = {"frame": -1, "azimuth": 20, "elevation": 30, "field": "bending [1/m]"}
 
 
 def vessel(rings=81, around=32):
@@ -68,7 +68,7 @@ def run(share=1.0):
     lower = faces[np.max(vertices[faces, 2], axis=1) < 1e-9]
     shown = {"fields": {"bending [1/m]": jaxrod.viz.bending}, "title": "Catheter"}
     shown["meshes"] = [
-        jaxrod.viz.Mesh(vertices, lower, name="vessel", colour="#98a3b3")
+        jaxrod.viz.Mesh(vertices, lower, name="vessel", colour="#e3a59b")
     ]
     bare = jaxrod.make_scene(scene.rod, *scene.effects[:2])
     replay = jaxrod.viz.Replay.from_states(bare, states, times, **shown)

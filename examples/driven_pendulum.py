@@ -16,7 +16,7 @@ from jaxrod import schedules
 LENGTH, AMPLITUDE, TILT, SHARE = 0.3, 0.01, 0.1, 2.0  # [m], [m], [rad], [1]
 CRITICAL = math.sqrt(2 * 9.81 * LENGTH * 2 / 3) / (2 * math.pi * AMPLITUDE)  # [Hz]
 NUMBER = "growth of the energy, and work of the pivot [J]"
-LOOK = {"frame": (0, 42), "azimuth": -90, "elevation": 8, "zoom": 0.9}
+LOOK = {"frame": (0, 42), "azimuth": -90, "elevation": 8, "zoom": 0.85}
 
 
 def build(share=SHARE):
@@ -61,7 +61,9 @@ def run(share=1.0):
     n = int(240 * share) * every
     states = jaxrod.rollout(scene, state, dt, n, every)
     times = jaxrod.rollout_times(dt, n, every)
-    replay = jaxrod.viz.Replay.from_states(scene, states, times, title="Pendulum")
+    pivot = jaxrod.viz.Sphere(states.positions[:, :, 0], 0.016, "pivot")
+    shown = {"spheres": [pivot], "title": "Upside-down pendulum"}
+    replay = jaxrod.viz.Replay.from_states(scene, states, times, **shown)
     _, energy, work = simulate(SHARE)
     most = jnp.argmax(energy)
     return replay, float(energy[most] - energy[0]), float(work[most])

@@ -135,10 +135,10 @@ def title(name):
 
 
 def thumbnail(name):
-    """A small picture of a scene that leads to its part of the page."""
+    """A small picture of a scene that leads to its part; the site shows its name."""
     anchor = title(name).lower().replace(" ", "-")
     picture = f'<img src="gallery/{name}.png" width="200" alt="{WORDS[name]["alt"]}">'
-    return f'<a href="#{anchor}">{picture}</a>'
+    return f'<a href="#{anchor}" title="{title(name)}">{picture}</a>'
 
 
 def entry(name, words, numbers):
@@ -146,6 +146,7 @@ def entry(name, words, numbers):
     steps, step = numbers["steps_per_second"], numbers["step_ms"]
     motion = float(f"{1e-3 * steps * step:.2g}")
     shown = {key: f"{number:g}" for key, number in numbers.items()}
+    shown["measured"] = f"{numbers['measured']:#.4g}"  # 0.4230 as well
     return f"""
 ### {title(name)}
 
@@ -185,8 +186,12 @@ if __name__ == "__main__":
     parser = argparse.ArgumentParser(description="Writes docs/gallery.md.")
     parser.add_argument("scenes", nargs="*", default=SCENES, help="scenes to run")
     parser.add_argument("--words", action="store_true", help="run no scene")
+    parser.add_argument("--pictures", action="store_true", help="keep the numbers")
     asked = parser.parse_args()
-    for name in () if asked.words else asked.scenes:
+    if asked.pictures:
+        for scene in map(importlib.import_module, asked.scenes):
+            draw(scene.__name__, scene.run()[0], scene.LOOK)
+    for name in () if asked.words or asked.pictures else asked.scenes:
         records = json.loads(RECORDS.read_text()) | {name: measure(name)}
         RECORDS.write_text(json.dumps(records, indent=1) + "\n")
     (DOCS / "gallery.md").write_text(page())

@@ -16,7 +16,7 @@ import jaxrod
 
 SEED, LEAN, G = 5, 0.2, 9.81  # [1], [1], [m/s^2]
 NUMBER = "upward force of hand and socket at the end, and weight of the cable [N]"
-LOOK = {"frame": (0, 3, 6, 90), "azimuth": -60, "elevation": 15}
+LOOK = {"frame": (0, 90), "azimuth": -60, "elevation": 15}
 TOWARDS_VIEWER = np.array([0.5, -0.87, 0.0])
 
 

@@ -15,7 +15,7 @@ import jaxrod
 
 SEED, G = 1, 9.81  # [1], [m/s^2]
 NUMBER = "force of the hand at the end, and weight of the rope [N]"
-LOOK = {"frame": (0, 6, 9, 12, 15, 60), "azimuth": -140, "elevation": 15}
+LOOK = {"frame": (0, 6, 9, 12, 60), "azimuth": -140, "elevation": 15, "zoom": 0.95}
 
 
 def task():
@@ -58,13 +58,13 @@ def run(share=1.0):
     scene, _, _ = build()
     states = lifted(int(60 * share))
     ropes, target = states.body, states.target
-    nodes = jnp.swapaxes(ropes.positions, 1, 2)
+    nodes, ball = jnp.swapaxes(ropes.positions, 1, 2), jaxrod.viz.Sphere
     away = jnp.linalg.norm(nodes[:, -1] - target, axis=1)
     replay = jaxrod.viz.Replay.from_nodes(
         nodes,
         scene.rod.radii,
         0.1 * jnp.arange(len(nodes)),
-        spheres=[jaxrod.viz.Sphere(target, 0.025, "target")],
+        spheres=[ball(target, 0.025, "target"), ball(nodes[:, 0], 0.025, "hand")],
         readouts={"distance to target [m]": away},
         floor=0.0,
         title="Lift",

@@ -7,11 +7,24 @@ import re
 import sys
 from pathlib import Path
 
+import pytest
+
 import jaxrod
 from public_names import NAMESPACES
 
 ROOT = Path(__file__).parents[1]
 DOCS = ROOT / "docs"
+
+
+def program(name):
+    """A program of docs/, as a module."""
+    spec = importlib.util.spec_from_file_location(name, DOCS / f"{name}.py")
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+formulas, reference_pages = program("formulas"), program("reference_pages")
 TOCTREE = re.compile(r"^```\{toctree\}\n(.*?)^```", re.S | re.M)
 INCLUDE = re.compile(r"^```\{include\} (\S+)\n(.*?)^```", re.S | re.M)
 
@@ -83,6 +96,15 @@ def pictures(text):
         yield "".join(re.findall(r'\balt="([^"]*)"', tag))
 
 
+def drawn(cells):
+    """Pictures that cells of a notebook made, with the texts in their metadata."""
+    for cell in cells:
+        alt = cell["metadata"].get("mystnb", {}).get("image", {}).get("alt", "")
+        for output in cell.get("outputs", ()):
+            if "image/png" in output.get("data", {}):
+                yield f"![{alt}](cell.png)"
+
+
 def test_every_picture_has_a_text_for_those_who_cannot_see_it():
     pages = {page.name: page.read_text() for page in DOCS.glob("*.md")}
     pages |= {name: (ROOT / name).read_text() for name in ("README.md", "CHANGELOG.md")}
@@ -91,7 +113,7 @@ def test_every_picture_has_a_text_for_those_who_cannot_see_it():
     for page in (ROOT / "notebooks").glob("*.ipynb"):
         cells = json.loads(page.read_text())["cells"]
         texts = ["".join(c["source"]) for c in cells if c["cell_type"] == "markdown"]
-        pages[page.name] = "\n".join(texts)
+        pages[page.name] = "\n".join([*texts, *drawn(cells)])
     described = [(name, alt) for name in pages for alt in pictures(pages[name])]
     assert len(described) > 30
     assert [pair for pair in described if len(pair[1].split()) < 3] == []
@@ -100,6 +122,8 @@ def test_every_picture_has_a_text_for_those_who_cannot_see_it():
 def test_pictures_without_a_text_are_seen():
     text = '![](a.png) ![An arm](b.png) <img src="c.png"> <img alt="d" src="d.png">'
     assert list(pictures(text)) == ["", "An arm", "", "d"]
+    plot = {"metadata": {}, "outputs": [{"data": {"image/png": ""}}]}
+    assert list(pictures("\n".join(drawn([plot])))) == [""]
 
 
 def test_types_of_signatures_are_explained():
@@ -124,12 +148,7 @@ def test_types_of_signatures_are_explained():
 
 
 def test_the_reference_has_a_summary_of_every_public_name(tmp_path):
-    spec = importlib.util.spec_from_file_location(
-        "reference_pages", DOCS / "reference_pages.py"
-    )
-    pages = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(pages)
-    pages.write_reference(tmp_path)
+    reference_pages.write_reference(tmp_path)
     text = "\n".join(page.read_text() for page in tmp_path.glob("*.md"))
     summaries = dict(re.findall(r"^\| \{py:obj\}`\w+ <(.*)>` \| (.*) \|$", text, re.M))
     names = {f"jaxrod.{name}" for name in jaxrod.__all__}
@@ -139,3 +158,55 @@ def test_the_reference_has_a_summary_of_every_public_name(tmp_path):
     assert names <= set(summaries)
     assert {name.rpartition(".")[0] for name in summaries} >= spaces
     assert [name for name, said in summaries.items() if not said] == []
+
+
+@pytest.mark.parametrize(
+    ("short", "spelled"),
+    [
+        (r"\tfrac12\rho", r"\tfrac{1}{2}\rho"),
+        (r"\frac12 \Big(\frac2h\Big)", r"\frac{1}{2} \Bigl(\frac{2}h\Bigl)"),
+        (r"\frac 12 k", r"\frac{1}{2} k"),
+        (r"\frac{n}23", r"\frac{n}{2}3"),
+        (r"\frac\pi23", r"\frac\pi{2}3"),
+        (r"\frac n23", r"\frac n{2}3"),
+        (r"\frac1{12}", r"\frac{1}{12}"),
+        (r"\frac{1}{12}", r"\frac{1}{12}"),
+        (r"x_12y^{12}z^12", r"x_{1}2y^{12}z^{1}2"),
+        (r"\sqrt12x", r"\sqrt{1}2x"),
+        (r"4.5^2 - 10^{-5}", r"4.5^{2} - 10^{-5}"),
+        (r"\dot w_\parallel^2", r"{\dot w{}}_\parallel^{2}"),
+        (r"\hat{m}_k + \dot\theta_i", r"{\hat{m}{}}_k + {\dot\theta{}}_i"),
+        (r"\hat m^2 + \sum_k", r"\hat m^{2} + \sum_k"),
+    ],
+)
+def test_formulas_are_spelled_out_as_tex_reads_them(short, spelled):
+    """A digit alone is an argument, and an index belongs beside its letter."""
+    assert formulas.spelled_out(short) == spelled
+    assert formulas.spelled_out(spelled) == spelled
+
+
+def test_bars_are_close_to_what_is_between_them():
+    bar = '<mo stretchy="false">|</mo>'
+    tight = '<mo stretchy="false" lspace="0" rspace="0">|</mo>'
+    assert formulas.tightened(f"{bar}<mi>w</mi>{bar}") == f"{tight}<mi>w</mi>{tight}"
+    assert formulas.tightened("<mo>+</mo>") == "<mo>+</mo>"
+
+
+def test_records_have_a_group_and_a_title_of_their_own():
+    page = (DOCS / "records.md").read_text()
+    listed = [line for text in TOCTREE.findall(page) for line in text.splitlines()]
+    titles = {}
+    for line in filter(re.compile("[^:]").match, listed):
+        title, path = re.fullmatch(r"(?:(.*) <)?(.*?)>?", line).groups()
+        text = (DOCS / f"{path}.md").resolve()
+        titles[text] = title or re.search("^# (.*)", text.read_text(), re.M)[1]
+    assert set(titles) == set((ROOT / "benchmarks").rglob("*.md"))
+    assert len(set(titles.values())) == len(titles)
+    assert page.count("\n## ") == 4
+
+
+def test_styles_and_scripts_of_the_site_exist():
+    """Sphinx says nothing about those that are missing."""
+    settings = (DOCS / "conf.py").read_text()
+    named = re.findall(r'^html_(?:css|js)_files = \["(.*)"\]$', settings, re.M)
+    assert {*named} == {path.name for path in (DOCS / "static").iterdir()}

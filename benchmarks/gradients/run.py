@@ -148,7 +148,7 @@ def markdown(reports: list[GradientReport]) -> str:
 
 def picture(reports: list[GradientReport]) -> bytes:
     """Plot of errors against step size, and of singular values against the horizon."""
-    figure, ((left, right),) = charts(9, 3.8, columns=2)
+    figure, ((left, right),) = charts(7.5, 3.6, columns=2)
     first = reports[0]
     steps = first.step_sizes
     left.loglog(steps, first.reverse_errors, color=BLUE, marker=".", label="float64")

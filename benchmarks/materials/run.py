@@ -305,7 +305,7 @@ def picture_of_set(curves: list[Curve], shapes: list[np.ndarray]) -> bytes:
 
 def _figure() -> tuple[Any, Any]:
     """Figure with two pairs of axes."""
-    figure, (pair,) = charts(9, 3.6, columns=2)
+    figure, (pair,) = charts(7.5, 3.2, columns=2)
     return figure, pair
 
 

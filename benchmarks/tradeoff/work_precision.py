@@ -75,29 +75,30 @@ def work_precision(
 def _draw(rows: list[Row], title: str, floor: float, words: Words) -> bytes:
     need_matplotlib()
     batches = sorted({row.batch for row in rows})
-    figure, panels = style.charts(4.2 * len(batches) + 3.0, 4.6, columns=len(batches))
-    for axes in panels[0][1:]:
+    # Below each other, so that a column of text shows letters at their size.
+    figure, panels = style.charts(7.2, 2.9 * len(batches) + 1.5, rows=len(batches))
+    for axes in panels[1:, 0]:
         axes.sharex(panels[0][0])
         axes.sharey(panels[0][0])
-        axes.tick_params(labelleft=False)
-    for axes, batch in zip(panels[0], batches, strict=True):
+    for axes, batch in zip(panels[:, 0], batches, strict=True):
         _panel(axes, [row for row in rows if row.batch == batch], floor, words)
         many = words.single if batch == 1 else f"{batch:,} rods at once"
         axes.set_title(many, fontsize=10, color=_QUIET)
-    panels[0][0].set_ylabel(words.error)
-    # Beside the panels: within, there is no corner that no simulator's points reach.
+    figure.supylabel(words.error, fontsize=10)
+    # Below the panels: within, there is no corner that no simulator's points reach.
     named: dict[str, Any] = {}
-    for axes in panels[0]:
+    for axes in panels[:, 0]:
         handles, labels = axes.get_legend_handles_labels()
         named |= dict(zip(labels, handles, strict=True))
     figure.legend(
         named.values(),
         named.keys(),
-        loc="outside right upper",
+        loc="outside lower center",
+        ncols=3,
         frameon=False,
-        fontsize=8,
+        fontsize=9,
     )
-    figure.supxlabel(words.cost, fontsize=10)
+    panels[-1, 0].set_xlabel(words.cost)
     if title:
         figure.suptitle(title, fontsize=12, fontweight="bold")
     picture = io.BytesIO()
@@ -155,4 +156,4 @@ def _panel(axes: Any, rows: list[Row], floor: float, words: Words) -> None:
         linestyle=(0, (4, 3)),
         label=words.line,
     )
-    axes.tick_params(labelsize=8)
+    axes.tick_params(labelsize=9)

@@ -169,6 +169,18 @@ def test_the_page_follows_colour_scheme_and_size(browser, page, size, dark):
     assert overflow == 0
 
 
+def test_a_page_around_it_chooses_the_theme_without_loading_it_again(browser, page):
+    browser.look(**DESKTOP, dark=False)
+    browser.open(f"{page}#dark")
+    browser.run("window.kept = true")
+    assert browser.picture()[-1, 0].mean() < 80
+    for theme, dark in (("light", False), ("dark", True), ("", False)):
+        browser.run(f"location.replace('#{theme}')")
+        browser.settle()
+        assert (browser.picture()[-1, 0].mean() < 80) == dark
+    assert browser.run("window.kept")
+
+
 @pytest.mark.parametrize("size", [DESKTOP, PHONE], ids=["desktop", "phone"])
 def test_long_names_are_shown_whole(browser, tmp_path, size):
     name = "a_name_" * 9

@@ -265,11 +265,12 @@ class Player {
     }
     document.addEventListener("keydown", (event) => this.press(event));
     new ResizeObserver(() => this.layOut()).observe(this.canvas);
-    const scheme = window.matchMedia("(prefers-color-scheme: dark)");
-    scheme.addEventListener("change", () => {
+    const recolour = () => {
       this.theme = readTheme();
       this.invalidate();
-    });
+    };
+    DARK.addEventListener("change", recolour);
+    window.addEventListener("hashchange", recolour);
     // A browser with many views open may take the graphics away and give them back.
     this.canvas.addEventListener("webglcontextlost", (event) => event.preventDefault());
     this.canvas.addEventListener("webglcontextrestored", () => {
