@@ -87,17 +87,33 @@ SEEDS = """
 """
 
 
-def write_pages() -> None:
-    """Writes the page and its picture from the records there are."""
+Cells = dict[tuple[str, str], list[dict[str, Any]]]
+"""Records of the runs of each task and learner."""
+
+
+def recorded() -> Cells:
+    """The records there are."""
     records = [read_json(file) for file in sorted(RECORDS.glob("*.json"))]
-    cells = {
+    return {
         (task, name): found
         for task in CASES
         for name in COLOURS
         if (found := [r for r in records if _of(r) == (task, name)])
     }
+
+
+def write_pages() -> None:
+    """Writes the page and its picture from the records there are."""
+    cells = recorded()
     if not cells:
         return
+    write_atomically(ROOT / "docs" / "first_order.md", text(cells).encode())
+    picture(cells)
+
+
+def text(cells: Cells) -> str:
+    """The page of records."""
+    records = [record for runs in cells.values() for record in runs]
     page = HEADER.format(episodes=records[0]["episodes"]) + _head(COLUMNS)
     reached, seeds = REACHED + _head(REACHED_COLUMNS), SEEDS
     for (task, name), runs in cells.items():
@@ -124,9 +140,7 @@ def write_pages() -> None:
     for (task, name), runs in cells.items():
         told = {json.dumps(run["settings"]) for run in runs}
         settings += f"- `{name}` in `{task}`: {', '.join(sorted(told))}\n"
-    target = ROOT / "docs" / "first_order.md"
-    write_atomically(target, (page + reached + seeds + settings + TRIED).encode())
-    picture(cells)
+    return page + reached + seeds + settings + TRIED
 
 
 def _reached(runs: list[dict[str, Any]], baseline: list[dict[str, Any]]) -> str:
@@ -169,7 +183,7 @@ def _spread(values: Iterable[float], *, least: bool = True) -> str:
     return f"{found.mean():,.0f} ({smallest}{found.max():,.0f})"
 
 
-def picture(cells: dict[tuple[str, str], list[dict[str, Any]]]) -> None:
+def picture(cells: Cells) -> None:
     """Score against control steps and processor time, every seed."""
     tasks = [task for task in CASES if any(cell[0] == task for cell in cells)]
     figure, panels = charts(9, 3.2 * len(tasks), len(tasks), 2)

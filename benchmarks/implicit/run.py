@@ -3,7 +3,8 @@
 Each scene is a rod that is clamped at one end and released under a lateral
 acceleration, in float64 on one core. Errors are the largest distance of the tip from an
 implicit reference, extrapolated from two step sizes, divided by the distance that the
-tip travels.
+tip travels. Writes a record into records, and the page from it. `--pages` measures
+nothing and writes the page from the record.
 """
 
 from __future__ import annotations
@@ -19,14 +20,16 @@ import jax.numpy as jnp
 import numpy as np
 
 import jaxrod
-from benchmarks.shared.files import ROOT
-from jaxrod.files import write_atomically
+from benchmarks.shared.arguments import add_pages_only
+from benchmarks.shared.files import ROOT, write_record
+from jaxrod.files import read_json, write_atomically
 from jaxrod.installation.machine import processor_and_versions
 from jaxrod.rods.rod import RodState
 from jaxrod.scene import Scene
 
 SAMPLES = 20
 BATCH = 64
+RECORDS = ROOT / "benchmarks" / "implicit" / "records"
 RADIUS = 0.8
 """Spectral radius of the implicit steps."""
 HEADER = """\
@@ -179,9 +182,9 @@ def timed_step(
     return min(times[1:]) / steps / len(factors) * 1e6, times[0]
 
 
-def steps_table() -> tuple[list[str], list[float]]:
-    """The table of a step, and how many explicit steps an implicit one costs."""
-    lines, ratios = [], []
+def steps_table() -> list[dict[str, Any]]:
+    """The rows of the table of a step."""
+    rows = []
     for n in (20, 100):
         rod, state = jaxrod.straight_rod(
             n, length=1.0, radius=1e-3, density=7850.0, youngs_modulus=2e11
@@ -195,21 +198,19 @@ def steps_table() -> tuple[list[str], list[float]]:
         cases += [("implicit, one of 64", implicit, 4000 * stable, "one of 64")]
         if n == 20:
             cases += [("implicit, gradient", implicit, 4000 * stable, "gradient")]
-        cost = {}
         for name, scene, dt, what in cases:
             (ours, first), (theirs, their_first) = (
                 timed_step(scene, state, dt, what, mode) for mode in ("auto", "never")
             )
-            cost[name] = ours
-            cells = f"{ours:.3g} | {theirs:.3g} | {first:.1f} | {their_first:.1f}"
-            lines.append(f"| {n} | {name} | {cells} |")
-            print(lines[-1], flush=True)
-        ratios.append(cost["implicit"] / cost["explicit"])
-    return lines, ratios
+            row = {"elements": n, "step": name, "kernels_us": ours, "xla_us": theirs}
+            row |= {"first_call_kernels_s": first, "first_call_xla_s": their_first}
+            rows.append(row)
+            print(step_line(row), flush=True)
+    return rows
 
 
-def rows(study: Study) -> list[str]:
-    """The table of one study."""
+def rows(study: Study) -> list[dict[str, Any]]:
+    """The rows of the table of one study."""
     rod, state = jaxrod.straight_rod(
         study.n_elements,
         length=1.0,
@@ -229,34 +230,66 @@ def rows(study: Study) -> list[str]:
     tries = [("implicit", implicit, dt) for dt in study.steps]
     tries += [("explicit, scaled", scaling.scene, 0.95 * float(scaling.dt))]
     tries += [("explicit", explicit, 0.95 * float(scaling.dt_before))]
-    lines = []
+    rows = []
     for name, scene, dt in tries:
         error = np.max(
             np.linalg.norm(tips(scene, state, dt, study.duration) - exact, axis=1)
         )
         wall = cost(scene, state, dt, study.duration)
-        lines.append(f"| {name} | {dt:.2e} | {error / travel:.2%} | {wall:.2g} |")
-        print(study.name, lines[-1], flush=True)
-    return lines
+        row = {"steps": name, "dt_s": dt, "error": float(error / travel)}
+        rows.append(row | {"cost_s_per_s": wall})
+        print(study.name, study_line(rows[-1]), flush=True)
+    return rows
+
+
+def step_line(row: dict[str, Any]) -> str:
+    """A row of the table of a step."""
+    return (
+        f"| {row['elements']} | {row['step']} | {row['kernels_us']:.3g} "
+        f"| {row['xla_us']:.3g} | {row['first_call_kernels_s']:.1f} "
+        f"| {row['first_call_xla_s']:.1f} |"
+    )
+
+
+def study_line(row: dict[str, Any]) -> str:
+    """A row of the table of a study."""
+    return (
+        f"| {row['steps']} | {row['dt_s']:.2e} | {row['error']:.2%} "
+        f"| {row['cost_s_per_s']:.2g} |"
+    )
+
+
+def page(record: dict[str, Any]) -> str:
+    """The page of a record."""
+    cost = {(row["elements"], row["step"]): row["kernels_us"] for row in record["step"]}
+    sizes = {n for n, _ in cost}
+    ratios = [cost[n, "implicit"] / cost[n, "explicit"] for n in sizes]
+    header = HEADER.format(
+        machine=record["machine"], radius=RADIUS, least=min(ratios), most=max(ratios)
+    )
+    table = "\n".join(map(step_line, record["step"]))
+    lines = [header, STEPS_HEADER + table + "\n"]
+    for name, found in record["studies"].items():
+        lines += [f"## {name}\n", "| steps | dt [s] | error | cost [s/s] |"]
+        lines += ["|---|---:|---:|---:|", *map(study_line, found), ""]
+    return "\n".join(lines)
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Takes no arguments."""
+    """Declares whether to measure."""
+    add_pages_only(parser)
 
 
 def run(args: argparse.Namespace) -> int:
-    """Measures and writes the page."""
-    jaxrod.configure_cpu(1)
-    jax.config.update("jax_enable_x64", True)
-    table, ratios = steps_table()
-    machine, least, most = processor_and_versions(), min(ratios), max(ratios)
-    header = HEADER.format(machine=machine, radius=RADIUS, least=least, most=most)
-    lines = [header, STEPS_HEADER + "\n".join(table) + "\n"]
-    with warnings.catch_warnings():
-        warnings.simplefilter("error", jaxrod.UnstableStepWarning)
-        for study in STUDIES:
-            lines += [f"## {study.name}\n", "| steps | dt [s] | error | cost [s/s] |"]
-            lines += ["|---|---:|---:|---:|", *rows(study), ""]
-    target = ROOT / "docs" / "implicit.md"
-    write_atomically(target, "\n".join(lines).encode())
+    """Measures, and writes the record and the page."""
+    if not args.pages:
+        jaxrod.configure_cpu(1)
+        jax.config.update("jax_enable_x64", True)
+        record = {"machine": processor_and_versions(), "step": steps_table()}
+        with warnings.catch_warnings():
+            warnings.simplefilter("error", jaxrod.UnstableStepWarning)
+            record["studies"] = {study.name: rows(study) for study in STUDIES}
+        write_record(RECORDS, "implicit", record)
+    found = read_json(RECORDS / "implicit.json")
+    write_atomically(ROOT / "docs" / "implicit.md", page(found).encode())
     return 0

@@ -101,16 +101,27 @@ NAMES = (
 )
 
 
-def write_pages(seed: int) -> None:
-    """Writes the page and its picture from the records."""
-    records = [
+def recorded() -> list[dict[str, Any]]:
+    """The records there are."""
+    return [
         read_json(file)
         for task in CASES
         for plan in PLANS
         if (file := RECORDS / f"{task}{plan and '_' + plan}.json").exists()
     ]
+
+
+def write_pages(seed: int) -> None:
+    """Writes the page and its picture from the records."""
+    records = recorded()
     if not records:
         return
+    write_atomically(ROOT / "docs" / "optimum.md", text(records, seed).encode())
+    picture(records)
+
+
+def text(records: list[dict[str, Any]], seed: int) -> str:
+    """The page of records."""
     page = HEADER.format(seed=seed)
     times = TIMES
     settings = SETTINGS.format(" | ".join(NAMES), "---:|" * len(NAMES))
@@ -140,9 +151,7 @@ def write_pages(seed: int) -> None:
     machines = sorted({record["machine"] for record in records})
     measured_on = f"\nMeasured on: {'; '.join(machines)}.\n"
     page += section(LEARNERS, CASES) + same_episodes(LEARNERS, SAME, CASES)
-    page += times + measured_on + settings
-    write_atomically(ROOT / "docs" / "optimum.md", page.encode())
-    picture(records)
+    return page + times + measured_on + settings
 
 
 def _spaced(plan: str) -> str:
