@@ -141,11 +141,21 @@ def thumbnail(name):
     return f'<a href="#{anchor}">{picture}</a>'
 
 
+def written(number):
+    """A number of a record, with four digits unless it is a round one.
+
+    Records have four digits, but a zero at the end is lost: 0.4230 is 0.423 there.
+    """
+    text = f"{number:g}"
+    digits = text.partition("e")[0].replace(".", "").lstrip("-0")
+    return f"{number:#.4g}" if "." in text and len(digits) == 3 else text
+
+
 def entry(name, words, numbers):
     """A scene's part of the page, from its words and its numbers."""
     steps, step = numbers["steps_per_second"], numbers["step_ms"]
     motion = float(f"{1e-3 * steps * step:.2g}")
-    shown = {key: f"{number:g}" for key, number in numbers.items()}
+    shown = {key: written(number) for key, number in numbers.items()}
     return f"""
 ### {title(name)}
 
