@@ -48,7 +48,7 @@ class Quote:
         return places[0] if len(places) == 1 else None
 
     def difference(self, page: str) -> str:
-        """A sentence on how the page differs from the record; empty if it does not."""
+        """A sentence on the difference of the page from the record; empty without one."""
         place = self.found(page)
         if place is None:
             return f"{self.page} does not have once: {self.text}"
@@ -71,7 +71,7 @@ class Quote:
 
 
 def differences(root: Path, quotes: Iterable[Quote]) -> list[str]:
-    """How the pages of a checkout differ from the records."""
+    """Differences of the pages of a checkout from the records."""
     found = (quote.difference(_read(root / quote.page)) for quote in quotes)
     return [difference for difference in found if difference]
 
