@@ -53,6 +53,7 @@ def quotes() -> Iterator[Quote]:
     yield from lanes()
     yield from systems()
     yield from claims()
+    yield from notebooks()
 
 
 def rod_steps(mode: str, dtype: str, batch: int) -> dict[str, Any]:
@@ -143,6 +144,26 @@ def accuracy() -> Iterator[Quote]:
             tuned("rope", 1, CABLE)[2],
         ),
     )
+    one, batch = (value(tuned("tracking", n)[-1]) for n in (1, 256))
+    theirs = tuned("tracking", 1, "PyElastica")
+    yield Quote(
+        ACCURACY,
+        "n = 24, dt = 0.35 ms, float32 | {} ms | {} ms | > {} s (n = {}: {} %) |",
+        (
+            f"{1e3 * one:.2g}",
+            f"{1e3 * batch:.2g}",
+            theirs[5],
+            theirs[2],
+            f"{100 * value(theirs[4]):.2g}",
+        ),
+    )
+    yield Quote(
+        ACCURACY,
+        "n = 10, dt = 0.77 ms, planar, scaled inertia, float32 | {} ms | {} ms |",
+        tuple(f"{1e3 * value(tuned('slam', n)[-1]):.2g}" for n in (1, 256)),
+    )
+    row = cells("docs/material.md", "cable that swings from a pin, under its weight")
+    yield Quote(ACCURACY, "has a relative error of {} instead of {}", (row[3], row[2]))
     found = read("benchmarks/tuned_systems/records/tuned_systems.json")["scenes"]
     names = {
         "two hinged rods": "hinged",
@@ -485,6 +506,20 @@ def on_a_gpu() -> Iterator[Quote]:
         "| first call: gradients [s] | {} | {} |",
         (gradients[6].strip(), gradients[7].strip()),
     )
+    head = "rods of 20 elements"
+    firsts = [[value(x) for x in column(H100, head, index)] for index in (5, 6)]
+    yield Quote(
+        PERFORMANCE,
+        "| first call: rods [s] | {} to {} | {} to {} |",
+        tuple(f"{pick(times):.1f}" for times in firsts for pick in (min, max)),
+    )
+    alone = 1e6 / value(cells(H100, "1", "float32")[2])
+    on_cpu = value(cells("benchmarks/c_programs/records/rods.md", "20", "float32")[3])
+    yield Quote(
+        PERFORMANCE,
+        "takes {} us a step on the GPU and {} us in [rows on a CPU]",
+        (digits(alone), digits(on_cpu)),
+    )
     ropes = cells(H100, "256xropes", "float32")
     yield Quote(
         PERFORMANCE,
@@ -533,6 +568,16 @@ def lanes() -> Iterator[Quote]:
         PERFORMANCE,
         "lanes take {} times as long, and XLA {} times",
         (f"{ours / value(double[1]):.1f}", f"{theirs / value(double[2]):.1f}"),
+    )
+    ratios = [
+        value(ratio)
+        for head in ("scene", "elements")
+        for ratio in column(PERFORMANCE, f"{head}, batch of 256", 3)
+    ]
+    yield Quote(
+        "docs/supported_versions.md",
+        "batches on CPUs take {} to {} times as long",
+        (word(min(ratios)), word(max(ratios))),
     )
 
 
@@ -700,3 +745,29 @@ def claims() -> Iterator[Quote]:
         "{} mm (root mean square) in nine poses",
         (cells("docs/twin.md", "all 9 others")[5],),
     )
+
+
+def printed(notebook: str) -> str:
+    """All that a notebook printed."""
+    return "\n".join(
+        "".join(output.get("text", []))
+        for cell in read(notebook)["cells"]
+        for output in cell.get("outputs", [])
+    )
+
+
+def notebooks() -> Iterator[Quote]:
+    """Sentences of notebooks about what their cells print."""
+    notebook = "notebooks/02_where_should_it_go.ipynb"
+    solved = re.findall(
+        r"Solution by (\w+).*\n    at the end distance \[m\]: (\S+),", printed(notebook)
+    )
+    ends = {solver: 1e3 * float(distance) for solver, distance in solved}
+    yield Quote(
+        notebook,
+        "Levenberg-Marquardt ends {} mm from the target, and Adam {} mm",
+        (f"{ends['levenberg_marquardt']:.2f}", f"{ends['adam']:.0f}"),
+    )
+    notebook = "notebooks/06_how_good_is_good.ipynb"
+    (score,) = re.findall(r"PPO: (\S+)", printed(notebook))
+    yield Quote(notebook, "A learner scores {}.", (score,))

@@ -48,7 +48,7 @@ class Quote:
         return places[0] if len(places) == 1 else None
 
     def difference(self, page: str) -> str:
-        """Difference of the page from the record in words; empty if there is none."""
+        """The difference of the page from the record; empty if there is none."""
         place = self.found(page)
         if place is None:
             return f"{self.page} does not have once: {self.text}"

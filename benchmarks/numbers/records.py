@@ -28,8 +28,8 @@ def rows(path: str, **where: str) -> list[dict[str, str]]:
 def cells(path: str, *first: str) -> list[str]:
     """Cells of the first row of a page's tables that begins with these cells."""
     for line in (ROOT / path).read_text(encoding="utf-8").splitlines():
-        found = [cell.strip() for cell in line.strip("|").split("|")]
-        if line.startswith("|") and found[: len(first)] == list(first):
+        found = [cell.strip() for cell in line.strip(" |").split("|")]
+        if line.lstrip().startswith("|") and found[: len(first)] == list(first):
             return found
     raise ValueError(f"{path} has no row that begins with {' | '.join(first)}")
 
