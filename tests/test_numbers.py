@@ -12,7 +12,7 @@ from benchmarks.numbers.quoting import Quote, differences, write
 from benchmarks.numbers.records import at_least, digits, whole
 
 ROOT = Path(__file__).parents[1]
-QUOTES = list(quotes())
+QUOTES = quotes()
 
 
 @cache

@@ -12,7 +12,7 @@ from jaxrod.files import write_atomically
 WORDS = "zero one two three four five six seven eight nine ten eleven twelve".split()
 """Small numbers as they are written in sentences."""
 NUMBER = (
-    r"(?<![\d.,])([-−+]?\d[\d,]*(?:\.\d+)?(?:e[-+]?\d+)?"
+    r"(?<![\d.,])([-−+]?\d+(?:,\d{3})*(?:\.\d+)?(?:e[-+]?\d+)?"
     rf"|{'|'.join(WORDS)})(?!\d|[.,]\d)"
 )
 """A whole number, and not a part of one."""

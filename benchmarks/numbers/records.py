@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import itertools
 import json
 import math
 import re
@@ -11,6 +12,9 @@ from typing import Any
 
 from benchmarks.numbers.quoting import WORDS
 from benchmarks.shared.files import ROOT
+
+CASES = {1: "tracking", 2: "reaching", 3: "structured", 4: "unstructured"}
+LEARNERS = ("PPO", "TRPO", "SAC", "TD3", "DDPG")
 
 
 def read(path: str) -> Any:
@@ -89,3 +93,22 @@ def cheapest(path: str, simulator: str, error: float, batch: int = 1) -> dict[st
 def mean(values: Any) -> float:
     """The mean of numbers."""
     return fmean(values)
+
+
+def column(page: str, head: str, index: int) -> list[str]:
+    """A column of the table of a page that has this first cell in its head."""
+    lines = (ROOT / page).read_text(encoding="utf-8").splitlines()
+    (begin,) = [n for n, line in enumerate(lines) if line.startswith(f"| {head} |")]
+    table = itertools.takewhile(lambda line: line.startswith("|"), lines[begin + 2 :])
+    return [line.split("|")[index + 1].strip() for line in table]
+
+
+def published(case: int, learner: str) -> dict[str, str]:
+    """The paper's result of a cell."""
+    (row,) = rows(
+        "benchmarks/paper/published.csv",
+        case=f"Case{case}",
+        algorithm=learner,
+        in_figure="1",
+    )
+    return row

@@ -22,7 +22,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Compares, and writes if asked."""
-    every = list(quotes())
+    every = quotes()
     if args.write:
         write(ROOT, every)
     found = differences(ROOT, every)
