@@ -11,6 +11,7 @@ from benchmarks.numbers.records import digits, mean, read, whole
 TASKS = "docs/tasks.md"
 FAULTS = "docs/randomisation.md"
 SOLVED = "benchmarks/solved/records"
+TRAINED = "benchmarks/training/records"
 
 
 def quotes() -> Iterator[Quote]:
@@ -27,17 +28,14 @@ def trained() -> Iterator[Quote]:
         "octopus": "rowing | 15.9 |",
     }
     for task, first in firsts.items():
-        runs = [
-            read(f"benchmarks/training/records/{task}/ppo-{seed}/summary.json")
-            for seed in range(3)
-        ]
+        runs = [read(f"{TRAINED}/{task}/ppo-{seed}/summary.json") for seed in range(3)]
         rows = " ".join(
             f"| PPO, seed {seed}, without noise | {{}} |" for seed in (0, 1, 2)
         )
         scores = tuple(f"{run['evaluation_score']:.1f}" for run in runs)
         yield Quote(TASKS, f"{first} {rows}", scores)
     for seed in (20, 21, 22):
-        run = read(f"benchmarks/training/records/gripper/ppo-{seed}/summary.json")
+        run = read(f"{TRAINED}/gripper/ppo-{seed}/summary.json")
         yield Quote(
             TASKS,
             f"| PPO, seed {seed}, without noise | {{}} ± {{}} |",
