@@ -36,6 +36,7 @@ def quotes() -> Iterator[Quote]:
     yield from accuracy()
     yield from beside_pyelastica()
     yield from control_steps()
+    yield from operations()
     yield from beside_c()
     yield from on_a_gpu()
     yield from lanes()
@@ -203,6 +204,30 @@ def control_steps() -> Iterator[Quote]:
             whole(speed("tracking", "clean"), 1000),
             whole(speed("tracking", "paper"), 1000),
         ),
+    )
+
+
+def operations() -> Iterator[Quote]:
+    """Operations of a step with each method."""
+    page = "docs/choosing_a_method.md"
+    found = {
+        row["scene"]: f"{row['operations']:,.0f}"
+        for row in read("benchmarks/costs/records/costs.json")["rows"]
+    }
+    arm, moving = "clamped, damped, actuated", "clamped, damped, with gravity"
+    scenes = {
+        "is not part of it |": ("consistent", arm),
+        "stay exactly zero |": ("planar", arm),
+        "twist and polar inertia (2) |": ("without twist", moving),
+        "nor angular momentum |": ("pyelastica", arm),
+    }
+    for words, (method, full) in scenes.items():
+        pair = found[f"{method}, bare"], found[f"{method}, {full}"]
+        yield Quote(page, f"{words} {{}}; {{}} |", pair)
+    yield Quote(
+        page,
+        "For that scene `consistent` needs {} operations",
+        (found[f"consistent, {moving}"],),
     )
 
 
