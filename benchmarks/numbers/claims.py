@@ -140,13 +140,14 @@ def quotes() -> Iterator[Quote]:
         "returns of {} and {} in `reaching`; of {} and {} in `tracking`",
         tuple(scores),
     )
-    text = (ROOT / "docs" / "optimum.md").read_text(encoding="utf-8")
-    table = text.partition("### Comparison with a planner")[2]
-    both = [line.split("|") for line in table.splitlines() if line.startswith("| ")]
+    both = [
+        cells("docs/optimum.md", f"{case} `{task}`", "256")
+        for case, task in ((1, "tracking"), (2, "reaching"))
+    ]
     yield Quote(
         CLAIMS,
         "in `tracking` {} and {}, in `reaching` {} and {}",
-        tuple(row[index].strip() for row in both[1:3] for index in (6, 3)),
+        tuple(row[index] for row in both for index in (5, 2)),
     )
     yield Quote(
         CLAIMS,

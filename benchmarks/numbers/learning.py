@@ -10,6 +10,7 @@ from benchmarks.numbers.quoting import Quote
 from benchmarks.numbers.records import (
     CASES,
     LEARNERS,
+    cells,
     digits,
     mean,
     numbers,
@@ -157,15 +158,11 @@ def clean() -> Iterator[Quote]:
 def best_learners() -> Iterator[Quote]:
     """The best learner of each task, from the page that its program writes."""
     page = "docs/optimum.md"
-    text = (ROOT / page).read_text(encoding="utf-8")
-    table = text.partition("| least share | below half | processor [s] |")[2]
-    lines = {
-        line.split("|")[1].strip().split()[1].strip("`"): line.split("|")
-        for line in table.partition("###")[0].splitlines()
-        if line.startswith("| ") and "`" in line
-    }
-    for task in ("tracking", "reaching"):
-        row = lines[task]
+    lines = (ROOT / page).read_text(encoding="utf-8").splitlines()
+    planned = []
+    for case, task in ((1, "tracking"), (2, "reaching")):
+        (line,) = [x for x in lines if x.startswith(f"| {case} `{task}` | `dagger` ")]
+        row = line.split("|")
         steps = sum(map(value, numbers(row[2])))
         least, most = numbers(row[6])
         below, episodes = numbers(row[9])
@@ -183,15 +180,11 @@ def best_learners() -> Iterator[Quote]:
                 whole(value(episodes)),
             ),
         )
-    planned = [
-        [cell.strip() for cell in line.split("|")]
-        for line in text.partition("### Comparison with a planner")[2].splitlines()
-        if line.startswith(("| 1 `tracking`", "| 2 `reaching`"))
-    ][:2]
+        planned.append(numbers(cells(page, f"{case} `{task}`", "256")[3])[0])
     yield Quote(
         LEARNING,
         "It reaches {} % of the ceiling in `tracking` and {} % in `reaching`",
-        tuple(numbers(row[4])[0] for row in planned),
+        tuple(planned),
     )
 
 
