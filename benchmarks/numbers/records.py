@@ -96,9 +96,9 @@ def mean(values: Any) -> float:
 
 
 def column(page: str, head: str, index: int) -> list[str]:
-    """A column of the table of a page that has this first cell in its head."""
+    """A column of the table of a page whose head begins with this."""
     lines = (ROOT / page).read_text(encoding="utf-8").splitlines()
-    (begin,) = [n for n, line in enumerate(lines) if line.startswith(f"| {head} |")]
+    (begin,) = [n for n, line in enumerate(lines) if line.startswith(f"| {head}")]
     table = itertools.takewhile(lambda line: line.startswith("|"), lines[begin + 2 :])
     return [line.split("|")[index + 1].strip() for line in table]
 
