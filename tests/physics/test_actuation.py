@@ -70,7 +70,7 @@ def test_the_load_does_not_depend_on_the_number_of_elements(record):
     assert np.max(np.abs(totals(10)[0] - exact)) < 1e-3 * np.max(np.abs(exact))
     coarse, fine = (np.max(np.abs(totals(n)[1] - moment)) for n in (21, 42))
     record(
-        "First moment of a spline's couples: error at n = 21 over that at n = 42",
+        "First moment of a spline's couples: ratio of the errors at n = 21 and n = 42",
         "16 (fourth order)",
         coarse / fine,
         between=(14.0, 18.0),

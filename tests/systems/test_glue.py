@@ -216,7 +216,7 @@ def test_the_bound_is_safe_and_not_far_off(record):
     fine = [bool(is_stable(bound * ratio)) for ratio in ratios]
     assert fine[0]
     record(
-        "glue: largest stable step over the bound",
+        "glue: largest stable step divided by the bound",
         "safe, and sharp within a factor of 2",
         ratios[fine.index(False) - 1],
         between=(0.99, 2.0),

@@ -256,8 +256,8 @@ def test_the_stability_bound_is_safe_and_not_far_off(shape, record):
     assert fine[0]
     limit = ratios[fine.index(False) - 1]
     record(
-        f"{shape} on the ground: largest stable step over the bound",
-        "safe, and not far off",
+        f"{shape} on the ground: largest stable step divided by the bound",
+        "at least 1 (safe), and not much more",
         limit,
         between=(0.99, 3.0),
     )
