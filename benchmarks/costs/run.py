@@ -1,7 +1,7 @@
 """Cost of a step, and what each effect adds to it: docs/costs.md.
 
-Compiles one step of the arm (20 elements, float32) bare and with each effect alone,
-in every way of stepping, and times it on one core: one rod, and 256 at once.
+Compiles one step of the arm (20 elements, float32), bare and with each effect alone,
+for every method. Times the step on one core, for one rod and for a batch of 256.
 """
 
 from __future__ import annotations

@@ -1,8 +1,8 @@
 """Control steps per second of every task: docs/environments.md.
 
-Measures all tasks, or the tasks named; other rows do not change. Steps a batch of every
-task and variant in float32 under random actions, without a policy. The batch is spread
-over all cores as in training. Restarts and scores are included.
+Measures all tasks, or those that you name; other rows do not change. Steps a batch of
+every task and variant in float32 under random actions, without a policy. Spreads the
+batch over all cores, as training does. Times include restarts and scores.
 """
 
 from __future__ import annotations

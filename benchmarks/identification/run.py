@@ -1,15 +1,15 @@
 """Identification and inverse design: docs/identification.md.
 
-`dropped`: a released arm, from noisy positions; 100 draws of the noise; parameters that
-positions alone do not determine. `forced`: the same with a force sensor at the clamp.
-`buckling`: four parameters of a rod that buckles, in windows with unknown starts.
-`poses`: eight poses at rest. `shapes`: rest curvatures with which an arm takes a shape.
-All by default; rows that are not measured do not change.
+`dropped` fits a released arm to noisy positions, with 100 draws of the noise, and with
+parameters that positions alone do not determine. `forced` adds a force sensor at the
+clamp. `buckling` fits four parameters of a rod that buckles, in windows with unknown
+initial states. `poses` fits eight poses at rest. `shapes` finds rest curvatures that
+give an arm a shape. The default is all. Rows that are not measured do not change.
 
-float32 on one core. Seconds are processor time; compiling with the first run is listed
-separately. Every observation is simulated with the model that is fitted, and noise is
-added. This measures the search and its standard deviations, not whether a model is
-correct.
+Runs use float32 on one core. Seconds are processor time, and the first run, which
+compiles, is listed separately. The fitted model simulates every observation, and the
+benchmark adds noise. This tests the search and its standard deviations, not whether a
+model is correct.
 """
 
 from __future__ import annotations

@@ -1,14 +1,14 @@
 """Lanes, rows and XLA compared on one core: docs/performance.md.
 
-`speed`: rod-steps per second of scenes of many kinds, a batch of 256. `gradient`: the
-value and gradient of 1000 steps, a batch of 64. `length`: elements from 5 to 1000.
-`batch`: rods from 1 to 65536. `many`: 64 systems with contact. `single`: one scene or
-system, without a batch. `single_gradient`: its gradient. All by default; tables that
-are not measured do not change.
+The tables are `speed` (rod-steps per second of scenes of many kinds, in a batch of
+256), `gradient` (value and gradient of 1000 steps, in a batch of 64), `length` (5 to
+1000 elements), `batch` (1 to 65536 rods), `many` (64 systems with contact), `single`
+(one scene or system, without a batch) and `single_gradient` (its gradient). The default
+is all. Tables that are not measured do not change.
 
-Both programs are compiled first. Then windows of both alternate, and the shortest of
-five counts for each. Times are processor time of one core; compiling is listed
-separately.
+Both programs compile first. Then windows of both alternate, and the shortest of five
+counts for each. Times are processor time of one core, and the first calls, which
+compile, are listed separately.
 """
 
 from __future__ import annotations

@@ -100,8 +100,8 @@ def add_run(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--task",
         metavar="TASK",
-        help="what makes the task of RUN, such as my_task.py:MyTask, if RUN does not "
-        "say it or the file has moved",
+        help="callable that makes the task of RUN, such as my_task.py:MyTask, if RUN "
+        "does not name it or its file has moved",
     )
     add_trust(parser)
 
@@ -115,7 +115,7 @@ def add_trust(parser: argparse.ArgumentParser) -> None:
         metavar="MODULE",
         help="module (full name) or .py file that may be imported because RUN names "
         "it; may be given several times. Without it only built-in code runs, "
-        "because the folder of a run may come from anybody (docs/runs.md)",
+        "because the folder of a run may come from anyone (docs/runs.md)",
     )
 
 
