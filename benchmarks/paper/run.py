@@ -115,7 +115,7 @@ def run(args: argparse.Namespace) -> int:
         fraction=args.steps_fraction,
     )
     if args.out.exists() and not args.out.is_dir():
-        raise ValueError(f"out must be a folder, {args.out} is a file")
+        raise ValueError(f"out must be a folder, but {args.out} is a file")
     records = Records(args.out)
     if args.dry_run:
         _describe(cells, records, args.overwrite, args.json)

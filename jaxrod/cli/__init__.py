@@ -237,8 +237,8 @@ def _program(command: str) -> ModuleType:
     if not root.joinpath(*name.split(".")).with_suffix(".py").is_file():
         raise NoCheckoutError(
             f"`jaxrod {command}` is a program of the folder benchmarks/ of jaxrod's "
-            "repository, which is not installed: clone the repository, and in it "
-            "`pip install -e .`"
+            "repository, which is not installed: clone the repository, and run "
+            "`pip install -e .` in it"
         )
     package, _, _ = name.partition(".")
     if package not in sys.modules:

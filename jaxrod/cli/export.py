@@ -47,7 +47,7 @@ def run(args: argparse.Namespace) -> int:
     if args.c is None and args.onnx is None:
         raise ValueError("nothing to write: give --c FILE, --onnx FILE or both")
     if args.c == args.onnx:
-        raise ValueError(f"--c and --onnx are one file, {args.c}")
+        raise ValueError(f"--c and --onnx must be different files, got {args.c} twice")
     jaxrod.configure_cpu()
     stored = runs.open_run(args.run_folder, args.trust, args.task)
     policy = stored.policy()

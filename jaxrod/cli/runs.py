@@ -77,8 +77,8 @@ class StoredRun:
         ]
         if others:
             raise ValueError(
-                f"{file} is of another run than {self.path / 'config.json'}: its "
-                f"{', '.join(others)}"
+                f"{file} belongs to another run than {self.path / 'config.json'}: "
+                f"they differ in {', '.join(others)}"
             )
         if not isinstance(policy, MLPPolicy):
             return policy  # Its structure follows from the task and the settings.
@@ -199,7 +199,7 @@ def read_config(path: Path) -> dict[str, Any]:
     if not (path / "config.json").exists():
         what = "holds no run (no config.json)" if path.is_dir() else "does not exist"
         raise ValueError(
-            f"{path} {what}; a run is made by: jaxrod train TASK --out {path}"
+            f"{path} {what}; make a run with: jaxrod train TASK --out {path}"
         )
     return RunFolder(path).config()
 

@@ -152,7 +152,7 @@ def run(args: argparse.Namespace) -> int:
     # Runs are planned here and trained elsewhere, so this process takes no GPU memory.
     jax.config.update("jax_platforms", "cpu")
     if args.ray is None and (args.cpus, args.gpus) != (None, None):
-        raise ValueError("--cpus and --gpus go with --ray")
+        raise ValueError("--cpus and --gpus need --ray")
     if args.cpus is not None and args.cpus < 1:
         raise ValueError(f"cpus must be at least 1, got {args.cpus}")
     if args.gpus is not None and not args.gpus >= 0:
@@ -221,7 +221,7 @@ def _check_folders(runs: Sequence[SweepRun], out: Path) -> None:
     from jaxrod.files import refuse_link
 
     if out.exists() and not out.is_dir():
-        raise ValueError(f"out must be a folder, {out} is a file")
+        raise ValueError(f"out must be a folder, but {out} is a file")
     for run in runs:
         folder = _folder(run, out)
         refuse_link(folder.path)
@@ -230,7 +230,7 @@ def _check_folders(runs: Sequence[SweepRun], out: Path) -> None:
         how = differs(run, folder)
         if how:
             raise ValueError(
-                f"{folder.path} was run otherwise: {', '.join(how)}; remove it, or "
+                f"{folder.path} holds a different run: {', '.join(how)}; remove it, or "
                 "choose another folder with --out"
             )
 

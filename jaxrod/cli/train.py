@@ -200,7 +200,7 @@ def run(args: argparse.Namespace) -> int:
         return 0
     stored = None
     if args.resume and args.like:
-        raise ValueError("--like begins a new run, --resume continues an old one")
+        raise ValueError("give --like to begin a new run, or --resume, but not both")
     source = args.like or (_folder(args, None) if args.resume else None)
     if source:
         stored = runs.read_config(source)
@@ -212,7 +212,7 @@ def run(args: argparse.Namespace) -> int:
             )
         if stored["task"] != canonical_path(args.task):
             raise ValueError(
-                f"{source / 'config.json'}: the run is one of {stored['task']}, not of "
+                f"{source / 'config.json'}: the run trains {stored['task']}, not "
                 f"{args.task}"
             )
         if args.algorithm in (None, stored["algorithm"]):
@@ -256,7 +256,7 @@ def run(args: argparse.Namespace) -> int:
         join_processes(*processes, within=within)
     elif any(one is not None for one in (*processes, args.join_seconds)):
         raise ValueError(
-            "--coordinator, --processes, --process-id and --join-seconds go with "
+            "--coordinator, --processes, --process-id and --join-seconds need "
             "--distributed"
         )
     if source:

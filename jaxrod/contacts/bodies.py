@@ -260,7 +260,7 @@ class Capsule(Body):
     is_convex = True
 
     def surface(self, points: Vec3) -> tuple[Array, Vec3]:
-        """Distance from the segment between centres minus the radius; the normal."""
+        """Distance from the segment of centres, minus the radius; and the normal."""
         axis = vectors.split(self.end - self.start)
         relative = _from_point(self.start, points)
         share = vectors.dot(relative, axis) / vectors.dot(axis, axis)
@@ -423,8 +423,8 @@ class Pipe(Body):
     def inradius(self) -> Array:
         """Smaller of the outer radius and half the length [m].
 
-        It is that of a pipe without a bore: between two points on one side of the wall
-        no wall is thin.
+        The bore does not count, because no wall is thin between two points on one side
+        of the wall.
         """
         x, y, z = jnp.moveaxis(self.end - self.start, -1, 0)
         outer = self.radius + self.thickness
@@ -503,7 +503,7 @@ class Plane(Body):
 
     def solid(self) -> Solid:
         """Raises a ValueError: a half space cannot be a moving body."""
-        raise ValueError("a plane cannot be a moving rigid body: give it to `contact`")
+        raise ValueError("a plane cannot be a moving rigid body: use it in `contact`")
 
 
 @pytree
@@ -874,7 +874,7 @@ def signed_distance(
     got = jax.eval_shape(function, point, numbers)
     if getattr(got, "shape", None) != ():
         raise ValueError(
-            f"function must give one distance [m] at a point of shape (3,), got {got}"
+            f"function must return one distance [m] at a point of shape (3,), got {got}"
         )
     function, numbers = with_parameters(function, jnp.zeros((3,), dtype), numbers)
     ranks = tuple(jnp.ndim(leaf) for leaf in jax.tree.leaves(numbers))

@@ -164,7 +164,7 @@ def test_what_was_run_otherwise_is_refused(sweep):
     sweep.called()
     code, out, err = sweep(0, words=("--steps", "4k"))
     assert (code, out) == (2, "")
-    assert "was run otherwise: steps was 2000, now 4000" in err
+    assert "holds a different run: steps was 2000, now 4000" in err
     assert sweep.called() == []
 
 

@@ -153,7 +153,7 @@ def test_bad_arguments_are_refused():
         fitted(observed[1:], begin)
     with pytest.raises(ValueError, match="observed and known must be stacked"):
         fitted(observed, begin, known=jnp.zeros(3))
-    with pytest.raises(ValueError, match="equally many in every leaf"):
+    with pytest.raises(ValueError, match="same length in every leaf"):
         fitted(observed, begin | {"x": jnp.zeros(2)})
     with pytest.raises(ValueError, match="lower names stiffness"):
         fitted(observed, begin, lower={"stiffness": 1})

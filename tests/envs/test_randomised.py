@@ -572,7 +572,7 @@ def test_gymnasium_takes_a_randomisation():
 
 
 def test_a_delay_longer_than_an_episode_is_refused():
-    with pytest.raises(ValueError, match="delay must be at most an episode of 20"):
+    with pytest.raises(ValueError, match="delay must be at most 20 control steps"):
         envs.make("trivial", randomise={"delay": [0, 1000]})
 
 

@@ -389,7 +389,7 @@ def test_other_things_than_clamps_and_curves_are_refused():
     rod, state = arm(4)
     with pytest.raises(TypeError, match=r"into must be a jaxrod Clamp"):
         jaxrod.actuation.muscle(rod, 1.0, into=state)
-    with pytest.raises(TypeError, match="curve must be one such as"):
+    with pytest.raises(TypeError, match="curve must be a force curve, such as"):
         jaxrod.actuation.muscle(rod, 1.0, curve=np.exp)
     with pytest.raises(ValueError, match="into must be clamps at different ends"):
         jaxrod.actuation.muscle(rod, 1.0, into=(jaxrod.clamp(state),) * 2)

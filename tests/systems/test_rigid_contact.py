@@ -288,7 +288,7 @@ def test_bodies_of_any_shape_touch_with_given_points():
     assert float(contact.loads(seen)["rock"].forces[2][0]) == pytest.approx(
         2e4 * deep, rel=0.3
     )
-    with pytest.raises(ValueError, match=r"cannot see where 'rock' and fixed\[0\]"):
+    with pytest.raises(ValueError, match=r"cannot find where 'rock' and fixed\[0\]"):
         jaxrod.make_system(
             {"rock": rock},
             jaxrod.systems.rigid_contact(

@@ -56,10 +56,10 @@ def fit(
 ) -> Fit:
     """Finds the parameters that fit observations best, and their uncertainty.
 
-    Pure: under `jax.jit` it is one program for all numbers, and `jax.vmap` makes many
-    fits together, of many recordings or of many draws of the noise. A point whose
-    simulation blows up is rejected; the simulation at the initial guess must not blow
-    up.
+    The function is pure: under `jax.jit` it is one program for all numbers, and
+    `jax.vmap` makes many fits at once, to many recordings or with many draws of the
+    noise. The search rejects a point whose simulation blows up. The simulation at the
+    initial guess must not blow up.
 
     Args:
         simulate: Takes parameters by name and returns observations. With

@@ -260,7 +260,7 @@ class Member(ABC):
 
         Args:
             state: State of the member.
-            mean: Velocity `(3,)` relative to which kinetic energy is its own [m/s].
+            mean: Mean velocity `(3,)`, which does not count as motion [m/s].
             dt: Step size [s].
         """
         velocities, spins = state.rates
