@@ -284,7 +284,7 @@ def test_a_nest_comes_to_lie_in_its_pot():
             lambda: assemblies.braid(
                 3, 20, radius=0.05, length=0.2, turns=1, thickness=0.002, **SOFT
             ),
-            "n_elements must be a multiple of 2 strands turns = 6, .* got 20",
+            "a whole number, got 6, and n_elements a multiple of it, got 20",
         ),
     ],
 )

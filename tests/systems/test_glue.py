@@ -336,7 +336,7 @@ def test_glue_of_equal_rods_may_be_made_where_its_numbers_are_traced(listed):
         (
             ("low", "high"),
             {"elements": ([0], [0, 1])},
-            "equally many of both rods, got 1 and 2",
+            "the same number for both rods, got 1 and 2",
         ),
         (
             ("low", "high"),
@@ -359,7 +359,7 @@ def test_glue_of_equal_rods_may_be_made_where_its_numbers_are_traced(listed):
         (
             ("low", "high"),
             {"elements": ([], [])},
-            "equally many of both rods, got 0 and 0",
+            "the same number for both rods, got 0 and 0",
         ),
         (("low", "high"), {"elements": []}, "elements must be a list of .* got"),
         (("low", "high"), {"elements": 3}, "elements must be a list of .* got 3"),

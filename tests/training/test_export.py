@@ -566,7 +566,7 @@ def test_only_what_was_exported_is_replaced(tmp_path):
         export_c(policy, Sized(), file, **more)
 
     file.write_text("mine")
-    with pytest.raises(ValueError, match="it is not replaced"):
+    with pytest.raises(ValueError, match="does not replace it"):
         export(overwrite=True)
     assert file.read_text() == "mine"
     file.unlink()
@@ -576,11 +576,11 @@ def test_only_what_was_exported_is_replaced(tmp_path):
     export(overwrite=True)
     ours = file.read_text()
     file.write_text(ours + "/* tuned by hand */\n")
-    with pytest.raises(ValueError, match="it is not replaced"):
+    with pytest.raises(ValueError, match="does not replace it"):
         export(overwrite=True)
     file.unlink()
     (tmp_path / "policy.h.json").write_text('{"mine": true}')
-    with pytest.raises(ValueError, match="it is not replaced"):
+    with pytest.raises(ValueError, match="does not replace it"):
         export(overwrite=True)
     assert not file.exists()
 

@@ -255,7 +255,7 @@ def test_parts_of_another_run_are_not_taken(copy, tmp_path):
     for name, said in (
         (
             f"checkpoints/{newest}",
-            rf"{newest} is of a run of another config\.json: see",
+            rf"{newest} belongs to a run with another config\.json: see",
         ),
         ("episodes.csv", r"episodes\.csv does not match the checkpoint"),
     ):

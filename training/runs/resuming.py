@@ -140,7 +140,7 @@ def restore(
     folder.remove_temporary(but=(LEARNING_CURVE, REPLAY))
     if damaged:
         warn(
-            f"{'; '.join(damaged)}. Continuing from the previous one, {file.name}",
+            f"{'; '.join(damaged)}. Continuing from {file.name}, the previous one",
             DamagedCheckpointWarning,
         )
     return found
