@@ -152,7 +152,7 @@ class Body(ABC):
         return Solid(self, jnp.zeros(3), jnp.asarray(IDENTITY))
 
     def check(self, rod: Rod) -> None:
-        """Warns if contact with a rod is inaccurate; by default it never is."""
+        """Warns if contact with a rod is inaccurate; by default never."""
         return
 
     def mesh(self) -> Triangles | None:
@@ -755,8 +755,8 @@ def cylinder(start: Numbers, end: Numbers, radius: Numbers) -> Cylinder:
 def pipe(start: Numbers, end: Numbers, radius: Numbers, thickness: Numbers) -> Pipe:
     """A fixed straight pipe, open at both ends: a sheath, a bore, a ring.
 
-    Contact inside of it works like that outside. The wall should be thicker than a rod
-    moves in a step; its thickness changes nothing else inside.
+    Contact inside works like contact outside. The wall should be thicker than the
+    distance that a rod moves in a step. Otherwise its thickness does not matter inside.
 
     Args:
         start: Centre of one end `(3,)` [m].

@@ -181,8 +181,8 @@ class LaplacianFilter(Effect):
 def short_wave_damping(rate: Numbers, *, order: int = 2) -> ShortWaveDamping:
     """Damps variation from node to node, but not momenta, rigid motion or long waves.
 
-    It is stable at any rate. Unlike a filter of fixed strength, it has the same effect
-    at any step size.
+    Steps are stable at any rate. Unlike a filter of fixed strength, this damping has
+    the same effect at any step size.
 
     Args:
         rate: Rate at which motion that alternates from node to node decays [1/s].

@@ -65,8 +65,8 @@ def fit(
         simulate: Takes parameters by name and returns observations. With
             `multiple_shooting` it runs one window: it takes parameters, the window's
             initial state and its known data, and returns the window's observations; for
-            joined windows, also the initial state of the next window. If it is given
-            again without windows, it is not traced again.
+            joined windows, also the initial state of the next window. Without windows,
+            a second fit with the same function does not trace it again.
         observed: Observations, a pytree like the result of `simulate`. Values that are
             not finite count as not observed and are left out. With `multiple_shooting`
             they are stacked on the leading axis by window, or by trajectory and window
