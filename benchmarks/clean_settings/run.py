@@ -1,9 +1,10 @@
 """Accuracy of the `clean` tasks' settings: docs/clean_settings.md.
 
-Compares every task's elements and steps with a converged reference, under recorded
-actions of three seeds, and asks `jaxrod.tune` for the cheapest setting within 1 %.
-Writes a record into records, and the page from it. `--pages` measures nothing and
-writes the page from the record.
+Compares each task, with its numbers of elements and of time steps, with a converged
+reference, under recorded actions of three seeds. Then asks `jaxrod.tune` for the
+cheapest setting with an error within 1 %.
+Writes a record into records, and the page from it. `--pages` measures
+nothing and writes the page from the record.
 """
 
 from __future__ import annotations

@@ -1,9 +1,9 @@
 """Cost of a step, and what each effect adds to it: docs/costs.md.
 
-Compiles one step of the arm (20 elements, float32) bare and with each effect alone,
-in every way of stepping, and times it on one core: one rod, and 256 at once. Writes a
-record into records, and the page from it. `--pages` measures nothing and writes the
-page from the record.
+Compiles one step of the arm (20 elements, float32), bare and with each effect alone,
+for every method. Times the step on one core, for one rod and for a batch of 256.
+Writes a record into records, and the page from it. `--pages` measures
+nothing and writes the page from the record.
 """
 
 from __future__ import annotations
@@ -31,16 +31,23 @@ TIME_STEP = 2e-4
 HEADER = """\
 # What a step costs
 
-Written by `python -m benchmarks costs`; do not edit. The table is for one step of an
-arm with 20 elements in float32. "operations" is the number of arithmetic operations of
-a step in a run, before compiling. "flops" and "bytes" are the numbers that XLA states
-for its compiled program (`cost_analysis`). XLA may compute a value several times if it
-has many uses. The last two columns are the times of a step for a single rod, and for
-each rod in a batch of 256. Times are medians of seven windows on one core, with the
-settings of `jaxrod.configure_cpu`.
+Written by `python -m benchmarks costs`; do not edit.
+
+The last table of this page is for one time step of an arm with 20 elements in float32.
+
+| column | meaning |
+|---|---|
+| operations | arithmetic operations of a step within a run, before compiling |
+| flops, bytes | the counts of XLA for its compiled program (`cost_analysis`) |
+| one rod | the time of a step of a single rod |
+| one of 256 | the time of a step of each rod in a batch of 256 |
+
+XLA may compute a value several times if it has many uses. Times are medians of seven
+windows on one core, with the settings of `jaxrod.configure_cpu`.
+
 {machine}.
 
-An effect that a scene does not contain is not in its program and costs nothing
+An effect that a scene does not contain is not part of its program, so it costs nothing
 (`tests/physics/test_compilation.py`).
 """
 
@@ -155,7 +162,7 @@ def page(record: dict[str, Any]) -> str:
     """The page of a record."""
     lines = [
         HEADER.format(machine=f"Measured on: {record['machine']}"),
-        "| scene | operations | flops | bytes | one rod [us] | of 256 [us] |",
+        "| scene | operations | flops | bytes | one rod [us] | one of 256 [us] |",
         "|---|---:|---:|---:|---:|---:|",
         *map(line, record["rows"]),
     ]

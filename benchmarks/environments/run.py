@@ -1,10 +1,11 @@
 """Control steps per second of every task: docs/environments.md.
 
-Measures all tasks, or the tasks named; other rows of the record do not change. Steps a
-batch of every task and variant in float32 under random actions, without a policy. The
-batch is spread over all cores as in training. Restarts and scores are included. Writes
-a record into records, and the page from it. `--pages` measures nothing and writes the
-page from the record.
+Measures all tasks, or those that you name; other rows of the record
+do not change. Steps a batch of
+every task and variant in float32 under random actions, without a policy. Spreads the
+batch over all cores, as training does. Times include restarts and scores.
+Writes a record into records, and the page from it. `--pages` measures
+nothing and writes the page from the record.
 """
 
 from __future__ import annotations
@@ -47,15 +48,21 @@ WINDOW_SECONDS = 2.0
 HEADER = """\
 # How fast the tasks are
 
-Written by `python -m benchmarks environments`; do not edit. The three columns "per
-core" have control steps per second in float32, with {batches} environments on each of
-{cores} cores. Every control step has new random actions. Values are medians of
-{windows} windows of {seconds:g} s and exclude compiling. The column "control step" is
-the simulated time of a control step, and "steps" is the number of time steps in it.
-"elements" is the number of elements of each rod. All three are the defaults of the
-tasks. "flagged" is the fraction of control steps that a health flag marked. The octopus
-has eight arms, the gripper three fingers and a ball. {lanes}
+Written by `python -m benchmarks environments`; do not edit.
+
+| column | meaning |
+|---|---|
+| control step | simulated time of a control step, by the task's default |
+| elements | number of elements of each rod, by the task's default |
+| steps | number of time steps in a control step, by the task's default |
+| per core | control steps per second, with {batches} environments on each core |
+| flagged | fraction of control steps that a health flag marked |
+
+Runs use {cores} cores and float32. Every control step has new random actions. Values
+are medians of {windows} windows of {seconds:g} s and exclude compiling. The octopus has
+eight arms, and the gripper has three fingers and a ball. {lanes}
 The machine is shared: at a busy hour a task may reach only half of its usual speed.
+
 {machine}.
 
 | task | variant | control step [ms] | elements | steps | {columns} | flagged |

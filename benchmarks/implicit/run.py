@@ -1,9 +1,10 @@
 """Implicit steps, and when they are worthwhile: docs/implicit.md.
 
-Each scene is a rod that is clamped at one end and released under a lateral
-acceleration, in float64 on one core. Errors are the largest distance of the tip from an
-implicit reference, extrapolated from two step sizes, divided by the distance that the
-tip travels. Writes a record into records, and the page from it. `--pages` measures
+Each scene is a rod that is clamped at one end and bends under a lateral acceleration,
+in float64 on one core. The error is the largest distance of the tip from a reference,
+divided by the distance that the tip travels. The reference is extrapolated from
+implicit runs with two step sizes.
+Writes a record into records, and the page from it. `--pages` measures
 nothing and writes the page from the record.
 """
 
@@ -35,28 +36,37 @@ RADIUS = 0.8
 HEADER = """\
 # When implicit steps are worthwhile
 
-Written by `python -m benchmarks implicit`; do not edit. {machine}, one core, float64.
-Rods are 1 m long, clamped and released under a lateral acceleration, without damping.
-The error is the largest distance of the tip from the reference, relative to its travel.
-The cost is wall-clock time per simulated second. "Scaled" means enlarged transverse
-inertia (`scale_inertia`).
+Written by `python -m benchmarks implicit`; do not edit.
+
+Measured on: {machine}, one core, float64.
 
 A step of `jaxrod.implicit({radius})` costs as much as {least:.0f} to {most:.0f}
-explicit ones (table below). Scaled inertia makes explicit steps five to 25 times longer
-on slender rods. Implicit steps therefore pay off only if they can be about a thousand
-times as long as the stable one.
+explicit steps (first table). On slender rods, scaled inertia makes explicit steps five
+to 25 times as long. Implicit steps are therefore worthwhile only if they can be about a
+thousand times as long as the stable explicit step.
 """
 STEPS_HEADER = """\
 ## A step
 
-Processor time of a step [us] of the steel wire below, in jaxrod's kernels and in XLA.
-The implicit step is 4,000 times as long as the stable explicit one. "One of 64" is a
-step of one rod in a batch of 64. "Gradient" is the time of a step within the gradient
-of a run of 100 steps. "First call" is the processor time from the call to the first
-result [s], with tracing and compiling.
+The table gives processor times for the steel wire below, in jaxrod's kernels and in
+XLA. The implicit step is 4,000 times as long as the stable explicit
+step. "One of 64" is a step of one rod in a batch of 64. "Gradient" is the time of a
+step within the gradient of a run of 100 steps. "First call" is the time from the call
+to the first result, including tracing and compiling.
 
-| elements | | kernels | XLA | first call, kernels | XLA |
+| elements | step | kernels [us] | XLA [us] | first call, kernels [s] \
+| first call, XLA [s] |
 |---:|---|---:|---:|---:|---:|
+"""
+STUDIES_HEADER = """\
+## Whole motions
+
+Each rod is 1 m long and clamped at its base. It starts straight and at rest, and a
+lateral acceleration bends it, without damping. The error is the largest distance of the
+tip from a reference, relative to the distance that the tip travels. The reference is
+extrapolated from implicit runs with shorter steps. The cost is wall-clock time per
+second of motion. "Scaled" means that `scale_inertia` has enlarged the transverse
+inertia.
 """
 
 
@@ -87,7 +97,7 @@ class Study:
 
 STUDIES = (
     Study(
-        "Steel wire, 2 mm thick, n = 20",
+        "Steel wire, 2 mm thick, 20 elements",
         20,
         1e-3,
         2e11,
@@ -97,7 +107,7 @@ STUDIES = (
         (1e-2, 5e-3, 2.5e-3),
     ),
     Study(
-        "Rope, 4 mm thick, 10 MPa, n = 50, pulled slowly (g/1000)",
+        "Rope, 4 mm thick, 10 MPa, 50 elements, under an acceleration of g/1000",
         50,
         2e-3,
         1e7,
@@ -107,7 +117,7 @@ STUDIES = (
         (1e-1, 5e-2, 2e-2),
     ),
     Study(
-        "The same rope dropped (g)",
+        "The same rope under an acceleration of g",
         50,
         2e-3,
         1e7,
@@ -117,7 +127,7 @@ STUDIES = (
         (2.5e-2, 1.25e-2, 5e-3),
     ),
     Study(
-        "Arm, 10 cm thick, 1 GPa, n = 20",
+        "Arm, 10 cm thick, 1 GPa, 20 elements",
         20,
         0.05,
         1e9,
@@ -269,8 +279,9 @@ def page(record: dict[str, Any]) -> str:
     )
     table = "\n".join(map(step_line, record["step"]))
     lines = [header, STEPS_HEADER + table + "\n"]
+    lines += [STUDIES_HEADER]
     for name, found in record["studies"].items():
-        lines += [f"## {name}\n", "| steps | dt [s] | error | cost [s/s] |"]
+        lines += [f"### {name}\n", "| steps | dt [s] | error | cost [s/s] |"]
         lines += ["|---|---:|---:|---:|", *map(study_line, found), ""]
     return "\n".join(lines)
 

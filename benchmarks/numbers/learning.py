@@ -140,7 +140,7 @@ def clean() -> Iterator[Quote]:
     every = [record for runs in found.values() for record in runs]
     yield Quote(
         LEARNING,
-        "none of the {} complete training episodes",
+        "marked any of the {} complete training episodes",
         (whole(sum(record["episodes"] for record in every)),),
     )
     for (case, learner), runs in found.items():

@@ -351,7 +351,7 @@ def on_a_gpu() -> Iterator[Quote]:
     warps, xla = cells(H100, "warps"), cells(H100, "XLA")
     yield Quote(
         PERFORMANCE,
-        "| PPO on `tracking`, 10 million control steps, compiling included [s] "
+        "| PPO on `tracking`, 10 million control steps, including compiling [s] "
         "| {} | {} |",
         (warps[2], xla[2]),
     )

@@ -128,8 +128,14 @@ def faults() -> Iterator[Quote]:
             shown += [whole(mean(run["outside"][n] for run in runs)) for n in (0, 1)]
         yield Quote(FAULTS, text, tuple(shown))
     one = {
-        "| PPO without memory, critic that sees everything |": ("mlp-privileged", 4),
-        "| recurrent PPO, critic that sees everything |": ("recurrent-privileged", 4),
+        "| PPO without memory, with a critic that sees everything |": (
+            "mlp-privileged",
+            4,
+        ),
+        "| recurrent PPO, with a critic that sees everything |": (
+            "recurrent-privileged",
+            4,
+        ),
         "| recurrent PPO | 20 million |": ("recurrent", 20),
         "| PPO without memory | 20 million |": ("mlp", 20),
         "| recurrent PPO | 60 million |": ("recurrent", 60),
@@ -139,12 +145,12 @@ def faults() -> Iterator[Quote]:
         shown = [_return(run), *map(whole, run["outside"])]
         yield Quote(FAULTS, f"{words} {{}} | {{}}; {{}} |", tuple(shown))
     delayed = run_of("mlp-delay", 0, 4)
-    yield Quote(FAULTS, "the delay alone | {} |", (_return(delayed),))
+    yield Quote(FAULTS, "with the delay as the only fault | {} |", (_return(delayed),))
     for side in ("softer", "stiffer"):
         runs = [run_of(f"ideal-{side}", seed, 4) for seed in range(3)]
         place = 0 if side == "softer" else 1
         returns = tuple(whole(run["outside"][place]) for run in runs)
-        before = "returns" if side == "softer" else "and on the stiffer one"
+        before = "PPO reaches" if side == "softer" else "stiffer arm it reaches"
         yield Quote(FAULTS, f"{before} {{}}, {{}} and {{}}", returns)
     memory, without, ideal = (
         mean(run_of(name, seed, 4)["return_without_noise"] for seed in range(3))
@@ -152,8 +158,8 @@ def faults() -> Iterator[Quote]:
     )
     yield Quote(
         FAULTS,
-        "recurrent PPO returns {} % of what PPO returns without the faults, and {} "
-        "times as much as PPO without memory",
+        "recurrent PPO reaches {} % of the return of PPO without the faults, and {} "
+        "times that of PPO without memory",
         (whole(100 * memory / ideal), digits(memory / without)),
     )
     found = run_of("faults", 0, 4)
@@ -182,7 +188,8 @@ def faults() -> Iterator[Quote]:
     longer = run_of("imitator", 0, 3)
     yield Quote(
         FAULTS,
-        "the imitator returns {}, and {} and {} on the softer and the stiffer arm",
+        "the imitator reaches {}. On the softer and on the stiffer arm it reaches "
+        "{} and {}",
         (_return(longer), *map(whole, longer["outside"])),
     )
 

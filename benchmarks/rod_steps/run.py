@@ -1,11 +1,11 @@
 """Measure rod-steps per second on this machine, compared with PyElastica.
 
-The arm has 20 elements and is clamped, damped and actuated. Batches of it are stepped
-in float32 and float64, with both elastic laws, spread over the CPU cores. (A single arm
-runs on one core.) PyElastica steps the same arm in the same run, before, between and
-after. On a busy machine, compare ratios instead of rates. Compiling is not counted. A
-rate is the median of at least five windows. Before a batch is timed, its arms are
-compared with a single one.
+The arm has 20 elements and is clamped, damped and actuated. The command steps batches
+of it in float32 and float64, with both elastic laws, spread over the CPU cores. (A
+single arm runs on one core.) PyElastica steps the same arm in the same run, before,
+between and after the batches. On a busy machine, compare ratios instead of rates. Rates
+exclude compiling. A rate is the median of at least five windows. Before it times a
+batch, the command compares the arms of the batch with a single one.
 """
 
 from __future__ import annotations
@@ -55,7 +55,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         type=float,
         default=1.5,
         metavar="S",
-        help="time to measure each row, and PyElastica each time (default: 1.5)",
+        help="time of each measurement [s] (default: 1.5)",
     )
     parser.add_argument(
         "--devices",
