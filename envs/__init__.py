@@ -1,7 +1,7 @@
 """Tasks for soft arms: their controls, observations and rewards."""
 
 if __name__ != "jaxrod.envs":
-    raise ImportError("import jaxrod.envs, not envs: the folder is installed under it")
+    raise ImportError("import jaxrod.envs, not envs: the folder has this name")
 
 from difflib import get_close_matches
 from typing import TYPE_CHECKING

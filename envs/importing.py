@@ -142,7 +142,7 @@ def check_trusted(where: str, trust: Collection[str]) -> None:
     if _is_standard(place):
         raise UntrustedError(
             f"{where!r} is not imported: {place.partition('.')[0]!r} is a module of "
-            "Python's own, which no file may name"
+            "Python's standard library, which no file may name"
         )
     if where in trust or place in trust:
         return
@@ -207,7 +207,7 @@ def _by_name(name: str) -> ModuleType:
     if not _dotted(name):
         raise NotThereError(f"{name!r} is neither the name of a module nor a .py file")
     if _is_standard(name):
-        raise NotThereError(f"{name!r} is a module of Python's own, without tasks")
+        raise NotThereError(f"{name!r} is a module of Python's library, without tasks")
     try:
         return importlib.import_module(name)
     except ModuleNotFoundError as error:

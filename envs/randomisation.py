@@ -361,7 +361,7 @@ def _widening(given: Any) -> dict[str, Any]:
                 "start, step"
             )
     if "above" not in given:
-        raise ValueError("widening needs above, the mean return that widens")
+        raise ValueError("widening needs above, the mean return that widens the ranges")
     rule = {
         name: float(check_array(f"{name} of widening", given[name], [()], ""))
         for name in ("above", "below")

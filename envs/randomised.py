@@ -171,8 +171,8 @@ class Randomised(EnvironmentWrapper):
         ):
             if steps > self.env.episode_length:
                 raise ValueError(
-                    f"{name} must be at most an episode of {self.env.episode_length} "
-                    f"control steps, got {steps:g}"
+                    f"{name} must be at most {self.env.episode_length} control steps, "
+                    f"the length of an episode, got {steps:g}"
                 )
         self._groups("noise")
         self._groups("dropout")
@@ -581,8 +581,8 @@ def _entries(
             begin, end = int(first), int(last or first)
             if not begin <= end < size:
                 raise ValueError(
-                    f"{option} names the entries {part.strip()} of an observation of "
-                    f"{size}, from 0 to {size - 1}"
+                    f"{option} names the entries {part.strip()}, but an observation "
+                    f"has entries from 0 to {size - 1}"
                 )
             mask[begin : end + 1] = True
         return mask

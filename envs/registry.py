@@ -99,7 +99,7 @@ def factory_of(task: str) -> Callable[..., Any]:
     """
     if task not in _FACTORIES and ":" not in task:
         raise ValueError(
-            f"task must be one of {', '.join(names())}, or say where your own is made, "
+            f"task must be one of {', '.join(names())}, or the path of your own, "
             f"such as mypackage.mymodule:make_task; got {task!r}"
             + (f": add its class, {task}:NAME" if task.endswith(".py") else "")
         )

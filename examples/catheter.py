@@ -11,7 +11,7 @@ from jaxrod import shapes
 N_ELEMENTS, LENGTH, RADIUS = 40, 0.16, 0.001
 LUMEN, BEND, STRAIGHT = 0.0025, 0.05, 0.17  # radii of vessel and bend, way to it [m]
 MODULUS, SPEED, END = 1e9, 0.1, 1.2  # [Pa], [m/s], [s]
-NUMBER = "energy per way of the catheter, and per length of the bend [J/m]"
+NUMBER = "energy per metre of push, and per metre of a bent rod [J/m]"
 LOOK = {"frame": -1, "azimuth": 20, "elevation": 30, "field": "bending [1/m]"}
 
 

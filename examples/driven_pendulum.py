@@ -1,7 +1,7 @@
 """A pendulum whose pivot is shaken: an upside-down rod stands up (Kapitza, 1951).
 
-Upright is stable if amplitude x angular frequency > sqrt(2 g l), with l = 2/3 of the
-length of a uniform rod. The energy of the rod changes by the work of the pivot.
+The upright position is stable if amplitude x angular frequency > sqrt(2 g l), with
+l = 2/3 of the length of a uniform rod. The pivot's work changes the rod's energy.
 """
 
 import math

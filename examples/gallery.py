@@ -1,8 +1,9 @@
 """The gallery: shows one scene, or runs all and writes docs/gallery.md.
 
-Each scene is a module here with `build() -> model, state, dt`, `run(share) -> replay,
-measured, reference`, a NUMBER as text and how to LOOK at it. The words of the page are
-in gallery.toml. `python examples/gallery.py --help` lists what it can run.
+Each scene is a module in this folder. It has `build() -> model, state, dt`,
+`run(share) -> replay, measured, reference`, a text NUMBER that describes the two
+numbers, and a view LOOK for the picture. The words of the page are in gallery.toml.
+`python examples/gallery.py --help` lists the options.
 """
 
 import argparse
@@ -27,7 +28,7 @@ RECORDS = DOCS / "gallery" / "records.json"
 WORDS = tomllib.loads((HERE / "gallery.toml").read_text())
 LESSONS = WORDS.pop("lessons")
 SCENES = tuple(name for names in LESSONS.values() for name in names)
-# Numbers of what the change of a scene lets one see, from its replay.
+# Numbers that show the change of a scene, from its replay.
 SEEN = {
     # Distance of a tip from its root over the length of an arm.
     "octopus": lambda replay: np.linalg.norm(
@@ -39,10 +40,10 @@ SEEN = {
 HEAD = """\
 # Gallery
 
-Each scene is a program of at most 80 lines. It checks one number against a known value.
-Run it from a checkout: it writes a picture and a replay to the folder `runs`. Change it
-as suggested, and run it again. On the site each picture moves: it is a
-[replay](pictures.md) that you can turn, stop and slow.
+Each scene is a program of at most 80 lines, which compares one number with a known
+value. Run it from a checkout: it writes a picture and a replay to the folder `runs`.
+Then make the suggested change and run it again. On the site each picture is a
+[replay](pictures.md) that you can turn, stop and slow down.
 
 `python examples/gallery.py` wrote this page.
 """
@@ -141,12 +142,21 @@ def thumbnail(name):
     return f'<a href="#{anchor}" title="{title(name)}">{picture}</a>'
 
 
+def written(number):
+    """A number of a record, with four digits unless it is a round one.
+
+    Records have four digits, but a zero at the end is lost: 0.4230 is 0.423 there.
+    """
+    text = f"{number:g}"
+    digits = text.partition("e")[0].replace(".", "").lstrip("-0")
+    return f"{number:#.4g}" if "." in text and len(digits) == 3 else text
+
+
 def entry(name, words, numbers):
     """A scene's part of the page, from its words and its numbers."""
     steps, step = numbers["steps_per_second"], numbers["step_ms"]
     motion = float(f"{1e-3 * steps * step:.2g}")
-    shown = {key: f"{number:g}" for key, number in numbers.items()}
-    shown["measured"] = f"{numbers['measured']:#.4g}"  # 0.4230 as well
+    shown = {key: written(number) for key, number in numbers.items()}
     return f"""
 ### {title(name)}
 
@@ -164,8 +174,9 @@ def entry(name, words, numbers):
 
 **Change it.** {words["then"].format(**shown)}
 
-`python examples/{name}.py` ([program](../examples/{name}.py)). A second of processor
-time makes {steps:,.0f} steps of {step:.3g} ms, which is {motion:g} s of motion.
+`python examples/{name}.py` runs it ([program](../examples/{name}.py)). One second of
+processor time suffices for {steps:,.0f} steps of {step:.3g} ms, or {motion:g} s of
+motion.
 """
 
 

@@ -15,7 +15,7 @@ from jaxrod import actuation, schedules, shapes, systems
 N, LENGTH, RADIUS, BALL = 10, 0.1, 0.008, 0.03  # [1], [m], [m], [m]
 CLOSED, HELD, LIFTED, END = 0.6, 1.6, 2.6, 3.2  # [s]
 LIFT, PRESSURE = 0.08, 1e5  # [m], [Pa]
-NUMBER = "way of the ball, and way of the fingers [m]"
+NUMBER = "rise of the ball, and rise of the fingers [m]"
 LOOK = {"frame": -1, "azimuth": 30, "elevation": 12, "field": "bending [1/m]"}
 LAW = {"damping": 10.0, "friction": 0.8, "friction_drag": 10.0}
 

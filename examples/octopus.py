@@ -1,7 +1,7 @@
 """An octopus: eight soft arms on a rigid head, curled by muscles along them.
 
-All arms are one member, equal rods in one leaf, attached exactly to the head. Muscles
-on the lower side of each arm contract. The animal is free, so its momentum stays zero.
+All arms are one member of a system. A joint attaches them to the head. Muscles on the
+lower side of each arm contract. The animal is free, so its momentum stays zero.
 """
 
 import gallery
@@ -12,7 +12,7 @@ import jaxrod
 from jaxrod import actuation, schedules, shapes, systems
 
 N_ARMS, N_ELEMENTS, LENGTH, HEAD = 8, 12, 0.2, 0.03  # [1], [1], [m], [m]
-NUMBER = "drift of the centre of mass in a second over the length of an arm, and zero"
+NUMBER = "drift of the centre of mass in a second, in arm lengths, and zero"
 LOOK = {"frame": 44, "azimuth": 25, "elevation": 22}
 
 

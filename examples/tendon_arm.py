@@ -1,7 +1,7 @@
 """Four tendons move the tip of an arm along a figure eight.
 
-One tendon of tension T at the offset a bends an arm everywhere by T a / EI, and by 3 %
-more if it is straight between 20 eyelets. The four tendons share the load.
+One tendon of tension T at the offset a bends an arm to the curvature T a / EI. If it is
+straight between 20 eyelets, the curvature is 3 % larger.
 """
 
 import math

@@ -1,7 +1,7 @@
 """A winch: a drum that turns winds up a rope and lifts a weight.
 
-The base of the rope is fixed on the drum. Static friction holds what is wound up. The
-length on the drum is its radius, and that of the rope, times the angle.
+The base of the rope is fixed on the drum. Static friction holds the rope on the drum.
+The length on the drum is the angle times the sum of the radii of drum and rope.
 """
 
 import argparse

@@ -167,12 +167,12 @@ def _check_place(target: Path, overwrite: bool) -> None:
             _contents(target)
     except (ValueError, OSError) as error:
         raise ValueError(
-            f"{target} is there already, and jaxrod.save has not written it: choose "
-            "another path, or remove it"
+            f"{target} exists, and jaxrod.save has not written it: choose another "
+            "path, or remove it"
         ) from error
     if not overwrite:
         raise FileExistsError(
-            f"{target} is there already: jaxrod.save(..., overwrite=True) replaces it"
+            f"{target} exists: jaxrod.save(..., overwrite=True) replaces it"
         )
 
 

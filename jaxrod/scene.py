@@ -182,7 +182,7 @@ class Scene(LoadedRod, Model, Hinted):
     def step_warning(self, dt: Array, state: Any) -> tuple[str | None, bool]:
         """Tests whether a concrete step is stable.
 
-        Returns the text of a warning, `None` if the step is stable; and whether the
+        Returns the text of a warning, or `None` if the step is stable; and whether the
         step may become unstable if the rod is compressed further.
         """
         return scene_step_warning(self, dt, state)
@@ -367,8 +367,8 @@ def _check_evolution(scene: Scene) -> None:
             )
         if type(effect).damping_rates is not Effect.damping_rates:
             raise ValueError(
-                f"damping rates are computed once, but {name}, which has some, "
-                "depends on time or has memory"
+                f"{name} has damping rates, so it must neither depend on time nor "
+                "have memory: a run computes them once"
             )
     if scene.evolves:
         scene.method.check_evolving(scene)

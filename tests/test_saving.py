@@ -344,7 +344,7 @@ def test_files_are_replaced_only_when_they_are_ours(tmp_path):
     for other in (*others, tmp_path / "dangling"):
         if other.name == "dangling":
             other.symlink_to(tmp_path / "nowhere")
-        with pytest.raises(ValueError, match=rf"{other.name} is there already, and"):
+        with pytest.raises(ValueError, match=rf"{other.name} exists, and"):
             jaxrod.save(other, 3, overwrite=True)
     assert others[0].read_text() == "mine" and jaxrod.load(path) == 2
     assert not os.path.lexists(tmp_path / "nowhere")

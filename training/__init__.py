@@ -2,7 +2,7 @@
 
 if __name__ != "jaxrod.training":
     raise ImportError(
-        "import jaxrod.training, not training: the folder is installed under it"
+        "import jaxrod.training, not training: the folder is installed as it"
     )
 
 try:

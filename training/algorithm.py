@@ -211,7 +211,7 @@ def find_algorithm(name: str, trust: Collection[str] | None = None) -> Algorithm
     found = find_object(built_in) if built_in else find_object(name, trust)
     if not isinstance(found, Algorithm):
         raise ValueError(
-            f"algorithm {name!r} must be a jaxrod.training.Algorithm, it is "
+            f"algorithm {name!r} must be a jaxrod.training.Algorithm, got "
             f"a {type(found).__name__}"
         )
     return found

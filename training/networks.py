@@ -281,7 +281,7 @@ def own_network(network: NetworkFactory, role: str, output_size: int) -> nn.Modu
     if not isinstance(module, nn.Module):
         raise ValueError(
             "network must make flax modules (flax.linen.Module) or pairs of functions "
-            f"(init, apply), for {role!r} it made a {type(module).__name__}"
+            f"(init, apply), but for {role!r} it made a {type(module).__name__}"
         )
     # Weights are stored under the names given here; a module's own name would hide
     # them.
@@ -396,15 +396,15 @@ def check_outputs(
         if shape != (*leading, output_size):
             raise ValueError(
                 f"network must map inputs of shape {(*leading, inputs.size)} to "
-                f"outputs of shape {(*leading, output_size)}, "
-                f"{type(network).__name__} makes "
-                f"{'several arrays' if shape is None else shape} of them"
+                f"outputs of shape {(*leading, output_size)}, but "
+                f"{type(network).__name__} returns "
+                f"{'several arrays' if shape is None else shape}"
             )
         before = jax.eval_shape(lambda memory: memory, memory)
         if before != after:
             raise ValueError(
                 "network must keep the form of its memory: "
-                f"{type(network).__name__} makes {after} of {before}"
+                f"{type(network).__name__} turns {before} into {after}"
             )
 
 

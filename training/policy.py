@@ -271,7 +271,7 @@ def with_noise(policy: Any, seed: int = 0) -> NoisyPolicy:
     if getattr(policy, "action_std", None) is None:
         raise ValueError(
             "policy must have an action_std, as those of ppo, trpo and shac have, "
-            f"got a {type(policy).__name__} without"
+            f"got a {type(policy).__name__} without one"
         )
     return NoisyPolicy(policy, jax.random.key(check_seed(seed)))
 
@@ -354,7 +354,7 @@ def load_policy(folder: str | Path, like: Any = None) -> Any:
     for file in (texts, numbers):
         if not file.is_file():
             raise ValueError(
-                f"{folder} must hold policy.json and policy.npz, lacks {file.name}"
+                f"{folder} must hold policy.json and policy.npz, but lacks {file.name}"
             )
     description = read_json(texts)
     with reading(texts):
@@ -466,8 +466,8 @@ def _put_into(like: Any, file: Path, arrays: dict[str, np.ndarray]) -> Any:
     )
     if apart:
         raise ValueError(
-            f"{file} is of another policy than the algorithm and the settings of this "
-            f"run make: it {apart}"
+            f"{file} does not fit the algorithm and the settings of this run: it "
+            f"{apart}"
         )
     with reading(file):
         for name, array in arrays.items():
@@ -491,7 +491,7 @@ def _check_description(description: dict[str, Any]) -> None:
         return
     if description.get("format") != PERCEPTRON:
         raise ValueError(
-            f"it is of format {description.get('format')!r}, this version reads "
+            f"it is of format {description.get('format')!r}, but this version reads "
             f"formats {PERCEPTRON} and {PYTREE}"
         )
     check_entries(

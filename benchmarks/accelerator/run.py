@@ -1,7 +1,7 @@
 """Numbers and speed of a GPU: warps compared with XLA and the CPU.
 
-Every section prints both programs, measured one after another on the same device.
-Compiling is not counted, but its time is printed.
+Every section measures both programs one after another on the same device, and prints
+them. Speeds exclude compiling, whose time is listed separately.
 """
 
 from __future__ import annotations

@@ -47,27 +47,27 @@ the settings that several learners share. The first two tables list every settin
 its default. The first and the third list every setting of the grid, which is all
 combinations of a task (a case of the paper) and a learner.
 
-In a decision the policy chooses an action. The action is held for one control step, or
-for `action_repeat` control steps, whose rewards are summed. All numbers of steps on
-this page are control steps, unless stated otherwise. An exported policy states its
-`action_repeat`; evaluations and replays apply it.
+In a decision the policy chooses an action. The action is held for `action_repeat`
+control steps, by default one, and their rewards are summed. All numbers of steps on
+this page are control steps, unless stated otherwise. An exported policy contains its
+`action_repeat`; evaluations and replays use it.
 
 Off-policy learners (SAC, TD3 and DDPG) alternate between `num_envs * rollout_steps`
-decisions and `gradient_steps` gradient steps. By default these are 1024 control steps,
+decisions and `gradient_steps` gradient steps. By default there are 1024 control steps,
 and 64 gradient steps on 256 transitions each. That is one gradient step for every 16
-control steps, and each new transition is used 16 times. The reference makes one
+control steps, and each transition is used 16 times. The reference makes one
 gradient step for each control step (DDPG: one for two) on 64 (SAC) or 128 transitions,
 so it uses each transition 64 to 128 times. A gradient step takes as much time as dozens
-of control steps of an arm. If you have few samples and much time, first increase the
-gradient steps per control step. Then reduce `num_envs`: the first episodes end only
-after `num_envs` times the episode length.
+of control steps of an arm. If control steps are scarce and time is not, first increase
+the number of gradient steps per control step. Then reduce `num_envs`, because the first
+episodes end only after `num_envs` times the episode length.
 
 ## Differences from the reference
 
 The table lists every difference between our settings and those of the paper. The
 settings in a row for a single case replace those in the row for all cases.
 `jaxrod reproduce` runs every case with these settings (`benchmarks/paper/settings.py`).
-They are the same for all seeds. Each run makes as many whole updates as fit into its
+All seeds use the same settings. Each run makes as many whole updates as fit into its
 control steps. [Reproducing the benchmark](reproduce.md) explains the reasons. We chose
 the settings by [these runs](../benchmarks/paper/tried.md), and the page of
 [results](../benchmarks/paper/records/results.md) has the returns. If a cell has several
@@ -80,37 +80,37 @@ Two tasks have obstacles: `structured` and `unstructured`. In their variant `cle
 control step takes less time to compute ([how fast the tasks are](environments.md)), and
 no published number of control steps limits a run. Runs therefore use more environments,
 two to six million control steps, and actions held for 4 or 7 ms. For these cases
-`jaxrod reproduce --variant clean` uses the settings below instead of those above. TRPO
-and DDPG were not tried in `clean`, and use the settings above.
+`jaxrod reproduce --variant clean` uses the settings below instead of those above. We
+did not try TRPO and DDPG in `clean`: they use the settings above.
 """
 
 BY_GRADIENTS = """\
 ## Learners that use gradients of the simulation
 
 `dagger` fits a network to the actions of a planner
-([DAgger](https://arxiv.org/abs/1011.0686)). The policy acts. At every decision the
-planner computes a better action, with the simulation as its model. For this it
-simulates `lookahead` control steps with the policy's action, and takes one Gauss-Newton
-step on the task's residuals at their end. The network is fitted by least squares to all
-improved actions so far. `dagger` needs a task with `predict` and `residuals`
-([planning](planning.md)) and uses no reward. [Learning by gradients](first_order.md)
-compares it with PPO. In `progress.csv` the column `model_steps` counts the control
-steps that the planner simulates; they are not part of the steps of the run. The table
-below omits settings that all learners share (`jaxrod.training.LearnerConfig`). `dagger`
-rejects two of these, `discount` and `reward_scale`.
+([DAgger](https://arxiv.org/abs/1011.0686)). The policy acts, and at every decision the
+planner computes a better action. It simulates `lookahead` control steps with the
+policy's action, and takes one Gauss-Newton step on the task's residuals at their end.
+A least-squares fit then adapts the network to all improved actions so far. `dagger`
+needs a task with `predict` and `residuals` ([planning](planning.md)) and uses no
+reward. [Learning by gradients](first_order.md) compares it with PPO. In `progress.csv`
+the column `model_steps` counts the control steps that the planner simulates. The steps
+of the run do not include them. The table below omits settings that all learners share
+(`jaxrod.training.LearnerConfig`). `dagger` rejects two of these, `discount` and
+`reward_scale`.
 
 `shac` ([short-horizon actor-critic](https://arxiv.org/abs/2204.07137)) maximises the
 return of a short window plus the value of its final state, by gradients through the
 simulation. With `critic=false` there is no such value, and the learner is the analytic
 policy gradient (APG). By default the reward is minus the task's smooth cost. With
-`objective=reward` it is the task's reward, whose bonuses have no gradient. Updates with
-a gradient that is not finite are skipped. The column `skipped` of `progress.csv` counts
-them.
+`objective=reward` it is the task's reward, whose bonuses have no gradient. `shac` skips
+an update if the gradient is not finite, and the column `skipped` of `progress.csv`
+counts these updates.
 
 `jaxrod.training.warm_start(PPO, policy)` is PPO that starts from a trained policy, for
 example one from `dagger`. Its configuration needs the policy's `hidden_sizes` and
-`action_repeat`, and a small `initial_log_std`. With `gru_units` the policy becomes a
-recurrent one. `python -m benchmarks best_learners TASK` trains in this way for
+`action_repeat`, and a small `initial_log_std`. With `gru_units` the policy becomes
+recurrent. `python -m benchmarks best_learners TASK` trains in this way for
 `tracking` and `reaching`. The page [Optimum](optimum.md) has the results.
 """
 

@@ -1,7 +1,8 @@
 """Returns of random actions and of a task's script.
 
-Random: actions drawn uniformly from [-1, 1] in every control step, 256 episodes.
-Scripted: the task's `scripted_action`, 16 episodes. In single precision, as trained.
+Random actions are uniform in [-1, 1] and change in every control step; they act in 256
+episodes. The script is the task's `scripted_action`, which acts in 16 episodes. All
+runs use single precision, as training does.
 """
 
 from __future__ import annotations

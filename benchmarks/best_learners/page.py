@@ -13,59 +13,69 @@ from jaxrod.files import read_json
 SECTION = """
 ## Best learner of each task
 
-`python -m benchmarks best_learners` trains, for each task, the best learner known.
-Where two are named, the second starts from the first one's policy
-(`jaxrod.training.warm_start`). The resulting policy is evaluated without noise on
-{episodes} episodes in `tracking` and `reaching` (seed {seed} of `evaluate`). In
-`structured` and `unstructured` nothing is random and all episodes are identical, so a
-few suffice. Settings were chosen with runs of seed 100 on other episodes (seed 1).
-Exceptions are the earlier settings of `dagger` ([seed 0](first_order.md)) and of PPO in
-the obstacle tasks ([seed 10](../benchmarks/clean/tried.md)), and those listed below.
+`python -m benchmarks best_learners` trains the best learner that we know for each task.
+If a row names two learners, the second starts from the policy of the first
+(`jaxrod.training.warm_start`). In `tracking` and `reaching` the final policy acts
+without noise in {episodes} episodes (seed {seed} of `evaluate`). In `structured` and
+`unstructured` nothing is random. All their episodes are identical, so a few suffice.
+
+We chose the settings by runs with seed 100 in other episodes (seed 1). Exceptions are
+the earlier settings of `dagger` ([seed 0](first_order.md)), those of PPO in the
+obstacle tasks ([seed 10](../benchmarks/clean/tried.md)), and those listed below.
 
 | column | meaning |
 |---|---|
-| share | mean return divided by mean ceiling, of the same episodes |
-| from the mean | largest deviation of a seed from the mean of all seeds |
-| least share | smallest share of any episode of any seed |
+| learners | each learner with its number of control steps |
+| score | mean over the seeds, with the smallest and largest in brackets |
+| share | mean return divided by the mean ceiling of the same episodes |
+| shares of the seeds | smallest and largest share of a seed |
+| largest deviation | of a seed's score from the mean of all seeds |
+| lowest share | the lowest share of the ceiling in any episode of any seed |
 | below half | episodes with a return below half of their ceiling |
 
 If a target is so far out of reach that the ceiling is not positive, the episode counts
 in the scores but in no share. Times are those of training, including compiling.
 
-| task | learners | seeds | score | share | of a seed | from the mean | least share \
-| below half | processor [s] |
+| task | learners | seeds | score | share | shares of the seeds | largest deviation \
+| lowest share | below half | processor [s] |
 |---|---|---:|---:|---:|---:|---:|---:|---:|---:|
 """
 EVERY = """
 ### Every seed
 
-| task | seed | score | share | least share | below half | no ceiling | flagged \
-| score of the first | processor [s] | of it compiling [s] |
+"No ceiling" is the number of episodes whose ceiling is not positive. "Flagged" is the
+number of episodes that a health flag marked. "First learner" is the score of the first
+learner's policy, in the 64 episodes of seed 1.
+
+| task | seed | score | share | lowest share | below half | no ceiling | flagged \
+| first learner | processor [s] | of which compiling [s] |
 |---|---:|---:|---:|---:|---:|---:|---:|---:|---:|---:|
 """
 TRIED = """
-Other runs of the same kind, on the 64 episodes of seed 1 unless noted:
+Other runs of the same kind follow. Their policies act in the 64 episodes of seed 1,
+unless noted:
 
-- `tracking` with PPO for 20,000,000 control steps, seeds 0 to 4 in the episodes of the
-  table: 12,591 (12,275 to 12,872), 91.8% of their ceilings; 22 of 1,275 episodes below
-  half. After 600,000 control steps of `dagger` and 10,000,000 of PPO, the same seeds:
-  12,440 (12,227 to 12,523), 90.7%.
+- `tracking`, seeds 0 to 4 in the episodes of the table: with PPO for 20,000,000 control
+  steps the mean score is 12,591 (12,275 to 12,872), or 91.8% of the ceilings. 22 of
+  1,275 episodes are below half. With 600,000 control steps of `dagger` and then
+  10,000,000 of PPO, the mean score is 12,440 (12,227 to 12,523), or 90.7%.
 - `tracking`, seed 100: `dagger` reaches 11,482. From there PPO reaches 12,753 after
-  5,000,000 control steps, and 12,642 after 10,000,000 with four `epochs` instead of
-  eight. With episodes of 1500 control steps for both (`short_length`), more targets
-  start so close to a wall that they never move away from it. `dagger` then reaches
-  11,015, and PPO 12,646 after 6,000,000.
-- `tracking` with PPO alone, seed 100, `action_repeat` 4, `rollout_steps` 64, `discount`
-  0.97 and two layers of 128, reaches 11,599 after 4,000,000 of 20,000,000 control steps
-  and 67 s of processor time. The run was stopped there.
-- `reaching` after 600,000 control steps of `dagger` and 6,000,000 of PPO with
-  `learning_rate` 3e-4, seed 0, on the episodes of the table: 6,055. `dagger` alone,
-  with 1,500,000 control steps, [reaches 6,295](first_order.md) in the mean of five
-  seeds on the 64 episodes. The table above shows the gain by PPO for each seed.
-- `reaching`, seed 100: `dagger` reaches 5,401, and 5,000,000 further control steps of
-  PPO 6,546. At first PPO loses, to 4,726 after a third of its steps, because its value
-  function is untrained.
-- `structured` and `unstructured`, seed 100, 3,000,000 control steps: 6,990 and 6,981.
+  5,000,000 control steps. With four `epochs` instead of eight it reaches 12,642 after
+  10,000,000. With episodes of 1500 control steps for both learners (`short_length`),
+  more targets start so close to a wall that they never move away from it. `dagger` then
+  reaches 11,015, and PPO 12,646 after 6,000,000.
+- `tracking`, seed 100, PPO alone, with `action_repeat` 4, `rollout_steps` 64,
+  `discount` 0.97 and two layers of 128: it reaches 11,599 after 4,000,000 of 20,000,000
+  control steps and 67 s of processor time. We stopped the run there.
+- `reaching`, seed 0 in the episodes of the table: with 600,000 control steps of
+  `dagger` and then 6,000,000 of PPO (`learning_rate` 3e-4) the score is 6,055. In the
+  64 episodes `dagger` alone [reaches 6,295](first_order.md) with 1,500,000 control
+  steps, as a mean of five seeds. The table above shows the gain by PPO for each seed.
+- `reaching`, seed 100: `dagger` reaches 5,401. With 5,000,000 further control steps PPO
+  reaches 6,546. At first its score falls, to 4,726 after a third of these steps,
+  because its value function is untrained.
+- `structured` and `unstructured`, seed 100: PPO with 3,000,000 control steps reaches
+  6,990 and 6,981.
 """
 
 
@@ -119,19 +129,8 @@ def section(folder: Path, tasks: dict[str, int]) -> str:
         for stage in stages:
             chosen = json.dumps(stage["settings"])
             settings += f"- `{stage['algorithm']}` in `{task}`: {chosen}\n"
-    note = (
-        '\n"Score of the first" is that of the first learner\'s policy in 64 episodes '
-        "of seed 1.\n"
-    )
     machines = sorted({record["machine"] for record in known})
-    return (
-        told
-        + every
-        + note
-        + f"\nMeasured on: {'; '.join(machines)}.\n"
-        + settings
-        + TRIED
-    )
+    return told + every + f"\nMeasured on: {'; '.join(machines)}.\n" + settings + TRIED
 
 
 def _seed(run: dict[str, Any]) -> dict[str, Any]:

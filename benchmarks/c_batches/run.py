@@ -1,9 +1,9 @@
 """Batches of rods in lanes compared with a C program of the same law.
 
 The C program has a rod in each lane of a vector of 512 bits, and makes one pass along
-the rods for a step. It is compiled for one number of elements and one type. All
-programs start from the same states. Their states after some steps are compared before
-any program is timed.
+the rods for a step. A compiler makes it for one number of elements and one type. All
+programs start from the same states. The benchmark compares their states after some
+steps, and then times them.
 """
 
 from __future__ import annotations

@@ -1,8 +1,8 @@
 """Rods and systems in rows compared with C programs of the same laws.
 
-Each C program is compiled for its numbers of elements and one type, with vectors of 256
-and of 512 bits; the faster one counts. All programs start from the same state. Their
-states after some steps are compared before any program is timed.
+A compiler makes each C program for its numbers of elements and one type, with vectors
+of 256 and of 512 bits, and the faster one counts. All programs start from the same
+state. The benchmark compares their states after some steps, and then times them.
 """
 
 from __future__ import annotations

@@ -1,22 +1,27 @@
 """Accuracy of the `clean` tasks' settings: docs/clean_settings.md.
 
-Compares every task's elements and steps with a converged reference, under recorded
-actions of three seeds, and asks `jaxrod.tune` for the cheapest setting within 1 %.
+Compares each task, with its numbers of elements and of time steps, with a converged
+reference, under recorded actions of three seeds. Then asks `jaxrod.tune` for the
+cheapest setting with an error within 1 %.
+Writes a record into records, and the page from it. `--pages` measures
+nothing and writes the page from the record.
 """
 
 from __future__ import annotations
 
 import argparse
-from collections.abc import Iterator
+from typing import Any
 
 import jaxrod
 from benchmarks.clean_settings.problem import CleanTask, clean_problem, recorded_actions
-from benchmarks.shared.files import ROOT
+from benchmarks.shared.arguments import add_pages_only
+from benchmarks.shared.files import ROOT, write_record
 from jaxrod.envs import make
-from jaxrod.files import write_atomically
+from jaxrod.files import read_json, write_atomically
 from jaxrod.installation.machine import processor_and_versions
 from jaxrod.tradeoff import Reference, Setting, measure, reference, tune
 
+RECORDS = ROOT / "benchmarks" / "clean_settings" / "records"
 TASKS = ("reaching", "structured", "tracking", "unstructured")
 SEEDS = (0, 1, 2)
 REFERENCE_ELEMENTS = 80
@@ -41,10 +46,11 @@ step of 1.4 ms.
 """
 FOOTER = """\
 `tracking` and `reaching` use the cheapest setting within 1 % that `jaxrod.tune` finds.
-An arm observed at eleven nodes can only have multiples of ten elements. The obstacle
-tasks have more elements. The strongest actions stretch the arm twofold, and with fewer
-elements a cylinder could pass between two contact points (`benchmarks/extremes`). In
-the obstacle tasks the ends of the arm have no contact faces.
+The arm is observed at eleven equally spaced nodes, so its number of elements must be a
+multiple of ten. The obstacle tasks have more elements. The strongest actions stretch
+the arm twofold, and with fewer elements a cylinder could pass between two contact
+points (`benchmarks/extremes`). In the obstacle tasks the ends of the arm have no
+contact faces.
 """
 
 
@@ -55,62 +61,95 @@ def own_setting(task: CleanTask, plane: str | None) -> Setting:
     return Setting(task.n_elements, step, reductions=reductions)
 
 
-def row(name: str, seed: int) -> str:
+def row(name: str, seed: int) -> dict[str, Any]:
     """A task under the actions of one seed."""
     task = make(name, variant="clean")
     problem = clean_problem(task, recorded_actions(task, seed))
     exact: Reference = reference(problem, REFERENCE_ELEMENTS)
     one = measure(problem, own_setting(task, problem.plane), exact, batches=())
-    return (
-        f"| {name} | {seed} | {task.n_elements} | {task.substeps} "
-        f"| {one.error:.2%} | {exact.error:.3%} |"
-    )
+    return {
+        "task": name,
+        "seed": seed,
+        "elements": task.n_elements,
+        "steps": task.substeps,
+        "error": one.error,
+        "error_of_reference": exact.error,
+    }
 
 
-def choice(name: str) -> str:
+def choice(name: str) -> dict[str, Any]:
     """Setting that `tune` chooses for a task, with the first seed."""
     task = make(name, variant="clean")
     problem = clean_problem(task, recorded_actions(task, SEEDS[0]))
     found = tune(problem, max_error=TOLERANCE, elements=ELEMENTS, batch=BATCH)
     assert found.met and found.setting.dt is not None
     substeps = round(task.control_period / found.setting.dt)
-    words = ", ".join((found.setting.dtype, *found.setting.reductions))
+    return {
+        "task": name,
+        "elements": found.setting.n_elements,
+        "steps": substeps,
+        "how": [found.setting.dtype, *found.setting.reductions],
+        "error": found.error,
+        "cost_s_per_s": found.wall_s_per_sim_s,
+    }
+
+
+def row_line(row: dict[str, Any]) -> str:
+    """A row of the table of errors."""
     return (
-        f"| {name} | {found.setting.n_elements} | {substeps} | {words} "
-        f"| {found.error:.2%} | {1e3 * found.wall_s_per_sim_s:.2g} |"
+        f"| {row['task']} | {row['seed']} | {row['elements']} | {row['steps']} "
+        f"| {row['error']:.2%} | {row['error_of_reference']:.3%} |"
     )
 
 
-def lines() -> Iterator[str]:
-    """The page."""
-    machine = f"Measured on: {processor_and_versions()}"
-    yield HEADER.format(machine=machine, n=REFERENCE_ELEMENTS)
-    yield "| task | seed | elements | steps | error | of the reference |"
-    yield "|---|---:|---:|---:|---:|---:|"
-    for name in TASKS:
-        for seed in SEEDS if name != "tracking" else SEEDS[:1]:
-            yield row(name, seed)
-    yield ""
-    yield f"Choices of `jaxrod.tune` for {TOLERANCE:.0%}, for {BATCH} arms at once:"
-    yield ""
-    yield "| task | elements | steps | how | error | cost [ms/s] |"
-    yield "|---|---:|---:|---|---:|---:|"
-    yield from map(choice, TASKS)
-    yield ""
-    yield FOOTER.rstrip()
+def choice_line(row: dict[str, Any]) -> str:
+    """A row of the table of choices."""
+    return (
+        f"| {row['task']} | {row['elements']} | {row['steps']} "
+        f"| {', '.join(row['how'])} | {row['error']:.2%} "
+        f"| {1e3 * row['cost_s_per_s']:.2g} |"
+    )
+
+
+def page(record: dict[str, Any]) -> str:
+    """The page of a record."""
+    machine = f"Measured on: {record['machine']}"
+    lines = [
+        HEADER.format(machine=machine, n=REFERENCE_ELEMENTS),
+        "| task | seed | elements | steps | error | of the reference |",
+        "|---|---:|---:|---:|---:|---:|",
+        *map(row_line, record["rows"]),
+        "",
+        f"Choices of `jaxrod.tune` for {TOLERANCE:.0%}, for {BATCH} arms at once:",
+        "",
+        "| task | elements | steps | how | error | cost [ms/s] |",
+        "|---|---:|---:|---|---:|---:|",
+        *map(choice_line, record["choices"]),
+        "",
+        FOOTER.rstrip(),
+    ]
+    return "\n".join(lines) + "\n"
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Takes no arguments."""
+    """Declares whether to measure."""
+    add_pages_only(parser)
 
 
 def run(args: argparse.Namespace) -> int:
-    """Measures and writes the page."""
-    jaxrod.configure_cpu(1)
-    page = []
-    for line in lines():
-        print(line, flush=True)
-        page.append(line)
-    target = ROOT / "docs" / "clean_settings.md"
-    write_atomically(target, ("\n".join(page) + "\n").encode())
+    """Measures, and writes the record and the page."""
+    if not args.pages:
+        jaxrod.configure_cpu(1)
+        record: dict[str, Any] = {"machine": processor_and_versions()}
+        record |= {"rows": [], "choices": []}
+        for name in TASKS:
+            for seed in SEEDS if name != "tracking" else SEEDS[:1]:
+                record["rows"].append(row(name, seed))
+                print(row_line(record["rows"][-1]), flush=True)
+        for name in TASKS:
+            record["choices"].append(choice(name))
+            print(choice_line(record["choices"][-1]), flush=True)
+        write_record(RECORDS, "clean_settings", record)
+    found = read_json(RECORDS / "clean_settings.json")
+    write_atomically(ROOT / "docs" / "clean_settings.md", page(found).encode())
     return 0

@@ -1,11 +1,11 @@
 """Solvers of trajectories, their iterations and time: docs/control.md.
 
-`reach`: every solver moves the tip of an arm of 20 elements to a point 0.6 m away in
-1 s, in float32. `swing`: a soft pendulum and a soft pole on a cart swing up, and are
-pushed with feedback and without. Rows that are not measured do not change.
+In `reach` every solver moves the tip of an arm of 20 elements to a point 0.6 m away in
+1 s, in float32. In `swing` a soft pendulum and a soft pole on a cart swing up and get a
+push, with feedback and without. Rows that are not measured do not change.
 
-Times are processor time of one core. The first call, which compiles, and the next call
-are listed separately.
+Times are processor time of one core. The tables list the first call, which compiles,
+and the next call separately.
 """
 
 from __future__ import annotations

@@ -1,7 +1,9 @@
 """Cost of a step, and what each effect adds to it: docs/costs.md.
 
-Compiles one step of the arm (20 elements, float32) bare and with each effect alone,
-in every way of stepping, and times it on one core: one rod, and 256 at once.
+Compiles one step of the arm (20 elements, float32), bare and with each effect alone,
+for every method. Times the step on one core, for one rod and for a batch of 256.
+Writes a record into records, and the page from it. `--pages` measures
+nothing and writes the page from the record.
 """
 
 from __future__ import annotations
@@ -9,33 +11,43 @@ from __future__ import annotations
 import argparse
 import statistics
 import time
+from typing import Any
 
 import jax
 import jax.numpy as jnp
 
 import jaxrod
-from benchmarks.shared.files import ROOT
-from jaxrod.files import write_atomically
+from benchmarks.shared.arguments import add_pages_only
+from benchmarks.shared.files import ROOT, write_record
+from jaxrod.files import read_json, write_atomically
 from jaxrod.installation.machine import processor_and_versions
 from jaxrod.rods.rod import RodState
 from jaxrod.scene import Scene
 
 N_ELEMENTS = 20
 BATCH = 256
+RECORDS = ROOT / "benchmarks" / "costs" / "records"
 TIME_STEP = 2e-4
 HEADER = """\
 # What a step costs
 
-Written by `python -m benchmarks costs`; do not edit. The table is for one step of an
-arm with 20 elements in float32. "operations" is the number of arithmetic operations of
-a step in a run, before compiling. "flops" and "bytes" are the numbers that XLA states
-for its compiled program (`cost_analysis`). XLA may compute a value several times if it
-has many uses. The last two columns are the times of a step for a single rod, and for
-each rod in a batch of 256. Times are medians of seven windows on one core, with the
-settings of `jaxrod.configure_cpu`.
+Written by `python -m benchmarks costs`; do not edit.
+
+The last table of this page is for one time step of an arm with 20 elements in float32.
+
+| column | meaning |
+|---|---|
+| operations | arithmetic operations of a step within a run, before compiling |
+| flops, bytes | the counts of XLA for its compiled program (`cost_analysis`) |
+| one rod | the time of a step of a single rod |
+| one of 256 | the time of a step of each rod in a batch of 256 |
+
+XLA may compute a value several times if it has many uses. Times are medians of seven
+windows on one core, with the settings of `jaxrod.configure_cpu`.
+
 {machine}.
 
-An effect that a scene does not contain is not in its program and costs nothing
+An effect that a scene does not contain is not part of its program, so it costs nothing
 (`tests/physics/test_compilation.py`).
 """
 
@@ -123,27 +135,55 @@ def time_of_a_step(scene: Scene, state: RodState, batch: int) -> float:
     return statistics.median(timed(steps) for _ in range(7)) / steps / batch
 
 
+def measured(name: str, scene: Scene, state: RodState) -> dict[str, Any]:
+    """The row of a scene."""
+    written, flops, traffic = cost_of_a_step(scene, state)
+    alone, among = (1e6 * time_of_a_step(scene, state, b) for b in (1, BATCH))
+    return {
+        "scene": name,
+        "operations": written,
+        "flops": flops,
+        "bytes": traffic,
+        "one_rod_us": alone,
+        "of_a_batch_us": among,
+    }
+
+
+def line(row: dict[str, Any]) -> str:
+    """A row in the table of the page."""
+    return (
+        f"| {row['scene']} | {row['operations']:,.0f} | {row['flops']:,.0f} "
+        f"| {row['bytes']:,.0f} | {row['one_rod_us']:.3f} "
+        f"| {row['of_a_batch_us']:.3f} |"
+    )
+
+
+def page(record: dict[str, Any]) -> str:
+    """The page of a record."""
+    lines = [
+        HEADER.format(machine=f"Measured on: {record['machine']}"),
+        "| scene | operations | flops | bytes | one rod [us] | one of 256 [us] |",
+        "|---|---:|---:|---:|---:|---:|",
+        *map(line, record["rows"]),
+    ]
+    return "\n".join(lines) + "\n"
+
+
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Takes no arguments."""
+    """Declares whether to measure."""
+    add_pages_only(parser)
 
 
 def run(args: argparse.Namespace) -> int:
-    """Measures and writes the page."""
-    jaxrod.configure_cpu(1)
-    machine = f"Measured on: {processor_and_versions()}"
-    lines = [
-        HEADER.format(machine=machine),
-        "| scene | operations | flops | bytes | one rod [us] | of 256 [us] |",
-        "|---|---:|---:|---:|---:|---:|",
-    ]
-    for name, (scene, state) in scenes().items():
-        written, flops, traffic = cost_of_a_step(scene, state)
-        alone, among = (1e6 * time_of_a_step(scene, state, b) for b in (1, BATCH))
-        lines.append(
-            f"| {name} | {written:,.0f} | {flops:,.0f} | {traffic:,.0f} "
-            f"| {alone:.3f} | {among:.3f} |"
-        )
-        print(lines[-1], flush=True)
-    target = ROOT / "docs" / "costs.md"
-    write_atomically(target, ("\n".join(lines) + "\n").encode())
+    """Measures, and writes the record and the page."""
+    if not args.pages:
+        jaxrod.configure_cpu(1)
+        rows = []
+        for name, (scene, state) in scenes().items():
+            rows.append(measured(name, scene, state))
+            print(line(rows[-1]), flush=True)
+        record = {"machine": processor_and_versions(), "rows": rows}
+        write_record(RECORDS, "costs", record)
+    found = read_json(RECORDS / "costs.json")
+    write_atomically(ROOT / "docs" / "costs.md", page(found).encode())
     return 0

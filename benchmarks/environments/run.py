@@ -1,8 +1,11 @@
 """Control steps per second of every task: docs/environments.md.
 
-Measures all tasks, or the tasks named; other rows do not change. Steps a batch of every
-task and variant in float32 under random actions, without a policy. The batch is spread
-over all cores as in training. Restarts and scores are included.
+Measures all tasks, or those that you name; other rows of the record
+do not change. Steps a batch of
+every task and variant in float32 under random actions, without a policy. Spreads the
+batch over all cores, as training does. Times include restarts and scores.
+Writes a record into records, and the page from it. `--pages` measures
+nothing and writes the page from the record.
 """
 
 from __future__ import annotations
@@ -20,10 +23,10 @@ from jax.sharding import PartitionSpec
 from jaxtyping import Array, Float
 
 import jaxrod
-from benchmarks.shared.arguments import add_names
-from benchmarks.shared.files import ROOT
+from benchmarks.shared.arguments import add_names, add_pages_only
+from benchmarks.shared.files import ROOT, write_record
 from jaxrod.envs import VectorEnvironment, VectorState, make
-from jaxrod.files import write_atomically
+from jaxrod.files import read_json, write_atomically
 from jaxrod.installation.machine import processor_and_versions
 from jaxrod.lanes.choice import slower
 from jaxrod.training.algorithm import DEVICE_AXIS
@@ -35,6 +38,7 @@ TASKS = (
     *((name, "clean") for name in ("following", "snake", "octopus", "gripper")),
     *((name, "clean") for name in ("lift", "insert", "catheter")),
 )
+RECORDS = ROOT / "benchmarks" / "environments" / "records"
 BATCHES = (16, 64, 256)
 """Environments per core."""
 MOTION = 7.0
@@ -44,15 +48,21 @@ WINDOW_SECONDS = 2.0
 HEADER = """\
 # How fast the tasks are
 
-Written by `python -m benchmarks environments`; do not edit. The three columns "per
-core" have control steps per second in float32, with {batches} environments on each of
-{cores} cores. Every control step has new random actions. Values are medians of
-{windows} windows of {seconds:g} s and exclude compiling. The column "control step" is
-the simulated time of a control step, and "steps" is the number of time steps in it.
-"elements" is the number of elements of each rod. All three are the defaults of the
-tasks. "flagged" is the fraction of control steps that a health flag marked. The octopus
-has eight arms, the gripper three fingers and a ball. {lanes}
+Written by `python -m benchmarks environments`; do not edit.
+
+| column | meaning |
+|---|---|
+| control step | simulated time of a control step, by the task's default |
+| elements | number of elements of each rod, by the task's default |
+| steps | number of time steps in a control step, by the task's default |
+| per core | control steps per second, with {batches} environments on each core |
+| flagged | fraction of control steps that a health flag marked |
+
+Runs use {cores} cores and float32. Every control step has new random actions. Values
+are medians of {windows} windows of {seconds:g} s and exclude compiling. The octopus has
+eight arms, and the gripper has three fingers and a ball. {lanes}
 The machine is shared: at a busy hour a task may reach only half of its usual speed.
+
 {machine}.
 
 | task | variant | control step [ms] | elements | steps | {columns} | flagged |
@@ -60,14 +70,46 @@ The machine is shared: at a busy hour a task may reach only half of its usual sp
 """
 
 
-def row(name: str, variant: str) -> str:
+def row(name: str, variant: str) -> dict[str, Any]:
     """Measures one task."""
     env = make(name, variant=variant)
     found = [measured(env, batch) for batch in BATCHES]
-    speeds = " | ".join(f"{speed:,.0f}" for speed, _ in found)
-    flagged = statistics.mean(share for _, share in found)
-    sizes = f"{1e3 * env.control_period:.3g} | {env.n_elements} | {env.substeps}"
-    return f"| {name} | {variant} | {sizes} | {speeds} | {flagged:.1e} |"
+    return {
+        "task": name,
+        "variant": variant,
+        "control_step_ms": 1e3 * env.control_period,
+        "elements": env.n_elements,
+        "steps": env.substeps,
+        "control_steps_per_s": [speed for speed, _ in found],
+        "flagged": statistics.mean(share for _, share in found),
+        "machine": processor_and_versions(),
+    }
+
+
+def line(row: dict[str, Any]) -> str:
+    """A row in the table of the page."""
+    speeds = " | ".join(f"{speed:,.0f}" for speed in row["control_steps_per_s"])
+    sizes = f"{row['control_step_ms']:.3g} | {row['elements']} | {row['steps']}"
+    head = f"| {row['task']} | {row['variant']} | {sizes}"
+    return f"{head} | {speeds} | {row['flagged']:.1e} |"
+
+
+def page(record: dict[str, Any]) -> str:
+    """The page of a record."""
+    machines = sorted({row["machine"] for row in record["rows"]})
+    header = HEADER.format(
+        lanes=record["lanes"],
+        machine=f"Measured on: {'; '.join(machines)}",
+        cores=record["cores"],
+        batches=f"{', '.join(map(str, BATCHES[:-1]))} or {BATCHES[-1]}",
+        columns=" | ".join(f"{batch} per core" for batch in BATCHES),
+        rule="---:|" * len(BATCHES),
+        windows=WINDOWS,
+        seconds=WINDOW_SECONDS,
+    )
+    text = header + "".join(f"{line(row)}\n" for row in record["rows"])
+    remarks = [row["remark"] for row in record["rows"] if "remark" in row]
+    return text + "".join(f"\n{remark}\n" for remark in remarks)
 
 
 def measured(env: Any, envs_per_core: int) -> tuple[float, float]:
@@ -148,31 +190,30 @@ def stepping(
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Declares the tasks."""
+    """Declares the tasks, and whether to measure."""
     known = dict.fromkeys(name for name, _ in TASKS)
     add_names(parser, "tasks", known, "TASK")
+    add_pages_only(parser)
 
 
 def run(args: argparse.Namespace) -> int:
-    """Measures and writes the page."""
-    jaxrod.configure_cpu()
-    target = ROOT / "docs" / "environments.md"
-    page = HEADER.format(
-        lanes=slower() or "Batches run in [lanes](performance.md).",
-        machine=f"Measured on: {processor_and_versions()}",
-        cores=jax.device_count(),
-        batches=f"{', '.join(map(str, BATCHES[:-1]))} or {BATCHES[-1]}",
-        columns=" | ".join(f"{batch} per core" for batch in BATCHES),
-        rule="---:|" * len(BATCHES),
-        windows=WINDOWS,
-        seconds=WINDOW_SECONDS,
-    )
-    before = target.read_text().splitlines()
-    for name, variant in TASKS:
-        head = f"| {name} | {variant} |"
-        kept = [line for line in before if line.startswith(head)]
-        line = row(name, variant) if name in args.tasks or not kept else kept[0]
-        print(line, flush=True)
-        page += line + "\n"
-    write_atomically(target, page.encode())
+    """Measures, and writes the record and the page."""
+    if not args.pages:
+        jaxrod.configure_cpu()
+        file = RECORDS / "environments.json"
+        before = read_json(file)["rows"] if file.exists() else []
+        kept = {
+            (found["task"], found["variant"]): found
+            for found in before
+            if found["task"] not in args.tasks
+        }
+        rows = []
+        for task in TASKS:
+            rows.append(kept.get(task) or row(*task))
+            print(line(rows[-1]), flush=True)
+        lanes = slower() or "Batches run in [lanes](performance.md)."
+        record = {"cores": jax.device_count(), "lanes": lanes, "rows": rows}
+        write_record(RECORDS, "environments", record)
+    found = read_json(RECORDS / "environments.json")
+    write_atomically(ROOT / "docs" / "environments.md", page(found).encode())
     return 0

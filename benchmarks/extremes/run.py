@@ -1,9 +1,9 @@
 """Episodes of extreme actions: an arm that is driven at its limits.
 
-`actions`: the benchmark's arm in free space. `obstacles`: Case 3 or 4 in the library's
-physics. A third of the episodes hold one corner of the action space throughout, a third
-jump between corners every 0.14 s on average, a third draw a new action every time.
-Prints one JSON object.
+`actions` drives the benchmark's arm in free space, and `obstacles` runs Case 3 or 4 in
+the library's physics. A third of the episodes hold one corner of the action space, a
+third jump between corners every 0.14 s on average, and a third draw a new action in
+every control step. Prints one JSON object.
 """
 
 from __future__ import annotations

@@ -1,9 +1,9 @@
 """Processor time before the first answer, in a first and in a second process.
 
-Each program runs in a separate process. "First process" keeps no programs on disk.
-"Second process" finds those that an earlier process has kept. A call that is repeated
-in the same process compiles nothing (`again`). Tasks are trained for a few control
-steps, and the wall-clock time until everything is compiled counts.
+Each program runs in a separate process. "First process" finds no programs on disk.
+"Second process" finds those of an earlier process. `again` repeats the call in the same
+process, which compiles nothing. For tasks, the number is the wall-clock time until a
+short training run has compiled everything.
 """
 
 from __future__ import annotations

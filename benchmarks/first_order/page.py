@@ -20,15 +20,19 @@ BASELINE = "ppo"
 HEADER = """\
 # Learning by gradients
 
-Written by `python -m benchmarks first_order`; do not edit. `dagger`
-([algorithms](algorithms.md)) fits a network to a planner that differentiates the
-simulation; `ppo` uses rewards alone. The runs are Cases 1 and 2, variant `clean`, in
-float32 on one core. Scores are mean returns without noise of {episodes} episodes, the
-same for all (seed 1 of `evaluate`). The table has the mean over the seeds, with the
-smallest and largest in brackets. Times are those of training, including compiling but
-not evaluation. Other work shared the machine, so processor time is more meaningful than
-wall-clock time. **Model steps** are control steps that the planner simulates in
-addition to those in which the policy acts. Backward passes are not counted.
+Written by `python -m benchmarks first_order`; do not edit.
+
+This page compares two learners. `dagger` ([algorithms](algorithms.md)) trains a network
+to imitate a planner, and the planner differentiates the simulation. `ppo` learns from
+rewards alone. Both learn Cases 1 and 2 in the variant `clean`, in float32 on one core.
+A score is the mean return of a policy without noise. All policies act in the same
+{episodes} episodes (seed 1 of `evaluate`).
+
+The table gives means over the seeds, and the smallest and largest score in brackets.
+Times are those of training: they include compiling, but not evaluation. Other programs
+ran on the same machine, so trust processor time more than wall-clock time. **Model
+steps** are the control steps that the planner simulates, in addition to those in which
+the policy acts. They do not include backward passes.
 
 ![Score against steps and time](../benchmarks/first_order/records/first_order.png)
 
@@ -36,17 +40,18 @@ addition to those in which the policy acts. Backward passes are not counted.
 TRIED = """
 ## Other runs
 
-These runs use the same episodes:
+The policies of these runs act in the same episodes:
 
-- `dagger` in `reaching`, with a run of 1,000,000 control steps, reaches 5,965, 5,906,
-  5,822, 6,328 and 5,841 with seeds 0 to 4, in 82 to 92 s of processor time.
-- `dagger` in `tracking`, seed 0, with `plan_iterations` 1 instead of 2 reaches 8,854
+- `dagger` in `reaching` with 1,000,000 control steps: seeds 0 to 4 reach 5,965, 5,906,
+  5,822, 6,328 and 5,841, in 82 to 92 s of processor time.
+- `dagger` in `tracking` with `plan_iterations` 1 instead of 2: seed 0 reaches 8,854
   after 1,007,616 control steps.
-- `shac` with its defaults, seed 0, reaches 1,159 in `reaching` after 2,002,944 control
-  steps and 80 s of processor time, 51 of which are compiling. PPO is better in less
-  time. We tried no other settings of `shac` on arms, and did not try `tracking`.
+- `shac` in `reaching` with its default settings: seed 0 reaches 1,159 after 2,002,944
+  control steps and 80 s of processor time, of which compiling takes 51 s. PPO reaches
+  more in less time. We tried no other settings of `shac` on arms, and did not try
+  `tracking`.
 
-`python -m benchmarks first_order TASK:ALGORITHM --seeds 0` makes a run.
+`python -m benchmarks first_order TASK:ALGORITHM --seeds 0` repeats a run.
 """
 COLUMNS = (
     "task",
@@ -56,21 +61,22 @@ COLUMNS = (
     "control steps",
     "model steps",
     "processor [s]",
-    "of it compiling [s]",
+    "of which compiling [s]",
     "wall-clock [s]",
 )
 REACHED = """
 ## Cost of PPO's final score
 
-For each seed, the table describes the first evaluation whose score reaches the mean of
-PPO's final scores. Shares are relative to the mean of PPO's runs. Values are means over
-the seeds that reach the score, with the largest in brackets.
+How much does `dagger` need to reach the mean of PPO's final scores? For each seed we
+take the first evaluation with at least this score. The table gives means over the seeds
+that reach it, and the largest value in brackets. A share is the mean divided by the
+mean of PPO's whole runs.
 
 """
 REACHED_COLUMNS = (
     "task",
     "learner",
-    "score of PPO",
+    "PPO's score",
     "seeds that reach it",
     "control steps",
     "share",
@@ -87,17 +93,33 @@ SEEDS = """
 """
 
 
-def write_pages() -> None:
-    """Writes the page and its picture from the records there are."""
+Cells = dict[tuple[str, str], list[dict[str, Any]]]
+"""Records of the runs of each task and learner."""
+
+
+def recorded() -> Cells:
+    """The records there are."""
     records = [read_json(file) for file in sorted(RECORDS.glob("*.json"))]
-    cells = {
+    return {
         (task, name): found
         for task in CASES
         for name in COLOURS
         if (found := [r for r in records if _of(r) == (task, name)])
     }
+
+
+def write_pages() -> None:
+    """Writes the page and its picture from the records there are."""
+    cells = recorded()
     if not cells:
         return
+    write_atomically(ROOT / "docs" / "first_order.md", text(cells).encode())
+    picture(cells)
+
+
+def text(cells: Cells) -> str:
+    """The page of records."""
+    records = [record for runs in cells.values() for record in runs]
     page = HEADER.format(episodes=records[0]["episodes"]) + _head(COLUMNS)
     reached, seeds = REACHED + _head(REACHED_COLUMNS), SEEDS
     for (task, name), runs in cells.items():
@@ -124,9 +146,7 @@ def write_pages() -> None:
     for (task, name), runs in cells.items():
         told = {json.dumps(run["settings"]) for run in runs}
         settings += f"- `{name}` in `{task}`: {', '.join(sorted(told))}\n"
-    target = ROOT / "docs" / "first_order.md"
-    write_atomically(target, (page + reached + seeds + settings + TRIED).encode())
-    picture(cells)
+    return page + reached + seeds + settings + TRIED
 
 
 def _reached(runs: list[dict[str, Any]], baseline: list[dict[str, Any]]) -> str:
@@ -169,7 +189,7 @@ def _spread(values: Iterable[float], *, least: bool = True) -> str:
     return f"{found.mean():,.0f} ({smallest}{found.max():,.0f})"
 
 
-def picture(cells: dict[tuple[str, str], list[dict[str, Any]]]) -> None:
+def picture(cells: Cells) -> None:
     """Score against control steps and processor time, every seed."""
     tasks = [task for task in CASES if any(cell[0] == task for cell in cells)]
     figure, panels = charts(9, 3.2 * len(tasks), len(tasks), 2)

@@ -1,10 +1,11 @@
 """Learning by gradients of the simulation compared with learning by rewards.
 
 Trains PPO, DAgger and SHAC on the tasks `tracking` and `reaching` (variant "clean"), or
-the cells named, with one seed after another, in float32 on one core. At intervals the
-clocks stop, and the policy is evaluated without noise on the same episodes for all.
-Writes a record of every run into records, and docs/first_order.md with its picture from
-all records. `--pages` trains nothing and writes the page from the records.
+the cells that you name, with one seed after another, in float32 on one core. At
+intervals it stops the clocks and evaluates the policy without noise, on the same
+episodes for all. Writes a record of every run into records, and docs/first_order.md
+with its picture from all records. `--pages` trains nothing and writes the page from the
+records.
 """
 
 from __future__ import annotations

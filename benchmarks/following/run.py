@@ -1,8 +1,8 @@
 """Returns of learners, planners and a script in the task `following`.
 
-Learners (`dagger`, `ppo`) are trained with one seed after another. `random` draws
-random actions. Planners (`held-3`, `line-10` and others, `planned` for all) plan with a
-model of the arm. `script` goes straight for the target. All run in float32 on one core,
+Learners (`dagger`, `ppo`) train with one seed after another. `random` draws random
+actions. Planners (`held-3`, `line-10` and others; `planned` runs all) plan with a model
+of the arm. `script` moves straight towards the target. All run in float32 on one core,
 on the same episodes. Writes a record of every run except the script's into records.
 """
 

@@ -1,14 +1,14 @@
 """Derivatives through time: errors, cost, memory, sensitivity of the tip.
 
-Takes a named scene (swing: an arm that is released; slam: the same arm hitting a post,
-with and without the contact; rope: a thin arm), differentiates the end of the run with
-respect to couples over time and the stiffness, and compares with central differences
-for a range of step sizes, in float64 and float32. Prints two tables; with --out, also
-writes report.md, report.json and gradients.png. Takes a minute or two for each scene.
-"memory" measures something else: the peak memory of processes that compute gradients of
+Differentiates the end of a run with respect to couples over time and the stiffness.
+Compares the derivative with central differences of many step sizes, in float64 and
+float32. The scenes are `swing` (an arm that is released), `slam` (the same arm hits a
+post, with and without the contact) and `rope` (a thin arm). Prints two tables; with
+--out, also writes report.md, report.json and gradients.png. Takes a minute or two for
+each scene. `memory` measures the peak memory of processes that compute gradients of
 long runs and of large batches (Linux only).
 
-Exits with 0 if the derivative in float64 is right to 1e-6, and with 1 if not.
+Exits with 0 if the derivative in float64 is correct to 1e-6, and with 1 if not.
 
 For example:
   python -m benchmarks gradients swing

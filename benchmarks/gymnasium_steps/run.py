@@ -1,16 +1,16 @@
 """Control steps per second of one environment through Gymnasium.
 
-`gymnasium.make` makes each id, with Gymnasium's usual wrappers. It runs under random
-actions, on one core and with `configure_cpu(1)`. Ids of other packages are `module:id`.
-The result is the best and the median of many short bursts, because other work on the
-machine is no property of an environment. Compiling is not counted. On a busy machine
-the system interrupts long bursts; steps per second of processor time are not affected.
+`gymnasium.make` makes each id, with Gymnasium's usual wrappers. The environment runs
+under random actions, on one core and with `configure_cpu(1)`. Ids of other packages are
+`module:id`. The result is the best and the median of many short bursts, which reduces
+the influence of other work on the machine. Speeds exclude compiling. On a busy machine
+the system interrupts long bursts, but steps per second of processor time do not change.
 
 `--softrobot` names a Python that has gym-softrobot, for example of a separate
 environment (`python -m venv x; x/bin/pip install gym-softrobot`). The same function
 measures its `SoftArmTracking-v0`, PyElastica's arm in a similar task, on the same core:
-one half before ours, one half after. The control steps of the two differ, so steps of
-the rod and seconds of its motion are printed too.
+one half before ours, one half after. The two have different control steps, so the
+benchmark also prints steps of the rod and seconds of its motion.
 """
 
 from __future__ import annotations

@@ -56,13 +56,13 @@ def _rows() -> Iterable[str]:
         return buckling.apart(seen, start, buckling.shown(seen, every), every)
 
     windows = _once(jax.jit(lambda seen, start: apart(seen, start, FRAMES)))
-    yield _row("the first draw, windows not joined", *windows(first, start))
+    yield _row("the first draw, independent windows", *windows(first, start))
     fit, seconds = windows(first, dict(TRUTH))
-    yield _row("the same, begun at the truth", fit, None, seconds)
+    yield _row("the same, starting from the truth", fit, None, seconds)
     one = jax.tree.map(lambda leaf: leaf[:1], first)
     whole = _once(jax.jit(lambda seen, start: apart(seen, start, buckling.frames)))
     alone, seconds = whole(one, start)
-    yield _row("a single run of the first film, its start sought", alone, seconds)
+    yield _row("a single run of the first film, with an unknown start", alone, seconds)
 
 
 def _once(program: Any) -> Any:
@@ -79,5 +79,5 @@ def _once(program: Any) -> Any:
 def _row(words: str, fit: Any, first: float | None, run: float | None = None) -> str:
     scores = ", ".join(f"{float(fit.z(TRUTH)[name]):+.2f}" for name in TRUTH)
     words += f": misfit {float(fit.misfit):.3g}, z {scores}, "
-    words += f"{float(fit.remaining):.2f} sd left"
+    words += f"remaining step {float(fit.remaining):.2f} sd"
     return fit_row(words, TRUTH, fit, first, run)

@@ -1,15 +1,15 @@
 """Identification and inverse design: docs/identification.md.
 
-`dropped`: a released arm, from noisy positions; 100 draws of the noise; parameters that
-positions alone do not determine. `forced`: the same with a force sensor at the clamp.
-`buckling`: four parameters of a rod that buckles, in windows with unknown starts.
-`poses`: eight poses at rest. `shapes`: rest curvatures with which an arm takes a shape.
-All by default; rows that are not measured do not change.
+`dropped` fits a released arm to noisy positions, with 100 draws of the noise, and with
+parameters that positions alone do not determine. `forced` adds a force sensor at the
+clamp. `buckling` fits four parameters of a rod that buckles, in windows with unknown
+initial states. `poses` fits eight poses at rest. `shapes` finds rest curvatures that
+give an arm a shape. The default is all. Rows that are not measured do not change.
 
-float32 on one core. Seconds are processor time; compiling with the first run is listed
-separately. Every observation is simulated with the model that is fitted, and noise is
-added. This measures the search and its standard deviations, not whether a model is
-correct.
+Runs use float32 on one core. Seconds are processor time, and the first run, which
+compiles, is listed separately. The fitted model simulates every observation, and the
+benchmark adds noise. This tests the search and its standard deviations, not whether a
+model is correct.
 """
 
 from __future__ import annotations
@@ -35,25 +35,18 @@ from jaxrod.geometry.rotations import directors
 from jaxrod.rods.motion import motion_of
 
 PAGE = ROOT / "docs" / "identification.md"
+FITTED = (
+    "found | errors | stated standard deviations | iterations | first call [s] "
+    "| run [s] |\n|---|---|---|---|---:|---:|---:|"
+)
 HEADS = {
-    "dropped": (
-        "| dropped arm, 60 frames a second | found | errors | stated sd "
-        "| iterations | first call [s] | run [s] |\n|---|---|---|---|---:|---:|---:|"
-    ),
-    "forced": (
-        "| dropped arm with a force sensor | found | errors | stated sd "
-        "| iterations | first call [s] | run [s] |\n|---|---|---|---|---:|---:|---:|"
-    ),
-    "buckling": (
-        "| pressed rod | found | errors | stated sd "
-        "| iterations | first call [s] | run [s] |\n|---|---|---|---|---:|---:|---:|"
-    ),
-    "poses": (
-        "| eight poses at rest | found | errors | stated sd | iterations "
-        "| first call [s] | run [s] |\n|---|---|---|---|---:|---:|---:|"
-    ),
+    "dropped": f"| dropped arm, 60 frames a second | {FITTED}",
+    "forced": f"| dropped arm with a force sensor | {FITTED}",
+    "buckling": f"| pressed rod | {FITTED}",
+    "poses": f"| eight poses at rest | {FITTED}",
     "shapes": (
-        "| rest curvatures from ten markers | below 1 mm and stable | largest error "
+        "| shapes with ten markers each | within 1 mm and stable "
+        "| largest error of these [mm] "
         "| iterations | first call [s] | run [s] |\n|---|---|---|---:|---:|---:|"
     ),
 }
@@ -132,11 +125,11 @@ def dropped_rows() -> Iterable[str]:
 
     fit = fitter(drop.film, sd)
     for words, factors in (
-        ("4 times too stiff, damping a fourth", (4, 0.25)),
-        ("a fourth of the stiffness, damping 4 times", (0.25, 4)),
+        ("4 times the stiffness, a fourth of the damping", (4, 0.25)),
+        ("a fourth of the stiffness, 4 times the damping", (0.25, 4)),
     ):
         start = scaled(two, factors)
-        yield fit_row(f"film; from {words}", two, *timed(fit, film, start))
+        yield fit_row(f"film; start: {words}", two, *timed(fit, film, start))
     draws = jax.vmap(lambda key: noisy(clean, sd, key))(
         jax.random.split(jax.random.key(1), 100)
     )
@@ -149,13 +142,13 @@ def dropped_rows() -> Iterable[str]:
     shown = "; ".join(f"{k} {v.mean():+.2f} ± {v.std():.2f}" for k, v in z.items())
     ended = int(np.sum(fits.converged))
     yield (
-        f"| 100 draws of the noise, at once | {ended} converged | "
+        f"| 100 draws of the noise, as one batch | {ended} converged | "
         f"z-scores: {shown} | | {int(np.max(fits.iterations))} | {first:.1f} | "
         f"{run:.2f} |"
     )
     start = scaled(DROPPED, (2, 0.5, 0.7))
     yield fit_row(
-        "film; density too: not determined",
+        "film; density unknown too: not determined",
         DROPPED,
         *timed(fitter(drop.film, sd), film, start),
     )
@@ -242,11 +235,11 @@ def poses_rows() -> Iterable[str]:
     fit = jax.jit(lambda o, s: control.fit(poses.markers, o, s, noise=sd, upper=upper))
     seen = noisy(clean, sd, jax.random.key(3))
     for words, factors in (
-        ("3 times too stiff, ν 0.2, half the density", (3, 0.5, 0.5)),
-        ("a half of the stiffness, ν 0.1, twice the density", (0.5, 0.25, 2)),
+        ("3 times the stiffness, ν 0.2, half the density", (3, 0.5, 0.5)),
+        ("half the stiffness, ν 0.1, twice the density", (0.5, 0.25, 2)),
     ):
         start = scaled(MATERIAL, factors)
-        yield fit_row(f"from {words}", MATERIAL, *timed(fit, seen, start))
+        yield fit_row(f"start: {words}", MATERIAL, *timed(fit, seen, start))
 
 
 # Shapes.
@@ -304,8 +297,7 @@ def shapes_rows() -> Iterable[str]:
         done = np.asarray(found.converged)
         yield (
             f"| {count} | {int(done.sum())} | "
-            f"{1e3 * float(np.max(found.error, where=done, initial=0)):.2f} mm of "
-            "these | "
+            f"{1e3 * float(np.max(found.error, where=done, initial=0)):.2f} | "
             f"{int(np.max(found.iterations))} | {first:.1f} | {run:.2f} |"
         )
 

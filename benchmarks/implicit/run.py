@@ -1,9 +1,11 @@
 """Implicit steps, and when they are worthwhile: docs/implicit.md.
 
-Each scene is a rod that is clamped at one end and released under a lateral
-acceleration, in float64 on one core. Errors are the largest distance of the tip from an
-implicit reference, extrapolated from two step sizes, divided by the distance that the
-tip travels.
+Each scene is a rod that is clamped at one end and bends under a lateral acceleration,
+in float64 on one core. The error is the largest distance of the tip from a reference,
+divided by the distance that the tip travels. The reference is extrapolated from
+implicit runs with two step sizes.
+Writes a record into records, and the page from it. `--pages` measures
+nothing and writes the page from the record.
 """
 
 from __future__ import annotations
@@ -19,41 +21,52 @@ import jax.numpy as jnp
 import numpy as np
 
 import jaxrod
-from benchmarks.shared.files import ROOT
-from jaxrod.files import write_atomically
+from benchmarks.shared.arguments import add_pages_only
+from benchmarks.shared.files import ROOT, write_record
+from jaxrod.files import read_json, write_atomically
 from jaxrod.installation.machine import processor_and_versions
 from jaxrod.rods.rod import RodState
 from jaxrod.scene import Scene
 
 SAMPLES = 20
 BATCH = 64
+RECORDS = ROOT / "benchmarks" / "implicit" / "records"
 RADIUS = 0.8
 """Spectral radius of the implicit steps."""
 HEADER = """\
 # When implicit steps are worthwhile
 
-Written by `python -m benchmarks implicit`; do not edit. {machine}, one core, float64.
-Rods are 1 m long, clamped and released under a lateral acceleration, without damping.
-The error is the largest distance of the tip from the reference, relative to its travel.
-The cost is wall-clock time per simulated second. "Scaled" means enlarged transverse
-inertia (`scale_inertia`).
+Written by `python -m benchmarks implicit`; do not edit.
+
+Measured on: {machine}, one core, float64.
 
 A step of `jaxrod.implicit({radius})` costs as much as {least:.0f} to {most:.0f}
-explicit ones (table below). Scaled inertia makes explicit steps five to 25 times longer
-on slender rods. Implicit steps therefore pay off only if they can be about a thousand
-times as long as the stable one.
+explicit steps (first table). On slender rods, scaled inertia makes explicit steps five
+to 25 times as long. Implicit steps are therefore worthwhile only if they can be about a
+thousand times as long as the stable explicit step.
 """
 STEPS_HEADER = """\
 ## A step
 
-Processor time of a step [us] of the steel wire below, in jaxrod's kernels and in XLA.
-The implicit step is 4,000 times as long as the stable explicit one. "One of 64" is a
-step of one rod in a batch of 64. "Gradient" is the time of a step within the gradient
-of a run of 100 steps. "First call" is the processor time from the call to the first
-result [s], with tracing and compiling.
+The table gives processor times for the steel wire below, in jaxrod's kernels and in
+XLA. The implicit step is 4,000 times as long as the stable explicit
+step. "One of 64" is a step of one rod in a batch of 64. "Gradient" is the time of a
+step within the gradient of a run of 100 steps. "First call" is the time from the call
+to the first result, including tracing and compiling.
 
-| elements | | kernels | XLA | first call, kernels | XLA |
+| elements | step | kernels [us] | XLA [us] | first call, kernels [s] \
+| first call, XLA [s] |
 |---:|---|---:|---:|---:|---:|
+"""
+STUDIES_HEADER = """\
+## Whole motions
+
+Each rod is 1 m long and clamped at its base. It starts straight and at rest, and a
+lateral acceleration bends it, without damping. The error is the largest distance of the
+tip from a reference, relative to the distance that the tip travels. The reference is
+extrapolated from implicit runs with shorter steps. The cost is wall-clock time per
+second of motion. "Scaled" means that `scale_inertia` has enlarged the transverse
+inertia.
 """
 
 
@@ -84,7 +97,7 @@ class Study:
 
 STUDIES = (
     Study(
-        "Steel wire, 2 mm thick, n = 20",
+        "Steel wire, 2 mm thick, 20 elements",
         20,
         1e-3,
         2e11,
@@ -94,7 +107,7 @@ STUDIES = (
         (1e-2, 5e-3, 2.5e-3),
     ),
     Study(
-        "Rope, 4 mm thick, 10 MPa, n = 50, pulled slowly (g/1000)",
+        "Rope, 4 mm thick, 10 MPa, 50 elements, under an acceleration of g/1000",
         50,
         2e-3,
         1e7,
@@ -104,7 +117,7 @@ STUDIES = (
         (1e-1, 5e-2, 2e-2),
     ),
     Study(
-        "The same rope dropped (g)",
+        "The same rope under an acceleration of g",
         50,
         2e-3,
         1e7,
@@ -114,7 +127,7 @@ STUDIES = (
         (2.5e-2, 1.25e-2, 5e-3),
     ),
     Study(
-        "Arm, 10 cm thick, 1 GPa, n = 20",
+        "Arm, 10 cm thick, 1 GPa, 20 elements",
         20,
         0.05,
         1e9,
@@ -179,9 +192,9 @@ def timed_step(
     return min(times[1:]) / steps / len(factors) * 1e6, times[0]
 
 
-def steps_table() -> tuple[list[str], list[float]]:
-    """The table of a step, and how many explicit steps an implicit one costs."""
-    lines, ratios = [], []
+def steps_table() -> list[dict[str, Any]]:
+    """The rows of the table of a step."""
+    rows = []
     for n in (20, 100):
         rod, state = jaxrod.straight_rod(
             n, length=1.0, radius=1e-3, density=7850.0, youngs_modulus=2e11
@@ -195,21 +208,19 @@ def steps_table() -> tuple[list[str], list[float]]:
         cases += [("implicit, one of 64", implicit, 4000 * stable, "one of 64")]
         if n == 20:
             cases += [("implicit, gradient", implicit, 4000 * stable, "gradient")]
-        cost = {}
         for name, scene, dt, what in cases:
             (ours, first), (theirs, their_first) = (
                 timed_step(scene, state, dt, what, mode) for mode in ("auto", "never")
             )
-            cost[name] = ours
-            cells = f"{ours:.3g} | {theirs:.3g} | {first:.1f} | {their_first:.1f}"
-            lines.append(f"| {n} | {name} | {cells} |")
-            print(lines[-1], flush=True)
-        ratios.append(cost["implicit"] / cost["explicit"])
-    return lines, ratios
+            row = {"elements": n, "step": name, "kernels_us": ours, "xla_us": theirs}
+            row |= {"first_call_kernels_s": first, "first_call_xla_s": their_first}
+            rows.append(row)
+            print(step_line(row), flush=True)
+    return rows
 
 
-def rows(study: Study) -> list[str]:
-    """The table of one study."""
+def rows(study: Study) -> list[dict[str, Any]]:
+    """The rows of the table of one study."""
     rod, state = jaxrod.straight_rod(
         study.n_elements,
         length=1.0,
@@ -229,34 +240,67 @@ def rows(study: Study) -> list[str]:
     tries = [("implicit", implicit, dt) for dt in study.steps]
     tries += [("explicit, scaled", scaling.scene, 0.95 * float(scaling.dt))]
     tries += [("explicit", explicit, 0.95 * float(scaling.dt_before))]
-    lines = []
+    rows = []
     for name, scene, dt in tries:
         error = np.max(
             np.linalg.norm(tips(scene, state, dt, study.duration) - exact, axis=1)
         )
         wall = cost(scene, state, dt, study.duration)
-        lines.append(f"| {name} | {dt:.2e} | {error / travel:.2%} | {wall:.2g} |")
-        print(study.name, lines[-1], flush=True)
-    return lines
+        row = {"steps": name, "dt_s": dt, "error": float(error / travel)}
+        rows.append(row | {"cost_s_per_s": wall})
+        print(study.name, study_line(rows[-1]), flush=True)
+    return rows
+
+
+def step_line(row: dict[str, Any]) -> str:
+    """A row of the table of a step."""
+    return (
+        f"| {row['elements']} | {row['step']} | {row['kernels_us']:.3g} "
+        f"| {row['xla_us']:.3g} | {row['first_call_kernels_s']:.1f} "
+        f"| {row['first_call_xla_s']:.1f} |"
+    )
+
+
+def study_line(row: dict[str, Any]) -> str:
+    """A row of the table of a study."""
+    return (
+        f"| {row['steps']} | {row['dt_s']:.2e} | {row['error']:.2%} "
+        f"| {row['cost_s_per_s']:.2g} |"
+    )
+
+
+def page(record: dict[str, Any]) -> str:
+    """The page of a record."""
+    cost = {(row["elements"], row["step"]): row["kernels_us"] for row in record["step"]}
+    sizes = {n for n, _ in cost}
+    ratios = [cost[n, "implicit"] / cost[n, "explicit"] for n in sizes]
+    header = HEADER.format(
+        machine=record["machine"], radius=RADIUS, least=min(ratios), most=max(ratios)
+    )
+    table = "\n".join(map(step_line, record["step"]))
+    lines = [header, STEPS_HEADER + table + "\n"]
+    lines += [STUDIES_HEADER]
+    for name, found in record["studies"].items():
+        lines += [f"### {name}\n", "| steps | dt [s] | error | cost [s/s] |"]
+        lines += ["|---|---:|---:|---:|", *map(study_line, found), ""]
+    return "\n".join(lines)
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Takes no arguments."""
+    """Declares whether to measure."""
+    add_pages_only(parser)
 
 
 def run(args: argparse.Namespace) -> int:
-    """Measures and writes the page."""
-    jaxrod.configure_cpu(1)
-    jax.config.update("jax_enable_x64", True)
-    table, ratios = steps_table()
-    machine, least, most = processor_and_versions(), min(ratios), max(ratios)
-    header = HEADER.format(machine=machine, radius=RADIUS, least=least, most=most)
-    lines = [header, STEPS_HEADER + "\n".join(table) + "\n"]
-    with warnings.catch_warnings():
-        warnings.simplefilter("error", jaxrod.UnstableStepWarning)
-        for study in STUDIES:
-            lines += [f"## {study.name}\n", "| steps | dt [s] | error | cost [s/s] |"]
-            lines += ["|---|---:|---:|---:|", *rows(study), ""]
-    target = ROOT / "docs" / "implicit.md"
-    write_atomically(target, "\n".join(lines).encode())
+    """Measures, and writes the record and the page."""
+    if not args.pages:
+        jaxrod.configure_cpu(1)
+        jax.config.update("jax_enable_x64", True)
+        record = {"machine": processor_and_versions(), "step": steps_table()}
+        with warnings.catch_warnings():
+            warnings.simplefilter("error", jaxrod.UnstableStepWarning)
+            record["studies"] = {study.name: rows(study) for study in STUDIES}
+        write_record(RECORDS, "implicit", record)
+    found = read_json(RECORDS / "implicit.json")
+    write_atomically(ROOT / "docs" / "implicit.md", page(found).encode())
     return 0

@@ -1,4 +1,4 @@
-"""Programs that show why releases of JAX are refused.
+"""Programs that show why jaxrod rejects releases of JAX.
 
 Each program runs in a separate process, because a faulty release may kill it. The
 programs need JAX and NumPy, but not jaxrod. Run this with the Python of an environment

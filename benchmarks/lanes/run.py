@@ -1,14 +1,14 @@
 """Lanes, rows and XLA compared on one core: docs/performance.md.
 
-`speed`: rod-steps per second of scenes of many kinds, a batch of 256. `gradient`: the
-value and gradient of 1000 steps, a batch of 64. `length`: elements from 5 to 1000.
-`batch`: rods from 1 to 65536. `many`: 64 systems with contact. `single`: one scene or
-system, without a batch. `single_gradient`: its gradient. All by default; tables that
-are not measured do not change.
+The tables are `speed` (rod-steps per second of scenes of many kinds, in a batch of
+256), `gradient` (value and gradient of 1000 steps, in a batch of 64), `length` (5 to
+1000 elements), `batch` (1 to 65536 rods), `many` (64 systems with contact), `single`
+(one scene or system, without a batch) and `single_gradient` (its gradient). The default
+is all. Tables that are not measured do not change.
 
-Both programs are compiled first. Then windows of both alternate, and the shortest of
-five counts for each. Times are processor time of one core; compiling is listed
-separately.
+Both programs compile first. Then windows of both alternate, and the shortest of five
+counts for each. Times are processor time of one core, and the first calls, which
+compile, are listed separately.
 """
 
 from __future__ import annotations
@@ -34,36 +34,34 @@ PAGE = ROOT / "docs" / "performance.md"
 WINDOWS = 5
 MODES = ("auto", "never")
 SINGLE_MODES = ("auto", "never")
+FORWARD = (
+    "lanes [million rod-steps/s] | XLA [million rod-steps/s] | speed ratio "
+    "| first call, lanes [s] | first call, XLA [s] |\n|---|---:|---:|---:|---:|---:|"
+)
 HEADS = {
-    "speed": (
-        "| scene, batch of 256 | lanes [million rod-steps/s] | XLA | ratio "
-        "| first call, lanes [s] | XLA |\n|---|---:|---:|---:|---:|---:|"
-    ),
+    "speed": f"| scene, batch of 256 | {FORWARD}",
     "gradient": (
         "| value and gradient of 1000 steps, batch of 64 | lanes [us per rod-step] "
-        "| XLA | ratio | of lanes' forward pass | first call, lanes [s] | XLA |\n"
+        "| XLA [us per rod-step] | speed ratio | lanes: gradient / forward pass "
+        "| first call, lanes [s] | first call, XLA [s] |\n"
         "|---|---:|---:|---:|---:|---:|---:|"
     ),
-    "length": (
-        "| elements, batch of 256 | lanes [million rod-steps/s] | XLA | ratio "
-        "| first call, lanes [s] | XLA |\n|---|---:|---:|---:|---:|---:|"
-    ),
-    "batch": (
-        "| rods of 20 elements | lanes [million rod-steps/s] | XLA | ratio "
-        "| first call, lanes [s] | XLA |\n|---|---:|---:|---:|---:|---:|"
-    ),
+    "length": f"| elements, batch of 256 | {FORWARD}",
+    "batch": f"| rods of 20 elements | {FORWARD}",
     "many": (
-        "| 64 systems at once | kernel | kernel [us a step of one] | XLA | ratio "
-        "| first call, kernel [s] | XLA |\n|---|---|---:|---:|---:|---:|---:|"
+        "| batch of 64 systems | kernel | kernel [us per step of one system] "
+        "| XLA [us per step of one system] | speed ratio | first call, kernel [s] "
+        "| first call, XLA [s] |\n|---|---|---:|---:|---:|---:|---:|"
     ),
     "single": (
-        "| one scene or system | rows [us a step] | XLA | ratio "
-        "| first call, rows [s] | XLA |\n|---|---:|---:|---:|---:|---:|"
+        "| one scene or system | rows [us per step] | XLA [us per step] | speed ratio "
+        "| first call, rows [s] | first call, XLA [s] |\n"
+        "|---|---:|---:|---:|---:|---:|"
     ),
     "single_gradient": (
-        "| value and gradient of 200 steps | rows [us a step] | XLA | ratio "
-        "| of rows' forward pass | first call, rows [s] | XLA |\n"
-        "|---|---:|---:|---:|---:|---:|---:|"
+        "| value and gradient of 200 steps | rows [us per step] | XLA [us per step] "
+        "| speed ratio | rows: gradient / forward pass | first call, rows [s] "
+        "| first call, XLA [s] |\n|---|---:|---:|---:|---:|---:|---:|"
     ),
 }
 

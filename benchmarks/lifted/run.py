@@ -3,8 +3,8 @@
 Plays the task's script and each policy for 64 episodes in which the wrist starts at its
 highest position, and for 64 in which it starts anywhere on its way down, as in
 training. Prints the mean return, and the share of episodes that end with the ball at
-least 0.07 m above its first position. The episodes are the same for all. In single
-precision, as trained.
+least 0.07 m above its first position. All play the same episodes, in single precision,
+as in training.
 """
 
 from __future__ import annotations

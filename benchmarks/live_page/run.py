@@ -1,11 +1,11 @@
 """Pictures per second of the live page, and the delay of a pull.
 
-A client takes pictures over HTTP, one connection for pictures and one for commands, as
-a browser does. The scene is that of examples/live_arm.py, at rest. The delay is the
-time from sending the pull to having the picture in which the tip has moved by 10
-micrometres. In the browser it is the time from the event of the mouse to the picture in
-the page, in milliseconds of the page's own clock. Other work on the machine slows all
-of this, most of all a view without a graphics card, so the load before is printed.
+A client gets pictures over HTTP, with one connection for pictures and one for commands,
+as a browser does. The scene is that of examples/live_arm.py, at rest. The delay is the
+time from the start of a pull until the client has a picture in which the tip has moved
+by 10 micrometres. In the browser it is the time from the event of the mouse to the
+picture on the page, in milliseconds of the page's clock. Other programs slow this,
+above all without a graphics card, so the benchmark prints the load of the machine.
 """
 
 from __future__ import annotations

@@ -1,9 +1,9 @@
 """Materials with memory: simulated rods compared with closed forms.
 
-A rod is held or bent by a couple at its tip, so slowly that its inertia hardly matters.
-Every curvature is compared with the closed form of the material. Prints the largest
-difference of each law; with --out, also draws the three pictures of docs/material.md.
-Takes about half a minute of processor time.
+A couple at the tip holds or bends a rod, so slowly that inertia hardly matters. The
+benchmark compares every curvature with the closed form of the material. Prints the
+largest difference for each law; with --out, also draws the three pictures of
+docs/material.md. Takes about half a minute of processor time.
 
 Exits with 0 if all differences are at most 1 %, and with 1 if not.
 

@@ -1,9 +1,9 @@
 """PyElastica's muscular snake crawling in both libraries.
 
-WHICH is `ours`; ours with PyElastica's law of some parts, `ours+rods+joints+damping`;
-`theirs`, PyElastica; or `our_ground`, PyElastica with our law of the ground. Prints the
-position of the body's centre of mass after every quarter of a period, and its
-displacement in each period. A period is 200,000 steps.
+WHICH is `ours` (jaxrod), `ours+rods+joints+damping` (jaxrod with PyElastica's laws for
+these parts), `theirs` (PyElastica) or `our_ground` (PyElastica with our law of the
+ground). Prints the position of the body's centre of mass after every quarter of a
+period, and its displacement in each period. A period is 200,000 steps.
 
 `hovering` prints where a rod comes to rest above a plane in both libraries. `bellies`
 prints how much the bellies of our muscles lean and stretch in the third period.

@@ -1,10 +1,10 @@
 """Steps of settling nests of rods, and the cost of neighbour lists.
 
-Nests are those of examples/nest.py, with 8 elements per rod, in float32. Prints for
-each size wall-clock and processor time per step, processor time per element and step
-relative to the smallest nest, the same without contact, and listed pairs per element.
-Compare processor times if the machine is busy with other work. PyElastica steps nests
-of tens of rods, with its contact between every two rods.
+Nests are those of examples/nest.py, with 8 elements per rod, in float32. For each size
+it prints wall-clock and processor time per step. It also prints the processor time per
+element and step, relative to the smallest nest, with contact and without, and the
+listed pairs per element. On a busy machine, compare processor times. PyElastica steps
+nests of tens of rods, with its contact between every two rods.
 """
 
 from __future__ import annotations

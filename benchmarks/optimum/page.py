@@ -42,46 +42,53 @@ def learners(case: int) -> list[tuple[str, float, int]]:
 HEADER = """\
 # How good is good: ceilings of the arm tasks
 
-Written by `python -m benchmarks optimum`; do not edit. The table has the tasks of the
-arm with a record (`python -m benchmarks optimum TASK`), in the variant `clean`. All
-columns but *learned* use the same episodes (seed {seed} of `evaluate`; their random
-events depend on the duration of actions):
+Written by `python -m benchmarks optimum`; do not edit.
 
-- **ceiling**: the reward with the tip on the target, or as close to it as the arm's
-  length from its base allows, and in `reaching` with the goal's orientation. It is
-  computed for each episode. It ignores the way to the target, the clamp at the base and
-  the strength of muscles; no known policy reaches it. It is not a strict bound, because
-  it also ignores that an arm stretches by a few percent when it swings.
-- **planned**: `jaxrod.control.mpc`, without training. It plans with the rod itself and
-  does not know random events in advance. *Held* is a plan of one action only
-  (`python -m benchmarks optimum TASK_held`).
-- **learned**: the best learner of each recorded grid by the mean over its seeds, with
-  policies without exploration noise. They were measured on other episodes, and in the
-  `paper` variant also under the published physics. Their shares are relative to the
-  mean ceiling in this table.
-- **random**: random actions, redrawn as often as the planner acts.
+How much of the highest possible return does a planner reach in each task of the arm,
+and how much does a learner reach? The table compares mean returns in the variant
+`clean`. `python -m benchmarks optimum TASK` measures a row. All columns but *learned*
+use the same episodes (seed {seed} of `evaluate`). Their random events depend on the
+duration of actions, so the ceiling of a *held* row can differ.
+
+- **ceiling**: the return of an arm whose tip is always on the target, or as close to it
+  as the arm's length allows. In `reaching` the tip also has the goal's orientation. The
+  ceiling is computed for each episode. It ignores the way to the target, the clamp at
+  the base and the limited strength of muscles, and no known policy reaches it. It is
+  not a strict bound, because a swinging arm stretches by a few percent.
+- **planned**: the return of `jaxrod.control.mpc`, without training. It plans with the
+  rod itself and does not know random events in advance. In the rows *held* a plan has
+  only one action (`python -m benchmarks optimum TASK_held`).
+- **share**: the mean return of the planner, divided by the mean ceiling.
+- **lowest share**: the lowest share of the ceiling in any episode.
+- **random**: the return of random actions, redrawn as often as the planner acts.
+- **learned**: the return of the best learner in each recorded grid, without exploration
+  noise. The best learner is the one with the highest mean over its seeds. Learners
+  acted in other episodes, and in the variant `paper` also under the published physics.
+  Their shares are relative to the mean ceiling in this table.
 
 ![Shares of the ceiling](../benchmarks/optimum/records/optimum.png)
 
-| task | episodes | ceiling | planned | share | least share | random | learned |
+| task | episodes | ceiling | planned | share | lowest share | random | learned |
 |---|---:|---:|---:|---:|---:|---:|---|
 """
 TIMES = """
 ## Time of a plan
 
-Times are processor time of one core; compiling is listed separately. To act in real
-time, a plan must be ready within its period; here the simulation waits for it. For a
-single arm, lanes run the parts of a plan that are batches (rows of the Jacobian,
-samples), and XLA runs the rest.
+The table gives processor time on one core, and the time of compiling separately. To act
+in real time, the planner must finish a plan within its period. In this benchmark the
+simulation waits for the plan. For a single arm, lanes run those parts of a plan that
+are batches (rows of the Jacobian, samples), and XLA runs the rest.
 
-| task | period [ms] | plan, of a batch [ms] | plan, single arm [ms] | compiling [s] |
+| task | period [ms] | a plan in a batch [ms] | a plan for a single arm [ms] \
+| compiling [s] |
 |---|---:|---:|---:|---:|
 """
 SETTINGS = """
 ## Settings
 
-Control steps of 1.4 ms; see `jaxrod.control.mpc`. Costs are the tasks' own
-([planning](planning.md)), not their rewards.
+`jaxrod.control.mpc` explains the settings. `horizon`, `replan` and `hold` count control
+steps, and a control step takes 1.4 ms. The planner minimises the cost of the task
+([planning](planning.md)), not its reward.
 
 | task | {} |
 |---|{}
@@ -101,16 +108,27 @@ NAMES = (
 )
 
 
-def write_pages(seed: int) -> None:
-    """Writes the page and its picture from the records."""
-    records = [
+def recorded() -> list[dict[str, Any]]:
+    """The records there are."""
+    return [
         read_json(file)
         for task in CASES
         for plan in PLANS
         if (file := RECORDS / f"{task}{plan and '_' + plan}.json").exists()
     ]
+
+
+def write_pages(seed: int) -> None:
+    """Writes the page and its picture from the records."""
+    records = recorded()
     if not records:
         return
+    write_atomically(ROOT / "docs" / "optimum.md", text(records, seed).encode())
+    picture(records)
+
+
+def text(records: list[dict[str, Any]], seed: int) -> str:
+    """The page of records."""
     page = HEADER.format(seed=seed)
     times = TIMES
     settings = SETTINGS.format(" | ".join(NAMES), "---:|" * len(NAMES))
@@ -140,9 +158,7 @@ def write_pages(seed: int) -> None:
     machines = sorted({record["machine"] for record in records})
     measured_on = f"\nMeasured on: {'; '.join(machines)}.\n"
     page += section(LEARNERS, CASES) + same_episodes(LEARNERS, SAME, CASES)
-    page += times + measured_on + settings
-    write_atomically(ROOT / "docs" / "optimum.md", page.encode())
-    picture(records)
+    return page + times + measured_on + settings
 
 
 def _spaced(plan: str) -> str:

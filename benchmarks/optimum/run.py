@@ -1,16 +1,17 @@
 """Ceilings of the arm's four tasks, and returns of a planner.
 
-For each task (variant "clean") and plan, or those named (`PLANS`), measures on the same
-episodes: the ceiling by construction, the return and the time of model-predictive
-control, and the return of random actions. Writes a record of each into records, then
-docs/optimum.md and its picture from all records, including those of the learners. In
-float32 on one core. `--pages` measures nothing and writes the pages from the records.
+Measures each task (variant "clean") with each plan, or those that you name (`PLANS`),
+in float32 on one core. All numbers are from the same episodes: the ceiling of the
+return, the return and the time of model-predictive control, and the return of random
+actions. Writes a record of each into records, then docs/optimum.md and its picture from
+all records, including those of the learners. `--pages` measures nothing and writes the
+pages from the records.
 
-The ceiling of an episode is its reward with the tip in the best position: on the
+The ceiling of an episode is its return with the tip in the best position: on the
 target, or as near as the arm's length from its base allows. In "reaching" the
-orientation is the goal's. The arm may be unable to reach the ceiling, because it
-ignores the way to the target, the clamp at the base and the limited strength of
-muscles. It also ignores that an arm can be stretched, which adds to its length.
+orientation is the goal's. The arm may be unable to reach the ceiling, because the
+ceiling ignores the way to the target, the clamp at the base and the limited strength of
+muscles. It also ignores that an arm can stretch, which adds to its length.
 """
 
 from __future__ import annotations

@@ -1,16 +1,17 @@
 """Run the published benchmark: a grid of cases, algorithms and seeds.
 
 CASES are `tracking`, `reaching`, `structured` and `unstructured`, or as in the paper
-Case1 to Case4 (default: all four); `trivial` tries things out in a minute. `jaxrod
-train` trains every cell in a separate process, with the control steps and settings of
+Case1 to Case4 (default: all four). `trivial` is a small grid, for a trial of one
+minute. A cell is a case with an algorithm and a seed. `jaxrod train` trains every cell
+in a separate process, with the control steps and settings of
 benchmarks/paper/settings.py. Cells run one after another on all cores. With --jobs
 several run in parallel, each on its share of the cores.
 
-OUT gets results.csv (a row per seed), results.md (compared with the paper), a figure
-per case, cells/ (settings and result of every cell) and curves/. All are written after
-every cell and meant to be kept. OUT/runs has the run folders, which you may delete.
-Ctrl-C saves and stops. The same command continues, also after a kill, and skips
-finished cells. If a cell diverges, it is recorded as failed and the grid continues.
+DIR gets results.csv (a row per seed), results.md (a comparison with the paper), a
+figure per case, cells/ (settings and result of every cell) and curves/. The command
+updates these after every cell. Keep them. DIR/runs has the run folders, which you may
+delete. Ctrl-C saves and stops. The same command continues, also after a kill, and skips
+finished cells. If a cell diverges, the command records it as failed and continues.
 """
 
 from __future__ import annotations
@@ -51,7 +52,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         nargs="+",
         default=[0, 1, 2],
         metavar="N",
-        help="(default: 0 1 2)",
+        help="random seeds (default: 0 1 2)",
     )
     parser.add_argument("--variant", help="paper or clean (default: paper)")
     length = parser.add_mutually_exclusive_group()
@@ -85,7 +86,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--overwrite",
         action="store_true",
-        help="run again the cells that were run with other settings or steps",
+        help="repeat the cells that ran with other settings or steps",
     )
     parser.add_argument(
         "--dry-run",
@@ -114,7 +115,7 @@ def run(args: argparse.Namespace) -> int:
         fraction=args.steps_fraction,
     )
     if args.out.exists() and not args.out.is_dir():
-        raise ValueError(f"out must be a folder, {args.out} is a file")
+        raise ValueError(f"out must be a folder, but {args.out} is a file")
     records = Records(args.out)
     if args.dry_run:
         _describe(cells, records, args.overwrite, args.json)

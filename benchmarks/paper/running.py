@@ -56,16 +56,16 @@ def run_grid(
         Exit code: 0 all cells came to their end, 1 some failed, 130 interrupted.
 
     Raises:
-        ValueError: a cell was run otherwise, or another grid runs here.
+        ValueError: a cell ran with other settings, or another grid runs here.
     """
     changed = {cell.name: changed_since(cell, records) for cell in cells}
     if not overwrite:
         for name, how in changed.items():
             if how:
                 raise ValueError(
-                    f"{name} in {records.out} was run otherwise: {', '.join(how)}; "
-                    "run such cells again with --overwrite, or choose another folder "
-                    "with --out"
+                    f"{name} in {records.out} ran with other settings: "
+                    f"{', '.join(how)}; repeat such cells with --overwrite, or choose "
+                    "another folder with --out"
                 )
     view = RunsView(cells, stream)
     refuse_link(records.out / "runs")

@@ -1,8 +1,8 @@
 """Time of systems with planar members, divided by that with members in space.
 
 Runs each scene with `consistent()` and with `planar("zx")` in turn, in float32 on one
-core, and compares medians of processor times. Runs are within `jax.jit`, without the
-checks of the state that a plain call makes. Prints one JSON object.
+core, and compares medians of processor times. It runs them within `jax.jit`, which
+omits the checks of the state in a plain call. Prints one JSON object.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 """Twist and writhe of a rod that is twisted until it winds around itself.
 
-`twisted`: PyElastica's plectoneme with ten turns, in jaxrod and in PyElastica.
-`pulled`: a rod between guides that is pulled and turned 13 times, in jaxrod.
+`twisted` is PyElastica's plectoneme with ten turns, in jaxrod and in PyElastica.
+`pulled` is a rod between guides under tension, turned 13 times, in jaxrod.
 """
 
 from __future__ import annotations

@@ -2,7 +2,7 @@
 
 Trains PPO and TRPO on `tracking` and `reaching` (variant "paper") with the settings of
 the published grid. Each policy then acts in the same episodes with the mean of its
-noisy, bounded actions, with their median, and with noise. In one run the bound on the
+noisy, clipped actions, with their median, and with noise. In one run the bound on the
 noise falls late in the training. Writes a record of every run into records.
 """
 

@@ -1,18 +1,19 @@
 """Returns in every task, plain and randomised, in the same control steps.
 
-Each task is trained three times with the same learner, settings and number of control
-steps: as it is (`plain`), on bodies that differ with faulty actuators and sensors
-(`randomised`), and with a randomisation that widens during the run (`widened`). A body
-is up to a fifth softer or stiffer and some per cent heavier or lighter than its model.
-Commands arrive up to `Task.delay` control steps late through actuators with a lag of up
-to 20 ms. All entries of the observation have noise, and each is missing in 2 % of the
-control steps.
+Trains each task three times with the same learner, settings and number of control
+steps: the plain task (`plain`), a task with random bodies, faulty actuators and faulty
+sensors (`randomised`), and a randomisation that widens during the run (`widened`). A
+body is up to a fifth softer or stiffer and some per cent heavier or lighter than its
+model. Commands arrive up to `Task.delay` control steps late, through actuators with a
+lag of up to 20 ms. All entries of the observation have noise, and each is missing in
+2 % of the control steps.
 
-Policies are evaluated without noise in their actions, the last two under the full
-randomisation. Random actions are measured with and without it. Widening begins at the
-task as it is. It widens if episodes of the training return more than half of what the
-plain run gained in its training, and narrows below a quarter. Writes a record of each
-task into records, then the table of docs/randomisation.md from all records.
+Evaluates policies without noise in their actions, the last two under the full
+randomisation, and random actions with and without it. The third run begins with the
+plain task. Its randomisation widens if the gain of training episodes is more than half
+of the plain run's gain in training, and narrows if it is less than a quarter. Writes a
+record of each task into records, then the table of docs/randomisation.md from all
+records.
 """
 
 from __future__ import annotations

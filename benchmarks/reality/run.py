@@ -3,22 +3,23 @@
 The task is `tracking` (variant "clean"). The arm is up to 30 % stiffer or softer than
 its model, drawn for every episode. Commands arrive 20 ms late. Positions have noise of
 5 mm, and each marker on the arm is missing half of the time. Six learners train on
-this: PPO without memory (`mlp`), with a recurrent policy (`recurrent`), each of them
-also with a critic that sees everything (`mlp-privileged`, `recurrent-privileged`),
-DAgger (`imitator`), and both together (`recurrent-imitated`). DAgger imitates a planner
-that sees everything and knows the delay. Its policy, without memory, sees its own last
-actions beside the sensors. In `recurrent-imitated` DAgger has three quarters of the
-control steps, and recurrent PPO begins with its policy. `ideal` is PPO without memory
-and without any of these faults. `ideal-softer` and `ideal-stiffer` are the same on an
-arm that is ten per cent softer or stiffer than any of the training. `mlp-delay`,
-`mlp-dropout`, `mlp-noise`, `mlp-stiffness` and `imitator-delay` have one of the faults.
-Each policy is then evaluated without noise in its actions, on the task on which it was
-trained, and on arms ten per cent softer and stiffer than any of the training.
+this: PPO without memory (`mlp`), PPO with a recurrent policy (`recurrent`), each of
+them also with a critic that sees everything (`mlp-privileged`, `recurrent-privileged`),
+DAgger (`imitator`), and DAgger followed by recurrent PPO (`recurrent-imitated`). DAgger
+imitates a planner that sees everything and knows the delay. Its policy has no memory,
+and sees its own last actions in addition to the sensors. In `recurrent-imitated` DAgger
+has three quarters of the control steps, and recurrent PPO begins with its policy.
+`ideal` is PPO without memory and without any of these faults. `ideal-softer` and
+`ideal-stiffer` are the same on an arm that is ten per cent softer or stiffer than any
+arm in training. `mlp-delay`, `mlp-dropout`, `mlp-noise`, `mlp-stiffness` and
+`imitator-delay` have one of the faults. The benchmark then evaluates each policy
+without noise in its actions, on its own task and on arms that are ten per cent softer
+and stiffer than any arm in training.
 
-`faults` trains nothing on faults. It evaluates the policy of `ideal` under each fault,
-and a planner that knows everything (`jaxrod.control.mpc`), with the delay and without.
-So it tells what a fault costs by physics from what it costs a learner. Writes a record
-of every run into records.
+`faults` trains nothing on faults. It evaluates the policy of `ideal` under each fault.
+It also evaluates a planner that knows everything (`jaxrod.control.mpc`), with the delay
+and without. The planner shows how much of a loss is due to physics, and not to
+learning. Writes a record of every run into records.
 """
 
 from __future__ import annotations

@@ -1,11 +1,11 @@
 """Measure rod-steps per second on this machine, compared with PyElastica.
 
-The arm has 20 elements and is clamped, damped and actuated. Batches of it are stepped
-in float32 and float64, with both elastic laws, spread over the CPU cores. (A single arm
-runs on one core.) PyElastica steps the same arm in the same run, before, between and
-after. On a busy machine, compare ratios instead of rates. Compiling is not counted. A
-rate is the median of at least five windows. Before a batch is timed, its arms are
-compared with a single one.
+The arm has 20 elements and is clamped, damped and actuated. The command steps batches
+of it in float32 and float64, with both elastic laws, spread over the CPU cores. (A
+single arm runs on one core.) PyElastica steps the same arm in the same run, before,
+between and after the batches. On a busy machine, compare ratios instead of rates. Rates
+exclude compiling. A rate is the median of at least five windows. Before it times a
+batch, the command compares the arms of the batch with a single one.
 """
 
 from __future__ import annotations
@@ -16,10 +16,7 @@ import json
 import os
 import sys
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
-
-if TYPE_CHECKING:
-    from benchmarks.rod_steps.measuring import Report
+from typing import Any
 
 EXAMPLES = """\
 examples:
@@ -58,7 +55,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         type=float,
         default=1.5,
         metavar="S",
-        help="time to measure each row, and PyElastica each time (default: 1.5)",
+        help="time of each measurement [s] (default: 1.5)",
     )
     parser.add_argument(
         "--devices",
@@ -117,29 +114,33 @@ def run(args: argparse.Namespace) -> int:
     text = json.dumps(result, indent=2)
     if args.out is not None:
         write_atomically(args.out / "rod_steps.json", f"{text}\n".encode())
-        page = f"# Rod-steps per second\n\n{_table(report, machine)}"
-        write_atomically(args.out / "rod_steps.md", page.encode())
-    print(text if args.json else _table(report, machine).rstrip())
+        write_atomically(args.out / "rod_steps.md", page(result).encode())
+    print(text if args.json else _table(result).rstrip())
     return 0
 
 
-def _table(report: Report, machine: dict[str, Any]) -> str:
-    """The report as a Markdown table, which reads well in a terminal too."""
-    from jaxrod.lanes.choice import slower
+def page(record: dict[str, Any]) -> str:
+    """The page of a record."""
+    return f"# Rod-steps per second\n\n{_table(record)}"
 
+
+def _table(record: dict[str, Any]) -> str:
+    """A record as a Markdown table, which reads well in a terminal too."""
+    machine = record["machine"]
     versions = ", ".join(f"{name} {v}" for name, v in machine["versions"].items())
     lines = [f"{machine['processor']}, {machine['devices']}; {versions}", ""]
-    unit = report.pyelastica_steps_per_s
+    unit = record["pyelastica_steps_per_s"]
     if unit is None:
         lines.append(
             "PyElastica is not installed, so there is nothing to compare with "
             "(pip install pyelastica)."
         )
     else:
-        low, high = min(report.pyelastica), max(report.pyelastica)
+        beside = record["pyelastica_measurements"]
+        low, high = min(beside), max(beside)
         lines.append(
             f"PyElastica: {unit:,.0f} steps/s in one process (median of "
-            f"{len(report.pyelastica)} measurements, {low:,.0f} to {high:,.0f})."
+            f"{len(beside)} measurements, {low:,.0f} to {high:,.0f})."
         )
     load, cores = machine["load_average_before"], machine["cores"]
     if load is not None and load > 0.25 * cores:
@@ -150,14 +151,14 @@ def _table(report: Report, machine: dict[str, Any]) -> str:
     heads = ("mode", "dtype", "batch", "rod-steps/s", "x PyElastica", "devices")
     body = [
         (
-            row.mode,
-            row.dtype,
-            str(row.batch),
-            f"{row.rod_steps_per_s:,.0f}",
-            "-" if row.times_pyelastica is None else f"{row.times_pyelastica:.1f}",
-            str(row.devices),
+            row["mode"],
+            row["dtype"],
+            str(row["batch"]),
+            f"{row['rod_steps_per_s']:,.0f}",
+            f"{row['times_pyelastica']:.1f}" if row["times_pyelastica"] else "-",
+            str(row["devices"]),
         )
-        for row in report.rows
+        for row in record["rows"]
     ]
     widths = [max(len(line[i]) for line in (heads, *body)) for i in range(len(heads))]
     rule = tuple("-" * (w - 1) + (":" if i > 1 else "-") for i, w in enumerate(widths))
@@ -168,10 +169,10 @@ def _table(report: Report, machine: dict[str, Any]) -> str:
             for i, (cell, width) in enumerate(zip(line, widths, strict=True))
         )
         lines.append(f"| {' | '.join(cells)} |")
-    compiling = sum(row.compile_s for row in report.rows)
+    compiling = sum(row["compile_s"] for row in record["rows"])
     lines += [
         "",
         f"Compiling took {compiling:.0f} s and is not counted.",
-        slower() or "Batches on CPUs run in lanes (docs/performance.md).",
+        record["slower"] or "Batches on CPUs run in lanes (docs/performance.md).",
     ]
     return "\n".join(lines) + "\n"

@@ -13,11 +13,18 @@ SAME = """
 
 An untrained planner acts in the same episodes (`python -m benchmarks same_episodes`).
 It plans one action and holds it for {hold} control steps, as the learners do. Its
-return shows what the arm can achieve: where learners score less, the cause is not reach
-or strength.
+return shows what the arm can achieve: if learners score less, the cause is not the
+arm's reach or strength.
 
-| task | episodes | planned | share | below half | learned | share | below half by all \
-seeds | of these, planned above half | episodes with half of what the learners lack |
+| column | meaning |
+|---|---|
+| below half | episodes in which the planner's return is below half of the ceiling |
+| all seeds below half | episodes in which the policies of all seeds are below half |
+| of which planned | those of them in which the planner is above half |
+| half of the loss | fewest episodes that contain half of all return below the ceiling |
+
+| task | episodes | planned | share | below half | learned | share \
+| all seeds below half | of which planned | half of the loss |
 |---|---:|---:|---:|---:|---:|---:|---:|---:|---:|
 """
 

@@ -1,8 +1,9 @@
 """Returns of a planner in the episodes of the best learners.
 
-The planner of `optimum` that plans one action holds it for as long as the learners hold
-theirs, because the randomness of an episode depends on that time. Writes a record for
-each task into records, then docs/optimum.md. In float32 on one core.
+The planner is that of `optimum` with a single action. It holds this action for as long
+as the learners hold theirs, because the random events of an episode depend on that
+time. Runs in float32 on one core. Writes a record for each task into records, then
+docs/optimum.md.
 """
 
 from __future__ import annotations

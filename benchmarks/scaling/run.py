@@ -1,7 +1,7 @@
 """Batches, learners and a nest over several devices: docs/scaling.md.
 
-Devices are emulated: JAX divides the processor into eight. At most as many devices work
-at the same time as there are cores. Prints every row as it is measured.
+JAX emulates the devices: it divides the processor into eight. At most as many devices
+work at the same time as there are cores. Prints each row after its measurement.
 """
 
 from __future__ import annotations

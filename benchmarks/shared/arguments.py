@@ -6,6 +6,13 @@ import argparse
 from collections.abc import Iterable
 
 
+def add_pages_only(parser: argparse.ArgumentParser) -> None:
+    """Declares `--pages`, with which nothing is measured."""
+    parser.add_argument(
+        "--pages", action="store_true", help="write the page from the record"
+    )
+
+
 def add_names(
     parser: argparse.ArgumentParser,
     what: str,

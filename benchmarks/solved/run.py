@@ -2,9 +2,10 @@
 
 Plays each policy, the planner (`planner`) and random actions (`random`) from the same
 starts, which no training has seen. A start is solved if its episode ends with
-`info["success"]`, as the task defines it: a rope's end at a target (`lift`), a cable's
-tip in a socket (`insert`), or a catheter's in a branch of a vessel (`catheter`). Writes
-a record of each into records. In single precision, as trained.
+`info["success"]`, as the task defines it: with the end of a rope at a target (`lift`),
+with the tip of a cable in a socket (`insert`), or with the tip of a catheter in a
+branch of a vessel (`catheter`). Runs in single precision, as training does. Writes a
+record of each into records.
 """
 
 from __future__ import annotations

@@ -1,13 +1,13 @@
 """Cost of accuracy in systems of several rods, on one core.
 
 Both libraries run the scenes of `system_speed` with more and fewer elements, in
-float64, each with the largest possible steps: `stable_dt` in jaxrod; in PyElastica the
-step of its example, and twice and four times that step if the motion stays the same.
-Each library is compared with itself with many elements (PyElastica's snake with a
-quarter of the step), because their laws of friction and of joints differ. The
-difference of the two limits is printed too. Errors are relative root mean squares: of
-the snake's speed in its fourth and fifth period, and of the motion of the free end of
-the two rods over a second.
+float64, with the largest possible steps. For jaxrod this is `stable_dt`. For PyElastica
+it is the step of its example, or twice or four times that step if the motion stays the
+same. The reference of each library is its own run with many elements (PyElastica's
+snake with a quarter of the step), because their laws of friction and of joints differ.
+The benchmark also prints the difference of the two references. Errors are relative root
+mean squares: of the snake's speed in its fourth and fifth period, and of the motion of
+the free end of the two rods over a second.
 """
 
 from __future__ import annotations

@@ -1,11 +1,11 @@
 """Steps of systems and scenes with contact, compared with PyElastica.
 
-Each scene is built in both libraries with the same rods and numbers of elements, in
-float64, or in float32 for jaxrod if you ask for it. Prints for both the processor time
-of a step, the step (PyElastica's is that of its examples, ours `stable_dt`), and
-seconds of motion per second of processor time. jaxrod runs one scene, and 64 under
-`jax.vmap`, on one core. Windows of all programs alternate, and the shortest of five
-counts, because the machine may be busy with other work.
+Each scene has the same rods and numbers of elements in both libraries. PyElastica runs
+in float64, and jaxrod in float64 or, on request, in float32. Prints for both the
+processor time of a step, the step size (PyElastica's is that of its examples, ours is
+`stable_dt`), and seconds of motion per second of processor time. jaxrod runs one scene,
+and 64 under `jax.vmap`, on one core. Windows of all programs alternate, and the
+shortest of five counts, because the machine may be busy with other work.
 """
 
 from __future__ import annotations

@@ -1,13 +1,13 @@
 """A twin of a real arm with two tendons, from the recordings of its makers.
 
-FOLDER holds the recordings: CSV files of frames, times and the coordinates of five
-markers whose order differs from file to file, named after the torques on the two
-pulleys (m1_u015: 0.15 N m on the first). They are those of the folder
-paper_results/secVa_system_identification/data of tud-phi/soromox on GitHub.
+FOLDER contains the recordings: CSV files of frames, times and the coordinates of five
+markers. The order of the markers differs from file to file. A file is named after the
+torques on the two pulleys (m1_u015: 0.15 N m on the first). The recordings are in the
+folder paper_results/secVa_system_identification/data of tud-phi/soromox on GitHub.
 
-The fit uses eight poses with one tendon pulled, like that of the makers, and forecasts
-all others. It finds the labels of the markers itself. If FOLDER has markers.csv with
-the true labels, they are compared. Writes a table into docs/twin.md, and with --report
+Like the makers' fit, this fit uses eight poses with one tendon pulled. It forecasts all
+others. It finds the labels of the markers itself, and compares them with the true
+labels if FOLDER has markers.csv. Writes a table into docs/twin.md, and with --report
 the page of the twin.
 """
 

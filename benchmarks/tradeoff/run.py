@@ -2,13 +2,13 @@
 
 SCENE is `swing` (a horizontal arm that is released), `tracking` (the tracking task's
 arm under recorded actions of a trained policy), `rope` (4 mm thick, 1 m long, released)
-or `slam` (an arm that falls onto a post). A grid of settings (elements, step,
-precision, law, integrator, reductions) is compared with a converged reference (160
-elements, an eighth of the stable step, float64). Each setting is timed on one core,
-for a single rod and for many at once. PyElastica runs the same scene in the same run,
-and so does MuJoCo's cable if nothing drives the arm. Neither runs scenes with contact,
+or `slam` (an arm that falls onto a post). The command compares a grid of settings
+(elements, step, precision, law, integrator, reductions) with a converged reference (160
+elements, an eighth of the stable step, float64). It times each setting on one core, for
+a single rod and for batches. PyElastica computes the same scene in the same run, and so
+does MuJoCo's cable if nothing drives the arm. Neither computes scenes with contact,
 because the contact laws differ. A search then finds the cheapest setting within the
-tolerance, also with steps between those of the grid.
+tolerance. It also tries steps between those of the grid.
 
 DIR gets tradeoff.csv (a line per setting and batch), tradeoff.png (error against cost)
 and tradeoff.md (the results).
@@ -52,7 +52,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         type=float,
         default=0.01,
         metavar="X",
-        help="error allowed, in lengths of the rod (default: 0.01)",
+        help="largest error, in lengths of the rod (default: 0.01)",
     )
     parser.add_argument(
         "--elements",
@@ -66,7 +66,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         type=int,
         nargs="+",
         metavar="N",
-        help="numbers of rods at once (default: 1 256 4096)",
+        help="numbers of rods in a batch (default: 1 256 4096)",
     )
     parser.add_argument(
         "--pyelastica-elements",

@@ -1,7 +1,7 @@
 """Training runs of PPO on seven tasks, a folder for each seed.
 
-Each run is a call of `jaxrod train` in a separate process, and its command is printed
-first. Existing runs are not replaced; `--out` names another folder.
+Each run is a call of `jaxrod train` in a separate process. The benchmark prints its
+command first. It does not replace existing runs; `--out` names another folder.
 """
 
 from __future__ import annotations

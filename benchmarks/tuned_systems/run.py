@@ -1,9 +1,8 @@
 """Errors that `jaxrod.tune` states for systems, divided by their true errors.
 
-For each of four systems `tune` finds the cheapest setting within an allowed error. The
-true error of this setting is found without the reference of `tune`: both are run again
-from the models that it returns, beside the same system with more elements than that
-reference has and a smaller step.
+For each of four systems `tune` finds the cheapest setting within an allowed error. To
+find the true error of this setting, the benchmark runs it again, and compares it with
+the same system with more elements and a smaller step than the reference of `tune`.
 """
 
 from __future__ import annotations

@@ -1,15 +1,15 @@
 """Values that the tests measured, and their limits: docs/validation.md.
 
-Runs the tests of the physics and of the comparison with PyElastica and tabulates the
-values they recorded, so the table has only values that the tests assert.
+Runs the tests of the physics and those against PyElastica, and tabulates the values
+that they record. The table therefore has only values that a test asserts.
 
   python -m benchmarks validation                   all tests, with the slow ones
-  python -m benchmarks validation -- -m "not slow"  in some ten minutes
-  python -m benchmarks validation --from a.xml      a run with --junitxml=a.xml
-  python -m benchmarks validation --update a.xml    the same, for its files alone
+  python -m benchmarks validation -- -m "not slow"  takes some ten minutes
+  python -m benchmarks validation --from a.xml      reads a run with --junitxml=a.xml
+  python -m benchmarks validation --update a.xml    changes only the sections in a.xml
 
-With `--update`, sections without rows in these runs do not change. Files of the same
-name in two folders share a section, and are run together.
+With `--update`, sections without rows in these runs do not change. Test files of the
+same name in two folders share a section, so run them together.
 """
 
 from __future__ import annotations
@@ -40,15 +40,19 @@ FOLDERS = (
 HEADER = """\
 # Validation
 
-Written by `python -m benchmarks validation` from runs of the tests that assert every
-row; do not edit. {outcome}
+Written by `python -m benchmarks validation` from runs of the tests; do not edit.
+{outcome}
 
-Unless a row says otherwise, programs compute in float64 on one CPU core. Errors are
-relative where they have no unit. The arm is 1 m long and 5 cm in radius, with a Young's
-modulus of 10 MPa and a density of 1000 kg/m^3. Measured on {machine} with
-{software}.
+A test asserts every row. If the feature is not a ratio, an order or a count, the
+measured value is the difference from the reference. The difference is relative if the
+row gives no unit. `[lengths]` means lengths of the rod, and `n` is the number of
+elements. Unless a row says otherwise, programs compute in float64 on one CPU core. "The
+arm" is 1 m long and 5 cm in radius, with a Young's modulus of 10 MPa and a density of
+1000 kg/m^3.
+
+Measured on {machine} with {software}.
 """
-COLUMNS = ("Feature", "Reference", "Measured", "Bar")
+COLUMNS = ("Feature", "Reference", "Measured", "Limit")
 
 
 class Rows:

@@ -431,7 +431,7 @@ def muscle(
     curve = CubicForce() if curve is None else curve
     if not isinstance(curve, ForceLength):
         raise TypeError(
-            "curve must be one such as jaxrod.actuation.cubic_force(), got "
+            "curve must be a force curve, such as jaxrod.actuation.cubic_force(), got "
             f"{type(curve).__name__}"
         )
     kind = rod.rest_lengths.dtype

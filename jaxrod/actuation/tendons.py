@@ -179,8 +179,8 @@ class Tendon(Effect):
     def resampled(self, rod: Rod, new_rod: Rod) -> Tendon:
         """Raises ValueError: eyelets belong to certain elements of one rod."""
         raise ValueError(
-            "a tendon's eyelets belong to certain elements: it cannot be resampled to "
-            "another number of elements"
+            "a tendon cannot be resampled to another number of elements, because its "
+            "eyelets belong to certain elements"
         )
 
     def _points(self, motion: Motion) -> tuple[Vec3, Vec3]:

@@ -199,7 +199,11 @@ class WorldWave(Effect):
     """Direction of the axis, world frame; its length multiplies the moments."""
 
     def loads(self, rod: Rod, motion: Motion) -> Loads:
-        """Couples: plus the joint moment on the element after, minus on that before."""
+        """Couples on the elements.
+
+        The moment of a joint acts on the element after it, and its opposite on the
+        element before it.
+        """
         inner = self.moments[1:-1]
         net = vectors.pad(inner, 1, 0) - vectors.pad(inner, 0, 1)
         a, b, c = vectors.split(self.direction)

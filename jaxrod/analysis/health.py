@@ -163,7 +163,7 @@ class Health:
     def faults(self) -> tuple[str, ...]:
         """Every flag that is set, with its value and what to change.
 
-        It needs values that are known, of one state.
+        It needs a single state with known values.
         """
         return tuple(
             words.format(self) for flag, words in _FAULTS if _is_set(self, flag)

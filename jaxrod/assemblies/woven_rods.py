@@ -87,8 +87,8 @@ def braid(
     pinned = joined == "pinned"
     if pinned and (abs(parts - round(parts)) > 1e-9 or n_elements % round(parts)):
         raise ValueError(
-            f"strands that are pinned cross at nodes: n_elements must be a multiple of "
-            f"2 strands turns = {parts:g}, a whole number, got {n_elements}"
+            "pinned strands cross at nodes, so 2 * strands * turns must be a whole "
+            f"number, got {parts:g}, and n_elements a multiple of it, got {n_elements}"
         )
     share = np.linspace(0, 1, n_elements + 1)
     state: dict[str, Any] = {}
@@ -198,7 +198,7 @@ def net(
 
         if cells * per < 2:
             raise ValueError(
-                "elements_per_cell must be at least 2 where there is one cell, got 1"
+                "elements_per_cell must be at least 2 if there is only one cell, got 1"
             )
         rods, states = equal_rods(
             cells * per,

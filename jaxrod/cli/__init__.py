@@ -13,8 +13,8 @@ Only the module of the requested command is imported.
 
 Exit codes: 0 done; 1 done, but with a bad result (such as a machine that fails `jaxrod
 doctor`), or the release of JAX is unsound, or the command needs a checkout; 2 the
-request cannot be carried out; 70 a fault of jaxrod (with its traceback); 130
-interrupted; 141 the output's reader has closed its pipe.
+request is impossible; 70 a fault of jaxrod (with its traceback); 130 interrupted; 141
+the output's reader has closed its pipe.
 """
 
 from __future__ import annotations
@@ -40,11 +40,11 @@ from jaxrod.installation.program_cache import asked_for, silence_false_alarms
 
 COMMANDS = {
     "train": "train a policy on a task",
-    "sweep": "train many: tasks, algorithms, settings, seeds",
+    "sweep": "train many policies: tasks, algorithms, settings, seeds",
     "evaluate": "measure the policy of a finished run",
     "render": "draw the learning curve and a replay of a run",
     "export": "write the policy of a run for a controller: C, ONNX",
-    "identify": "find the numbers of a real arm from recordings",
+    "identify": "estimate the parameters of a real arm from recordings",
     "optimise": "find actuation by gradients through the simulation",
     "completion": "print a completion script for bash or zsh",
     "doctor": "check that this machine computes correctly",
@@ -85,8 +85,8 @@ a first run:
   jaxrod render runs/first
 
 `jaxrod COMMAND --help` explains each command with examples.
-JAXROD_TRACEBACK=1 shows where an error was raised. Compiled programs are kept for the
-next call; JAXROD_CACHE=0 keeps none (docs/compiling.md).
+JAXROD_TRACEBACK=1 shows where an error was raised. jaxrod keeps compiled programs for
+the next call, unless JAXROD_CACHE=0 (docs/compiling.md).
 """
 
 
@@ -237,8 +237,8 @@ def _program(command: str) -> ModuleType:
     if not root.joinpath(*name.split(".")).with_suffix(".py").is_file():
         raise NoCheckoutError(
             f"`jaxrod {command}` is a program of the folder benchmarks/ of jaxrod's "
-            "repository, which is not installed: clone the repository, and in it "
-            "`pip install -e .`"
+            "repository, which is not installed: clone the repository, and run "
+            "`pip install -e .` in it"
         )
     package, _, _ = name.partition(".")
     if package not in sys.modules:

@@ -1,8 +1,8 @@
 """Check that this machine computes correctly.
 
 Runs small programs with known answers on every kind of device that JAX sees, and
-reports the versions and settings that change results. Exits with 0 if the machine is
-sound and with 1 if not; then it reports what is wrong and what to do.
+reports the versions and settings that change results. Exits with 0 if all answers are
+correct. Otherwise it exits with 1, and reports the fault and its remedy.
 """
 
 from __future__ import annotations

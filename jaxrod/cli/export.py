@@ -1,8 +1,9 @@
 """Write the policy of a run for a controller.
 
---c writes a C99 header that needs math.h alone, --onnx a model for ONNX runtimes.
-Next to each FILE its contract is written, FILE.json: entries and units of observation
-and action, the rate, the normalisation, the initial memory, the SHA-256 of FILE.
+--c writes a C99 header that needs only math.h, and --onnx writes a model for ONNX
+runtimes. Each FILE gets a contract beside it, FILE.json, with the entries and units of
+observation and action, the rate, the normalisation, the initial memory and the SHA-256
+of FILE.
 """
 
 from __future__ import annotations
@@ -32,7 +33,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--onnx", type=settings.path, metavar="FILE", help="ONNX model to write"
     )
     parser.add_argument(
-        "--overwrite", action="store_true", help="replace files exported before"
+        "--overwrite", action="store_true", help="replace earlier files"
     )
     parser.add_argument(
         "--json", action="store_true", help="print the contracts instead of the paths"
@@ -46,7 +47,7 @@ def run(args: argparse.Namespace) -> int:
     if args.c is None and args.onnx is None:
         raise ValueError("nothing to write: give --c FILE, --onnx FILE or both")
     if args.c == args.onnx:
-        raise ValueError(f"--c and --onnx are one file, {args.c}")
+        raise ValueError(f"--c and --onnx must be different files, got {args.c} twice")
     jaxrod.configure_cpu()
     stored = runs.open_run(args.run_folder, args.trust, args.task)
     policy = stored.policy()

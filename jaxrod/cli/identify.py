@@ -1,16 +1,17 @@
-"""Find the parameters of a measured arm from recordings of its markers.
+"""Estimate the parameters of a real arm from recordings of its markers.
 
-The arm is a TOML file: its rod, tendons and markers as drawn, and a standard deviation
-of each parameter that is not known exactly. Recordings are CSV files with a time, the
-inputs of the tendons, and the coordinates of the markers, in any order; or they are ROS
-bags or MCAP files, whose topics the arm's file names (docs/twin.md has all of them). A
-recording at rest gives a pose, and one of a moving arm gives a motion.
+A TOML file describes the arm: its rod, tendons and markers as designed, and a standard
+deviation for each parameter that is not known exactly. Recordings are CSV files with
+the time, the inputs of the tendons, and the coordinates of the markers, in any order.
+They may also be ROS bags or MCAP files, and then the TOML file names their topics
+(docs/twin.md). A recording at rest gives a pose, and one of a moving arm gives a
+motion.
 
 The folder gets twin.json (the parameters with their standard deviations, and the errors
-of all recordings) and report.html. With --forecast, recordings that are not fitted are
-predicted. Judge the result by these predictions.
+of all recordings) and report.html. With --forecast, the command also predicts
+recordings that the fit does not use. Judge the result by these predictions.
 
-Exits with 1 when the search did not converge.
+Exits with 1 if the search did not converge.
 """
 
 from __future__ import annotations

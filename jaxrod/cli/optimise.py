@@ -1,19 +1,20 @@
 """Find actuation by gradients through the simulation.
 
-Takes the arm of a task, straight and at rest, and finds muscle activity that
-brings its tip to a target at the end of a given time. The whole simulation is
-differentiated with respect to control values at knots in time. Levenberg-Marquardt uses
-the derivatives of the tip's position and velocity and needs a handful of iterations;
-Adam follows the gradient of the cost and needs a hundred or more. TASK is `tracking`,
-whose arm is 1 m long, clamped at the origin and points along +y.
+Takes the arm of a task, straight and at rest, and finds muscle activity that brings its
+tip to a target at the end of a given time. The unknowns are control values at knots in
+time, and the command differentiates the whole simulation with respect to them.
+Levenberg-Marquardt uses the derivatives of the tip's position and velocity, and needs a
+handful of iterations. Adam follows the gradient of the cost, and needs a hundred or
+more. TASK is `tracking`, whose arm is 1 m long, clamped at the origin and points along
++y.
 
 The folder gets config.json (the request), history.csv (a row per iteration),
 summary.json, trajectory.npz (knots, controls and the motion), convergence.png, and
 replay.html, a page that plays in any browser without a network. Ctrl-C stops Adam and
-writes the best so far.
+writes the best result so far.
 
-Exits with 0 when the tip ends within the tolerances of distance and speed, with 1 when
-it does not, and with 130 after Ctrl-C.
+Exits with 0 if the tip ends within the tolerances of distance and speed, with 1 if it
+does not, and with 130 after Ctrl-C.
 """
 
 from __future__ import annotations

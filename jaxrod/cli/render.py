@@ -1,9 +1,9 @@
 """Draw the learning curve and a replay of a run.
 
-Writes RUN/learning_curve.png, with the paper's result if the run can be compared with
-it, and RUN/replay.html: one episode of the deterministic policy, if the task can be
-drawn, as a page that plays in any browser without a network. Also works while the run
-is still training, from its last checkpoint.
+Writes RUN/learning_curve.png, and compares the curve with the paper's result if the
+two are comparable. If the task can be drawn, also writes RUN/replay.html: an episode of
+the deterministic policy, on a page that plays in any browser without a network. While a
+run is still training, the command shows its last checkpoint.
 """
 
 from __future__ import annotations

@@ -77,8 +77,8 @@ class StoredRun:
         ]
         if others:
             raise ValueError(
-                f"{file} is of another run than {self.path / 'config.json'}: its "
-                f"{', '.join(others)}"
+                f"{file} belongs to another run than {self.path / 'config.json'}: "
+                f"they differ in {', '.join(others)}"
             )
         if not isinstance(policy, MLPPolicy):
             return policy  # Its structure follows from the task and the settings.
@@ -100,8 +100,8 @@ def add_run(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--task",
         metavar="TASK",
-        help="what makes the task of RUN, such as my_task.py:MyTask, if RUN does not "
-        "say it or the file has moved",
+        help="callable that makes the task of RUN, such as my_task.py:MyTask, if RUN "
+        "does not name it or its file has moved",
     )
     add_trust(parser)
 
@@ -115,7 +115,7 @@ def add_trust(parser: argparse.ArgumentParser) -> None:
         metavar="MODULE",
         help="module (full name) or .py file that may be imported because RUN names "
         "it; may be given several times. Without it only built-in code runs, "
-        "because the folder of a run may come from anybody (docs/runs.md)",
+        "because the folder of a run may come from anyone (docs/runs.md)",
     )
 
 
@@ -199,7 +199,7 @@ def read_config(path: Path) -> dict[str, Any]:
     if not (path / "config.json").exists():
         what = "holds no run (no config.json)" if path.is_dir() else "does not exist"
         raise ValueError(
-            f"{path} {what}; a run is made by: jaxrod train TASK --out {path}"
+            f"{path} {what}; make a run with: jaxrod train TASK --out {path}"
         )
     return RunFolder(path).config()
 

@@ -208,7 +208,7 @@ def count(text: str) -> int:
     try:
         value = Decimal(number)  # In binary 4.1 million is no whole number.
         if value.is_finite() and value.adjusted() > _DIGITS:
-            raise argparse.ArgumentTypeError(f"{shown} is too large to count to")
+            raise argparse.ArgumentTypeError(f"{shown} is too large")
         value *= size
         whole = int(value)
     except (ArithmeticError, ValueError):

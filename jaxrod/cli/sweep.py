@@ -1,15 +1,16 @@
 """Train many policies: every combination of tasks, algorithms, settings and seeds.
 
 Each combination is one run, as with `jaxrod train`, in its own process and its own
-folder under DIR. By default they are trained here, one after another on all cores.
+folder under DIR. By default they run on this machine, one after another on all cores.
 With --jobs several run in parallel, each on its share of the cores. With --ray they run
 on the machines of a Ray cluster (docs/sweeps.md). Ctrl-C saves and stops. The same
-command continues, also after a kill, and skips finished runs. A failed run is reported,
-the others continue, and the next call tries it again from its last checkpoint.
+command continues, also after a kill, and skips finished runs. If a run fails, the
+command reports it and continues with the others. The next call tries it again from its
+last checkpoint.
 
-`--set NAME=VALUE,VALUE` gives alternatives of a setting. Alternatives of a tuple are
-given one by one: `--set hidden_sizes=64,64 hidden_sizes=128,128`. A setting of only one
-of the algorithms is given with its name: `--set ppo.learning_rate=1e-3,3e-4`.
+`--set NAME=VALUE,VALUE` gives alternatives of a setting. Give alternatives of a tuple
+one by one: `--set hidden_sizes=64,64 hidden_sizes=128,128`. If a setting is for one of
+the algorithms only, begin with its name: `--set ppo.learning_rate=1e-3,3e-4`.
 
 DIR gets results.csv (a row per run), a picture per task (means and spreads over seeds),
 and a folder and a log for every run, named after its combination.
@@ -110,7 +111,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--ray",
         metavar="ADDRESS",
         help="train on the Ray cluster whose head is at HOST:PORT, or auto on one of "
-        'its nodes; needs pip install "jaxrod[ray]" on all',
+        'its nodes; needs pip install "jaxrod[ray]" on all nodes',
     )
     parser.add_argument(
         "--cpus",
@@ -151,7 +152,7 @@ def run(args: argparse.Namespace) -> int:
     # Runs are planned here and trained elsewhere, so this process takes no GPU memory.
     jax.config.update("jax_platforms", "cpu")
     if args.ray is None and (args.cpus, args.gpus) != (None, None):
-        raise ValueError("--cpus and --gpus go with --ray")
+        raise ValueError("--cpus and --gpus need --ray")
     if args.cpus is not None and args.cpus < 1:
         raise ValueError(f"cpus must be at least 1, got {args.cpus}")
     if args.gpus is not None and not args.gpus >= 0:
@@ -220,7 +221,7 @@ def _check_folders(runs: Sequence[SweepRun], out: Path) -> None:
     from jaxrod.files import refuse_link
 
     if out.exists() and not out.is_dir():
-        raise ValueError(f"out must be a folder, {out} is a file")
+        raise ValueError(f"out must be a folder, but {out} is a file")
     for run in runs:
         folder = _folder(run, out)
         refuse_link(folder.path)
@@ -229,7 +230,7 @@ def _check_folders(runs: Sequence[SweepRun], out: Path) -> None:
         how = differs(run, folder)
         if how:
             raise ValueError(
-                f"{folder.path} was run otherwise: {', '.join(how)}; remove it, or "
+                f"{folder.path} holds a different run: {', '.join(how)}; remove it, or "
                 "choose another folder with --out"
             )
 

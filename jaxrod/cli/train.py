@@ -2,22 +2,22 @@
 
 TASK is `tracking` (a soft arm follows a moving target), `reaching` (it reaches a point
 with an orientation), `structured` (a planar arm in a maze), `unstructured` (an arm in a
-nest), `following` (an arm follows a moving target by commanded curvatures), `snake` or
-`octopus` (they crawl along a heading), `gripper` (it lifts a ball), `lift` (a hand
-lifts a rope), `insert` (a hand pushes a cable into a socket), `catheter` (it is steered
-into a branch of a vessel) or `trivial` (solved in seconds, to try things out). The
-first four have the variants `paper`, whose scores can be compared with the published
-ones, and `clean`; `trivial` has no variants, the others have `clean` only. TASK may
-also be your own: `mypackage.mymodule:make_task` or `folder/file.py:make_task` names the
-callable that makes it. Modules are also searched in the current folder
-(docs/extending.md).
+nest), `following` (an arm with commanded curvatures follows a moving target), `snake`
+or `octopus` (they crawl along a heading), `gripper` (three fingers lift a ball), `lift`
+(a hand lifts a rope), `insert` (a hand pushes a cable into a socket), `catheter` (its
+tip enters a branch of a vessel) or `trivial` (learned in seconds, for trials).
+The first four have the variants `paper`, whose scores you can compare with the
+published ones, and `clean`. `trivial` has no variants, and the others have only
+`clean`. TASK may also be your own: `mypackage.mymodule:make_task` or
+`folder/file.py:make_task` names the callable that makes it. jaxrod also searches the
+current folder for modules (docs/extending.md).
 
 The run folder gets config.json, progress.csv (env_steps, wall_s,
 episode_return_mean, ...), episodes.csv, checkpoints/, policy/, summary.json,
 learning_curve.png and replay.html. Ctrl-C saves and stops. --resume continues the run,
-which ends as if it had never been interrupted. While a process trains in a folder, no
-other process can. Files that jaxrod has not written there are left alone, even with
---overwrite.
+and the result is the same as without the interruption. While a process trains in a
+folder, no other process can. Even with --overwrite, jaxrod does not touch files there
+that it has not written.
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ STEPS = 10_000_000
 
 EXAMPLES = """\
 examples:
-  jaxrod train tracking                                    the paper's task: minutes
+  jaxrod train tracking                                    the paper's task, in minutes
   jaxrod train tracking --variant clean --steps 5M --seed 1 --out runs/clean
   jaxrod train tracking --resume --out runs/clean          continue after a stop
   jaxrod train tracking --like runs/clean --seed 2 --out runs/clean-2
@@ -54,7 +54,7 @@ examples:
   jaxrod train tracking --algorithm my_module:MY_ALGORITHM        your own learner
   jaxrod train tracking --set network=my_module:my_network        your own network
   jaxrod train tracking --resume --out runs/mine --trust my_module   ... continued
-  jaxrod train tracking --log tensorboard                  and: tensorboard --logdir .
+  jaxrod train tracking --log tensorboard                  then: tensorboard --logdir .
   jaxrod train tracking --json > result.json               for a script: summary.json
 
 `--set help` lists the settings of the algorithm, `--option help` the options of the
@@ -171,7 +171,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--log",
         choices=("tensorboard", "none"),
         help="tensorboard: also write the rows of progress.csv to DIR/tensorboard, "
-        "for TensorBoard (default: none; with --resume as before); "
+        "for TensorBoard (default: none; with --resume that of the run); "
         'needs pip install "jaxrod[tensorboard]"',
     )
     parser.add_argument(
@@ -200,7 +200,7 @@ def run(args: argparse.Namespace) -> int:
         return 0
     stored = None
     if args.resume and args.like:
-        raise ValueError("--like begins a new run, --resume continues an old one")
+        raise ValueError("give --like to begin a new run, or --resume, but not both")
     source = args.like or (_folder(args, None) if args.resume else None)
     if source:
         stored = runs.read_config(source)
@@ -212,7 +212,7 @@ def run(args: argparse.Namespace) -> int:
             )
         if stored["task"] != canonical_path(args.task):
             raise ValueError(
-                f"{source / 'config.json'}: the run is one of {stored['task']}, not of "
+                f"{source / 'config.json'}: the run trains {stored['task']}, not "
                 f"{args.task}"
             )
         if args.algorithm in (None, stored["algorithm"]):
@@ -256,7 +256,7 @@ def run(args: argparse.Namespace) -> int:
         join_processes(*processes, within=within)
     elif any(one is not None for one in (*processes, args.join_seconds)):
         raise ValueError(
-            "--coordinator, --processes, --process-id and --join-seconds go with "
+            "--coordinator, --processes, --process-id and --join-seconds need "
             "--distributed"
         )
     if source:

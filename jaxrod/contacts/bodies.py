@@ -152,7 +152,7 @@ class Body(ABC):
         return Solid(self, jnp.zeros(3), jnp.asarray(IDENTITY))
 
     def check(self, rod: Rod) -> None:
-        """Warns if contact with a rod is inaccurate; by default it never is."""
+        """Warns if contact with a rod is inaccurate; by default never."""
         return
 
     def mesh(self) -> Triangles | None:
@@ -260,7 +260,7 @@ class Capsule(Body):
     is_convex = True
 
     def surface(self, points: Vec3) -> tuple[Array, Vec3]:
-        """Distance from the segment between centres minus the radius; the normal."""
+        """Distance from the segment of centres, minus the radius; and the normal."""
         axis = vectors.split(self.end - self.start)
         relative = _from_point(self.start, points)
         share = vectors.dot(relative, axis) / vectors.dot(axis, axis)
@@ -423,8 +423,8 @@ class Pipe(Body):
     def inradius(self) -> Array:
         """Smaller of the outer radius and half the length [m].
 
-        It is that of a pipe without a bore: between two points on one side of the wall
-        no wall is thin.
+        The bore does not count, because no wall is thin between two points on one side
+        of the wall.
         """
         x, y, z = jnp.moveaxis(self.end - self.start, -1, 0)
         outer = self.radius + self.thickness
@@ -503,7 +503,7 @@ class Plane(Body):
 
     def solid(self) -> Solid:
         """Raises a ValueError: a half space cannot be a moving body."""
-        raise ValueError("a plane cannot be a moving rigid body: give it to `contact`")
+        raise ValueError("a plane cannot be a moving rigid body: use it in `contact`")
 
 
 @pytree
@@ -755,8 +755,8 @@ def cylinder(start: Numbers, end: Numbers, radius: Numbers) -> Cylinder:
 def pipe(start: Numbers, end: Numbers, radius: Numbers, thickness: Numbers) -> Pipe:
     """A fixed straight pipe, open at both ends: a sheath, a bore, a ring.
 
-    Contact inside of it works like that outside. The wall should be thicker than a rod
-    moves in a step; its thickness changes nothing else inside.
+    Contact inside works like contact outside. The wall should be thicker than the
+    distance that a rod moves in a step. Otherwise its thickness does not matter inside.
 
     Args:
         start: Centre of one end `(3,)` [m].
@@ -874,7 +874,7 @@ def signed_distance(
     got = jax.eval_shape(function, point, numbers)
     if getattr(got, "shape", None) != ():
         raise ValueError(
-            f"function must give one distance [m] at a point of shape (3,), got {got}"
+            f"function must return one distance [m] at a point of shape (3,), got {got}"
         )
     function, numbers = with_parameters(function, jnp.zeros((3,), dtype), numbers)
     ranks = tuple(jnp.ndim(leaf) for leaf in jax.tree.leaves(numbers))

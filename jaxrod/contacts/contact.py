@@ -723,7 +723,7 @@ def _gathered(bodies: Body | Sequence[Body]) -> tuple[Body, int | None]:
         )
     listed = list(bodies)
     if not listed:
-        raise ValueError("bodies must be at least one, got none")
+        raise ValueError("bodies must contain at least one body, got none")
     kinds: list[Any] = [jax.tree.structure(body) for body in listed]
     for body, kind in zip(listed, kinds, strict=True):
         if not isinstance(body, Body):
@@ -735,5 +735,5 @@ def _gathered(bodies: Body | Sequence[Body]) -> tuple[Body, int | None]:
                 "contact for each kind in the scene"
             )
         if body.count is not None:
-            raise TypeError("bodies in a sequence must be single ones")
+            raise TypeError("each entry of a sequence of bodies must be a single body")
     return jax.tree.map(lambda *leaves: jnp.stack(leaves), *listed), len(listed)

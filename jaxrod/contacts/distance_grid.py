@@ -619,8 +619,8 @@ def load_mesh(path: Any, unit: float = 1.0) -> Triangles:
         import trimesh
     except ImportError as error:
         raise ImportError(
-            'load_mesh needs trimesh: pip install "jaxrod[mesh]". Triangles from '
-            "elsewhere can be given to from_mesh"
+            'load_mesh needs trimesh: pip install "jaxrod[mesh]". If you have '
+            "the triangles already, give them to from_mesh"
         ) from error
     scale = _known("unit", unit)
     found = trimesh.load_mesh(path)

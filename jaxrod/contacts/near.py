@@ -95,7 +95,7 @@ def near_contact(contact: Contact, rod: Rod, state: RodState, count: int) -> Con
     check_state(rod, state)
     bodies = contact.n_bodies or 1
     if check_count("count", count, 1) > bodies:
-        raise ValueError(f"count must be at most {bodies}, all bodies, got {count}")
+        raise ValueError(f"count must be at most the {bodies} bodies, got {count}")
     if count == bodies:
         return dataclasses.replace(contact, near=None, n_near=None)
     position = motion_of(state).position

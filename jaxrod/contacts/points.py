@@ -173,7 +173,7 @@ def check_spacing(inradius: Array | None, rod: Rod, per_element: int) -> None:
     warn(
         f"contact points are {lengths[worst] / per_element:.2g} m apart along a rod "
         f"of radius {radii[worst]:.2g} m: a body of radius {body:.2g} m can slip "
-        f"through between. Use points_per_element={math.ceil(needed[worst] - 1e-5)}, "
+        f"between them. Use points_per_element={math.ceil(needed[worst] - 1e-5)}, "
         'or more elements; warnings.simplefilter("error", jaxrod.ThinBodyWarning) '
         "makes this an error.",
         ThinBodyWarning,

@@ -1,4 +1,4 @@
-r"""Contact of a rod with fixed bodies and static friction: what sticks does not creep.
+r"""Contact of a rod with fixed bodies and static friction, without creep.
 
 Friction of `jaxrod.contact` is a drag near rest, so a rod on a slope creeps. Here a
 spring of stiffness $k_t$ per length joins each contact point of the rod's surface to
@@ -217,7 +217,7 @@ class StickingContact(Contact):
         if self.near is not None:
             raise ValueError(
                 "static friction remembers each body: `near_contact`, whose bodies "
-                "change, cannot have it; list a contact of all bodies"
+                "change, cannot have it; use a contact of all bodies"
             )
         if self.positions.shape[-1] != rod.n_elements + 1:
             raise ValueError(
@@ -273,7 +273,7 @@ def sticking_contact(
     *,
     stick_stiffness: Numbers | None = None,
 ) -> StickingContact:
-    r"""The same contact with static friction: what sticks does not creep.
+    r"""The same contact with static friction, so that rods that stick do not creep.
 
     A spring joins each contact point of the rod's surface to the place of a body that
     it touches, and slips where friction is at its limit. `friction_drag` damps it. Up
@@ -286,8 +286,8 @@ def sticking_contact(
         rod: The rod.
         state: State of the rod in which the springs have no elongation.
         stick_stiffness: Friction per length of rod and elongation [N/m^2]; by default
-            half the stiffness of the contact, with which nodes are no stiffer than
-            without. `make_scene` chooses it too if the contact has no stiffness.
+            half the stiffness of the contact, so that nodes become no stiffer.
+            `make_scene` chooses it too if the contact has no stiffness.
 
     Returns:
         An effect to list in a scene in place of `contact`, for this rod.
@@ -295,7 +295,7 @@ def sticking_contact(
     Raises:
         ValueError: If the contact has no friction, friction with directions, or
             nearest bodies, or if a number is out of range.
-        TypeError: If `contact`, `rod` or `state` is something else.
+        TypeError: If `contact`, `rod` or `state` has the wrong type.
 
     Source: Cundall and Strack, A discrete numerical model for granular assemblies,
     Géotechnique 29 (1979).

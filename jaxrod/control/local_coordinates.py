@@ -280,7 +280,9 @@ def coordinates_under(
     allowed = tangents(np.zeros(count))
     free = _free(allowed / float(instant))
     if not free:
-        raise ValueError("local coordinates need a state that can change: all is held")
+        raise ValueError(
+            "local coordinates need a state that can change: supports hold all"
+        )
     names = list(_names(model, state))
     found = LocalCoordinates(
         model=model,

@@ -159,8 +159,8 @@ class LaplacianFilter(Effect):
         """Motion with filtered velocities and spins; see `laplacian_filter`."""
         if not motion.spin_is_velocity:
             raise ValueError(
-                "laplacian_filter is PyElastica's, for method=pyelastica(): "
-                "short_wave_damping(rate) is for the other methods"
+                "laplacian_filter works with method=pyelastica() only: use "
+                "short_wave_damping(rate) with other methods"
             )
 
         def filtered(rates: Vec3) -> Vec3:
@@ -181,8 +181,8 @@ class LaplacianFilter(Effect):
 def short_wave_damping(rate: Numbers, *, order: int = 2) -> ShortWaveDamping:
     """Damps variation from node to node, but not momenta, rigid motion or long waves.
 
-    It is stable at any rate. Unlike a filter of fixed strength, it has the same effect
-    at any step size.
+    Steps are stable at any rate. Unlike a filter of fixed strength, this damping has
+    the same effect at any step size.
 
     Args:
         rate: Rate at which motion that alternates from node to node decays [1/s].
@@ -213,8 +213,8 @@ def laplacian_filter(order: int) -> LaplacianFilter:
     The second difference along the rod, divided by -4 and set to zero at both ends, is
     applied `order` times to each component of velocities and angular velocities. Every
     step subtracts the result. The strength per step does not depend on the step size,
-    and momentum is lost near the ends. Other methods refuse this filter when they step;
-    `short_wave_damping`, which has a rate, is for them.
+    and momentum is lost near the ends. Other methods reject this filter when they step:
+    use `short_wave_damping`, which has a rate, with them.
 
     Args:
         order: Number of times that the Laplacian is applied; 3 to 7 are usual in

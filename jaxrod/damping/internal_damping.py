@@ -316,8 +316,8 @@ def internal_damping(relaxation_time: Numbers) -> InternalDamping:
     """Viscosity of the rod's material: strain rates decay, rigid motion does not.
 
     The amplitude of a mode of angular frequency w decays at the rate
-    `relaxation_time w^2 / 2`. It is stable at any relaxation time. The wall joint of
-    `clamp` is damped as the rod is, as if its wall did not move.
+    `relaxation_time w^2 / 2`. Steps are stable at any relaxation time. The wall joint
+    of `clamp` has the same damping as the rod, as if its wall did not move.
 
     A step takes some three to ten times as long as without it: see docs/material.md.
 

@@ -156,7 +156,7 @@ class ElementAverages:
         """
         if self.basis.shape[0] != rod.n_elements:
             raise ValueError(
-                f"the averages are for a rod of {self.basis.shape[0]} elements, and "
+                f"the averages are for a rod of {self.basis.shape[0]} elements, but "
                 f"this one has {rod.n_elements}"
             )
         return self

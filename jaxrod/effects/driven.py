@@ -292,13 +292,13 @@ def driven(
         axis: Axis about which the wall turns, world frame, of any length `(3,)`; needed
             if `angle` is given.
         angle: Angle by which the wall turns, or a schedule of it [rad].
-        about: Point on the axis `(3,)`, which is displaced with the wall [m]: the end
-            is on a drum or a lever and moves on a circle about it. By default the axis
-            goes through the end, which then stays in place.
+        about: Point on the axis `(3,)`, which moves with the wall [m]. The end then
+            moves on a circle about the axis, as on a drum or a lever. By default the
+            axis goes through the end, which then stays in place.
         free_to_turn: Whether the end element turns freely, as on a ball joint.
         holds_element: Whether the wall holds the end element itself, as `fixed_end`
             does, and not through an elastic joint of half an element, as `clamp` does.
-            This is first order in the number of elements; it is for comparisons.
+            Its error is of first order in the number of elements; use it to compare.
 
     Raises:
         ValueError: If an argument is out of range.
@@ -331,9 +331,9 @@ def driven(
     if about is not None and axis is None:
         raise ValueError("axis must be given with about: the end turns about it")
     if free_to_turn and axis is not None and about is None:
-        raise ValueError("an end that is free to turn is not turned about an axis")
+        raise ValueError("an end that is free to turn cannot be turned about an axis")
     if free_to_turn and holds_element:
-        raise ValueError("an end element that is free to turn is not held")
+        raise ValueError("an end element cannot be both held and free to turn")
     if axis is None and (is_schedule(angle) or np.any(np.asarray(angle) != 0)):
         raise ValueError("axis must be given with angle: the wall turns about it")
     unit = unit_vector("axis", (0, 0, 1) if axis is None else axis)

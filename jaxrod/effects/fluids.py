@@ -243,8 +243,8 @@ class StokesDrag(FluidDrag):
         """
         if any(map(jnp.ndim, jax.tree.leaves(replace(self, flow=None)))):
             raise ValueError(
-                "stokes_drag with numbers per element cannot be taken to another "
-                "number of elements"
+                "stokes_drag with numbers per element cannot be resampled to "
+                "another number of elements"
             )
         return self
 

@@ -45,8 +45,8 @@ class RobotArm:
 
     $$T(q) = F_0 J_0(q_0) F_1 J_1(q_1) \cdots F_n.$$
 
-    A hinge turns by $q_k$ less its reference about its axis, and a slide shifts along
-    it. All numbers are traced, so poses can be differentiated by the geometry too.
+    A hinge turns by $q_k$ minus its reference about its axis, and a slide shifts along
+    it. All numbers are traced, so derivatives with respect to the geometry work too.
 
     Example:
         >>> arm = jaxrod.RobotArm(
@@ -428,7 +428,7 @@ def _read(file: Path) -> Any:
                 robot.delete(one)
         return robot.compile()
     except ValueError as error:
-        raise ValueError(f"{file} is no robot that MuJoCo can read: {error}") from error
+        raise ValueError(f"MuJoCo cannot read {file} as a robot: {error}") from error
 
 
 def _site(model: Any, name: str) -> int | None:
@@ -467,8 +467,8 @@ def _check_joints(model: Any, joints: list[int], file: Any) -> None:
             # Type 2 of an equality: a coordinate is a function of another one.
             if model.eq_type[k] == 2 and model.eq_obj1id[k] == joint:
                 raise ValueError(
-                    f"joint {name!r} of {file} follows another joint; only joints "
-                    "with a coordinate of their own are supported"
+                    f"joint {name!r} of {file} follows another joint; jaxrod supports "
+                    "only independent joints"
                 )
 
 

@@ -74,8 +74,8 @@ def node_on(new_rod: Rod, node: int, rod: Rod) -> int:
     found = int(np.argmin(np.abs(places - share)))
     if abs(float(places[found] - share)) * new_rod.n_elements > 1e-6:
         raise ValueError(
-            f"a support of node {node} has no place on a rod of {new_rod.n_elements} "
-            "elements: choose a number that gives a node there"
+            f"a rod of {new_rod.n_elements} elements has no node at the place of the "
+            f"support of node {node}: choose another number of elements"
         )
     return found
 

@@ -168,8 +168,8 @@ class Schedule(ABC):
             ValueError: If it cannot be resampled; a subclass may override this.
         """
         raise ValueError(
-            "a schedule of numbers along a rod has no counterpart on a rod with "
-            "another number of elements"
+            "a schedule of numbers along a rod cannot be resampled to another number "
+            "of elements"
         )
 
 
@@ -520,13 +520,14 @@ def table(times: Numbers, values: Numbers) -> Table:
     """
     given = numeric("times", times, "s")
     if given.ndim != 1 or given.shape[0] < 2:
-        raise ValueError(f"times must be two or more, got shape {given.shape}")
+        raise ValueError(f"times must be at least two, got shape {given.shape}")
     if not is_traced(given) and not np.all(np.diff(given) > 0):
-        raise ValueError("times must rise from each to the next")
+        raise ValueError("times must increase")
     rows = _value("values", values)
     if rows.shape[:1] != given.shape:
         raise ValueError(
-            f"values must be as many as times, {given.shape[0]}, got shape {rows.shape}"
+            f"values must have one entry for each of {given.shape[0]} times, got shape "
+            f"{rows.shape}"
         )
     return Table(as_array("times", times, "s", [given.shape]), rows)
 
@@ -559,6 +560,6 @@ def _value(name: str, value: Numbers) -> Array:
 def _check_alike(name: str, one: Array, other_name: str, other: Array) -> None:
     if one.shape != other.shape:
         raise ValueError(
-            f"{name} and {other_name} must have one shape, got {one.shape} and "
+            f"{name} and {other_name} must have the same shape, got {one.shape} and "
             f"{other.shape}"
         )

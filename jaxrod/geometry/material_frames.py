@@ -179,7 +179,7 @@ def check_frames(directors: Numbers, tangents: Any) -> Any:
         angle = math.acos(np.clip(np.sum(frame[2] * tangents[:, k]), -1, 1))
         if angle > ALONG:
             raise ValueError(
-                f"directors must have d3 along the rod, that of {k} is "
+                f"directors must have d3 along the rod, but that of element {k} is "
                 f"{math.degrees(angle):.3g} deg from the line between its nodes"
             )
     return frames

@@ -137,7 +137,9 @@ def of_distance(
     number = np.sum(eight, axis=0)
     crossed = (number > 0) & (number < 8)
     if not crossed.any():
-        raise ValueError(f"no surface between {low.tolist()} and {high.tolist()} m")
+        raise ValueError(
+            f"there is no surface between {low.tolist()} and {high.tolist()} m"
+        )
     names = np.full(crossed.shape, -1)
     names[crossed] = np.arange(crossed.sum())
     vertices = (np.argwhere(crossed) + 0.5) * step + low

@@ -115,7 +115,7 @@ def first_of_each(devices: Sequence[jax.Device], asked: int | None) -> list[jax.
     fewest = min(len(own) for own in owned.values())
     if not 1 <= asked <= fewest:
         raise ValueError(
-            f"devices must be 1 to {fewest}, which each process has, got {asked}"
+            f"devices must be 1 to {fewest}, the devices of each process, got {asked}"
         )
     return [device for own in owned.values() for device in own[:asked]]
 

@@ -199,6 +199,6 @@ def _check_port(port: int) -> None:
         if error.errno not in (errno.EADDRINUSE, errno.EACCES):
             return  # For example no network: JAX gives a better error.
         raise ValueError(
-            f"the coordinator's port {port} cannot be listened on "
-            f"({os.strerror(error.errno)}): choose another"
+            f"the first process cannot listen on the coordinator's port {port} "
+            f"({os.strerror(error.errno)}): choose another port"
         ) from error

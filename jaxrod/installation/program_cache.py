@@ -150,7 +150,7 @@ def keep_programs(
         return None
     if without_checksum():
         warnings.warn(
-            f"compiled programs are not kept: {_UNCHECKED}",
+            f"jaxrod does not keep compiled programs: {_UNCHECKED}",
             UncheckedCacheWarning,
             stacklevel=3,
         )
@@ -164,7 +164,7 @@ def keep_programs(
             return None
         # The folder comes from the environment or an argument; both name a folder.
         raise ValueError(
-            f"the cache of compiled programs must be a folder that can be made, got "
+            f"jaxrod cannot make the folder of compiled programs, "
             f"{str(folder or 'the default')!r}: "
             f"{getattr(error, 'strerror', None) or error}"
         ) from error

@@ -56,7 +56,7 @@ from jaxrod.validation import Numbers, as_array, check_kind
 
 @pytree
 class StandardLinearSolid(Material):
-    """Branch of spring and dashpot beside the elastic rod; see `standard_linear_solid`.
+    """Spring and dashpot parallel to the elastic rod; see `standard_linear_solid`.
 
     Example:
         >>> branch = materials.standard_linear_solid(

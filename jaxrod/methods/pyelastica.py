@@ -276,8 +276,8 @@ class LinearDamper(Effect):
         """
         if not motion.spin_is_velocity:
             raise ValueError(
-                "linear_damper is PyElastica's, for method=pyelastica(): "
-                "exponential_damping(rate, rotational_rate) is for the other methods"
+                "linear_damper works with method=pyelastica() only: use "
+                "exponential_damping(rate, rotational_rate) with other methods"
             )
         rod: Rod = scene.rod
         if self.rotational is None:

@@ -304,8 +304,8 @@ def _check_resolved(
     shortest, apart = np.min(rest_lengths), np.spacing(farthest)
     if apart > ROUNDED * shortest:
         raise ValueError(
-            f"{name} must be nearer to the origin: {farthest:.3g} m from it places in "
-            f"{np.dtype(dtype)} are {apart:.2g} m apart, and elements are "
+            f"{name} must be nearer to the origin: {farthest:.3g} m from it, positions "
+            f"in {np.dtype(dtype)} are {apart:.2g} m apart, and elements are "
             f"{shortest:.2g} m long"
         )
 

@@ -315,7 +315,7 @@ def camera(
     across = xp.cross(forward, upwards)
     size = xp.sqrt(xp.sum(across**2))
     if xp is np and size < _LEAST_ANGLE:
-        raise ValueError("up must not be along the optical axis, to the target")
+        raise ValueError("up must not be parallel to the optical axis")
     right = across / size
     axes = xp.stack([right, xp.cross(forward, right), forward])
     orientation = quaternions(axes[:, :, None])[:, 0]

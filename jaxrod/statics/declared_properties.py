@@ -65,7 +65,7 @@ def check_declared_properties(scene: LoadedRod) -> None:
             raise ValueError(
                 "an effect's loads must change with the configuration as it declares, "
                 f"but {name}.{says} is off by {float(gap):.2g} of their size; "
-                "without this declaration they are differentiated automatically"
+                "without this declaration jaxrod differentiates them automatically"
             )
         if not mixing <= tolerance:
             raise ValueError(

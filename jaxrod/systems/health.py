@@ -135,7 +135,7 @@ class SystemHealth:
     def faults(self) -> tuple[str, ...]:
         """Every flag that is set, with the member or the coupling that it is about.
 
-        It needs values that are known, of one system.
+        It needs a single system with known values.
         """
         found: list[str] = []
         for name, own in self.members.items():

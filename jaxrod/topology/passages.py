@@ -29,8 +29,8 @@ def crossings(
     They are signed: +1 where the Gauss integral grows, and half of that where elements
     touch at one of the two moments. Between the moments nodes move in straight lines:
     compare states between which no element rotates by more than a right angle. Elements
-    that share a node do not count. For a rollout, use `jax.vmap` over neighbouring
-    records.
+    that share a node do not count. For a rollout, use `jax.vmap` over pairs of
+    consecutive states.
 
     Args:
         before: First curve at the first moment: a state, or nodes `(3, n + 1)` [m].

@@ -129,7 +129,7 @@ def prepare(workload: Workload, setting: Setting) -> Prepared:
         (5, 0.01)
     """
     if "planar" in setting.reductions and workload.plane is None:
-        raise ValueError(f"{workload.name} has no plane that it stays in")
+        raise ValueError(f"{workload.name} does not move in a plane")
     with jax.enable_x64(True):
         scene, state = workload.build(setting.n_elements, setting.mode)
         if setting.contact != 1:

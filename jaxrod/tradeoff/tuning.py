@@ -122,9 +122,10 @@ def tune(
 
     Errors are relative to a reference of up to 160 elements, whose own error follows
     from the measured order of convergence. It is refined until its error is at most a
-    fifth of the error that it judges. The stiffness of contact is a part of the model:
-    the reference has the given one. Reductions are for the rods of a system that allow
-    them. It takes a minute or two, a system several, and does not work inside jit.
+    fifth of the error that it judges. The stiffness of contact is part of the model, so
+    the reference keeps it. In a system, reductions apply to the rods that allow them.
+    A call takes a minute or two, or several minutes for a system. It does not work
+    inside jit.
 
     Args:
         scene: The scene or the system, with the consistent law (any method but

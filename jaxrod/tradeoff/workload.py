@@ -293,7 +293,7 @@ def slam() -> Workload:
 
 
 def tracking_arm() -> Workload:
-    """Arm of the tracking task under recorded actions of a trained policy: 1 s.
+    """Arm of the tracking task, 1 s under recorded actions of a trained policy.
 
     Twelve control values change every 1.4 ms and shape the bending couples along the
     arm. They are at their limits a third of the time. The arm is damped as in the

@@ -139,7 +139,7 @@ class Frame:
                 )
             if np.linalg.det(axes) < 0:
                 raise ValueError(
-                    "axes of the frame must be a rotation, and these are a mirror: "
+                    "axes of the frame must be right-handed, but these are not: "
                     f"{self.axes!r}"
                 )
         if self.origin is not None and not isinstance(self.origin, str):
@@ -222,7 +222,7 @@ class Arm:
             check_array(name, getattr(self, name), [(3,)], "")
         self._along("radius", self.radius)
         if not self.markers:
-            raise ValueError("an arm needs at least one marker, to be seen at all")
+            raise ValueError("an arm needs at least one marker")
         if not -1 < self.poisson_ratio <= 0.5:
             raise ValueError(
                 f"poisson_ratio must be above -1 and at most 0.5, got "
@@ -253,7 +253,9 @@ class Arm:
             check_array(f"standard deviation of {name}", sd, [()], "", positive=True)
         origin = self.frame.origin
         if isinstance(origin, str) and origin not in names:
-            raise ValueError(f"origin of the frame is {origin!r}, no marker's name")
+            raise ValueError(
+                f"origin of the frame must be a point or a marker, got {origin!r}"
+            )
         if not isinstance(self.topics, Mapping):
             raise ValueError(f"topics must be a table, got {self.topics!r}")
         for name, topic in self.topics.items():
@@ -464,7 +466,7 @@ class Arm:
                 f"{given!r}"
             )
         if not np.all(np.diff(table[:, 0]) > 0):
-            raise ValueError(f"arc lengths of {name} must rise, got {given!r}")
+            raise ValueError(f"arc lengths of {name} must increase, got {given!r}")
         if not np.all(table[:, 1] > 0):
             raise ValueError(f"{name} must be positive everywhere, got {given!r}")
         return np.interp(self._middles, table[:, 0], table[:, 1])
@@ -568,7 +570,7 @@ def _arm(content: dict[str, Any]) -> Arm:
     rod.setdefault("gravity", (0.0, 0.0, -9.81))
     for name in ("tendons", "markers"):
         if not isinstance(content.get(name, []), list):
-            raise ValueError(f"{name} must be tables of a list: write [[{name}]]")
+            raise ValueError(f"{name} must be a list of tables: write [[{name}]]")
     tendons = []
     for entry in content.get("tendons", []):
         made = _taken(

@@ -59,7 +59,7 @@ def read_columns(
     """
     for one, other in itertools.combinations(names, 2):
         if topics[one] == topics[other]:
-            raise ValueError(f"{one} and {other} have one topic, {topics[one]!r}")
+            raise ValueError(f"{one} and {other} have the same topic, {topics[one]!r}")
     sizes = dict.fromkeys(inputs, 1) | dict.fromkeys(names, 3)
     rows = _fields(path, {name: topics[name] for name in sizes}, sizes)
     first = topics[names[0]]
@@ -80,7 +80,7 @@ def read_columns(
         if not np.any(near):
             raise ValueError(
                 f"{topics[name]!r} has no message within half a frame of those of "
-                f"{first!r}: are both of one clock?"
+                f"{first!r}: do both have the same clock?"
             )
         seen[near, k] = values[nearest[near]]
     pulled = np.empty((len(frames), len(inputs)))
@@ -144,7 +144,7 @@ def _fields(
         if len(moving := sorted(several - {""})) > 1:
             raise ValueError(
                 f"{wanted[name]!r} has transforms of {' and of '.join(moving)}: each "
-                "needs a topic of its own"
+                "needs a separate topic"
             )
     return {name: _rows(wanted[name], some) for name, some in found.items()}
 
@@ -169,7 +169,7 @@ def _rows(text: str, found: Sequence[tuple[int, int, list[float]]]) -> Rows:
     if values.shape[1] > 1 and not np.array_equal(
         values[1:][same], values[:-1][same], equal_nan=True
     ):
-        raise ValueError(f"{text!r} has different positions at one time")
+        raise ValueError(f"{text!r} has different positions at the same time")
     last = np.append(~same, True)
     return Rows(times[last], values[last], float(np.median(received[order] - times)))
 

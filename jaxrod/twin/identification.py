@@ -586,7 +586,7 @@ def _robust(away: np.ndarray, limit: float | None) -> tuple[np.ndarray, float]:
 def _check_precision() -> None:
     """Raises a ValueError unless JAX computes in float64."""
     if not jax.config.jax_enable_x64:
-        raise ValueError("a twin needs float64: with jax.enable_x64(): ...")
+        raise ValueError("a twin needs float64: use `with jax.enable_x64():`")
 
 
 def _registered(

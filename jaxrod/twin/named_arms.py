@@ -55,11 +55,11 @@ def tentacle(
 ) -> tuple[Scene, RodState]:
     """A tapered silicone arm of 36 cm that hangs from a clamp and has two tendons.
 
-    It is a real arm, of which poses under tensions up to 7.7 N have been recorded.
+    It is a real arm. Its makers have recorded poses under tensions up to 7.7 N.
     Length, radii, Poisson's ratio and the course of the tendons are those of its
     makers. `python -m benchmarks tentacle FOLDER` has fitted Young's modulus (561 kPa),
     density (1000 kg/m^3), and the distances and angles of the tendons to eight of the
-    recorded poses. Nothing is known of the damping.
+    recorded poses. The real damping is unknown.
 
     The model is 13 mm off at the tip in these eight poses, and 16 mm in nine others
     (root mean square). The model of the makers is 36 mm off in the eight.

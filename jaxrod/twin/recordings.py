@@ -69,7 +69,7 @@ class Recording:
                 f"{frames} frames, got {self.points.shape}"
             )
         if frames == 0 or not np.all(np.diff(self.times) > 0):
-            raise ValueError(f"{self.name}: times must rise from each to the next")
+            raise ValueError(f"{self.name}: times must increase")
         if not np.all(np.isfinite(self.inputs)):
             raise ValueError(f"{self.name}: an input is not finite")
 
@@ -193,7 +193,7 @@ def _from_bag(file: Path, arm: Arm) -> Recording:
     try:
         if file.is_dir() and not (file / "metadata.yaml").exists():
             raise ValueError(
-                "it is a folder without metadata.yaml, no bag: name the files in it"
+                "it is a folder without metadata.yaml, so no bag: name the files in it"
             )
         for name in arm.inputs:
             if name not in arm.topics:

@@ -116,8 +116,8 @@ def register(
         every = same
     elif count > MOST_MARKERS:
         raise ValueError(
-            f"labels of at most {MOST_MARKERS} markers can be found, got {count}: name "
-            "the columns of the recordings after the arm's markers"
+            f"registration finds the labels of at most {MOST_MARKERS} markers, got "
+            f"{count}: name the columns of the recordings after the arm's markers"
         )
     else:
         every = np.array(list(itertools.permutations(range(count))))
@@ -183,7 +183,7 @@ def _moments(recording: Recording, predicted: np.ndarray) -> _Moments:
     if not whole.any():
         raise ValueError(
             f"{recording.name}: no frame has all {recording.points.shape[1]} markers, "
-            "which is needed where labels or the frame of the camera are not known"
+            "which registration needs if labels or the camera's frame are unknown"
         )
     q, p = recording.points[whole], predicted[whole]
     squares = np.mean(np.sum(q**2, -1), 0)[:, None] + np.mean(np.sum(p**2, -1), 0)

@@ -103,7 +103,9 @@ def learning_curve(
         raise ValueError("progress must name at least one progress.csv, got none")
     runs = [read_curve(Path(path)) for path in paths]
     if len({run.quantity for run in runs}) > 1:
-        raise ValueError("progress must be of runs with finished episodes, or without")
+        raise ValueError(
+            "progress must not mix runs with finished episodes and runs without"
+        )
     if runs[0].quantity == REWARD:
         reference = None  # It is a return.
     write_atomically(out, _draw(runs, reference, title, label))

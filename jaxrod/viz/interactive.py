@@ -137,7 +137,9 @@ class Live:
         if not given:
             self._show.reraise()
             self._show.require_running()
-            raise TimeoutError(f"no picture after number {after} in {patience:g} s")
+            raise TimeoutError(
+                f"no picture came after number {after} within {patience:g} s"
+            )
         return self._show.unpacked(given)
 
     def wait(self) -> None:

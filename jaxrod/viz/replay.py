@@ -242,7 +242,9 @@ class Replay(Recording):
         """
         for other in others:
             if not np.array_equal(self.times, other.times) or other.up != self.up:
-                raise ValueError("replays put together must have the same times and up")
+                raise ValueError(
+                    "joined replays must have the same times and the same up"
+                )
         every = (self, *others)
         floors = [replay.floor for replay in every if replay.floor is not None]
         return dataclasses.replace(

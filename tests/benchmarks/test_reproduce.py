@@ -329,7 +329,7 @@ def test_a_file_is_no_folder_for_a_grid(words, run, tmp_path):
     (tmp_path / "notes").write_text("mine")
     code, out, err = run("reproduce", "trivial", *words, "--out", tmp_path / "notes")
     assert (code, out) == (2, "")
-    assert f"out must be a folder, {tmp_path / 'notes'} is a file" in err
+    assert f"out must be a folder, but {tmp_path / 'notes'} is a file" in err
 
 
 CLEAN = "Case3 Case4 --variant clean --algorithms sac td3 --seeds 0 1 2 3 4"

@@ -17,19 +17,19 @@ All 7 tests passed.
 
 ## Time
 
-| Feature | Reference | Measured | Bar |
+| Feature | Reference | Measured | Limit |
 |---|---|---:|---:|
 | Sine | 2 | 1.95 | 1.9 to 2.1 |
 
 ## Actuation
 
-| Feature | Reference | Measured | Bar |
+| Feature | Reference | Measured | Limit |
 |---|---|---:|---:|
 | Spline | scipy | 1e-15 | ≤ 1e-12 |
 
 ## A file that is gone
 
-| Feature | Reference | Measured | Bar |
+| Feature | Reference | Measured | Limit |
 |---|---|---:|---:|
 | Old | 0 | 1e-15 | ≤ 1e-12 |
 """

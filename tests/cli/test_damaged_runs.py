@@ -27,7 +27,7 @@ DAMAGES = [
     ("policy/policy.json", "output = {}", "'output' must be one of clip"),
     ("policy/policy.json", "layers = 'x'", "'layers' must be a whole number"),
     ("policy/policy.json", "action_repeat = 1000000000000", "from 1 to 2147483647"),
-    ("policy/policy.json", "about.seed = 0", "is of another run than"),
+    ("policy/policy.json", "about.seed = 0", "belongs to another run than"),
     ("policy/policy.npz", "3 bits flipped", "policy.npz is damaged"),
     ("policy/policy.npz", "a pickle", "it is torn"),
     ("policy/policy.npz", "bias_0: flat", "has the shape (1, 64), not (1, 128)"),
@@ -153,7 +153,7 @@ def test_a_folder_of_other_things_is_not_trained_in(run, tmp_path):
     before = contents(tmp_path)
     for more in ([], ["--overwrite"]):
         result = run("train", "trivial", "--steps", "2k", "--out", tmp_path, *more)
-        check_refused(result, before, tmp_path, "nothing is replaced there")
+        check_refused(result, before, tmp_path, "replaces nothing there")
 
 
 @pytest.mark.default_precision
@@ -168,7 +168,7 @@ def test_a_run_without_the_mark_is_read_and_never_written_to(trained, run, tmp_p
     before = contents(folder)
     for how in ("--resume", "--overwrite"):
         result = run("train", "trivial", "--out", folder, how)
-        check_refused(result, before, folder, "nothing is replaced there")
+        check_refused(result, before, folder, "replaces nothing there")
 
 
 @pytest.mark.parametrize("steps", ["1e30", "1e400000", "9" * 5000])

@@ -46,7 +46,10 @@ def test_a_run_becomes_a_header_and_a_model(trained, run, run_json, tmp_path):
     ("words", "sentence"),
     [
         ([], "nothing to write: give --c FILE, --onnx FILE or both"),
-        (["--c", "a.h", "--onnx", "a.h"], "--c and --onnx are one file, a.h"),
+        (
+            ["--c", "a.h", "--onnx", "a.h"],
+            "--onnx must be different files, got a.h twice",
+        ),
     ],
 )
 def test_impossible_requests_are_refused(words, sentence, trained, run):
@@ -67,5 +70,5 @@ def test_somebody_elses_file_stays(trained, run, tmp_path):
     file.write_text("mine")
     code, _, err = run("export", trained[0], "--c", file, "--overwrite")
     assert code == 2
-    assert "it is not replaced" in err and err.count("\n") == 1
+    assert "does not replace it" in err and err.count("\n") == 1
     assert file.read_text() == "mine" and list(tmp_path.iterdir()) == [file]

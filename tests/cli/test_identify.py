@@ -96,7 +96,7 @@ def test_files_that_do_not_fit_are_refused_by_name(run, tmp_path, arm_file):
     assert "it has the markers a, and the arm has middle, tip" in refusal(few)
     both = "time,pull,a_x,a_y,a_z,b_x,b_y,b_z\n"
     assert "an input is not finite" in refusal(both + "0,,1,2,3,1,2,3\n")
-    assert "times must rise" in refusal(both + "0,1,1,2,3,1,2,3\n0,1,1,2,3,1,2,3\n")
+    assert "times must increase" in refusal(both + "0,1,1,2,3,1,2,3\n0,1,1,2,3,1,2,3\n")
     assert "row 1 has 2 values for 8 columns" in refusal(both + "0,1\n")
     word = refusal(both + "0,1,1,2,3,1,far,3\n")
     assert "row 1 has 'far' in the column 'b_y', which is not a number" in word
@@ -115,7 +115,7 @@ def test_files_that_do_not_fit_are_refused_by_name(run, tmp_path, arm_file):
     assert "arm.toml is damaged" in refusal(good, wrong)
     one = re.sub(r"\[\[markers\]\].*?(?=\[\[markers)", "", ARM, flags=re.S)
     one = one.replace("[[markers]]", "[markers]")
-    assert "markers must be tables of a list: write [[markers]]" in refusal(good, one)
+    assert "markers must be a list of tables: write [[markers]]" in refusal(good, one)
     assert "arm.toml is damaged" in refusal(good, "[rod")
 
 

@@ -105,7 +105,7 @@ def test_what_it_did_not_write_is_never_replaced(name, more, run, tmp_path):
     code, _, err = run("optimise", "tracking", "--out", tmp_path, *more)
     assert code == 2 and err.count("\n") == 1
     assert f"{tmp_path} holds {name}, and " in err
-    assert "nothing is replaced there" in err
+    assert "jaxrod replaces nothing there" in err
     assert [file.name for file in tmp_path.iterdir()] == [name]
 
 

@@ -248,7 +248,7 @@ def test_a_task_without_a_file_is_named_by_the_user(tmp_path, run, run_json):
         ("package_of_mine.tasks:", [], "must look like mypackage.mymodule:make_task"),
         ("package_of_mine.tasks:Line.step", [], "must look like mypackage.mymodule:"),
         (":make_task", [], "must look like mypackage.mymodule:make_task"),
-        ("os:system", ["command=true"], "'os' is a module of Python's own"),
+        ("os:system", ["command=true"], "'os' is a module of Python's library"),
         (
             "package_of_mine.tasks:task",
             [],

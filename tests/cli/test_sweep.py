@@ -108,7 +108,7 @@ def test_the_variant_is_in_the_name_and_devices_divide_the_environments():
         (["trivial", "--variant", "clean"], "'trivial' has no option 'variant'"),
         (["nowhere"], "nowhere"),
         (["trivial", "--jobs", "0"], "jobs must be at least 1"),
-        (["trivial", "--cpus", "2"], "--cpus and --gpus go with --ray"),
+        (["trivial", "--cpus", "2"], "--cpus and --gpus need --ray"),
         (["trivial", "--ray", "auto", "--cpus", "0"], "cpus must be at least 1"),
     ],
 )
@@ -164,7 +164,7 @@ def test_what_was_run_otherwise_is_refused(sweep):
     sweep.called()
     code, out, err = sweep(0, words=("--steps", "4k"))
     assert (code, out) == (2, "")
-    assert "was run otherwise: steps was 2000, now 4000" in err
+    assert "holds a different run: steps was 2000, now 4000" in err
     assert sweep.called() == []
 
 

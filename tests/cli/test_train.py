@@ -174,8 +174,8 @@ def test_no_more_devices_than_cores_are_made_of_them(tmp_path):
         (
             ["swimming"],
             "task must be one of catheter, following, gripper, insert, lift, octopus, "
-            "reaching, snake, structured, tracking, trivial, unstructured, or say "
-            "where your own is made, such as mypackage.mymodule:make_task; "
+            "reaching, snake, structured, tracking, trivial, unstructured, or the "
+            "path of your own, such as mypackage.mymodule:make_task; "
             "got 'swimming'",
         ),
         (["tracking", "--variant", "dirty"], "variant must be one of"),
@@ -193,7 +193,7 @@ def test_no_more_devices_than_cores_are_made_of_them(tmp_path):
         (["trivial", "--set", "clib=1"], "there is no setting 'clib'"),
         (["trivial", "--resume"], "does not exist"),
         (["trivial", "--like", "nowhere"], "does not exist"),
-        (["trivial", "--like", "here", "--resume"], "--like begins a new run"),
+        (["trivial", "--like", "here", "--resume"], "give --like to begin a new run"),
     ],
 )
 def test_what_cannot_be_done_is_one_sentence(words, sentence, run, tmp_path):

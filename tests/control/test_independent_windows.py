@@ -149,11 +149,11 @@ def test_parameters_stay_in_bounds():
 def test_bad_arguments_are_refused():
     observed = drawn(0)
     begin = guessed(observed)
-    with pytest.raises(ValueError, match="observed and known must be stacked"):
+    with pytest.raises(ValueError, match="observed and known must have a leading axis"):
         fitted(observed[1:], begin)
-    with pytest.raises(ValueError, match="observed and known must be stacked"):
+    with pytest.raises(ValueError, match="observed and known must have a leading axis"):
         fitted(observed, begin, known=jnp.zeros(3))
-    with pytest.raises(ValueError, match="equally many in every leaf"):
+    with pytest.raises(ValueError, match="same length in every leaf"):
         fitted(observed, begin | {"x": jnp.zeros(2)})
     with pytest.raises(ValueError, match="lower names stiffness"):
         fitted(observed, begin, lower={"stiffness": 1})

@@ -217,9 +217,9 @@ def test_bad_arguments_are_refused():
         )
         control.fit(run, observed, START, multiple_shooting=windows, noise=SD, **more)
 
-    with pytest.raises(ValueError, match="stacked in front by trajectory and window"):
+    with pytest.raises(ValueError, match="leading axes of trajectories and windows"):
         fit(observed=observed[:, 1:])
-    with pytest.raises(ValueError, match="stacked in front by trajectory and window"):
+    with pytest.raises(ValueError, match="leading axes of trajectories and windows"):
         fit(known=jnp.zeros(FILMS))
     with pytest.raises(ValueError, match="for 3 trajectories"):
         short = jax.tree.map(lambda leaf: leaf[1:], (observed, states))

@@ -54,7 +54,7 @@ def test_a_fork_that_a_single_run_gets_wrong_is_followed_in_windows():
 
 
 def test_bad_arguments_are_refused():
-    with pytest.raises(ValueError, match="equally many"):
+    with pytest.raises(ValueError, match="same length in every leaf"):
         shots(lambda p, s: s, (np.zeros(3), np.zeros(4)))
     with pytest.raises(ValueError, match="at least 6 frames"):
         windows(np.zeros(5), 5)

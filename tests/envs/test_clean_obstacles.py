@@ -150,7 +150,8 @@ def test_gradient_through_contact_is_that_of_finite_differences(name, towards, r
     params = touching_at_rest(env, towards)
     actions = smooth_actions(50, env.action_size, 0.5)
     record(
-        f"Gradient of 50 control steps' return by the actions, {name}, touching",
+        f"Gradient of 50 control steps' return with respect to the actions, {name}, "
+        "touching",
         "finite differences",
         gradient_error(env, actions, params),
         at_most=1e-5,

@@ -54,6 +54,14 @@ def test_the_page_is_what_words_and_records_make():
         assert off <= WHOLE[name] * (abs(record["reference"]) or 1)
 
 
+@pytest.mark.parametrize(
+    ("number", "text"),
+    [(0.423, "0.4230"), (0.4227, "0.4227"), (0.08, "0.08"), (5.0, "5"), (105.0, "105")],
+)
+def test_two_numbers_of_a_sentence_have_as_many_digits(number, text):
+    assert GALLERY.written(number) == text
+
+
 @pytest.mark.parametrize("name", SCENES)
 def test_the_site_plays_each_recording_in_the_player_of_today(name):
     recording = json.loads((DOCS / "gallery" / f"{name}.json").read_text())

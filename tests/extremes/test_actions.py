@@ -19,13 +19,13 @@ def check(result, record):
         at_most=0,
     )
     record(
-        f"Extreme actions, {name}: share that is flagged",
+        f"Extreme actions, {name}: fraction flagged",
         "none",
         result["episodes_flagged"] / result["episodes"],
         at_most=1e-3,
     )
     record(
-        f"Extreme actions, {name}: energy beyond the work done, relative",
+        f"Extreme actions, {name}: energy in excess of the work done, relative",
         "work of the couples",
         result["energy_beyond_work"],
         at_most=0.01,
@@ -69,7 +69,8 @@ def test_without_damping_the_energy_is_the_work_of_the_couples(record):
     )
     energy, work = energy_and_work(scene, state, couples, DT)
     record(
-        "Energy of an undamped arm under strong held couples, beyond their work",
+        "Energy of an undamped arm under strong constant couples, in excess of their "
+        "work",
         "work of the couples, largest",
         jnp.max(jnp.abs(energy - work)) / jnp.max(work),
         at_most=0.05,

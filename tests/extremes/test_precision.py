@@ -76,7 +76,8 @@ def test_long_runs_do_not_drift(steps, dtype, record):
     whole = float(np.sum(np.asarray(rod.node_masses) * arms * speeds))
     drift = np.linalg.norm(spins - spins[0], axis=1).max() / whole
     record(
-        f"Angular momentum, drift over {name}, of the sum of its absolute parts",
+        f"Angular momentum, drift over {name}, relative to the sum of its absolute "
+        "parts",
         "conservation",
         drift,
         at_most=1e-4 if single else 1e-12,

@@ -90,7 +90,7 @@ def test_a_rod_let_go_at_a_twentieth_of_its_length(record):
     assert jaxrod.health(scene, short, dt).stretch
     before, energies = energies_of(scene, short, dt)
     record(
-        "Energy of a rod let go at 0.05 of its length, largest change, float32",
+        "Energy of a rod released at 0.05 of its length, largest change, float32",
         "stored at the start",
         np.max(np.abs(energies / before - 1)),
         at_most=0.1,

@@ -276,23 +276,35 @@ def summary(lines: list[dict[str, Any]]) -> list[str]:
     def row(name: str, values: Any) -> None:
         out.append(f"| {name} | " + " | ".join(f"{v:.3g}" for v in values) + " |")
 
-    row("compared", map(len, ran))
+    row("cases compared", map(len, ran))
     chaotic = (len(a) - len(b) for a, b in zip(whole, ran, strict=True))
-    row("not compared, as rounding grows by more than 1e9", chaotic)
-    row("of kinds", (len({x["seed"] for x in part}) for part in ran))
-    row("by rows", map(len, taken))
+    row("not compared, because rounding grows by a factor of more than 1e9", chaotic)
+    row("kinds of cases", (len({x["seed"] for x in part}) for part in ran))
+    row("computed by rows", map(len, taken))
     fine = [[x for x in part if x["apart"] <= STATE] for part in taken]
-    row(f"apart by at most {STATE:.0e}", map(len, fine))
-    row("most apart", (most(part, lambda x: x["apart"]) for part in taken))
-    row("of those above, most apart over one ulp's", (most(p, ratio) for p in over))
-    row("median of apart over one ulp's", (np.median([*map(ratio, p)]) for p in taken))
+    row(f"rows and XLA differ by at most {STATE:.0e}", map(len, fine))
+    row("largest difference", (most(part, lambda x: x["apart"]) for part in taken))
+    row(
+        "larger ones: largest ratio to the difference of the XLA runs",
+        (most(p, ratio) for p in over),
+    )
+    row(
+        "all: median ratio to the difference of the XLA runs",
+        (np.median([*map(ratio, p)]) for p in taken),
+    )
     slopes = [[x for x in part if "gradient" in x] for part in ran]
     slopes = [[x for x in part if not x["gradient_left"]] for part in slopes]
-    row("gradients by rows", map(len, slopes))
-    row("gradients most apart", (most(p, lambda x: x["gradient"]) for p in slopes))
+    row("gradients computed by rows", map(len, slopes))
+    row(
+        "largest difference of gradients",
+        (most(p, lambda x: x["gradient"]) for p in slopes),
+    )
     own = [{name for x in part for name in x["names"]} for part in ran]
-    row("different methods, effects, couplings and others", map(len, own))
-    row("... of all that are drawn", (len(all_names(what)) for what in STRUCTURES))
+    row("methods, effects, couplings and other parts that occur", map(len, own))
+    row(
+        "... of all that the program can draw",
+        (len(all_names(what)) for what in STRUCTURES),
+    )
     return out
 
 

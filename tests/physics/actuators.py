@@ -74,7 +74,7 @@ def actuators(rod, rest):
             elements=(1, n - 2),
             anchor=(0.1, -0.1, -0.2),
         ),
-        "tendon wound up": jaxrod.actuation.tendon(
+        "tendon on a winch": jaxrod.actuation.tendon(
             rod, offsets[:2], length=(0.6, 0.61), stiffness=10 * pull, onset=0.05
         ),
         "active shape": jaxrod.actuation.active_shape(
@@ -83,7 +83,7 @@ def actuators(rod, rest):
         "magnet in a uniform field": jaxrod.actuation.magnetisation(
             rod, (bend, 0.3 * bend, 2 * bend), (0.3, 1.0, -0.4)
         ),
-        "magnet in a field that differs": jaxrod.actuation.magnetisation(
+        "magnet in a nonuniform field": jaxrod.actuation.magnetisation(
             rod,
             bend * random.normal(size=(3, n)),
             jaxrod.actuation.linear_field(

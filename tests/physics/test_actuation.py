@@ -70,7 +70,7 @@ def test_the_load_does_not_depend_on_the_number_of_elements(record):
     assert np.max(np.abs(totals(10)[0] - exact)) < 1e-3 * np.max(np.abs(exact))
     coarse, fine = (np.max(np.abs(totals(n)[1] - moment)) for n in (21, 42))
     record(
-        "First moment of a spline's couples: error at n = 21 over that at n = 42",
+        "First moment of a spline's couples: ratio of the errors at n = 21 and n = 42",
         "16 (fourth order)",
         coarse / fine,
         between=(14.0, 18.0),
@@ -93,7 +93,7 @@ def test_a_spline_for_another_length_is_refused(controls, dtype):
 def test_averages_for_another_number_of_elements_are_refused():
     rods = [jaxrod.straight_rod(n_elements=n, length=1.0, **ROUND)[0] for n in (7, 8)]
     averages = jaxrod.actuation.control_spline(3).averaged(rods[0])
-    with pytest.raises(ValueError, match="for a rod of 7 elements, and this one has 8"):
+    with pytest.raises(ValueError, match="for a rod of 7 elements, but this one has 8"):
         jaxrod.actuation.spline_couples(rods[1], averages, jnp.ones((3, 3)), 1.0)
 
 

@@ -61,8 +61,9 @@ def test_one_longitudinal_muscle_bends_and_shortens(bar, record):
     )
     bent = (0.0, PULL * OFFSET / BENDING, 0.0)
     record(
-        "One longitudinal muscle in a free rod: loads at N x/EI and -N/EA",
-        "zero, over EA and EI/L",
+        "One longitudinal muscle in a free rod: loads at the curvature N x/EI and "
+        "the strain -N/EA",
+        "zero, relative to EA and EI/L",
         balance(rod, muscle, bent, -PULL / (YOUNG * AREA)),
         at_most=1e-12,
     )
@@ -82,7 +83,8 @@ def test_antagonists_shorten_a_rod_and_do_not_bend_it(bar, record):
     )
     assert strain < -0.05
     record(
-        "Four longitudinal muscles with the octopus' curve: loads at that strain",
+        "Four longitudinal muscles with the octopus' force curve: loads at the "
+        "strain s",
         "EA s + 4 a N f(1 + s) = 0",
         balance(rod, muscles, (0.0, 0.0, 0.0), strain),
         at_most=1e-12,
@@ -107,8 +109,9 @@ def test_a_chamber_bends_and_lengthens(bar, record):
     chamber = jaxrod.actuation.chamber(rod, pressure, area, offsets=(0.0, OFFSET))
     bent = (pressure * area * OFFSET / BENDING, 0.0, 0.0)
     record(
-        "A chamber in a free rod: loads at p A x/EI and p A/EA",
-        "zero, over EA and EI/L",
+        "A chamber in a free rod: loads at the curvature p A x/EI and the strain p "
+        "A/EA",
+        "zero, relative to EA and EI/L",
         balance(rod, chamber, bent, pressure * area / (YOUNG * AREA)),
         at_most=1e-12,
     )
@@ -343,8 +346,9 @@ def test_helical_muscles_all_around_twist_a_rod(bar, record):
     forces, couples = loads(scene, state)
     inner = slice(2, -2)
     record(
-        "Helical muscles all around: loads at that twist and strain, inner nodes",
-        "zero, over EA and EI/L",
+        "Helical muscles all around: loads at the computed twist and strain, inner "
+        "nodes",
+        "zero, relative to EA and EI/L",
         max(
             np.max(np.abs(forces[:, inner])) / (YOUNG * AREA),
             np.max(np.abs(couples[:, inner])) / BENDING,
@@ -466,7 +470,7 @@ def test_a_helical_tendon_follows_the_coupled_ode(record):
     moved = np.linalg.norm(tip - np.asarray(state.tip))
     assert moved > 0.1
     record(
-        "Tip of a rod with a helical tendon, n = 40, over its displacement",
+        "Tip of a rod with a helical tendon, n = 40, relative to its displacement",
         "coupled ODE of section and tendon, integrated",
         np.linalg.norm(np.asarray(found.state.tip) - tip) / moved,
         at_most=1e-2,

@@ -33,12 +33,12 @@ NAMES = (
     "chambers",
     "wound chambers",
     "tendon pulled with a force",
-    "tendon wound up",
+    "tendon on a winch",
     "active shape",
     "magnet in a uniform field",
-    "magnet in a field that differs",
+    "magnet in a nonuniform field",
 )
-QUICK = ("longitudinal muscles", "tendon wound up", "magnet in a field that differs")
+QUICK = ("longitudinal muscles", "tendon on a winch", "magnet in a nonuniform field")
 
 
 def look(effects, rod, state):
@@ -69,7 +69,7 @@ def check_energy(names, record):
         assert size > 1e-6
         gaps = np.max(np.abs(forces + by_place)), np.max(np.abs(couples + by_turn))
         record(
-            f"Loads against minus the gradient of the energy: {name}",
+            f"Loads, compared with minus the gradient of the energy: {name}",
             "automatic differentiation",
             max(gaps) / size,
             at_most=1e-12,
@@ -130,7 +130,7 @@ def test_the_stable_step_knows_of_them(name, record):
     bound = float(jaxrod.stable_dt(scene, 1.0).dt)
     limit = 2 / float(jaxrod.highest_frequency(scene, rest))
     record(
-        f"Stable step over the true limit: {name}",
+        f"Stable step divided by the true limit: {name}",
         "2/omega_max, measured",
         bound / limit,
         between=(0.25, 1.0),
@@ -174,7 +174,7 @@ def test_muscles_that_have_shortened_are_stiffer_and_the_bound_knows(record):
     short = strained(rod, (0.0, 0.0, 0.0), -0.35)
     limit = 2 / float(jaxrod.highest_frequency(scene, short))
     record(
-        "Stable step over the true limit: two muscles, shortened by 0.35",
+        "Stable step divided by the true limit: two muscles, shortened by 0.35",
         "2/omega_max, measured",
         float(jaxrod.stable_dt(scene, 1.0).dt) / limit,
         between=(0.5, 1.0),
@@ -236,7 +236,7 @@ def test_gradients_by_what_drives_them_agree_with_differences(of, record):
     assert np.min(np.abs(differences)) > 1e-7
     gap = np.max(np.abs(np.asarray(slope) - differences))
     record(
-        f"Gradient by activation, tension, pressure, field: {of.__name__}",
+        f"Gradient with respect to activation, tension, pressure, field: {of.__name__}",
         "central differences",
         gap / np.max(np.abs(differences)),
         at_most=1e-6,
@@ -389,7 +389,7 @@ def test_other_things_than_clamps_and_curves_are_refused():
     rod, state = arm(4)
     with pytest.raises(TypeError, match=r"into must be a jaxrod Clamp"):
         jaxrod.actuation.muscle(rod, 1.0, into=state)
-    with pytest.raises(TypeError, match="curve must be one such as"):
+    with pytest.raises(TypeError, match="curve must be a force curve, such as"):
         jaxrod.actuation.muscle(rod, 1.0, curve=np.exp)
     with pytest.raises(ValueError, match="into must be clamps at different ends"):
         jaxrod.actuation.muscle(rod, 1.0, into=(jaxrod.clamp(state),) * 2)

@@ -74,7 +74,7 @@ CASES = {
     ),
     "directors must be orthonormal": lambda: along(BENT, directors=2 * FRAMES),
     "directors must be right-handed": lambda: along(BENT, directors=-FRAMES),
-    "directors must have d3 along the rod, that of 1 is 90 deg": lambda: along(
+    "d3 along the rod, but that of element 1 is 90 deg": lambda: along(
         BENT, directors=FRAMES
     ),
     "effects[0].acceleration must be between": lambda: jaxrod.make_scene(

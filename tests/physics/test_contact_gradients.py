@@ -64,7 +64,8 @@ def test_gradients_through_contact_are_those_of_finite_differences(record):
         products = jax.tree.map(lambda a, b: np.sum(a * b), slopes, towards)
         worst = max(worst, abs(sum(jax.tree.leaves(products)) / found - 1))
     record(
-        "Gradient of 50 steps through contact with friction, by every number",
+        "Gradient of 50 steps through contact with friction, with respect to every "
+        "number",
         "finite differences",
         worst,
         at_most=1e-5,

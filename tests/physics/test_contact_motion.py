@@ -119,7 +119,7 @@ def test_an_arm_along_the_slope_sticks_within_the_cone_of_friction(steepness, re
     if steepness < 1:
         creep = G * np.sin(slope) / RATE / np.sqrt(1 - steepness**2)
         record(
-            f"Creep of a rod that sticks on a slope at {steepness:g} of its friction's "
+            f"Creep of a rod that sticks on a slope at {steepness:g} of the friction "
             "cone",
             "load / (drag sqrt(1 - (load / limit)^2))",
             abs(second / creep - 1),
@@ -128,7 +128,7 @@ def test_an_arm_along_the_slope_sticks_within_the_cone_of_friction(steepness, re
     else:
         free = G * (np.sin(slope) - FRICTION * np.cos(slope))
         record(
-            "Acceleration of a rod that slides down a slope of twice its cone",
+            "Acceleration of a rod that slides down a slope of twice the friction cone",
             "g (sin(slope) - friction cos(slope))",
             abs((second - first) / (1000 * dt) / free - 1),
             at_most=2e-3,
@@ -176,12 +176,12 @@ def test_a_bounce_keeps_its_energy_to_second_order(record):
     deepest = np.sqrt(LINE / STIFFNESS - width**2 / 12)
     record(
         "Deepest penetration of an arm thrown flat on a plane",
-        "sqrt(m v^2 / stiffness), less what the onset takes",
+        "sqrt(m v^2 / stiffness), minus the effect of the onset",
         abs(-float(jnp.min(heights)) / deepest - 1),
         at_most=1e-4,
     )
     record(
-        "Energy error in a bounce over that at half the step",
+        "Energy error in a bounce, divided by the error at half the step",
         "4",
         errors[0] / errors[1],
         between=(3.5, 4.5),

@@ -52,7 +52,7 @@ def test_the_stable_step_knows_of_the_stiffness_of_contact(share, faces, record)
     bound = float(jaxrod.stable_dt(scene, 1.0).dt)
     measured = float(jaxrod.stable_dt(scene, 1.0, state=state).dt)
     record(
-        f"Stable step over the true limit, contact of {share:g} times the rod's "
+        f"Stable step divided by the true limit, contact of {share:g} times the rod's "
         f"squared frequency, {'with' if faces else 'without'} faces",
         "2/omega_max by iteration, touching",
         bound / measured,
@@ -111,7 +111,7 @@ def test_the_stable_step_knows_of_damping_and_friction(damping, drag, record):
         middle = np.sqrt(low * high)
         low, high = (middle, high) if is_stable(middle) else (low, middle)
     record(
-        f"Stable step over the true limit, contact with damping {damping:g} and "
+        f"Stable step divided by the true limit, contact with damping {damping:g} and "
         f"friction drag {drag:g} of the rod's frequency",
         "eigenvalues of a step, touching",
         bound / low,

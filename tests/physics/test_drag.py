@@ -451,7 +451,8 @@ def test_added_mass_lowers_frequencies(record):
         scene = jaxrod.make_scene(one, jaxrod.clamp(state))
         frequencies.append(float(jaxrod.natural_frequencies(scene, state)[0]))
     record(
-        "First frequency of a cantilever with added mass, over that without",
+        "First frequency of a cantilever with added mass, divided by the frequency "
+        "without",
         "1 / sqrt(1 + rho_f / rho)",
         abs(frequencies[1] / frequencies[0] * np.sqrt(2.5) - 1),
         at_most=1e-3,

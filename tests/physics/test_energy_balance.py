@@ -136,7 +136,7 @@ def test_rounding_is_what_it_is_said_to_be(record):
     report = examined(scene, state)[-1]
     record(
         "Energy that rounding gives a rod 1 km from the origin in 1000 steps, float32",
-        "what health allows for it",
+        "the allowance of the health check",
         report.energy_growth / report.energy_allowed,
         between=(0.1, 1.0),
     )

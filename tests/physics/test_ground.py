@@ -128,7 +128,7 @@ def test_a_rod_that_is_turned_rolls_or_spins(share, record):
     rolling = 2 / MASS * (0.5 * share * largest / (3 * RADIUS)) ** 2
     spinning = 0.5 * MASS * (KINETIC * G * 0.5) ** 2
     record(
-        f"Energy of a rod turned by {share:g} of what rolls it",
+        f"Energy of a rod turned by {share:g} of the couple that rolls it",
         "2/m (T C / 3 r)^2 or m (mu g T)^2 / 2",
         abs(moved / (rolling if share < 1 else spinning) - 1),
         at_most=5e-3,
@@ -186,7 +186,8 @@ def test_what_a_stick_ratio_holds(stick, holds, record):
     slips[:, 0] = np.linspace(0.01, 10.0, 2000)
     forces, _ = pushed(jnp.asarray(slips), 0.3 * jnp.ones(3), jnp.asarray(stick))
     record(
-        f"Largest friction with a stick ratio of {stick:g}, over that of sliding",
+        f"Largest friction with a stick ratio of {stick:g}, divided by sliding "
+        "friction",
         f"{holds:g}",
         float(jnp.max(jnp.abs(forces)) / (0.3 * PUSH)),
         between=(holds - 1e-3, holds + 1e-3),

@@ -140,7 +140,7 @@ def test_where_a_rod_rests_is_no_matter_of_its_damping(record):
     unloaded = jaxrod.equilibrium(jaxrod.make_scene(rod, clamp), expected.state)
     assert unloaded.converged
     record(
-        "rod that is let go bent: where it comes to rest [lengths]",
+        "rod released from a bend: where it comes to rest [lengths]",
         "straight, as it was made",
         np.max(np.abs(unloaded.state.positions - state.positions)) / 0.5,
         at_most=1e-10,

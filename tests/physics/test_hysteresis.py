@@ -49,7 +49,12 @@ def test_loops_have_the_closed_form(largest, steps, record):
     if steps == 4:
         assert error < 1e-9
         return
-    record(f"End of a loop to {largest:g}/m", "m_c tanh x", error, at_most=1e-9)
+    record(
+        f"Moment at the end of a loop to {largest:g}/m",
+        "m_c tanh x",
+        error,
+        at_most=1e-9,
+    )
     area = abs(np.sum(0.5 * (found[1:] + found[:-1]) * np.diff(path)))
     exact = 4 * SLIP * largest * (1 - np.tanh(reach) / reach)
     name = f"Area of a loop to {largest:g}/m, by the trapezoidal rule"
@@ -123,7 +128,7 @@ def test_energy_lost_is_that_of_friction(record):
     assert loss > 0.3 * totals[0]
     error = abs(totals[0] - totals[-1] - loss) / loss
     record(
-        "Energy lost against that of friction",
+        "Energy lost, compared with the work of friction",
         "m^2 dk/m_c along the path",
         error,
         at_most=0.01,

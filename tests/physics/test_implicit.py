@@ -132,7 +132,8 @@ def test_a_stiff_mode_decays_as_selected(radius, record):
         abs(amplification(1j * frequency * dt, radius)), abs=1e-6
     )
     record(
-        f"Amplitude left of a stiff mode after a step of 1000 stable steps, spectral "
+        "Remaining amplitude of a stiff mode after one step as long as 1000 stable "
+        "steps, spectral "
         f"radius {radius:g}",
         f"{radius:g}",
         amplitude,

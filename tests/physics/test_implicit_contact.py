@@ -62,7 +62,7 @@ def test_implicit_steps_converge_to_what_explicit_ones_find_through_an_impact(re
     rough, exact = end(explicit, 16), end(explicit, 64)
     assert largest_gap(exact, finer) < 0.5 * largest_gap(rough, finer)
     record(
-        "Where an arm is that hits a floor, implicit [m]",
+        "Position of an arm that hits a floor, implicit steps [m]",
         "explicit steps",
         largest_gap(exact, finer),
         at_most=2e-6,

@@ -45,7 +45,8 @@ def test_what_thinning_sections_change_of_an_arm_of_muscles(record):
         apart[share] = float(np.max(np.linalg.norm(one - two, axis=0))) / LENGTH
     for share, bar in ((1.0, 0.06), (0.1, 0.01)):
         record(
-            f"Octopus arm, {share:g} of its activations: stored energy beside COOMM",
+            f"Octopus arm, {share:g} of its activations: stored energy, compared "
+            "with COOMM",
             "COOMM's law; 0 for small strains",
             apart[share],
             at_most=bar,

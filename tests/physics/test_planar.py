@@ -98,8 +98,8 @@ def test_a_planar_scene_is_the_one_in_space(plane, mode, record):
     rounding = worst(beside)
     assert rounding < 1e-11, "the motion has to be one that rounding leaves alone"
     record(
-        f"Planar scene ({plane}, {mode} mode), n = 12, 2000 steps: state, over the "
-        "effect of the last bit of the first positions",
+        f"Planar scene ({plane}, {mode} mode), n = 12, 2000 steps: difference of the "
+        "states, in units of the effect of one last bit of the first positions",
         "the same scene in space",
         worst(flat) / rounding,
         at_most=4.0,
@@ -244,7 +244,7 @@ def test_orientations_of_a_bare_rod_come_from_its_angles():
 @pytest.mark.slow
 def test_it_costs_less_than_two_fifths_of_the_arithmetic(record):
     record(
-        "Arithmetic of a planar step over that of a step in space",
+        "Arithmetic of a planar step, divided by that of a step in space",
         "compiled programs",
         arithmetic_left(method=jaxrod.planar("zx")),
         at_most=0.4,

@@ -45,8 +45,12 @@ def test_a_single_bend_has_the_closed_form(hardening, record):
     left = (1 - hardening) * 3 * first
     back, kept = followed(rod, state, [*curvatures, left], hardening)
     error = max(abs(back[-1, 1]) / LIMIT, abs(kept[-1, 1] / left - 1))
-    record(f"Set after a bend, hardening {hardening:g}", "(1 - h)(k - k_y)", error,
-           at_most=1e-9)  # fmt: skip
+    record(
+        f"Permanent curvature after a bend, hardening {hardening:g}",
+        "(1 - h)(k - k_y)",
+        error,
+        at_most=1e-9,
+    )
 
 
 def test_the_size_of_steps_does_not_matter():
@@ -94,7 +98,10 @@ def test_a_cantilever_keeps_its_set(record):
     found = np.linalg.norm(jaxrod.strains(rod, left.state)[1], axis=0)
     error = max(np.max(np.abs(part / expected - 1)) for part in (kept, found))
     record(
-        "Set of a cantilever after a couple", "(1 - h)(k - k_y)", error, at_most=1e-6
+        "Permanent curvature of a cantilever after a couple",
+        "(1 - h)(k - k_y)",
+        error,
+        at_most=1e-6,
     )
 
 
@@ -115,7 +122,7 @@ def test_energy_lost_is_that_of_yielding(record):
     assert loss > 0.3 * totals[0]
     error = abs(totals[0] - totals[-1] - loss) / loss
     record(
-        "Energy lost against that of yielding",
+        "Energy lost, compared with the work of yielding",
         "m_y dp along the path",
         error,
         at_most=0.01,

@@ -25,7 +25,7 @@ def test_actuators_reach_no_farther_than_they_say(n):
         if effect.actual_reach != "any":
             assert float(_gap_of_tangent(effect, rod)) < 1e-12, name
     far = {name for name, reach in reaches.items() if reach == "any"}
-    assert far == {"tendon wound up"}
+    assert far == {"tendon on a winch"}
     rubbing = {"friction": 0.2, "friction_at_rest": 1.0}
     cable = jaxrod.actuation.tendon(rod, (0.0, 0.01), tension=1.0, **rubbing)
     assert cable.actual_reach == "any"

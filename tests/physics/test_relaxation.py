@@ -34,7 +34,7 @@ def test_a_held_bend_relaxes_exponentially(record):
     t = 0.5 * np.arange(7)
     exact = moment * (1 + RATIO * np.exp(-t))
     error = np.max(np.abs(np.abs(couples) / exact - 1))
-    record("Moment of a bend that is held", "1 + r exp(-t/tau)", error, at_most=1e-9)
+    record("Moment at a constant curvature", "1 + r exp(-t/tau)", error, at_most=1e-9)
 
 
 def chain(ratio=RATIO, time=TIME, method=None):
@@ -159,7 +159,10 @@ def test_energy_lost_is_that_of_the_dashpots(record):
     assert lost > 0.3 * total[0]
     error = abs(total[0] - total[-1] - lost) / lost
     record(
-        "Energy lost against that of the dashpots", "their power", error, at_most=2e-3
+        "Energy lost, compared with the work of the dashpots",
+        "their power",
+        error,
+        at_most=2e-3,
     )
 
 

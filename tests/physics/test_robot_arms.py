@@ -272,7 +272,7 @@ def test_an_arm_in_a_plane_holds_a_planar_rod_and_no_other_does(tmp_path):
     ("text", "hand", "words"),
     [
         (URDF, "thumb", "no link 'thumb', it has base, upper, lower, hand, lamp"),
-        ("<mujoco><nothing/></mujoco>", "a", "no robot that MuJoCo can read"),
+        ("<mujoco><nothing/></mujoco>", "a", "as a robot"),
         (
             '<mujoco><worldbody><body name="a"><joint name="b" type="ball"/></body>'
             "</worldbody></mujoco>",

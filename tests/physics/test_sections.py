@@ -61,7 +61,7 @@ def test_a_tube_bends_as_a_rod_of_the_same_stiffness(record):
         scene = jaxrod.make_scene(rod, jaxrod.clamp(state), push)
         sag.append(float(jaxrod.equilibrium(scene, state).state.tip[0]))
     record(
-        "Sag of a tube beside a rod of the same bending stiffness, difference",
+        "Sag of a tube, compared with a rod of the same bending stiffness",
         "0",
         abs(sag[0] / sag[1] - 1),
         at_most=1e-5,

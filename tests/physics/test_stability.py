@@ -95,7 +95,7 @@ def examine(counts, seeds, record):
         excursions.append(float(excursion(scene, state, bound)))
         with pytest.warns(jaxrod.UnstableStepWarning):
             jaxrod.advance(scene, state, 1.05 * limit, 0)
-    feature = f"Stable step over the true limit, {len(ratios)} random rods"
+    feature = f"Stable step divided by the true limit, {len(ratios)} random rods"
     reference = "2/omega_max, from the tangent stiffness"
     record(f"{feature}: largest", reference, max(ratios), at_most=1 + 1e-9)
     record(f"{feature}: mean", reference, np.mean(ratios), between=(0.9, 1.0))
@@ -135,7 +135,7 @@ def test_the_limit_of_well_known_rods(name, record):
     limit = true_limit(scene, state, held_freedoms(rod, node=False))
     assert limit == pytest.approx(published, rel=5e-3)
     record(
-        f"Stable step over the true limit: {name}",
+        f"Stable step divided by the true limit: {name}",
         f"{limit:.3g} s",
         float(jaxrod.stable_dt(scene, 1.0).dt) / limit,
         between=(0.99, 1.0),
@@ -220,13 +220,14 @@ def test_compression_raises_the_highest_frequency_as_the_guard_says(record):
             if 0.9 <= extent < 1:
                 slopes.append((rise - 1) / (1 - extent))
     record(
-        "What compression takes from the stability bound, relative error",
+        "Reduction of the stability bound by compression, relative error",
         "highest frequency as measured",
         max(errors),
         at_most=2e-3,
     )
     record(
-        "Highest frequency of rods compressed to 0.3 and less, over that at rest",
+        "Highest frequency of rods compressed to 0.3 and less, divided by the "
+        "frequency at rest",
         "measured; 1 / the safety factor that is always enough",
         max(rises),
         between=(1.05, 1 / 0.9),

@@ -165,7 +165,9 @@ def test_the_step_is_safe_and_close_over_six_decades(mode, name, n, record):
     found = shares(n, getattr(jaxrod, mode)(), cases)
     # Rates of more than the highest frequency make any step of PyElastica's stable.
     found = found[found > 0]
-    feature = f"Stable step over the true limit, {mode} mode, {name} over 6 decades"
+    feature = (
+        f"Stable step divided by the true limit, {mode} mode, {name} over 6 decades"
+    )
     reference = f"eigenvalues of a step, touching, n = {n}"
     record(f"{feature}: largest", reference, np.max(found), at_most=1 + 2e-3)
     record(f"{feature}: least", reference, np.min(found), between=(0.5, 1.0))

@@ -160,7 +160,7 @@ def test_a_tip_lets_go_where_the_elastica_needs_all_of_the_friction(friction, re
         errors.append(abs(needed(scene, state)[0] / push - 1))
     assert np.log2(errors[0] / errors[1]) > 1.8
     row = f"Strip pressed on a plane, friction {friction}, n = 40: "
-    force = row + "force when its tip lets go"
+    force = row + "force when its tip starts to slip"
     record(force, "elastica by collocation", errors[1], at_most=3e-3)
 
     def holds(strain):
@@ -173,7 +173,7 @@ def test_a_tip_lets_go_where_the_elastica_needs_all_of_the_friction(friction, re
     for _ in range(10):
         strain = 0.5 * (low + high)
         low, high = (strain, high) if holds(strain) else (low, strain)
-    event = row + "strain when its tip lets go [lengths]"
+    event = row + "strain when its tip starts to slip [lengths]"
     record(event, "elastica by collocation", abs(low - exact), at_most=1e-3)
     push, rub = needed(*stuck(at, low))
     share = row + "friction over normal force then"

@@ -72,7 +72,7 @@ def test_a_rod_on_a_slope_holds_by_the_elongation_of_its_springs(method, record)
     needed = WEIGHT * np.sin(SLOPE) / (0.5 * STIFFNESS)
     inner = second.memory[1]["elongations"][0][0, 0, 1:-1]
     record(
-        f"{method}: elongation of springs against load per length / stiffness",
+        f"{method}: elongation of springs, compared with load per length / stiffness",
         "equal",
         abs(float(jnp.mean(inner)) / needed - 1),
         at_most=0.1,
@@ -128,7 +128,7 @@ def test_a_rod_across_a_slope_rolls_without_slipping(record):
     spins = jaxrod.angular_velocities(scene.rod, second)
     slip = second.velocities[0].mean() - RADIUS * jnp.abs(spins).max()
     record(
-        "Its slip, over its speed",
+        "Its slip, relative to its speed",
         "0",
         abs(slip / second.velocities[0].mean()),
         at_most=2 * deep,
@@ -164,7 +164,7 @@ def test_springs_that_hold_keep_energy_and_springs_that_slip_lose_it(record):
     needed = 0.01 * WEIGHT * np.cos(SLOPE) * 0.5 * way
     record(
         "Energy lost by slipping",
-        "friction times way",
+        "friction times distance",
         abs(lost / needed - 1),
         at_most=0.02,
     )
@@ -229,8 +229,9 @@ def test_a_rod_at_rest_is_the_equilibrium_with_friction(record):
     moving = run(lying(0.5, wall, slowly)[0], state, 1.5)
     apart = float(jnp.max(jnp.abs(moving.positions - rest.state.positions)))
     record(
-        "A rod pushed sideways on the ground: rest of a run against `equilibrium`",
-        "equal, over the displacement",
+        "A rod pushed sideways on the ground: end of a run, compared with "
+        "`equilibrium`",
+        "equal, relative to the displacement",
         apart / sideways[0],
         at_most=0.05,
     )
@@ -320,14 +321,16 @@ def test_a_rope_over_a_cylinder_holds_up_to_the_capstan_limit(friction, share, r
         assert risen < -0.5  # the light end has gone over and fallen
         return
     record(
-        f"Heavy rope, friction {friction}, {share} of the longest: slides in 2 s [m]",
+        f"Heavy rope, friction {friction}, {share} of the longest: sliding in 2 s [m]",
         "0",
         abs(risen),
         at_most=1e-3 if (friction, share) != (0.6, 0.95) else 1.6e-3,
     )
     second = jaxrod.advance(scene, first, dt, int(10 / dt), first=int(2 / dt))
     crept = float(second.positions[2, 0] - first.positions[2, 0])
-    record("Its light end in the 10 s after [m]", "0", abs(crept), at_most=5e-5)
+    record(
+        "Motion of its light end in the next 10 s [m]", "0", abs(crept), at_most=5e-5
+    )
 
 
 @pytest.mark.parametrize("given", [None, 3e3])

@@ -303,7 +303,7 @@ def test_bad_supports_are_refused_in_words():
         ),
         (
             lambda: jaxrod.driven(state, free_to_turn=True, holds_element=True),
-            "free to turn is not held",
+            "both held and free to turn",
         ),
         (
             lambda: jaxrod.driven(state, angle=jaxrod.schedules.ramp(0.0, 1.0, 1.0)),

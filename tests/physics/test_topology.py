@@ -134,7 +134,10 @@ def test_link_is_twist_plus_writhe(record):
         whole = max(whole, abs(float(total - jnp.round(total))))
     assert whole < 1e-10
     record(
-        "Link less twist and writhe of random closed ribbons", "0", worst, at_most=1e-10
+        "Link minus twist minus writhe of random closed ribbons",
+        "0",
+        worst,
+        at_most=1e-10,
     )
 
 
@@ -260,7 +263,7 @@ def test_the_invariant_jumps_by_what_passed_through(record):
         passed += float(jnp.sum(jnp.abs(counts)))
     assert passed > 10, "the curves should pass through each other"
     record(
-        "Passages of random rings, their sum less the jump of the linking number",
+        "Passages of random rings, their sum minus the jump of the linking number",
         "0",
         worst,
         at_most=1e-10,

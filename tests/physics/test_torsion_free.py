@@ -28,14 +28,15 @@ def test_in_a_plane_it_is_the_scene_with_twist_and_the_planar_one(end, record):
     assert float(jnp.max(jnp.abs(full.positions - state.positions[None]))) > 0.1
     what = f"Without twist, motion in a plane, clamped at the {end}, 1500 steps: "
     record(
-        what + "all of the state, of its largest",
+        what + "whole state, relative to its largest component",
         "the planar scene",
         largest_gap(bare, flat),
         at_most=1e-11,
     )
     without_spins = [replace(s, angular_momenta=s.positions) for s in (bare, full)]
     record(
-        what + "positions, orientations, velocities, of their largest",
+        what
+        + "positions, orientations, velocities, relative to their largest component",
         "the scene with twist",
         largest_gap(*without_spins),
         at_most=1e-11,
@@ -62,14 +63,14 @@ def test_out_of_a_plane_it_differs_by_the_polar_inertia(record):
     assert abs(full[1]) > 0.1, "the arm has to leave its plane"
     whole, less = np.max(np.abs(full - bare)), np.max(np.abs(np.subtract(*tips(1 / 8))))
     record(
-        "Without twist, arm pushed sideways: tip after 0.2 s, of the length",
+        "Without twist, arm pushed sideways: tip after 0.2 s [lengths]",
         "the same scene with twist",
         whole,
         at_most=1e-3,
     )
     record(
-        "Without twist: what is left of that difference with an eighth of the polar "
-        "inertia",
+        "Without twist: that difference with an eighth of the polar inertia, relative "
+        "to the first",
         "1/8",
         less / whole,
         between=(0.06, 0.25),
@@ -87,7 +88,7 @@ def test_momenta_are_kept_and_energy_does_not_drift(record):
     ):
         values = np.asarray(of_all(function))
         record(
-            f"Without twist, free rod, 4000 steps: {name}, of its start",
+            f"Without twist, free rod, 4000 steps: {name}, relative to its start",
             "conserved",
             np.max(np.abs(values - values[0])) / np.max(np.abs(values[0])),
             at_most=1e-12,
@@ -96,7 +97,7 @@ def test_momenta_are_kept_and_energy_does_not_drift(record):
     early, late = np.mean(energy[1:14]), np.mean(energy[-13:])
     record(
         "Without twist, free rod, 4000 steps: drift of energy between first and last "
-        "third, of the energy",
+        "third, relative to the energy",
         "none",
         abs(late - early) / energy[0],
         at_most=1e-3,

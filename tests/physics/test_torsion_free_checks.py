@@ -25,7 +25,7 @@ def test_batches_and_numbers_do_not_recompile():
 @pytest.mark.slow
 def test_it_costs_about_half_the_arithmetic(record):
     record(
-        "Arithmetic of a step without twist over that of one with it",
+        "Arithmetic of a step without twist, divided by that of a step with it",
         "compiled programs",
         arithmetic_left(method=jaxrod.torsion_free()),
         at_most=0.55,

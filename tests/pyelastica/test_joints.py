@@ -203,7 +203,7 @@ def test_a_dashpot_of_distances_differs_by_the_gap(record):
         at_most=1e-9,
     )
     record(
-        "That difference at four times the stiffness, over itself",
+        "That difference at four times the stiffness, relative to the first",
         "0.25 or less",
         apart[1] / apart[0],
         at_most=0.25,
@@ -243,7 +243,7 @@ def test_a_hinge_is_theirs_as_its_axis_gets_stiffer(record):
         at_most=1e-4,
     )
     record(
-        "That difference at four times the axis's stiffness, over itself",
+        "That difference at four times the axis's stiffness, relative to the first",
         "0.25 or less",
         apart[1] / apart[0],
         at_most=0.25,

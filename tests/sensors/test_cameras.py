@@ -122,7 +122,7 @@ def test_depth_is_that_of_cylinders_and_balls():
     ("arguments", "words"),
     [
         ({"target": (0.0, -2.0, 0.0)}, "from position to target"),
-        ({"target": (0.0, -2.0, 1.0)}, "up must not be along"),
+        ({"target": (0.0, -2.0, 1.0)}, "up must not be parallel"),
         ({"focal_length": 0.0}, "focal_length must be positive"),
     ],
 )

@@ -143,7 +143,7 @@ def test_a_pinned_net_is_pulled_to_a_diamond(record):
     short = np.linalg.norm(rows[2, :, 0] - rows[0, :, -1])
     assert long > 0.33 and short < 0.23
     record(
-        "pinned net pulled along its diagonal: the other one",
+        "pinned net pulled along its diagonal: the other diagonal",
         "sqrt(4 a^2 - D^2)",
         abs(short / np.sqrt(4 * 0.2**2 - long**2) - 1),
         at_most=0.01,
@@ -284,7 +284,7 @@ def test_a_nest_comes_to_lie_in_its_pot():
             lambda: assemblies.braid(
                 3, 20, radius=0.05, length=0.2, turns=1, thickness=0.002, **SOFT
             ),
-            "n_elements must be a multiple of 2 strands turns = 6, .* got 20",
+            "a whole number, got 6, and n_elements a multiple of it, got 20",
         ),
     ],
 )

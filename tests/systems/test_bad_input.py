@@ -296,7 +296,7 @@ def test_a_schedule_of_damping_of_bodies_is_refused(given):
     """Rates are worked out once: the first one would be kept in silence."""
     fading = Fading(jaxrod.schedules.ramp(0.5, 0.0, 1.0))
     ball = replace(given[0]["ball"], effects=(fading,))
-    with pytest.raises(ValueError, match=r"'ball': damping rates are computed once"):
+    with pytest.raises(ValueError, match=r"'ball': .* has damping rates"):
         jaxrod.make_system({"ball": ball})
 
 

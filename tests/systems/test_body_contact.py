@@ -122,7 +122,7 @@ def test_a_ball_rolls_down_a_slope_of_rod(record):
     ("names", "words"),
     [
         (("rod", "none"), "no member is called 'none'"),
-        (("ball", "rod"), "between a rod and a rigid body"),
+        (("ball", "rod"), "needs a rod and a rigid body"),
         (("rod", "point"), "has no shape"),
     ],
 )

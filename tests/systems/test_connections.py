@@ -156,7 +156,7 @@ def test_cantilever_with_a_tip_mass(share, root, record):
     crossings = times[up] - tip[up] * np.diff(times)[0] / (tip[up + 1] - tip[up])
     period = (crossings[-1] - crossings[0]) / (len(crossings) - 1)
     record(
-        f"frequency of a cantilever with a tip of {share:g} of its mass",
+        f"frequency of a cantilever with a tip mass of {share:g} of its mass",
         "root of the beam's equation",
         abs(2 * np.pi / period / expected - 1),
         at_most=3e-3,

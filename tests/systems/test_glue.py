@@ -216,7 +216,7 @@ def test_the_bound_is_safe_and_not_far_off(record):
     fine = [bool(is_stable(bound * ratio)) for ratio in ratios]
     assert fine[0]
     record(
-        "glue: largest stable step over the bound",
+        "glue: largest stable step divided by the bound",
         "safe, and sharp within a factor of 2",
         ratios[fine.index(False) - 1],
         between=(0.99, 2.0),
@@ -336,7 +336,7 @@ def test_glue_of_equal_rods_may_be_made_where_its_numbers_are_traced(listed):
         (
             ("low", "high"),
             {"elements": ([0], [0, 1])},
-            "equally many of both rods, got 1 and 2",
+            "the same number for both rods, got 1 and 2",
         ),
         (
             ("low", "high"),
@@ -359,7 +359,7 @@ def test_glue_of_equal_rods_may_be_made_where_its_numbers_are_traced(listed):
         (
             ("low", "high"),
             {"elements": ([], [])},
-            "equally many of both rods, got 0 and 0",
+            "the same number for both rods, got 0 and 0",
         ),
         (("low", "high"), {"elements": []}, "elements must be a list of .* got"),
         (("low", "high"), {"elements": 3}, "elements must be a list of .* got 3"),

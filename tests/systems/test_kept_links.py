@@ -58,14 +58,14 @@ def test_link_is_twist_and_writhe_while_a_twisted_ring_buckles(record):
     assert abs(twist[0]) == pytest.approx(turns, abs=1e-3)
     assert np.max(np.abs(writhe)) > 1.5
     record(
-        "twisted ring that buckles onto itself: link less twist and writhe",
+        "twisted ring that buckles onto itself: link minus twist minus writhe",
         "0, at 50 instants",
         np.max(np.abs(link - twist - writhe)),
         at_most=1e-10,
     )
     record(
         "twisted ring that buckles onto itself: link",
-        "the turns put in, at 50 instants",
+        "the imposed turns, at 50 instants",
         np.max(np.abs(np.abs(link) - turns)),
         at_most=1e-10,
     )
@@ -100,7 +100,7 @@ def test_linked_rings_that_are_pulled_apart_stay_linked(record):
     assert float(jaxrod.health(system, state, dt).largest_violation) > 1e-3
     record(
         "linked rings that press each other: linking number, at 20 instants",
-        "1 in size, as at the beginning",
+        "1 in magnitude, as at the beginning",
         np.max(np.abs(np.asarray(found) - found[0])) + abs(abs(found[0]) - 1),
         at_most=1e-10,
     )

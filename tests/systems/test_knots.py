@@ -129,7 +129,7 @@ def test_the_pull_of_a_knot_without_friction(record):
         record(
             f"overhand knot, {n} elements, loop of {ratio} radii: B kappa^2 / 2 and "
             "tension anywhere on the loop",
-            "the pull: nothing rubs",
+            "the pull, without friction",
             np.max(np.abs(balance[free] / pull - 1)),
             at_most=0.03,
         )
@@ -144,7 +144,8 @@ def test_the_pull_of_a_knot_without_friction(record):
     )
     slope = (shares[0] - shares[1]) / (thicknesses[0] - thicknesses[1])
     record(
-        "overhand knot, loops of 22 and 42 radii: pull for a rod without thickness",
+        "overhand knot, loops of 22 and 42 radii: pull, extrapolated to a rod "
+        "without thickness",
         "B / (2 R^2)",
         abs(shares[1] - slope * thicknesses[1] - 1),
         at_most=0.05,
@@ -166,7 +167,7 @@ def test_friction_holds_a_knot(record):
             assert not np.any(passages(records)) and all(is_tied(records))
             moved[friction, pull] = geometry(rod, end["rope"])[-1] - start
     assert moved[0.0, 1.5] < -0.1 * start and moved[0.0, 0.6] > 0.1 * start
-    for pull, words in ((0.6, "let loose"), (1.5, "pulled harder")):
+    for pull, words in ((0.6, "pulled less"), (1.5, "pulled harder")):
         record(
             f"overhand knot {words}: change of its loop with friction 0.1",
             "less than without",

@@ -110,13 +110,13 @@ def test_strands_of_a_plait_stay_linked(words, pull, record):
     longer = float(strands(states[-1])[0, 2, -1] - strands(state)[0, 2, -1])
     assert longer * np.sign(pull) > 0.1 * THICK
     record(
-        f"plait of three strands that is {words}, friction 0.3: linking numbers",
+        f"{words} plait of three strands, friction 0.3: linking numbers",
         "whole, as at the beginning, at 20 instants",
         np.max(np.abs(found - found[0])),
         at_most=1e-10,
     )
     record(
-        f"plait of three strands that is {words}: passages through one another",
+        f"{words} plait of three strands: passages through one another",
         "none",
         sum(through),
         at_most=0,
@@ -218,7 +218,7 @@ def test_a_rope_comes_to_lie_on_a_floor_and_on_itself(record):
     assert not any(health.flagged for health in flags) and not any(through)
     energies = [float(system.kinetic_energy(own)) for own in states]
     record(
-        "rope let fall on a floor and on itself, friction 0.4: kinetic energy left",
+        "rope dropped on a floor and on itself, friction 0.4: kinetic energy left",
         "0, over the largest there was",
         energies[-1] / max(energies),
         at_most=1e-3,
@@ -227,8 +227,8 @@ def test_a_rope_comes_to_lie_on_a_floor_and_on_itself(record):
     sunk = float(rod.linear_density[0]) * 9.81 / law["stiffness"]
     # Most of it lies on the floor; where it crosses, one part lies on the other.
     record(
-        "rope let fall on a floor and on itself: height of most of it, off by [radii]",
-        "its radius, less by what its weight presses in",
+        "rope dropped on a floor and on itself: height of most of it, off by [radii]",
+        "its radius, minus the indentation by its weight",
         abs(float(np.median(heights)) - (radius - sunk)) / radius,
         at_most=0.05,
     )

@@ -85,12 +85,12 @@ def test_link_of_a_plectoneme_is_what_its_end_is_turned_by(record):
     assert not seen.flagged
     record(
         f"plectoneme of {N} elements, {TURNS:g} turns: link, at six moments",
-        "what its end is turned by",
+        "turns of its end",
         max(links),
         at_most=1e-3,
     )
     record(
-        f"plectoneme of {N} elements, {TURNS:g} turns: link less twist and writhe",
+        f"plectoneme of {N} elements, {TURNS:g} turns: link minus twist minus writhe",
         "0, but for shear at the ends of the ribbon",
         max(balances),
         at_most=1e-4,
@@ -136,7 +136,7 @@ def test_link_of_ten_turns_stays_in_a_rod_that_winds_up(record):
     assert not jaxrod.health(system.at(WINDING + 2.0), now, dt).flagged
     name = f"rod wound up by {TEN:g} turns between guides, at 14 moments"
     record(f"{name}: link", "turns of its end", max(missing), at_most=1e-3)
-    record(f"{name}: link less twist and writhe", "0", max(balances), at_most=1e-10)
+    record(f"{name}: link minus twist minus writhe", "0", max(balances), at_most=1e-10)
     record(
         f"{name}: writhe below 0.9 of the twist that buckles it, {critical:.3f} turns",
         "0 (Greenhill)",
@@ -144,8 +144,8 @@ def test_link_of_ten_turns_stays_in_a_rod_that_winds_up(record):
         at_most=1e-4,
     )
     record(
-        f"{name}: nearest axes at the end, over the diameter",
-        "1, less what contact yields",
+        f"{name}: distance of the nearest axes at the end, over the diameter",
+        "1 minus the indentation",
         nearest(now["rod"]),
         between=(0.9, 1.0),
     )

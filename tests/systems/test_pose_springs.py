@@ -121,7 +121,7 @@ def test_work_of_the_drive_is_what_is_gained_and_lost(record):
     size = h * np.sum(np.abs(given))
     assert min(abs(work), abs(heat), abs(gained)) > 0.01 * size
     record(
-        "pose spring on a rod: work less heat and energy gained",
+        "pose spring on a rod: work minus heat minus energy gained",
         "0 of all the work",
         abs(work - heat - gained) / size,
         at_most=1e-3,

@@ -36,7 +36,9 @@ def test_equal_balls_exchange_their_velocities(record):
     dt = 0.02 * float(jaxrod.stable_dt(system).dt)
     after = jaxrod.advance(system, state, dt, int(0.06 / dt))
     left = abs(float(after["b"].velocities[0, 0]))
-    record("head-on collision of equal balls", "all is passed on", left, at_most=1e-4)
+    record(
+        "head-on collision of equal balls", "all momentum passes on", left, at_most=1e-4
+    )
     assert after["a"].velocities[0, 0] == pytest.approx(-1, abs=1e-4)
 
 
@@ -62,7 +64,7 @@ def test_a_ball_that_strikes_at_an_angle_is_slowed_by_friction(record):
     assert across == pytest.approx(2, rel=1e-3)
     record(
         "oblique collision: impulse along the wall",
-        "friction times that across",
+        "friction times the impulse across it",
         abs(along / (friction * across) - 1),
         at_most=5e-3,
     )

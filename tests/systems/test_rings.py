@@ -287,8 +287,8 @@ def test_no_place_on_a_ring_is_special(record):
     second = jaxrod.advance(system, two, dt, 1000)["ring"]
     assert np.max(np.abs(first.positions - state.positions)) > 4e-3
     record(
-        "ring: where it is closed",
-        "does not matter",
+        "ring closed at another element",
+        "the same ring",
         float(np.max(np.abs(shifted(first.positions) - second.positions))),
         at_most=1e-10,
     )

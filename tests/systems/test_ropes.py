@@ -127,9 +127,9 @@ def test_a_rope_that_lies_on_another_is_lifted_by_it(record):
         found, speed = heights(n)
         assert speed < 1e-6
         errors[n] = (found - alone) / lifted - 1
-    for k, words in enumerate(("lower is pressed down", "upper is lifted")):
+    for k, words in enumerate(("fall of the lower rope", "rise of the upper rope")):
         record(
-            f"two ropes that cross, 40 elements: by how much the {words}",
+            f"two ropes that cross, 40 elements: {words}",
             "two elasticae and their contact, as a boundary value problem",
             abs(errors[40][k]),
             at_most=3e-3,

@@ -150,7 +150,8 @@ def test_two_ropes_that_cross_settle(record):
     lifted = two_elasticae(made) - two_elasticae(made, touching=False)
     errors = (np.array(heights) - two_elasticae(made)) / lifted
     record(
-        "two ropes that cross, 20 elements, settled: heights, over what contact lifts",
+        "two ropes that cross, 20 elements, settled: heights, relative to the lift "
+        "by contact",
         "two elasticae and their contact, as a boundary value problem",
         np.max(np.abs(errors)),
         at_most=0.02,

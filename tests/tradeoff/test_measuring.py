@@ -88,7 +88,7 @@ def test_a_run_that_blows_up_has_an_infinite_error(swinging):
 
 
 def test_a_rod_without_a_plane_is_not_planar():
-    with pytest.raises(ValueError, match="tracking has no plane"):
+    with pytest.raises(ValueError, match="tracking does not move in a plane"):
         prepare(tracking_arm(), Setting(5, reductions=("planar",)))
 
 

@@ -555,7 +555,9 @@ def test_the_contract_says_what_goes_in_and_what_comes_out(tmp_path):
 
 def test_channels_that_do_not_fit_are_refused(tmp_path):
     env = dataclasses.replace(Told(), observation_size=8)
-    with pytest.raises(ValueError, match=r"observation_channels of .* have 7 entries"):
+    with pytest.raises(
+        ValueError, match=r"observation_channels of .* 8 entries, got 7"
+    ):
         export_c(perceptron(sizes=(8, 4, 2)), env, tmp_path / "policy.h")
 
 
@@ -566,7 +568,7 @@ def test_only_what_was_exported_is_replaced(tmp_path):
         export_c(policy, Sized(), file, **more)
 
     file.write_text("mine")
-    with pytest.raises(ValueError, match="it is not replaced"):
+    with pytest.raises(ValueError, match="does not replace it"):
         export(overwrite=True)
     assert file.read_text() == "mine"
     file.unlink()
@@ -576,11 +578,11 @@ def test_only_what_was_exported_is_replaced(tmp_path):
     export(overwrite=True)
     ours = file.read_text()
     file.write_text(ours + "/* tuned by hand */\n")
-    with pytest.raises(ValueError, match="it is not replaced"):
+    with pytest.raises(ValueError, match="does not replace it"):
         export(overwrite=True)
     file.unlink()
     (tmp_path / "policy.h.json").write_text('{"mine": true}')
-    with pytest.raises(ValueError, match="it is not replaced"):
+    with pytest.raises(ValueError, match="does not replace it"):
         export(overwrite=True)
     assert not file.exists()
 

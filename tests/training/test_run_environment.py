@@ -163,7 +163,7 @@ def test_a_run_goes_on_in_the_environment_it_was_started_in(tmp_path):
         train(make("trivial"), env_params=params, **again)
     with pytest.raises(ValueError, match=r"env_options was .*, now None, environment"):
         train(Trivial(7), env_params=params, **again)
-    with pytest.raises(ValueError, match=r"env_params .*\.stride is another"):
+    with pytest.raises(ValueError, match=r"env_params .*\.stride differs"):
         train(seven, **again)
     ended = train(seven, env_params=params, **again)
     assert ended.summary == begun.summary

@@ -117,7 +117,7 @@ def test_what_jaxrod_did_not_write_is_never_replaced(tmp_path, fill, said, overw
     folder = tmp_path / "mine"
     fill(folder)
     before = contents(folder)
-    with pytest.raises(ValueError, match=f"mine ({said}).* nothing is replaced there"):
+    with pytest.raises(ValueError, match=f"mine ({said}).* replaces nothing there"):
         train(Trivial(), out=folder, overwrite=overwrite, **USUAL)
     assert contents(folder) == before
 
@@ -152,7 +152,7 @@ def test_overwriting_removes_the_run_file_by_file_and_nothing_else(copy):
     found = {file.relative_to(copy.path).as_posix() for file in contents(copy.path)}
     assert found == set(strange)
     # What stayed is no run, and is not taken for one.
-    with pytest.raises(ValueError, match="nothing is replaced there"):
+    with pytest.raises(ValueError, match="jaxrod replaces nothing there"):
         train(Trivial(), out=copy.path, **USUAL)
 
 
@@ -255,7 +255,7 @@ def test_parts_of_another_run_are_not_taken(copy, tmp_path):
     for name, said in (
         (
             f"checkpoints/{newest}",
-            rf"{newest} is of a run of another config\.json: see",
+            rf"{newest} belongs to a run with another config\.json: see",
         ),
         ("episodes.csv", r"episodes\.csv does not match the checkpoint"),
     ):
@@ -268,7 +268,7 @@ def test_parts_of_another_run_are_not_taken(copy, tmp_path):
     summary |= {"steps_per_s": 1.0, "episodes": 1, "flagged_fraction": 0.0}
     summary |= {"score_window": 50, "seed": 1}
     (copy.path / "summary.json").write_text(json.dumps(summary))
-    with pytest.raises(ValueError, match=r"summary\.json is of another run .* seed"):
+    with pytest.raises(ValueError, match=r"summary\.json belongs to another .* seed"):
         resume(copy)
 
 

@@ -155,7 +155,7 @@ def test_topics_may_have_dots_and_colons(tmp_path):
         ({"tips": FRAMES + 10**9}, "clock of '/c:point' .* not that of '/b:point'"),
         ({"tips": FRAMES + BASE + 10**9}, "'/c:point' has no message within half a"),
         ({"pulls": FRAMES + BASE + 10**9}, "'/a:data' begins after the last message"),
-        ({"stamps": 0 * FRAMES + BASE}, "'/b:point' has different positions at one"),
+        ({"stamps": 0 * FRAMES + BASE}, "'/b:point' has different positions at the"),
     ],
 )
 def test_times_that_cannot_be_compared_are_refused(times, message, tmp_path):
@@ -229,7 +229,7 @@ def test_names_that_are_not_those_of_markers_are_found_by_registration(tmp_path)
         ("tip", "/tip:header", "must be a point with x, y and z, got"),
         ("tip", "/tip", "must be TOPIC:FIELD"),
         ("first", "/motors:effort[7]", r"there is no 7; it has 2 entries"),
-        ("middle", "/tip:point", "middle and tip have one topic, '/tip:point'"),
+        ("middle", "/tip:point", "middle and tip have the same topic, '/tip:point'"),
         ("first", "/motors:effort", "must be a number, got ndarray"),
         ("first", "/motors:header.frame_id", "must be a number, got str"),
         ("middle", "/middle:pose.orientation", "a point with x, y and z, got .*Quat"),

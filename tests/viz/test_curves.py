@@ -67,7 +67,7 @@ def test_before_any_episode_has_ended_the_rewards_are_drawn(tmp_path):
     ended.write_text("\n".join([*rows, "30,3,5,-0.512"]))
     learning_curve(ended, tmp_path / "out.png")
     assert "run: 5 after 3 s" in text_of(tmp_path / "out.png")
-    with pytest.raises(ValueError, match="finished episodes, or without"):
+    with pytest.raises(ValueError, match="finished episodes and runs without"):
         learning_curve([progress, ended], tmp_path / "out.png")
 
 

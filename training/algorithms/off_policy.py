@@ -188,7 +188,9 @@ def check_off_policy(config: OffPolicyConfig, num_devices: int) -> None:
     check_memory(config)
     check_fractions(config, "target_rate", "noise_correlation")
     if config.noise_correlation == 1:
-        raise ValueError("noise_correlation must be less than 1, got 1.0: frozen noise")
+        raise ValueError(
+            "noise_correlation must be less than 1, got 1.0, which freezes the noise"
+        )
     check_positive(config, "policy_learning_rate", "critic_learning_rate")
     check_not_negative(config, "learning_starts")
 

@@ -702,8 +702,8 @@ def _with_policy(state: OnPolicyState, policy: MLPPolicy) -> OnPolicyState:
     own[0] = (own[0][0] - units, own[0][1])
     if own != given:
         raise ValueError(
-            f"the policy's layers must have the sizes of the run's, {own}, as "
-            f"hidden_sizes and the task have them; got {given}"
+            f"the policy's layers must have the sizes {own}, which follow from "
+            f"hidden_sizes and the task, got {given}"
         )
     dtype = state.moments.mean.dtype
     names = [f"hidden_{i}" for i in range(len(own) - 1)] + ["output"]

@@ -148,7 +148,7 @@ class WithPrivileged(EnvironmentWrapper):
         if getattr(self.env, "privileged_observation", None) is None:
             raise ValueError(
                 f"{type(self.env).__name__} has no privileged_observation "
-                "(jaxrod.envs.Privileged): let privileged_critic be false"
+                "(jaxrod.envs.Privileged): set privileged_critic to false"
             )
 
     @functools.cached_property

@@ -187,7 +187,7 @@ class WithCost(EnvironmentWrapper):
         if not hasattr(self.env, "cost"):
             raise ValueError(
                 f"{type(self.env).__name__} has no cost (jaxrod.envs.Plannable): "
-                "let the objective be the reward"
+                "set the objective to reward"
             )
 
     def step(

@@ -281,7 +281,7 @@ def _vector(env: Environment, name: str) -> dict[str, Any]:
         first += channel.size
     if first != size:
         raise ValueError(
-            f"{name}_channels of {env.name} have {first} entries, its {name}s {size}"
+            f"{name}_channels of {env.name} must have {size} entries, got {first}"
         )
     return {"size": size, "entries": entries}
 
@@ -336,8 +336,8 @@ def _check_replaceable(path: Path, contract: Path, overwrite: bool) -> None:
         )
     if not ours:
         raise ValueError(
-            f"{there[0]} exists, and by {contract.name} jaxrod did not export it in "
-            "this form, so it is not replaced. Choose another name, or move it away"
+            f"{there[0]} exists, and {contract.name} does not describe it, so jaxrod "
+            "does not replace it. Choose another name, or move it away"
         )
     if not overwrite:
         raise ValueError(

@@ -352,7 +352,7 @@ def _reduced(walk: _Walk, equation: Any, value: Value) -> Value:
         else:
             buffer, rows = halved.buffer, halved.places
     if not len(rows):
-        raise _refusal(f"it has {equation.primitive.name!r} of nothing")
+        raise _refusal(f"it has {equation.primitive.name!r} of an empty array")
     return Value(buffer, rows[0])
 
 

@@ -244,8 +244,8 @@ def _check_folder(
         ]
         if others:
             raise ValueError(
-                f"{folder.summary_file} is of another run than {CONFIG}: its "
-                f"{', '.join(others)}"
+                f"{folder.summary_file} belongs to another run than {CONFIG}: they "
+                f"differ in {', '.join(others)}"
             )
     begun = result or (folder.policy / "policy.json").exists()
     if begun and not Checkpoints(folder.checkpoints).steps():

@@ -222,8 +222,8 @@ class OwnedFolder:
         strange = self._strange()
         if strange:
             raise ValueError(
-                f"{self.path} holds {', '.join(there)}, and {strange}: nothing is "
-                "replaced there. Choose another folder, or move them away"
+                f"{self.path} holds {', '.join(there)}, and {strange}: jaxrod "
+                "replaces nothing there. Choose another folder, or move them away"
             )
         for name in there:
             if (self.path / name).is_dir() != (name in self._folders):

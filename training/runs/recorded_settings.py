@@ -107,7 +107,7 @@ def find_function(name: str, path: Any, trust: Collection[str] | None = None) ->
     except ValueError as error:
         raise ValueError(f"{name} must be {FUNCTION}: {error}") from error
     if not callable(found):
-        raise ValueError(f"{name} must be {FUNCTION}, {path} is {found!r:.60}")
+        raise ValueError(f"{name} must be {FUNCTION}, but {path} is {found!r:.60}")
     return found
 
 

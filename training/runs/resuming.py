@@ -140,7 +140,7 @@ def restore(
     folder.remove_temporary(but=(LEARNING_CURVE, REPLAY))
     if damaged:
         warn(
-            f"{'; '.join(damaged)}. Continuing from {file.name}, the one before",
+            f"{'; '.join(damaged)}. Continuing from {file.name}, the previous one",
             DamagedCheckpointWarning,
         )
     return found
@@ -166,7 +166,7 @@ def _check_facts(
     changed = differences(renamed(facts["config"]), plain(requested))
     if changed:
         raise ValueError(
-            f"{file} is of a run of another {CONFIG}: {', '.join(changed)}"
+            f"{file} belongs to a run with another {CONFIG}: {', '.join(changed)}"
         )
 
 
@@ -180,8 +180,8 @@ def _check_same_task(stored: Any, given: Any) -> None:
         # Another machine may have computed a different last digit.
         if not np.allclose(was, now, rtol=1e-6, atol=0, equal_nan=True):
             raise ValueError(
-                "resume needs the env_params that the run was started with; "
-                f"{jax.tree_util.keystr(path)} is another"
+                "resume needs the env_params of the run, but "
+                f"{jax.tree_util.keystr(path)} differs"
             )
 
 

@@ -74,8 +74,8 @@ class Table:
             found = os.fstat(stream.fileno()).st_size
             if found != self._bytes:
                 raise ValueError(
-                    f"{self.path} was written to by somebody else: it has {found} "
-                    f"bytes, this run has left {self._bytes}"
+                    f"another program has written to {self.path}: it has {found} "
+                    f"bytes, but this run has left {self._bytes}"
                 )
             try:
                 stream.write(added)

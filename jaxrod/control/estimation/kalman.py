@@ -149,7 +149,7 @@ def check_observed(process: Process, observed: Any, shape: tuple[int, ...]) -> A
     seen = jnp.asarray(observed, process.dt.dtype)
     if seen.shape != shape:
         raise ValueError(
-            f"observed must have shape {shape}, as measure makes it, got {seen.shape}"
+            f"observed must have shape {shape}, as measure returns it, got {seen.shape}"
         )
     return seen
 

@@ -92,7 +92,9 @@ class Process:
         """
         if self.control_noise is None or self.with_control is None:
             if control is not None:
-                raise ValueError("control: this process has none (with_control)")
+                raise ValueError(
+                    "control must be None for a process without with_control"
+                )
             return None
         if control is None:
             return jnp.zeros_like(self.control_noise)

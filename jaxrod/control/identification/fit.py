@@ -56,17 +56,17 @@ def fit(
 ) -> Fit:
     """Finds the parameters that fit observations best, and their uncertainty.
 
-    Pure: under `jax.jit` it is one program for all numbers, and `jax.vmap` makes many
-    fits together, of many recordings or of many draws of the noise. A point whose
-    simulation blows up is rejected; the simulation at the initial guess must not blow
-    up.
+    The function is pure: under `jax.jit` it is one program for all numbers, and
+    `jax.vmap` makes many fits at once, to many recordings or with many draws of the
+    noise. The search rejects a point whose simulation blows up. The simulation at the
+    initial guess must not blow up.
 
     Args:
         simulate: Takes parameters by name and returns observations. With
             `multiple_shooting` it runs one window: it takes parameters, the window's
             initial state and its known data, and returns the window's observations; for
-            joined windows, also the initial state of the next window. If it is given
-            again without windows, it is not traced again.
+            joined windows, also the initial state of the next window. Without windows,
+            a second fit with the same function does not trace it again.
         observed: Observations, a pytree like the result of `simulate`. Values that are
             not finite count as not observed and are left out. With `multiple_shooting`
             they are stacked on the leading axis by window, or by trajectory and window

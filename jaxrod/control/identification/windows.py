@@ -131,15 +131,15 @@ class MultipleShooting:
             counts = {np.shape(leaf)[:1] for leaf in leaves}
             if counts != {(count,)}:
                 raise ValueError(
-                    "observed and known must be stacked in front as unknowns are, for "
-                    f"{count} windows, got {sorted(counts)}"
+                    f"observed and known must have a leading axis of {count} windows, "
+                    f"as unknowns have, got {sorted(counts)}"
                 )
             return
         counts = {np.shape(leaf)[:2] for leaf in leaves}
         if len(counts) != 1 or {(len(c), *c[:1]) for c in counts} != {(2, count)}:
             raise ValueError(
-                "states, known and observed must be stacked in front by trajectory and "
-                f"window, for {count} trajectories, got {sorted(counts)}"
+                "states, known and observed must have leading axes of trajectories "
+                f"and windows, for {count} trajectories, got {sorted(counts)}"
             )
         later = jax.tree.map(lambda leaf: jnp.asarray(leaf)[:, 1:], self.states)
         check_finite_floats("states", later)
@@ -157,7 +157,7 @@ class MultipleShooting:
         ):
             if jax.tree.structure(kind) != tree or _shapes(kind) != _shapes(wanted):
                 raise ValueError(
-                    f"{what} a state as states are, {_shapes(wanted)}, got "
+                    f"{what} a state like those in states, {_shapes(wanted)}, got "
                     f"{_shapes(kind)}"
                 )
 
@@ -211,7 +211,7 @@ def count_windows(name: str, stacked: Any) -> int:
     sizes = {np.shape(leaf)[:1] for leaf in jax.tree.leaves(stacked)}
     if len(sizes) != 1 or () in sizes:
         raise ValueError(
-            f"{name} must be stacked in front, equally many in every leaf, got "
+            f"{name} must have a leading axis of the same length in every leaf, got "
             f"{sorted(sizes)}"
         )
     return sizes.pop()[0]
@@ -268,8 +268,8 @@ def windows(
     skipped = 0 if with_starts else 1
     if len(lengths) != 1 or min(lengths) < frames + skipped:
         raise ValueError(
-            f"observed must have at least {frames + skipped} frames, equally many in "
-            f"every leaf, got {sorted(lengths)}"
+            f"observed must have at least {frames + skipped} frames, the same number "
+            f"in every leaf, got {sorted(lengths)}"
         )
     first = range(skipped, min(lengths) - frames + 1, every)
     return jax.tree.map(

@@ -296,7 +296,7 @@ def time_steps(
     if not in_all < _MOST_STEPS:
         raise ValueError(
             f"duration must be less than {_MOST_STEPS:,} steps of the simulation, got "
-            f"{duration:g} s, {in_all:.3g} steps"
+            f"{duration:g} s, which is {in_all:.3g} steps"
         )
     # Allow for round-off: 1 s in intervals of 0.01 s makes 100 intervals, not 101.
     n_intervals = max(1, math.ceil(duration / control_interval * (1 - 1e-6)))

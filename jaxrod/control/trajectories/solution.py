@@ -104,8 +104,8 @@ class Solution:
         """
         if self.gains is None:
             raise ValueError(
-                f"a solution of {self.solver} has no feedback: jaxrod.control.ilqr "
-                "gives it, and open_loop is a policy without"
+                f"a solution of {self.solver} has no feedback: use "
+                "jaxrod.control.ilqr, or open_loop, which is a policy without feedback"
             )
         planned = jax.tree.map(lambda leaf: leaf[interval], self.states)
         away = ravel_pytree(state)[0] - ravel_pytree(planned)[0]

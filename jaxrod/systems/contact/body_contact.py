@@ -90,7 +90,7 @@ class BodyContact(PenaltyContact):
             check_named(name, parts)
         if not (parts[self.rod].is_rod and parts[self.body].is_rigid):
             raise ValueError(
-                "body_contact is between a rod and a rigid body, got "
+                "body_contact needs a rod and a rigid body, got "
                 f"{self.rod!r} and {self.body!r}"
             )
         if parts[self.body].shape is None:

@@ -110,7 +110,7 @@ class RigidContact(PenaltyContact):
         for a, b in fitted._pairs(groups):
             if not CollisionPair.between(groups[a], groups[b], same=a == b):
                 raise ValueError(
-                    f"rigid_contact cannot see where {named[a][0]} and {named[b][0]} "
+                    f"rigid_contact cannot find where {named[a][0]} and {named[b][0]} "
                     "touch: neither has known corners or round ends; give "
                     "points on the surface of one, points={name: (3, k) [m]}"
                 )
@@ -307,7 +307,7 @@ def rigid_contact(
     for body in obstacles:
         check_kind("fixed", body, Body)
         if body.count is not None:
-            raise ValueError("fixed must be single bodies, in a list for several")
+            raise ValueError("fixed must be a single body or a list of single bodies")
     unknown = set(points or {}) - set(members)
     if unknown:
         raise ValueError(

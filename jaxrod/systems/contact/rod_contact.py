@@ -141,7 +141,7 @@ class RodContact(TouchingRods):
     def on_list(
         self, a: int, own: Elements, other: Elements, there: Array
     ) -> tuple[ContactPoints, Elements, Array]:
-        """Contact points of listed elements `own`, listed elements `other`, and mask.
+        """Contact points of the listed elements `own` and `other`, and a mask.
 
         All have a leading axis: over the points of an element for the first, of length
         one for the others. The mask `there` is true for entries in use.

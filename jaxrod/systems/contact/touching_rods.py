@@ -473,9 +473,10 @@ class TouchingRods(PenaltyContact):
         traced = [words for words, tree in places.items() if is_traced(tree)]
         if traced:
             raise ValueError(
-                f"neighbours cannot be counted, as numbers of {' and '.join(traced)} "
-                "are traced: give neighbour_lists the numbers pairs, candidates and "
-                "cell_slots, or make the system outside jit, grad and vmap"
+                "neighbours cannot be counted, because numbers of "
+                f"{' and '.join(traced)} are traced: give neighbour_lists the numbers "
+                "pairs, candidates and cell_slots, or make the system outside jit, "
+                "grad and vmap"
             )
         return replace(self, lists=self.needed(seen, with_spare))
 

@@ -375,7 +375,7 @@ def glue(
     names = [_rods("a", a), _rods("b", b)]
     if len(names[0]) != len(names[1]):
         raise ValueError(
-            f"a and b must be equally many rods, got {len(names[0])} and "
+            f"a and b must have the same number of rods, got {len(names[0])} and "
             f"{len(names[1])}"
         )
     pairs: list[list[tuple[Any, ...]]] = [[], []]
@@ -495,7 +495,7 @@ def _glued(
     )
     if not first or len(first) != len(second):
         raise ValueError(
-            f"elements must be equally many of both rods, got {len(first)} and "
+            f"elements must have the same number for both rods, got {len(first)} and "
             f"{len(second)}"
         )
     return first, second

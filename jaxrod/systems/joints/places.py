@@ -210,7 +210,8 @@ def pairs(
     first, second = _listed("a", a), _listed("b", b)
     if len(first) != len(second):
         raise ValueError(
-            f"a and b must be equally many places, got {len(first)} and {len(second)}"
+            "a and b must have the same number of places, got "
+            f"{len(first)} and {len(second)}"
         )
     return first, second
 

@@ -260,7 +260,7 @@ class Member(ABC):
 
         Args:
             state: State of the member.
-            mean: Velocity `(3,)` relative to which kinetic energy is its own [m/s].
+            mean: Mean velocity `(3,)`, which does not count as motion [m/s].
             dt: Step size [s].
         """
         velocities, spins = state.rates
@@ -282,7 +282,7 @@ class Member(ABC):
         raise NotImplementedError(f"{type(self).__name__} has no rod")
 
     def rates_of_change(self, state: Any, loads: Loads) -> Motion | None:
-        """Rates of change of a state: `velocity` are accelerations of its nodes.
+        """Rates of change of a state; `velocity` has the accelerations of its nodes.
 
         Args:
             state: State of the member.

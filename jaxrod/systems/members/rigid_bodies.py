@@ -357,8 +357,8 @@ def _inertia(
         largest = float(np.max(checked))
         if largest > (1 + 1e-6) * (float(np.sum(checked)) - largest):
             raise ValueError(
-                "inertia must be that of a body, with no moment above the sum of the "
-                f"two others, got {np.asarray(checked).tolist()} kg m^2"
+                "inertia of a body must have no moment above the sum of the two "
+                f"others, got {np.asarray(checked).tolist()} kg m^2"
             )
     return total.astype(dtype), jnp.asarray(checked, dtype)
 
@@ -424,7 +424,7 @@ def stacked_bodies(
         ((3,), (3, 3))
     """
     if not bodies:
-        raise ValueError("bodies must be at least one, got none")
+        raise ValueError("bodies must contain at least one body, got none")
     for body, state in bodies:
         check_kind("body", body, RigidBodies)
         check_kind("state", state, BodyState)
@@ -481,8 +481,8 @@ def check_body_effects(name: str, bodies: Any) -> None:
             )
         if kind.damping_rates is not Effect.damping_rates and depends_on_time(effect):
             raise ValueError(
-                f"member {name!r}: damping rates are computed once, but "
-                f"{kind.__name__}, which has some, depends on time"
+                f"member {name!r}: {kind.__name__} has damping rates, so it must not "
+                "depend on time: a run computes them once"
             )
         _try(name, effect, bodies)
 
