@@ -233,7 +233,7 @@ HOSTILE = [
     task(":make", "must be module:NAME"),
     of_policy("algorithm", "evil_module:ALGORITHM", FLAG.format("evil_module")),
     of_policy("algorithm", "os:system", "config.json: 'os:system' is not imported"),
-    of_policy("algorithm", "antigravity:x", "config.json: .* Python's own"),
+    of_policy("algorithm", "antigravity:x", "config.json: .* Python's standard"),
     of_policy("algorithm", "jaxrod.files:os.system", "module:NAME"),
     of_policy(
         "settings", {"network": "evil_module:make"}, "network: 'evil_module:make"

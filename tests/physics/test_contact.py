@@ -189,7 +189,7 @@ def test_a_batch_of_bodies_is_a_loop_and_several_bodies_are_their_sum():
         ({"friction": 0.5}, "friction needs friction_drag > 0"),
         ({"onset": 0.0}, "onset must be positive"),
         ({"points_per_element": 0}, "points_per_element must be at least 1"),
-        ({"bodies": []}, "bodies must be at least one"),
+        ({"bodies": []}, "bodies must contain at least one body"),
     ],
 )
 def test_bad_numbers_are_refused_in_words(change, words):

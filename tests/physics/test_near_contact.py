@@ -187,7 +187,7 @@ def test_a_rod_resampled_looks_at_all_bodies_again():
     ("count", "message"),
     [
         (0, "count must be at least 1, got 0"),
-        (6, "count must be at most 5, all bodies, got 6"),
+        (6, "count must be at most the 5 bodies, got 6"),
         (2.0, r"count must be an integer, got 2\.0"),
     ],
 )

@@ -162,7 +162,7 @@ def test_what_an_algorithm_lacks_is_said(tmp_path, changes, words):
         ("magic", "one of dagger, .* or module:NAME; got 'magic'"),
         (3, "a name, an import path or a jaxrod.training.Algorithm, got 3"),
         (":X", "an import path is module:NAME, got ':X'"),
-        ("json:dumps", "'json:dumps' must be a .*Algorithm, it is a function"),
+        ("json:dumps", "'json:dumps' must be a .*Algorithm, got a function"),
     ],
 )
 def test_what_is_no_algorithm_is_refused(algorithm, words):
@@ -276,7 +276,7 @@ def test_every_learner_takes_any_network(tmp_path, name, dtype, network):
         (lambda role, outputs: Normalised(outputs), "nothing else, got batch_stats"),
         (
             lambda role, outputs: nn.Dense(outputs + 1),
-            r"inputs of shape \(1,\) to outputs of shape \(\d,\), Dense makes \(\d,\)",
+            r"shape \(1,\) to outputs of shape \(\d,\), but Dense returns \(\d,\)",
         ),
     ],
 )

@@ -178,5 +178,5 @@ class Costless:
 
 
 def test_a_task_without_a_cost_is_refused_in_words():
-    with pytest.raises(ValueError, match=r"Costless has no cost .* the reward"):
+    with pytest.raises(ValueError, match=r"Costless has no cost .* to reward"):
         shac.WithCost(Costless())
