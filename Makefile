@@ -1,4 +1,5 @@
-# make setup | setup-oldest | demo | test | test-oldest | test-slow | lint | docs | clean
+# make setup | setup-oldest | demo | test | test-oldest | test-package | test-slow
+# make lint | docs | clean
 # PYTHON=... EXTRAS=... VENV=... to choose
 SHELL := /bin/sh
 VENV := .venv
@@ -13,7 +14,8 @@ DEMO := runs/demo
 # Enough to learn the task in about two minutes on two cores.
 DEMO_STEPS ?= 6000000
 
-.PHONY: setup setup-oldest demo test test-oldest test-oldest-here test-slow lint typecheck format docs clean
+.PHONY: setup setup-oldest demo test test-oldest test-oldest-here test-package \
+    test-slow lint typecheck format docs clean
 
 setup: $(INSTALLED)
 
@@ -69,6 +71,37 @@ test-oldest:
 
 test-oldest-here: $(INSTALLED)
 	$(BIN)/python -m pytest $(PYTEST_FLAGS) -m "not slow" $(OLDEST_TESTS)
+
+# The package as users get it: the wheel of the source distribution, in a fresh
+# environment of each of these Pythons that runs here.
+PYTHONS ?= python3.11 python3.12 python3.13
+PACKAGE := build/package
+define A_ROD
+import jaxrod
+size = dict(length=1.0, radius=0.05, density=1e3, youngs_modulus=1e7)
+rod, state = jaxrod.straight_rod(9, **size)
+scene = jaxrod.make_scene(rod, jaxrod.clamp(state), jaxrod.gravity())
+print(jaxrod.advance(scene, state, jaxrod.stable_dt(scene), 99))
+print(len(jaxrod.envs.names()), "tasks")
+endef
+export A_ROD
+
+test-package: $(INSTALLED)
+	$(BIN)/python -m pytest tests/test_packaging.py
+	@rm -rf $(PACKAGE) && mkdir -p $(PACKAGE)
+	$(BIN)/python -c 'from setuptools import build_meta as b; b.build_sdist("$(PACKAGE)")' \
+	    >$(PACKAGE)/sdist.txt
+	$(BIN)/python -m pip wheel -qq --disable-pip-version-check --no-deps \
+	    --no-build-isolation -w $(PACKAGE) $(PACKAGE)/jaxrod-*.tar.gz
+	@set -e; for python in $(PYTHONS); do \
+	    "$$python" -c '' 2>/dev/null || { echo "$$python does not run here"; continue; }; \
+	    echo "The wheel on $$("$$python" -V)"; own=$(PACKAGE)/$$python; \
+	    "$$python" -m venv "$$own"; \
+	    "$$own/bin/python" -m pip install -qq --disable-pip-version-check --no-input \
+	        --no-compile $(PACKAGE)/jaxrod-*.whl -c constraints.txt; \
+	    (cd "$$own" && bin/python -c "$$A_ROD" && bin/jaxrod doctor); \
+	    rm -rf "$$own"; \
+	done
 
 test-slow: $(INSTALLED)
 	$(BIN)/python -m pytest $(PYTEST_FLAGS) -m slow

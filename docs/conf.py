@@ -57,7 +57,7 @@ suppress_warnings = ["myst.header"]
 autodoc_member_order = "bysource"
 autodoc_typehints = "signature"
 # Overloads are evaluated; these names stay as they are.
-autodoc_type_aliases = {"ArrayLike": "ArrayLike", "Numbers": "Numbers"}
+autodoc_type_aliases = {name: name for name in ("ArrayLike", "Numbers", "TimeStep")}
 default_role = "code"
 
 html_theme = "sphinx_book_theme"

@@ -119,6 +119,19 @@ def made(task: str | Environment, options: Mapping[str, Any]) -> Environment:
     return task
 
 
+def check_object(env: Any) -> None:
+    """Raises unless `env` is an object, not the name or the class of one.
+
+    Raises:
+        ValueError: If it is; the message says what makes the object.
+    """
+    wanted = "an environment must be an object, got"
+    if isinstance(env, str):
+        raise ValueError(f"{wanted} {env!r}: jaxrod.envs.make({env!r}) makes it")
+    if isinstance(env, type):
+        raise ValueError(f"{wanted} the class {env!r}: {env.__name__}(...) makes it")
+
+
 def origin_of(env: Environment) -> Origin | None:
     """Task and options with which `make` made an environment; None if it did not."""
     remembered, how = _MADE.get(id(env), (lambda: None, None))

@@ -34,6 +34,18 @@ GUESSES = {
 """Hints at functions of a model, by the method that users of other tools guess."""
 
 
+class HasStep(Protocol):
+    """Has a time step `dt`, as the result of `jaxrod.stable_dt` has."""
+
+    @property
+    def dt(self) -> Any:
+        """Time step [s]."""
+
+
+TimeStep = ArrayLike | HasStep
+"""A time step [s], or an object that has one."""
+
+
 class Stepper(Protocol):
     """An integrator with its constants computed, as `advance` runs it.
 
@@ -160,7 +172,7 @@ class Model(ABC):
         """The model with one more effect on each of its members."""
 
     @abstractmethod
-    def check_run(self, state: Any, dt: ArrayLike, first: Array | None) -> Array:
+    def check_run(self, state: Any, dt: TimeStep, first: Array | None) -> Array:
         """Validates the arguments of a run; returns the step in the model's dtype [s].
 
         Args:
@@ -197,7 +209,7 @@ class Model(ABC):
     def health(
         self,
         state: Any,
-        dt: ArrayLike,
+        dt: TimeStep,
         *,
         limits: Any = None,
         energy_before: ArrayLike | None = None,

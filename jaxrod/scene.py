@@ -43,7 +43,7 @@ from jaxrod.loaded_rod import (
 )
 from jaxrod.methods.consistent import Consistent
 from jaxrod.methods.drag_kick import check_drag
-from jaxrod.model import GUESSES, Model, Stepper
+from jaxrod.model import GUESSES, Model, Stepper, TimeStep
 from jaxrod.rods.elasticity import stored_energy
 from jaxrod.rods.rod import Rod, RodState
 from jaxrod.statics.equilibrium import Equilibrium, scene_equilibrium
@@ -51,7 +51,7 @@ from jaxrod.structure import Hinted, pytree
 from jaxrod.systems.members.member import Member
 from jaxrod.systems.members.rods import member_of_rod
 from jaxrod.validation import (
-    as_array,
+    as_time_step,
     check_kind,
     compiled,
     in_type,
@@ -135,12 +135,12 @@ class Scene(LoadedRod, Model, Hinted):
         """Raises unless this is one scene, no batch, and a state fits its rod."""
         check_scene_and_state(self, state)
 
-    def check_run(self, state: Any, dt: ArrayLike, first: Array | None) -> Array:
+    def check_run(self, state: Any, dt: TimeStep, first: Array | None) -> Array:
         """Validates the arguments of a run; returns the step [s] in the rod's dtype."""
         check_scene_and_state(self, state)
         check_masses(self)
         dtype = self.rod.rest_lengths.dtype
-        step = as_array("dt", dt, "s", positive=True, dtype=dtype)
+        step = as_time_step(dt, dtype)
         if state.positions.dtype != dtype:
             raise ValueError(
                 f"state must be {dtype}, as the scene's rod is, got "
@@ -194,7 +194,7 @@ class Scene(LoadedRod, Model, Hinted):
     def health(
         self,
         state: Any,
-        dt: ArrayLike,
+        dt: TimeStep,
         *,
         limits: HealthLimits | None = None,
         energy_before: ArrayLike | None = None,

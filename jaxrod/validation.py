@@ -322,6 +322,40 @@ def as_array(
     return jnp.asarray(checked, dtype)
 
 
+def step_of(dt: Any) -> Any:
+    """Time step of an object that has one; anything else is returned unchanged."""
+    return getattr(dt, "dt", dt)
+
+
+def check_time_step(dt: Any, dtype: Any = None) -> Any:
+    """Validates a time step, which must be positive, and returns it.
+
+    Args:
+        dt: Time step [s], or an object that has one.
+        dtype: Floating-point dtype that must be able to hold it, if given.
+
+    Returns:
+        A NumPy float64 array; a JAX array if the step is traced.
+
+    Raises:
+        ValueError: If it is not one positive number.
+    """
+    return check_array("dt", step_of(dt), [()], "s", positive=True, dtype=dtype)
+
+
+def as_time_step(dt: Any, dtype: Any = None) -> Array:
+    """Converts a time step to a JAX array, after the checks of `check_time_step`.
+
+    Args:
+        dt: Time step [s], or an object that has one.
+        dtype: Floating-point dtype; by default JAX's default.
+
+    Raises:
+        ValueError: If it is not one positive number.
+    """
+    return as_array("dt", step_of(dt), "s", positive=True, dtype=dtype)
+
+
 def optional_number(name: str, value: Numbers | None, unit: str) -> Array | None:
     """Checked number that must not be negative; `None` if none is given.
 
@@ -456,10 +490,7 @@ def numeric(name: str, value: Any, unit: str = "") -> Any:
     leaves = list(_leaves(value))
     wanted = f"{name} must be real numbers{f' in {unit}' if unit else ''}"
     if not all(map(_is_real, leaves)):
-        # `dt` of a `StableStep`, for example.
-        own = getattr(value, name, None)
-        hint = "" if own is None else f": is its {name} meant?"
-        raise ValueError(f"{wanted}, got {_shown(value)}{hint}")
+        raise ValueError(f"{wanted}, got {_shown(value)}")
     traced = is_traced(leaves)
     if traced and len(leaves) > 1:
         # Known values become traced once they are in an array with traced ones.

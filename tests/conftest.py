@@ -62,6 +62,7 @@ MAY_BE_SKIPPED = {
     "nothing is kept without a checksum": "programs kept on disk, where jaxrod keeps "
     "none because JAX does not check what it reads",
     "no C compiler is installed": "exported headers, where nothing compiles C",
+    "no zsh is installed": "completion in zsh, where there is no such shell",
     "Windows has no owners and modes": "folders that others can write to, on Windows",
     "no free port": "several processes, where every port that was tried is taken",
     "effects that do not go together": "draws of random scenes that are refused",

@@ -85,6 +85,22 @@ def test_unknown_words_exit_with_two(words, capsys):
 
 
 @pytest.mark.parametrize(
+    ("typed", "sentence"),
+    [
+        ("trian", "jaxrod: error: there is no command 'trian': did you mean 'train'?"),
+        ("evalute", "did you mean 'evaluate'?"),
+        ("optimize", "did you mean 'optimise'?"),
+        ("fly", "there is no command 'fly': it must be one of train, sweep, evaluate"),
+    ],
+)
+def test_a_misspelt_command_is_answered_with_the_nearest(typed, sentence, capsys):
+    with pytest.raises(SystemExit) as stopped:
+        cli.main([typed, "tracking", "--steps", "1k"])
+    assert stopped.value.code == 2
+    assert sentence in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
     ("error", "sentence", "code"),
     [
         (ValueError("dt must be positive, got -1 s"), "dt must be positive", 2),

@@ -22,6 +22,7 @@ from jaxrod.envs import (
     remembering,
 )
 from jaxrod.envs.memory_policy import has_memory
+from jaxrod.envs.registry import check_object
 from jaxrod.envs.wrappers import repeating
 from jaxrod.validation import check_seed
 
@@ -95,6 +96,7 @@ def evaluate(
         >>> round(found.mean, 1), round(env.optimal_return, 1)
         (19.8, 19.7)
     """
+    check_object(env)
     if episodes < 1:
         raise ValueError(f"episodes must be at least 1, got {episodes}")
     check_seed(seed)

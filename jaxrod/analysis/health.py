@@ -38,13 +38,13 @@ from jaxrod.loaded_rod import (
     check_scene,
     kinetic_energy_of,
 )
-from jaxrod.model import Model, check_model
+from jaxrod.model import Model, TimeStep, check_model
 from jaxrod.rods.elasticity import joint_rotations, stored_energy
 from jaxrod.rods.motion import motion_of
 from jaxrod.rods.repr import repr_or_class_name
 from jaxrod.rods.rod import Rod, RodState, check_size
 from jaxrod.structure import pytree
-from jaxrod.validation import check_array, check_kind, is_traced
+from jaxrod.validation import as_time_step, check_array, check_kind, is_traced
 
 State = TypeVar("State")
 
@@ -262,7 +262,7 @@ def with_faults(name: str, faults: Sequence[str], values: str) -> str:
 def health(
     scene: LoadedRod,
     state: RodState,
-    dt: ArrayLike,
+    dt: TimeStep,
     *,
     limits: HealthLimits | None = ...,
     energy_before: ArrayLike | None = ...,
@@ -276,7 +276,7 @@ def health(
 def health(
     scene: Model,
     state: Any,
-    dt: ArrayLike,
+    dt: TimeStep,
     *,
     limits: HealthLimits | None = ...,
     energy_before: ArrayLike | None = ...,
@@ -289,7 +289,7 @@ def health(
 def health(
     scene: Any,
     state: Any,
-    dt: ArrayLike,
+    dt: TimeStep,
     *,
     limits: HealthLimits | None = None,
     energy_before: ArrayLike | None = None,
@@ -305,8 +305,8 @@ def health(
     Args:
         scene: The scene, or a system: then all members and couplings are examined.
         state: The state to examine.
-        dt: The step size in use [s]. If it is traced and not positive, speed and spin
-            are flagged.
+        dt: The step size in use [s], or the result of `stable_dt`. If it is traced and
+            not positive, speed and spin are flagged.
         limits: Limits beyond which a state is flagged.
         energy_before: Total energy at an earlier time [J]; without it energy is not
             examined.
@@ -351,7 +351,7 @@ def health(
 def scene_health(
     scene: LoadedRod,
     state: RodState,
-    dt: ArrayLike,
+    dt: TimeStep,
     *,
     limits: HealthLimits | None = None,
     energy_before: ArrayLike | None = None,
@@ -371,14 +371,14 @@ def scene_health(
     if limits is not None:
         check_kind("limits", limits, HealthLimits)
     scene = scene.recalling(state)
-    for name, value, unit in (("dt", dt, "s"), ("n_steps", n_steps, "")):
-        if not is_traced(value):
-            check_array(name, value, [()], unit, positive=True)
     dtype = state.positions.dtype
+    step = as_time_step(dt, dtype)
+    if not is_traced(n_steps):
+        check_array("n_steps", n_steps, [()], "", positive=True)
     limits = HealthLimits() if limits is None else limits
     then = (energy_before, work_input, n_steps)
     return _examined(
-        _Examination(scene, limits, jnp.asarray(dt, dtype)),
+        _Examination(scene, limits, step),
         state,
         None if energy_before is None else [jnp.asarray(x, dtype) for x in then],
         before,

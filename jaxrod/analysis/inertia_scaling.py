@@ -24,9 +24,10 @@ from jaxtyping import Array, Float
 from jaxrod.analysis.frequency import natural_frequencies, no_damping
 from jaxrod.analysis.stability import frequency_bounds, scene_stable_step
 from jaxrod.loaded_rod import LoadedRod, check_scene
+from jaxrod.model import TimeStep
 from jaxrod.rods.rod import Rod, RodState
 from jaxrod.structure import pytree
-from jaxrod.validation import Numbers, as_array, check_count, check_kind, is_traced
+from jaxrod.validation import as_time_step, check_count, check_kind, is_traced
 
 SHARE_OF_OTHER_LIMITS = 0.9
 """Automatic step as a fraction of the limit set by stretch and twist [1]."""
@@ -52,7 +53,7 @@ class InertiaScaling:
         return self.dt / self.dt_before
 
 
-def scale_inertia(scene: LoadedRod, dt: Numbers | None = None) -> InertiaScaling:
+def scale_inertia(scene: LoadedRod, dt: TimeStep | None = None) -> InertiaScaling:
     """Enlarges the transverse rotary inertia of a scene's rod for larger steps.
 
     Without `dt` the inertia is enlarged until stretch or twist limits the step, but
@@ -65,7 +66,7 @@ def scale_inertia(scene: LoadedRod, dt: Numbers | None = None) -> InertiaScaling
     Args:
         scene: The scene; effects and damping do not change. A schedule counts with the
             bound on its magnitude.
-        dt: Step size to be made stable [s].
+        dt: Step size to be made stable [s], or a result of `stable_dt`.
 
     Returns:
         The new scene, with the factors and both stability limits.
@@ -84,7 +85,7 @@ def scale_inertia(scene: LoadedRod, dt: Numbers | None = None) -> InertiaScaling
     step = None
     if dt is not None:
         dtype = scene.rod.rest_lengths.dtype
-        step = as_array("dt", dt, "s", positive=True, dtype=dtype)
+        step = as_time_step(dt, dtype)
         largest = _other_limit(scene)
         if not is_traced(step, largest) and step >= largest:
             raise ValueError(

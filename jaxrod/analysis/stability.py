@@ -88,7 +88,7 @@ from jaxrod.rods.motion import Loads, Motion, motion_of
 from jaxrod.rods.repr import repr_or_class_name, step_repr
 from jaxrod.rods.rod import Rod, RodState
 from jaxrod.structure import pytree
-from jaxrod.validation import as_array, check_array
+from jaxrod.validation import as_array, check_time_step
 
 Details = TypeVar("Details")
 
@@ -111,7 +111,7 @@ exp x) / 2 for damping that is applied after a kick."""
 
 @pytree
 class StableStep:
-    """A time step and what limits it.
+    """A time step and what limits it. Functions that take a time step also take this.
 
     Example:
         >>> found = jaxrod.stable_dt(scene)
@@ -274,7 +274,7 @@ def scene_step_warning(
 ) -> tuple[str | None, bool]:
     """Tests whether a concrete step of one rod is stable; see `Model.step_warning`."""
     check_scene(scene)
-    check_array("dt", dt, [()], "s", positive=True)
+    check_time_step(dt)
     if not scene.method.explicit:
         return None, False
     bound = scene_stable_step(scene, 1.0)

@@ -20,6 +20,7 @@ the output's reader has closed its pipe.
 from __future__ import annotations
 
 import argparse
+import difflib
 import importlib
 import importlib.util
 import os
@@ -180,7 +181,14 @@ def _parser(
     """
     chosen = next((word for word in arguments if not word.startswith("-")), None)
     known = chosen if chosen in COMMANDS else None
-    return _parser_of([] if known is None else [known]), known
+    parser = _parser_of([] if known is None else [known])
+    if chosen and known is None and chosen == arguments[0]:
+        nearest = difflib.get_close_matches(chosen, COMMANDS, 1)
+        meant = f"it must be one of {', '.join(COMMANDS)}"
+        if nearest:
+            meant = f"did you mean {nearest[0]!r}?"
+        parser.error(f"there is no command {chosen!r}: {meant}")
+    return parser, known
 
 
 def whole_parser() -> argparse.ArgumentParser:

@@ -58,7 +58,12 @@ def run(args: argparse.Namespace) -> int:
         if action.type is settings.path:
             # An attribute that shtab reads and argparse does not declare.
             action.complete = shtab.FILE  # type: ignore[attr-defined]
+        if args.shell == "zsh" and ":" in (action.metavar or ""):
+            # A colon would end the name of the value (HOST:PORT).
+            action.metavar = str(action.metavar).replace(":", "\\:")
     script = shtab.complete(parser, shell=args.shell)
+    # In zsh, shtab completes only the first of several words: "*" is for all.
+    script = script.replace('"(*):', '"*:')
     if args.out is None:
         print(script)
         return 0

@@ -336,17 +336,45 @@ def _knot_times(result: Solution) -> Any:
     return np.linspace(0.0, result.times[-1], result.knots.shape[0])
 
 
+DIRECTIONS = ("bending about d1", "bending about d2", "twist about d3")
+"""Names of the rows of control values."""
+
+
 def _draw(result: Solution) -> bytes:
-    from jaxrod.viz.style import charts
+    picture = io.BytesIO()
+    _figure(result).savefig(picture, format="png")
+    return picture.getvalue()
+
+
+def _figure(result: Solution) -> Any:
+    import numpy as np
+
+    from jaxrod.viz.style import COLOURS, charts
 
     figure, ((left, right),) = charts(8, 3.6, columns=2)
     for name, values in result.history.items():
         left.semilogy(values, label=name.replace("_", " "))
     left.set_xlabel("iteration")
+    left.xaxis.get_major_locator().set_params(integer=True)
     left.legend(frameon=False, fontsize=9)
-    right.plot(_knot_times(result), result.knots, marker=".", linewidth=1)
+    assert result.knots is not None
+    shape: tuple[int, ...] = result.problem.data.control_shape
+    values = np.asarray(result.knots).reshape(-1, *shape)
+    times = _knot_times(result)
+    # One colour per direction, paler towards the base.
+    for row, (name, colour) in enumerate(zip(DIRECTIONS, COLOURS, strict=False)):
+        for point in range(shape[1] if row < shape[0] else 0):
+            is_tip = point == shape[1] - 1
+            right.plot(
+                times,
+                values[:, row, point],
+                color=colour,
+                alpha=0.25 + 0.75 * (point + 1) / shape[1],
+                marker=".",
+                linewidth=1,
+                label=name if is_tip else None,
+            )
+    right.legend(frameon=False, fontsize=9, title="pale: at the base", title_fontsize=9)
     right.set_xlabel("time [s]")
     right.set_ylabel("control value")
-    picture = io.BytesIO()
-    figure.savefig(picture, format="png")
-    return picture.getvalue()
+    return figure

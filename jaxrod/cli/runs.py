@@ -262,7 +262,11 @@ def describe(config: Mapping[str, Any]) -> str:
     chosen = {k: v for k, v in options.items() if k not in named and v is not None}
     what += [f"{name} = {value}" for name, value in chosen.items()]
     what += ["randomised"] if options.get("randomise") else []
-    task = config["task"] + (f" ({', '.join(what)})" if what else "")
+    name = config["task"]
+    file, colon, made_by = name.rpartition(":")
+    if file.endswith(".py"):
+        name = Path(file).name + colon + made_by
+    task = name + (f" ({', '.join(what)})" if what else "")
     return printable(f"{task}, {config['algorithm']}, seed {config['seed']}")
 
 

@@ -93,7 +93,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--steps",
         type=settings.count,
         metavar="N",
-        help="control steps, such as 500k or 10M (default: 10M)",
+        help="control steps, such as 500k or 10M, rounded up to whole updates "
+        "(default: 10M)",
     )
     parser.add_argument("--seed", type=int, help="random seed (default: 0)")
     parser.add_argument(
@@ -402,7 +403,8 @@ def _lines(summary: Mapping[str, Any], config: Mapping[str, Any]) -> list[str]:
     """Summary of a finished run as lines of text."""
     lines = [
         f"{runs.describe(config)}: {summary['env_steps']:,} control steps in "
-        f"{summary['wall_s']:.0f} s, {summary['steps_per_s']:,.0f} steps/s",
+        f"{summary['wall_s']:.0f} s, {summary['steps_per_s']:,.0f} steps/s with "
+        "compiling",
         f"first score   {_score(summary, 'first')}",
         f"final score   {_score(summary, 'final')}",
     ]

@@ -25,6 +25,7 @@ from jaxrod.control.local_coordinates import (
     coordinates_under,
     tangent_map,
 )
+from jaxrod.model import TimeStep
 from jaxrod.stepping.runs import check_first, check_step
 from jaxrod.structure import pytree
 from jaxrod.validation import as_array, check_count, check_kind, is_traced, numeric
@@ -64,7 +65,7 @@ class Linearisation:
 def linearise(
     model: Any,
     state: Any,
-    dt: ArrayLike,
+    dt: TimeStep,
     n_steps: int = 1,
     *,
     control: Any = None,
@@ -82,7 +83,7 @@ def linearise(
     Args:
         model: The scene or the system.
         state: State at the beginning of the period.
-        dt: Step size [s].
+        dt: Step size [s], or the result of `stable_dt`.
         n_steps: Number of steps in the period.
         control: Control that is held during the period, an array.
         with_control: `(model, control) -> model`: the model under a control.

@@ -43,6 +43,7 @@ from jaxrod.geometry.rotations import (
     to_world,
 )
 from jaxrod.geometry.vectors import Vec3
+from jaxrod.model import TimeStep
 from jaxrod.stepping.runs import advance, check_first, with_memory
 from jaxrod.structure import pytree, static
 from jaxrod.validation import Numbers, as_array, is_traced, knows_constants
@@ -221,7 +222,7 @@ class LocalCoordinates:
 
 
 @knows_constants
-def local_coordinates(model: Any, state: Any, dt: ArrayLike) -> LocalCoordinates:
+def local_coordinates(model: Any, state: Any, dt: TimeStep) -> LocalCoordinates:
     """Finds the local coordinates of the states near a state, without held components.
 
     The free components are found from concrete numbers, before tracing. They are the
@@ -231,7 +232,7 @@ def local_coordinates(model: Any, state: Any, dt: ArrayLike) -> LocalCoordinates
     Args:
         model: The scene or the system.
         state: A state of the model.
-        dt: Step size of simulations [s].
+        dt: Step size of simulations [s], or the result of `stable_dt`.
 
     Returns:
         The coordinates, for `linearise` inside `jax.jit`, and for filters.
@@ -251,7 +252,7 @@ def local_coordinates(model: Any, state: Any, dt: ArrayLike) -> LocalCoordinates
 def coordinates_under(
     model: Any,
     state: Any,
-    dt: ArrayLike,
+    dt: TimeStep,
     control: Array | None,
     with_control: WithControl | None,
 ) -> LocalCoordinates:

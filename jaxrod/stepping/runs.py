@@ -6,13 +6,13 @@ from typing import Any, TypeVar
 
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, ArrayLike, Float, Int
+from jaxtyping import Array, Float, Int
 
 from jaxrod.jax_internals.scans import scan
 from jaxrod.lanes.choice import lane_mode
-from jaxrod.model import Model, check_model
+from jaxrod.model import Model, TimeStep, check_model
 from jaxrod.stepping.loops import integrated
-from jaxrod.validation import MOST, as_array, check_count, is_traced, warn
+from jaxrod.validation import MOST, as_time_step, check_count, is_traced, warn
 
 State = TypeVar("State")
 
@@ -110,7 +110,7 @@ def with_memory(scene: Model, state: State) -> State:
 
 
 def step(
-    scene: Model, state: State, dt: ArrayLike, *, first: int | Int[Array, ""] = 0
+    scene: Model, state: State, dt: TimeStep, *, first: int | Int[Array, ""] = 0
 ) -> State:
     """Takes one step: half drift, kick, half drift in explicit methods.
 
@@ -119,7 +119,7 @@ def step(
     Args:
         scene: The scene, or a system of several rods and bodies.
         state: Configuration and rates of the rod; for a system, a dict by member.
-        dt: Step size [s].
+        dt: Step size [s], or the result of `stable_dt`.
         first: Number of steps since time zero, if the scene depends on time.
 
     Returns:
@@ -143,7 +143,7 @@ def step(
 def advance(
     scene: Model,
     state: State,
-    dt: ArrayLike,
+    dt: TimeStep,
     n_steps: int | Int[Array, ""],
     *,
     first: int | Int[Array, ""] = 0,
@@ -169,7 +169,7 @@ def advance(
     Args:
         scene: The scene, or a system of several rods and bodies.
         state: The initial state; for a system, a dict by member.
-        dt: Step size [s].
+        dt: Step size [s], or the result of `stable_dt`.
         n_steps: Number of steps, from 0 to 2147483647; an array below 0 counts as 0.
         first: Number of steps between time zero and the start, if the scene depends on
             time. For consecutive calls, add `n_steps` to it after each.
@@ -186,8 +186,7 @@ def advance(
         UnstableStepWarning: If `dt` is above the stability bound.
 
     Example:
-        >>> dt = jaxrod.stable_dt(scene).dt
-        >>> later = jaxrod.advance(scene, state, dt, 100)
+        >>> later = jaxrod.advance(scene, state, jaxrod.stable_dt(scene), 100)
         >>> bool(later.tip[2] < state.tip[2])  # it falls
         True
     """
@@ -214,7 +213,7 @@ def advance(
 def rollout(
     scene: Model,
     state: State,
-    dt: ArrayLike,
+    dt: TimeStep,
     n_steps: int,
     every: int = 1,
     *,
@@ -225,7 +224,7 @@ def rollout(
     Args:
         scene: The scene, or a system of several rods and bodies.
         state: The initial state; for a system, a dict by member.
-        dt: Step size [s].
+        dt: Step size [s], or the result of `stable_dt`.
         n_steps: Number of steps, a multiple of `every`.
         every: Number of steps between records, at least 1.
         first: Number of steps between time zero and the start, if the scene depends on
@@ -262,12 +261,12 @@ def rollout(
 
 
 def rollout_times(
-    dt: ArrayLike, n_steps: int, every: int = 1
+    dt: TimeStep, n_steps: int, every: int = 1
 ) -> Float[Array, " records"]:
     """Times of the records of `rollout`, from integer counts of steps.
 
     Args:
-        dt: Step size [s].
+        dt: Step size [s], or the result of `stable_dt`.
         n_steps: Number of steps, a multiple of `every`.
         every: Number of steps between records, at least 1.
 
@@ -282,7 +281,7 @@ def rollout_times(
         [0.0, 0.5, 1.0, 1.5, 2.0]
     """
     records = check_records(n_steps, every)
-    step = as_array("dt", dt, "s", positive=True)
+    step = as_time_step(dt)
     return jnp.arange(records + 1) * (every * step)
 
 

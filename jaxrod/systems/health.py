@@ -231,7 +231,7 @@ class CouplingEnergy:
 def system_health(
     system: Assembly,
     state: SystemState,
-    dt: ArrayLike,
+    dt: Array,
     limits: HealthLimits | None,
     energy_before: ArrayLike | None,
     work_input: ArrayLike,

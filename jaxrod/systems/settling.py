@@ -32,7 +32,7 @@ from jaxtyping import Array, ArrayLike, Bool, Float, Int
 
 from jaxrod.analysis.stability import stable_dt
 from jaxrod.effects.loads import ExponentialDamping
-from jaxrod.model import Model
+from jaxrod.model import Model, TimeStep
 from jaxrod.rods.rod import Rod
 from jaxrod.stepping.runs import advance, check_first, step
 from jaxrod.structure import pytree
@@ -76,7 +76,7 @@ def settled(
     scene: Model,
     state: Any,
     *,
-    dt: ArrayLike | None = None,
+    dt: TimeStep | None = None,
     force_tolerance: ArrayLike | None = None,
     couple_tolerance: ArrayLike | None = None,
     every: int = 16,
@@ -98,7 +98,7 @@ def settled(
     Args:
         scene: The scene or system, without schedules (`.at(time)`).
         state: Initial state; its velocities are set to zero.
-        dt: Step size [s]; by default `stable_dt(scene).dt`.
+        dt: Step size [s]; by default the result of `stable_dt`.
         force_tolerance: Largest force out of balance [N]. By default it is 1e-8 B / L^2
             plus 8 eps S, with the bending stiffness B, length L and stretching
             stiffness S of a rod and the machine epsilon eps. The smallest value of all

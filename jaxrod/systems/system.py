@@ -20,7 +20,7 @@ from jaxrod.effects.own_classes import (
 )
 from jaxrod.geometry.vectors import Vec3
 from jaxrod.lanes.steps import by_kernel
-from jaxrod.model import GUESSES, Model, Stepper
+from jaxrod.model import GUESSES, Model, Stepper, TimeStep
 from jaxrod.statics.equilibrium import Equilibrium, search_limits
 from jaxrod.structure import Hinted, pytree
 from jaxrod.systems.contact.neighbour_lists import RECORD
@@ -55,6 +55,7 @@ from jaxrod.systems.stepping.stepper import (
 )
 from jaxrod.validation import (
     as_array,
+    as_time_step,
     check_array,
     compiled,
     in_type,
@@ -167,12 +168,12 @@ class System(Assembly, Model, Hinted):
         joined = tuple(coupling.regridded(grids) for coupling in old.couplings)
         return make_system(self.members, joined, state=state)
 
-    def check_run(self, state: Any, dt: ArrayLike, first: Array | None) -> Array:
+    def check_run(self, state: Any, dt: TimeStep, first: Array | None) -> Array:
         """Validates state and step of a run; returns `dt` [s] in the system's dtype."""
         check_system_state(self, state)
         if not is_traced(self, state):
             check_reduced(self, state)
-        return as_array("dt", dt, "s", positive=True, dtype=self.dtype)
+        return as_time_step(dt, self.dtype)
 
     def stepper(self, state: SystemState, dt: Array) -> SystemStepper:
         """Integrator of the system at one moment, with the constants of a run."""
@@ -220,7 +221,7 @@ class System(Assembly, Model, Hinted):
     def health(
         self,
         state: Any,
-        dt: ArrayLike,
+        dt: TimeStep,
         *,
         limits: HealthLimits | None = None,
         energy_before: ArrayLike | None = None,
@@ -233,11 +234,11 @@ class System(Assembly, Model, Hinted):
         if before is not None:
             check_system_state(self, before)
         self.check_moment()
-        for name, value, unit in (("dt", dt, "s"), ("n_steps", n_steps, "")):
-            if not is_traced(value):
-                check_array(name, value, [()], unit, positive=True)
+        step = as_time_step(dt, self.dtype)
+        if not is_traced(n_steps):
+            check_array("n_steps", n_steps, [()], "", positive=True)
         return system_health(
-            self, state, dt, limits, energy_before, work_input, n_steps, before
+            self, state, step, limits, energy_before, work_input, n_steps, before
         )
 
     def reactions(self, state: Any) -> SystemReactions:

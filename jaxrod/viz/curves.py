@@ -27,6 +27,9 @@ _GROUP_COLOURS = {
 """Colours of curves by name of their group; other groups get those of the style."""
 _RUN_COLOUR, _REFERENCE_COLOUR, _QUIET = style.BLUE, style.ORANGE, style.QUIET
 
+_LABEL = 0.06
+"""Smallest distance of two labels of the clock, as a fraction of the axis [1]."""
+
 FilePath = str | os.PathLike[str]
 
 
@@ -229,6 +232,16 @@ def _draw(
     runs: list[Curve], reference: ReferenceScore | None, title: str, label: str
 ) -> bytes:
     need_matplotlib()
+    picture = io.BytesIO()
+    _figure(runs, reference, title, label).savefig(
+        picture, format="png", metadata={"Description": _alt(runs, reference)}
+    )
+    return picture.getvalue()
+
+
+def _figure(
+    runs: list[Curve], reference: ReferenceScore | None, title: str, label: str
+) -> Any:
     from matplotlib.ticker import EngFormatter, FuncFormatter
 
     figure, ((axes,),) = style.charts(8, 4.8)
@@ -252,6 +265,9 @@ def _draw(
             color=_RUN_COLOUR,
             linewidth=0.8 if several else 2.0,
             alpha=0.4 if several else 1.0,
+            # A line through a single point is invisible. The point may lie at an edge.
+            marker="o" if len(run.steps) == 1 else None,
+            clip_on=len(run.steps) > 1,
             label=None if several else _run_label(label, runs),
         )
     if several:
@@ -266,17 +282,25 @@ def _draw(
     axes.set_ylabel(runs[0].quantity)
     axes.xaxis.set_major_formatter(EngFormatter(sep=" "))
     axes.yaxis.set_major_formatter(
-        FuncFormatter(lambda y, _: _shown(runs, y).replace("-", "−"))
+        FuncFormatter(lambda y, _: _evenly(y, axes.get_yticks()))
     )
     axes.legend(loc="best", frameon=True, framealpha=0.9, edgecolor="none", fontsize=9)
     _clock(axes, runs, last_step)
     if title:
         figure.suptitle(title, fontsize=12, fontweight="bold")
-    picture = io.BytesIO()
-    figure.savefig(
-        picture, format="png", metadata={"Description": _alt(runs, reference)}
+    return figure
+
+
+def _evenly(value: float, ticks: np.ndarray) -> str:
+    """Text of a tick's `value`, with as many decimals as all `ticks` need."""
+    spacing = abs(ticks[1] - ticks[0]) if len(ticks) > 1 else 1.0
+    decimals = next(
+        count
+        for count in range(16)
+        if np.allclose(ticks, np.round(ticks, count), rtol=0, atol=1e-6 * spacing)
+        or count == 15
     )
-    return picture.getvalue()
+    return f"{value + 0.0:,.{decimals}f}".replace("-", "−")
 
 
 def _clock(axes: Any, runs: list[Curve], last_step: float) -> None:
@@ -284,8 +308,6 @@ def _clock(axes: Any, runs: list[Curve], last_step: float) -> None:
 
     The lower axis has control steps, up to `last_step`.
     """
-    from matplotlib.ticker import MaxNLocator
-
     steps = np.linspace(0, last_step, 400)
     # Runs start at step 0, time 0; a run that stopped early is extrapolated.
     pace = [np.interp(steps, [0, *r.steps], [0, *r.wall]) for r in runs]
@@ -299,13 +321,33 @@ def _clock(axes: Any, runs: list[Curve], last_step: float) -> None:
         if wall[-1] >= s or s == 1
     )
     top = axes.secondary_xaxis("top")
-    ticks = np.asarray(MaxNLocator(7).tick_values(0, wall[-1] / seconds))
-    ticks = ticks[(ticks >= 0) & (ticks <= wall[-1] / seconds)]
-    top.set_xticks(np.interp(ticks * seconds, wall, steps), [f"{t:g}" for t in ticks])
+    first = np.interp(min(run.steps[0] for run in runs), steps, wall)
+    ticks = _times(first / seconds, wall[-1] / seconds)
+    places = np.interp(ticks * seconds, wall, steps)
+    # Before the first row much time passes in few steps, because jaxrod compiles:
+    # labels that would overlap are left out.
+    kept = [0]
+    for k in range(1, len(ticks)):
+        if places[k] - places[kept[-1]] >= _LABEL * last_step:
+            kept.append(k)
+    top.set_xticks(places[kept], [f"{t:g}" for t in ticks[kept]])
     which = "mean of the runs" if len(runs) > 1 else "this run"
     top.set_xlabel(f"wall-clock time, {which} [{unit}]", color=_QUIET, fontsize=9)
     top.tick_params(colors=_QUIET, labelsize=8)
     top.spines["top"].set_color(_QUIET)
+
+
+def _times(first: float, last: float) -> np.ndarray:
+    """Round times from zero to `last`; at least three of them are after `first`."""
+    from matplotlib.ticker import MaxNLocator
+
+    ticks = np.zeros(0)
+    for low in (0.0, first):
+        ticks = np.asarray(MaxNLocator(7).tick_values(low, last))
+        ticks = ticks[(ticks >= low) & (ticks <= last)]
+        if np.sum(ticks >= first) >= 3 or first == last:
+            break
+    return np.union1d([0.0], ticks)
 
 
 def common_steps(runs: list[Curve]) -> np.ndarray:
@@ -322,15 +364,12 @@ def _run_label(label: str, runs: list[Curve]) -> str:
         took = f"{wall / 3600:.1f} h"
     what = f"{label}, mean of {len(runs)} runs" if len(runs) > 1 else label
     end = float(np.mean([run.returns[-1] for run in runs]))
-    return f"{what}: {_shown(runs, end)} after {took}"
+    return f"{what}: {_shown(end)} after {took}"
 
 
-def _shown(runs: list[Curve], value: float) -> str:
-    """Text of a `value` of the quantity in `runs`.
-
-    A return is a whole number, a reward has three digits.
-    """
-    return f"{value:,.0f}" if runs[0].quantity == RETURN else f"{value:.3g}"
+def _shown(value: float) -> str:
+    """Text of a return or a reward, with three digits or all before the point."""
+    return f"{value:,.0f}" if abs(value) >= 999.5 else f"{value:.3g}"
 
 
 def _reference_label(reference: ReferenceScore) -> str:

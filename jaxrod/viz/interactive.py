@@ -20,10 +20,10 @@ from typing import Any, Self
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, ArrayLike
+from jaxtyping import Array
 
 import jaxrod
-from jaxrod.model import Model, check_model
+from jaxrod.model import Model, TimeStep, check_model
 from jaxrod.viz import hand
 from jaxrod.viz.handles import Controls, Handle, checked, controls_of
 from jaxrod.viz.page import encode, live_page
@@ -189,7 +189,7 @@ def live(
     controls: Mapping[str, Handle] | None = None,
     *,
     law: Law | None = None,
-    dt: ArrayLike | None = None,
+    dt: TimeStep | None = None,
     frames_per_second: float = 60.0,
     port: int | None = 0,
     title: str = "",
@@ -210,7 +210,8 @@ def live(
         law: Function `law(model, state, values)` that returns the model to use for the
             next picture, such as a controller that follows a target. `values` are the
             values of all handles by label. It is compiled.
-        dt: Step size [s]; by default 0.9 of `jaxrod.stable_dt`.
+        dt: Step size [s], or the result of `jaxrod.stable_dt`; by default 0.9 of the
+            largest stable step.
         frames_per_second: Largest number of pictures per second [Hz].
         port: Port of the page on this machine; 0 for any that is free, `None` for no
             server.
@@ -311,7 +312,7 @@ class _Show:
         controls: Controls,
         values: dict[str, np.ndarray],
         law: Law | None,
-        dt: ArrayLike | None,
+        dt: TimeStep | None,
         rate: float,
         replay: Recording,
     ) -> None:
@@ -329,11 +330,8 @@ class _Show:
         held = hand.with_hand(model, grips, jnp.zeros(3, self._dtype), stiffness)
         if dt is None:
             dt = 0.9 * held.stable_step(1.0).dt
-        self._step = jaxrod.extend.as_array(
-            "dt", dt, "s", positive=True, dtype=self._dtype
-        )
+        self._step = model.check_run(state, dt, None)
         self.dt = float(self._step)
-        model.check_state(state)
         self._start = model.with_memory(state)
         self.state, self._steps = self._start, 0
         self._period = 1 / rate

@@ -3,6 +3,7 @@
 import csv
 import json
 import shlex
+from types import SimpleNamespace
 
 import jax
 import numpy as np
@@ -49,6 +50,24 @@ def test_the_folder_holds_the_result_and_json_prints_the_summary(run, tmp_path, 
     code, _, err = run(*words)
     assert code == 2 and "--overwrite" in err
     assert before == {file: file.read_bytes() for file in out.iterdir()}
+
+
+@pytest.mark.parametrize("rows", [2, 3])
+def test_curves_of_controls_have_a_colour_and_a_name_per_direction(rows):
+    knots = np.random.default_rng(0).normal(size=(5, rows * 6))
+    result = SimpleNamespace(
+        history={"cost": [1.0, 0.1]},
+        knots=knots,
+        times=np.linspace(0, 1, 9),
+        problem=SimpleNamespace(data=SimpleNamespace(control_shape=(rows, 6))),
+    )
+    _, axes = optimise._figure(result).axes
+    drawn = np.array([line.get_ydata() for line in axes.lines]).T
+    np.testing.assert_array_equal(drawn, knots)
+    looks = [(line.get_color(), line.get_alpha()) for line in axes.lines]
+    assert len(set(looks)) == rows * 6 and len({colour for colour, _ in looks}) == rows
+    names = [text.get_text() for text in axes.get_legend().get_texts()]
+    assert names == list(optimise.DIRECTIONS[:rows])
 
 
 @pytest.mark.slow

@@ -284,7 +284,7 @@ def test_a_task_that_shows_nothing_gets_its_curve_and_a_word(trained, run):
     code, out, err = run("render", trained[0])
     assert code == 0
     assert out.split() == [str(trained[0] / "learning_curve.png")]
-    assert "no replay: trivial does not say what to draw" in err
+    assert "no replay: trivial has no pictures" in err
 
 
 @pytest.mark.parametrize(

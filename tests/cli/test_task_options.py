@@ -39,6 +39,10 @@ def test_a_run_is_described_and_filed_with_what_was_chosen():
         runs.describe(config("unstructured", nest=7))
         == "unstructured (paper, nest = 7), trpo, seed 0"
     )
+    assert (
+        runs.describe(config("/home/you/reach.py:Reach", "ppo", None))
+        == "reach.py:Reach, ppo, seed 0"
+    )
     parser = cli._parser(["train"])[0]
     for words, folder in (
         (["structured", "--option", "controls=4"], "structured-paper-controls-4-ppo-0"),

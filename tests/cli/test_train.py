@@ -51,6 +51,27 @@ def test_the_summary_keeps_the_contract_and_is_what_json_prints(trained):
     assert 0 < summary["final_score"] <= 20
 
 
+def test_steps_that_are_rounded_up_are_announced(told):
+    words = "2,000 steps rounded up to 8 updates of 256 control steps"
+    assert words in told[2].splitlines()
+
+
+def test_the_speed_of_the_whole_run_includes_compiling(trained):
+    folder, out = trained
+    first = train._lines(
+        json.loads(out), json.loads((folder / "config.json").read_text())
+    )[0]
+    assert first.endswith(" steps/s with compiling")
+
+
+def test_a_task_without_pictures_is_not_reproached(told, run):
+    folder, _, said = told
+    assert "snapshot" not in said
+    code, _, err = run("render", folder)
+    assert code == 0 and "no replay: trivial has no pictures" in err.splitlines()
+    assert "snapshot" not in err
+
+
 def test_the_batch_is_spread_over_the_cores_it_divides_into(trained):
     summary = json.loads((trained[0] / "summary.json").read_text())
     cores = backend.available_cores()

@@ -22,11 +22,6 @@ REASONS: dict[tuple[str, str], str] = {
         "number: `2` -> `3` in `return 2 * (inverse[1:] + inverse[:-1])`",
     ): "it only weighs the parts of a bound, and any weights give a bound",
     (
-        "jaxrod/viz/curves.py",
-        "index: `0` -> `(-1)` in "
-        '`return f"{value:,.0f}" if runs[0].quantity == RETURN else f"{value:...`',
-    ): "all runs of a picture have the same quantity, which is checked",
-    (
         "jaxrod/viz/shapes.py",
         "number: `1e-9` -> `(2 * 1e-9)` in "
         "`normals[f, c] = total / size if size > 1e-9 else face[f]`",

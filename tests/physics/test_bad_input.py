@@ -131,9 +131,6 @@ CASES = {
     "acceleration must have shape (3,), got (); its unit is m/s^2": lambda: (
         jaxrod.gravity(9.81)
     ),
-    "limited by shear and bending of element 1): is its dt meant?": lambda: (
-        jaxrod.advance(SCENE, STATE, jaxrod.stable_dt(SCENE), 1)
-    ),
     "jaxrod.schedules has ramp, sine and table": lambda: jaxrod.end_load(print),
     "plane must be one of xy, yz, zx, got 'xz'": lambda: jaxrod.planar("xz"),
     "safety must be positive, got 0": lambda: jaxrod.stable_dt(SCENE, 0.0),

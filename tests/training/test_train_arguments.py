@@ -7,7 +7,14 @@ import pytest
 
 from jaxrod.envs import make
 from jaxrod.envs.trivial import Trivial
-from jaxrod.training import PPOConfig, RunFolder, train
+from jaxrod.training import (
+    PPOConfig,
+    RunFolder,
+    evaluate,
+    train,
+    train_seeds,
+    untrained_policy,
+)
 
 SMALL = PPOConfig(
     num_envs=8, rollout_steps=16, epochs=2, minibatches=2, hidden_sizes=(8,)
@@ -73,6 +80,25 @@ def test_bad_argument_is_refused_by_name_and_value(changes, words):
     arguments = {"steps": 256, "config": SMALL, "progress": False} | changes
     with pytest.raises(ValueError, match=words):
         train(Trivial(), **arguments)
+
+
+@pytest.mark.parametrize("name", ["trivial", "reach.py:Reach"])
+def test_name_of_a_task_is_answered_with_what_makes_it(name):
+    words = f"must be an object, got '{name}': jaxrod.envs.make\\('{name}'\\) makes it"
+    rest = lambda observation: 0 * observation
+    for use in (
+        lambda: train(name, steps=256),
+        lambda: train_seeds(name, steps=256, seeds=[0]),
+        lambda: evaluate(name, rest),
+        lambda: untrained_policy(name),
+    ):
+        with pytest.raises(ValueError, match=words):
+            use()
+
+
+def test_class_of_a_task_is_answered_with_its_object():
+    with pytest.raises(ValueError, match="must be an object, got the class"):
+        train(Trivial, steps=256)
 
 
 def test_resume_without_a_run_is_refused(tmp_path):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import os
 
 import numpy as np
@@ -117,3 +118,62 @@ def test_the_upper_axis_is_the_mean_clock_of_the_runs_from_zero():
     for minutes, place in shown.items():
         np.testing.assert_allclose(place, 2 * float(minutes), rtol=1e-6, atol=1e-9)
     assert "wall-clock time, mean of the runs [min]" in top.get_xlabel()
+
+
+SHORT = {
+    "compiling takes most of the time": [
+        (16384 * k, 19 + 0.14 * k, 19.8 - 0.6 / k) for k in range(1, 14)
+    ],
+    "three rows": [(2048, 20.0, 15.2), (4096, 20.3, 17.9), (6144, 20.55, 19.0)],
+    "one row": [(2048, 20.5, 15.2)],
+    "half a minute": [(16384 * k, 15 + 0.3 * k, -1.1 - 7.5 / k) for k in range(1, 62)],
+    "a long run": [(256e3 * k, 4.2 * k, 9e3 - 12e3 / k) for k in range(1, 40)],
+    "the same return": [(10.0 * k, 1.0 * k, -3.0) for k in range(1, 5)],
+}
+
+
+def drawn(rows):
+    """The figure of one run, and its axes."""
+    steps, wall, returns = np.array(rows).T
+    figure = curves._figure([curves.Curve(steps, wall, returns)], None, "", "run")
+    figure.draw_without_rendering()
+    return figure, figure.axes[0]
+
+
+@pytest.mark.parametrize("name", SHORT)
+def test_labels_of_the_clock_do_not_overlap(name):
+    _, axes = drawn(SHORT[name])
+    (top,) = axes.child_axes
+    labels = [label for label in top.get_xticklabels() if label.get_text()]
+    boxes = sorted(
+        (label.get_window_extent().x0, label.get_window_extent().x1) for label in labels
+    )
+    assert len(boxes) >= 3
+    assert all(before[1] < after[0] - 3 for before, after in itertools.pairwise(boxes))
+    if name != "one row":
+        first = SHORT[name][0][1] / (60 if SHORT[name][-1][1] > 60 else 1)
+        assert sum(float(label.get_text()) >= first for label in labels) >= 3
+
+
+@pytest.mark.parametrize("name", SHORT)
+def test_labels_of_the_returns_are_their_values(name):
+    _, axes = drawn(SHORT[name])
+    labels = [label.get_text() for label in axes.get_yticklabels()]
+    values = [float(text.replace(",", "").replace("−", "-")) for text in labels]
+    np.testing.assert_allclose(values, axes.get_yticks(), rtol=1e-9, atol=1e-9)
+    assert len(set(labels)) == len(labels)
+
+
+def test_a_run_of_one_row_is_a_point():
+    _, axes = drawn(SHORT["one row"])
+    (line,) = axes.lines
+    assert line.get_marker() == "o" and not line.get_clip_on()
+    (line,) = drawn(SHORT["three rows"])[1].lines
+    assert line.get_marker() == "None"
+
+
+def test_small_returns_have_three_digits(tmp_path):
+    progress = tmp_path / "progress.csv"
+    progress.write_text("env_steps,wall_s,episode_return_mean\n10,1,-8.6\n20,2,-1.123")
+    learning_curve(progress, tmp_path / "out.png")
+    assert "run: -1.12 after 2 s" in text_of(tmp_path / "out.png")

@@ -15,6 +15,7 @@ from jaxtyping import Array, Int, Key
 
 from jaxrod.envs import Environment
 from jaxrod.envs.importing import refuse_while_importing
+from jaxrod.envs.registry import check_object
 from jaxrod.training.algorithm import Algorithm, recorded_name
 from jaxrod.training.runs.checkpoint import Checkpoints
 from jaxrod.training.runs.contract import resolve, updates_of
@@ -102,6 +103,7 @@ def train(
         True
     """
     refuse_while_importing("jaxrod.training.train")
+    check_object(env)
     steps, seed = check_count("steps", steps, 1, math.inf), check_seed(seed)
     learner, config = resolve(algorithm, config)
     name = algorithm if isinstance(algorithm, str) else recorded_name(learner)
@@ -296,6 +298,7 @@ def train_seeds(
         >>> metrics["episode_return_mean"].shape  # seeds, updates
         (3, 4)
     """
+    check_object(env)
     learner, config = resolve(algorithm, config)
     learner.validate(config, 1)
     steps = check_count("steps", steps, 1)

@@ -15,6 +15,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from jaxrod.envs import Environment
+from jaxrod.envs.registry import check_object
 from jaxrod.files import (
     OBJECT,
     POSITIVE,
@@ -262,6 +263,7 @@ def untrained_policy(
         >>> training.untrained_policy(env).layers[0][0].shape  # without numbers
         (1, 64)
     """
+    check_object(env)
     algorithm, config = resolve(algorithm, config)
     algorithm.validate(config, 1)
     params = env.default_params() if env_params is None else env_params

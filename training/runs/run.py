@@ -199,6 +199,13 @@ class Run:
         """Compiles, and trains chunk by chunk; returns compile time and speed."""
         began, steps_before = time.monotonic(), self.env_steps
         if self.show:
+            asked, rounded = self.requested["steps"], self.total * self.per_update
+            if rounded > asked:
+                print(
+                    f"{asked:,} steps rounded up to {self.total:,} updates of "
+                    f"{self.per_update:,} control steps",
+                    file=sys.stderr,
+                )
             print(f"compiling {self.learner.name} for {self.env.name}", file=sys.stderr)
         update = compile_updates(self.updates, self.mesh)
         compiled = saved = time.monotonic()

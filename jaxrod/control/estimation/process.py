@@ -25,10 +25,12 @@ from jaxrod.control.local_coordinates import (
     WithControl,
     coordinates_under,
 )
+from jaxrod.model import TimeStep
 from jaxrod.stepping.runs import check_step, with_memory
 from jaxrod.structure import pytree, static
 from jaxrod.validation import (
     as_array,
+    as_time_step,
     check_count,
     check_kind,
     is_traced,
@@ -138,7 +140,7 @@ class Estimate:
 def make_process(
     model: Any,
     state: Any,
-    dt: ArrayLike,
+    dt: TimeStep,
     n_steps: int,
     *,
     measure: Measure,
@@ -155,7 +157,7 @@ def make_process(
     Args:
         model: The scene or system, without controls.
         state: A state of the model, from which its local coordinates are found.
-        dt: Step size [s].
+        dt: Step size [s], or the result of `stable_dt`.
         n_steps: Number of steps in a period, from one measurement to the next.
         measure: `(model, state) -> array`: a measurement without noise.
         noise: Standard deviations of the measurement noise, a number or an array of
@@ -184,7 +186,7 @@ def make_process(
         control_noise, with_control, jnp.result_type(float), "control_noise"
     )
     coordinates = coordinates_under(model, state, dt, unknown, with_control)
-    step = jnp.asarray(dt, coordinates.instant.dtype)
+    step = as_time_step(dt, coordinates.instant.dtype)
     check_step(model.recalling(state), step, state)
     if unknown is not None:
         shape = unknown.shape

@@ -20,11 +20,12 @@ from jaxrod.analysis.stability import stable_dt
 from jaxrod.control.trajectories.problem import Problem, make_problem
 from jaxrod.effects.actuation import ControlSpline, ElementAverages, spline_couples
 from jaxrod.geometry import vectors
+from jaxrod.model import TimeStep
 from jaxrod.rods.rod import RodState
 from jaxrod.scene import Scene
 from jaxrod.stepping.runs import advance, check_step, with_memory
 from jaxrod.structure import pytree, static
-from jaxrod.validation import Numbers, check_array, warn
+from jaxrod.validation import Numbers, check_array, check_time_step, warn
 
 
 class UnreachableTargetWarning(UserWarning):
@@ -148,7 +149,7 @@ def reach(
     running_weight: float = 0.0,
     effort_weight: float = 0.0,
     control_interval: float = 0.01,
-    dt: float | None = None,
+    dt: TimeStep | None = None,
     control_shape: tuple[int, ...] | None = None,
     lower: Any = -1.0,
     upper: Any = 1.0,
@@ -168,8 +169,9 @@ def reach(
         running_weight: Weight on the mean squared distance over time [1].
         effort_weight: Weight on the mean squared control value [m^2].
         control_interval: Longest time for which a control is held [s].
-        dt: Largest time step of the simulation [s]; 0.8 of the stability bound if
-            `None`. Interval and step are shortened so that whole numbers of them fit.
+        dt: Largest time step of the simulation [s], or the result of `stable_dt`, which
+            is also the default. Interval and step are shortened so that whole numbers
+            of them fit.
         control_shape: Shape of the controls that `arm.with_controls` takes; by default
             `arm.control_shape`, the two directions of bending of an `ActuatedArm`.
         lower: Lower bounds of the control values: one number, or one per value.
@@ -199,7 +201,7 @@ def reach(
             f"{type(arm).__name__}.with_controls takes"
         )
     length = _positive("duration", duration, "s")
-    largest = None if dt is None else _positive("dt", dt, "s")
+    largest = None if dt is None else float(check_time_step(dt))
     held = _positive("control_interval", control_interval, "s")
     units = {"speed_weight": "s^2", "running_weight": "", "effort_weight": "m^2"}
     weights = speed_weight, running_weight, effort_weight
