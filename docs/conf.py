@@ -13,6 +13,7 @@ import json
 import re
 import shutil
 import sys
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
@@ -54,6 +55,10 @@ myst_enable_extensions = ["dollarmath", "amsmath", "colon_fence"]
 myst_heading_anchors = 4
 suppress_warnings = ["myst.header"]
 
+# Adapters for libraries that take gigabytes are read without them.
+autodoc_mock_imports = [
+    name for name in ("stable_baselines3", "torch") if find_spec(name) is None
+]
 autodoc_member_order = "bysource"
 autodoc_typehints = "signature"
 # Overloads are evaluated; these names stay as they are.

@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 import ast
+import functools
 import importlib
+import importlib.util
 import inspect
 import itertools
 from pathlib import Path
-from typing import NamedTuple
+from types import ModuleType
+from typing import Any, NamedTuple
 
 import jaxrod
 
@@ -23,6 +26,16 @@ class Page(NamedTuple):
     packages: tuple[str, ...] = ()
     """Packages with all their names."""
 
+
+ADAPTERS = (
+    "jaxrod.envs.gym",
+    "jaxrod.envs.goal_env",
+    "jaxrod.envs.stable_baselines",
+    "jaxrod.envs.brax_env",
+    "jaxrod.envs.gymnax_env",
+    "jaxrod.envs.torch_env",
+)
+"""Modules whose libraries may be missing: they are read, and never imported."""
 
 PAGES = (
     Page("Rods", "Makes rods and states, and measures strain and energy.", ("rods",)),
@@ -137,9 +150,10 @@ PAGES = (
         packages=("jaxrod.envs",),
     ),
     Page(
-        "Shape of gymnax",
-        "Gives tasks to learners that are whole JAX programs.",
-        packages=("jaxrod.envs.gymnax_env",),
+        "Adapters for other libraries",
+        "Gives tasks to learners of Gymnasium, Stable Baselines 3, brax, gymnax, and "
+        "PyTorch.",
+        packages=ADAPTERS,
     ),
     Page(
         "Learners",
@@ -192,8 +206,7 @@ def write_reference(folder: Path) -> None:
     for page, file in zip(PAGES, files, strict=True):
         names = [("jaxrod", name) for room in page.rooms for name in of_rooms.pop(room)]
         for package in page.packages:
-            found = sorted(importlib.import_module(package).__all__)
-            names += [(package, name) for name in found]
+            names += [(package, name) for name in public(package)]
         _write(folder / f"{file}.md", _page(page, names, homes))
     if of_rooms:
         raise ValueError(f"no page of the reference has the rooms {sorted(of_rooms)}")
@@ -229,7 +242,7 @@ def _page(page: Page, names: list[tuple[str, str]], homes: dict[int, str]) -> st
     """
     rows, entries = [], ["```{eval-rst}"]
     for package, name in names:
-        thing = getattr(importlib.import_module(package), name)
+        thing = public(package)[name]
         if inspect.ismodule(thing):
             continue
         full = f"{package}.{name}"
@@ -250,16 +263,62 @@ def _page(page: Page, names: list[tuple[str, str]], homes: dict[int, str]) -> st
     return f"# {page.title}\n\n{head}\n\n{table}\n\n" + "\n".join([*entries, "```", ""])
 
 
+@functools.cache
+def public(package: str) -> dict[str, Any]:
+    """Public things of a package by name, sorted.
+
+    Those of an adapter are stand-ins: classes and functions with the docstrings of its
+    source.
+    """
+    if package in ADAPTERS:
+        return _from_source(package)
+    module = importlib.import_module(package)
+    return {name: getattr(module, name) for name in sorted(module.__all__)}
+
+
+def _from_source(package: str) -> dict[str, Any]:
+    spec = importlib.util.find_spec(package)
+    assert spec is not None and spec.origin is not None
+    body = ast.parse(Path(spec.origin).read_text()).body
+    found = {
+        node.name: _stand_in(node)
+        for node in body
+        if isinstance(node, ast.ClassDef | ast.FunctionDef)
+    }
+    (names,) = (
+        ast.literal_eval(node.value)
+        for node in body
+        if isinstance(node, ast.Assign) and ast.unparse(node.targets[0]) == "__all__"
+    )
+    return {name: found[name] for name in sorted(names)}
+
+
+def _stand_in(node: ast.ClassDef | ast.FunctionDef) -> Any:
+    parts: dict[str, Any] = {"__doc__": ast.get_docstring(node)}
+    if isinstance(node, ast.ClassDef):
+        inner = [part for part in node.body if isinstance(part, ast.FunctionDef)]
+        # The getter of a property comes before its setter.
+        methods = {part.name: _stand_in(part) for part in reversed(inner)}
+        return type(node.name, (), parts | methods)
+    made = lambda: None
+    made.__doc__ = parts["__doc__"]
+    return made
+
+
 def docstring(package: str, name: str) -> str:
     """Docstring of a public name; a constant has the string below its assignment."""
-    module = importlib.import_module(package)
-    if callable(getattr(module, name)):
-        return inspect.getdoc(getattr(module, name)) or ""
+    thing = public(package)[name]
+    if callable(thing):
+        return inspect.getdoc(thing) or ""
+    return _below_assignment(importlib.import_module(package), name)
+
+
+def _below_assignment(module: ModuleType, name: str) -> str:
     body = ast.parse(inspect.getsource(module)).body
     body += [inner for node in body if isinstance(node, ast.Try) for inner in node.body]
     for node, below in itertools.pairwise([*body, ast.Pass()]):
         if isinstance(node, ast.ImportFrom) and name in {n.name for n in node.names}:
-            return docstring(str(node.module), name)
+            return _below_assignment(importlib.import_module(str(node.module)), name)
         match node, below:
             case (
                 (

@@ -1,8 +1,10 @@
-"""Every public function and class has an example in its docstring, which runs."""
+"""Public functions and classes have examples in their docstrings, which run.
+
+So do the examples of methods.
+"""
 
 import doctest
 import functools
-import importlib
 import inspect
 import runpy
 import subprocess
@@ -101,9 +103,12 @@ SLOW = {
     "jaxrod.control.estimation.Update",
     "jaxrod.control.estimation.update",
     "jaxrod.envs.actuated_arm",
+    "jaxrod.envs.brax_env.BraxEnv",
+    "jaxrod.envs.brax_env.patched_jax",
     "jaxrod.envs.EpisodeRecord",
     "jaxrod.envs.VectorEnvironment",
     "jaxrod.envs.VectorStep",
+    "jaxrod.envs.goal_env.GoalEnv",
     "jaxrod.sensors.accelerometer",
     "jaxrod.sensors.contact_force",
     "jaxrod.sensors.gyroscope",
@@ -134,6 +139,13 @@ SLOW = {
     "jaxrod.viz.bending",
 }
 
+# Modules that need a library which may be missing, and the reason of a skip.
+NEEDS_A_LIBRARY = {
+    "jaxrod.envs.brax_env": "the brax extra is not installed",
+    "jaxrod.envs.stable_baselines": "the sb3 extra is not installed",
+    "jaxrod.envs.torch_env": "PyTorch is not installed",
+}
+
 # Names whose examples must come before JAX computes: each has a process of its own.
 OWN_PROCESS = {
     "jaxrod.configure_cpu",
@@ -142,24 +154,34 @@ OWN_PROCESS = {
 
 def names_of(package):
     """Full names and things: public functions and classes of a package, not modules."""
-    module = importlib.import_module(package)
-    things = {name: getattr(module, name) for name in sorted(module.__all__)}
     return {
         f"{package}.{name}": thing
-        for name, thing in things.items()
+        for name, thing in REFERENCE["public"](package).items()
         if callable(thing) and f"{package}.{name}" not in WITHOUT
     }
+
+
+def with_methods(name, thing):
+    """A thing and, of a class, the public methods and properties that jaxrod wrote."""
+    yield name, thing
+    for base in thing.__mro__ if inspect.isclass(thing) else ():
+        if base.__module__.partition(".")[0] in ("jaxrod", REFERENCE["__name__"]):
+            for method, written in vars(base).items():
+                if method[0] != "_" and not inspect.isclass(written):
+                    yield f"{name}.{method}", written
 
 
 def examples():
     """Tests of all docstrings with examples; what has two names is run once."""
     seen = set()
     for package in sorted(PACKAGES):
-        for name, thing in names_of(package).items():
-            if id(thing) not in seen and ">>>" in (thing.__doc__ or ""):
-                slow = [pytest.mark.slow] if name in SLOW | OWN_PROCESS else []
-                yield pytest.param(name, thing, id=name, marks=slow)
-            seen.add(id(thing))
+        for public, thing in names_of(package).items():
+            for name, part in with_methods(public, thing):
+                text = part.__doc__ or ""
+                if ">>>" in text and id(part) not in seen:
+                    slow = [pytest.mark.slow] if name in SLOW | OWN_PROCESS else []
+                    yield pytest.param(name, text, id=name, marks=slow)
+                seen.add(id(part))
 
 
 @pytest.fixture(autouse=True)
@@ -196,9 +218,12 @@ def has_example(thing):
 
 
 @pytest.mark.default_precision
-@pytest.mark.parametrize(("name", "thing"), [*examples()])
-def test_examples_print_what_they_say(name, thing, tmp_path, monkeypatch):
+@pytest.mark.parametrize(("name", "text"), [*examples()])
+def test_examples_print_what_they_say(name, text, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)  # some of them write files
+    for module, reason in NEEDS_A_LIBRARY.items():
+        if name.startswith(module):
+            pytest.importorskip(module, reason=reason)
     if name in OWN_PROCESS:
         program = f"""
 import doctest
@@ -210,7 +235,7 @@ doctest.run_docstring_examples({name}, globals())
         )
         assert (done.returncode, done.stdout) == (0, ""), done.stdout + done.stderr
     else:
-        faults = faults_of(name, thing.__doc__, assumed())
+        faults = faults_of(name, text, assumed())
         assert not faults, faults
 
 
@@ -223,8 +248,9 @@ def test_wrong_examples_are_seen():
 
 def test_exceptions_name_what_exists():
     every = {
-        f"{package}.{name}"
+        name
         for package in PACKAGES
-        for name in importlib.import_module(package).__all__
+        for public, thing in REFERENCE["public"](package).items()
+        for name, _ in with_methods(f"{package}.{public}", thing)
     }
     assert {*WITHOUT, *SLOW, *OWN_PROCESS} <= every

@@ -4,6 +4,7 @@ import importlib.util
 import inspect
 import json
 import re
+import runpy
 import sys
 from pathlib import Path
 
@@ -139,3 +140,27 @@ def test_the_reference_has_a_summary_of_every_public_name(tmp_path):
     assert names <= set(summaries)
     assert {name.rpartition(".")[0] for name in summaries} >= spaces
     assert [name for name, said in summaries.items() if not said] == []
+
+
+def test_every_module_with_public_names_is_in_the_reference():
+    """Packages of the inside of a room, such as a compiler, have names of their own."""
+    pages = runpy.run_path(str(DOCS / "reference_pages.py"))
+    known = {"jaxrod", *pages["PACKAGES"]}
+    with_names = set()
+    for folder in ("jaxrod", "envs", "training"):
+        for path in (ROOT / folder).rglob("*.py"):
+            if re.search(r"^__all__ = ", path.read_text(), re.M):
+                parts = path.relative_to(ROOT).with_suffix("").parts
+                home = () if folder == "jaxrod" else ("jaxrod",)
+                name = ".".join((*home, *parts)).removesuffix(".__init__")
+                with_names.add(name)
+    inside = {"jaxrod.lanes.jaxpr", "jaxrod.lanes.rows"}
+    assert with_names - inside - known == set()
+
+
+def test_adapters_are_in_the_reference_without_their_libraries():
+    pages = runpy.run_path(str(DOCS / "reference_pages.py"))
+    found = pages["public"]("jaxrod.envs.torch_env")
+    assert {*found} == {"RslRlVecEnv", "SkrlEnv", "TorchBatch"}
+    assert found["TorchBatch"].__doc__.startswith("`jaxrod.envs.VectorEnvironment`")
+    assert found["TorchBatch"].elapsed.__doc__.startswith("Control steps of every")
