@@ -26,7 +26,7 @@ class Hinted:
     if not TYPE_CHECKING:
 
         def __getattr__(self, name: str) -> Any:
-            """Raises an error, with a hint if the name is a usual guess, or misspelt."""
+            """Raises an error, with a hint if the name is a guess or misspelt."""
             kind = type(self)
             hint = kind._hints.get(name)
             if hint is None and not name.startswith("_") and name not in dir(kind):

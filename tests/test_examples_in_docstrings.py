@@ -83,6 +83,9 @@ SLOW = {
     "jaxrod.control.codesign",
     "jaxrod.control.cross_entropy",
     "jaxrod.control.Fit",
+    "jaxrod.control.Fit.forecast",
+    "jaxrod.control.Fit.undetermined",
+    "jaxrod.control.Fit.z",
     "jaxrod.control.fit",
     "jaxrod.control.Forecast",
     "jaxrod.control.ilqr",
@@ -107,6 +110,8 @@ SLOW = {
     "jaxrod.envs.brax_env.patched_jax",
     "jaxrod.envs.EpisodeRecord",
     "jaxrod.envs.VectorEnvironment",
+    "jaxrod.envs.VectorEnvironment.reset",
+    "jaxrod.envs.VectorEnvironment.step",
     "jaxrod.envs.VectorStep",
     "jaxrod.envs.goal_env.GoalEnv",
     "jaxrod.sensors.accelerometer",
@@ -135,6 +140,7 @@ SLOW = {
     "jaxrod.materials.plastic_bending",
     "jaxrod.twin.identify",
     "jaxrod.twin.Twin",
+    "jaxrod.twin.Twin.compare",
     "jaxrod.viz.animation",
     "jaxrod.viz.bending",
 }
@@ -144,6 +150,32 @@ NEEDS_A_LIBRARY = {
     "jaxrod.envs.brax_env": "the brax extra is not installed",
     "jaxrod.envs.stable_baselines": "the sb3 extra is not installed",
     "jaxrod.envs.torch_env": "PyTorch is not installed",
+}
+
+# Methods and properties that most users call, by class.
+METHODS = {
+    "jaxrod.Scene": (
+        "with_effect kinetic_energy potential_energy momentum angular_momentum "
+        "with_memory total_energy at"
+    ),
+    "jaxrod.Rod": (
+        "n_elements length element_masses node_masses joint_stiffness "
+        "arc_length_midpoints kinetic_energy momentum angular_momentum"
+    ),
+    "jaxrod.RodState": "directors tip",
+    "jaxrod.System": "states_by_name with_members kinetic_energy momentum",
+    "jaxrod.systems.RigidBodies": "kinetic_energy momentum",
+    "jaxrod.actuation.Tendon": "cable_lengths cable_tensions",
+    "jaxrod.control.Fit": "z forecast undetermined",
+    "jaxrod.control.Parameters": "flat named values searched",
+    "jaxrod.viz.Replay": "from_nodes from_rollout from_states together",
+    "jaxrod.envs.Randomisation": "record from_record",
+    "jaxrod.envs.VectorEnvironment": "reset step",
+    "jaxrod.training.MLPPolicy": "__call__",
+    "jaxrod.training.Algorithm": "checked",
+    "jaxrod.training.RunFolder": "finished",
+    "jaxrod.envs.gymnax_env.GymnaxEnv": "reset",
+    "jaxrod.twin.Twin": "compare",
 }
 
 # Names whose examples must come before JAX computes: each has a process of its own.
@@ -164,11 +196,16 @@ def names_of(package):
 def with_methods(name, thing):
     """A thing and, of a class, the public methods and properties that jaxrod wrote."""
     yield name, thing
-    for base in thing.__mro__ if inspect.isclass(thing) else ():
+    if not inspect.isclass(thing):
+        return
+    parts = {}
+    for base in reversed(thing.__mro__):
         if base.__module__.partition(".")[0] in ("jaxrod", REFERENCE["__name__"]):
-            for method, written in vars(base).items():
-                if method[0] != "_" and not inspect.isclass(written):
-                    yield f"{name}.{method}", written
+            parts |= vars(base)
+    for method, written in parts.items():
+        is_public = method[0] != "_" or method == "__call__"
+        if is_public and not inspect.isclass(written):
+            yield f"{name}.{method}", written
 
 
 def examples():
@@ -209,6 +246,15 @@ def faults_of(name, text, names):
 @pytest.mark.parametrize("package", PACKAGES)
 def test_every_public_name_has_an_example(package):
     bare = [n for n, thing in names_of(package).items() if not has_example(thing)]
+    assert not bare
+
+
+@pytest.mark.parametrize("name", METHODS)
+def test_methods_that_most_users_call_have_an_example(name):
+    package, _, public = name.rpartition(".")
+    parts = dict(with_methods(name, REFERENCE["public"](package)[public]))
+    listed = METHODS[name].split()
+    bare = [part for part in listed if not has_example(parts[f"{name}.{part}"])]
     assert not bare
 
 

@@ -119,7 +119,7 @@ def test_a_misspelt_name_is_answered_with_the_one_that_was_meant(space, misspelt
     assert str(raised.value) == f"module {space!r} {end}"
 
 
-@pytest.mark.parametrize("space", sorted(jaxrod._NAMESPACES) + ["control.estimation"])
+@pytest.mark.parametrize("space", [*sorted(jaxrod._NAMESPACES), "control.estimation"])
 def test_every_namespace_answers_a_misspelt_name(space):
     module = import_module(f"jaxrod.{space}")
     for name in getattr(module, "__all__", []):
@@ -172,11 +172,11 @@ def test_a_misspelt_setting_task_option_or_algorithm_is_answered_first():
 
 
 def test_what_is_nothing_like_a_name_gets_the_list():
-    with pytest.raises(ValueError, match="qwertz.*learning_rate"):
+    with pytest.raises(ValueError, match=r"qwertz.*learning_rate"):
         configure(training.PPOConfig(), {}, ["qwertz=1"])
-    with pytest.raises(ValueError, match="tracking.*qwertz"):
+    with pytest.raises(ValueError, match=r"tracking.*qwertz"):
         jaxrod.envs.make("qwertz")
-    with pytest.raises(ValueError, match="qwertz.*episode_length"):
+    with pytest.raises(ValueError, match=r"qwertz.*episode_length"):
         jaxrod.envs.make("tracking", qwertz=5)
-    with pytest.raises(ValueError, match="ppo.*qwertz"):
+    with pytest.raises(ValueError, match=r"ppo.*qwertz"):
         training.find_algorithm("qwertz")

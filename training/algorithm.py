@@ -152,6 +152,11 @@ class Algorithm:
 
         Raises:
             ValueError: The configuration belongs to another algorithm.
+
+        Example:
+            >>> learner = training.find_algorithm("ppo")
+            >>> learner.checked(None).num_envs
+            128
         """
         config = self.config_type() if config is None else config
         if not isinstance(config, self.config_type):
