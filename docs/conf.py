@@ -19,6 +19,7 @@ from typing import Any
 
 from docutils import nodes
 from docutils.utils.math.latex2mathml import tex2mathml
+from sphinx import addnodes
 from sphinx.ext.napoleon import Config, GoogleDocstring
 from sphinx.util.inspect import stringify_signature
 
@@ -26,6 +27,16 @@ import jaxrod
 from jaxrod.viz.page import page_of
 
 ROOT = Path(__file__).resolve().parent.parent
+TYPES = "docs/types"
+"""Page that explains the types of signatures."""
+
+sys.path.insert(0, str(ROOT / "docs"))
+from reference_pages import (  # noqa: E402
+    explained_types,
+    readable,
+    shown_arguments,
+    write_reference,
+)
 
 project = "jaxrod"
 author = "jaxrod authors"
@@ -102,7 +113,48 @@ def signature_as_written(
     whole = stringify_signature(signature, unqualified_typehints=True)
     bare = signature.replace(return_annotation=signature.empty)
     arguments = stringify_signature(bare, unqualified_typehints=True)
-    return arguments, whole.removeprefix(arguments).removeprefix(" -> ")
+    result = whole.removeprefix(arguments).removeprefix(" -> ")
+    shown = shown_arguments(readable(arguments), dataclasses.is_dataclass(thing))
+    return shown, readable(result)
+
+
+def readable_fields(app: Any, document: nodes.document) -> None:
+    """Types of fields as those of arguments are, where Sphinx evaluates them."""
+    for annotation in document.findall(addnodes.desc_annotation):
+        text = annotation.astext()
+        name = readable(text)
+        if name != text:
+            annotation.children = []
+            for piece in re.split(r"(\bNumber\b)", name):
+                annotation += (
+                    type_link(piece) if piece == "Number" else nodes.Text(piece)
+                )
+
+
+def type_link(name: str) -> addnodes.pending_xref:
+    """Reference to a type, which is resolved as those in arguments are."""
+    return addnodes.pending_xref(
+        "", nodes.Text(name), refdomain="py", reftype="class", reftarget=name
+    )
+
+
+def anchors_of_types(app: Any, document: nodes.document) -> None:
+    """Makes the rows of the page of types places that signatures can link to."""
+    if app.env.docname == TYPES:
+        for row in document.findall(nodes.row):
+            first = next(row.findall(nodes.entry))
+            for name in first.findall(nodes.literal):
+                row["ids"].append(f"type-{name.astext()}")
+
+
+def link_to_type(app: Any, env: Any, node: Any, content: Any) -> nodes.Node | None:
+    """Links a type that is no class to its row in the page of types."""
+    name = node.get("reftarget", "").rpartition(".")[2]
+    if node.get("refdomain") != "py" or name not in explained_types():
+        return None
+    place = app.builder.get_relative_uri(node["refdoc"], TYPES)
+    uri = f"{place}#type-{name}"
+    return nodes.reference("", "", content, internal=True, refuri=uri)
 
 
 def google_docstring(
@@ -180,9 +232,6 @@ def players(app: Any, failure: Exception | None) -> None:
 
 def setup(app: Any) -> None:
     """Writes the pages of the reference before anything is read."""
-    sys.path.insert(0, str(ROOT / "docs"))
-    from reference_pages import write_reference
-
     write_reference(ROOT / "docs" / "reference")
     app.connect("source-read", pictures_that_play)
     app.connect("build-finished", players)
@@ -190,3 +239,6 @@ def setup(app: Any) -> None:
     app.connect("autodoc-process-signature", signature_as_written)
     app.connect("autodoc-process-docstring", google_docstring)
     app.connect("autodoc-process-docstring", math_in_docstrings, priority=900)
+    app.connect("doctree-read", readable_fields)
+    app.connect("doctree-read", anchors_of_types)
+    app.connect("missing-reference", link_to_type)

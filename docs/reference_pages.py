@@ -8,6 +8,7 @@ import importlib
 import importlib.util
 import inspect
 import itertools
+import re
 from pathlib import Path
 from types import ModuleType
 from typing import Any, NamedTuple
@@ -25,6 +26,9 @@ class Page(NamedTuple):
     """Rooms whose names are in `jaxrod` itself."""
     packages: tuple[str, ...] = ()
     """Packages with all their names."""
+    headings: tuple[tuple[str, tuple[str, ...]], ...] = ()
+    """Headings of a long page, each with the modules, or folders of modules, whose
+    names are under it. Other names come first."""
 
 
 ADAPTERS = (
@@ -36,6 +40,10 @@ ADAPTERS = (
     "jaxrod.envs.torch_env",
 )
 """Modules whose libraries may be missing: they are read, and never imported."""
+LONGEST = 250
+"""Length up to which the arguments of a class are shown beside its fields."""
+EXTEND = "jaxrod.extend"
+"""Package of the bases whose docstrings describe hooks."""
 
 PAGES = (
     Page("Rods", "Makes rods and states, and measures strain and energy.", ("rods",)),
@@ -83,6 +91,19 @@ PAGES = (
         "Bodies, joints and contact between members.",
         ("systems",),
         ("jaxrod.systems",),
+        (
+            ("Bodies", ("jaxrod.systems.members",)),
+            ("Joints", ("jaxrod.systems.joints",)),
+            ("Contact", ("jaxrod.systems.contact", "jaxrod.systems.neighbour_counts")),
+            (
+                "Health, reactions and settling",
+                (
+                    "jaxrod.systems.health",
+                    "jaxrod.systems.reactions",
+                    "jaxrod.systems.settling",
+                ),
+            ),
+        ),
     ),
     Page(
         "Assemblies of rods",
@@ -159,6 +180,19 @@ PAGES = (
         "Learners",
         "Trains, evaluates and exports policies.",
         packages=("jaxrod.training",),
+        headings=(
+            ("Runs", ("jaxrod.training.runs", "jaxrod.training.evaluation")),
+            (
+                "Algorithms and their settings",
+                (
+                    "jaxrod.training.algorithm",
+                    "jaxrod.training.algorithms",
+                    "jaxrod.training.settings",
+                ),
+            ),
+            ("Policies", ("jaxrod.training.policy", "jaxrod.training.networks")),
+            ("Export", ("jaxrod.training.exporting",)),
+        ),
     ),
     Page("Drawing", "Replays, stills and films.", packages=("jaxrod.viz",)),
 )
@@ -240,11 +274,13 @@ def _page(page: Page, names: list[tuple[str, str]], homes: dict[int, str]) -> st
         homes: Full name under which each object is in the index, by its id; a second
             place of the same object refers to the first.
     """
-    rows, entries = [], ["```{eval-rst}"]
+    rows: list[str] = []
+    parts: dict[str, list[str]] = {"": [], **{title: [] for title, _ in page.headings}}
     for package, name in names:
         thing = public(package)[name]
         if inspect.ismodule(thing):
             continue
+        entries = parts[_heading(page, thing)]
         full = f"{package}.{name}"
         home = homes.setdefault(id(thing), full)
         doc = docstring(package, name)
@@ -252,15 +288,68 @@ def _page(page: Page, names: list[tuple[str, str]], homes: dict[int, str]) -> st
         entries += ["", f".. currentmodule:: {package}", ""]
         if inspect.isclass(thing):
             entries += [f".. autoclass:: {name}", "   :members:"]
+            hooks = hooks_of(thing)
+            if hooks:
+                entries += [f"   :exclude-members: {', '.join(hooks)}"]
         elif callable(thing):
             entries += [f".. autofunction:: {name}"]
         else:
             entries += [f".. py:data:: {name}"]
         entries += ["   :no-index:"] if home != full else []
         entries += [] if callable(thing) else ["", f"   {summary(doc)}."]
+        bases = ", ".join(f":py:obj:`{base}`" for base in bases_of(thing))
+        entries += ["", f"   Hooks are described in {bases}."] if bases else []
     table = "\n".join(["| name | summary |", "|---|---|", *rows])
     head = f"{page.about} Examples go on from [this program](index.md)."
-    return f"# {page.title}\n\n{head}\n\n{table}\n\n" + "\n".join([*entries, "```", ""])
+    written = [f"# {page.title}\n\n{head}\n\n{table}\n"]
+    for title, entries in parts.items():
+        written += [f"## {title}\n"] if title else []
+        written += (
+            ["\n".join(["```{eval-rst}", *entries, "```", ""])] if entries else []
+        )
+    return "\n".join(written)
+
+
+def _heading(page: Page, thing: Any) -> str:
+    """Heading under which a thing stands; empty for the beginning of the page."""
+    module = getattr(thing, "__module__", "")
+    for title, places in page.headings:
+        if any(f"{module}.".startswith(f"{place}.") for place in places):
+            return title
+    return ""
+
+
+def bases_of(thing: Any) -> dict[str, type]:
+    """Bases of a class that are in the reference and describe hooks, by full name."""
+    listed = {f"jaxrod.extend.{name}": one for name, one in public(EXTEND).items()}
+    return {
+        name: base
+        for name, base in listed.items()
+        if inspect.isclass(thing) and inspect.isclass(base)
+        if base is not thing and base in thing.__mro__ and _hooks(base)
+    }
+
+
+def hooks_of(thing: type) -> list[str]:
+    """Hooks that a class overrides, without those whose docstring has an example.
+
+    The docstring of the base describes them.
+    """
+    of_bases = {name for base in bases_of(thing).values() for name in _hooks(base)}
+    return sorted(
+        name
+        for name, part in vars(thing).items()
+        if name in of_bases and ">>>" not in (getattr(part, "__doc__", None) or "")
+    )
+
+
+def _hooks(base: type) -> set[str]:
+    """Public methods and properties that a class defines itself."""
+    return {
+        name
+        for name, part in vars(base).items()
+        if name[0] != "_" and (inspect.isfunction(part) or isinstance(part, property))
+    }
 
 
 @functools.cache
@@ -335,6 +424,25 @@ def summary(doc: str) -> str:
     """First sentence of a docstring, as a cell of a table."""
     first = " ".join(doc.partition("\n\n")[0].split())
     return first.partition(". ")[0].rstrip(".:").replace("|", r"\|")
+
+
+@functools.cache
+def explained_types() -> set[str]:
+    """Names of the types that docs/types.md explains, in first cells of its tables."""
+    page = Path(__file__).with_name("types.md").read_text()
+    cells = re.findall(r"^\|(.*?)\|", page, re.MULTILINE)
+    return set(re.findall(r"`(\w+)`", " ".join(cells)))
+
+
+def readable(written: str) -> str:
+    """A type as the page of types names it: a number is `Number`."""
+    number = r"float \| Float\[Array, (''|\"\")\]|Float\[Array, (''|\"\")\] \| float"
+    return re.sub(number, "Number", written)
+
+
+def shown_arguments(arguments: str, has_fields: bool) -> str:
+    """Arguments of a signature; none of a class with so many fields that follow."""
+    return "" if has_fields and len(arguments) > LONGEST else arguments
 
 
 def _write(path: Path, text: str) -> None:

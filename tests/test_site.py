@@ -164,3 +164,41 @@ def test_adapters_are_in_the_reference_without_their_libraries():
     assert {*found} == {"RslRlVecEnv", "SkrlEnv", "TorchBatch"}
     assert found["TorchBatch"].__doc__.startswith("`jaxrod.envs.VectorEnvironment`")
     assert found["TorchBatch"].elapsed.__doc__.startswith("Control steps of every")
+
+
+def test_hooks_are_described_once():
+    """By the bases in `jaxrod.extend`, except where a class shows an example."""
+    pages = runpy.run_path(str(DOCS / "reference_pages.py"))
+    tendon = jaxrod.actuation.Tendon
+    assert {*pages["bases_of"](tendon)} == {"jaxrod.extend.Effect"}
+    hooks = pages["hooks_of"](tendon)
+    assert {"energy", "loads", "stability_bound"} <= {*hooks}
+    assert not {"cable_lengths", "tension"} & {*hooks}
+    assert pages["hooks_of"](jaxrod.extend.Effect) == []
+    assert "kinetic_energy" not in pages["hooks_of"](jaxrod.systems.RigidBodies)
+    assert "in_own_type" in pages["hooks_of"](jaxrod.systems.RigidBodies)
+
+
+def test_long_pages_have_headings(tmp_path):
+    pages = runpy.run_path(str(DOCS / "reference_pages.py"))
+    pages["write_reference"](tmp_path)
+    for page in pages["PAGES"]:
+        text = (tmp_path / f"{pages['_file'](page)}.md").read_text()
+        headings = re.findall("^## (.*)", text, re.M)
+        assert headings == [title for title, _ in page.headings]
+        parts = re.split("^## ", text, flags=re.M)
+        assert all(".. auto" in part for part in parts[1:]), "a heading of nothing"
+    assert "## Joints" in (tmp_path / "systems_of_rods_and_bodies.md").read_text()
+
+
+def test_types_are_readable_and_long_lists_of_fields_are_not_said_twice():
+    pages = runpy.run_path(str(DOCS / "reference_pages.py"))
+    assert pages["readable"](": float | Float[Array, '']") == ": Number"
+    assert pages["readable"]("(dt: Float[Array, '3'])") == "(dt: Float[Array, '3'])"
+    assert pages["shown_arguments"]("(a, b)", True) == "(a, b)"
+    long = f"({', '.join(['number=1'] * 40)})"
+    assert pages["shown_arguments"](long, True) == ""
+    assert pages["shown_arguments"](long, False) == long
+    assert {"Numbers", "ArrayLike", "Vec3", "AllSeen", "Place", "Timed"} <= pages[
+        "explained_types"
+    ]()
