@@ -202,3 +202,24 @@ def test_types_are_readable_and_long_lists_of_fields_are_not_said_twice():
     assert {"Numbers", "ArrayLike", "Vec3", "AllSeen", "Place", "Timed"} <= pages[
         "explained_types"
     ]()
+
+
+UNIT = r"\b[a-zA-Z]+(?:/[a-z]+\^\d|\^\d/[a-z]+)"
+
+
+def test_powers_in_public_docstrings_are_formulas():
+    """Units apart, which stay plain text."""
+    pages = runpy.run_path(str(DOCS / "reference_pages.py"))
+    found = []
+    for package in ("jaxrod", *pages["PACKAGES"]):
+        for name, thing in pages["public"](package).items():
+            parts = vars(thing) if inspect.isclass(thing) else {}
+            for part in (thing, *(p for n, p in parts.items() if n[0] != "_")):
+                text = part.__doc__ if isinstance(part.__doc__, str) else ""
+                prose = re.sub(r"^ *(>>>|\.\.\.).*", "", text, flags=re.M)
+                prose = re.sub(r"\$\$[^$]*\$\$|\$[^$]*\$|`[^`]*`|\[[^\]]*\]", "", prose)
+                prose = re.sub(UNIT, "", prose)
+                found += [
+                    f"{package}.{name}: {x}" for x in re.findall(r".*\^.*", prose)
+                ]
+    assert sorted({*found}) == []

@@ -245,7 +245,7 @@ class Rod(Hinted):
         return jnp.cumsum(self.rest_lengths, axis=-1) - 0.5 * self.rest_lengths
 
     def kinetic_energy(self, state: RodState) -> Float[Array, ""]:
-        """Kinetic energy of nodes and elements, m v^2 / 2 and I w^2 / 2 [J].
+        """Kinetic energy of nodes and elements, $m v^2 / 2$ and $I w^2 / 2$ [J].
 
         With `mass_matrix="higher_order"` supports count as well, so that
         `Scene.kinetic_energy` is needed if there are any.
@@ -259,7 +259,7 @@ class Rod(Hinted):
         return kinetic_energy(self, state)
 
     def momentum(self, state: RodState) -> Float[Array, "3"]:
-        """Linear momentum, the sum of m v over the nodes, world frame [kg m/s].
+        """Linear momentum, the sum of $m v$ over the nodes, world frame [kg m/s].
 
         Example:
             >>> moving = replace(state, velocities=2.0 * jnp.ones((3, 11)))

@@ -90,7 +90,7 @@ class Parameters:
         return found
 
     def searched(self, values: Mapping[str, Any]) -> Float[Array, " p"]:
-        """Converts parameters to search variables z: log(p / p_0) or (p - p_0) / s.
+        r"""Converts to search variables $z$: $\log(p / p_0)$ or $(p - p_0) / s$.
 
         Example:
             >>> sought = control.make_parameters({"modulus": 1e6, "tilts": jnp.ones(2)})
@@ -104,7 +104,7 @@ class Parameters:
         return jnp.where(log, jnp.log(ratio), (value - first) / scale)
 
     def values(self, point: Float[Array, " p"]) -> dict[str, Array]:
-        """Converts search variables z to parameters: p_0 e^z or p_0 + s z.
+        """Converts search variables to parameters: $p_0 e^z$ or $p_0 + s z$.
 
         Example:
             >>> sought = control.make_parameters({"modulus": 1e6, "tilts": jnp.ones(2)})
@@ -116,7 +116,7 @@ class Parameters:
         return self.named(jnp.where(log, first * factor, first + scale * point))
 
     def slopes(self, point: Float[Array, " p"]) -> Float[Array, " p"]:
-        """Derivative dp/dz of each parameter, for its search variable z: p or s."""
+        """Derivative $dp/dz$ of each parameter, for its search variable: $p$ or $s$."""
         first, scale, log = self._forms
         return jnp.where(log, first * jnp.exp(jnp.where(log, point, 0)), scale)
 
