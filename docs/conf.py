@@ -70,6 +70,8 @@ suppress_warnings = ["myst.header"]
 autodoc_mock_imports = [
     name for name in ("stable_baselines3", "torch") if find_spec(name) is None
 ]
+# A longer one has a line for each argument.
+maximum_signature_line_length = 250
 autodoc_member_order = "bysource"
 autodoc_typehints = "signature"
 # Overloads are evaluated; these names stay as they are.
@@ -143,8 +145,8 @@ def anchors_of_types(app: Any, document: nodes.document) -> None:
     if app.env.docname == TYPES:
         for row in document.findall(nodes.row):
             first = next(row.findall(nodes.entry))
-            for name in first.findall(nodes.literal):
-                row["ids"].append(f"type-{name.astext()}")
+            names = {name.astext() for name in first.findall(nodes.literal)}
+            row["ids"] += [f"type-{name}" for name in sorted(names & explained_types())]
 
 
 def link_to_type(app: Any, env: Any, node: Any, content: Any) -> nodes.Node | None:

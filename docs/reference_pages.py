@@ -40,7 +40,7 @@ ADAPTERS = (
     "jaxrod.envs.torch_env",
 )
 """Modules whose libraries may be missing: they are read, and never imported."""
-LONGEST = 250
+LONGEST = 160
 """Length up to which the arguments of a class are shown beside its fields."""
 EXTEND = "jaxrod.extend"
 """Package of the bases whose docstrings describe hooks."""

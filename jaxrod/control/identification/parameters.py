@@ -78,9 +78,9 @@ class Parameters:
 
         Example:
             >>> sought = control.make_parameters({"modulus": 1e6, "tilts": jnp.ones(2)})
-            >>> named = sought.named(jnp.array([0.1, 0.2, 3e6]))
+            >>> named = sought.named(jnp.array([3e6, 0.1, 0.2]))
             >>> named["tilts"].shape, float(named["modulus"])
-            ((2,), 0.10000000149011612)
+            ((2,), 3000000.0)
         """
         found, at = {}, 0
         for name, shape in self.shapes:
