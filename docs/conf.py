@@ -33,6 +33,7 @@ TYPES = "docs/types"
 sys.path.insert(0, str(ROOT / "docs"))
 from reference_pages import (  # noqa: E402
     explained_types,
+    linked_types,
     readable,
     shown_arguments,
     write_reference,
@@ -152,7 +153,7 @@ def anchors_of_types(app: Any, document: nodes.document) -> None:
 def link_to_type(app: Any, env: Any, node: Any, content: Any) -> nodes.Node | None:
     """Links a type that is no class to its row in the page of types."""
     name = node.get("reftarget", "").rpartition(".")[2]
-    if node.get("refdomain") != "py" or name not in explained_types():
+    if node.get("refdomain") != "py" or name not in linked_types():
         return None
     place = app.builder.get_relative_uri(node["refdoc"], TYPES)
     uri = f"{place}#type-{name}"

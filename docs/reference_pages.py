@@ -434,6 +434,12 @@ def explained_types() -> set[str]:
     return set(re.findall(r"`(\w+)`", " ".join(cells)))
 
 
+@functools.cache
+def linked_types() -> set[str]:
+    """Types that signatures link to; not those with the name of a public class."""
+    return explained_types().difference(*map(public, ("jaxrod", *PACKAGES)))
+
+
 def readable(written: str) -> str:
     """A type as the page of types names it: a number is `Number`."""
     number = r"float \| Float\[Array, (''|\"\")\]|Float\[Array, (''|\"\")\] \| float"

@@ -7,7 +7,7 @@ import it themselves. Those that evaluate a scene or a system import JAX.
 from importlib import import_module
 from typing import Any
 
-from jaxrod.spelling import no_such_name
+import jaxrod.spelling
 from jaxrod.viz.curves import ReferenceScore, learning_curve
 from jaxrod.viz.drawing import animation, film, frame, picture
 from jaxrod.viz.page import html, save_html
@@ -63,4 +63,4 @@ def __getattr__(name: str) -> Any:
     """Imports a name that needs JAX on use."""
     if name in _MODULE_OF:
         return getattr(import_module(f"jaxrod.viz.{_MODULE_OF[name]}"), name)
-    no_such_name(__name__, name)
+    jaxrod.spelling.no_such_name(__name__, name)
