@@ -13,11 +13,13 @@ import json
 import re
 import shutil
 import sys
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
 from docutils import nodes
 from docutils.utils.math.latex2mathml import tex2mathml
+from sphinx import addnodes
 from sphinx.ext.napoleon import Config, GoogleDocstring
 from sphinx.util.inspect import stringify_signature
 
@@ -25,6 +27,17 @@ import jaxrod
 from jaxrod.viz.page import page_of
 
 ROOT = Path(__file__).resolve().parent.parent
+TYPES = "docs/types"
+"""Page that explains the types of signatures."""
+
+sys.path.insert(0, str(ROOT / "docs"))
+from reference_pages import (  # noqa: E402
+    explained_types,
+    linked_types,
+    readable,
+    shown_arguments,
+    write_reference,
+)
 
 project = "jaxrod"
 author = "jaxrod authors"
@@ -54,6 +67,12 @@ myst_enable_extensions = ["dollarmath", "amsmath", "colon_fence"]
 myst_heading_anchors = 4
 suppress_warnings = ["myst.header"]
 
+# Adapters for libraries that take gigabytes are read without them.
+autodoc_mock_imports = [
+    name for name in ("stable_baselines3", "torch") if find_spec(name) is None
+]
+# A longer one has a line for each argument.
+maximum_signature_line_length = 250
 autodoc_member_order = "bysource"
 autodoc_typehints = "signature"
 # Overloads are evaluated; these names stay as they are.
@@ -98,7 +117,48 @@ def signature_as_written(
     whole = stringify_signature(signature, unqualified_typehints=True)
     bare = signature.replace(return_annotation=signature.empty)
     arguments = stringify_signature(bare, unqualified_typehints=True)
-    return arguments, whole.removeprefix(arguments).removeprefix(" -> ")
+    result = whole.removeprefix(arguments).removeprefix(" -> ")
+    shown = shown_arguments(readable(arguments), dataclasses.is_dataclass(thing))
+    return shown, readable(result)
+
+
+def readable_fields(app: Any, document: nodes.document) -> None:
+    """Types of fields as those of arguments are, where Sphinx evaluates them."""
+    for annotation in document.findall(addnodes.desc_annotation):
+        text = annotation.astext()
+        name = readable(text)
+        if name != text:
+            annotation.children = []
+            for piece in re.split(r"(\bNumber\b)", name):
+                annotation += (
+                    type_link(piece) if piece == "Number" else nodes.Text(piece)
+                )
+
+
+def type_link(name: str) -> addnodes.pending_xref:
+    """Reference to a type, which is resolved as those in arguments are."""
+    return addnodes.pending_xref(
+        "", nodes.Text(name), refdomain="py", reftype="class", reftarget=name
+    )
+
+
+def anchors_of_types(app: Any, document: nodes.document) -> None:
+    """Makes the rows of the page of types places that signatures can link to."""
+    if app.env.docname == TYPES:
+        for row in document.findall(nodes.row):
+            first = next(row.findall(nodes.entry))
+            names = {name.astext() for name in first.findall(nodes.literal)}
+            row["ids"] += [f"type-{name}" for name in sorted(names & explained_types())]
+
+
+def link_to_type(app: Any, env: Any, node: Any, content: Any) -> nodes.Node | None:
+    """Links a type that is no class to its row in the page of types."""
+    name = node.get("reftarget", "").rpartition(".")[2]
+    if node.get("refdomain") != "py" or name not in linked_types():
+        return None
+    place = app.builder.get_relative_uri(node["refdoc"], TYPES)
+    uri = f"{place}#type-{name}"
+    return nodes.reference("", "", content, internal=True, refuri=uri)
 
 
 def google_docstring(
@@ -210,9 +270,6 @@ def players(app: Any, failure: Exception | None) -> None:
 
 def setup(app: Any) -> None:
     """Writes the pages of the reference before anything is read."""
-    sys.path.insert(0, str(ROOT / "docs"))
-    from reference_pages import write_reference
-
     write_reference(ROOT / "docs" / "reference")
     app.add_node(nodes.entry, override=True, html=(table_cell, end_of_cell))
     app.connect("source-read", pictures_that_play)
@@ -222,3 +279,6 @@ def setup(app: Any) -> None:
     app.connect("autodoc-process-signature", signature_as_written)
     app.connect("autodoc-process-docstring", google_docstring)
     app.connect("autodoc-process-docstring", math_in_docstrings, priority=900)
+    app.connect("doctree-read", readable_fields)
+    app.connect("doctree-read", anchors_of_types)
+    app.connect("missing-reference", link_to_type)

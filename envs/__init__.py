@@ -3,9 +3,10 @@
 if __name__ != "jaxrod.envs":
     raise ImportError("import jaxrod.envs, not envs: the folder has this name")
 
-from difflib import get_close_matches
+from functools import partial
 from typing import TYPE_CHECKING
 
+import jaxrod.spelling
 from jaxrod.envs.arm.robot_hand import RobotHand, robot_hand
 from jaxrod.envs.arm.soft_arm import actuated_arm
 from jaxrod.envs.checking import check_environment
@@ -86,10 +87,4 @@ _GUESSES = {
 """Hints for names that users of other tools guess, by the guess."""
 
 if not TYPE_CHECKING:
-
-    def __getattr__(name: str) -> None:
-        """Raises an error, with a hint if the name is a usual guess."""
-        meant = get_close_matches(name, __all__, 1, 0.75)
-        hint = f"is jaxrod.envs.{meant[0]} meant?" if meant else ""
-        hint = _GUESSES.get(name, hint or "help(jaxrod.envs) lists the names")
-        raise AttributeError(f"module 'jaxrod.envs' has no attribute {name!r}: {hint}")
+    __getattr__ = partial(jaxrod.spelling.no_such_name, __name__)

@@ -67,6 +67,14 @@ class BraxEnv(Env):
     Attributes:
         env: The environment.
         sys: Its parameters.
+
+    Example:
+        >>> from jaxrod.envs.brax_env import BraxEnv
+        >>> env = BraxEnv("trivial")
+        >>> start = env.reset(jax.random.PRNGKey(0))
+        >>> after = env.step(start, jnp.zeros(env.action_size))
+        >>> after.obs.shape, float(after.done)
+        ((1,), 0.0)
     """
 
     def __init__(
@@ -239,6 +247,12 @@ def patched_jax() -> Iterator[None]:
 
     JAX 0.10 removed it. Inside `with patched_jax():` it exists again, and afterwards it
     is gone: call brax's `train` there.
+
+    Example:
+        >>> from jaxrod.envs.brax_env import patched_jax
+        >>> with patched_jax():
+        ...     hasattr(jax, "device_put_replicated")
+        True
     """
     if hasattr(jax, "device_put_replicated"):
         yield

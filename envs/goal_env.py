@@ -51,6 +51,17 @@ class GoalEnv(
 
     The reward of a step is `compute_reward` of its goals. That is the reward of the
     task, except where an arm of the variant "paper" breaks or an action is held.
+
+    Example:
+        >>> from jaxrod.envs.goal_env import GoalEnv
+        >>> from jaxrod.envs.gym import GymnasiumEnv
+        >>> env = GoalEnv(GymnasiumEnv("tracking", n_elements=10))
+        >>> observation, info = env.reset(seed=0)
+        >>> {name: part.shape for name, part in observation.items()}
+        {'observation': (37,), 'achieved_goal': (3,), 'desired_goal': (3,)}
+        >>> goal = observation["desired_goal"]
+        >>> float(env.compute_reward(goal, goal))  # a reached goal
+        2.0
     """
 
     def __init__(

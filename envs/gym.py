@@ -51,7 +51,13 @@ VARIANTS = {
 
 
 def ids() -> tuple[str, ...]:
-    """Returns the Gymnasium ids of all tasks, such as "jaxrod/tracking-paper-v0"."""
+    """Returns the Gymnasium ids of all tasks.
+
+    Example:
+        >>> from jaxrod.envs.gym import ids
+        >>> ids()[:2]
+        ('jaxrod/tracking-paper-v0', 'jaxrod/tracking-clean-v0')
+    """
     return tuple(_id(task, variant) for task in VARIANTS for variant in VARIANTS[task])
 
 
@@ -95,6 +101,15 @@ class GymnasiumEnv(_Limited, gymnasium.Env[np.ndarray, np.ndarray]):
     control steps. Films of these pictures at `metadata["render_fps"]` frames a second
     play in real time. Films with a picture of every control step, such as those of
     `gymnasium.wrappers.RecordVideo`, play `steps_per_frame` times as slowly.
+
+    Example:
+        >>> from jaxrod.envs.gym import GymnasiumEnv
+        >>> env = GymnasiumEnv("trivial")
+        >>> observation, info = env.reset(seed=0)
+        >>> action = env.action_space.sample()
+        >>> observation, reward, terminated, truncated, info = env.step(action)
+        >>> observation.shape, terminated, truncated
+        ((1,), False, False)
     """
 
     metadata = METADATA | {"render_modes": ["human", "rgb_array"]}
@@ -280,6 +295,15 @@ class GymnasiumVectorEnv(
     - `NEXT_STEP`: in the next step, which ignores the action and has zero reward.
       Gymnasium's wrappers that normalise observations require it.
     - `DISABLED`: on request, by `reset(options={"reset_mask": ended})`.
+
+    Example:
+        >>> from jaxrod.envs.gym import GymnasiumVectorEnv
+        >>> batch = GymnasiumVectorEnv("trivial", num_envs=3)
+        >>> observations, infos = batch.reset(seed=0)
+        >>> actions = batch.action_space.sample()
+        >>> observations, rewards, *_ = batch.step(actions)
+        >>> observations.shape, rewards.shape
+        ((3, 1), (3,))
     """
 
     metadata = METADATA | {"autoreset_mode": AutoresetMode.SAME_STEP}

@@ -164,6 +164,12 @@ class GymnaxEnv:
 
         Returns:
             The first observation and the state.
+
+        Example:
+            >>> from jaxrod.envs.gymnax_env import GymnaxEnv
+            >>> observation, start = GymnaxEnv("trivial").reset(jax.random.key(0))
+            >>> observation.shape, int(start.time)
+            ((1,), 0)
         """
         return self._start(_typed(key), self._given(params))
 

@@ -132,6 +132,11 @@ class Randomisation:
 
         Raises:
             ValueError: An entry is unknown, or a value is invalid.
+
+        Example:
+            >>> varied = envs.Randomisation.from_record({"delay": [0, 2]})
+            >>> varied.delay
+            [0, 2]
         """
         known = [field.name for field in dataclasses.fields(cls)]
         for name in _mapping("randomise", record):
@@ -143,7 +148,13 @@ class Randomisation:
         return cls(**record)
 
     def record(self) -> dict[str, Any]:
-        """Options with non-default values, as plain values for JSON and TOML."""
+        """Options with non-default values, as plain values for JSON and TOML.
+
+        Example:
+            >>> varied = envs.Randomisation(noise={"position": 0.01}, delay=(0, 2))
+            >>> varied.record()
+            {'noise': {'position': 0.01}, 'delay': [0, 2]}
+        """
         usual = type(self)()
         given = {f.name: getattr(self, f.name) for f in dataclasses.fields(self)}
         return {k: v for k, v in given.items() if v != getattr(usual, k)}

@@ -13,6 +13,7 @@ from jaxrod.envs.importing import canonical_path, import_callable
 from jaxrod.envs.protocol import Environment
 from jaxrod.envs.randomisation import Randomisation
 from jaxrod.envs.randomised import Randomised
+from jaxrod.spelling import meant_or_listed, nearest
 
 _FACTORIES = {
     "catheter": "jaxrod.envs.tasks.catheter:catheter",
@@ -98,10 +99,14 @@ def factory_of(task: str) -> Callable[..., Any]:
         ValueError: There is no such task.
     """
     if task not in _FACTORIES and ":" not in task:
-        raise ValueError(
+        listed = (
             f"task must be one of {', '.join(names())}, or the path of your own, "
             f"such as mypackage.mymodule:make_task; got {task!r}"
             + (f": add its class, {task}:NAME" if task.endswith(".py") else "")
+        )
+        meant = nearest(task, _FACTORIES)
+        raise ValueError(
+            f"there is no task {task!r}: did you mean {meant!r}?" if meant else listed
         )
     return import_callable(_FACTORIES.get(task, task))
 
@@ -218,9 +223,13 @@ def _chosen(
     for option in options:
         if option not in named and not any_name:
             has = f"it has {', '.join(named)}" if named else "it has none"
+            listed = (
+                f"{has}; numbers such as lengths and stiffnesses are in its "
+                "parameters, env.default_params()"
+            )
             raise ValueError(
-                f"{task!r} has no option {option!r}, {has}; numbers such as lengths "
-                "and stiffnesses are in its parameters, env.default_params()"
+                f"{task!r} has no option {option!r}, "
+                f"{meant_or_listed(option, named, listed)}"
             )
     missing = [
         name

@@ -60,10 +60,10 @@ def rollout(
     key: Key[Array, ""] | None = None,
     collect: Callable[[Any], Any] | None = None,
 ) -> Rollout:
-    """Simulates one environment for many steps; pure, differentiable, for `jax.vmap`.
+    r"""Simulates one environment for many steps; pure, differentiable, for `jax.vmap`.
 
-    The gradient equals that of a plain loop. It needs the memory of about 2 sqrt(steps)
-    states, for any number of steps. Once the episode has ended, by the task or by the
+    The gradient equals that of a plain loop. It needs the memory of about
+    $2 \sqrt{n}$ states for $n$ steps. Once the episode has ended, by the task or by the
     time limit, the state does not change any more and rewards are zero.
 
     Args:

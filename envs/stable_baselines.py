@@ -33,6 +33,15 @@ class StableBaselinesVecEnv(VecEnv):
     `seed(s)` before `reset` starts the batch with `jax.random.key(s)`. Otherwise
     `reset` draws a seed. All environments of the batch are one immutable object:
     `get_attr` and `env_method` query it, and `set_attr` is refused.
+
+    Example:
+        >>> from jaxrod.envs.stable_baselines import StableBaselinesVecEnv
+        >>> batch = StableBaselinesVecEnv("trivial", num_envs=3)
+        >>> batch.reset().shape
+        (3, 1)
+        >>> observations, rewards, ended, infos = batch.step(np.zeros((3, 1)))
+        >>> rewards.shape, ended.tolist()
+        ((3,), [False, False, False])
     """
 
     metadata: dict[str, Any]

@@ -43,6 +43,14 @@ class TorchBatch:
         observation: Current observations, shape (num_envs, observation_size).
         observation_space: Space of the observation of one environment.
         action_space: Space of the action of one environment.
+
+    Example:
+        >>> import torch
+        >>> from jaxrod.envs.torch_env import TorchBatch
+        >>> batch = TorchBatch("trivial", num_envs=3)
+        >>> step = batch.step(torch.zeros(3, 1))
+        >>> tuple(step.observation.shape), step.truncated.tolist()
+        ((3, 1), [False, False, False])
     """
 
     def __init__(
@@ -127,6 +135,12 @@ class RslRlVecEnv:
     Attributes:
         batch: The batch.
         cfg: Task and size, which RSL-RL writes to its logs.
+
+    Example:
+        >>> from jaxrod.envs.torch_env import RslRlVecEnv, TorchBatch
+        >>> env = RslRlVecEnv(TorchBatch("trivial", num_envs=3))
+        >>> env.num_envs, env.num_actions, env.max_episode_length
+        (3, 1, 20)
     """
 
     def __init__(self, batch: TorchBatch) -> None:
@@ -190,6 +204,15 @@ class SkrlEnv:
         observation_space: Space of the observation of one environment.
         action_space: Space of the action of one environment.
         state_space: Always None: skrl learns from the observation alone.
+
+    Example:
+        >>> import torch
+        >>> from jaxrod.envs.torch_env import SkrlEnv, TorchBatch
+        >>> env = SkrlEnv(TorchBatch("trivial", num_envs=3))
+        >>> observations, _ = env.reset()
+        >>> observations, rewards, *_ = env.step(torch.zeros(3, 1))
+        >>> tuple(rewards.shape)
+        (3, 1)
     """
 
     num_agents = 1

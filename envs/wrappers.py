@@ -184,6 +184,13 @@ class VectorEnvironment:
         Raises:
             ValueError: `num_envs` is below 1, or the parameters do not fit `batched`.
             TypeError: `key` is no random key.
+
+        Example:
+            >>> env = envs.make("trivial")
+            >>> batch, params = envs.VectorEnvironment(env), env.default_params()
+            >>> start = batch.reset(jax.random.key(0), 4, params)
+            >>> start.observation.shape
+            (4, 1)
         """
         check_key(key)
         if num_envs < 1:
@@ -236,6 +243,14 @@ class VectorEnvironment:
         Raises:
             ValueError: The actions have another shape, or the parameters do not fit
                 `batched`.
+
+        Example:
+            >>> env = envs.make("trivial")
+            >>> batch, params = envs.VectorEnvironment(env), env.default_params()
+            >>> start = batch.reset(jax.random.key(0), 4, params)
+            >>> after, step = batch.step(start, jnp.zeros((4, 1)), params)
+            >>> step.reward.shape, step.truncated.tolist()
+            ((4,), [False, False, False, False])
         """
         shape = (state.ticks.shape[0], self.env.action_size)
         check_action_shape("actions", action, shape)

@@ -28,6 +28,7 @@ from pathlib import Path
 from typing import Any
 
 from jaxrod.installation.jax_version import require_sound_jax
+from jaxrod.spelling import nearest
 
 __version__ = "0.3.0"
 
@@ -110,10 +111,8 @@ def _hint(name: str) -> str:
         for file in (here / f"{space}.py", here / space / "__init__.py"):
             if file.exists() and f'\n    "{name}",\n' in file.read_text():
                 return f": it is jaxrod.{space}.{name}"
-    # Only for a mistake, because `import jaxrod` loads as little as possible.
-    difflib = importlib.import_module("difflib")
-    meant = difflib.get_close_matches(name, _MODULE_OF, 1, 0.75)
-    return f": is jaxrod.{meant[0]} meant?" if meant else ""
+    meant = nearest(name, _MODULE_OF)
+    return f": did you mean jaxrod.{meant}?" if meant else ""
 
 
 def _namespace(name: str) -> Any:

@@ -6,6 +6,10 @@ subclass, decorated with `pytree`, that overrides the hooks it needs; docs/exten
 describes all four.
 """
 
+from functools import partial
+from typing import TYPE_CHECKING
+
+import jaxrod.spelling
 from jaxrod.contacts.bodies import Solid
 from jaxrod.effects.base import Effect, Reaction, StabilityBound
 from jaxrod.effects.ends import Held, Wall
@@ -52,3 +56,6 @@ __all__ = [
     "sum_of_loads",
     "vectors",
 ]
+
+if not TYPE_CHECKING:
+    __getattr__ = partial(jaxrod.spelling.no_such_name, __name__)

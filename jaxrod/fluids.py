@@ -1,5 +1,9 @@
 """Fluids around a rod: drag, flows, buoyancy and added mass."""
 
+from functools import partial
+from typing import TYPE_CHECKING
+
+import jaxrod.spelling
 from jaxrod.effects.fluids import (
     Buoyancy,
     FlowField,
@@ -34,3 +38,6 @@ __all__ = [
     "stokes_drag",
     "with_added_mass",
 ]
+
+if not TYPE_CHECKING:
+    __getattr__ = partial(jaxrod.spelling.no_such_name, __name__)

@@ -196,6 +196,12 @@ class LoadedRod:
 
         It is needed for functions of one moment: energies, health, equilibrium,
         frequencies.
+
+        Example:
+            >>> growing = schedules.ramp((0, 0, 0), (0, 0, 2.0), duration=1.0)
+            >>> pushed = jaxrod.make_scene(rod, jaxrod.end_load(force=growing))
+            >>> pushed.at(0.5).effects[0].force.tolist()
+            [0.0, 0.0, 1.0]
         """
         if not self.depends_on_time:
             return self

@@ -254,6 +254,12 @@ class Model(ABC):
 
         Raises:
             ValueError: If the model depends on time: call this on `model.at(time)`.
+
+        Example:
+            >>> total = scene.total_energy(state)
+            >>> parts = scene.kinetic_energy(state) + scene.potential_energy(state)
+            >>> bool(total == parts)
+            True
         """
         return self.kinetic_energy(state) + self.potential_energy(state)
 

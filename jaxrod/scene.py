@@ -82,7 +82,12 @@ class Scene(LoadedRod, Model, Hinted):
         return LoadedRod.__repr__(self)
 
     def with_memory(self, state: Any) -> RodState:
-        """State, with the initial memory of all effects if it has none."""
+        """State, with the initial memory of all effects if it has none.
+
+        Example:
+            >>> scene.remembers, scene.with_memory(state).memory is None
+            (False, True)
+        """
         check_scene(self)
         check_kind("state", state, RodState)
         rod_state: RodState = state
@@ -124,7 +129,13 @@ class Scene(LoadedRod, Model, Hinted):
         return [("", forces) for forces in self.as_member().contact_forces(state)]
 
     def with_effect(self, effect: Effect) -> Scene:
-        """The scene with one more effect."""
+        """The scene with one more effect.
+
+        Example:
+            >>> loaded = scene.with_effect(jaxrod.end_load(force=(0.0, 0.0, -1.0)))
+            >>> len(scene.effects), len(loaded.effects)
+            (3, 4)
+        """
         _check_effect(effect)
         listed = (*self.effects, effect)
         if effect.lacks_numbers:
@@ -235,11 +246,24 @@ class Scene(LoadedRod, Model, Hinted):
         return squared_frequencies(self, state)
 
     def kinetic_energy(self, state: Any) -> Float[Array, ""]:
-        """Kinetic energy of translation and rotation [J]."""
+        """Kinetic energy of translation and rotation [J].
+
+        Example:
+            >>> moving = replace(state, velocities=2.0 * jnp.ones((3, 11)))
+            >>> round(float(scene.kinetic_energy(moving)), 3)
+            7.54
+        """
         return kinetic_energy_of(self, state)
 
     def potential_energy(self, state: Any) -> Float[Array, ""]:
-        """Stored elastic energy plus the potential of all effects [J]."""
+        """Stored elastic energy plus the potential of all effects [J].
+
+        Example:
+            >>> lifted = replace(state, positions=state.positions + 1.0)
+            >>> more = scene.potential_energy(lifted) - scene.potential_energy(state)
+            >>> round(float(more), 2)  # m g h
+            12.32
+        """
         scene = scene_of(self, state)
         total = stored_energy(scene.rod, state)
         for effect in scene.effects:
@@ -247,11 +271,24 @@ class Scene(LoadedRod, Model, Hinted):
         return total
 
     def momentum(self, state: Any) -> Float[Array, "3"]:
-        """Linear momentum, world frame [kg m/s]."""
+        """Linear momentum, world frame [kg m/s].
+
+        Example:
+            >>> moving = replace(state, velocities=2.0 * jnp.ones((3, 11)))
+            >>> print(scene.momentum(moving).round(3))
+            [2.513 2.513 2.513]
+        """
         return self.rod.momentum(state)
 
     def angular_momentum(self, state: Any) -> Float[Array, "3"]:
-        """Angular momentum about the origin, world frame [kg m^2/s]."""
+        """Angular momentum about the origin, world frame [kg m^2/s].
+
+        Example:
+            >>> lifting = jnp.zeros((3, 11)).at[2].set(1.0)  # along z [m/s]
+            >>> moving = replace(state, velocities=lifting)
+            >>> print(scene.angular_momentum(moving).round(3))
+            [ 0.    -0.628  0.   ]
+        """
         return angular_momentum_of(self, state)
 
 

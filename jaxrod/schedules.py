@@ -1,5 +1,9 @@
 """Numbers that change with time: ramps, sines, tables, and schedules of your own."""
 
+from functools import partial
+from typing import TYPE_CHECKING
+
+import jaxrod.spelling
 from jaxrod.effects.time import (
     Clock,
     Ramp,
@@ -23,3 +27,6 @@ __all__ = [
     "table",
     "time",
 ]
+
+if not TYPE_CHECKING:
+    __getattr__ = partial(jaxrod.spelling.no_such_name, __name__)

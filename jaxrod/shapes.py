@@ -1,5 +1,9 @@
 """Shapes of bodies: for contact with a rod, and for rigid bodies of a system."""
 
+from functools import partial
+from typing import TYPE_CHECKING
+
+import jaxrod.spelling
 from jaxrod.contacts.bodies import (
     Body,
     Box,
@@ -47,3 +51,6 @@ __all__ = [
     "signed_distance_grid",
     "sphere",
 ]
+
+if not TYPE_CHECKING:
+    __getattr__ = partial(jaxrod.spelling.no_such_name, __name__)

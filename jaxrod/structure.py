@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, TypeVar, dataclass_transform
 import jax
 
 from jaxrod.installation.jax_version import require_sound_jax
+from jaxrod.spelling import nearest
 
 # No rod can be made without this module.
 require_sound_jax()
@@ -17,7 +18,7 @@ T = TypeVar("T")
 
 
 class Hinted:
-    """Base class of pytrees that answer a guessed attribute with a hint."""
+    """Base class of pytrees that answer a guessed or misspelt attribute with a hint."""
 
     _hints: ClassVar[Mapping[str, str]]
     """Hints by the guess."""
@@ -25,12 +26,19 @@ class Hinted:
     if not TYPE_CHECKING:
 
         def __getattr__(self, name: str) -> Any:
-            """Raises an error, with a hint if the name is a usual guess."""
-            if name not in type(self)._hints:
+            """Raises an error, with a hint if the name is a guess or misspelt."""
+            kind = type(self)
+            hint = kind._hints.get(name)
+            if hint is None and not name.startswith("_") and name not in dir(kind):
+                fields = [field.name for field in dataclasses.fields(kind)]
+                meant = nearest(name, {*dir(kind), *fields} - {name})
+                hint = meant and f"did you mean {meant!r}?"
+            if hint is None:
                 # Python's own error, or again that of a property.
                 return object.__getattribute__(self, name)
-            kind, hint = type(self).__name__, self._hints[name]
-            raise AttributeError(f"{kind!r} object has no attribute {name!r}: {hint}")
+            raise AttributeError(
+                f"{kind.__name__!r} object has no attribute {name!r}: {hint}"
+            )
 
 
 STORABLE: set[type] = set()

@@ -1,8 +1,10 @@
-"""Every public function and class has an example in its docstring, which runs."""
+"""Public functions and classes have examples in their docstrings, which run.
+
+So do the examples of methods.
+"""
 
 import doctest
 import functools
-import importlib
 import inspect
 import runpy
 import subprocess
@@ -81,6 +83,9 @@ SLOW = {
     "jaxrod.control.codesign",
     "jaxrod.control.cross_entropy",
     "jaxrod.control.Fit",
+    "jaxrod.control.Fit.forecast",
+    "jaxrod.control.Fit.undetermined",
+    "jaxrod.control.Fit.z",
     "jaxrod.control.fit",
     "jaxrod.control.Forecast",
     "jaxrod.control.ilqr",
@@ -101,9 +106,14 @@ SLOW = {
     "jaxrod.control.estimation.Update",
     "jaxrod.control.estimation.update",
     "jaxrod.envs.actuated_arm",
+    "jaxrod.envs.brax_env.BraxEnv",
+    "jaxrod.envs.brax_env.patched_jax",
     "jaxrod.envs.EpisodeRecord",
     "jaxrod.envs.VectorEnvironment",
+    "jaxrod.envs.VectorEnvironment.reset",
+    "jaxrod.envs.VectorEnvironment.step",
     "jaxrod.envs.VectorStep",
+    "jaxrod.envs.goal_env.GoalEnv",
     "jaxrod.sensors.accelerometer",
     "jaxrod.sensors.contact_force",
     "jaxrod.sensors.gyroscope",
@@ -130,8 +140,42 @@ SLOW = {
     "jaxrod.materials.plastic_bending",
     "jaxrod.twin.identify",
     "jaxrod.twin.Twin",
+    "jaxrod.twin.Twin.compare",
     "jaxrod.viz.animation",
     "jaxrod.viz.bending",
+}
+
+# Modules that need a library which may be missing, and the reason of a skip.
+NEEDS_A_LIBRARY = {
+    "jaxrod.envs.brax_env": "the brax extra is not installed",
+    "jaxrod.envs.stable_baselines": "the sb3 extra is not installed",
+    "jaxrod.envs.torch_env": "PyTorch is not installed",
+}
+
+# Methods and properties that most users call, by class.
+METHODS = {
+    "jaxrod.Scene": (
+        "with_effect kinetic_energy potential_energy momentum angular_momentum "
+        "with_memory total_energy at"
+    ),
+    "jaxrod.Rod": (
+        "n_elements length element_masses node_masses joint_stiffness "
+        "arc_length_midpoints kinetic_energy momentum angular_momentum"
+    ),
+    "jaxrod.RodState": "directors tip",
+    "jaxrod.System": "states_by_name with_members kinetic_energy momentum",
+    "jaxrod.systems.RigidBodies": "kinetic_energy momentum",
+    "jaxrod.actuation.Tendon": "cable_lengths cable_tensions",
+    "jaxrod.control.Fit": "z forecast undetermined",
+    "jaxrod.control.Parameters": "flat named values searched",
+    "jaxrod.viz.Replay": "from_nodes from_rollout from_states together",
+    "jaxrod.envs.Randomisation": "record from_record",
+    "jaxrod.envs.VectorEnvironment": "reset step",
+    "jaxrod.training.MLPPolicy": "__call__",
+    "jaxrod.training.Algorithm": "checked",
+    "jaxrod.training.RunFolder": "finished",
+    "jaxrod.envs.gymnax_env.GymnaxEnv": "reset",
+    "jaxrod.twin.Twin": "compare",
 }
 
 # Names whose examples must come before JAX computes: each has a process of its own.
@@ -142,24 +186,39 @@ OWN_PROCESS = {
 
 def names_of(package):
     """Full names and things: public functions and classes of a package, not modules."""
-    module = importlib.import_module(package)
-    things = {name: getattr(module, name) for name in sorted(module.__all__)}
     return {
         f"{package}.{name}": thing
-        for name, thing in things.items()
+        for name, thing in REFERENCE["public"](package).items()
         if callable(thing) and f"{package}.{name}" not in WITHOUT
     }
+
+
+def with_methods(name, thing):
+    """A thing and, of a class, the public methods and properties that jaxrod wrote."""
+    yield name, thing
+    if not inspect.isclass(thing):
+        return
+    parts = {}
+    for base in reversed(thing.__mro__):
+        if base.__module__.partition(".")[0] in ("jaxrod", REFERENCE["__name__"]):
+            parts |= vars(base)
+    for method, written in parts.items():
+        is_public = method[0] != "_" or method == "__call__"
+        if is_public and not inspect.isclass(written):
+            yield f"{name}.{method}", written
 
 
 def examples():
     """Tests of all docstrings with examples; what has two names is run once."""
     seen = set()
     for package in sorted(PACKAGES):
-        for name, thing in names_of(package).items():
-            if id(thing) not in seen and ">>>" in (thing.__doc__ or ""):
-                slow = [pytest.mark.slow] if name in SLOW | OWN_PROCESS else []
-                yield pytest.param(name, thing, id=name, marks=slow)
-            seen.add(id(thing))
+        for public, thing in names_of(package).items():
+            for name, part in with_methods(public, thing):
+                text = part.__doc__ or ""
+                if ">>>" in text and id(part) not in seen:
+                    slow = [pytest.mark.slow] if name in SLOW | OWN_PROCESS else []
+                    yield pytest.param(name, text, id=name, marks=slow)
+                seen.add(id(part))
 
 
 @pytest.fixture(autouse=True)
@@ -190,15 +249,27 @@ def test_every_public_name_has_an_example(package):
     assert not bare
 
 
+@pytest.mark.parametrize("name", METHODS)
+def test_methods_that_most_users_call_have_an_example(name):
+    package, _, public = name.rpartition(".")
+    parts = dict(with_methods(name, REFERENCE["public"](package)[public]))
+    listed = METHODS[name].split()
+    bare = [part for part in listed if not has_example(parts[f"{name}.{part}"])]
+    assert not bare
+
+
 def has_example(thing):
     doc = inspect.cleandoc(thing.__doc__ or "")
     return ">>>" in doc.partition("\nExample:\n")[2]
 
 
 @pytest.mark.default_precision
-@pytest.mark.parametrize(("name", "thing"), [*examples()])
-def test_examples_print_what_they_say(name, thing, tmp_path, monkeypatch):
+@pytest.mark.parametrize(("name", "text"), [*examples()])
+def test_examples_print_what_they_say(name, text, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)  # some of them write files
+    for module, reason in NEEDS_A_LIBRARY.items():
+        if name.startswith(module):
+            pytest.importorskip(module, reason=reason)
     if name in OWN_PROCESS:
         program = f"""
 import doctest
@@ -210,7 +281,7 @@ doctest.run_docstring_examples({name}, globals())
         )
         assert (done.returncode, done.stdout) == (0, ""), done.stdout + done.stderr
     else:
-        faults = faults_of(name, thing.__doc__, assumed())
+        faults = faults_of(name, text, assumed())
         assert not faults, faults
 
 
@@ -223,8 +294,9 @@ def test_wrong_examples_are_seen():
 
 def test_exceptions_name_what_exists():
     every = {
-        f"{package}.{name}"
+        name
         for package in PACKAGES
-        for name in importlib.import_module(package).__all__
+        for public, thing in REFERENCE["public"](package).items()
+        for name, _ in with_methods(f"{package}.{public}", thing)
     }
     assert {*WITHOUT, *SLOW, *OWN_PROCESS} <= every

@@ -10,6 +10,8 @@ import pytest
 
 import jaxrod
 import jaxrod.viz
+from jaxrod import training
+from jaxrod.cli.settings import configure
 from jaxrod.model import GUESSES
 from jaxrod.rods.rod import Rod, RodState
 
@@ -96,12 +98,85 @@ def test_copies_and_pickles_need_no_state_to_be_looked_up():
     assert pickle.loads(pickle.dumps(ROD)).n_elements == 2
 
 
-def test_a_misspelt_name_is_answered_with_the_one_that_was_meant():
-    with pytest.raises(AttributeError, match=r": is jaxrod\.straight_rod meant\?"):
-        _ = jaxrod.straigth_rod
-    with pytest.raises(AttributeError, match=r": is jaxrod\.systems\.ball_joint me"):
-        _ = jaxrod.systems.ball_jont
-    with pytest.raises(AttributeError, match=r": is jaxrod\.viz\.picture meant\?"):
-        _ = jaxrod.viz.pictrue
-    with pytest.raises(AttributeError, match=r": is jaxrod\.envs\.rollout meant\?"):
-        _ = jaxrod.envs.rolout
+@pytest.mark.parametrize(
+    ("space", "misspelt", "name"),
+    [
+        ("jaxrod", "straigth_rod", "straight_rod"),
+        ("jaxrod.systems", "ball_jont", "ball_joint"),
+        ("jaxrod.viz", "pictrue", "picture"),
+        ("jaxrod.envs", "rolout", "rollout"),
+        ("jaxrod.shapes", "cilinder", "cylinder"),
+        ("jaxrod.control", "levenberg_marquart", "levenberg_marquardt"),
+        ("jaxrod.control.estimation", "moving_horizont", "moving_horizon"),
+        ("jaxrod.training", "tarin", "train"),
+        ("jaxrod.extend", "Efect", "Effect"),
+    ],
+)
+def test_a_misspelt_name_is_answered_with_the_one_that_was_meant(space, misspelt, name):
+    with pytest.raises(AttributeError) as raised:
+        getattr(import_module(space), misspelt)
+    end = f"has no attribute {misspelt!r}: did you mean {space}.{name}?"
+    assert str(raised.value) == f"module {space!r} {end}"
+
+
+@pytest.mark.parametrize("space", [*sorted(jaxrod._NAMESPACES), "control.estimation"])
+def test_every_namespace_answers_a_misspelt_name(space):
+    module = import_module(f"jaxrod.{space}")
+    for name in getattr(module, "__all__", []):
+        if len(name) > 4:
+            with pytest.raises(AttributeError, match=r": did you mean jaxrod\..*\?$"):
+                getattr(module, f"{name}q")
+    if hasattr(module, "__all__"):
+        with pytest.raises(AttributeError, match=rf"help\(jaxrod.{space}\) lists"):
+            _ = module.qwertz
+
+
+@pytest.mark.parametrize(
+    ("thing", "misspelt", "name"),
+    [
+        (SCENE, "total_enery", "total_energy"),
+        (SYSTEM, "kinetic_enrgy", "kinetic_energy"),
+        (SYSTEM, "couplngs", "couplings"),
+        (STATE, "positons", "positions"),
+        (ROD, "n_elemets", "n_elements"),
+    ],
+)
+def test_a_misspelt_attribute_is_answered_with_the_one_that_was_meant(
+    thing, misspelt, name
+):
+    end = rf"has no attribute '{misspelt}': did you mean '{name}'\?$"
+    with pytest.raises(AttributeError, match=end):
+        getattr(thing, misspelt)
+
+
+def test_a_misspelt_setting_task_option_or_algorithm_is_answered_first():
+    guesses = {
+        "lerning_rate": lambda: configure(training.PPOConfig(), {}, ["lerning_rate=1"]),
+        "trackng": lambda: jaxrod.envs.make("trackng"),
+        "episode_lenght": lambda: jaxrod.envs.make("tracking", episode_lenght=5),
+        "pp0": lambda: training.find_algorithm("pp0"),
+    }
+    meant = {
+        "lerning_rate": "learning_rate",
+        "trackng": "tracking",
+        "episode_lenght": "episode_length",
+        "pp0": "ppo",
+    }
+    for misspelt, call in guesses.items():
+        with pytest.raises(ValueError) as raised:
+            call()
+        beginning, found, _ = str(raised.value).partition(
+            f"did you mean {meant[misspelt]!r}?"
+        )
+        assert found and len(beginning) < 50, str(raised.value)
+
+
+def test_what_is_nothing_like_a_name_gets_the_list():
+    with pytest.raises(ValueError, match=r"qwertz.*learning_rate"):
+        configure(training.PPOConfig(), {}, ["qwertz=1"])
+    with pytest.raises(ValueError, match=r"tracking.*qwertz"):
+        jaxrod.envs.make("qwertz")
+    with pytest.raises(ValueError, match=r"qwertz.*episode_length"):
+        jaxrod.envs.make("tracking", qwertz=5)
+    with pytest.raises(ValueError, match=r"ppo.*qwertz"):
+        training.find_algorithm("qwertz")

@@ -406,3 +406,15 @@ def test_astype_converts_floating_numbers_alone():
         jaxrod.astype({"a": [jnp.asarray(1e300)]}, jnp.float32)
     with pytest.raises(ValueError, match="dtype must be float32 or float64, got int32"):
         jaxrod.astype(tree, jnp.int32)
+
+
+def test_the_page_states_the_error_of_flax():
+    """And shows the way around it, which test_snippets.py runs."""
+    serialization = pytest.importorskip("flax.serialization")
+    _, state = jaxrod.straight_rod(
+        2, length=1.0, radius=0.05, density=1000.0, youngs_modulus=1e6
+    )
+    with pytest.raises(TypeError) as raised:
+        serialization.to_bytes(state)
+    page = Path(__file__).parents[1] / "docs" / "saving.md"
+    assert str(raised.value) in " ".join(page.read_text().split())

@@ -4,6 +4,7 @@ import importlib.util
 import inspect
 import json
 import re
+import runpy
 import sys
 from pathlib import Path
 
@@ -210,3 +211,87 @@ def test_styles_and_scripts_of_the_site_exist():
     settings = (DOCS / "conf.py").read_text()
     named = re.findall(r'^html_(?:css|js)_files = \["(.*)"\]$', settings, re.M)
     assert {*named} == {path.name for path in (DOCS / "static").iterdir()}
+
+
+def test_every_module_with_public_names_is_in_the_reference():
+    """Packages of the inside of a room, such as a compiler, have names of their own."""
+    pages = runpy.run_path(str(DOCS / "reference_pages.py"))
+    known = {"jaxrod", *pages["PACKAGES"]}
+    with_names = set()
+    for folder in ("jaxrod", "envs", "training"):
+        for path in (ROOT / folder).rglob("*.py"):
+            if re.search(r"^__all__ = ", path.read_text(), re.M):
+                parts = path.relative_to(ROOT).with_suffix("").parts
+                home = () if folder == "jaxrod" else ("jaxrod",)
+                name = ".".join((*home, *parts)).removesuffix(".__init__")
+                with_names.add(name)
+    inside = {"jaxrod.lanes.jaxpr", "jaxrod.lanes.rows"}
+    assert with_names - inside - known == set()
+
+
+def test_adapters_are_in_the_reference_without_their_libraries():
+    pages = runpy.run_path(str(DOCS / "reference_pages.py"))
+    found = pages["public"]("jaxrod.envs.torch_env")
+    assert {*found} == {"RslRlVecEnv", "SkrlEnv", "TorchBatch"}
+    assert found["TorchBatch"].__doc__.startswith("`jaxrod.envs.VectorEnvironment`")
+    assert found["TorchBatch"].elapsed.__doc__.startswith("Control steps of every")
+
+
+def test_hooks_are_described_once():
+    """By the bases in `jaxrod.extend`, except where a class shows an example."""
+    pages = runpy.run_path(str(DOCS / "reference_pages.py"))
+    tendon = jaxrod.actuation.Tendon
+    assert {*pages["bases_of"](tendon)} == {"jaxrod.extend.Effect"}
+    hooks = pages["hooks_of"](tendon)
+    assert {"energy", "loads", "stability_bound"} <= {*hooks}
+    assert not {"cable_lengths", "tension"} & {*hooks}
+    assert pages["hooks_of"](jaxrod.extend.Effect) == []
+    assert "kinetic_energy" not in pages["hooks_of"](jaxrod.systems.RigidBodies)
+    assert "in_own_type" in pages["hooks_of"](jaxrod.systems.RigidBodies)
+
+
+def test_long_pages_have_headings(tmp_path):
+    pages = runpy.run_path(str(DOCS / "reference_pages.py"))
+    pages["write_reference"](tmp_path)
+    for page in pages["PAGES"]:
+        text = (tmp_path / f"{pages['_file'](page)}.md").read_text()
+        headings = re.findall("^## (.*)", text, re.M)
+        assert headings == [title for title, _ in page.headings]
+        parts = re.split("^## ", text, flags=re.M)
+        assert all(".. auto" in part for part in parts[1:]), "a heading of nothing"
+    assert "## Joints" in (tmp_path / "systems_of_rods_and_bodies.md").read_text()
+
+
+def test_types_are_readable_and_long_lists_of_fields_are_not_said_twice():
+    pages = runpy.run_path(str(DOCS / "reference_pages.py"))
+    assert pages["readable"](": float | Float[Array, '']") == ": Number"
+    assert pages["readable"]("(dt: Float[Array, '3'])") == "(dt: Float[Array, '3'])"
+    assert pages["shown_arguments"]("(a, b)", True) == "(a, b)"
+    long = f"({', '.join(['number=1'] * 40)})"
+    assert pages["shown_arguments"](long, True) == ""
+    assert pages["shown_arguments"](long, False) == long
+    linked = pages["linked_types"]()
+    assert {"Numbers", "ArrayLike", "Vec3", "AllSeen", "Place", "Timed"} <= linked
+    # Also the name of a class, of which signatures may speak.
+    assert "Body" not in linked
+
+
+UNIT = r"\b[a-zA-Z]+(?:/[a-z]+\^\d|\^\d/[a-z]+)"
+
+
+def test_powers_in_public_docstrings_are_formulas():
+    """Units apart, which stay plain text."""
+    pages = runpy.run_path(str(DOCS / "reference_pages.py"))
+    found = []
+    for package in ("jaxrod", *pages["PACKAGES"]):
+        for name, thing in pages["public"](package).items():
+            parts = vars(thing) if inspect.isclass(thing) else {}
+            for part in (thing, *(p for n, p in parts.items() if n[0] != "_")):
+                text = part.__doc__ if isinstance(part.__doc__, str) else ""
+                prose = re.sub(r"^ *(>>>|\.\.\.).*", "", text, flags=re.M)
+                prose = re.sub(r"\$\$[^$]*\$\$|\$[^$]*\$|`[^`]*`|\[[^\]]*\]", "", prose)
+                prose = re.sub(UNIT, "", prose)
+                found += [
+                    f"{package}.{name}: {x}" for x in re.findall(r".*\^.*", prose)
+                ]
+    assert sorted({*found}) == []

@@ -5,6 +5,11 @@ if __name__ != "jaxrod.training":
         "import jaxrod.training, not training: the folder is installed as it"
     )
 
+from functools import partial
+from typing import TYPE_CHECKING
+
+import jaxrod.spelling
+
 try:
     from jaxrod.training.algorithm import (
         DEVICE_AXIS,
@@ -93,3 +98,6 @@ __all__ = [
     "warm_start",
     "with_noise",
 ]
+
+if not TYPE_CHECKING:
+    __getattr__ = partial(jaxrod.spelling.no_such_name, __name__)

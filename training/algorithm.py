@@ -14,6 +14,7 @@ from jaxtyping import Array
 
 from jaxrod.envs import EpisodeRecord
 from jaxrod.envs.importing import find_object, import_path_in
+from jaxrod.spelling import nearest
 from jaxrod.structure import pytree
 
 DEVICE_AXIS = "env"
@@ -151,6 +152,11 @@ class Algorithm:
 
         Raises:
             ValueError: The configuration belongs to another algorithm.
+
+        Example:
+            >>> learner = training.find_algorithm("ppo")
+            >>> learner.checked(None).num_envs
+            128
         """
         config = self.config_type() if config is None else config
         if not isinstance(config, self.config_type):
@@ -204,8 +210,12 @@ def find_algorithm(name: str, trust: Collection[str] | None = None) -> Algorithm
     """
     if name not in _ALGORITHMS and ":" not in name:
         known = ", ".join(algorithm_names())
+        listed = f"algorithm must be one of {known}, or module:NAME; got {name!r}"
+        meant = nearest(name, _ALGORITHMS)
         raise ValueError(
-            f"algorithm must be one of {known}, or module:NAME; got {name!r}"
+            f"there is no algorithm {name!r}: did you mean {meant!r}?"
+            if meant
+            else listed
         )
     built_in = _ALGORITHMS.get(name)
     found = find_object(built_in) if built_in else find_object(name, trust)

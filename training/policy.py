@@ -189,6 +189,12 @@ class MLPPolicy:
         """Returns the action for one observation, or for a batch of them.
 
         `noise` is added before the action is bounded.
+
+        Example:
+            >>> sizes = training.untrained_policy(envs.make("trivial"))
+            >>> policy = jax.tree.map(lambda leaf: jnp.ones(leaf.shape), sizes)
+            >>> policy(jnp.zeros((5, 1))).shape
+            (5, 1)
         """
         hidden = normalise(self.moments, observation, self.limit)
         for i, (kernel, bias) in enumerate(self.layers):

@@ -1,5 +1,9 @@
 """Actuation: muscles, tendons, chambers, magnets, waves, and couples from splines."""
 
+from functools import partial
+from typing import TYPE_CHECKING
+
+import jaxrod.spelling
 from jaxrod.actuation.active_shapes import ActiveShape, active_shape
 from jaxrod.actuation.chambers import Chamber, WoundChamber, chamber, wound_chamber
 from jaxrod.actuation.fibre_path import helical_offsets
@@ -68,3 +72,6 @@ __all__ = [
     "travelling_wave",
     "wound_chamber",
 ]
+
+if not TYPE_CHECKING:
+    __getattr__ = partial(jaxrod.spelling.no_such_name, __name__)

@@ -124,11 +124,23 @@ class Tendon(Effect):
         return 0.5 * self.stiffness * jnp.sum(taut**2)
 
     def cable_lengths(self, motion: Motion) -> Float[Array, "k"]:
-        """Length of each cable, from anchor or first eyelet to last eyelet [m]."""
+        """Length of each cable, from anchor or first eyelet to last eyelet [m].
+
+        Example:
+            >>> tendon = actuation.tendon(rod, (0.01, 0.0), tension=5.0)
+            >>> [round(float(length), 3) for length in tendon.cable_lengths(motion)]
+            [0.9]
+        """
         return jnp.sum(_pieces(self._points(motion)[1])[1], axis=1)
 
     def cable_tensions(self, motion: Motion) -> Float[Array, "k"]:
-        """Tension of each cable at its base [N]."""
+        """Tension of each cable at its base [N].
+
+        Example:
+            >>> tendon = actuation.tendon(rod, (0.01, 0.0), tension=5.0)
+            >>> tendon.cable_tensions(motion).tolist()
+            [5.0]
+        """
         return self._tension(self.cable_lengths(motion))
 
     def stability_bound(self, rod: Rod) -> StabilityBound:

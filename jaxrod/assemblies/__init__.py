@@ -1,5 +1,9 @@
 """Systems of many rods, built by one call: each returns a system and its state."""
 
+from functools import partial
+from typing import TYPE_CHECKING
+
+import jaxrod.spelling
 from jaxrod.assemblies.branched_rods import octopus, tree
 from jaxrod.assemblies.nests import nest
 from jaxrod.assemblies.parallel_rods import bundle, cilia, hexagonal_places
@@ -15,3 +19,6 @@ __all__ = [
     "octopus",
     "tree",
 ]
+
+if not TYPE_CHECKING:
+    __getattr__ = partial(jaxrod.spelling.no_such_name, __name__)

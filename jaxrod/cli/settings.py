@@ -15,6 +15,8 @@ from decimal import Decimal
 from pathlib import Path
 from typing import Any
 
+from jaxrod.spelling import meant_or_listed
+
 _WIDTH = 88
 """Width of the listing of settings [characters]."""
 _USUAL = "default"
@@ -51,8 +53,9 @@ def configure(
         if not equals:
             raise ValueError(f"--set needs NAME=VALUE, got {word!r}")
         if name not in known:
+            listed = f"there are {', '.join(sorted(known))}"
             raise ValueError(
-                f"there is no setting {name!r}; there are {', '.join(sorted(known))}"
+                f"there is no setting {name!r}: {meant_or_listed(name, known, listed)}"
             )
         changes[name] = _parse(name, text, getattr(defaults, name))
     return dataclasses.replace(settings, **changes)

@@ -221,7 +221,7 @@ class Sphere(Body):
         return self.radius
 
     def solid(self) -> Solid:
-        """Volume 4/3 pi r^3, and moments of inertia 2/5 r^2 per mass."""
+        r"""Volume $4 \pi r^3 / 3$, and moments of inertia $2 r^2 / 5$ per mass."""
         radius = self.radius
         square = 0.4 * radius * radius
         return Solid(

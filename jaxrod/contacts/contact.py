@@ -629,8 +629,9 @@ def contact(
             default equal to `damping`. It is chosen with the stiffness if both that and
             the damping are left out. A sticking contact creeps at (tangential load
             per length) / friction_drag, divided by the square root of
-            1 - (load / limit)^2 with limit = friction * normal force: the closer to
-            slipping, the faster. With `sticking_contact` it does not creep.
+            $1 - (T / (f N))^2$ with the tangential load $T$, `friction` $f$ and the
+            normal force $N$: the closer to slipping, the faster. With
+            `sticking_contact` it does not creep.
         stick_ratio: Factor by which friction grows as slip vanishes, at least 1;
             `friction` is that of sliding. Because friction sets in smoothly, a rod
             withstands less than this factor times sliding friction: at most 1.18, 1.49

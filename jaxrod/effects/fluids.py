@@ -476,11 +476,11 @@ class SlenderBodyDrag(Effect):
         """Bound of the drag on each node across the unstretched rod.
 
         The force of an element on a node of mass m1 is half the drag coefficient times
-        the mean velocity, (m1 v1 + m2 v2) / (m1 + m2). By Young's inequality the power
-        of the forces on both nodes is at most half the drag coefficient times the sum
-        of (m1 / (m1 + m2) + w / 2) v1^2 and (m2 / (m1 + m2) + 1 / (2 w)) v2^2. The
-        weight w distributes the mixed term in proportion to the masses, and equally
-        among the elements at a node.
+        the mean velocity, $(m_1 v_1 + m_2 v_2) / (m_1 + m_2)$. By Young's inequality
+        the power of the forces on both nodes is at most half the drag coefficient times
+        the sum of $(m_1 / (m_1 + m_2) + w / 2) v_1^2$ and
+        $(m_2 / (m_1 + m_2) + 1 / (2 w)) v_2^2$. The weight $w$ distributes the mixed
+        term in proportion to the masses, and equally among the elements at a node.
         """
         half = 0.5 * self._per_length(rod.length, rod.radii) * rod.rest_lengths
         masses = rod.node_masses

@@ -466,6 +466,3 @@ for _primitive in (run_p, cycles_p, adjoint_p):
             REFERENCES[_primitive],
             _kernels(_primitive, _platform),
         )
-
-
-__all__ = ["adjoint_p", "cycles_p", "run_once", "run_p", "tangent_p"]

@@ -130,7 +130,12 @@ class Rod(Hinted):
 
     @property
     def n_elements(self) -> int:
-        """Number of elements."""
+        """Number of elements.
+
+        Example:
+            >>> rod.n_elements
+            10
+        """
         return self.rest_lengths.shape[-1]
 
     @property
@@ -140,7 +145,12 @@ class Rod(Hinted):
 
     @property
     def length(self) -> Float[Array, "*batch"]:
-        """Rest length of the rod [m]."""
+        """Rest length of the rod [m].
+
+        Example:
+            >>> round(float(rod.length), 3)
+            1.0
+        """
         return jnp.sum(self.rest_lengths, axis=-1)
 
     @property
@@ -150,7 +160,12 @@ class Rod(Hinted):
 
     @property
     def element_masses(self) -> Float[Array, "*batch n"]:
-        """Mass of each element [kg]."""
+        """Mass of each element [kg].
+
+        Example:
+            >>> rod.element_masses.shape, round(float(rod.element_masses.sum()), 3)
+            ((10,), 1.257)
+        """
         return self.linear_density * self.rest_lengths
 
     @property
@@ -159,6 +174,10 @@ class Rod(Hinted):
 
         With `mass_matrix="higher_order"` 1/24 of the mass of an end element is moved
         inwards from its end node.
+
+        Example:
+            >>> print(rod.node_masses[:3].round(4))  # half an element at an end
+            [0.0628 0.1257 0.1257]
         """
         if self.mass_matrix == "higher_order":
             return mass_matrix.node_masses(self.element_masses, self.rest_lengths)
@@ -198,6 +217,13 @@ class Rod(Hinted):
 
         It is the length-weighted mean of the neighbouring elements, as in PyElastica;
         with `joint_mean="series"` it is that of springs in series.
+
+        Example:
+            >>> rod.joint_stiffness.shape
+            (3, 9)
+            >>> bend, _, twist = rod.joint_stiffness[:, 0]
+            >>> round(float(bend), 4), round(float(twist), 4)
+            (0.1257, 0.0838)
         """
         if self.joint_mean == "series":
             compliance = self.rest_lengths[..., None, :] / self.bend_twist_stiffness
@@ -210,25 +236,48 @@ class Rod(Hinted):
 
     @property
     def arc_length_midpoints(self) -> Float[Array, "*batch n"]:
-        """Rest arc length from the base to the middle of each element [m]."""
+        """Rest arc length from the base to the middle of each element [m].
+
+        Example:
+            >>> print(rod.arc_length_midpoints[:3].round(3))
+            [0.05 0.15 0.25]
+        """
         return jnp.cumsum(self.rest_lengths, axis=-1) - 0.5 * self.rest_lengths
 
     def kinetic_energy(self, state: RodState) -> Float[Array, ""]:
-        """Kinetic energy of nodes and elements, m v^2 / 2 and I w^2 / 2 [J].
+        """Kinetic energy of nodes and elements, $m v^2 / 2$ and $I w^2 / 2$ [J].
 
         With `mass_matrix="higher_order"` supports count as well, so that
         `Scene.kinetic_energy` is needed if there are any.
+
+        Example:
+            >>> moving = replace(state, velocities=2.0 * jnp.ones((3, 11)))
+            >>> round(float(rod.kinetic_energy(moving)), 3)
+            7.54
         """
         check_state(self, state)
         return kinetic_energy(self, state)
 
     def momentum(self, state: RodState) -> Float[Array, "3"]:
-        """Linear momentum, the sum of m v over the nodes, world frame [kg m/s]."""
+        """Linear momentum, the sum of $m v$ over the nodes, world frame [kg m/s].
+
+        Example:
+            >>> moving = replace(state, velocities=2.0 * jnp.ones((3, 11)))
+            >>> print(rod.momentum(moving).round(3))
+            [2.513 2.513 2.513]
+        """
         check_state(self, state)
         return _momentum(self, state)
 
     def angular_momentum(self, state: RodState) -> Float[Array, "3"]:
-        """Angular momentum about the origin, world frame [kg m^2/s]."""
+        """Angular momentum about the origin, world frame [kg m^2/s].
+
+        Example:
+            >>> lifting = jnp.zeros((3, 11)).at[2].set(1.0)  # along z [m/s]
+            >>> moving = replace(state, velocities=lifting)
+            >>> print(rod.angular_momentum(moving).round(3))
+            [ 0.    -0.628  0.   ]
+        """
         check_state(self, state)
         return angular_momentum(self, state)
 
@@ -364,12 +413,22 @@ class RodState(Hinted):
 
     @property
     def directors(self) -> Float[Array, "*batch 3 3 n"]:
-        """Material axes: `[..., i, j, :]` is world component j of director i."""
+        """Material axes: `[..., i, j, :]` is world component j of director i.
+
+        Example:
+            >>> state.directors[:, :, 0].tolist()  # d3 is the tangent, along x
+            [[0.0, 1.0, 0.0], [0.0, 0.0, 1.0], [1.0, 0.0, 0.0]]
+        """
         return directors_from_orientations(self.orientations)
 
     @property
     def tip(self) -> Float[Array, "*batch 3"]:
-        """Position of the last node [m]; for a rollout, at every record."""
+        """Position of the last node [m]; for a rollout, at every record.
+
+        Example:
+            >>> state.tip.round(3).tolist()
+            [1.0, 0.0, 0.0]
+        """
         return self.positions[..., -1]
 
 

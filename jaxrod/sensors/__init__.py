@@ -1,5 +1,9 @@
 """Sensors: differentiable functions from a state to a reading, and their noise."""
 
+from functools import partial
+from typing import TYPE_CHECKING
+
+import jaxrod.spelling
 from jaxrod.sensors.cameras import (
     Camera,
     DepthImage,
@@ -79,3 +83,6 @@ __all__ = [
     "tendon_length",
     "tendon_tension",
 ]
+
+if not TYPE_CHECKING:
+    __getattr__ = partial(jaxrod.spelling.no_such_name, __name__)

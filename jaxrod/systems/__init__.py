@@ -1,8 +1,9 @@
 """Systems of rods and rigid bodies: bodies, joints, contact, neighbour lists."""
 
-from difflib import get_close_matches
+from functools import partial
 from typing import TYPE_CHECKING
 
+import jaxrod.spelling
 from jaxrod.systems.contact.body_contact import BodyContact, body_contact
 from jaxrod.systems.contact.crossing_contact import CrossingContact, crossing_contact
 from jaxrod.systems.contact.neighbour_lists import (
@@ -88,12 +89,4 @@ _GUESSES = {
 """Hints for names that users of other tools guess, by the guess."""
 
 if not TYPE_CHECKING:
-
-    def __getattr__(name: str) -> None:
-        """Raises an error, with a hint if the name is a usual guess."""
-        meant = get_close_matches(name, __all__, 1, 0.75)
-        hint = f"is jaxrod.systems.{meant[0]} meant?" if meant else ""
-        hint = _GUESSES.get(name, hint or "help(jaxrod.systems) lists the names")
-        raise AttributeError(
-            f"module 'jaxrod.systems' has no attribute {name!r}: {hint}"
-        )
+    __getattr__ = partial(jaxrod.spelling.no_such_name, __name__)

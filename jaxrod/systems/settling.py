@@ -99,10 +99,10 @@ def settled(
         scene: The scene or system, without schedules (`.at(time)`).
         state: Initial state; its velocities are set to zero.
         dt: Step size [s]; by default the result of `stable_dt`.
-        force_tolerance: Largest force out of balance [N]. By default it is 1e-8 B / L^2
-            plus 8 eps S, with the bending stiffness B, length L and stretching
-            stiffness S of a rod and the machine epsilon eps. The smallest value of all
-            rods is used.
+        force_tolerance: Largest force out of balance [N]. By default it is
+            $10^{-8} B / L^2 + 8 e S$, with the bending stiffness $B$, length $L$ and
+            stretching stiffness $S$ of a rod and the machine epsilon $e$. The
+            smallest value of all rods is used.
         couple_tolerance: Largest couple out of balance [N m]; by default L times that
             force, again the smallest value of all rods.
         every: Steps between checks of the kinetic energy and of the residual.

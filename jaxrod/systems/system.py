@@ -84,7 +84,14 @@ class System(Assembly, Model, Hinted):
     _hints = GUESSES
 
     def states_by_name(self, state: Any) -> dict[str, Any]:
-        """States of the members by name, without the record of neighbour lists."""
+        """States of the members by name, without the record of neighbour lists.
+
+        Example:
+            >>> pair = jaxrod.make_system({"a": scene, "b": scene})
+            >>> states = {"a": state, "b": state}
+            >>> list(pair.states_by_name(states))
+            ['a', 'b']
+        """
         given = set(state) - {RECORD}
         if given != set(self.members):
             raise ValueError(
@@ -94,7 +101,15 @@ class System(Assembly, Model, Hinted):
         return {name: state[name] for name in self.members}
 
     def with_members(self, changed: Mapping[str, Any]) -> System:
-        """Copy of the system in which named members have other entries."""
+        """Copy of the system in which named members have other entries.
+
+        Example:
+            >>> pair = jaxrod.make_system({"a": scene, "b": scene})
+            >>> loaded = scene.with_effect(jaxrod.end_load(force=(0.0, 0.0, -1.0)))
+            >>> changed = pair.with_members({"b": loaded})
+            >>> [len(changed.members[name].effects) for name in "ab"]
+            [3, 4]
+        """
         return replace(self, members={**self.members, **changed})
 
     def joined_nodes(self) -> dict[str, set[int]]:
@@ -280,7 +295,15 @@ class System(Assembly, Model, Hinted):
             )
 
     def kinetic_energy(self, state: Any) -> Float[Array, ""]:
-        """Kinetic energy of all members [J]."""
+        """Kinetic energy of all members [J].
+
+        Example:
+            >>> pair = jaxrod.make_system({"a": scene, "b": scene})
+            >>> moving = replace(state, velocities=2.0 * jnp.ones((3, 11)))
+            >>> states = {"a": moving, "b": state}
+            >>> round(float(pair.kinetic_energy(states)), 3)
+            7.54
+        """
         check_system_state(self, state)
         return system_kinetic_energy(self, state)
 
@@ -291,7 +314,14 @@ class System(Assembly, Model, Hinted):
         return system_potential_energy(self, state)
 
     def momentum(self, state: Any) -> Float[Array, "3"]:
-        """Total linear momentum of all members, world frame [kg m/s]."""
+        """Total linear momentum of all members, world frame [kg m/s].
+
+        Example:
+            >>> pair = jaxrod.make_system({"a": scene, "b": scene})
+            >>> moving = replace(state, velocities=jnp.ones((3, 11)))
+            >>> print(pair.momentum({"a": moving, "b": moving}).round(3))
+            [2.513 2.513 2.513]
+        """
         check_system_state(self, state)
         return system_momentum(self, state)
 

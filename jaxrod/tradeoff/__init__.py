@@ -6,6 +6,10 @@ In a checkout, `jaxrod tradeoff` shows the trade-off for one of `SCENES`, next t
 of PyElastica.
 """
 
+from functools import partial
+from typing import TYPE_CHECKING
+
+import jaxrod.spelling
 from jaxrod.tradeoff.measure import (
     Measurement,
     Reference,
@@ -45,3 +49,6 @@ __all__ = [
     "tune",
     "workload_of",
 ]
+
+if not TYPE_CHECKING:
+    __getattr__ = partial(jaxrod.spelling.no_such_name, __name__)

@@ -269,8 +269,8 @@ def reference(
     """Simulates a workload finely in float64, and estimates the error of the result.
 
     Elements and steps are halved together in at least three runs. The ratio of the
-    changes gives the order p of convergence, and the last change divided by 2^p - 1
-    the error. Joints and contact with dashpots can make it first order.
+    changes gives the order $p$ of convergence, and the last change divided by
+    $2^p - 1$ the error. Joints and contact with dashpots can make it first order.
 
     Args:
         workload: The workload.

@@ -202,6 +202,30 @@ class Twin:
         Raises:
             ValueError: If a recording cannot be registered, the arm has no equilibrium
                 under its inputs, or the precision is not float64.
+
+        Example:
+            >>> drawn = twin.Arm(
+            ...     elements=4,
+            ...     length=0.3,
+            ...     radius=0.01,
+            ...     density=1100.0,
+            ...     youngs_modulus=4e5,
+            ...     poisson_ratio=0.45,
+            ...     direction=(0.0, 0.0, -1.0),
+            ...     normal=(0.0, 1.0, 0.0),
+            ...     gravity=(0.0, 0.0, -9.81),
+            ...     tendons=(twin.TendonDrawing("pull", angle=0.0, distance=0.008),),
+            ...     markers=(twin.Marker("tip", at=0.3),),
+            ...     unknown={"youngs_modulus": 0.5},
+            ...     frame=twin.Frame(axes=np.eye(3), origin=(0.0, 0.0, 0.0)),
+            ... )
+            >>> there = np.array([[[0.0, 0.05, -0.29]]])  # one frame, one marker [m]
+            >>> pose = twin.Recording("pose", np.zeros(1), np.ones((1, 1)), there)
+            >>> with jax.enable_x64(True):
+            ...     found = twin.identify(drawn, [pose], noise=1e-3)
+            ...     (seen,) = found.compare([pose])
+            >>> seen.errors.shape, bool(seen.errors[0] < 0.01)
+            ((1,), True)
         """
         _check_precision()
         known = {id(one) for one in self.recordings}

@@ -4,10 +4,10 @@ It imports NumPy only. The functions that draw with matplotlib, which brings Pil
 import it themselves. Those that evaluate a scene or a system import JAX.
 """
 
-from difflib import get_close_matches
 from importlib import import_module
 from typing import Any
 
+import jaxrod.spelling
 from jaxrod.viz.curves import ReferenceScore, learning_curve
 from jaxrod.viz.drawing import animation, film, frame, picture
 from jaxrod.viz.page import html, save_html
@@ -63,7 +63,4 @@ def __getattr__(name: str) -> Any:
     """Imports a name that needs JAX on use."""
     if name in _MODULE_OF:
         return getattr(import_module(f"jaxrod.viz.{_MODULE_OF[name]}"), name)
-    meant = get_close_matches(name, __all__, 1, 0.75)
-    hint = f"is jaxrod.viz.{meant[0]} meant?" if meant else ""
-    hint = _GUESSES.get(name, hint or "help(jaxrod.viz) lists the names")
-    raise AttributeError(f"module 'jaxrod.viz' has no attribute {name!r}: {hint}")
+    jaxrod.spelling.no_such_name(__name__, name)

@@ -62,6 +62,12 @@ class Replay(Recording):
 
         Raises:
             ValueError: An argument has the wrong shape or an impossible value.
+
+        Example:
+            >>> positions = np.stack([state.positions, state.positions + 0.1])
+            >>> replay = viz.Replay.from_rollout(positions, rod.radii, [0.0, 0.1])
+            >>> replay.num_frames, replay.positions.shape
+            (2, (2, 1, 11, 3))
         """
         nodes = numbers("positions", positions, "m")
         if nodes.ndim not in (3, 4) or nodes.shape[-2] != 3:
@@ -102,6 +108,13 @@ class Replay(Recording):
 
         Raises:
             ValueError: An argument has the wrong shape or an impossible value.
+
+        Example:
+            >>> nodes = np.linspace([0, 0, 0], [1, 0, 0], 11)  # (11, 3)
+            >>> swinging = np.stack([nodes, nodes + 0.1])
+            >>> replay = viz.Replay.from_nodes(swinging, 0.02, [0.0, 0.1])
+            >>> replay.num_frames, replay.num_rods
+            (2, 1)
         """
         nodes = numbers("positions", positions, "m")
         clock = checked_times(times, nodes.shape[:1])
@@ -217,6 +230,14 @@ class Replay(Recording):
         Raises:
             ValueError: An argument has the wrong shape or an impossible value.
             TypeError: `model` is neither a scene nor a system.
+
+        Example:
+            >>> records = jax.tree.map(lambda leaf: jnp.stack([leaf, leaf]), state)
+            >>> replay = viz.Replay.from_states(
+            ...     scene, records, [0.0, 0.1], fields={"speed [m/s]": viz.speed}
+            ... )
+            >>> replay.num_frames, list(replay.rods[0].fields)
+            (2, ['speed [m/s]'])
         """
         from jaxrod.viz.recorded import recorded
 
@@ -239,6 +260,13 @@ class Replay(Recording):
 
         Raises:
             ValueError: The times or the upward axes of the replays differ.
+
+        Example:
+            >>> nodes = np.linspace([0, 0, 0], [1, 0, 0], 11)  # (11, 3)
+            >>> one = viz.Replay.from_nodes(nodes[None], 0.02, [0.0], name="one")
+            >>> two = viz.Replay.from_nodes(nodes[None] + 0.1, 0.02, [0.0], name="two")
+            >>> one.together(two).num_rods
+            2
         """
         for other in others:
             if not np.array_equal(self.times, other.times) or other.up != self.up:

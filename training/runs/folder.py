@@ -110,7 +110,12 @@ class RunFolder(OwnedFolder):
 
     @property
     def finished(self) -> bool:
-        """Whether the run in this folder has finished."""
+        """Whether the run in this folder has finished.
+
+        Example:
+            >>> training.RunFolder("runs/nothing").finished
+            False
+        """
         if not self.summary_file.exists():
             return False
         return self.summary()["status"] == "finished"

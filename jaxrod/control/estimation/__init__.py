@@ -1,5 +1,9 @@
 """State estimation: an extended Kalman filter and a moving-horizon estimator."""
 
+from functools import partial
+from typing import TYPE_CHECKING
+
+import jaxrod.spelling
 from jaxrod.control.estimation.horizon import Horizon, moving_horizon
 from jaxrod.control.estimation.kalman import Update, predict, update
 from jaxrod.control.estimation.process import (
@@ -20,3 +24,6 @@ __all__ = [
     "predict",
     "update",
 ]
+
+if not TYPE_CHECKING:
+    __getattr__ = partial(jaxrod.spelling.no_such_name, __name__)

@@ -127,7 +127,7 @@ class Estimate:
 
     @property
     def covariance(self) -> Float[Array, "size size"]:
-        """Covariance L L^T of the local coordinates of the true state about `state`."""
+        """Covariance $L L^T$ of local coordinates of the true state about `state`."""
         return self.root @ jnp.swapaxes(self.root, -1, -2)
 
     @property

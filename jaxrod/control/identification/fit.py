@@ -89,9 +89,9 @@ def fit(
             parameters found by their logarithm. An explicit time step must be stable up
             to these bounds.
         iterations: Largest number of points tried after the initial guess.
-        initial_damping: Damping of the first step, relative to the diagonal of J^T J,
-            where J is the Jacobian of the residuals [1]; by default 1e-3, and 1e-2 for
-            joined windows. More damping makes the first steps shorter.
+        initial_damping: Damping of the first step, relative to the diagonal of
+            $J^T J$, where $J$ is the Jacobian of the residuals [1]; by default 1e-3,
+            and 1e-2 for joined windows. More damping makes the first steps shorter.
         tolerance: Relative change of the sum of squares at which the search ends, as in
             `least_squares`.
         mode: `"forward"` or `"reverse"`, as in `least_squares`. Windows are always

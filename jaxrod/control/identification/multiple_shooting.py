@@ -67,7 +67,7 @@ from jaxrod.control.least_squares import (
 from jaxrod.structure import pytree
 
 LEAST_DAMPING = 1e-6
-"""Smallest damping, relative to the diagonal of J^T J [1]. Less gains nothing, and
+"""Smallest damping, relative to the diagonal of $J^T J$ [1]. Less gains nothing, and
 raising it again costs rejected steps."""
 
 
@@ -165,8 +165,8 @@ def windowed_least_squares(
         known: Known data of each window, stacked the same way.
         lower: Lower bounds of the shared unknowns.
         upper: Upper bounds of the shared unknowns.
-        initial_damping: Damping of the first step, relative to the diagonal of J^T J,
-            where J is the Jacobian [1].
+        initial_damping: Damping of the first step, relative to the diagonal of
+            $J^T J$, where $J$ is the Jacobian [1].
         iterations: Largest number of points tried after the initial guess.
         tolerance: Relative change of the cost at which the search ends; by default
             machine epsilon to the power of 3/4.
@@ -277,7 +277,7 @@ def _stepped(
 ) -> Point:
     """Point after a fraction `share` of the damped step and of closing the gaps.
 
-    `mu` is the damping, relative to the diagonal of J^T J; `low` and `high` are the
+    `mu` is the damping, relative to the diagonal of $J^T J$; `low` and `high` are the
     bounds of the shared unknowns.
     """
     step, own_steps = schur_step(
@@ -396,7 +396,7 @@ def schur_step(
     Args:
         jacobian: Jacobians of the trajectories `(trajectory, residuals, shared + own)`.
         residuals: Residuals of all trajectories, `(trajectory, residuals)`.
-        mu: Damping, relative to the diagonal of J^T J [1].
+        mu: Damping, relative to the diagonal of $J^T J$ [1].
         point: Shared unknowns.
         low: Lower bounds of the shared unknowns.
         high: Upper bounds of the shared unknowns.

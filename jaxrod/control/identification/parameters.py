@@ -64,11 +64,24 @@ class Parameters:
         return self.flat(self.start), self.flat(self.scales), np.asarray(self.by_log)
 
     def flat(self, values: Mapping[str, Any]) -> Float[Array, " p"]:
-        """Flattens and concatenates all parameters, in the order of `shapes`."""
+        """Flattens and concatenates all parameters, in the order of `shapes`.
+
+        Example:
+            >>> sought = control.make_parameters({"modulus": 1e6, "tilts": jnp.ones(2)})
+            >>> sought.flat({"modulus": 2e6, "tilts": jnp.zeros(2)}).tolist()
+            [2000000.0, 0.0, 0.0]
+        """
         return jnp.concatenate([jnp.ravel(values[name]) for name, _ in self.shapes])
 
     def named(self, flat: Float[Array, " p"]) -> dict[str, Array]:
-        """Splits a vector into named parameters: the inverse of `flat`."""
+        """Splits a vector into named parameters: the inverse of `flat`.
+
+        Example:
+            >>> sought = control.make_parameters({"modulus": 1e6, "tilts": jnp.ones(2)})
+            >>> named = sought.named(jnp.array([3e6, 0.1, 0.2]))
+            >>> named["tilts"].shape, float(named["modulus"])
+            ((2,), 3000000.0)
+        """
         found, at = {}, 0
         for name, shape in self.shapes:
             size = math.prod(shape)
@@ -77,20 +90,33 @@ class Parameters:
         return found
 
     def searched(self, values: Mapping[str, Any]) -> Float[Array, " p"]:
-        """Converts parameters to search variables z: log(p / p_0) or (p - p_0) / s."""
+        r"""Converts to search variables $z$: $\log(p / p_0)$ or $(p - p_0) / s$.
+
+        Example:
+            >>> sought = control.make_parameters({"modulus": 1e6, "tilts": jnp.ones(2)})
+            >>> z = sought.searched({"modulus": 2e6, "tilts": jnp.ones(2)})
+            >>> print(z.round(3))  # log 2 of the modulus
+            [0.693 0.    0.   ]
+        """
         (first, scale, log), value = self._forms, self.flat(values)
         # Both branches must be finite, so that derivatives are finite too.
         ratio = jnp.where(log, value, 1) / jnp.where(log, first, 1)
         return jnp.where(log, jnp.log(ratio), (value - first) / scale)
 
     def values(self, point: Float[Array, " p"]) -> dict[str, Array]:
-        """Converts search variables z to parameters: p_0 e^z or p_0 + s z."""
+        """Converts search variables to parameters: $p_0 e^z$ or $p_0 + s z$.
+
+        Example:
+            >>> sought = control.make_parameters({"modulus": 1e6, "tilts": jnp.ones(2)})
+            >>> float(sought.values(jnp.zeros(3))["modulus"])  # where a search begins
+            1000000.0
+        """
         first, scale, log = self._forms
         factor = jnp.exp(jnp.where(log, point, 0))
         return self.named(jnp.where(log, first * factor, first + scale * point))
 
     def slopes(self, point: Float[Array, " p"]) -> Float[Array, " p"]:
-        """Derivative dp/dz of each parameter, for its search variable z: p or s."""
+        """Derivative $dp/dz$ of each parameter, for its search variable: $p$ or $s$."""
         first, scale, log = self._forms
         return jnp.where(log, first * jnp.exp(jnp.where(log, point, 0)), scale)
 

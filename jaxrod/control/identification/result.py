@@ -143,6 +143,13 @@ class Fit:
         Raises:
             ValueError: This is a batch of fits: select one, for example
                 `jax.tree.map(lambda a: a[0], fit)`.
+
+        Example:
+            >>> x = jnp.arange(5.0)
+            >>> line = lambda p: p["slope"] * x
+            >>> found = control.fit(line, 3.0 * x, {"slope": 1.0}, noise=0.1)
+            >>> found.undetermined
+            ()
         """
         if self.covariance.ndim > 2:
             raise ValueError(
@@ -162,6 +169,13 @@ class Fit:
 
         Args:
             truth: True parameters, with the names and shapes of `values`.
+
+        Example:
+            >>> x = jnp.arange(5.0)
+            >>> line = lambda p: p["slope"] * x
+            >>> found = control.fit(line, 3.0 * x, {"slope": 1.0}, noise=0.1)
+            >>> round(float(found.z({"slope": 3.0})["slope"]), 1)
+            0.0
         """
         if self.covariance.ndim > 2:
             return jax.vmap(lambda fit: fit.z(truth))(self)
@@ -175,6 +189,14 @@ class Fit:
         Args:
             simulate: Takes parameters and returns any pytree, for example for a longer
                 time or under other loads.
+
+        Example:
+            >>> x = jnp.arange(5.0)
+            >>> line = lambda p: p["slope"] * x
+            >>> found = control.fit(line, 3.0 * x, {"slope": 1.0}, noise=0.1)
+            >>> ahead = found.forecast(lambda p: p["slope"] * 10.0)
+            >>> round(float(ahead.value), 2), round(float(ahead.sd), 2)
+            (30.0, 0.18)
         """
         if self.covariance.ndim > 2:
             return jax.vmap(lambda fit: fit.forecast(simulate))(self)

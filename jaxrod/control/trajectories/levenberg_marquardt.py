@@ -52,8 +52,8 @@ def levenberg_marquardt(
         iterations: Largest number of iterations.
         ridge: Weight of the mean squared knot value; it selects one of the many
             controls with the same result.
-        initial_damping: Damping of the first step, relative to the diagonal of J^T J,
-            where J is the Jacobian of the residuals [1].
+        initial_damping: Damping of the first step, relative to the diagonal of
+            $J^T J$, where $J$ is the Jacobian of the residuals [1].
         tolerance: Relative change at which the search ends; by default machine epsilon
             to the power of 3/4.
         initial_knots: Initial knots `(n_knots, n_controls)`; small random ones by
@@ -125,8 +125,8 @@ def codesign(
         ridge: Weight of the mean squared knot value: the effort.
         lower: Lower bounds of the design, a number or a tree like `design`.
         upper: Upper bounds of the design, a number or a tree like `design`.
-        initial_damping: Damping of the first step, relative to the diagonal of J^T J,
-            where J is the Jacobian of the residuals [1].
+        initial_damping: Damping of the first step, relative to the diagonal of
+            $J^T J$, where $J$ is the Jacobian of the residuals [1].
         initial_knots: Initial knots `(n_knots, n_controls)`; small random ones by
             default.
         seed: Seed of the small random knots.

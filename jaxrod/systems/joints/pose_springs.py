@@ -180,7 +180,11 @@ class PoseSpring(Coupling):
         return sum_of_loads((points, loads), seen=seen)
 
     def energy(self, seen: AllSeen) -> Array:
-        """Elastic energy, 1/2 k distance^2 + 1/2 k_t angle^2 from the target [J]."""
+        r"""Elastic energy, $k d^2 / 2 + k_t \theta^2 / 2$ [J].
+
+        The distance from the target is $d$, the angle $\theta$; $k$ is the stiffness,
+        and $k_t$ the angular one.
+        """
         own = seen[self.anchor.points.member]
         way = self._way(own)
         stored = 0.5 * self.stiffness * jnp.sum(vectors.dot(way, way))

@@ -171,7 +171,15 @@ class RigidBodies(Member):
         return masses * state.velocities, body_angular_momenta(self, state)
 
     def kinetic_energy(self, state: Any) -> Array:
-        """Kinetic energy of translation and rotation [J]."""
+        """Kinetic energy of translation and rotation [J].
+
+        Example:
+            >>> sphere = shapes.sphere((0.0, 0.0, 0.0), 0.1)
+            >>> ball, start = systems.rigid_body(sphere, density=1000.0)
+            >>> moving = replace(start, velocities=jnp.ones((3, 1)))
+            >>> round(float(ball.kinetic_energy(moving)), 3)
+            6.283
+        """
         return body_kinetic_energy(self, state)
 
     def potential_energy(self, state: Any) -> Array:
@@ -183,7 +191,15 @@ class RigidBodies(Member):
         return total
 
     def momentum(self, state: Any) -> Array:
-        """Total linear momentum, world frame [kg m/s]."""
+        """Total linear momentum, world frame [kg m/s].
+
+        Example:
+            >>> sphere = shapes.sphere((0.0, 0.0, 0.0), 0.1)
+            >>> ball, start = systems.rigid_body(sphere, density=1000.0)
+            >>> moving = replace(start, velocities=jnp.ones((3, 1)))
+            >>> print(ball.momentum(moving).round(3))
+            [4.189 4.189 4.189]
+        """
         return jnp.sum(self.masses[None] * state.velocities, axis=1)
 
     def angular_momentum(self, state: Any) -> Array:
