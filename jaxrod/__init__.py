@@ -67,6 +67,10 @@ _GUESSES = {
         "jaxrod.clamp holds an end, and jaxrod.fixed_end holds it as in PyElastica",
     ),
     **dict.fromkeys(
+        ("pin", "pinned", "simple_support"),
+        "jaxrod.pin_support holds an end and lets it turn",
+    ),
+    **dict.fromkeys(
         ("AnalyticalLinearDamper", "damper"),
         "it is jaxrod.exponential_damping, or jaxrod.internal_damping of the material",
     ),

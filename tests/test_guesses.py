@@ -40,6 +40,7 @@ def owner(place):
         ("RodState", "position", "state.positions"),
         ("jaxrod", "CosseratRod", "jaxrod.straight_rod"),
         ("jaxrod", "OneEndFixedBC", "jaxrod.clamp"),
+        ("jaxrod", "pin", "jaxrod.pin_support"),
         ("jaxrod", "integrate", "jaxrod.advance"),
         ("jaxrod", "mj_step", "jaxrod.step"),
         ("jaxrod", "floor", "jaxrod.contact(jaxrod.shapes.plane())"),
@@ -180,3 +181,10 @@ def test_what_is_nothing_like_a_name_gets_the_list():
         jaxrod.envs.make("tracking", qwertz=5)
     with pytest.raises(ValueError, match=r"ppo.*qwertz"):
         training.find_algorithm("qwertz")
+
+
+@pytest.mark.parametrize("space", ["control", "envs", "systems", "training", "viz"])
+def test_dir_lists_all_names(space):
+    """Those that are imported on use, too, so that an editor can complete them."""
+    module = getattr(jaxrod, space)
+    assert set(module.__all__) <= set(dir(module))

@@ -64,3 +64,7 @@ def __getattr__(name: str) -> Any:
     if name in _MODULE_OF:
         return getattr(import_module(f"jaxrod.viz.{_MODULE_OF[name]}"), name)
     jaxrod.spelling.no_such_name(__name__, name)
+
+
+def __dir__() -> list[str]:
+    return sorted({*__all__, *globals()})

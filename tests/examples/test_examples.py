@@ -26,7 +26,7 @@ PUBLIC = {
 @pytest.mark.parametrize("file", sorted(FOLDER.glob("*.py")), ids=lambda f: f.stem)
 def test_examples_are_short_and_use_public_names_only(file):
     source = file.read_text()
-    longer = {"gallery": 195, "hardware_in_the_loop": 100}
+    longer = {"gallery": 210, "hardware_in_the_loop": 100}
     assert len(source.splitlines()) <= longer.get(file.stem, 80)
     for node in ast.walk(ast.parse(source)):
         if isinstance(node, ast.ImportFrom) and node.module.startswith("jaxrod"):
