@@ -200,8 +200,9 @@ if __name__ == "__main__":
     parser.add_argument("--pictures", action="store_true", help="keep the numbers")
     asked = parser.parse_args()
     if asked.pictures:
-        for scene in map(importlib.import_module, asked.scenes):
-            draw(scene.__name__, scene.run()[0], scene.LOOK)
+        for name in asked.scenes:
+            scene = importlib.import_module(name)
+            draw(name, scene.run()[0], scene.LOOK)
     for name in () if asked.words or asked.pictures else asked.scenes:
         records = json.loads(RECORDS.read_text()) | {name: measure(name)}
         RECORDS.write_text(json.dumps(records, indent=1) + "\n")
