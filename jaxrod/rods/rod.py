@@ -81,8 +81,8 @@ class Rod(Hinted):
     """Parameters of one rod. All numbers are traced leaves.
 
     `vmap` over a rod is domain randomisation; `grad` over it is system identification.
-    Per-length quantities (density, inertia, stiffness) do not change when the
-    discretisation does.
+    Mass and inertia per length, and the stiffness of the section, do not change when
+    the discretisation does.
 
     For stacked rods, such as those that `vmap` over a factory makes, derived quantities
     have the same leading axes.
