@@ -210,7 +210,7 @@ def test_many_bodies_of_any_shape_are_made_by_vmap_too():
         ),
         (
             lambda: jaxrod.shapes.signed_distance(lambda x, _: x),
-            "function must give one",
+            "function must return one distance",
         ),
     ],
 )

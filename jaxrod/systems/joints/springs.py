@@ -189,7 +189,8 @@ def spring(
         if not isinstance(at, tuple | list) or len(at) != 2:
             raise ValueError(f"at must be a pair of points (3,) in m, got {at!r}")
         ends = _point("at[0]", at[0]), _point("at[1]", at[1])
-    made = _springs(a, b, state, stiffness, damping, ends)
+    rigidity = as_array("stiffness", stiffness, "N/m", positive=True)
+    made = _springs(a, b, state, rigidity, damping, ends)
     one = jnp.stack([position.place for position in _poses(a, state)], axis=1)
     two = jnp.stack([position.place for position in _poses(b, state)], axis=1)
     if at is not None:
@@ -251,16 +252,19 @@ def ball_joint(
     if point is None:
         for one, other in zip(*pairs(a, b), strict=True):
             _check_near(one, other, state)
-        points = [pose.place for pose in _poses(a, state)]
-        return _springs(a, b, state, stiffness, damping, (None, points))
-    return _springs(a, b, state, stiffness, damping, (point, point))
+        ends: tuple[Any, Any] = None, [pose.place for pose in _poses(a, state)]
+    else:
+        ends = point, point
+    rigidity = number_or_nan("stiffness", stiffness, "N/m")
+    made = _springs(a, b, state, rigidity, damping, ends)
+    return replace(made, left_out=stiffness is None)
 
 
 def _springs(
     a: Any,
     b: Any,
     state: Mapping[str, Any],
-    stiffness: Numbers | None,
+    stiffness: Array,
     damping: Numbers | None,
     at: tuple[Any, Any],
 ) -> Springs:
@@ -274,9 +278,8 @@ def _springs(
     return Springs(
         a=anchors(first, state, at=listed(at[0], len(first)), name="a"),
         b=anchors(second, state, at=listed(at[1], len(second)), name="b"),
-        stiffness=number_or_nan("stiffness", stiffness, "N/m"),
+        stiffness=stiffness,
         damping=optional_number("damping", damping, "kg/s"),
-        left_out=stiffness is None,
     )
 
 
