@@ -133,9 +133,7 @@ def test_a_file_in_the_place_of_the_folder_is_refused_by_its_name(
     monkeypatch.setattr(program_cache, "without_checksum", lambda: False)
     taken = tmp_path / "taken"
     taken.write_text("something else")
-    with pytest.raises(
-        ValueError, match=r"cannot make the folder.*taken"
-    ):
+    with pytest.raises(ValueError, match=r"cannot make the folder.*taken"):
         program_cache.keep_programs(taken.joinpath(*inside))
     assert taken.read_text() == "something else"
 

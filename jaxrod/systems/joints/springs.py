@@ -62,7 +62,7 @@ class Springs(Coupling):
         return self.left_out
 
     def with_numbers(self, parts: AllParts, step: Array) -> Springs:
-        """Copy with the stiffness that makes the stable step half as long.
+        """Copy with a stiffness that makes the stable step at most a fifth shorter.
 
         Args:
             parts: Constants of the members.
@@ -224,7 +224,8 @@ def ball_joint(
         b: A place on the second member, or one for each place of `a`.
         state: State of the system at rest.
         stiffness: Force per distance between the two points [N/m]. If it is left out,
-            `make_system` takes the one that makes the stable time step half as long.
+            `make_system` takes one that makes the stable time step at most a fifth
+            shorter.
         damping: Force per relative speed [kg/s].
         at: Position of the joint in `state`, world frame `(3,)` [m]; by default the
             places of `a`.
