@@ -89,9 +89,11 @@ def test_the_task_of_the_readme_learns_what_is_said(tmp_path, run_json, monkeypa
     Path("reach.py").write_text(own_task(PAGES[0]))
     words = re.search(r"^jaxrod (train reach.py.*)", PAGES[0].read_text(), re.M)[1]
     found = run_json(*words.split(), "--json")
-    pattern = r"the return from (-[\d.]+) to (-[\d.]+)"
-    first, said = map(float, re.search(pattern, PAGES[0].read_text()).groups())
+    words = " ".join(PAGES[0].read_text().split())
+    pattern = r"episodes from (-[\d.]+) to (-[\d.]+)\. Without .* it is (-[\d.]+), and"
+    first, final, said = map(float, re.search(pattern, words).groups())
     assert found["first_score"] == pytest.approx(first, abs=0.7)
+    assert found["final_score"] == pytest.approx(final, abs=0.15)
     assert found["evaluation_score"] == pytest.approx(said, abs=0.15)
     assert Path("runs/reach/replay.html").exists()
     trust = ("--trust", "reach.py")
