@@ -15,7 +15,7 @@ READ_DIFFERENTLY = (
         r"{\1{}}",
     ),
 )
-"""What docutils reads in another way than TeX, and how to write it for both."""
+"""Formulas rewritten so that docutils reads them as TeX does."""
 
 
 def spelled_out(formula: str) -> str:

@@ -238,7 +238,7 @@ def test_adapters_are_in_the_reference_without_their_libraries():
 
 
 def test_hooks_are_described_once():
-    """By the bases in `jaxrod.extend`, except where a class shows an example."""
+    """The bases in `jaxrod.extend` describe them, unless a class has an example."""
     pages = runpy.run_path(str(DOCS / "reference_pages.py"))
     tendon = jaxrod.actuation.Tendon
     assert {*pages["bases_of"](tendon)} == {"jaxrod.extend.Effect"}

@@ -339,7 +339,7 @@ def show(
     """
     import jax
 
-    times = getattr(times, "dt", times)  # as of the result of `stable_dt`
+    times = getattr(times, "dt", times)  # the result of `stable_dt` has one
     if np.ndim(times) == 0:
         first = jax.tree.leaves(states)[0]
         times = np.arange(np.shape(first)[0]) * float(times)

@@ -19,13 +19,13 @@ BENCHMARKS = ROOT / "benchmarks"
 
 
 def page_of(name):
-    """What the program of a benchmark with one record makes of it."""
+    """Page that the program of a benchmark writes from its only record."""
     program = importlib.import_module(f"benchmarks.{name}.run")
     return program.page(read_json(BENCHMARKS / name / "records" / f"{name}.json"))
 
 
 def grid(name):
-    """What `jaxrod reproduce` makes of the records of a grid."""
+    """Page that `jaxrod reproduce` writes from the records of a grid."""
     return report(Records(BENCHMARKS / name / "records"))
 
 

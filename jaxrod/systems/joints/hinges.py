@@ -14,7 +14,6 @@ from typing import Any
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from jaxrod.contacts.default_law import affordable_stiffness, largest_rates
 from jaxrod.effects.base import StabilityBound
 from jaxrod.effects.time import Timed, as_timed
 from jaxrod.geometry import vectors
@@ -37,7 +36,12 @@ from jaxrod.systems.joints.places import (
     spin_at,
     sum_of_loads,
 )
-from jaxrod.systems.joints.springs import ball_joint, check_limited, number_or_nan
+from jaxrod.systems.joints.springs import (
+    ball_joint,
+    check_limited,
+    chosen,
+    number_or_nan,
+)
 from jaxrod.validation import Numbers, as_array, optional_number
 
 
@@ -97,11 +101,8 @@ class AxisSprings(Coupling):
             parts: Constants of the members.
             step: Largest stable step of the system without these springs [s].
         """
-        one = jnp.ones_like(self.stiffness)
-        bare = replace(self, stiffness=one, damping=None, motor=None)
-        square, _ = largest_rates(bare.stability_bounds(parts), parts)
-        chosen = affordable_stiffness(step, square).astype(one.dtype)
-        return replace(self, stiffness=chosen, left_out=False)
+        bare = replace(self, damping=None, motor=None)
+        return replace(self, stiffness=chosen(bare, parts, step), left_out=False)
 
     def _axes(self, seen: AllSeen) -> tuple[Vec3, Vec3]:
         """Unit vectors of the axes fixed in `a` and in `b`, world frame."""

@@ -68,11 +68,8 @@ class Springs(Coupling):
             parts: Constants of the members.
             step: Largest stable step of the system without these springs [s].
         """
-        one = jnp.ones_like(self.stiffness)
-        bare = replace(self, stiffness=one, damping=None)
-        square, _ = largest_rates(bare.stability_bounds(parts), parts)
-        chosen = affordable_stiffness(step, square).astype(one.dtype)
-        return replace(self, stiffness=chosen, left_out=False)
+        bare = replace(self, damping=None)
+        return replace(self, stiffness=chosen(bare, parts, step), left_out=False)
 
     def adjacent_pairs(self, parts: AllParts) -> tuple[TiedPair, ...]:
         """Pairs of nodes whose springs have no length; see `Coupling.adjacent_pairs`.
@@ -289,6 +286,20 @@ def number_or_nan(name: str, given: Numbers | None, unit: str) -> Array:
     if given is None:
         return jnp.asarray(jnp.nan)
     return as_array(name, given, unit, positive=True)
+
+
+def chosen(bare: Any, parts: AllParts, step: Array) -> Array:
+    """Stiffness of springs that is left out, from the step that others allow.
+
+    Args:
+        bare: The springs, without dashpots and motors.
+        parts: Constants of the members.
+        step: Largest stable step of the system without these springs [s].
+    """
+    one = jnp.ones_like(bare.stiffness)
+    bounds = replace(bare, stiffness=one).stability_bounds(parts)
+    square, _ = largest_rates(bounds, parts)
+    return affordable_stiffness(step, square).astype(one.dtype)
 
 
 def check_limited(name: str, unit: str, a: Points, b: Points, parts: AllParts) -> None:
